@@ -1,0 +1,173 @@
+"""Arm: what a person describes, a serial chain of links and revolute joints with a payload, in SI units."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from flexman_gym.checks import non_negative, positive, refusal, rotation, sequence, store, unit_vector, vector
+
+_LINK_UNITS = {
+    "length": "m",
+    "area": "m^2",
+    "second_moment_y": "m^4",
+    "second_moment_z": "m^4",
+    "torsion_constant": "m^4",
+    "youngs_modulus": "Pa",
+    "shear_modulus": "Pa",
+    "density": "kg/m^3",
+}
+
+
+@dataclass(frozen=True)
+class Link:
+    """A straight uniform beam along the x axis of its own frame, from its joint to its tip.
+
+    length            m
+    area              m^2, of the cross-section
+    second_moment_y   m^4, int z^2 dA: resists bending in the x-z plane
+    second_moment_z   m^4, int y^2 dA: resists bending in the x-y plane
+    torsion_constant  m^4, J in G J: resists twist (for a round section the polar moment)
+    youngs_modulus    Pa
+    shear_modulus     Pa
+    density           kg/m^3
+    orientation       (3, 3) rotation whose columns are the beam's axes in the joint's frame; stored as rows of floats
+
+    Raises ValueError when a number is not finite and > 0, or when `orientation` is not a rotation within 1e-9.
+    """
+
+    length: float
+    area: float
+    second_moment_y: float
+    second_moment_z: float
+    torsion_constant: float
+    youngs_modulus: float
+    shear_modulus: float
+    density: float
+    orientation: Sequence[Sequence[float]] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+    def __post_init__(self) -> None:
+        store(self, **{name: positive(f"Link.{name}", getattr(self, name), unit) for name, unit in _LINK_UNITS.items()})
+        store(self, orientation=rotation("Link.orientation", self.orientation))
+
+    @property
+    def mass(self) -> float:
+        """Mass of the link in kg."""
+        return self.density * self.area * self.length
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A revolute joint: a rotor that turns the link behind it directly, or through a spring and a damper (Eq. 23).
+
+    axis           (3,) unit vector in the frame of the previous link's tip (the base frame for the first joint)
+    rotor_inertia  kg m^2, about the axis, on the link's side of any gear
+    stiffness      N m/rad, of the spring between rotor and link; None for a rigid joint
+    damping        N m s/rad, of the damper parallel to that spring
+
+    Raises ValueError when the axis is not of length 1 within 1e-9 (it is not normalised), when a number is negative or
+    not finite, for a damper without a spring, and for a spring without a rotor (its coordinate would have no mass).
+    """
+
+    axis: Sequence[float]
+    rotor_inertia: float = 0.0
+    stiffness: float | None = None
+    damping: float = 0.0
+
+    def __post_init__(self) -> None:
+        store(
+            self,
+            axis=unit_vector("Joint.axis", self.axis),
+            rotor_inertia=non_negative("Joint.rotor_inertia", self.rotor_inertia, "kg m^2"),
+            damping=non_negative("Joint.damping", self.damping, "N m s/rad"),
+        )
+        if self.stiffness is not None:
+            store(self, stiffness=positive("Joint.stiffness", self.stiffness, "N m/rad; None for a rigid joint"))
+            if self.rotor_inertia == 0.0:
+                allowed = "a number > 0 (kg m^2): the rotor of a joint with stiffness has mass"
+                raise refusal("Joint.rotor_inertia", self.rotor_inertia, allowed)
+        elif self.damping > 0.0:
+            raise refusal("Joint.damping", self.damping, "0 with stiffness None: the damper is parallel to the spring")
+
+
+@dataclass(frozen=True)
+class Payload:
+    """A point mass at the tip of the last link.
+
+    mass     kg
+    inertia  (3, 3) kg m^2 about the centre of mass; not modelled, so None only
+    offset   (3,) m from the tip to the centre of mass; not modelled, so None only
+
+    Raises ValueError when the mass is negative or not finite, and when inertia or offset is given.
+    """
+
+    mass: float
+    inertia: Sequence[Sequence[float]] | None = None
+    offset: Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        store(self, mass=non_negative("Payload.mass", self.mass, "kg"))
+        for name in ("inertia", "offset"):
+            value = getattr(self, name)
+            if value is not None:
+                raise refusal(f"Payload.{name}", value, "None: only a point payload at the tip is modelled")
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A serial arm on a fixed base: joint i turns link i, joint i + 1 sits on the tip of link i.
+
+    links                           n of Link, base to tip; stored as a tuple
+    joints                          n of Joint; stored as a tuple
+    payload                         Payload at the last tip; one of no mass is stored as None, the same arm
+    gravity                         (3,) m/s^2, acceleration in the base frame
+    stiffness_proportional_damping  s, beta in C = beta K of every link
+    modal_damping_ratio             damping ratio of every mode of a link, 0 <= ratio < 1
+
+    Raises ValueError when there is no link, when links and joints differ in number or hold something else, when gravity
+    is not three finite numbers, and when a damping is outside its range.
+    """
+
+    links: Sequence[Link]
+    joints: Sequence[Joint]
+    payload: Payload | None = None
+    gravity: Sequence[float] = (0.0, 0.0, 0.0)
+    stiffness_proportional_damping: float = 0.0
+    modal_damping_ratio: float = 0.0
+
+    def __post_init__(self) -> None:
+        store(
+            self,
+            links=_chain("Arm.links", self.links, Link),
+            joints=_chain("Arm.joints", self.joints, Joint),
+            gravity=vector("Arm.gravity", self.gravity, 3, "m/s^2"),
+            stiffness_proportional_damping=non_negative(
+                "Arm.stiffness_proportional_damping", self.stiffness_proportional_damping, "s"
+            ),
+            modal_damping_ratio=non_negative("Arm.modal_damping_ratio", self.modal_damping_ratio),
+        )
+        if len(self.joints) != len(self.links):
+            raise ValueError(
+                f"Arm.joints: {len(self.joints)} joints are not allowed; give {len(self.links)}, one for each link"
+            )
+        if self.modal_damping_ratio >= 1.0:
+            raise refusal("Arm.modal_damping_ratio", self.modal_damping_ratio, "a number >= 0 and < 1")
+        if not isinstance(self.payload, Payload | None):
+            raise refusal("Arm.payload", self.payload, "a Payload or None")
+        if self.payload == Payload(0.0):
+            store(self, payload=None)
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints, equal to the number of links."""
+        return len(self.joints)
+
+
+def _chain(name: str, value: object, kind: type) -> tuple[Any, ...]:
+    """Return a list of at least one `kind` as a tuple."""
+    items = sequence(name, value, f"at least one {kind.__name__}")
+    if not items:
+        raise refusal(name, value, f"at least one {kind.__name__}")
+    for i, item in enumerate(items):
+        if not isinstance(item, kind):
+            raise refusal(f"{name}[{i}]", item, f"a {kind.__name__}")
+    return tuple(items)

@@ -1,0 +1,137 @@
+"""Checks: each takes a field's name and value and returns the value in its stored form, or raises one clear line."""
+
+import math
+import numbers
+from collections.abc import Collection, Sequence
+from typing import Any
+
+import numpy as np
+
+UNIT_TOLERANCE = 1e-9  # how far a unit vector or a rotation may be from exact
+
+
+def shown(value: object) -> str:
+    """Return `value` as at most 80 characters on one line, whatever it is."""
+    try:
+        text = " ".join(repr(value).split())
+    except (ValueError, RecursionError):  # an integer of thousands of digits, a list nested without end
+        text = f"this {type(value).__name__}"
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def refusal(name: str, value: object, allowed: str) -> ValueError:
+    """Return the error that says field `name` may not be `value` and what is `allowed`, on one line."""
+    return ValueError(f"{name}: {shown(value)} is not allowed; give {allowed}")
+
+
+def _real(value: object) -> float:
+    """Return a real number as float, and NaN for everything that is not one (a bool, a string, an overflow)."""
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        return math.nan
+    try:
+        return float(value)
+    except OverflowError:
+        return math.nan
+
+
+def finite(name: str, value: object, unit: str = "") -> float:
+    """Return `value` as a finite float; raise ValueError for anything else."""
+    number = _real(value)
+    if not math.isfinite(number):
+        raise refusal(name, value, "a finite number" + _in(unit))
+    return number
+
+
+def positive(name: str, value: object, unit: str = "") -> float:
+    """Return `value` as a finite float > 0; raise ValueError for anything else."""
+    number = _real(value)
+    if not 0.0 < number < math.inf:
+        raise refusal(name, value, "a finite number > 0" + _in(unit))
+    return number
+
+
+def non_negative(name: str, value: object, unit: str = "") -> float:
+    """Return `value` as a finite float >= 0; raise ValueError for anything else."""
+    number = _real(value)
+    if not 0.0 <= number < math.inf:
+        raise refusal(name, value, "a finite number >= 0" + _in(unit))
+    return number
+
+
+def whole_number(name: str, value: object, low: int, high: int) -> int:
+    """Return `value` as an int from `low` to `high`; raise ValueError for anything else, 2.0 and True included."""
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or not low <= int(value) <= high:
+        raise refusal(name, value, f"a whole number from {low} to {high}")
+    return int(value)
+
+
+def flag(name: str, value: object) -> bool:
+    """Return `value` as a bool; raise ValueError for anything else, 0 and 1 included."""
+    if not isinstance(value, bool | np.bool_):
+        raise refusal(name, value, "true or false")
+    return bool(value)
+
+
+def text(name: str, value: object) -> str:
+    """Return `value` when it is a string; raise ValueError for anything else."""
+    if not isinstance(value, str):
+        raise refusal(name, value, "a text")
+    return value
+
+
+def one_of(name: str, value: object, allowed: Collection[str]) -> str:
+    """Return `value` when it is one of the `allowed` strings; raise ValueError for anything else."""
+    if not isinstance(value, str) or value not in allowed:
+        raise refusal(name, value, "one of " + ", ".join(allowed))
+    return value
+
+
+def sequence(name: str, value: object, items: str = "values") -> Sequence[Any]:
+    """Return `value` when it is a list, a tuple or an array; raise ValueError for anything else."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if not isinstance(value, list | tuple):
+        raise refusal(name, value, f"a list of {items}")
+    return value
+
+
+def vector(name: str, value: object, length: int | None = None, unit: str = "") -> tuple[float, ...]:
+    """Return an array-like of finite numbers as a tuple of floats, (length,); raise ValueError for anything else."""
+    entries = sequence(name, value, "numbers")
+    if not entries or (length is not None and len(entries) != length):
+        raise refusal(name, value, f"{length or 'at least 1'} numbers" + _in(unit))
+    return tuple(finite(f"{name}[{i}]", entry, unit) for i, entry in enumerate(entries))
+
+
+def unit_vector(name: str, value: object) -> tuple[float, ...]:
+    """Return a (3,) vector of length 1 within 1e-9 as a tuple of floats, not normalised; raise ValueError otherwise."""
+    entries = vector(name, value, 3)
+    length = math.hypot(*entries)
+    if not abs(length - 1.0) <= UNIT_TOLERANCE:
+        raise refusal(name, value, f"a vector of length 1 (the length of this one is {length:.12g})")
+    return entries
+
+
+def rotation(name: str, value: object) -> tuple[tuple[float, ...], ...]:
+    """Return a (3, 3) proper rotation, orthonormal within 1e-9, as a tuple of rows; raise ValueError otherwise."""
+    rows = sequence(name, value, "3 rows of 3 numbers")
+    if len(rows) != 3:
+        raise refusal(name, value, "3 rows of 3 numbers")
+    rows = tuple(vector(f"{name}[{i}]", row, 3) for i, row in enumerate(rows))
+    matrix = np.array(rows)
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = np.abs(matrix @ matrix.T - np.eye(3)).max()
+    # Of the orthonormal matrices the reflections have a determinant of -1.
+    if not error <= UNIT_TOLERANCE or np.linalg.det(matrix) < 0.0:
+        raise refusal(name, value, "a rotation matrix: orthonormal within 1e-9, determinant +1")
+    return rows
+
+
+def store(instance: object, **values: object) -> None:
+    """Write checked `values` over the fields of a frozen dataclass that is being created."""
+    for name, value in values.items():
+        object.__setattr__(instance, name, value)
+
+
+def _in(unit: str) -> str:
+    return f" ({unit})" if unit else ""

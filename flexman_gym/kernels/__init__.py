@@ -1,0 +1,44 @@
+"""The compiled rooms. Their binaries are cached in a folder whose name is a hash of these sources.
+
+Numba checks only the file of a kernel, not the files of the kernels it calls, so a shared folder would serve stale
+binaries after an edit. `NUMBA_CACHE_DIR`, `XDG_CACHE_HOME` and, where the home cannot be written, the temporary folder are
+respected in this order.
+"""
+
+import hashlib
+import os
+import tempfile
+from pathlib import Path
+
+import numba
+
+
+def _source_hash() -> str:
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()[:16]
+
+
+def _cache_folder() -> str:
+    home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    for parent in (home, os.path.join(tempfile.gettempdir(), f"user-{getattr(os, 'getuid', int)()}")):
+        folder = os.path.join(parent, "flexman_gym", _source_hash())
+        try:
+            os.makedirs(folder, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(folder, os.W_OK):
+            return folder
+    raise OSError(f"no writable folder for compiled kernels: set NUMBA_CACHE_DIR (tried {home} and the temporary folder)")
+
+
+# Numba reads the setting when a kernel is decorated; it is put back so that other packages keep theirs.
+_setting = numba.config.CACHE_DIR
+numba.config.CACHE_DIR = _cache_folder()
+try:
+    from flexman_gym.kernels import dynamics, inverse, kinematics, layout, linalg, outputs, steppers
+finally:
+    numba.config.CACHE_DIR = _setting
+
+__all__ = ["dynamics", "inverse", "kinematics", "layout", "linalg", "outputs", "steppers"]

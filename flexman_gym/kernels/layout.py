@@ -1,0 +1,159 @@
+"""The layout of the memory that the kernels share: state, constants, work space, status.
+
+State. With n links, m flexible joints and k = k_1 + ... + k_n elastic coordinates there are d = n + m + k coordinates
+
+    x = [joint angles (n), motor angles (m, flexible joints only, in joint order), elastic coordinates (k, link by link)]
+
+and speeds v in the same order. A state is [x, v], 2 d numbers. Integrators append the ledger: two more numbers, the work
+done by the motors and the energy dissipated since the start (J).
+
+Symbols. Single capital letters stand for these and nothing else:
+
+    A  (3, 3) rotation from a link's beam frame to the base frame
+    C  (3, 3) rotation from a link's beam frame to the beam frame of the previous link
+    J  (3, 3) second moment of mass (inertia) of a link about its origin
+    K, M  stiffness and mass matrices
+    L  length of a link
+    P  (3, 3) integral of r r^T dm over a link
+    R  (3,) origin of a link in the base frame
+    S  shape functions; T tangent operator of the rotation vector (w = T phi')
+    U  (3, 3) integral of r S_a^T dm for elastic coordinate a
+
+Six-vectors hold the linear part first. All vectors of a link are in its beam frame. Blocks of k_i^2 entries, one per link,
+are packed one after the other and start at `square_start[i]`; rows of the k elastic coordinates start at `elastic_start[i]`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+OK, DIVERGED, NOT_CONVERGED = 0, 1, 2
+STATUS = ("ok", "diverged", "not converged")
+
+# A coordinate or speed beyond this (rad, m, 1/s) is no motion of an arm: the run ends as diverged.
+LARGEST_STATE = 1e6
+
+STAGES = 16  # the most stages of a method, with the evaluation at the end of the step
+
+# Columns of an output row.
+TIP, TIP_VELOCITY, DEFLECTION, DEFLECTION_RATE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
+KINETIC, LINK_ENERGY, JOINT_ENERGY, GRAVITATIONAL = 12, 13, 14, 15
+OUTPUTS = 16
+
+
+class Constants(NamedTuple):
+    """What the kernels read. n links, k elastic coordinates, q = sum of k_i^2; SI units."""
+
+    motor: IntArray  # (n,) index of the motor coordinate in x, -1 for a rigid joint
+    elastic_start: IntArray  # (n + 1,)
+    square_start: IntArray  # (n + 1,)
+    gravity: Array  # (3,)
+    mount: Array  # (n, 3, 3) rotation between neighbouring beam frames at zero angle and no deflection
+    axis: Array  # (n, 3) joint axis in the frame of the link that it turns
+    joint_stiffness: Array  # (n,)
+    joint_damping: Array  # (n,)
+    rotor_inertia: Array  # (n,)
+    length: Array  # (n,)
+    mass: Array  # (n,)
+    first_moment: Array  # (n, 3) integral of r0 dm
+    second_moment: Array  # (n, 3, 3) integral of r0 r0^T dm
+    first_moment_shape: Array  # (k, 3) integral of S_a dm
+    position_shape: Array  # (k, 9) integral of r0 S_a^T dm
+    shape_shape: Array  # (q, 9) entry [b, a]: integral of S_b S_a^T dm
+    shape_cross: Array  # (q, 3) entry [b, a]: integral of S_b x S_a dm
+    elastic_mass: Array  # (q,)
+    stiffness: Array  # (q,)
+    damping: Array  # (q,)
+    tip_translation: Array  # (k, 3)
+    tip_rotation: Array  # (k, 3)
+    payload_mass: Array  # (1,)
+
+
+class Work(NamedTuple):
+    """What the kernels overwrite; one per thread. Filled by the pass that is named."""
+
+    # positions
+    rotation: Array  # (n, 3, 3) C
+    tip: Array  # (n, 3) tip of the link from its origin
+    tip_shape: Array  # (k, 6) motion of the tip per unit elastic speed: S_t and T S_r
+    moment: Array  # (n, 3) integral of r dm
+    inertia: Array  # (n, 3, 3) J
+    shape: Array  # (k, 9) U
+    coupling: Array  # (k, 3) integral of r x S_a dm
+    # velocities
+    spin: Array  # (n, 3) angular velocity
+    velocity: Array  # (n, 3) velocity of the origin
+    joint_bias: Array  # (n, 3) angular acceleration of the link that no acceleration causes
+    tip_bias: Array  # (n, 6) acceleration of the tip that no acceleration causes
+    bias: Array  # (n, 6) quadratic velocity force and torque, Eq. 14
+    elastic_bias: Array  # (k,) quadratic velocity force on elastic coordinates, Eq. 14
+    # factorisation
+    articulated: Array  # (n, 6, 6) inertia of link and everything outboard, joint locked; then joint free
+    tip_inertia: Array  # (6, 6) inertia outboard of a link's tip, in its frame
+    carried: Array  # (k, 6) tip_inertia times tip_shape
+    elastic_factor: Array  # (q,) upper Cholesky factor, inverse diagonal on the diagonal
+    elastic_row: Array  # (k, 6) coupling of elastic coordinates and frame, divided by the factor
+    joint_column: Array  # (n, 6) articulated inertia times joint axis
+    joint_pivot: Array  # (n,) what the joint torque accelerates
+    spring: Array  # (n,) implicit stiffness of the joint spring
+    # forces and accelerations
+    force: Array  # (d,) generalised forces of motors, springs and dampers
+    articulated_force: Array  # (n, 6)
+    tip_force: Array  # (6,)
+    elastic_force: Array  # (k,)
+    joint_force: Array  # (n,)
+    acceleration: Array  # (n, 6) of the link's frame, gravity as an upward acceleration of the base
+    tip_acceleration: Array  # (6,)
+    # integrators
+    torque: Array  # (n,)
+    stages: Array  # (STAGES, 2 d + 2)
+    stage_state: Array  # (2 d + 2,)
+    shifted: Array  # (2 d + 2,)
+    trial: Array  # (2 d + 2,)
+
+
+def make_work(constants: Constants) -> Work:
+    """Allocates the work space of a model; every entry starts as zero."""
+    n, k = len(constants.mass), len(constants.first_moment_shape)
+    size = 2 * (n + int((constants.motor >= 0).sum()) + k) + 2
+    q = len(constants.elastic_mass)
+    shapes: dict[str, tuple[int, ...]] = {
+        "rotation": (n, 3, 3), "tip": (n, 3), "tip_shape": (k, 6), "moment": (n, 3), "inertia": (n, 3, 3),
+        "shape": (k, 9), "coupling": (k, 3), "spin": (n, 3), "velocity": (n, 3), "joint_bias": (n, 3),
+        "tip_bias": (n, 6), "bias": (n, 6), "elastic_bias": (k,), "articulated": (n, 6, 6), "tip_inertia": (6, 6),
+        "carried": (k, 6), "elastic_factor": (q,), "elastic_row": (k, 6), "joint_column": (n, 6),
+        "joint_pivot": (n,), "spring": (n,), "force": (size // 2 - 1,), "articulated_force": (n, 6),
+        "tip_force": (6,), "elastic_force": (k,), "joint_force": (n,), "acceleration": (n, 6),
+        "tip_acceleration": (6,), "torque": (n,), "stages": (STAGES, size), "stage_state": (size,),
+        "shifted": (size,), "trial": (size,),
+    }  # fmt: skip
+    return Work(**{name: np.zeros(shape) for name, shape in shapes.items()})
+
+
+class Tableau(NamedTuple):
+    """Coefficients of a one-step method with s stages, as the kernels read them.
+
+    Explicit methods: stage i starts from y + h sum a_ij k_j, the step adds h sum b_i k_i, error rows weigh k (s + 1
+    columns: the last is the slope at the new state). Linearly implicit ones: in the transformed variables u of Hairer and
+    Wanner (Solving ODEs II, IV.7), with the off-diagonal `c` and the diagonal `gamma`.
+    """
+
+    a: Array  # (s, s)
+    b: Array  # (s,)
+    c: Array  # (s, s) linearly implicit only
+    abscissae: Array  # (s,)
+    error: Array  # (0 to 2, s + 1)
+    gamma: float
+    order: int  # of the error estimate plus one: the exponent of step size control
+
+
+class Clock(NamedTuple):
+    """When a run takes place: it starts at `time` (s) and records after every `substeps` steps of `step` (s)."""
+
+    time: float
+    step: float
+    substeps: int

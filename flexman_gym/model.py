@@ -1,0 +1,179 @@
+"""The model: an arm turned into the constants that the kernels read."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flexman_gym.arm import Arm
+from flexman_gym.beam import Array, Beam, build_beam, shape_integrals
+from flexman_gym.checks import refusal
+from flexman_gym.kernels import layout
+from flexman_gym.reduction import loaded_modes, modal_damping, outboard_inertias, zero_pose_rotations
+from flexman_gym.scene import ModelChoice, Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A discretised arm; what `build_model` returns.
+
+    Attributes:
+        arm: the arm it was built from.
+        choice: elements, modes and flexibilities, as they were asked for.
+        constants: arrays that the kernels read; shapes and units in `kernels.layout.Constants`.
+    """
+
+    arm: Arm
+    choice: ModelChoice
+    constants: layout.Constants
+
+    @property
+    def n_joints(self) -> int:
+        """Number n of joints and of links."""
+        return len(self.constants.mass)
+
+    @property
+    def n_motors(self) -> int:
+        """Number m of flexible joints, each with a motor coordinate."""
+        return int((self.constants.motor >= 0).sum())
+
+    @property
+    def n_elastic(self) -> int:
+        """Number k of elastic coordinates of all links."""
+        return len(self.constants.first_moment_shape)
+
+    @property
+    def n_dof(self) -> int:
+        """Number d = n + m + k of coordinates; a state has 2 d numbers."""
+        return self.n_joints + self.n_motors + self.n_elastic
+
+    @property
+    def motor_columns(self) -> np.ndarray:
+        """(n,) index in x of each motor angle; that of the joint angle where the joint is rigid."""
+        return np.where(self.constants.motor >= 0, self.constants.motor, np.arange(self.n_joints))
+
+    def elastic_columns(self, link: int) -> slice:
+        """Columns of x that hold the elastic coordinates of a link (counted from 0)."""
+        first = self.n_joints + self.n_motors
+        start, stop = self.constants.elastic_start[link : link + 2]
+        return slice(first + int(start), first + int(stop))
+
+    def initial_state(self, joint_angles: Sequence[float], joint_rates: Sequence[float] | None = None) -> Array:
+        """State (2 d,) of the undeformed arm at joint angles (n,) rad and rates (n,) rad/s, motors following the joints."""
+        state = np.zeros(2 * self.n_dof)
+        for column, values in ((0, joint_angles), (self.n_dof, joint_rates)):
+            if values is not None:
+                state[column : column + self.n_joints] = values
+                state[column + self.motor_columns] = values
+        return state
+
+
+def build_model(
+    arm: Arm,
+    elements: int | tuple[int, ...] = 2,
+    modes: int | tuple[int, ...] | None = None,
+    flexible_links: bool | tuple[bool, ...] = True,
+    flexible_joints: bool = True,
+    stiffening: bool = False,
+) -> Model:
+    """Discretises an arm.
+
+    Args:
+        arm: the arm.
+        elements: finite elements of a link; one value or one per link.
+        modes: loaded component modes kept of a flexible link, at most 6 per element; None keeps every coordinate.
+        flexible_links: False makes a link rigid.
+        flexible_joints: False locks the springs of all joints; their rotor inertia stays.
+        stiffening: foreshortening; not available yet.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed.
+    """
+    choice = ModelChoice(flexible_links, elements, modes, flexible_joints, stiffening)
+    if choice.stiffening:
+        raise refusal("stiffening", True, "False: foreshortening is not modelled yet")
+    n = arm.n_joints
+    flexible = _each("flexible_links", choice.flexible_links, n)
+    counts = _each("elements", choice.elements, n)
+    kept = _each("modes", choice.modes, n)
+    beams = tuple(map(build_beam, arm.links, counts, flexible))
+    outboard = outboard_inertias(arm, beams)
+    dampings = []
+    reduced = []
+    for i, beam in enumerate(beams):
+        basis = _basis(beam, outboard[i], kept[i] if flexible[i] else None, f"modes[{i}]")
+        damping = arm.stiffness_proportional_damping * beam.stiffness
+        damping = damping + modal_damping(beam, outboard[i], arm.modal_damping_ratio)
+        dampings.append(basis.T @ damping @ basis)
+        reduced.append(beam.reduced(basis))
+    return Model(arm, choice, _constants(arm, tuple(reduced), dampings, choice.flexible_joints))
+
+
+def scene_model(scene: Scene) -> Model:
+    """The model that a scene asks for."""
+    choice = scene.model
+    return build_model(
+        scene.arm, choice.elements, choice.modes, choice.flexible_links, choice.flexible_joints, choice.stiffening
+    )
+
+
+def _each(name: str, value: object, n: int) -> tuple:
+    """One value per link from one for all or one for each."""
+    if not isinstance(value, tuple):
+        return (value,) * n
+    if len(value) != n:
+        raise refusal(name, value, f"one value, or {n}, one per link")
+    return value
+
+
+def _basis(beam: Beam, outboard: Array, modes: int | None, field: str) -> Array:
+    size = len(beam.stiffness)
+    if modes is None:
+        return np.eye(size)
+    if modes > size:
+        raise refusal(field, modes, f"at most {size}, the elastic coordinates of this link's elements")
+    return loaded_modes(beam, outboard)[1][:, :modes]
+
+
+def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], flexible_joints: bool) -> layout.Constants:
+    n = len(beams)
+    springs = [joint.stiffness is not None and flexible_joints for joint in arm.joints]
+    motors = n + np.cumsum(springs) - 1
+    sizes = np.array([len(beam.stiffness) for beam in beams], dtype=np.int64)
+    parts = [shape_integrals(beam) for beam in beams]
+
+    def packed(blocks: list[Array], width: int) -> Array:
+        rows = np.concatenate([np.asarray(block, dtype=float).reshape(-1, width) for block in blocks])
+        return np.ascontiguousarray(rows[:, 0] if width == 1 else rows)
+
+    return layout.Constants(
+        motor=np.where(springs, motors, -1).astype(np.int64),
+        elastic_start=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
+        square_start=np.concatenate([[0], np.cumsum(sizes**2)]).astype(np.int64),
+        gravity=np.array(arm.gravity, dtype=float),
+        mount=zero_pose_rotations(arm),
+        axis=np.array([np.array(li.orientation).T @ jo.axis for li, jo in zip(arm.links, arm.joints, strict=True)]),
+        joint_stiffness=np.array([joint.stiffness or 0.0 for joint in arm.joints]),
+        joint_damping=np.array([joint.damping for joint in arm.joints]),
+        rotor_inertia=np.array([joint.rotor_inertia for joint in arm.joints]),
+        length=np.array([link.length for link in arm.links]),
+        mass=np.array([part.mass for part in parts]),
+        first_moment=np.array([part.first_moment for part in parts]),
+        second_moment=np.array([part.second_moment for part in parts]),
+        first_moment_shape=packed([part.first_moment_shape for part in parts], 3),
+        position_shape=packed([part.position_shape for part in parts], 9),
+        shape_shape=packed([part.shape_shape for part in parts], 9),
+        shape_cross=packed([_axial(part.shape_shape) for part in parts], 3),
+        elastic_mass=packed([part.elastic for part in parts], 1),
+        stiffness=packed([beam.stiffness for beam in beams], 1),
+        damping=packed(dampings, 1),
+        tip_translation=packed([beam.tip_translation.T for beam in beams], 3),
+        tip_rotation=packed([beam.tip_rotation.T for beam in beams], 3),
+        payload_mass=np.array([arm.payload.mass if arm.payload else 0.0]),
+    )
+
+
+def _axial(tensors: Array) -> Array:
+    """(..., 3) sum of a x b from (..., 3, 3) sums of a b^T."""
+    turned = tensors - np.swapaxes(tensors, -1, -2)
+    return np.stack([turned[..., 1, 2], turned[..., 2, 0], turned[..., 0, 1]], axis=-1)

@@ -1,0 +1,304 @@
+"""Scene: an arm, its model choice, its torque, its initial state and a duration, kept in a JSON or YAML file."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexman_gym import scene_file
+from flexman_gym.arm import Arm, Joint, Link, Payload
+from flexman_gym.checks import (
+    flag,
+    non_negative,
+    one_of,
+    positive,
+    refusal,
+    sequence,
+    store,
+    text,
+    vector,
+    whole_number,
+)
+
+MOST_ELEMENTS = 64
+MOST_OUTPUT_STEPS = 10_000_000
+
+Part = TypeVar("Part")
+
+
+@dataclass(frozen=True)
+class ModelChoice:
+    """How finely the arm of a scene is modelled; one value for all links or a tuple of one value per link.
+
+    flexible_links   bool; a rigid link has no elastic coordinate
+    elements         finite elements of a link, 1 to 64
+    modes            modes kept of a link, 0 to 384 (6 per element); None keeps every finite element coordinate
+    flexible_joints  False makes every joint rigid, whatever its stiffness
+    stiffening       foreshortening (geometric stiffening) of the links
+
+    Raises ValueError for another type or a number outside its range.
+    """
+
+    flexible_links: bool | tuple[bool, ...]
+    elements: int | tuple[int, ...]
+    modes: int | tuple[int, ...] | None = None
+    flexible_joints: bool = True
+    stiffening: bool = False
+
+    def __post_init__(self) -> None:
+        store(
+            self,
+            flexible_links=_one_or_each("ModelChoice.flexible_links", self.flexible_links, flag),
+            elements=_one_or_each("ModelChoice.elements", self.elements, whole_number, 1, MOST_ELEMENTS),
+            flexible_joints=flag("ModelChoice.flexible_joints", self.flexible_joints),
+            stiffening=flag("ModelChoice.stiffening", self.stiffening),
+        )
+        if self.modes is not None:
+            store(self, modes=_one_or_each("ModelChoice.modes", self.modes, whole_number, 0, 6 * MOST_ELEMENTS))
+
+
+@dataclass(frozen=True)
+class ConstantTorque:
+    """Torques that do not change: `value` (n,) in N m, on the motors (on the links where joints are rigid).
+
+    Raises ValueError when `value` is not a list of finite numbers.
+    """
+
+    kind: ClassVar[str] = "constant"
+    value: Sequence[float]
+
+    def __post_init__(self) -> None:
+        store(self, value=vector("ConstantTorque.value", self.value, unit="N m"))
+
+    def table(self) -> NDArray[np.float64]:
+        """Return (4, n) rows a, b, f, p of the torque a + b sin(2 pi f t + p): N m, N m, Hz, rad."""
+        table = np.zeros((4, len(self.value)))
+        table[0] = self.value
+        return table
+
+    def at(self, time: float) -> NDArray[np.float64]:
+        """Return the torques (n,) in N m at `time` in s."""
+        return np.array(self.value)
+
+
+@dataclass(frozen=True)
+class SineTorque:
+    """Torques amplitude sin(2 pi frequency_hz t + phase), on the motors (on the links where joints are rigid).
+
+    amplitude     (n,) N m
+    frequency_hz  (n,) Hz, >= 0
+    phase         (n,) rad
+
+    Raises ValueError when one is not a list of finite numbers, or when they differ in length.
+    """
+
+    kind: ClassVar[str] = "sine"
+    amplitude: Sequence[float]
+    frequency_hz: Sequence[float]
+    phase: Sequence[float]
+
+    def __post_init__(self) -> None:
+        amplitude = vector("SineTorque.amplitude", self.amplitude, unit="N m")
+        frequency_hz = vector("SineTorque.frequency_hz", self.frequency_hz, len(amplitude), "Hz")
+        for i, frequency in enumerate(frequency_hz):
+            non_negative(f"SineTorque.frequency_hz[{i}]", frequency, "Hz")
+        phase = vector("SineTorque.phase", self.phase, len(amplitude), "rad")
+        store(self, amplitude=amplitude, frequency_hz=frequency_hz, phase=phase)
+
+    def table(self) -> NDArray[np.float64]:
+        """Return (4, n) rows a, b, f, p of the torque a + b sin(2 pi f t + p): N m, N m, Hz, rad."""
+        return np.array([[0.0] * len(self.amplitude), self.amplitude, self.frequency_hz, self.phase])
+
+    def at(self, time: float) -> NDArray[np.float64]:
+        """Return the torques (n,) in N m at `time` in s."""
+        return self.amplitude * np.sin(2.0 * np.pi * time * np.array(self.frequency_hz) + self.phase)
+
+
+@dataclass(frozen=True)
+class Initial:
+    """The state at t = 0: the motors start at the links' angles and rates, undeformed links at rest in their frames.
+
+    joint_angles  (n,) rad
+    joint_rates   (n,) rad/s
+
+    Raises ValueError when one is not a list of finite numbers, or when they differ in length.
+    """
+
+    joint_angles: Sequence[float]
+    joint_rates: Sequence[float]
+
+    def __post_init__(self) -> None:
+        angles = vector("Initial.joint_angles", self.joint_angles, unit="rad")
+        store(self, joint_angles=angles)
+        store(self, joint_rates=vector("Initial.joint_rates", self.joint_rates, len(angles), "rad/s"))
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One run: everything a simulation needs except its method.
+
+    duration, output_step  s; the duration is a whole number of output steps (to 1e-9 of itself), at most 10 million
+    note                   free text for the reader
+
+    Raises ValueError when a part has the wrong type or does not fit the number of joints of the arm.
+    """
+
+    arm: Arm
+    model: ModelChoice
+    torque: ConstantTorque | SineTorque
+    initial: Initial
+    duration: float
+    output_step: float
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        self._check_part("arm", Arm)
+        self._check_part("model", ModelChoice)
+        self._check_part("torque", ConstantTorque, SineTorque)
+        self._check_part("initial", Initial)
+        store(
+            self,
+            duration=positive("Scene.duration", self.duration, "s"),
+            output_step=positive("Scene.output_step", self.output_step, "s"),
+            note=text("Scene.note", self.note),
+        )
+        steps = self.duration / self.output_step
+        if not 0.5 < steps <= MOST_OUTPUT_STEPS or abs(steps - round(steps)) > 1e-9 * steps:
+            allowed = f"1 to {MOST_OUTPUT_STEPS} whole steps in the duration {self.duration} s"
+            raise refusal("Scene.output_step", self.output_step, allowed)
+
+    def _check_part(self, part: str, *kinds: type) -> None:
+        """Refuse a part of another kind, or one whose tuples do not hold one entry for each joint."""
+        value = getattr(self, part)
+        if not isinstance(value, kinds):
+            raise refusal(f"Scene.{part}", value, " or ".join(kind.__name__ for kind in kinds))
+        if isinstance(value, Arm):
+            return
+        for name, entry in vars(value).items():
+            if isinstance(entry, tuple) and len(entry) != self.arm.n_joints:
+                raise refusal(f"Scene.{part}.{name}", entry, f"{self.arm.n_joints} values, one for each joint")
+
+    @property
+    def output_times(self) -> NDArray[np.float64]:
+        """Times of the output, (duration / output_step + 1,) in s, from 0 to the duration."""
+        return np.linspace(0.0, self.duration, round(self.duration / self.output_step) + 1)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a scene from a .json, .yaml or .yml file.
+
+        Raises FileNotFoundError when there is no such file, and ValueError with one line that names the file, the field
+        (`arm.links[1].length`), the value and what is allowed, for whatever else is wrong with it.
+        """
+        try:
+            return cls.from_dict(scene_file.read(Path(path)))
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
+
+    def save(self, path: str | Path) -> None:
+        """Write the scene to a .json, .yaml or .yml file, from which `load` gives an equal one.
+
+        Raises ValueError for another suffix.
+        """
+        scene_file.write(Path(path), self.to_dict())
+
+    @classmethod
+    def from_dict(cls, data: object) -> Self:
+        """Return the scene that a scene file's mapping describes.
+
+        Raises ValueError with one line that names the field (`arm.links[1].length`), the value and what is allowed.
+        """
+        entries = _entries(Scene, "", data)
+        entries["arm"] = _arm(entries["arm"])
+        entries["model"] = _part(ModelChoice, "model", entries["model"])
+        entries["torque"] = _torque(entries["torque"])
+        entries["initial"] = _part(Initial, "initial", entries["initial"])
+        return _build(cls, "", entries)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the scene as a scene file's mapping of dicts, lists, numbers and texts."""
+        data: dict[str, Any] = _plain(self)
+        if self.arm.payload is None:
+            data["arm"]["payload"] = {"mass": 0.0}
+        return {"note": self.note} | data
+
+
+# Keys that a scene file may leave out; they are written where they differ from the default. A payload or note may be
+# left out as well, and is always written.
+_OPTIONAL: dict[type, tuple[str, ...]] = {
+    Arm: ("modal_damping_ratio",),
+    Payload: ("inertia", "offset"),
+    ModelChoice: ("modes",),
+}
+
+
+def _one_or_each(name: str, value: object, check: Callable[..., Any], *limits: int) -> Any:
+    """Check one value for all links, or a list with one for each link."""
+    if not isinstance(value, list | tuple | np.ndarray):
+        return check(name, value, *limits)
+    entries = sequence(name, value)
+    if not entries:
+        raise refusal(name, value, "one value, or one for each link")
+    return tuple(check(f"{name}[{i}]", entry, *limits) for i, entry in enumerate(entries))
+
+
+def _arm(data: object) -> Arm:
+    entries = _entries(Arm, "arm", data)
+    for name, kind in (("links", Link), ("joints", Joint)):
+        items = sequence(f"arm.{name}", entries[name], "mappings")
+        entries[name] = [_part(kind, f"arm.{name}[{i}]", item) for i, item in enumerate(items)]
+    if entries.get("payload") is not None:
+        entries["payload"] = _part(Payload, "arm.payload", entries["payload"])
+    return _build(Arm, "arm", entries)
+
+
+def _torque(data: object) -> ConstantTorque | SineTorque:
+    if not isinstance(data, dict):
+        raise refusal("torque", data, "a mapping with the key kind")
+    kinds: dict[str, type[ConstantTorque | SineTorque]] = {kind.kind: kind for kind in (ConstantTorque, SineTorque)}
+    kind = kinds[one_of("torque.kind", data.get("kind"), kinds)]
+    return _part(kind, "torque", {name: value for name, value in data.items() if name != "kind"})
+
+
+def _part(kind: type[Part], path: str, data: object) -> Part:
+    return _build(kind, path, _entries(kind, path, data))
+
+
+def _entries(kind: Any, path: str, data: object) -> dict[str, Any]:
+    """Return a copy of the mapping `data` when its keys are the fields of the dataclass `kind`."""
+    names = [field.name for field in fields(kind)]
+    if not isinstance(data, dict):
+        raise refusal(path or "scene", data, "a mapping with the keys " + ", ".join(names))
+    prefix = f"{path}." if path else ""
+    for name, value in data.items():
+        if name not in names:
+            raise refusal(f"{prefix}{name}", value, "only the keys " + ", ".join(names))
+    for name in names:
+        if name not in data and name not in ("payload", "note", *_OPTIONAL.get(kind, ())):
+            raise ValueError(f"{prefix}{name}: missing; give the keys " + ", ".join(names))
+    return dict(data)
+
+
+def _build(kind: type[Part], path: str, entries: dict[str, Any]) -> Part:
+    """Create a `kind`, and name fields in its error as the file does: arm.links[1].length for Link.length."""
+    try:
+        return kind(**entries)
+    except ValueError as error:
+        raise ValueError((path + str(error).removeprefix(kind.__name__)).removeprefix(".")) from None
+
+
+def _plain(value: Any) -> Any:
+    """Return dataclasses as dicts and tuples as lists, all the way down."""
+    if isinstance(value, tuple):
+        return [_plain(entry) for entry in value]
+    if not is_dataclass(value):
+        return value
+    plain = {"kind": value.kind} if isinstance(value, ConstantTorque | SineTorque) else {}
+    for field in fields(value):
+        entry = getattr(value, field.name)
+        if field.name not in _OPTIONAL.get(type(value), ()) or entry != field.default:
+            plain[field.name] = _plain(entry)
+    return plain

@@ -1,0 +1,158 @@
+"""Arm: links, joints, payload and arm hold what was given, and refuse what is not an arm in one clear line."""
+
+import math
+from dataclasses import FrozenInstanceError, fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.spatial.transform import Rotation
+
+from flexman_gym.arm import Arm, Joint, Link, Payload
+
+LINK = Link(1.0, 0.002, 6e-7, 5e-7, 1e-6, 206e9, 79e9, 8253.0)
+JOINT = Joint((0.0, 0.0, 1.0))
+LINK_NUMBERS = [field.name for field in fields(Link) if field.name != "orientation"]
+NOT_NUMBERS = [math.nan, math.inf, -math.inf, 10**400, 10**5000, True, np.True_, "1.0", None, 1j, [1.0], np.ones(2)]
+PARTS = {"Link": LINK, "Joint": JOINT, "Payload": Payload(1.0), "Arm": Arm([LINK], [JOINT])}
+
+quaternions = arrays(float, 4, elements=st.floats(-1.0, 1.0)).filter(lambda q: np.linalg.norm(q) > 0.1)
+
+
+def refused(field: str, value: object, allowed: str = "") -> None:
+    """Assert that `field` ("Link.length") refuses `value` in one line that names the field and says what is allowed."""
+    kind, _, name = field.partition(".")
+    with pytest.raises(ValueError) as error:
+        replace(PARTS[kind], **{name: value})
+    line = str(error.value)
+    assert line.startswith(field)
+    assert "give " in line and allowed in line
+    assert "\n" not in line and len(line) < 250
+
+
+@pytest.mark.parametrize("name", LINK_NUMBERS)
+@pytest.mark.parametrize("value", [0.0, -1.0, *NOT_NUMBERS], ids=lambda value: str(type(value)))
+def test_a_link_number_is_finite_and_positive(name, value):
+    refused(f"Link.{name}", value, "a finite number > 0")
+
+
+def test_an_error_names_the_field_the_value_and_what_is_allowed():
+    with pytest.raises(ValueError) as error:
+        replace(LINK, length=-1.0)
+    assert str(error.value) == "Link.length: -1.0 is not allowed; give a finite number > 0 (m)"
+
+
+@given(*[st.floats(1e-3, 1e3)] * 3)
+def test_mass_is_density_times_volume(length, area, density):
+    assert replace(LINK, length=length, area=area, density=density).mass == pytest.approx(density * area * length)
+
+
+@given(quaternions)
+def test_every_rotation_is_an_orientation_and_no_reflection_is(quaternion):
+    matrix = Rotation.from_quat(quaternion).as_matrix()
+    assert np.array_equal(replace(LINK, orientation=matrix).orientation, matrix)
+    refused("Link.orientation", -matrix, "a rotation matrix")
+    refused("Link.orientation", 1.00001 * matrix, "a rotation matrix")
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        None,
+        1.0,
+        "identity",
+        [],
+        np.eye(2),
+        np.zeros((3, 3)),
+        np.full((3, 3), math.nan),
+        np.full((3, 3), 1e300),
+        [[1.0]] * 3,
+    ],
+    ids=str,
+)
+def test_an_orientation_is_three_rows_of_three_finite_numbers(value):
+    refused("Link.orientation", value)
+
+
+@given(quaternions)
+def test_an_axis_of_length_one_is_kept_as_it_is(quaternion):
+    axis = Rotation.from_quat(quaternion).as_matrix()[0]
+    assert Joint(axis).axis == tuple(axis)
+
+
+@pytest.mark.parametrize("length", [0.0, 1.0 - 1e-6, 1.0 + 1e-6, 2.0])
+def test_an_axis_of_another_length_is_refused_with_its_length(length):
+    refused("Joint.axis", (0.0, -length, 0.0), f"the length of this one is {length:.12g}")
+
+
+@pytest.mark.parametrize("value", [None, 1.0, "z", [], (1.0, 0.0), (0.0, 0.0, math.nan), (0.0, 0.0, True)], ids=str)
+def test_an_axis_is_three_finite_numbers(value):
+    refused("Joint.axis", value)
+
+
+@pytest.mark.parametrize("field", ["Joint.rotor_inertia", "Joint.damping", "Payload.mass"])
+@pytest.mark.parametrize("value", [-1.0, *NOT_NUMBERS], ids=lambda value: str(type(value)))
+def test_inertia_damping_and_payload_are_not_negative(field, value):
+    refused(field, value, "a finite number >= 0")
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, math.inf, "rigid"])
+def test_a_joint_is_rigid_by_none_only(value):
+    refused("Joint.stiffness", value, "None for a rigid joint")
+
+
+def test_a_damper_needs_its_spring_and_a_spring_its_rotor():
+    refused("Joint.damping", 1.0, "the damper is parallel to the spring")
+    with pytest.raises(ValueError, match=r"^Joint.rotor_inertia: 0.0 is not allowed; give a number > 0"):
+        Joint((0, 0, 1), stiffness=100.0)
+    assert Joint((0, 0, 1), rotor_inertia=1.0, stiffness=100.0, damping=2.0).damping == 2.0
+
+
+@pytest.mark.parametrize(("name", "value"), [("inertia", np.eye(3)), ("offset", (0.0, 0.0, 0.1))])
+def test_only_a_point_payload_is_modelled(name, value):
+    refused(f"Payload.{name}", value, "only a point payload")
+
+
+@pytest.mark.parametrize("name", ["links", "joints"])
+@pytest.mark.parametrize("value", [(), None, "arm", LINK, JOINT, [LINK, 1.0], [JOINT, None]], ids=str)
+def test_an_arm_is_a_chain_of_at_least_one_link_and_joint(name, value):
+    refused(f"Arm.{name}", value)
+
+
+def test_an_arm_has_one_joint_for_each_link():
+    with pytest.raises(ValueError, match=r"^Arm.joints: 2 joints are not allowed; give 3, one for each link$"):
+        Arm([LINK] * 3, [JOINT] * 2)
+    assert Arm([LINK] * 3, [JOINT] * 3).n_joints == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("payload", 5.0),
+        ("gravity", -9.81),
+        ("gravity", (0.0, -9.81)),
+        ("gravity", (0.0, 0.0, math.nan)),
+        ("stiffness_proportional_damping", -1e-4),
+        ("modal_damping_ratio", -0.01),
+        ("modal_damping_ratio", 1.0),
+    ],
+)
+def test_an_arm_refuses(name, value):
+    refused(f"Arm.{name}", value)
+
+
+def test_lists_arrays_and_tuples_describe_the_same_arm():
+    arms = [
+        Arm(kind([LINK, LINK]), kind([Joint(kind([0, 0, 1]))] * 2), Payload(2), kind([0, 0, -9.81]))
+        for kind in (list, tuple, np.array)
+    ]
+    assert len(set(arms)) == 1
+    assert arms[0] != replace(arms[0], payload=Payload(3.0))
+    with pytest.raises(FrozenInstanceError):
+        arms[0].gravity = (0.0, 0.0, 0.0)
+
+
+def test_a_payload_of_no_mass_is_no_payload():
+    assert Arm([LINK], [JOINT], Payload(0.0)) == Arm([LINK], [JOINT])
