@@ -50,7 +50,7 @@ class Method:
             raise ValueError(f"{self.name}: kind {self.kind!r} is not allowed; give one of {', '.join(KINDS)}")
         s = len(self.b)
         if self.a.shape != (s, s) or np.triu(self.a).any() or s >= STAGES:
-            raise ValueError(f"{self.name}: a must be strictly lower triangular, {s} x {s}, of fewer than {STAGES} stages")
+            raise ValueError(f"{self.name}: a must be strictly lower triangular, {s} x {s}, with s < {STAGES}")
         if (self.gamma != 0.0) != (self.kind == LINEARLY_IMPLICIT):
             raise ValueError(f"{self.name}: gamma must be given for a linearly implicit method, and for no other")
         if self.adaptive and self.error.shape not in ((1, s + 1), (2, s + 1)):

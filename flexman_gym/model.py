@@ -2,15 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from flexman_gym.arm import Arm
-from flexman_gym.beam import Array, Beam, build_beam, shape_integrals
+from flexman_gym.beam import Array, Beam, ShapeIntegrals, build_beam, shape_integrals
 from flexman_gym.checks import refusal
 from flexman_gym.kernels import layout
+from flexman_gym.kernels.linalg import LANES
 from flexman_gym.reduction import loaded_modes, modal_damping, outboard_inertias, zero_pose_rotations
 from flexman_gym.scene import ModelChoice, Scene
+
+VANISHING = 1e-14  # a mass integral this small beside the masses of its two coordinates is a zero with rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,11 +25,14 @@ class Model:
         arm: the arm it was built from.
         choice: elements, modes and flexibilities, as they were asked for.
         constants: arrays that the kernels read; shapes and units in `kernels.layout.Constants`.
+        bases: (6 * elements, k_i) of each link, the node coordinates per unit of its elastic coordinates; of a rigid
+            link (0, 0).
     """
 
     arm: Arm
     choice: ModelChoice
     constants: layout.Constants
+    bases: tuple[Array, ...]
 
     @property
     def n_joints(self) -> int:
@@ -58,8 +65,10 @@ class Model:
         start, stop = self.constants.elastic_start[link : link + 2]
         return slice(first + int(start), first + int(stop))
 
-    def initial_state(self, joint_angles: Sequence[float], joint_rates: Sequence[float] | None = None) -> Array:
-        """State (2 d,) of the undeformed arm at joint angles (n,) rad and rates (n,) rad/s, motors following the joints."""
+    def initial_state(
+        self, joint_angles: Sequence[float] | Array, joint_rates: Sequence[float] | Array | None = None
+    ) -> Array:
+        """State (2 d,) of the undeformed arm at joint angles (n,) rad and rates (n,) rad/s; motors follow."""
         state = np.zeros(2 * self.n_dof)
         for column, values in ((0, joint_angles), (self.n_dof, joint_rates)):
             if values is not None:
@@ -98,15 +107,15 @@ def build_model(
     kept = _each("modes", choice.modes, n)
     beams = tuple(map(build_beam, arm.links, counts, flexible))
     outboard = outboard_inertias(arm, beams)
-    dampings = []
-    reduced = []
+    bases, dampings, reduced = [], [], []
     for i, beam in enumerate(beams):
         basis = _basis(beam, outboard[i], kept[i] if flexible[i] else None, f"modes[{i}]")
         damping = arm.stiffness_proportional_damping * beam.stiffness
         damping = damping + modal_damping(beam, outboard[i], arm.modal_damping_ratio)
+        bases.append(basis)
         dampings.append(basis.T @ damping @ basis)
         reduced.append(beam.reduced(basis))
-    return Model(arm, choice, _constants(arm, tuple(reduced), dampings, choice.flexible_joints))
+    return Model(arm, choice, _constants(arm, tuple(reduced), dampings, choice.flexible_joints), tuple(bases))
 
 
 def scene_model(scene: Scene) -> Model:
@@ -140,7 +149,11 @@ def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], flexibl
     springs = [joint.stiffness is not None and flexible_joints for joint in arm.joints]
     motors = n + np.cumsum(springs) - 1
     sizes = np.array([len(beam.stiffness) for beam in beams], dtype=np.int64)
+    widths = LANES * ((sizes + 6 + LANES - 1) // LANES)
     parts = [shape_integrals(beam) for beam in beams]
+
+    shape = _sparse([part.shape_shape for part in parts], 9, parts)
+    cross = _sparse([_axial(part.shape_shape) for part in parts], 3, parts)
 
     def packed(blocks: list[Array], width: int) -> Array:
         rows = np.concatenate([np.asarray(block, dtype=float).reshape(-1, width) for block in blocks])
@@ -151,7 +164,7 @@ def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], flexibl
         elastic_start=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
         square_start=np.concatenate([[0], np.cumsum(sizes**2)]).astype(np.int64),
         gravity=np.array(arm.gravity, dtype=float),
-        mount=zero_pose_rotations(arm),
+        mount=zero_pose_rotations(arm).ravel(),
         axis=np.array([np.array(li.orientation).T @ jo.axis for li, jo in zip(arm.links, arm.joints, strict=True)]),
         joint_stiffness=np.array([joint.stiffness or 0.0 for joint in arm.joints]),
         joint_damping=np.array([joint.damping for joint in arm.joints]),
@@ -159,11 +172,20 @@ def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], flexibl
         length=np.array([link.length for link in arm.links]),
         mass=np.array([part.mass for part in parts]),
         first_moment=np.array([part.first_moment for part in parts]),
-        second_moment=np.array([part.second_moment for part in parts]),
+        second_moment=np.array([part.second_moment for part in parts]).ravel(),
         first_moment_shape=packed([part.first_moment_shape for part in parts], 3),
-        position_shape=packed([part.position_shape for part in parts], 9),
-        shape_shape=packed([part.shape_shape for part in parts], 9),
-        shape_cross=packed([_axial(part.shape_shape) for part in parts], 3),
+        position_shape=packed([part.position_shape for part in parts], 1),
+        shape_start=shape.start,
+        shape_source=shape.source,
+        shape_target=shape.target,
+        shape_value=shape.value,
+        cross_start=cross.start,
+        cross_source=cross.source,
+        cross_target=cross.target,
+        cross_value=cross.value,
+        factor_start=np.concatenate([[0], np.cumsum(sizes * widths)])[:-1].astype(np.int64),
+        factor_width=widths,
+        carrying=_carrying(beams),
         elastic_mass=packed([part.elastic for part in parts], 1),
         stiffness=packed([beam.stiffness for beam in beams], 1),
         damping=packed(dampings, 1),
@@ -171,6 +193,46 @@ def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], flexibl
         tip_rotation=packed([beam.tip_rotation.T for beam in beams], 3),
         payload_mass=np.array([arm.payload.mass if arm.payload else 0.0]),
     )
+
+
+class _Sparse(NamedTuple):
+    """The entries [b, a, ...] of square blocks, one per link, that do not vanish; see `layout.Constants`."""
+
+    start: np.ndarray
+    source: np.ndarray
+    target: np.ndarray
+    value: Array
+
+
+def _sparse(blocks: list[Array], width: int, parts: list[ShapeIntegrals]) -> _Sparse:
+    """Blocks (k, k, ...) with `width` numbers behind each pair of coordinates."""
+    offset, counts, sources, targets, values = 0, [0], [], [], []
+    for block, part in zip(blocks, parts, strict=True):
+        k = len(part.elastic)
+        entries = block.reshape(k, width * k)
+        size = np.sqrt(np.diag(part.elastic))
+        source, target = np.nonzero(np.abs(entries) > VANISHING * np.outer(size, np.repeat(size, width)))
+        counts.append(len(source))
+        values.append(entries[source, target])
+        sources.append(source + offset)
+        targets.append(target + width * offset)
+        offset += k
+    return _Sparse(
+        np.cumsum(counts, dtype=np.int64),
+        np.concatenate(sources).astype(np.int64),
+        np.concatenate(targets).astype(np.int64),
+        np.concatenate(values),
+    )
+
+
+def _carrying(beams: tuple[Beam, ...]) -> np.ndarray:
+    """(n,) index of the first elastic coordinate of each link that moves its tip, counted over all links."""
+    offset, first = 0, []
+    for beam in beams:
+        moves = np.abs(np.vstack([beam.tip_translation, beam.tip_rotation])).max(axis=0, initial=0.0) > 0.0
+        first.append(offset + (int(np.argmax(moves)) if moves.any() else len(moves)))
+        offset += len(moves)
+    return np.array(first, dtype=np.int64)
 
 
 def _axial(tensors: Array) -> Array:

@@ -4,6 +4,8 @@ Modes of the bare clamped link, sorted by frequency, are a trap: they rank torsi
 carries everything outboard. Loaded modes see the inertia of the outboard arm, straight and rigid, at the link's tip.
 """
 
+from itertools import pairwise
+
 import numpy as np
 from scipy.linalg import eigh
 
@@ -14,7 +16,7 @@ from flexman_gym.beam import Array, Beam
 def zero_pose_rotations(arm: Arm) -> Array:
     """(n, 3, 3) rotation of each beam frame relative to the one before it (the base for the first) at zero angles."""
     orientations = [np.eye(3)] + [np.array(link.orientation) for link in arm.links]
-    return np.array([before.T @ after for before, after in zip(orientations, orientations[1:], strict=False)])
+    return np.array([before.T @ after for before, after in pairwise(orientations)])
 
 
 def outboard_inertias(arm: Arm, beams: tuple[Beam, ...]) -> Array:

@@ -68,8 +68,8 @@ def simulate(
         scene: arm, torque, initial state, duration.
         model: None takes what the scene says.
         method: a name from `METHODS`; "auto" takes "ros2" where a step is given and the reference "dop853" where not.
-        step: of a fixed-step method, s. It divides the output step of the scene or is a multiple of it; in the latter case
-            there is an output after every step. An adaptive method takes it as its first guess.
+        step: of a fixed-step method, s. It divides the output step of the scene or is a multiple of it; in the latter
+            case there is an output after every step. An adaptive method takes it as its first guess.
         rtol, atol: relative and absolute local error of an adaptive method.
 
     Raises:
@@ -91,7 +91,8 @@ def simulate(
     started = clock.perf_counter()
     status, valid, evaluations = run(table, Clock(0.0, interval / substeps, substeps), state, states[1:], outputs[1:])
     elapsed = clock.perf_counter() - started
-    return _trajectory(model, interval, states[: valid + 1], outputs[: valid + 1], (STATUS[status], evaluations, elapsed))
+    outcome = (STATUS[status], evaluations, elapsed)
+    return _trajectory(model, interval, states[: valid + 1], outputs[: valid + 1], outcome)
 
 
 class Simulator:
@@ -101,8 +102,8 @@ class Simulator:
         model: the model.
         state: (2 d,) coordinates and speeds, a view that `step` updates; order in `kernels.layout`.
         time: s since the reset.
-        status: of the last step, "ok", "diverged" or "not converged". After a failure state and outputs are those at the end
-            of the last good control period, and only a reset leads on.
+        status: of the last step, "ok", "diverged" or "not converged". After a failure state and outputs are those at
+            the end of the last good control period, and only a reset leads on.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
@@ -181,7 +182,7 @@ class Simulator:
             self._periods += 1
             self._outputs[:] = self._new_outputs[0]
         else:
-            self._row[:] = self._rows[0] if self._periods else self._row
+            self._row[:] = self._rows[0]
         self.status = STATUS[status]
         return self.status
 
@@ -270,12 +271,12 @@ def _output_interval(method: Method, step: float | None, output_step: float) -> 
         if not method.adaptive:
             raise refusal("step", None, f"a number > 0 (s): {method.name} takes fixed steps")
         return output_step, 1
+    allowed = "a number of seconds that divides, or is a multiple of, the output step"
     if positive("step", step, "s") <= output_step or method.adaptive:
-        allowed = "a number of seconds that divides, or is a multiple of, the output step"
         return output_step, _whole("step", min(step, output_step), output_step, allowed)
     multiple = step / output_step
     if abs(multiple - round(multiple)) > WHOLE * multiple:
-        raise refusal("step", step, f"a number of seconds that divides, or is a multiple of, the output step, {output_step} s")
+        raise refusal("step", step, f"{allowed}, {output_step} s")
     return step, 1
 
 
@@ -284,7 +285,7 @@ def _trajectory(
 ) -> Trajectory:
     size = 2 * model.n_dof
     return Trajectory(
-        time=interval * np.arange(len(states)),
+        time=interval * np.arange(len(states), dtype=np.float64),
         tip=outputs[:, layout.TIP],
         tip_velocity=outputs[:, layout.TIP_VELOCITY],
         joint_angles=states[:, : model.n_joints],

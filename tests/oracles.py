@@ -285,9 +285,9 @@ class Chain:
 def beam_eigenvalues(count, tip_mass_ratio=0.0):
     """First lambda = omega sqrt(rho A L^4 / EI) (count,) of a cantilever; mu = tip_mass_ratio = tip mass / beam mass.
 
-    With w a function of b x / L, b = sqrt(lambda), primes by that argument: the base has w = w' = 0, the tip w'' = 0 and
-    w''' + mu b w = 0. So 1 + cos b cosh b + mu b (cos b sinh b - sin b cosh b) = 0, once in each interval between
-    neighbouring multiples of pi.
+    With w a function of b x / L, b = sqrt(lambda), primes by that argument: w = w' = 0 at the base; w'' = 0 and
+    w''' + mu b w = 0 at the tip. So 1 + cos b cosh b + mu b (cos b sinh b - sin b cosh b) = 0, once in each interval
+    between neighbouring multiples of pi.
     """
 
     def characteristic(b):  # divided by cosh b

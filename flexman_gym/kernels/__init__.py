@@ -1,8 +1,8 @@
 """The compiled rooms. Their binaries are cached in a folder whose name is a hash of these sources.
 
 Numba checks only the file of a kernel, not the files of the kernels it calls, so a shared folder would serve stale
-binaries after an edit. `NUMBA_CACHE_DIR`, `XDG_CACHE_HOME` and, where the home cannot be written, the temporary folder are
-respected in this order.
+binaries after an edit. `NUMBA_CACHE_DIR`, `XDG_CACHE_HOME` and, where the home cannot be written, the temporary folder
+are respected in this order.
 """
 
 import hashlib
@@ -30,7 +30,7 @@ def _cache_folder() -> str:
             continue
         if os.access(folder, os.W_OK):
             return folder
-    raise OSError(f"no writable folder for compiled kernels: set NUMBA_CACHE_DIR (tried {home} and the temporary folder)")
+    raise OSError(f"no folder for compiled kernels can be written: set NUMBA_CACHE_DIR (tried {home})")
 
 
 # Numba reads the setting when a kernel is decorated; it is put back so that other packages keep theirs.

@@ -1,76 +1,83 @@
-"""Inverse dynamics of the chain: the generalised forces that given accelerations demand, M v' + h (left side of Eq. 44)."""
+"""Inverse dynamics of the chain: the generalised forces that accelerations demand, M v' + h (left side of Eq. 44)."""
 
-from flexman_gym.kernels.dynamics import arrive, base_acceleration, tip_acceleration
+from flexman_gym.kernels.dynamics import tip_acceleration
 from flexman_gym.kernels.kinematics import positions, velocities
-from flexman_gym.kernels.linalg import cross, inner, kernel, load, load_linear_angular, rotate
+from flexman_gym.kernels.linalg import (
+    ZERO,
+    add,
+    add_scaled,
+    apply,
+    apply_back,
+    cross,
+    dot,
+    inner,
+    kernel,
+    load,
+    load_matrix,
+    load_pair,
+    store_pair,
+)
 
 
 @kernel
 def inertial_forces(constants, work, x, v, acceleration, out):
     """out (d,) = generalised inertial and gravitational forces at x, v (d,) for accelerations (d,)."""
     positions(constants, work, x)
-    velocities(constants, work, x, v)
+    velocities(constants, work, v)
     n = len(constants.mass)
-    elastic = len(x) - constants.elastic_start[n]
-    base_acceleration(constants, work)
+    linear = (-constants.gravity[0], -constants.gravity[1], -constants.gravity[2])
+    angular = ZERO
     for i in range(n):
-        arrive(constants, work, i)
-        for j in range(3):
-            work.acceleration[i, 3 + j] += acceleration[i] * constants.axis[i, j]
-        tip_acceleration(constants, work, i, acceleration, elastic)
-    for j in range(3):
-        work.tip_force[j] = constants.payload_mass[0] * work.tip_acceleration[j]
-        work.tip_force[3 + j] = 0.0
+        c = load_matrix(work.rotation, i)
+        linear = apply_back(c, linear)
+        angular = add(apply_back(c, angular), load(work.joint_bias, i))
+        angular = add_scaled(angular, acceleration[i], load(constants.axis, i))
+        store_pair(work.frame_acceleration, i, linear, angular)
+        linear, angular = tip_acceleration(constants, work, i, (linear, angular), acceleration)
+    force, moment = add_scaled(ZERO, constants.payload_mass[0], linear), ZERO
     for i in range(n - 1, -1, -1):
-        elastic_forces(constants, work, i, acceleration, out)
-        link_force(constants, work, i, acceleration, elastic)
-        force, moment = load_linear_angular(work.articulated_force, i)
-        s = load(constants.axis, i)
-        out[i] = s[0] * moment[0] + s[1] * moment[1] + s[2] * moment[2]
+        frame = load_pair(work.frame_acceleration, i)
+        elastic_forces(constants, work, i, frame, (force, moment), acceleration, out)
+        force, moment = link_force(constants, work, i, frame, (force, moment), acceleration)
+        out[i] = dot(load(constants.axis, i), moment)
         m = constants.motor[i]
-        rotor = i if m < 0 else m
         if m >= 0:
-            out[m] = 0.0
-        out[rotor] += constants.rotor_inertia[i] * acceleration[rotor]
-        force, moment = rotate(work.rotation, i, force), rotate(work.rotation, i, moment)
-        for j in range(3):
-            work.tip_force[j], work.tip_force[3 + j] = force[j], moment[j]
+            out[m] = constants.rotor_inertia[i] * acceleration[m]
+        else:
+            out[i] += constants.rotor_inertia[i] * acceleration[i]
+        c = load_matrix(work.rotation, i)
+        force, moment = apply(c, force), apply(c, moment)
 
 
 @inner
-def link_force(constants, work, i, acceleration, elastic):
-    """articulated_force[i] = force and moment at the origin of link i for the accelerations of its frame."""
-    linear, angular = load_linear_angular(work.acceleration, i)
-    outboard = (work.tip_force[0], work.tip_force[1], work.tip_force[2])
+def link_force(constants, work, i, frame, tip, acceleration):
+    """Force and moment at the origin of link i for the acceleration of its frame and those at its tip."""
+    elastic = len(acceleration) - len(constants.first_moment_shape)
+    linear, angular = frame
     c = load(work.moment, i)
-    tangential = cross(angular, c)
-    static = cross(c, linear)
-    lever = cross(load(work.tip, i), outboard)
-    rotary = rotate(work.inertia, i, angular)
-    total = work.articulated_force
-    for j in range(3):
-        total[i, j] = constants.mass[i] * linear[j] + tangential[j] + work.bias[i, j] + outboard[j]
-        total[i, 3 + j] = static[j] + rotary[j] + work.bias[i, 3 + j] + work.tip_force[3 + j] + lever[j]
+    force, moment = load_pair(work.bias, i)
+    force = add(add_scaled(force, constants.mass[i], linear), add(cross(angular, c), tip[0]))
+    moment = add(add(moment, cross(c, linear)), apply(load_matrix(work.inertia, i), angular))
+    moment = add(moment, add(tip[1], cross(load(work.tip, i), tip[0])))
     for a in range(constants.elastic_start[i], constants.elastic_start[i + 1]):
         rate = acceleration[elastic + a]
-        for j in range(3):
-            total[i, j] += rate * constants.first_moment_shape[a, j]
-            total[i, 3 + j] += rate * work.coupling[a, j]
+        force = add_scaled(force, rate, load(constants.first_moment_shape, a))
+        moment = add_scaled(moment, rate, load(work.coupling, a))
+    return force, moment
 
 
 @inner
-def elastic_forces(constants, work, i, acceleration, out):
-    """The entries of out that belong to the elastic coordinates of link i, for the force at its tip in tip_force."""
-    start, square = constants.elastic_start[i], constants.square_start[i]
+def elastic_forces(constants, work, i, frame, tip, acceleration, out):
+    """The entries of out that belong to the elastic coordinates of link i, with force and moment at its tip."""
+    start = constants.elastic_start[i]
     k = constants.elastic_start[i + 1] - start
-    elastic = len(out) - len(constants.first_moment_shape) + start
-    linear, angular = load_linear_angular(work.acceleration, i)
+    first = len(out) - len(constants.first_moment_shape) + start
     for a in range(k):
-        value = work.elastic_bias[start + a]
-        for j in range(3):
-            value += linear[j] * constants.first_moment_shape[start + a, j] + angular[j] * work.coupling[start + a, j]
-        for j in range(6):
-            value += work.tip_shape[start + a, j] * work.tip_force[j]
+        row = constants.square_start[i] + a * k
+        translation, rotation = load_pair(work.tip_shape, start + a)
+        value = work.elastic_bias[start + a] + dot(translation, tip[0]) + dot(rotation, tip[1])
+        value += dot(frame[0], load(constants.first_moment_shape, start + a))
+        value += dot(frame[1], load(work.coupling, start + a))
         for b in range(k):
-            value += constants.elastic_mass[square + a * k + b] * acceleration[elastic + b]
-        out[elastic + a] = value
+            value += constants.elastic_mass[row + b] * acceleration[first + b]
+        out[first + a] = value

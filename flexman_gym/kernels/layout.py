@@ -2,10 +2,10 @@
 
 State. With n links, m flexible joints and k = k_1 + ... + k_n elastic coordinates there are d = n + m + k coordinates
 
-    x = [joint angles (n), motor angles (m, flexible joints only, in joint order), elastic coordinates (k, link by link)]
+    x = [joint angles (n), motor angles (m, of flexible joints in their order), elastic coordinates (k, link by link)]
 
-and speeds v in the same order. A state is [x, v], 2 d numbers. Integrators append the ledger: two more numbers, the work
-done by the motors and the energy dissipated since the start (J).
+and speeds v in the same order. A state is [x, v], 2 d numbers. Integrators append the ledger: two more numbers, the
+work done by the motors and the energy dissipated since the start (J).
 
 Symbols. Single capital letters stand for these and nothing else:
 
@@ -19,8 +19,9 @@ Symbols. Single capital letters stand for these and nothing else:
     S  shape functions; T tangent operator of the rotation vector (w = T phi')
     U  (3, 3) integral of r S_a^T dm for elastic coordinate a
 
-Six-vectors hold the linear part first. All vectors of a link are in its beam frame. Blocks of k_i^2 entries, one per link,
-are packed one after the other and start at `square_start[i]`; rows of the k elastic coordinates start at `elastic_start[i]`.
+Six-vectors hold the linear part first. All vectors of a link are in its beam frame. Blocks of k_i^2 entries, one per
+link, are packed one after the other and start at `square_start[i]`; rows of the k elastic coordinates start at
+`elastic_start[i]`.
 """
 
 from typing import NamedTuple
@@ -52,7 +53,7 @@ class Constants(NamedTuple):
     elastic_start: IntArray  # (n + 1,)
     square_start: IntArray  # (n + 1,)
     gravity: Array  # (3,)
-    mount: Array  # (n, 3, 3) rotation between neighbouring beam frames at zero angle and no deflection
+    mount: Array  # (9 n,) by rows: rotation between neighbouring beam frames at zero angle and no deflection
     axis: Array  # (n, 3) joint axis in the frame of the link that it turns
     joint_stiffness: Array  # (n,)
     joint_damping: Array  # (n,)
@@ -60,11 +61,22 @@ class Constants(NamedTuple):
     length: Array  # (n,)
     mass: Array  # (n,)
     first_moment: Array  # (n, 3) integral of r0 dm
-    second_moment: Array  # (n, 3, 3) integral of r0 r0^T dm
+    second_moment: Array  # (9 n,) integral of r0 r0^T dm, by rows
     first_moment_shape: Array  # (k, 3) integral of S_a dm
-    position_shape: Array  # (k, 9) integral of r0 S_a^T dm
-    shape_shape: Array  # (q, 9) entry [b, a]: integral of S_b S_a^T dm
-    shape_cross: Array  # (q, 3) entry [b, a]: integral of S_b x S_a dm
+    position_shape: Array  # (9 k,) integral of r0 S_a^T dm, by rows
+    # integral of S_b S_a^T dm: entry e adds value q_b to number `target` of U; most entries vanish and are not kept
+    shape_start: IntArray  # (n + 1,)
+    shape_source: IntArray
+    shape_target: IntArray
+    shape_value: Array
+    # integral of S_b x S_a dm: entry e belongs to b = source and to component target % 3 of a = target // 3
+    cross_start: IntArray  # (n + 1,)
+    cross_source: IntArray
+    cross_target: IntArray
+    cross_value: Array
+    factor_start: IntArray  # (n,)
+    factor_width: IntArray  # (n,) k_i + 6 in whole groups of LANES
+    carrying: IntArray  # (n,) the first elastic coordinate that moves the tip; those before it do not
     elastic_mass: Array  # (q,)
     stiffness: Array  # (q,)
     damping: Array  # (q,)
@@ -77,12 +89,14 @@ class Work(NamedTuple):
     """What the kernels overwrite; one per thread. Filled by the pass that is named."""
 
     # positions
-    rotation: Array  # (n, 3, 3) C
+    rotation: Array  # (9 n,) C, by rows
     tip: Array  # (n, 3) tip of the link from its origin
+    deflected: Array  # (n, 3) rotation vector S_r q of the tip
+    tangent: Array  # (n, 4) coefficients of T and their derivatives
     tip_shape: Array  # (k, 6) motion of the tip per unit elastic speed: S_t and T S_r
     moment: Array  # (n, 3) integral of r dm
-    inertia: Array  # (n, 3, 3) J
-    shape: Array  # (k, 9) U
+    inertia: Array  # (9 n,) J, by rows
+    shape: Array  # (9 k,) U, by rows
     coupling: Array  # (k, 3) integral of r x S_a dm
     # velocities
     spin: Array  # (n, 3) angular velocity
@@ -92,22 +106,18 @@ class Work(NamedTuple):
     bias: Array  # (n, 6) quadratic velocity force and torque, Eq. 14
     elastic_bias: Array  # (k,) quadratic velocity force on elastic coordinates, Eq. 14
     # factorisation
-    articulated: Array  # (n, 6, 6) inertia of link and everything outboard, joint locked; then joint free
-    tip_inertia: Array  # (6, 6) inertia outboard of a link's tip, in its frame
-    carried: Array  # (k, 6) tip_inertia times tip_shape
-    elastic_factor: Array  # (q,) upper Cholesky factor, inverse diagonal on the diagonal
-    elastic_row: Array  # (k, 6) coupling of elastic coordinates and frame, divided by the factor
+    articulated: Array  # (27 n,) inertia of link and everything outboard, joint free: three 3x3 blocks by rows
+    carried: Array  # (k, 6) inertia beyond the tip times tip_shape
+    # k_i rows of factor_width[i]: upper Cholesky factor, its diagonal inverted, then 6 columns of coupling to the frame
+    factor: Array
     joint_column: Array  # (n, 6) articulated inertia times joint axis
     joint_pivot: Array  # (n,) what the joint torque accelerates
     spring: Array  # (n,) implicit stiffness of the joint spring
-    # forces and accelerations
+    # accelerations
     force: Array  # (d,) generalised forces of motors, springs and dampers
-    articulated_force: Array  # (n, 6)
-    tip_force: Array  # (6,)
     elastic_force: Array  # (k,)
     joint_force: Array  # (n,)
-    acceleration: Array  # (n, 6) of the link's frame, gravity as an upward acceleration of the base
-    tip_acceleration: Array  # (6,)
+    frame_acceleration: Array  # (n, 6) of the link's frame, gravity as an upward acceleration of the base
     # integrators
     torque: Array  # (n,)
     stages: Array  # (STAGES, 2 d + 2)
@@ -120,16 +130,15 @@ def make_work(constants: Constants) -> Work:
     """Allocates the work space of a model; every entry starts as zero."""
     n, k = len(constants.mass), len(constants.first_moment_shape)
     size = 2 * (n + int((constants.motor >= 0).sum()) + k) + 2
-    q = len(constants.elastic_mass)
+    rows = int((np.diff(constants.elastic_start) * constants.factor_width).sum())
     shapes: dict[str, tuple[int, ...]] = {
-        "rotation": (n, 3, 3), "tip": (n, 3), "tip_shape": (k, 6), "moment": (n, 3), "inertia": (n, 3, 3),
-        "shape": (k, 9), "coupling": (k, 3), "spin": (n, 3), "velocity": (n, 3), "joint_bias": (n, 3),
-        "tip_bias": (n, 6), "bias": (n, 6), "elastic_bias": (k,), "articulated": (n, 6, 6), "tip_inertia": (6, 6),
-        "carried": (k, 6), "elastic_factor": (q,), "elastic_row": (k, 6), "joint_column": (n, 6),
-        "joint_pivot": (n,), "spring": (n,), "force": (size // 2 - 1,), "articulated_force": (n, 6),
-        "tip_force": (6,), "elastic_force": (k,), "joint_force": (n,), "acceleration": (n, 6),
-        "tip_acceleration": (6,), "torque": (n,), "stages": (STAGES, size), "stage_state": (size,),
-        "shifted": (size,), "trial": (size,),
+        "rotation": (9 * n,), "tip": (n, 3), "deflected": (n, 3), "tangent": (n, 4), "tip_shape": (k, 6),
+        "moment": (n, 3), "inertia": (9 * n,), "shape": (9 * k,), "coupling": (k, 3), "spin": (n, 3),
+        "velocity": (n, 3), "joint_bias": (n, 3),
+        "tip_bias": (n, 6), "bias": (n, 6), "elastic_bias": (k,), "articulated": (27 * n,), "carried": (k, 6),
+        "factor": (rows,), "joint_column": (n, 6), "joint_pivot": (n,), "spring": (n,),
+        "force": (size // 2 - 1,), "elastic_force": (k,), "joint_force": (n,), "frame_acceleration": (n, 6),
+        "torque": (n,), "stages": (STAGES, size), "stage_state": (size,), "shifted": (size,), "trial": (size,),
     }  # fmt: skip
     return Work(**{name: np.zeros(shape) for name, shape in shapes.items()})
 
@@ -138,8 +147,8 @@ class Tableau(NamedTuple):
     """Coefficients of a one-step method with s stages, as the kernels read them.
 
     Explicit methods: stage i starts from y + h sum a_ij k_j, the step adds h sum b_i k_i, error rows weigh k (s + 1
-    columns: the last is the slope at the new state). Linearly implicit ones: in the transformed variables u of Hairer and
-    Wanner (Solving ODEs II, IV.7), with the off-diagonal `c` and the diagonal `gamma`.
+    columns: the last is the slope at the new state). Linearly implicit ones: in the transformed variables u of Hairer
+    and Wanner (Solving ODEs II, IV.7), with the off-diagonal `c` and the diagonal `gamma`.
     """
 
     a: Array  # (s, s)

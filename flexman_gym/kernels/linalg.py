@@ -1,67 +1,140 @@
-"""Small linear algebra for the kernels: vectors as scalars, rotations, six by six inertias."""
+"""Small linear algebra for the kernels, on tuples: vectors are three numbers, matrices nine, by rows.
+
+Tuples live in registers; the compiler need not assume that a store into one array changes another.
+"""
 
 import math
 
 import numba
 
-# reassoc lets short sums use vector lanes; nnan and ninf stay off, they would remove the test for divergence.
-FLAGS = {"cache": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"}}
-kernel = numba.njit(**FLAGS)
-inner = numba.njit(**FLAGS, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+# Without Numba's runtime a kernel that allocates does not compile, and a call does not count references to every array
+# of a model, which took ten times as long as the arithmetic. reassoc lets short sums use vector lanes; nnan and ninf
+# stay off, they would remove the test for divergence.
+FLAGS = {"cache": True, "_nrt": False, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"}}
+kernel = numba.njit(**FLAGS)  # what Python calls
+inner = numba.njit(**FLAGS, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)  # what other kernels call
 
+LANES = 4  # rows that are eliminated are padded to whole groups of this many numbers
 
-@inner
-def cross(a, b):
-    """Cross product of two three-tuples."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+ZERO = (0.0, 0.0, 0.0)
+ZERO_MATRIX = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 
 @inner
 def load(rows, i):
-    """The first three numbers of row i as a tuple."""
+    """The first three numbers of row i."""
     return rows[i, 0], rows[i, 1], rows[i, 2]
 
 
 @inner
-def load_linear_angular(rows, i):
-    """Row i, six numbers, as two three-tuples."""
+def load_pair(rows, i):
+    """Row i, six numbers, as linear and angular part."""
     return (rows[i, 0], rows[i, 1], rows[i, 2]), (rows[i, 3], rows[i, 4], rows[i, 5])
 
 
 @inner
-def rotate(rotations, i, a):
-    """rotations[i] @ a as a tuple."""
+def load_matrix(flat, i):
+    """The i-th nine numbers of a flat array."""
+    j = 9 * i
     return (
-        rotations[i, 0, 0] * a[0] + rotations[i, 0, 1] * a[1] + rotations[i, 0, 2] * a[2],
-        rotations[i, 1, 0] * a[0] + rotations[i, 1, 1] * a[1] + rotations[i, 1, 2] * a[2],
-        rotations[i, 2, 0] * a[0] + rotations[i, 2, 1] * a[1] + rotations[i, 2, 2] * a[2],
+        flat[j], flat[j + 1], flat[j + 2], flat[j + 3], flat[j + 4], flat[j + 5], flat[j + 6], flat[j + 7], flat[j + 8],
+    )  # fmt: skip
+
+
+@inner
+def store(rows, i, a):
+    """rows[i, :3] = a."""
+    rows[i, 0], rows[i, 1], rows[i, 2] = a
+
+
+@inner
+def store_pair(rows, i, linear, angular):
+    """rows[i] = linear and angular part."""
+    rows[i, 0], rows[i, 1], rows[i, 2] = linear
+    rows[i, 3], rows[i, 4], rows[i, 5] = angular
+
+
+@inner
+def store_matrix(flat, i, a):
+    """The i-th nine numbers of a flat array = a."""
+    for j in range(9):
+        flat[9 * i + j] = a[j]
+
+
+@inner
+def add(a, b):
+    """a + b of two vectors."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@inner
+def add_scaled(a, factor, b):
+    """a + factor b of two vectors."""
+    return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
+
+
+@inner
+def dot(a, b):
+    """Scalar product of two vectors."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inner
+def cross(a, b):
+    """Cross product of two vectors."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@inner
+def apply(matrix, a):
+    """Matrix times vector."""
+    return (
+        matrix[0] * a[0] + matrix[1] * a[1] + matrix[2] * a[2],
+        matrix[3] * a[0] + matrix[4] * a[1] + matrix[5] * a[2],
+        matrix[6] * a[0] + matrix[7] * a[1] + matrix[8] * a[2],
     )
 
 
 @inner
-def rotate_back(rotations, i, a):
-    """rotations[i].T @ a as a tuple."""
+def apply_back(matrix, a):
+    """Transposed matrix times vector."""
     return (
-        rotations[i, 0, 0] * a[0] + rotations[i, 1, 0] * a[1] + rotations[i, 2, 0] * a[2],
-        rotations[i, 0, 1] * a[0] + rotations[i, 1, 1] * a[1] + rotations[i, 2, 1] * a[2],
-        rotations[i, 0, 2] * a[0] + rotations[i, 1, 2] * a[1] + rotations[i, 2, 2] * a[2],
+        matrix[0] * a[0] + matrix[3] * a[1] + matrix[6] * a[2],
+        matrix[1] * a[0] + matrix[4] * a[1] + matrix[7] * a[2],
+        matrix[2] * a[0] + matrix[5] * a[1] + matrix[8] * a[2],
     )
 
 
 @inner
-def rotation_matrix(sine, versine, v):
-    """I + sine X + versine X^2 as nine numbers by rows, X the skew matrix of the three-tuple v."""
-    x, y, z = v
+def transposed(a):
+    """Transpose of a matrix."""
+    return a[0], a[3], a[6], a[1], a[4], a[7], a[2], a[5], a[8]
+
+
+@inner
+def add_matrix(a, factor, b):
+    """a + factor b of two matrices."""
     return (
-        1.0 - versine * (y * y + z * z), versine * x * y - sine * z, versine * x * z + sine * y,
-        versine * x * y + sine * z, 1.0 - versine * (x * x + z * z), versine * y * z - sine * x,
-        versine * x * z - sine * y, versine * y * z + sine * x, 1.0 - versine * (x * x + y * y),
+        a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2],
+        a[3] + factor * b[3], a[4] + factor * b[4], a[5] + factor * b[5],
+        a[6] + factor * b[6], a[7] + factor * b[7], a[8] + factor * b[8],
+    )  # fmt: skip
+
+
+@inner
+def subtract_outer(a, b, c):
+    """a - b c^T of a matrix and two vectors."""
+    return (
+        a[0] - b[0] * c[0], a[1] - b[0] * c[1], a[2] - b[0] * c[2],
+        a[3] - b[1] * c[0], a[4] - b[1] * c[1], a[5] - b[1] * c[2],
+        a[6] - b[2] * c[0], a[7] - b[2] * c[1], a[8] - b[2] * c[2],
     )  # fmt: skip
 
 
 @inner
 def product(a, b):
-    """Product of two 3x3 matrices given and returned as nine numbers by rows."""
+    """Product of two matrices."""
     return (
         a[0] * b[0] + a[1] * b[3] + a[2] * b[6],
         a[0] * b[1] + a[1] * b[4] + a[2] * b[7],
@@ -76,18 +149,36 @@ def product(a, b):
 
 
 @inner
+def product_skew(a, d):
+    """Matrix times the skew matrix of d: its rows crossed with d."""
+    return (
+        a[1] * d[2] - a[2] * d[1], a[2] * d[0] - a[0] * d[2], a[0] * d[1] - a[1] * d[0],
+        a[4] * d[2] - a[5] * d[1], a[5] * d[0] - a[3] * d[2], a[3] * d[1] - a[4] * d[0],
+        a[7] * d[2] - a[8] * d[1], a[8] * d[0] - a[6] * d[2], a[6] * d[1] - a[7] * d[0],
+    )  # fmt: skip
+
+
+@inner
+def rotation_matrix(sine, versine, v):
+    """I + sine X + versine X^2, X the skew matrix of the vector v."""
+    x, y, z = v
+    return (
+        1.0 - versine * (y * y + z * z), versine * x * y - sine * z, versine * x * z + sine * y,
+        versine * x * y + sine * z, 1.0 - versine * (x * x + z * z), versine * y * z - sine * x,
+        versine * x * z - sine * y, versine * y * z + sine * x, 1.0 - versine * (x * x + y * y),
+    )  # fmt: skip
+
+
+@inner
 def tangent_coefficients(z):
     """(1 - cos p)/p^2, (p - sin p)/p^3 and their derivatives with respect to z = p^2."""
-    if z < 1.0:
-        # The series are exact to rounding here, and finite at zero.
-        b = c = db = dc = 0.0
-        term = 0.5
-        for j in range(10):
-            b += term
-            db += -term * (j + 1) / ((2 * j + 3) * (2 * j + 4))
-            c += term / (2 * j + 3)
-            dc += -term * (j + 1) / ((2 * j + 3) * (2 * j + 4) * (2 * j + 5))
-            term *= -z / ((2 * j + 3) * (2 * j + 4))
+    if z < 0.25:
+        # Taylor series to rounding: the quotients below lose all digits at zero
+        b = 1 / 2 - z * (1 / 24 - z * (1 / 720 - z * (1 / 40320 - z * (1 / 3628800 - z * (1 / 479001600)))))
+        c = 1 / 6 - z * (1 / 120 - z * (1 / 5040 - z * (1 / 362880 - z * (1 / 39916800 - z * (1 / 6227020800)))))
+        db = -1 / 24 + z * (1 / 360 - z * (1 / 13440 - z * (1 / 907200 - z * (1 / 95800320 - z * (1 / 14529715200)))))
+        dc = 1 / 120960 - z * (1 / 9979200 - z * (1 / 1245404160 - z * (1 / 217945728000)))
+        dc = -1 / 120 + z * (1 / 2520 - z * dc)
         return b, c, db, dc
     p = math.sqrt(z)
     b = (1.0 - math.cos(p)) / z
@@ -97,25 +188,11 @@ def tangent_coefficients(z):
 
 
 @inner
-def rotate_inertia(inertias, i, rotations, out):
-    """out = C inertias[i] C^T for both halves of a symmetric (6, 6) inertia, C = rotations[i]."""
-    c = rotations[i]
-    source = inertias[i]
-    for block in range(3):
-        row, column = 3 * (block // 2), 3 * ((block + 1) // 2)
-        for j in range(3):
-            first = source[row, column] * c[j, 0] + source[row, column + 1] * c[j, 1] + source[row, column + 2] * c[j, 2]
-            second = (
-                source[row + 1, column] * c[j, 0]
-                + source[row + 1, column + 1] * c[j, 1]
-                + source[row + 1, column + 2] * c[j, 2]
-            )
-            third = (
-                source[row + 2, column] * c[j, 0]
-                + source[row + 2, column + 1] * c[j, 1]
-                + source[row + 2, column + 2] * c[j, 2]
-            )
-            for k in range(3):
-                value = c[k, 0] * first + c[k, 1] * second + c[k, 2] * third
-                out[row + k, column + j] = value
-                out[column + j, row + k] = value
+def subtract_row(flat, row, factor, top, first, last):
+    """flat[row + j] -= factor flat[top + j] for first <= j < last, from the group of LANES that holds first."""
+    for group in range(first // LANES, (last + LANES - 1) // LANES):
+        i, j = row + LANES * group, top + LANES * group
+        a, b, c, d = flat[j], flat[j + 1], flat[j + 2], flat[j + 3]
+        e, f, g, h = flat[i], flat[i + 1], flat[i + 2], flat[i + 3]
+        flat[i], flat[i + 1] = e - factor * a, f - factor * b
+        flat[i + 2], flat[i + 3] = g - factor * c, h - factor * d

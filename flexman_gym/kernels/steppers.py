@@ -33,7 +33,7 @@ def slope(constants, work, torque, time, state, out):
     x, v = state[:d], state[d : 2 * d]
     torque_at(torque, time, work.torque)
     positions(constants, work, x)
-    velocities(constants, work, x, v)
+    velocities(constants, work, v)
     factorise(constants, work, 0.0)
     supplied, lost = applied_forces(constants, work, x, v, work.torque)
     solve(constants, work, out[d : 2 * d])
@@ -65,7 +65,7 @@ def add_stages(state, step, weights, stages, count, out):
 
 @inner
 def explicit_stages(constants, work, tableau, torque, time, step, state):
-    """Stages 1, 2, ... of an explicit Runge-Kutta step into work.stages (stage 0 is there), the new state into work.trial."""
+    """Stages 1, 2, ... of an explicit step into work.stages, which holds stage 0, and the new state into work.trial."""
     s = len(tableau.b)
     for i in range(1, s):
         add_stages(state, step, tableau.a[i], work.stages, i, work.stage_state)
@@ -134,7 +134,7 @@ def implicit_stage(constants, work, tableau, torque, time, step, state, i):
         shifted[d + k] = v[k] + g * stage[d + k]
     torque_at(torque, time + tableau.abscissae[i] * step, work.torque)
     positions(constants, work, x)
-    velocities(constants, work, x, v)
+    velocities(constants, work, v)
     factorise(constants, work, g)
     supplied, lost = applied_forces(constants, work, x, v, work.torque)
     applied_forces(constants, work, shifted[:d], shifted[d : 2 * d], work.torque)

@@ -1,0 +1,27 @@
+PYTHON ?= python3
+RUN := .venv/bin/python -m
+CODE := flexman_gym scripts $(wildcard agents/*.py)
+
+.PHONY: demo test lint clean
+
+demo: .venv/installed
+	.venv/bin/python scripts/demo.py
+
+test: lint
+	$(RUN) pytest
+
+lint: .venv/installed
+	$(RUN) ruff check $(CODE) tests
+	$(RUN) mypy $(CODE)
+
+# torch comes first, as a CPU build where one is provided, so that the training extra does not pull CUDA packages.
+.venv/installed: pyproject.toml
+	@echo "Installing flexman_gym and its tools into .venv: once, for a few minutes"
+	@$(PYTHON) -m venv .venv
+	@$(RUN) pip install --quiet torch==2.13.0
+	@$(RUN) pip install --quiet -e '.[train,render,dev]'
+	@touch $@
+
+clean:
+	rm -rf .venv out build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -prune -exec rm -rf {} +
