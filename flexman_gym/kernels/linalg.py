@@ -63,6 +63,13 @@ def store_matrix(flat, i, a):
 
 
 @inner
+def copy(source, target):
+    """target[:] = source, of equal length; a slice on the left would allocate."""
+    for j in range(len(source)):
+        target[j] = source[j]
+
+
+@inner
 def add(a, b):
     """a + b of two vectors."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]

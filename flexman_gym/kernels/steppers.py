@@ -10,7 +10,7 @@ import math
 from flexman_gym.kernels.dynamics import applied_forces, factorise, solve
 from flexman_gym.kernels.kinematics import positions, velocities
 from flexman_gym.kernels.layout import DIVERGED, LARGEST_STATE, NOT_CONVERGED, OK
-from flexman_gym.kernels.linalg import inner, kernel
+from flexman_gym.kernels.linalg import copy, inner, kernel
 from flexman_gym.kernels.outputs import observe
 
 SAFETY, SMALLEST_FACTOR, LARGEST_FACTOR = 0.9, 0.2, 10.0  # step size control, Hairer, Norsett and Wanner I, II.4
@@ -85,8 +85,8 @@ def run_explicit(constants, work, tableau, torque, clock, state, rows, outputs):
             evaluations += len(tableau.b)
             if out_of_bounds(work.trial):
                 return DIVERGED, r, evaluations
-            state[:] = work.trial
-        rows[r] = state
+            copy(work.trial, state)
+        copy(state, rows[r])
         observe(constants, work, state[:d], state[d : 2 * d], outputs[r])
     return OK, len(rows), evaluations
 
@@ -104,8 +104,8 @@ def run_linearly_implicit(constants, work, tableau, torque, clock, state, rows, 
             evaluations += len(tableau.b)
             if out_of_bounds(work.trial):
                 return DIVERGED, r, evaluations
-            state[:] = work.trial
-        rows[r] = state
+            copy(work.trial, state)
+        copy(state, rows[r])
         observe(constants, work, state[:d], state[d : 2 * d], outputs[r])
     return OK, len(rows), evaluations
 
@@ -194,8 +194,8 @@ def run_adaptive(constants, work, tableau, torque, clock, state, rows, outputs, 
             step = max(step, h) if last else h
             step *= min(LARGEST_FACTOR, max(SMALLEST_FACTOR, factor)) if not (last and factor > 1.0) else 1.0
             done = interval if last else done + h
-            state[:] = work.trial
-            work.stages[0] = work.stages[s]
-        rows[r] = state
+            copy(work.trial, state)
+            copy(work.stages[s], work.stages[0])
+        copy(state, rows[r])
         observe(constants, work, state[:d], state[d : 2 * d], outputs[r])
     return OK, len(rows), evaluations
