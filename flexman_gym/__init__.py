@@ -1,12 +1,16 @@
 """flexman_gym: robot arms whose links and joints bend, as Gymnasium environments."""
 
+from gymnasium.envs.registration import register
+
 from flexman_gym import catalog
 from flexman_gym.arm import Arm, Joint, Link, Payload
 from flexman_gym.dynamics import acceleration, frequencies, mass_matrix
 from flexman_gym.methods import METHODS
 from flexman_gym.model import Model, build_model
 from flexman_gym.scene import ConstantTorque, Initial, ModelChoice, Scene, SineTorque
+from flexman_gym.sensors import Limits
 from flexman_gym.simulator import Simulator, Trajectory, simulate
+from flexman_gym.tasks import Slew
 
 __all__ = [
     "METHODS",
@@ -14,6 +18,7 @@ __all__ = [
     "ConstantTorque",
     "Initial",
     "Joint",
+    "Limits",
     "Link",
     "Model",
     "ModelChoice",
@@ -21,6 +26,7 @@ __all__ = [
     "Scene",
     "Simulator",
     "SineTorque",
+    "Slew",
     "Trajectory",
     "acceleration",
     "build_model",
@@ -29,3 +35,5 @@ __all__ = [
     "mass_matrix",
     "simulate",
 ]
+
+register(id="FlexRRR-v0", entry_point="flexman_gym.envs:FlexManEnv", max_episode_steps=500)

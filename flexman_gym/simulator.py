@@ -101,6 +101,7 @@ class Simulator:
     Attributes:
         model: the model.
         state: (2 d,) coordinates and speeds, a view that `step` updates; order in `kernels.layout`.
+        outputs: (OUTPUTS,) tip, deflection and energies at that state; columns in `kernels.layout`.
         time: s since the reset.
         status: of the last step, "ok", "diverged" or "not converged". After a failure state and outputs are those at
             the end of the last good control period, and only a reset leads on.
@@ -130,7 +131,7 @@ class Simulator:
         self._run = _Run(model, self.method, (positive("rtol", rtol), positive("atol", atol)))
         size = 2 * model.n_dof
         self._row, self._rows = np.zeros(size + 2), np.zeros((1, size + 2))
-        self._outputs, self._new_outputs = np.zeros(layout.OUTPUTS), np.zeros((1, layout.OUTPUTS))
+        self.outputs, self._new_outputs = np.zeros(layout.OUTPUTS), np.zeros((1, layout.OUTPUTS))
         self._torque = np.zeros((4, model.n_joints))
         self.state = self._row[:size]
         self.reset(np.zeros(model.n_joints))
@@ -160,7 +161,7 @@ class Simulator:
         self._row[:-2], self._row[-2:] = start, 0.0
         self._periods = 0
         self.status = STATUS[layout.OK]
-        self._run.start(self._row, self._rows[0], self._outputs)
+        self._run.start(self._row, self._rows[0], self.outputs)
         self._start_energy = self.energy
 
     def step(self, torque: Sequence[float] | Array) -> str:
@@ -180,7 +181,7 @@ class Simulator:
         status, _, _ = self._run(self._torque, moment, self._row, self._rows, self._new_outputs)
         if status == layout.OK:
             self._periods += 1
-            self._outputs[:] = self._new_outputs[0]
+            self.outputs[:] = self._new_outputs[0]
         else:
             self._row[:] = self._rows[0]
         self.status = STATUS[status]
@@ -194,32 +195,32 @@ class Simulator:
     @property
     def tip(self) -> Array:
         """(3,) tip position in the base frame, m."""
-        return self._outputs[layout.TIP]
+        return self.outputs[layout.TIP]
 
     @property
     def tip_velocity(self) -> Array:
         """(3,) tip velocity in the base frame, m/s."""
-        return self._outputs[layout.TIP_VELOCITY]
+        return self.outputs[layout.TIP_VELOCITY]
 
     @property
     def deflection(self) -> Array:
         """(3,) tip relative to the tip of the rigid arm at the motor angles, m."""
-        return self._outputs[layout.DEFLECTION]
+        return self.outputs[layout.DEFLECTION]
 
     @property
     def deflection_rate(self) -> Array:
         """(3,) tip velocity relative to that of the rigid arm at the motor angles and rates, m/s."""
-        return self._outputs[layout.DEFLECTION_RATE]
+        return self.outputs[layout.DEFLECTION_RATE]
 
     @property
     def elastic_energy(self) -> float:
         """Elastic energy of links and joints, J."""
-        return float(self._outputs[layout.LINK_ENERGY] + self._outputs[layout.JOINT_ENERGY])
+        return float(self.outputs[layout.LINK_ENERGY] + self.outputs[layout.JOINT_ENERGY])
 
     @property
     def energy(self) -> float:
         """Kinetic, elastic and gravitational energy, the last zero at the base origin, J."""
-        return float(self._outputs[layout.KINETIC :].sum())
+        return float(self.outputs[layout.KINETIC :].sum())
 
     @property
     def energy_residual(self) -> float:

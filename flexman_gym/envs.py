@@ -1,0 +1,203 @@
+"""Environments: a simulator, a task and sensors behind Gymnasium's interface."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from flexman_gym.arm import Arm
+from flexman_gym.catalog import paper_rrr
+from flexman_gym.checks import one_of, positive, refusal
+from flexman_gym.model import build_model
+from flexman_gym.sensors import FullState, Limits
+from flexman_gym.simulator import Simulator
+from flexman_gym.tasks import Slew
+
+Observation = NDArray[np.float32]
+
+
+class FlexManEnv(gym.Env[Observation, Observation]):
+    """A flexible arm slews its tip to a target and settles there: `gym.make("FlexRRR-v0")`.
+
+    Arm
+        The paper's three-link arm of 8.5 m, flexible links and joints (K 5000 N m/rad), no gravity, 0.5 % modal damping
+        in the links and none in the joints (`arm=catalog.paper_rrr(rotor_inertia=10)` gives the paper's undamped arm). Its
+        rotors have 10 kg m^2 here: with the 1 kg m^2 of the paper's scene no motor controller at 50 Hz can damp it.
+
+    Actions
+        Box(-1, 1, (n,)): motor torques as parts of `torque_limit` (400 N m), constant during a control period of 0.02 s.
+        An action outside the box is refused.
+
+    Observations
+        Box (33,) float32; `env.unwrapped.sensors` has the same as `slices`, `units` and `bound`:
+
+        slice                  entries  unit   bound
+        motor_angles           0-2      rad    4
+        motor_rates            3-5      rad/s  10
+        joint_twists           6-8      rad    1         motor angle - joint angle
+        joint_twist_rates      9-11     rad/s  10
+        link_deflections       12-17    m      length/4  tip of each link along y and z of its beam frame
+        link_deflection_rates  18-23    m/s    15
+        posture_errors         24-26    rad    8         goal posture - motor angles
+        target_error           27-29    m      17        target - tip, base frame
+        tip_velocity           30-32    m/s    40        base frame
+
+    Reward
+        In [0, 1] a step, less a penalty for a failure: `tasks.Slew` has the terms, `info["reward_terms"]` their values.
+
+    Start and end
+        `reset(seed=...)` draws start and target; `reset(options={"start": angles, "posture": angles})` sets them. An
+        episode is truncated after 10 s (500 steps). It terminates with the failure penalty when an observed quantity
+        leaves its bound or the simulation diverges; `info["failure"]` says which. The observation is then the last one
+        within the bounds, so that every observation lies in the space.
+
+    Info
+        tip_error (m), tip_vibration (m/s, speed of the tip relative to the rigid arm at the motor angles),
+        elastic_energy (J), energy_residual (J, work of the motors - dissipation - change of energy since the reset: what
+        the integrator invented or lost), reward_terms, status ("ok", "diverged"), failure ("" or what happened), tip and
+        target (m), posture (rad, the goal).
+
+    Fidelity
+        elements (2), modes (4 loaded modes a link), method ("ros2"), step (0.005 s).
+
+    Args:
+        arm: None takes the arm above.
+        task: None takes `Slew()`.
+        limits: None takes `Limits()`.
+        torque_limit: N m, of each motor.
+        control_period: s.
+        elements, modes, method, step: see `build_model` and `Simulator`.
+        render_mode: None or "rgb_array".
+        render_size: width and height of a frame in pixels.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012
+
+    def __init__(
+        self,
+        arm: Arm | None = None,
+        task: Slew | None = None,
+        limits: Limits | None = None,
+        torque_limit: float = 400.0,
+        control_period: float = 0.02,
+        elements: int | tuple[int, ...] = 2,
+        modes: int | tuple[int, ...] | None = 4,
+        method: str = "ros2",
+        step: float = 0.005,
+        render_mode: str | None = None,
+        render_size: tuple[int, int] = (480, 360),
+    ) -> None:
+        if render_mode is not None:
+            one_of("render_mode", render_mode, ("rgb_array",))
+        if arm is not None and not isinstance(arm, Arm):
+            raise refusal("arm", arm, "an Arm")
+        if task is not None and not isinstance(task, Slew):
+            raise refusal("task", task, "a task, such as Slew()")
+        if limits is not None and not isinstance(limits, Limits):
+            raise refusal("limits", limits, "Limits")
+        self.torque_limit = positive("torque_limit", torque_limit, "N m")
+        self.render_mode, self.render_size = render_mode, render_size
+        self.task = Slew() if task is None else task
+        model = build_model(default_arm() if arm is None else arm, elements, modes)
+        self.simulator = Simulator(model, method, step, control_period)
+        self.sensors = FullState(model, Limits() if limits is None else limits)
+        bound = self.sensors.bound.astype(np.float32)
+        self.observation_space = spaces.Box(-bound, bound, dtype=np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (model.n_joints,), dtype=np.float32)
+        self.metadata = FlexManEnv.metadata | {"render_fps": round(1 / self.simulator.control_period)}
+        self._painter: Any = None
+        self._over = True
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Starts an episode; options may set "start" and "posture", joint angles (n,) in rad."""
+        super().reset(seed=seed)
+        joints = self.simulator.model.n_joints
+        start, posture = self.task.draw(self.np_random, joints)
+        chosen = options or {}
+        for name in chosen:
+            one_of("options", name, ("start", "posture"))
+        self.simulator.reset(chosen.get("posture", posture))
+        self._posture = self.simulator.state[self.sensors.motor_columns][None].copy()
+        self._target = self.simulator.tip[None].copy()
+        self.simulator.reset(chosen.get("start", start))
+        reading = self._read()
+        if failure := self.sensors.broken(reading):
+            raise refusal("options", chosen, f"a start and a posture within the limits ({failure})")
+        self._over = False
+        self._observation = reading.astype(np.float32)
+        return self._observation.copy(), self._outcome(np.zeros((1, joints)), "")[1]
+
+    def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Applies motor torques for one control period.
+
+        Raises:
+            ValueError: for an action of another shape or outside the action space.
+            RuntimeError: before a reset and after the end of an episode.
+        """
+        if self._over:
+            raise RuntimeError("the episode is over: reset the environment first")
+        values = np.asarray(action)
+        if (
+            values.shape != self.action_space.shape
+            or values.dtype.kind not in "fiu"
+            or not (np.abs(values) <= 1.0).all()
+        ):
+            raise refusal("action", action, f"{self.simulator.model.n_joints} numbers from -1 to 1")
+        values = values.astype(float)
+        status = self.simulator.step(self.torque_limit * values)
+        reading = self._read()
+        failure = self.sensors.broken(reading) if status == "ok" else f"the simulation {status}"
+        if not failure:
+            self._observation = reading.astype(np.float32)
+        reward, info = self._outcome(values[None], failure)
+        self._over = bool(failure)
+        return self._observation.copy(), reward, self._over, False, info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """A frame (height, width, 3) uint8 of the deformed arm and the target."""
+        if self.render_mode is None:
+            gym.logger.warn('render() needs render_mode="rgb_array" in gym.make')
+            return None
+        if self._painter is None:
+            from flexman_gym.draw import FramePainter
+
+            self._painter = FramePainter(self.simulator.model, self.render_size)
+        return self._painter.paint(self.simulator.state, self._target[0])
+
+    def _read(self) -> NDArray[np.float64]:
+        simulator = self.simulator
+        return self.sensors.read(simulator.state[None], simulator.outputs[None], self._posture, self._target)[0]
+
+    def _outcome(self, actions: NDArray[np.float64], failure: str) -> tuple[float, dict[str, Any]]:
+        """Reward and info of the state that the arm is in, after actions (1, n)."""
+        simulator = self.simulator
+        error = self._target - simulator.tip
+        tip_error = np.sqrt((error * error).sum(axis=1))
+        rate = simulator.deflection_rate[None]
+        tip_vibration = np.sqrt((rate * rate).sum(axis=1))
+        terms = self.task.reward_terms(tip_error, tip_vibration, actions, np.array([failure != ""]))
+        reward_terms = {name: float(value[0]) for name, value in terms.items()}
+        return sum(reward_terms.values()), {
+            "tip_error": float(tip_error[0]),
+            "tip_vibration": float(tip_vibration[0]),
+            "elastic_energy": simulator.elastic_energy,
+            "energy_residual": simulator.energy_residual,
+            "reward_terms": reward_terms,
+            "status": simulator.status,
+            "failure": failure,
+            "tip": simulator.tip.copy(),
+            "target": self._target[0].copy(),
+            "posture": self._posture[0].copy(),
+        }
+
+
+def default_arm() -> Arm:
+    """The arm of FlexRRR-v0."""
+    return paper_rrr(rotor_inertia=10.0, modal_damping_ratio=0.005)

@@ -1,0 +1,60 @@
+"""Tasks: where an episode starts, what its goal is and what a step is worth. Arrays have a leading batch axis b."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from flexman_gym.beam import Array
+from flexman_gym.checks import non_negative, positive, store
+
+WIDTHS = np.array([2.0, 0.4, 0.08])  # m, of the three bells that reward closeness
+CALM = 0.3  # m/s of tip vibration that halves the reward for calm
+
+
+@dataclass(frozen=True)
+class Slew:
+    """Slew and settle: bring the tip to a target and keep it still there.
+
+    An episode starts at rest, undeformed, at joint angles drawn uniformly from +-start. The target is where the tip of
+    the undeformed arm would be at a posture drawn uniformly from +-slew around the start, so that it can be reached.
+
+    A step is worth the sum of these terms, which lies in [0, 1]:
+        tip_error      0.7 times the mean over three widths w (2, 0.4, 0.08 m) of 1 / (1 + (tip error / w)^2)
+        tip_vibration  0.2 / (1 + (tip vibration / 0.3 m/s)^2)
+        effort         0.1 (1 - mean of the squared actions)
+        failure        -failure_penalty when the step ended the episode by a limit or a divergence
+
+    Attributes:
+        start, slew: rad.
+        failure_penalty: reward lost by a failure, >= 0.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed.
+    """
+
+    start: float = 0.8
+    slew: float = 0.8
+    failure_penalty: float = 10.0
+
+    def __post_init__(self) -> None:
+        store(
+            self,
+            start=non_negative("Slew.start", self.start, "rad"),
+            slew=positive("Slew.slew", self.slew, "rad"),
+            failure_penalty=non_negative("Slew.failure_penalty", self.failure_penalty),
+        )
+
+    def draw(self, random: np.random.Generator, joints: int) -> tuple[Array, Array]:
+        """Start and goal postures (joints,) rad of one episode."""
+        start = random.uniform(-self.start, self.start, joints)
+        return start, start + random.uniform(-self.slew, self.slew, joints)
+
+    def reward_terms(self, tip_error: Array, tip_vibration: Array, actions: Array, failed: Array) -> dict[str, Array]:
+        """Terms (b,) of the reward for tip errors (b,) m, tip vibrations (b,) m/s, actions (b, n) and failures (b,)."""
+        near = 1.0 / (1.0 + (tip_error[:, None] / WIDTHS) ** 2)
+        return {
+            "tip_error": 0.7 * near.mean(axis=1),
+            "tip_vibration": 0.2 / (1.0 + (tip_vibration / CALM) ** 2),
+            "effort": 0.1 * (1.0 - (actions**2).mean(axis=1)),
+            "failure": np.where(failed, -self.failure_penalty, 0.0),
+        }
