@@ -59,7 +59,7 @@ def frequencies(model: Model, joint_angles: Sequence[float] | None = None, lock_
 
     Raises ValueError for wrong joint angles.
     """
-    angles = np.zeros(model.n_joints) if joint_angles is None else vector("joint_angles", joint_angles, model.n_joints)
+    angles = np.zeros(model.n_joints) if joint_angles is None else joint_angles
     mass = mass_matrix(model, model.initial_state(angles))
     stiffness = stiffness_matrix(model)
     if lock_joints:

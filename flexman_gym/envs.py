@@ -23,11 +23,11 @@ class FlexManEnv(gym.Env[Observation, Observation]):
 
     Arm
         The paper's three-link arm of 8.5 m, flexible links and joints (K 5000 N m/rad), no gravity, 0.5 % modal damping
-        in the links and none in the joints (`arm=catalog.paper_rrr(rotor_inertia=10)` gives the paper's undamped arm). Its
-        rotors have 10 kg m^2 here: with the 1 kg m^2 of the paper's scene no motor controller at 50 Hz can damp it.
+        in the links, none in the joints (`arm=catalog.paper_rrr(rotor_inertia=10)` gives the paper's undamped arm). Its
+        rotors have 10 kg m^2: with the 1 kg m^2 of the paper's scene no motor controller at 50 Hz can damp it.
 
     Actions
-        Box(-1, 1, (n,)): motor torques as parts of `torque_limit` (400 N m), constant during a control period of 0.02 s.
+        Box(-1, 1, (n,)): motor torques as parts of `torque_limit` (400 N m), constant during a control period of 20 ms.
         An action outside the box is refused.
 
     Observations
@@ -55,9 +55,9 @@ class FlexManEnv(gym.Env[Observation, Observation]):
 
     Info
         tip_error (m), tip_vibration (m/s, speed of the tip relative to the rigid arm at the motor angles),
-        elastic_energy (J), energy_residual (J, work of the motors - dissipation - change of energy since the reset: what
-        the integrator invented or lost), reward_terms, status ("ok", "diverged"), failure ("" or what happened), tip and
-        target (m), posture (rad, the goal).
+        elastic_energy (J), energy_residual (J, work of the motors - dissipation - change of energy since the reset,
+        which the integrator invented or lost), reward_terms, status ("ok", "diverged"), failure ("" or what happened),
+        tip and target (m), posture (rad, the goal).
 
     Fidelity
         elements (2), modes (4 loaded modes a link), method ("ros2"), step (0.005 s).
@@ -80,6 +80,7 @@ class FlexManEnv(gym.Env[Observation, Observation]):
 
     def __init__(
         self,
+        *,
         arm: Arm | None = None,
         task: Slew | None = None,
         limits: Limits | None = None,

@@ -53,10 +53,12 @@ class Method:
             raise ValueError(f"{self.name}: a must be strictly lower triangular, {s} x {s}, with s < {STAGES}")
         if (self.gamma != 0.0) != (self.kind == LINEARLY_IMPLICIT):
             raise ValueError(f"{self.name}: gamma must be given for a linearly implicit method, and for no other")
+        if self.coupling_matrix.shape != (s, s) or np.triu(self.coupling_matrix).any() or self.gamma < 0.0:
+            raise ValueError(f"{self.name}: coupling must be strictly lower triangular, {s} x {s}, and gamma positive")
         if self.adaptive and self.error.shape not in ((1, s + 1), (2, s + 1)):
             raise ValueError(f"{self.name}: an adaptive method needs 1 or 2 rows of {s + 1} error weights")
         for condition, residual in order_conditions(self):
-            if abs(residual) > ROUNDING:
+            if not abs(residual) <= ROUNDING:
                 raise ValueError(f"{self.name}: is not of order {self.order}: {condition} is off by {residual:.3g}")
 
     @property

@@ -8,7 +8,7 @@ import numpy as np
 
 from flexman_gym.arm import Arm
 from flexman_gym.beam import Array, Beam, ShapeIntegrals, build_beam, shape_integrals
-from flexman_gym.checks import refusal
+from flexman_gym.checks import refusal, vector
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.linalg import LANES
 from flexman_gym.reduction import loaded_modes, modal_damping, outboard_inertias, zero_pose_rotations
@@ -70,10 +70,12 @@ class Model:
     ) -> Array:
         """State (2 d,) of the undeformed arm at joint angles (n,) rad and rates (n,) rad/s; motors follow."""
         state = np.zeros(2 * self.n_dof)
-        for column, values in ((0, joint_angles), (self.n_dof, joint_rates)):
+        starts = ((0, "joint_angles", joint_angles, "rad"), (self.n_dof, "joint_rates", joint_rates, "rad/s"))
+        for column, name, values, unit in starts:
             if values is not None:
-                state[column : column + self.n_joints] = values
-                state[column + self.motor_columns] = values
+                checked = vector(name, values, self.n_joints, unit)
+                state[column : column + self.n_joints] = checked
+                state[column + self.motor_columns] = checked
         return state
 
 

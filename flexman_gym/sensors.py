@@ -94,7 +94,7 @@ class FullState:
         return np.concatenate(parts, axis=1)
 
     def broken(self, observation: Array) -> str:
-        """The name of the first slice of one observation (size,) that is out of bounds, with its value; "" if none is."""
+        """The name of the first slice of one observation (size,) beyond its bound, with the value; "" if none is."""
         inside = np.abs(observation) <= self.bound
         if inside.all():
             return ""

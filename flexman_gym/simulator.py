@@ -78,6 +78,8 @@ def simulate(
     if not isinstance(scene, Scene):
         raise refusal("scene", scene, "a Scene")
     model = scene_model(scene) if model is None else model
+    if not isinstance(model, Model):
+        raise refusal("model", model, "a Model, from build_model")
     if model.n_joints != scene.arm.n_joints:
         raise refusal("model", f"{model.n_joints} joints", f"a model of the scene's arm, {scene.arm.n_joints} joints")
     chosen = find_method("ros2" if method == "auto" and step is not None else "dop853" if method == "auto" else method)
@@ -149,15 +151,13 @@ class Simulator:
         Raises:
             ValueError: wrong shape, a value that is not finite, or both ways at once.
         """
-        n = self.model.n_joints
         if state is not None:
             if joint_angles is not None or joint_rates is not None:
                 raise refusal("state", "given with joint_angles or joint_rates", "one of the two")
             start = np.array(vector("state", state, 2 * self.model.n_dof))
         else:
-            angles = vector("joint_angles", np.zeros(n) if joint_angles is None else joint_angles, n, "rad")
-            rates = vector("joint_rates", np.zeros(n) if joint_rates is None else joint_rates, n, "rad/s")
-            start = self.model.initial_state(angles, rates)
+            angles = np.zeros(self.model.n_joints) if joint_angles is None else joint_angles
+            start = self.model.initial_state(angles, joint_rates)
         self._row[:-2], self._row[-2:] = start, 0.0
         self._periods = 0
         self.status = STATUS[layout.OK]
@@ -273,8 +273,10 @@ def _output_interval(method: Method, step: float | None, output_step: float) -> 
             raise refusal("step", None, f"a number > 0 (s): {method.name} takes fixed steps")
         return output_step, 1
     allowed = "a number of seconds that divides, or is a multiple of, the output step"
-    if positive("step", step, "s") <= output_step or method.adaptive:
-        return output_step, _whole("step", min(step, output_step), output_step, allowed)
+    if method.adaptive:
+        return output_step, max(1, round(output_step / positive("step", step, "s")))
+    if positive("step", step, "s") <= output_step:
+        return output_step, _whole("step", step, output_step, allowed)
     multiple = step / output_step
     if abs(multiple - round(multiple)) > WHOLE * multiple:
         raise refusal("step", step, f"{allowed}, {output_step} s")

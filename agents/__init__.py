@@ -1,0 +1,1 @@
+"""Agents: training and evaluation of policies on the environments, with Stable-Baselines3."""

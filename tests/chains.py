@@ -1,0 +1,137 @@
+"""Chains: random arms, models and states for tests, with the dense oracle of each in the same coordinates."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from hypothesis import settings
+from hypothesis import strategies as st
+from oracles import Chain
+from scipy.spatial.transform import Rotation
+
+from flexman_gym import Arm, Joint, Link, Model, Payload, build_model
+from flexman_gym.beam import build_beam
+from flexman_gym.reduction import loaded_modes, modal_damping, outboard_inertias
+
+QUICK = settings(deadline=None, derandomize=True, max_examples=40)
+AMPLITUDES = (0.0, 1e-6, 0.05, 1.5)  # rad, rotation of a link's tip; also its deflection / length
+
+
+@dataclass(frozen=True)
+class Sample:
+    """An arm with a choice of model; `seed` makes the numbers of its states."""
+
+    arm: Arm
+    elements: tuple[int, ...]
+    modes: tuple[int, ...] | None
+    flexible_links: tuple[bool, ...]
+    flexible_joints: bool
+    amplitude: float
+    seed: int
+
+    @cached_property
+    def model(self) -> Model:
+        """The model under test."""
+        return build_model(self.arm, self.elements, self.modes, self.flexible_links, self.flexible_joints)
+
+    @cached_property
+    def chain(self) -> Chain:
+        """The oracle in the coordinates of the model: the same basis and the same damping matrix for each link."""
+        beams = tuple(map(build_beam, self.arm.links, self.elements, self.flexible_links))
+        bases, dampings = [], []
+        for i, (beam, outboard) in enumerate(zip(beams, outboard_inertias(self.arm, beams), strict=True)):
+            basis = np.eye(len(beam.stiffness))
+            if self.modes is not None and self.flexible_links[i]:
+                basis = loaded_modes(beam, outboard)[1][:, : self.modes[i]]
+            damping = modal_damping(beam, outboard, self.arm.modal_damping_ratio)
+            damping = damping + self.arm.stiffness_proportional_damping * beam.stiffness
+            bases.append(basis)
+            dampings.append(basis.T @ damping @ basis)
+        return Chain(self.arm, self.elements, self.flexible_links, self.flexible_joints, bases, dampings)
+
+    def state(self) -> tuple[np.ndarray, np.ndarray]:
+        """Coordinates and speeds (d,): joints anywhere, springs wound up, links bent by about the amplitude."""
+        rng = np.random.default_rng(self.seed)
+        joints = self.model.n_joints + self.model.n_motors
+        x, v = rng.uniform(-1.0, 1.0, (2, self.model.n_dof))
+        x[: self.model.n_joints] *= np.pi
+        x[self.model.motor_columns] = x[: self.model.n_joints] + 0.1 * rng.uniform(-1.0, 1.0, self.model.n_joints)
+        v[:joints] *= 3.0
+        for i, (beam, columns) in enumerate(zip(self.chain.beams, self.chain.elastic, strict=True)):
+            mass = np.einsum("p,pia,pia->a", beam.masses, beam.S, beam.S)
+            for vector, size in ((x, self.amplitude), (v, max(self.amplitude, 0.1))):
+                q = vector[columns] / np.sqrt(mass)
+                bend = max(np.linalg.norm(beam.S_r @ q), np.linalg.norm(beam.S_t @ q) / self.arm.links[i].length)
+                vector[columns] = q * (size / bend if q.size else 0.0)
+        return x, v
+
+    def torque(self) -> np.ndarray:
+        """Motor torques (n,), N m."""
+        return np.random.default_rng(self.seed + 1).uniform(-50.0, 50.0, self.model.n_joints)
+
+
+def random_link(rng: np.random.Generator) -> Link:
+    """A beam of about 1 m of metal or plastic, of any section and orientation."""
+    area, youngs_modulus = 10 ** rng.uniform(-3.5, -2.5), 10 ** rng.uniform(9.0, 11.0)
+    y, z, twist = 10 ** rng.uniform(-1.5, -0.5, 3)
+    return Link(
+        length=rng.uniform(0.5, 2.0),
+        area=area,
+        second_moment_y=y * area**2,
+        second_moment_z=z * area**2,
+        torsion_constant=twist * area**2,
+        youngs_modulus=youngs_modulus,
+        shear_modulus=youngs_modulus * rng.uniform(0.2, 0.5),
+        density=rng.uniform(1000.0, 8000.0),
+        orientation=Rotation.random(random_state=rng).as_matrix(),
+    )
+
+
+def random_joint(rng: np.random.Generator, spring: bool) -> Joint:
+    """A joint about any axis, with a spring and a damper or without."""
+    axis = Rotation.random(random_state=rng).as_matrix()[0]
+    if not spring:
+        return Joint(axis, rotor_inertia=rng.choice([0.0, rng.uniform(0.0, 2.0)]))
+    return Joint(axis, rng.uniform(0.05, 2.0), 10 ** rng.uniform(2.0, 4.0), rng.choice([0.0, rng.uniform(0.0, 20.0)]))
+
+
+def slender_link(length: float = 0.7, mass_per_length: float = 4.0, stiffness: float = 0.6) -> Link:
+    """A link that bends in its x-y plane with EI = `stiffness` and next to no rotary inertia.
+
+    Across it is 100 times stiffer in frequency, so that the modes in the plane come first.
+    """
+    area, second_moment = 1.0, 1e-8 * length**2
+    return Link(
+        length=length,
+        area=area,
+        second_moment_y=1e4 * second_moment,
+        second_moment_z=second_moment,
+        torsion_constant=1e4 * second_moment,
+        youngs_modulus=stiffness / second_moment,
+        shear_modulus=stiffness / second_moment,
+        density=mass_per_length / area,
+    )
+
+
+@st.composite
+def samples(draw, most_links=6, flexible_links=None, flexible_joints=None, reduced=None):
+    """Arms of 1 to `most_links` links; a flag that is not None holds for the whole arm and the model."""
+    n = draw(st.integers(1, most_links))
+    each = lambda flag: st.tuples(*[st.booleans() if flag is None else st.just(flag)] * n)  # noqa: E731
+    links, springs = draw(each(flexible_links)), draw(each(flexible_joints))
+    elements = draw(st.tuples(*[st.integers(1, 3)] * n))
+    modes = None
+    if draw(st.booleans()) if reduced is None else reduced:
+        modes = tuple(draw(st.integers(0, 6 * count)) for count in elements)
+    free_springs = draw(st.booleans()) if flexible_joints is None else flexible_joints
+    seed = draw(st.integers(0, 10**6))
+    rng = np.random.default_rng(seed)
+    arm = Arm(
+        [random_link(rng) for _ in range(n)],
+        [random_joint(rng, spring) for spring in springs],
+        draw(st.sampled_from([None, Payload(rng.uniform(0.1, 5.0))])),
+        draw(st.sampled_from([(0.0, 0.0, 0.0), tuple(rng.uniform(-10.0, 10.0, 3))])),
+        stiffness_proportional_damping=draw(st.sampled_from([0.0, 1e-4])),
+        modal_damping_ratio=draw(st.sampled_from([0.0, 0.02])),
+    )
+    return Sample(arm, elements, modes, links, free_springs, draw(st.sampled_from(AMPLITUDES)), seed)

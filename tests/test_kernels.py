@@ -1,0 +1,169 @@
+"""Kernels: compiled code that allocates nothing, and whose binaries on disk are those of these sources."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba.core.runtime import _nrt_python, rtsys
+
+import flexman_gym as fm
+from flexman_gym import kernels
+from flexman_gym.kernels import dynamics, inverse, layout, outputs
+
+ROOT = Path(fm.__file__).parent.parent
+SOURCES = ROOT / "flexman_gym" / "kernels"
+
+CALLEE = """from flexman_gym.kernels.linalg import kernel
+@kernel
+def constant():
+    return {value}
+"""
+CALLER = """from flexman_gym.kernels.callee import constant
+from flexman_gym.kernels.linalg import kernel
+@kernel
+def doubled():
+    return 2 * constant()
+"""
+CALL = """import sys
+from flexman_gym.kernels.caller import doubled
+print(doubled(), sum(doubled.stats.cache_hits.values()), doubled.stats.cache_path)
+"""
+REAL = """import numpy as np, flexman_gym as fm
+from flexman_gym.kernels import dynamics, steppers
+model = fm.build_model(fm.catalog.one_link())
+fm.acceleration(model, np.zeros(2 * model.n_dof), [0.0])
+fm.Simulator(model, step=0.02).step([0.0])
+for kernel in (dynamics.accelerations, steppers.run_linearly_implicit):
+    print(sum(kernel.stats.cache_hits.values()), sum(kernel.stats.cache_misses.values()))
+"""
+
+
+@pytest.fixture
+def counting():
+    """Numba's counts of allocations, on for one test."""
+    was_on = _nrt_python.memsys_stats_enabled()
+    _nrt_python.memsys_enable_stats()
+    yield
+    if not was_on:
+        _nrt_python.memsys_disable_stats()
+
+
+def allocations(call):
+    """Allocations (blocks, reference-counted objects) during a call; passing arrays in makes some of the latter."""
+    before = rtsys.get_allocation_stats()
+    call()
+    after = rtsys.get_allocation_stats()
+    return after.alloc - before.alloc, after.mi_alloc - before.mi_alloc
+
+
+def run(folder, cache, script):
+    """The words that a script prints in a process of its own that imports the package from `folder`."""
+    environment = os.environ | {"PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(cache)}
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+@pytest.mark.parametrize(("method", "step"), [("rk4", 1.0), ("ros2", 1.0), ("dop853", None)])
+def test_a_control_period_allocates_as_often_as_an_empty_one(method, step, counting):
+    """Whatever the number of steps in it: none of them allocates. What is left is made by passing the arrays in."""
+    arm = fm.catalog.planar_2r(joint_stiffness=20.0)
+    counts, evaluations = [], []
+    for scale in (1, 8, 64):
+        period = 1e-4 * scale
+        simulator = fm.Simulator(fm.build_model(arm, elements=1), method, step and 1e-4, control_period=period)
+        simulator.step([0.1, 0.1])
+        counts.append(allocations(lambda simulator=simulator: simulator.step([0.1, 0.1])))
+        evaluations.append(simulator.substeps)
+        assert simulator.status == "ok"
+    assert counts[0] == counts[1] == counts[2]
+    assert step is None or evaluations == [1, 8, 64]
+
+
+def test_a_count_of_allocations_would_see_one(counting):
+    """The measure itself, on a kernel that fills a new array."""
+    import numba
+
+    @numba.njit
+    def careless(count):
+        total = 0.0
+        for _ in range(count):
+            total += np.zeros(3)[0]
+        return total
+
+    careless(1)
+    assert allocations(lambda: careless(1000))[0] >= 1000
+
+
+@pytest.mark.parametrize("links", [1, 6])
+def test_accelerations_allocate_no_more_for_a_longer_arm(links, counting):
+    """Only the arguments are counted, as many for any arm."""
+    link, joint = fm.catalog.one_link().links[0], fm.Joint((0.0, 0.0, 1.0), 1.0, 100.0)
+    model = fm.build_model(fm.Arm([link] * links, [joint] * links))
+    x, out, torque = np.zeros(model.n_dof), np.zeros(model.n_dof), np.zeros(links)
+    work, row = layout.make_work(model.constants), np.zeros(layout.OUTPUTS)
+    for kernel, arguments in (
+        (dynamics.accelerations, (x, x, torque, out)),
+        (inverse.inertial_forces, (x, x, x, out)),
+        (outputs.observe, (x, x, row)),
+    ):
+        kernel(model.constants, work, *arguments)
+        blocks, objects = allocations(lambda k=kernel, a=arguments: k(model.constants, work, *a))
+        arrays = len(model.constants) + len(work) + len(arguments)
+        assert blocks <= arrays and objects <= arrays
+
+
+def copied(folder, value):
+    """A copy of the package in `folder` with two more kernels, of which one calls the other in another file."""
+    target = folder / "flexman_gym"
+    for source in sorted((ROOT / "flexman_gym").rglob("*.py")):
+        path = target / source.relative_to(ROOT / "flexman_gym")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(source.read_bytes())
+    (target / "kernels" / "callee.py").write_text(CALLEE.format(value=value))
+    (target / "kernels" / "caller.py").write_text(CALLER)
+    room = target / "kernels" / "__init__.py"
+    lines = room.read_text().splitlines(keepends=True)
+    first = next(i for i, line in enumerate(lines) if line.lstrip().startswith("from flexman_gym.kernels import"))
+    indent = lines[first][: -len(lines[first].lstrip())]
+    room.write_text("".join([*lines[:first], f"{indent}import flexman_gym.kernels.caller\n", *lines[first:]]))
+
+
+def test_an_edited_kernel_is_never_served_from_the_cache_of_its_callers(tmp_path):
+    """Numba alone would answer 2 for ever: it looks at the file of the caller only."""
+    package, cache = tmp_path / "package", tmp_path / "cache"
+    copied(package, 1)
+    first, hits, old_folder = run(package, cache, CALL)
+    assert (first, hits) == ("2", "0")
+    again, hits, same_folder = run(package, cache, CALL)
+    assert (again, hits, same_folder) == ("2", "1", old_folder)
+    copied(package, 500)  # not of the same size: Python's own cache looks at size and second
+    edited, hits, new_folder = run(package, cache, CALL)
+    assert (edited, hits) == ("1000", "0")
+    assert new_folder != old_folder
+    assert cache in Path(new_folder).parents and cache in Path(old_folder).parents
+
+
+def test_the_kernels_come_from_the_cache_in_another_process():
+    model = fm.build_model(fm.catalog.one_link())
+    fm.acceleration(model, np.zeros(2 * model.n_dof), [0.0])
+    fm.Simulator(model, step=0.02).step([0.0])
+    folder = Path(dynamics.accelerations.stats.cache_path)
+    cache = next(parent.parent for parent in folder.parents if parent.name == "flexman_gym")
+    assert run(ROOT, cache, REAL) == ["1", "0"] * 2
+
+
+def test_binaries_lie_in_the_folder_of_these_sources():
+    assert kernels._source_hash() in dynamics.accelerations.stats.cache_path
+    files = {path.name for path in SOURCES.glob("*.py")}
+    assert files == {f"{name}.py" for name in (*kernels.__all__, "__init__")}
+
+
+def test_other_packages_keep_their_cache_folder():
+    """`numba.config.CACHE_DIR` is as it was before the import."""
+    script = "import numba; before = numba.config.CACHE_DIR; import flexman_gym; print(before, numba.config.CACHE_DIR)"
+    before, after = run(ROOT, os.environ.get("NUMBA_CACHE_DIR", "elsewhere"), script)
+    assert before == after
