@@ -13,23 +13,24 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, EveryNTimesteps
 from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 import flexman_gym  # noqa: F401  registers the environments
 from agents.residual import Residual
 from flexman_gym.checks import flag, one_of, store, text, whole_number
 
-MODEL, STATISTICS, SETTINGS = "model.zip", "normalisation.pkl", "settings.json"
+MODEL, STATISTICS, SETTINGS, REPLAY = "model.zip", "normalisation.pkl", "settings.json", "replay.pkl"
 
 HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     # one batch a large part of the rollout: with small ones the optimiser, not the simulator, takes the time
     "ppo": {
-        "n_steps": 256,
+        "n_steps": 128,
         "batch_size": 1024,
         "n_epochs": 5,
-        "learning_rate": 5e-4,
-        "gamma": 0.99,
-        "policy_kwargs": {"net_arch": [128, 128], "log_std_init": -1.0},
+        "learning_rate": 3e-4,
+        "gamma": 0.98,
+        "policy_kwargs": {"net_arch": [128, 128], "log_std_init": -2.5},  # louder noise shakes the arm for seconds
     },
     "sac": {"batch_size": 256, "gamma": 0.99, "learning_starts": 2000, "policy_kwargs": {"net_arch": [128, 128]}},
 }
@@ -90,13 +91,14 @@ def train(settings: Settings, folder: Path, checkpoint_every: int = 0, progress:
     torch.set_num_threads(1)  # two threads on two cores are many times slower for networks of this size
     folder.mkdir(parents=True, exist_ok=True)
     versions = {name: version(name) for name in ("flexman_gym", "gymnasium", "numba", "stable-baselines3", "torch")}
-    record = asdict(settings) | {"hyperparameters": HYPERPARAMETERS[settings.algo]}
+    chosen = dict(HYPERPARAMETERS[settings.algo])
+    if settings.algo == "ppo":
+        chosen["batch_size"] = min(chosen["batch_size"], chosen["n_steps"] * settings.envs)
+    record = asdict(settings) | {"hyperparameters": chosen}
     record |= {"versions": versions | {"python": platform.python_version()}}
     (folder / SETTINGS).write_text(json.dumps(record, indent=1) + "\n")
-    env = VecNormalize(_environments(settings), gamma=HYPERPARAMETERS[settings.algo]["gamma"])
-    model = ALGORITHMS[settings.algo](
-        "MlpPolicy", env, seed=settings.seed, device="cpu", **HYPERPARAMETERS[settings.algo]
-    )
+    env = VecNormalize(_environments(settings), gamma=chosen["gamma"])
+    model = ALGORITHMS[settings.algo]("MlpPolicy", env, seed=settings.seed, device="cpu", **chosen)
     return _learn(model, settings.steps, folder, checkpoint_every, progress)
 
 
@@ -110,6 +112,8 @@ def resume(folder: Path, steps: int, checkpoint_every: int = 0, progress: bool =
     settings = replace(load_settings(folder), steps=whole_number("steps", steps, 1, 10**10))
     env = VecNormalize.load(str(existing(folder / STATISTICS)), _environments(settings))
     model = ALGORITHMS[settings.algo].load(existing(folder / MODEL), env=env, device="cpu")
+    if isinstance(model, OffPolicyAlgorithm):
+        model.load_replay_buffer(existing(folder / REPLAY))
     # the same seed would draw the episodes of the first part again
     model.set_random_seed(settings.seed + model.num_timesteps)
     return _learn(model, settings.steps, folder, checkpoint_every, progress)
@@ -148,8 +152,10 @@ class _SaveRun(BaseCallback):
 
 
 def save(model: BaseAlgorithm, folder: Path) -> bool:
-    """Writes model and normalisation statistics; returns True."""
+    """Writes model, normalisation statistics and, for SAC, the replay buffer; returns True."""
     model.save(folder / MODEL)
+    if isinstance(model, OffPolicyAlgorithm):
+        model.save_replay_buffer(folder / REPLAY)
     statistics = model.get_vec_normalize_env()
     if statistics is not None:
         statistics.save(str(folder / STATISTICS))

@@ -1,0 +1,101 @@
+"""Tasks: a step is worth the sum of bounded terms, and more when the tip is closer, calmer or moved with less effort."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flexman_gym import Slew
+
+RANGES = {"tip_error": (0.0, 0.7), "tip_vibration": (0.0, 0.2), "effort": (0.0, 0.1)}  # as the docstring of Slew says
+QUICK = settings(deadline=None, derandomize=True)
+LENGTHS = st.floats(0.0, 100.0)
+ACTIONS = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3)
+
+
+def terms(tip_error=0.0, tip_vibration=0.0, action=(0.0, 0.0, 0.0), failed=False, task=Slew()):  # noqa: B008
+    """Terms of one step."""
+    batch = task.reward_terms(
+        np.array([tip_error]), np.array([tip_vibration]), np.array([action], dtype=float), np.array([failed])
+    )
+    return {name: float(value[0]) for name, value in batch.items()}
+
+
+def worth(*arguments, **named):
+    """Reward of one step."""
+    return sum(terms(*arguments, **named).values())
+
+
+@QUICK
+@given(LENGTHS, LENGTHS, ACTIONS)
+def test_every_term_lies_in_its_range(tip_error, tip_vibration, action):
+    found = terms(tip_error, tip_vibration, action)
+    assert found.keys() == RANGES.keys() | {"failure"}
+    for name, (low, high) in RANGES.items():
+        assert low <= found[name] <= high + 1e-15
+    assert found["failure"] == 0.0
+    assert 0.0 <= sum(found.values()) <= 1.0 + 1e-15
+
+
+@QUICK
+@given(LENGTHS, LENGTHS, ACTIONS, st.floats(0.0, 1e3))
+def test_a_failure_costs_its_penalty_and_nothing_else(tip_error, tip_vibration, action, penalty):
+    task = Slew(failure_penalty=penalty)
+    good, bad = (terms(tip_error, tip_vibration, action, failed, task) for failed in (False, True))
+    assert bad == good | {"failure": -penalty}
+
+
+def test_rest_on_the_target_without_effort_is_worth_one():
+    assert worth() == pytest.approx(1.0, abs=1e-15)
+
+
+@QUICK
+@given(LENGTHS, LENGTHS, ACTIONS, st.floats(1e-3, 1.0))
+def test_closer_calmer_and_less_effort_are_worth_more(tip_error, tip_vibration, action, more):
+    here = worth(tip_error, tip_vibration, action)
+    assert worth(tip_error + more, tip_vibration, action) < here
+    assert worth(tip_error, tip_vibration + more, action) < here
+    assert worth(tip_error, tip_vibration, (1.0 - more / 2) * np.array(action)) >= here
+
+
+def test_the_last_centimetres_are_worth_the_way():
+    """The slope stays useful at each of the three scales: meters away, decimetres away, centimetres away."""
+    for far in (4.0, 0.5, 0.1):
+        assert worth(far / 2) - worth(far) > 0.1
+
+
+def test_a_batch_is_worth_what_its_rows_are():
+    rng = np.random.default_rng(0)
+    errors, vibrations, actions = rng.uniform(0, 3, 8), rng.uniform(0, 2, 8), rng.uniform(-1, 1, (8, 3))
+    failed = rng.random(8) < 0.5
+    batch = Slew().reward_terms(errors, vibrations, actions, failed)
+    for i in range(8):
+        alone = terms(errors[i], vibrations[i], actions[i], failed[i])
+        assert {name: float(value[i]) for name, value in batch.items()} == alone
+
+
+def test_start_and_posture_are_drawn_uniformly_from_what_the_task_says():
+    task, rng = Slew(start=0.5, slew=0.25), np.random.default_rng(0)
+    starts, postures = np.swapaxes([task.draw(rng, 4) for _ in range(2000)], 0, 1)
+    for drawn, width in ((starts, 0.5), (postures - starts, 0.25)):
+        assert drawn.shape == (2000, 4)
+        assert width * 0.99 < np.abs(drawn).max() <= width + 1e-15
+        # Mean and variance of a uniform distribution, each within five standard errors of 8000 numbers.
+        assert abs(drawn.mean()) < 5 * width / np.sqrt(3 * drawn.size)
+        assert abs((drawn**2).mean() - width**2 / 3) < 5 * width**2 * np.sqrt(4 / 45 / drawn.size)
+
+
+def test_a_task_may_start_from_the_same_place_every_time():
+    start, posture = Slew(start=0.0).draw(np.random.default_rng(0), 3)
+    assert (start == 0.0).all() and posture.any()
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("start", -0.1), ("start", "far"), ("slew", 0.0), ("slew", np.inf), ("failure_penalty", np.nan)],
+)
+def test_bad_input_is_refused_in_one_line(field, value):
+    with pytest.raises(ValueError) as error:
+        Slew(**{field: value})
+    message = str(error.value)
+    assert message.startswith(f"Slew.{field}: {value!r} is not allowed; give a finite number") and "\n" not in message
