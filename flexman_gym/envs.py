@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.arm import Arm
 from flexman_gym.catalog import paper_rrr
-from flexman_gym.checks import one_of, positive, refusal
+from flexman_gym.checks import one_of, positive, refusal, vector
 from flexman_gym.model import build_model
 from flexman_gym.sensors import FullState, Limits
 from flexman_gym.simulator import Simulator
@@ -56,7 +56,7 @@ class FlexManEnv(gym.Env[Observation, Observation]):
     Info
         tip_error (m), tip_vibration (m/s, speed of the tip relative to the rigid arm at the motor angles),
         elastic_energy (J), energy_residual (J, work of the motors - dissipation - change of energy since the reset,
-        which the integrator invented or lost), reward_terms, status ("ok", "diverged"), failure ("" or what happened),
+        which the integrator invented or lost), reward_terms, status (of the simulation), failure ("" or what happened),
         tip and target (m), posture (rad, the goal).
 
     Fidelity
@@ -102,7 +102,7 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         if limits is not None and not isinstance(limits, Limits):
             raise refusal("limits", limits, "Limits")
         self.torque_limit = positive("torque_limit", torque_limit, "N m")
-        self.render_mode, self.render_size = render_mode, render_size
+        self.render_mode = render_mode
         self.task = Slew() if task is None else task
         model = build_model(default_arm() if arm is None else arm, elements, modes)
         self.simulator = Simulator(model, method, step, control_period)
@@ -112,6 +112,10 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         self.action_space = spaces.Box(-1.0, 1.0, (model.n_joints,), dtype=np.float32)
         self.metadata = FlexManEnv.metadata | {"render_fps": round(1 / self.simulator.control_period)}
         self._painter: Any = None
+        if render_mode is not None:
+            from flexman_gym.draw import FramePainter  # which needs the extra [render]
+
+            self._painter = FramePainter(model, render_size)
         self._over = True
 
     def reset(
@@ -119,18 +123,22 @@ class FlexManEnv(gym.Env[Observation, Observation]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Starts an episode; options may set "start" and "posture", joint angles (n,) in rad."""
         super().reset(seed=seed)
+        self._over = True  # until the new episode has begun: a refusal below leaves none
         joints = self.simulator.model.n_joints
         start, posture = self.task.draw(self.np_random, joints)
-        chosen = options or {}
-        for name in chosen:
-            one_of("options", name, ("start", "posture"))
-        self.simulator.reset(chosen.get("posture", posture))
+        drawn = {"start": start, "posture": posture}
+        if options is not None and not isinstance(options, dict):
+            raise refusal("options", options, "a dict with start or posture")
+        for name, value in (options or {}).items():
+            one_of("options", name, drawn)
+            drawn[name] = np.array(vector(f"options[{name!r}]", value, joints, "rad"))
+        self.simulator.reset(drawn["posture"])
         self._posture = self.simulator.state[self.sensors.motor_columns][None].copy()
         self._target = self.simulator.tip[None].copy()
-        self.simulator.reset(chosen.get("start", start))
+        self.simulator.reset(drawn["start"])
         reading = self._read()
         if failure := self.sensors.broken(reading):
-            raise refusal("options", chosen, f"a start and a posture within the limits ({failure})")
+            raise refusal("options", options, f"a start and a posture within the limits ({failure})")
         self._over = False
         self._observation = reading.astype(np.float32)
         return self._observation.copy(), self._outcome(np.zeros((1, joints)), "")[1]
@@ -163,13 +171,9 @@ class FlexManEnv(gym.Env[Observation, Observation]):
 
     def render(self) -> NDArray[np.uint8] | None:
         """A frame (height, width, 3) uint8 of the deformed arm and the target."""
-        if self.render_mode is None:
+        if self._painter is None:
             gym.logger.warn('render() needs render_mode="rgb_array" in gym.make')
             return None
-        if self._painter is None:
-            from flexman_gym.draw import FramePainter
-
-            self._painter = FramePainter(self.simulator.model, self.render_size)
         return self._painter.paint(self.simulator.state, self._target[0])
 
     def _read(self) -> NDArray[np.float64]:

@@ -91,7 +91,7 @@ def main() -> None:
         ratio = float(np.median(found / times[ABA])) if ABA in times else None
         row = {"microseconds": float(np.median(found)), "times_aba": ratio, "at_most": TARGETS.get(name)}
         print(f"{name:<40}" + "".join(f"{'' if x is None else f'{x:.2f}':>12}" for x in row.values()))
-        rows.append(dict[str, object](row, name=name))
+        rows.append(dict[str, object](name=name, **row))
     if file:
         file.write_text(json.dumps({"machine": machine, "note": NOTE, "rows": rows}, indent=1) + "\n")
 

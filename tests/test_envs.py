@@ -322,12 +322,25 @@ def test_a_bad_action_is_refused_in_one_line_and_changes_nothing(action):
     [
         ({"speed": 1.0}, "one of start, posture"),
         ({"start": [5.0, 0.0, 0.0]}, "a start and a posture within the limits"),
+        (3, "a dict with start or posture"),
     ],
 )
-def test_bad_options_are_refused_in_one_line(options, allowed):
+def test_bad_options_are_refused_in_one_line_and_end_the_episode(options, allowed):
+    env = FlexManEnv()
+    env.reset(seed=0)
     with pytest.raises(ValueError) as error:
-        FlexManEnv().reset(options=options)
-    refused(error, "options", "speed" if "speed" in options else options, allowed)
+        env.reset(options=options)
+    refused(error, "options", "speed" if "speed" in str(options) else options, allowed)
+    with pytest.raises(RuntimeError, match="reset the environment first"):
+        env.step(np.zeros(3))
+
+
+@pytest.mark.parametrize("name", ["start", "posture"])
+@pytest.mark.parametrize("value", [None, [0.0, 0.0], "up"])
+def test_a_bad_start_or_posture_is_named(name, value):
+    with pytest.raises(ValueError) as error:
+        FlexManEnv().reset(options={name: value})
+    refused(error, f"options[{name!r}]", value, "numbers")
 
 
 def refused(error, field, value, allowed):
