@@ -31,7 +31,7 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         An action outside the box is refused.
 
     Observations
-        Box (33,) float32; `env.unwrapped.sensors` has the same as `slices`, `units` and `bound`:
+        Box (36,) float32; `env.unwrapped.sensors` has the same as `slices`, `units` and `bound`:
 
         slice                  entries  unit   bound
         motor_angles           0-2      rad    4
@@ -42,7 +42,8 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         link_deflection_rates  18-23    m/s    15
         posture_errors         24-26    rad    8         goal posture - motor angles
         target_error           27-29    m      17        target - tip, base frame
-        tip_velocity           30-32    m/s    40        base frame
+        target_nearness        30-32    1      1         target_error / (0.1 m + its length)
+        tip_velocity           33-35    m/s    40        base frame
 
     Reward
         In [0, 1] a step, less a penalty for a failure: `tasks.Slew` has the terms, `info["reward_terms"]` their values.

@@ -9,6 +9,8 @@ from flexman_gym.checks import positive, store
 from flexman_gym.kernels import layout
 from flexman_gym.model import Model
 
+NEAR = 0.1  # m of tip error that is half of the way to the largest nearness
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -69,6 +71,7 @@ class FullState:
         goal = {
             "posture_errors": (n, "rad", 2 * limits.angle),
             "target_error": (3, "m", 2 * reach),
+            "target_nearness": (3, "1", 1.0),
             "tip_velocity": (3, "m/s", limits.tip_speed),
         }
         sizes = {name: part[0].shape[1] for name, part in linear.items()} | {
@@ -85,10 +88,14 @@ class FullState:
 
     def read(self, states: Array, outputs: Array, postures: Array, targets: Array) -> Array:
         """Observations (b, size) of states (b, 2 d) with outputs (b, OUTPUTS) for goals (b, n) rad and (b, 3) m."""
+        error = targets - outputs[:, layout.TIP]
+        # the error again on a scale that still tells millimetres when normalised by the metres of a slew
+        nearness = error / (NEAR + np.sqrt((error * error).sum(axis=1, keepdims=True)))
         parts = (
             states @ self._from_state,
             postures - states[:, self.motor_columns],
-            targets - outputs[:, layout.TIP],
+            error,
+            nearness,
             outputs[:, layout.TIP_VELOCITY],
         )
         return np.concatenate(parts, axis=1)

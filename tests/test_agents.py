@@ -35,7 +35,7 @@ def test_a_run_keeps_model_statistics_seed_settings_and_versions(run):
 
 def test_the_same_seed_trains_the_same_policy(run, tmp_path):
     train(load_settings(run), tmp_path / "again", progress=False)
-    observation = np.linspace(-0.5, 0.5, 33).astype(np.float32)
+    observation = np.linspace(-0.5, 0.5, 36).astype(np.float32)
     first, second = (load_policy(str(folder))[1](observation) for folder in (run, tmp_path / "again"))
     np.testing.assert_array_equal(first, second)
 
@@ -43,7 +43,7 @@ def test_the_same_seed_trains_the_same_policy(run, tmp_path):
 def test_a_resumed_run_counts_on_and_changes_the_policy(tmp_path):
     folder = tmp_path / "run"
     train(Settings(steps=256, envs=2), folder, progress=False)
-    observation = np.linspace(-0.5, 0.5, 33).astype(np.float32)
+    observation = np.linspace(-0.5, 0.5, 36).astype(np.float32)
     before = load_policy(str(folder))[1](observation)
     model = resume(folder, 256, progress=False)
     assert model.num_timesteps == 512
@@ -61,7 +61,7 @@ def test_sac_trains_and_goes_on_with_its_memory(tmp_path):
     train(Settings(algo="sac", steps=64, envs=2), tmp_path / "sac", progress=False)
     model = resume(tmp_path / "sac", 64, progress=False)
     assert model.replay_buffer.pos == 64  # of two environments each
-    assert np.abs(load_policy(str(tmp_path / "sac"))[1](np.zeros(33, dtype=np.float32))).max() <= 1.0
+    assert np.abs(load_policy(str(tmp_path / "sac"))[1](np.zeros(36, dtype=np.float32))).max() <= 1.0
 
 
 def test_a_folder_is_not_trained_over(run):
