@@ -25,12 +25,12 @@ MODEL, STATISTICS, SETTINGS, REPLAY = "model.zip", "normalisation.pkl", "setting
 HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     # one batch a large part of the rollout: with small ones the optimiser, not the simulator, takes the time
     "ppo": {
-        "n_steps": 128,
+        "n_steps": 256,
         "batch_size": 1024,
-        "n_epochs": 5,
+        "n_epochs": 10,
         "learning_rate": 3e-4,
-        "gamma": 0.98,
-        "policy_kwargs": {"net_arch": [128, 128], "log_std_init": -2.5},  # louder noise shakes the arm for seconds
+        "gamma": 0.99,
+        "policy_kwargs": {"net_arch": [128, 128], "log_std_init": -2.0},  # louder noise shakes the arm for seconds
     },
     "sac": {"batch_size": 256, "gamma": 0.99, "learning_starts": 2000, "policy_kwargs": {"net_arch": [128, 128]}},
 }
@@ -57,7 +57,7 @@ class Settings:
     env: str = "FlexRRR-v0"
     steps: int = 1_000_000
     seed: int = 0
-    envs: int = 16
+    envs: int = 32
     residual: bool = False
 
     def __post_init__(self) -> None:

@@ -15,6 +15,7 @@ from flexman_gym.arm import Link
 Array = NDArray[np.float64]
 
 GAUSS_POINTS = 4  # exact to degree 7; the mass of cubic Hermite shapes has degree 6
+STATION_POINTS = 3  # of an element, for foreshortening
 NODE_COORDINATES = 6  # u, v, w, phi_x, theta_y = -w', theta_z = v'
 
 
@@ -28,6 +29,10 @@ class Beam:
         shapes: (p, 3, k), displacement of each mass point per unit coordinate (S of Eq. 3).
         stiffness: (k, k), elastic stiffness (K of Eq. 18).
         tip_translation, tip_rotation: (3, k), displacement and rotation vector of the tip section (S^jt, S^jr).
+        shortening: (s, k, k), G at each station: the foreshortening of the centreline from 0 to there is 1/2 q^T G q.
+        tip_shortening: (k, k), the same at the tip.
+        stations: (s, 2) kg and m, mass and place of the stations on the centreline, two a Gauss-Legendre element.
+        station_shapes: (s, 3, k) displacement of the centreline at the stations.
     """
 
     masses: Array
@@ -36,6 +41,10 @@ class Beam:
     stiffness: Array
     tip_translation: Array
     tip_rotation: Array
+    shortening: Array
+    tip_shortening: Array
+    stations: Array
+    station_shapes: Array
 
     @property
     def mass_matrix(self) -> Array:
@@ -51,6 +60,10 @@ class Beam:
             basis.T @ self.stiffness @ basis,
             self.tip_translation @ basis,
             self.tip_rotation @ basis,
+            basis.T @ self.shortening @ basis,
+            basis.T @ self.tip_shortening @ basis,
+            self.stations,
+            self.station_shapes @ basis,
         )
 
 
@@ -133,6 +146,7 @@ def build_beam(link: Link, elements: int, flexible: bool = True) -> Beam:
                 shape = np.zeros((3, size))
                 shape[:, nodes] = beam_shapes(xi, length, y, z)
                 shapes.append(shape)
+    shortening, stations, station_shapes = _stations(link, elements)
     kept = slice(NODE_COORDINATES, size if flexible else NODE_COORDINATES)
     identity = np.eye(size)
     return Beam(
@@ -142,7 +156,46 @@ def build_beam(link: Link, elements: int, flexible: bool = True) -> Beam:
         stiffness[kept, kept],
         identity[-6:-3, kept],
         identity[-3:, kept],
+        shortening[:-1, kept, kept],
+        shortening[-1, kept, kept],
+        stations,
+        station_shapes[:, :, kept],
     )
+
+
+def beam_slopes(xi: float, length: float) -> Array:
+    """(2, 12) slopes v' and w' of the centreline of one element per unit of its twelve node coordinates."""
+    slope = np.array(_hermite_derivative(xi, length))
+    slopes = np.zeros((2, 2 * NODE_COORDINATES))
+    slopes[0, [1, 5, 7, 11]] = slope
+    slopes[1, [2, 4, 8, 10]] = slope * [1.0, -1.0, 1.0, -1.0]  # theta_y = -w'
+    return slopes
+
+
+def _stations(link: Link, elements: int) -> tuple[Array, Array, Array]:
+    """G at each station and at the tip (s + 1, size, size), stations (s, 2) and their shapes (s, 3, size).
+
+    G is the integral of v'^T v' + w'^T w' from the base to there, by Gauss points that make it exact.
+    """
+    length, size = link.length / elements, NODE_COORDINATES * (elements + 1)
+    abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
+    places, shares = np.polynomial.legendre.leggauss(STATION_POINTS)
+    integrals, stations, shapes, before = [], [], [], np.zeros((size, size))
+    for element in range(elements):
+        nodes = slice(NODE_COORDINATES * element, NODE_COORDINATES * (element + 2))
+        for end in [*(1 + places) / 2, 1.0]:
+            integral = before.copy()
+            for xi, weight in zip(end * (1 + abscissae) / 2, end * weights / 2, strict=True):
+                slopes = beam_slopes(xi, length)
+                integral[nodes, nodes] += weight * length * slopes.T @ slopes
+            integrals.append(integral)
+        before = integrals.pop()
+        for xi, share in zip((1 + places) / 2, shares / 2, strict=True):
+            stations.append([share * length * link.density * link.area, (element + xi) * length])
+            shape = np.zeros((3, size))
+            shape[:, nodes] = beam_shapes(xi, length, 0.0, 0.0)
+            shapes.append(shape)
+    return np.array([*integrals, before]), np.array(stations), np.array(shapes)
 
 
 def section_points(link: Link) -> Array:

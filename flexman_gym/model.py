@@ -95,14 +95,13 @@ def build_model(
         modes: loaded component modes kept of a flexible link, at most 6 per element; None keeps every coordinate.
         flexible_links: False makes a link rigid.
         flexible_joints: False locks the springs of all joints; their rotor inertia stays.
-        stiffening: foreshortening; not available yet.
+        stiffening: foreshortening of bent links (geometric stiffening), needed where links spin about as fast as they
+            bend, or bend far.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
     """
     choice = ModelChoice(flexible_links, elements, modes, flexible_joints, stiffening)
-    if choice.stiffening:
-        raise refusal("stiffening", True, "False: foreshortening is not modelled yet")
     n = arm.n_joints
     flexible = _each("flexible_links", choice.flexible_links, n)
     counts = _each("elements", choice.elements, n)
@@ -117,7 +116,7 @@ def build_model(
         bases.append(basis)
         dampings.append(basis.T @ damping @ basis)
         reduced.append(beam.reduced(basis))
-    return Model(arm, choice, _constants(arm, tuple(reduced), dampings, choice.flexible_joints), tuple(bases))
+    return Model(arm, choice, _constants(arm, tuple(reduced), dampings, choice), tuple(bases))
 
 
 def scene_model(scene: Scene) -> Model:
@@ -146,9 +145,9 @@ def _basis(beam: Beam, outboard: Array, modes: int | None, field: str) -> Array:
     return loaded_modes(beam, outboard)[1][:, :modes]
 
 
-def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], flexible_joints: bool) -> layout.Constants:
+def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], choice: ModelChoice) -> layout.Constants:
     n = len(beams)
-    springs = [joint.stiffness is not None and flexible_joints for joint in arm.joints]
+    springs = [joint.stiffness is not None and choice.flexible_joints for joint in arm.joints]
     motors = n + np.cumsum(springs) - 1
     sizes = np.array([len(beam.stiffness) for beam in beams], dtype=np.int64)
     widths = LANES * ((sizes + 6 + LANES - 1) // LANES)
@@ -156,6 +155,8 @@ def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], flexibl
 
     shape = _sparse([part.shape_shape for part in parts], 9, parts)
     cross = _sparse([_axial(part.shape_shape) for part in parts], 3, parts)
+
+    both = list(zip(parts, beams, strict=True))
 
     def packed(blocks: list[Array], width: int) -> Array:
         rows = np.concatenate([np.asarray(block, dtype=float).reshape(-1, width) for block in blocks])
@@ -187,10 +188,12 @@ def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], flexibl
         cross_value=cross.value,
         factor_start=np.concatenate([[0], np.cumsum(sizes * widths)])[:-1].astype(np.int64),
         factor_width=widths,
-        carrying=_carrying(beams),
-        elastic_mass=packed([part.elastic for part in parts], 1),
+        carrying=_carrying(beams, choice.stiffening),
+        elastic_mass=packed([part.elastic - _axial_mass(beam, choice.stiffening) for part, beam in both], 1),
         stiffness=packed([beam.stiffness for beam in beams], 1),
         damping=packed(dampings, 1),
+        **_stations(beams, choice.stiffening),
+        tip_shortening=packed([beam.tip_shortening for beam in beams], 1),
         tip_translation=packed([beam.tip_translation.T for beam in beams], 3),
         tip_rotation=packed([beam.tip_rotation.T for beam in beams], 3),
         payload_mass=np.array([arm.payload.mass if arm.payload else 0.0]),
@@ -227,11 +230,50 @@ def _sparse(blocks: list[Array], width: int, parts: list[ShapeIntegrals]) -> _Sp
     )
 
 
-def _carrying(beams: tuple[Beam, ...]) -> np.ndarray:
+def _stations(beams: tuple[Beam, ...], stiffening: bool) -> dict[str, np.ndarray]:
+    """The fields of `layout.Constants` for foreshortening."""
+    stations, rows, entries, offset = [0], [0], [0], 0
+    masses, positions, shapes = [np.zeros(0)], [np.zeros(0)], [np.zeros((0, 3))]
+    sources, targets, values = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
+    for beam in beams:
+        k = len(beam.stiffness)
+        count = len(beam.stations) if stiffening else 0
+        station, target, source = np.nonzero(np.abs(beam.shortening[:count]) > 0.0)
+        masses.append(beam.stations[:count, 0])
+        positions.append(beam.stations[:count, 1])
+        shapes.append(np.swapaxes(beam.station_shapes[:count], 1, 2).reshape(count * k, 3))
+        sources.append(offset + source)
+        targets.append(rows[-1] + station * k + target)
+        values.append(beam.shortening[station, target, source])
+        stations.append(stations[-1] + count)
+        rows.append(rows[-1] + count * k)
+        entries.append(entries[-1] + len(source))
+        offset += k
+    return {
+        "station_start": np.array(stations, dtype=np.int64),
+        "station_row": np.array(rows[:-1], dtype=np.int64),
+        "station_mass": np.concatenate(masses),
+        "station_position": np.concatenate(positions),
+        "station_shape": np.concatenate(shapes),
+        "bend_start": np.array(entries, dtype=np.int64),
+        "bend_source": np.concatenate(sources).astype(np.int64),
+        "bend_target": np.concatenate(targets).astype(np.int64),
+        "bend_value": np.concatenate(values),
+    }
+
+
+def _axial_mass(beam: Beam, stiffening: bool) -> Array:
+    """Part of the elastic mass matrix (k, k) that the kernels add themselves, as it changes with foreshortening."""
+    axial = beam.station_shapes[:, 0]
+    return np.einsum("s,sa,sb->ab", beam.stations[:, 0], axial, axial) * stiffening
+
+
+def _carrying(beams: tuple[Beam, ...], stiffening: bool) -> np.ndarray:
     """(n,) index of the first elastic coordinate of each link that moves its tip, counted over all links."""
     offset, first = 0, []
     for beam in beams:
         moves = np.abs(np.vstack([beam.tip_translation, beam.tip_rotation])).max(axis=0, initial=0.0) > 0.0
+        moves |= stiffening  # by foreshortening every bending moves the tip
         first.append(offset + (int(np.argmax(moves)) if moves.any() else len(moves)))
         offset += len(moves)
     return np.array(first, dtype=np.int64)

@@ -20,7 +20,7 @@ CASES = {
     "fr": "flexible links, rigid joints",
     "ff": "flexible links, flexible joints",
 }
-TRAINING = Settings(algo="ppo", steps=160_000, envs=16, residual=True)
+TRAINING = Settings(algo="ppo", steps=160_000, residual=True)
 EPISODES, FIRST_SEED = 20, 1000
 
 

@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[1]
 def run(tmp_path_factory):
     """Folder of a PPO run of one rollout."""
     folder = tmp_path_factory.mktemp("runs") / "ppo"
-    train(Settings(algo="ppo", steps=256, envs=2, seed=3, residual=True), folder, progress=False)
+    train(Settings(algo="ppo", steps=512, envs=2, seed=3, residual=True), folder, progress=False)
     return folder
 
 
@@ -28,9 +28,9 @@ def test_a_run_keeps_model_statistics_seed_settings_and_versions(run):
     assert {path.name for path in run.iterdir()} == {MODEL, STATISTICS, SETTINGS}
     record = json.loads((run / SETTINGS).read_text())
     assert record["seed"] == 3
-    assert record["hyperparameters"]["batch_size"] == 256
+    assert record["hyperparameters"]["batch_size"] == 512
     assert "numba" in record["versions"]
-    assert load_settings(run) == Settings(algo="ppo", steps=256, envs=2, seed=3, residual=True)
+    assert load_settings(run) == Settings(algo="ppo", steps=512, envs=2, seed=3, residual=True)
 
 
 def test_the_same_seed_trains_the_same_policy(run, tmp_path):
@@ -42,19 +42,19 @@ def test_the_same_seed_trains_the_same_policy(run, tmp_path):
 
 def test_a_resumed_run_counts_on_and_changes_the_policy(tmp_path):
     folder = tmp_path / "run"
-    train(Settings(steps=256, envs=2), folder, progress=False)
+    train(Settings(steps=512, envs=2), folder, progress=False)
     observation = np.linspace(-0.5, 0.5, 36).astype(np.float32)
     before = load_policy(str(folder))[1](observation)
-    model = resume(folder, 256, progress=False)
-    assert model.num_timesteps == 512
+    model = resume(folder, 512, progress=False)
+    assert model.num_timesteps == 1024
     assert np.abs(load_policy(str(folder))[1](observation) - before).max() > 0
 
 
 def test_checkpoints_are_written_on_the_way(tmp_path, monkeypatch):
     saved = []
     monkeypatch.setattr("agents.training.save", lambda model, folder: saved.append(model.num_timesteps) or True)
-    train(Settings(steps=512, envs=2), tmp_path / "run", checkpoint_every=256, progress=False)
-    assert saved[:-1] == [256, 512]
+    train(Settings(steps=1024, envs=2), tmp_path / "run", checkpoint_every=512, progress=False)
+    assert saved[:-1] == [512, 1024]
 
 
 def test_sac_trains_and_goes_on_with_its_memory(tmp_path):

@@ -127,11 +127,11 @@ def elastic_block(constants, work, i, g, tip):
     for a in range(k):
         for b in range(a - a % LANES, k):
             j = square + a * k + b
-            factor[first + a * width + b] = constants.elastic_mass[j] + g * (
+            factor[first + a * width + b] = work.elastic_mass[j] + g * (
                 constants.damping[j] + g * constants.stiffness[j]
             )
         for j in range(3):
-            factor[first + a * width + k + j] = constants.first_moment_shape[start + a, j]
+            factor[first + a * width + k + j] = work.moment_shape[start + a, j]
             factor[first + a * width + k + 3 + j] = work.coupling[start + a, j]
     d = load(work.tip, i)
     for a in range(constants.carrying[i], stop):

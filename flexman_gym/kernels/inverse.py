@@ -61,7 +61,7 @@ def link_force(constants, work, i, frame, tip, acceleration):
     moment = add(moment, add(tip[1], cross(load(work.tip, i), tip[0])))
     for a in range(constants.elastic_start[i], constants.elastic_start[i + 1]):
         rate = acceleration[elastic + a]
-        force = add_scaled(force, rate, load(constants.first_moment_shape, a))
+        force = add_scaled(force, rate, load(work.moment_shape, a))
         moment = add_scaled(moment, rate, load(work.coupling, a))
     return force, moment
 
@@ -76,8 +76,8 @@ def elastic_forces(constants, work, i, frame, tip, acceleration, out):
         row = constants.square_start[i] + a * k
         translation, rotation = load_pair(work.tip_shape, start + a)
         value = work.elastic_bias[start + a] + dot(translation, tip[0]) + dot(rotation, tip[1])
-        value += dot(frame[0], load(constants.first_moment_shape, start + a))
+        value += dot(frame[0], load(work.moment_shape, start + a))
         value += dot(frame[1], load(work.coupling, start + a))
         for b in range(k):
-            value += constants.elastic_mass[row + b] * acceleration[first + b]
+            value += work.elastic_mass[row + b] * acceleration[first + b]
         out[first + a] = value

@@ -21,6 +21,7 @@ from flexman_gym.kernels.linalg import (
     store_pair,
     tangent_coefficients,
 )
+from flexman_gym.kernels.stiffening import shorten_forces, shorten_mass, shorten_tip, shorten_tip_bias
 
 
 @inner
@@ -66,6 +67,8 @@ def tip_position(constants, work, i, x, elastic):
     for a in range(constants.carrying[i], constants.elastic_start[i + 1]):
         turned = apply(tangent, load(constants.tip_rotation, a))
         store_pair(work.tip_shape, a, load(constants.tip_translation, a), turned)
+    if len(constants.station_mass) > 0:
+        shorten_tip(constants, work, i, x, elastic)
 
 
 @inner
@@ -81,6 +84,7 @@ def mass_integrals(constants, work, i, x, elastic):
     xx, xy, xz, _, yy, yz, _, _, zz = load_matrix(constants.second_moment, i)
     for a in range(start, stop):
         q = x[elastic + a]
+        store(work.moment_shape, a, load(constants.first_moment_shape, a))
         moment = add_scaled(moment, q, load(constants.first_moment_shape, a))
         # P = integral of r r^T, with r = r0 + S q; U holds r S^T, position_shape r0 S^T
         u, u0 = load_matrix(shape, a), load_matrix(constants.position_shape, a)
@@ -90,6 +94,14 @@ def mass_integrals(constants, work, i, x, elastic):
         xy += q * (u[1] + u0[3])
         xz += q * (u[2] + u0[6])
         yz += q * (u[5] + u0[7])
+    for j in range(constants.square_start[i], constants.square_start[i + 1]):
+        work.elastic_mass[j] = constants.elastic_mass[j]
+    if len(constants.station_mass) > 0:
+        change = shorten_mass(constants, work, i, x, elastic)
+        moment = (moment[0] + change[0], moment[1], moment[2])
+        xx, xy, xz = xx + change[1], xy + change[2], xz + change[3]
+    for a in range(start, stop):
+        u = load_matrix(shape, a)
         store(work.coupling, a, (u[5] - u[7], u[6] - u[2], u[1] - u[3]))
     store(work.moment, i, moment)
     store_matrix(work.inertia, i, (yy + zz, -xy, -xz, -xy, xx + zz, -yz, -xz, -yz, xx + yy))
@@ -136,6 +148,8 @@ def tip_motion(constants, work, i, v, elastic):
     turned = add_scaled(cross(spin, angular), change * work.tangent[i, 2], once)
     turned = add_scaled(turned, change * work.tangent[i, 3], cross(deflected, once))
     turned = add_scaled(turned, work.tangent[i, 1], cross(turning, once))
+    if len(constants.station_mass) > 0:
+        bias = (bias[0] + shorten_tip_bias(constants, work, i, v, elastic), bias[1], bias[2])
     store_pair(work.tip_bias, i, bias, turned)
     return linear, angular
 
@@ -148,7 +162,7 @@ def quadratic_forces(constants, work, i, v, elastic):
     linear = relative = ZERO  # sum of q' S dm, and (tr(N) I - N^T) w with N = sum of q'_a U_a
     for a in range(constants.elastic_start[i], constants.elastic_start[i + 1]):
         rate = v[elastic + a]
-        linear = add_scaled(linear, rate, load(constants.first_moment_shape, a))
+        linear = add_scaled(linear, rate, load(work.moment_shape, a))
         u = load_matrix(work.shape, a)
         trace = u[0] + u[4] + u[8]
         turned = apply_back(u, spin)
@@ -161,3 +175,5 @@ def quadratic_forces(constants, work, i, v, elastic):
     force = add_scaled(cross(spin, cross(spin, load(work.moment, i))), 2.0, cross(spin, linear))
     moment = add_scaled(cross(spin, apply(load_matrix(work.inertia, i), spin)), 2.0, relative)
     store_pair(work.bias, i, force, moment)
+    if len(constants.station_mass) > 0:
+        shorten_forces(constants, work, i, v, elastic)

@@ -80,6 +80,17 @@ class Constants(NamedTuple):
     elastic_mass: Array  # (q,)
     stiffness: Array  # (q,)
     damping: Array  # (q,)
+    # foreshortening of the centreline, u_x -= 1/2 q^T G q at s stations of every link; empty arrays without it
+    station_start: IntArray  # (n + 1,)
+    station_row: IntArray  # (n,) where the rows of k_i numbers, one a station, of each link start
+    station_mass: Array  # (s,)
+    station_position: Array  # (s,) along the link
+    station_shape: Array  # (rows, 3) displacement of the centreline per unit coordinate
+    bend_start: IntArray  # (n + 1,) of the entries of G: entry e adds value q_source to number target of G q
+    bend_source: IntArray
+    bend_target: IntArray
+    bend_value: Array
+    tip_shortening: Array  # (q,) G at the tip
     tip_translation: Array  # (k, 3)
     tip_rotation: Array  # (k, 3)
     payload_mass: Array  # (1,)
@@ -98,6 +109,12 @@ class Work(NamedTuple):
     inertia: Array  # (9 n,) J, by rows
     shape: Array  # (9 k,) U, by rows
     coupling: Array  # (k, 3) integral of r x S_a dm
+    moment_shape: Array  # (k, 3) integral of S_a dm
+    elastic_mass: Array  # (q,) integral of S_a . S_b dm
+    station: Array  # (s, 3) position of the centreline
+    stretch: Array  # (rows,) axial displacement per unit coordinate
+    bend: Array  # (rows,) G q, then G q'
+    weight: Array  # (s, 6) what a station adds to U and to the moment shape
     # velocities
     spin: Array  # (n, 3) angular velocity
     velocity: Array  # (n, 3) velocity of the origin
@@ -131,9 +148,12 @@ def make_work(constants: Constants) -> Work:
     n, k = len(constants.mass), len(constants.first_moment_shape)
     size = 2 * (n + int((constants.motor >= 0).sum()) + k) + 2
     rows = int((np.diff(constants.elastic_start) * constants.factor_width).sum())
+    stations, stretches = len(constants.station_mass), len(constants.station_shape)
     shapes: dict[str, tuple[int, ...]] = {
         "rotation": (9 * n,), "tip": (n, 3), "deflected": (n, 3), "tangent": (n, 4), "tip_shape": (k, 6),
         "moment": (n, 3), "inertia": (9 * n,), "shape": (9 * k,), "coupling": (k, 3), "spin": (n, 3),
+        "moment_shape": (k, 3), "elastic_mass": constants.elastic_mass.shape, "station": (stations, 3),
+        "stretch": (stretches,), "bend": (stretches,), "weight": (stations, 6),
         "velocity": (n, 3), "joint_bias": (n, 3),
         "tip_bias": (n, 6), "bias": (n, 6), "elastic_bias": (k,), "articulated": (27 * n,), "carried": (k, 6),
         "factor": (rows,), "joint_column": (n, 6), "joint_pivot": (n,), "spring": (n,),

@@ -98,11 +98,11 @@ def tip_velocity(constants, work, i, v, elastic):
 def link_energy(constants, work, i, v, elastic):
     """Kinetic energy of link i, 1/2 v^T M v with the blocks of Eq. 13."""
     velocity, spin = load(work.velocity, i), load(work.spin, i)
-    value = 0.5 * square_form(constants.elastic_mass, constants, i, v, elastic)
+    value = 0.5 * square_form(work.elastic_mass, constants, i, v, elastic)
     value += dot(velocity, cross(spin, load(work.moment, i))) + 0.5 * constants.mass[i] * dot(velocity, velocity)
     value += 0.5 * dot(spin, apply(load_matrix(work.inertia, i), spin))
     for a in range(constants.elastic_start[i], constants.elastic_start[i + 1]):
-        momentum = dot(velocity, load(constants.first_moment_shape, a)) + dot(spin, load(work.coupling, a))
+        momentum = dot(velocity, load(work.moment_shape, a)) + dot(spin, load(work.coupling, a))
         value += v[elastic + a] * momentum
     return value
 
