@@ -30,7 +30,8 @@ LARGEST_PICTURE = 10_000  # pixels a side
 def arm_lines(model: Model, state: Sequence[float] | Array, points: int = POINTS) -> Array:
     """Deformed centreline of every link at a state (2 d,), from joint to tip: (n, points, 3) m in the base frame.
 
-    Between the nodes of an element the line has the shapes of the element, cubic for bending.
+    Between the nodes of an element the line has the shapes of the element, cubic for bending; with foreshortening its
+    ends are exact.
     Raises ValueError for a wrong shape, values that are not finite or fewer than 2 points.
     """
     x = np.array(vector("state", state, 2 * model.n_dof))
@@ -43,10 +44,20 @@ def arm_lines(model: Model, state: Sequence[float] | Array, points: int = POINTS
         frame = frame @ _turn(bend) @ mounts[i] @ _turn(x[i] * constants.axis[i])
         local = shapes @ elastic
         local[:, 0] += np.linspace(0.0, constants.length[i], points)
+        if model.choice.stiffening:
+            local[:, 0] -= _shortened(model, i, elastic, local)
         lines[i] = origin + local @ frame.T
         origin = lines[i, -1]
         bend = elastic @ constants.tip_rotation[constants.elastic_start[i] : constants.elastic_start[i + 1]]
     return lines
+
+
+def _shortened(model: Model, link: int, elastic: Array, line: Array) -> Array:
+    """(points,) foreshortening along a line (points, 3): exact at the tip, between by the slopes of the polyline."""
+    first, last = model.constants.square_start[link : link + 2]
+    tip = 0.5 * elastic @ model.constants.tip_shortening[first:last].reshape(len(elastic), len(elastic)) @ elastic
+    drawn = np.cumsum(np.concatenate([[0.0], (np.diff(line[:, 1:], axis=0) ** 2).sum(axis=1)]))
+    return tip * drawn / drawn[-1] if drawn[-1] > 0.0 else np.zeros(len(line))
 
 
 @lru_cache(maxsize=16)

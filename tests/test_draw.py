@@ -30,8 +30,9 @@ def cases():
 
 @pytest.mark.parametrize("modes", [None, 4, 0])
 @pytest.mark.parametrize("elements", [1, 3])
-def test_the_lines_of_a_deformed_arm_end_at_its_tip(elements, modes):
-    model = build_model(ARM, elements=elements, modes=modes)
+@pytest.mark.parametrize("stiffening", [False, True])
+def test_the_lines_of_a_deformed_arm_end_at_its_tip(stiffening, elements, modes):
+    model = build_model(ARM, elements=elements, modes=modes, stiffening=stiffening)
     simulator = Simulator(model)
     state = simulator.state.copy()
     state[: model.n_dof] = np.random.default_rng(1).normal(0.0, 0.1, model.n_dof)

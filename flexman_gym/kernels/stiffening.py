@@ -2,7 +2,7 @@
 
 A beam that bends keeps the length of its centreline, so a point at x moves back by 1/2 q^T G(x) q (the integral of half
 the squared slopes). Every term here is an exact derivative of the positions of mass points, the stations, on that
-centreline: an expansion to second order loses the positive mass matrix at deflections of a tenth of the length.
+centreline: an expansion to second order loses the positive mass matrix at deflections of a few percent of the length.
 """
 
 from flexman_gym.kernels.linalg import add_scaled, inner, load, load_pair, store, store_pair
