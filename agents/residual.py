@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from flexman_gym.control import PD
 
-# Best of 260 gains drawn at random, by the mean return of 8 episodes of FlexRRR-v0 (limit of the sampled motor: 1000).
-GAINS: dict[str, Any] = {"stiffness": (811.0, 369.0, 2972.0), "damping": (854.0, 384.0, 349.0)}
+# The best by mean reward of 8 episodes of FlexRRR-v0 among 200 gains drawn at random and 60 around the best of those,
+# damping held below 950 N m s/rad: the sampled motor is unstable from 2 rotor inertia / period = 1000 on.
+GAINS: dict[str, Any] = {"stiffness": (497.0, 325.0, 328.0), "damping": (950.0, 950.0, 103.0)}
 
 
 def default_pd(env: gym.Env[Any, Any]) -> PD:

@@ -4,7 +4,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from flexman_gym.checks import non_negative, positive, refusal, rotation, sequence, store, unit_vector, vector
+from flexman_gym.checks import (
+    inertia_matrix,
+    non_negative,
+    positive,
+    refusal,
+    rotation,
+    sequence,
+    store,
+    unit_vector,
+    vector,
+)
 
 _LINK_UNITS = {
     "length": "m",
@@ -94,10 +104,13 @@ class Payload:
     """A point mass at the tip of the last link.
 
     mass     kg
-    inertia  (3, 3) kg m^2 about the centre of mass; not modelled, so None only
-    offset   (3,) m from the tip to the centre of mass; not modelled, so None only
+    inertia  (3, 3) kg m^2 about the centre of mass; None for a point
+    offset   (3,) m from the tip to the centre of mass; None for the tip itself
 
-    Raises ValueError when the mass is negative or not finite, and when inertia or offset is given.
+    Both are in the frame that a next joint would have: parallel to the base frame at zero angles.
+
+    Raises ValueError when the mass is negative or not finite, when a payload without mass has inertia or offset, and
+    when no rigid body has the inertia.
     """
 
     mass: float
@@ -106,10 +119,12 @@ class Payload:
 
     def __post_init__(self) -> None:
         store(self, mass=non_negative("Payload.mass", self.mass, "kg"))
-        for name in ("inertia", "offset"):
-            value = getattr(self, name)
-            if value is not None:
-                raise refusal(f"Payload.{name}", value, "None: only a point payload at the tip is modelled")
+        if self.mass == 0.0 and (self.inertia is not None or self.offset is not None):
+            raise refusal("Payload.mass", self.mass, "a number > 0 (kg) where inertia or offset is given")
+        if self.inertia is not None:
+            store(self, inertia=inertia_matrix("Payload.inertia", self.inertia))
+        if self.offset is not None:
+            store(self, offset=vector("Payload.offset", self.offset, 3, "m"))
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.arm import Arm
+from flexman_gym.arm import Arm, Payload
 from flexman_gym.beam import Array, Beam, ShapeIntegrals, build_beam, shape_integrals
 from flexman_gym.checks import refusal, vector
 from flexman_gym.kernels import layout
@@ -147,6 +147,7 @@ def _basis(beam: Beam, outboard: Array, modes: int | None, field: str) -> Array:
 
 def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], choice: ModelChoice) -> layout.Constants:
     n = len(beams)
+    payload = arm.payload or Payload(0.0)
     springs = [joint.stiffness is not None and choice.flexible_joints for joint in arm.joints]
     motors = n + np.cumsum(springs) - 1
     sizes = np.array([len(beam.stiffness) for beam in beams], dtype=np.int64)
@@ -196,7 +197,10 @@ def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], choice:
         tip_shortening=packed([beam.tip_shortening for beam in beams], 1),
         tip_translation=packed([beam.tip_translation.T for beam in beams], 3),
         tip_rotation=packed([beam.tip_rotation.T for beam in beams], 3),
-        payload_mass=np.array([arm.payload.mass if arm.payload else 0.0]),
+        payload_mass=np.array([payload.mass]),
+        payload_offset=np.array([payload.offset or (0.0, 0.0, 0.0)]),
+        payload_inertia=np.array(payload.inertia or np.zeros((3, 3))).ravel(),
+        payload_mount=np.array(arm.links[-1].orientation).T.ravel().copy(),
     )
 
 

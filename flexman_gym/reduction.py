@@ -23,7 +23,10 @@ def outboard_inertias(arm: Arm, beams: tuple[Beam, ...]) -> Array:
     """(n, 6, 6) rigid inertia that each link's tip carries at zero angles, in its beam frame, linear part first."""
     inertia = np.zeros((6, 6))
     if arm.payload is not None:
-        inertia[:3, :3] = arm.payload.mass * np.eye(3)
+        mount = np.array(arm.links[-1].orientation).T
+        centre = _carry(mount @ (arm.payload.offset or np.zeros(3)))[:3]
+        inertia = arm.payload.mass * centre.T @ centre
+        inertia[3:, 3:] += mount @ (arm.payload.inertia or np.zeros((3, 3))) @ mount.T
     result = np.zeros((len(beams), 6, 6))
     rotations = zero_pose_rotations(arm)
     for i in reversed(range(len(beams))):

@@ -110,11 +110,6 @@ def test_a_damper_needs_its_spring_and_a_spring_its_rotor():
     assert Joint((0, 0, 1), rotor_inertia=1.0, stiffness=100.0, damping=2.0).damping == 2.0
 
 
-@pytest.mark.parametrize(("name", "value"), [("inertia", np.eye(3)), ("offset", (0.0, 0.0, 0.1))])
-def test_only_a_point_payload_is_modelled(name, value):
-    refused(f"Payload.{name}", value, "only a point payload")
-
-
 @pytest.mark.parametrize("name", ["links", "joints"])
 @pytest.mark.parametrize("value", [(), None, "arm", LINK, JOINT, [LINK, 1.0], [JOINT, None]], ids=str)
 def test_an_arm_is_a_chain_of_at_least_one_link_and_joint(name, value):

@@ -14,7 +14,6 @@ from flexman_gym.kernels.kinematics import positions, velocities
 from flexman_gym.kernels.linalg import (
     LANES,
     ZERO,
-    ZERO_MATRIX,
     add,
     add_matrix,
     add_scaled,
@@ -91,8 +90,7 @@ def factorise(constants, work, g):
 
     Overwrites the work space group `factorisation`.
     """
-    m = constants.payload_mass[0]
-    tip = ((m, 0.0, 0.0, 0.0, m, 0.0, 0.0, 0.0, m), ZERO_MATRIX, ZERO_MATRIX)
+    tip = payload_inertia(constants, work)
     for i in range(len(constants.mass) - 1, -1, -1):
         elastic_block(constants, work, i, g, tip)
         inertia = eliminate_elastic(constants, work, i, link_inertia(constants, work, i, tip))
@@ -100,6 +98,14 @@ def factorise(constants, work, g):
         for j in range(3):
             store_matrix(work.articulated, 3 * i + j, inertia[j])
         tip = rotate_inertia(inertia, load_matrix(work.rotation, i))
+
+
+@inner
+def payload_inertia(constants, work):
+    """Inertia of the payload about the tip of the last link."""
+    m, c = constants.payload_mass[0], load(work.payload_moment, 0)
+    mixed = (0.0, c[2], -c[1], -c[2], 0.0, c[0], c[1], -c[0], 0.0)
+    return (m, 0.0, 0.0, 0.0, m, 0.0, 0.0, 0.0, m), mixed, load_matrix(work.payload_rotary, 0)
 
 
 @inner
@@ -220,8 +226,7 @@ def solve(constants, work, out):
     """
     n = len(constants.mass)
     elastic = len(out) - constants.elastic_start[n]
-    force = add_scaled(ZERO, constants.payload_mass[0], load(work.tip_bias, n - 1))
-    moment = ZERO
+    force, moment = payload_force(constants, work, load_pair(work.tip_bias, n - 1))
     for i in range(n - 1, -1, -1):
         c = load_matrix(work.rotation, i)
         force, moment = gather_forces(constants, work, i, elastic, (force, moment))
@@ -239,6 +244,14 @@ def solve(constants, work, out):
         angular = add_scaled(angular, rate, load(constants.axis, i))
         elastic_accelerations(constants, work, i, (linear, angular), out)
         linear, angular = tip_acceleration(constants, work, i, (linear, angular), out)
+
+
+@inner
+def payload_force(constants, work, acceleration):
+    """Force and moment at the tip that the payload needs for an acceleration of the tip."""
+    force, moment = apply_inertia(payload_inertia(constants, work), acceleration)
+    bias = load_pair(work.payload_bias, 0)
+    return add(force, bias[0]), add(moment, bias[1])
 
 
 @inner

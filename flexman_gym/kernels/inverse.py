@@ -1,6 +1,6 @@
 """Inverse dynamics of the chain: the generalised forces that accelerations demand, M v' + h (left side of Eq. 44)."""
 
-from flexman_gym.kernels.dynamics import tip_acceleration
+from flexman_gym.kernels.dynamics import payload_force, tip_acceleration
 from flexman_gym.kernels.kinematics import positions, velocities
 from flexman_gym.kernels.linalg import (
     ZERO,
@@ -34,7 +34,7 @@ def inertial_forces(constants, work, x, v, acceleration, out):
         angular = add_scaled(angular, acceleration[i], load(constants.axis, i))
         store_pair(work.frame_acceleration, i, linear, angular)
         linear, angular = tip_acceleration(constants, work, i, (linear, angular), acceleration)
-    force, moment = add_scaled(ZERO, constants.payload_mass[0], linear), ZERO
+    force, moment = payload_force(constants, work, (linear, angular))
     for i in range(n - 1, -1, -1):
         frame = load_pair(work.frame_acceleration, i)
         elastic_forces(constants, work, i, frame, (force, moment), acceleration, out)

@@ -3,8 +3,10 @@
 import math
 
 from flexman_gym.kernels.linalg import (
+    IDENTITY,
     ZERO,
     add,
+    add_matrix,
     add_scaled,
     apply,
     apply_back,
@@ -19,7 +21,9 @@ from flexman_gym.kernels.linalg import (
     store,
     store_matrix,
     store_pair,
+    subtract_outer,
     tangent_coefficients,
+    transposed,
 )
 from flexman_gym.kernels.stiffening import shorten_forces, shorten_mass, shorten_tip, shorten_tip_bias
 
@@ -36,6 +40,28 @@ def positions(constants, work, x):
         joint_rotation(constants, work, i, x[i])
         tip_position(constants, work, i, x, elastic)
         mass_integrals(constants, work, i, x, elastic)
+    payload_position(constants, work, n - 1)
+
+
+@inner
+def payload_position(constants, work, last):
+    """First moment and inertia of the payload about the tip of the last link, in that link's frame."""
+    c = load_matrix(constants.payload_mount, 0)
+    if constants.elastic_start[last + 1] > constants.elastic_start[last]:
+        c = product(tip_rotation(work, last), c)
+    offset, mass = apply(c, load(constants.payload_offset, 0)), constants.payload_mass[0]
+    store(work.payload_moment, 0, add_scaled(ZERO, mass, offset))
+    rotary = product(product(c, load_matrix(constants.payload_inertia, 0)), transposed(c))
+    rotary = add_matrix(rotary, mass * dot(offset, offset), IDENTITY)
+    store_matrix(work.payload_rotary, 0, subtract_outer(rotary, offset, load(work.payload_moment, 0)))
+
+
+@inner
+def tip_rotation(work, i):
+    """exp(S_r q) of link i."""
+    deflected = load(work.deflected, i)
+    sine = 1.0 - dot(deflected, deflected) * work.tangent[i, 1]
+    return rotation_matrix(sine, work.tangent[i, 0], deflected)
 
 
 @inner
@@ -44,9 +70,7 @@ def joint_rotation(constants, work, i, angle):
     turned = rotation_matrix(math.sin(angle), 1.0 - math.cos(angle), load(constants.axis, i))
     c = product(load_matrix(constants.mount, i), turned)
     if i > 0 and constants.elastic_start[i] > constants.elastic_start[i - 1]:
-        deflected = load(work.deflected, i - 1)
-        sine = 1.0 - dot(deflected, deflected) * work.tangent[i - 1, 1]
-        c = product(rotation_matrix(sine, work.tangent[i - 1, 0], deflected), c)
+        c = product(tip_rotation(work, i - 1), c)
     store_matrix(work.rotation, i, c)
 
 
@@ -129,6 +153,9 @@ def velocities(constants, work, v):
         linear, angular = tip_motion(constants, work, i, v, elastic)
         velocity = add(add(velocity, cross(spin, load(work.tip, i))), linear)
         spin = add(spin, angular)
+    store(work.payload_spin, 0, spin)
+    force = cross(spin, cross(spin, load(work.payload_moment, 0)))
+    store_pair(work.payload_bias, 0, force, cross(spin, apply(load_matrix(work.payload_rotary, 0), spin)))
 
 
 @inner

@@ -94,6 +94,9 @@ class Constants(NamedTuple):
     tip_translation: Array  # (k, 3)
     tip_rotation: Array  # (k, 3)
     payload_mass: Array  # (1,)
+    payload_offset: Array  # (1, 3) of its centre of mass from the tip, in the frame of a next joint
+    payload_inertia: Array  # (9,) about its centre of mass, by rows
+    payload_mount: Array  # (9,) rotation from the beam frame of the last link to that frame without deflection
 
 
 class Work(NamedTuple):
@@ -115,7 +118,11 @@ class Work(NamedTuple):
     stretch: Array  # (rows,) axial displacement per unit coordinate
     bend: Array  # (rows,) G q, then G q'
     weight: Array  # (s, 6) what a station adds to U and to the moment shape
+    payload_moment: Array  # (1, 3) first moment of the payload about the tip, in the frame of the last link
+    payload_rotary: Array  # (9,) its inertia about the tip, there
     # velocities
+    payload_spin: Array  # (1, 3) angular velocity of the payload
+    payload_bias: Array  # (1, 6) quadratic velocity force and torque of the payload
     spin: Array  # (n, 3) angular velocity
     velocity: Array  # (n, 3) velocity of the origin
     joint_bias: Array  # (n, 3) angular acceleration of the link that no acceleration causes
@@ -154,6 +161,7 @@ def make_work(constants: Constants) -> Work:
         "moment": (n, 3), "inertia": (9 * n,), "shape": (9 * k,), "coupling": (k, 3), "spin": (n, 3),
         "moment_shape": (k, 3), "elastic_mass": constants.elastic_mass.shape, "station": (stations, 3),
         "stretch": (stretches,), "bend": (stretches,), "weight": (stations, 6),
+        "payload_moment": (1, 3), "payload_rotary": (9,), "payload_spin": (1, 3), "payload_bias": (1, 6),
         "velocity": (n, 3), "joint_bias": (n, 3),
         "tip_bias": (n, 6), "bias": (n, 6), "elastic_bias": (k,), "articulated": (27 * n,), "carried": (k, 6),
         "factor": (rows,), "joint_column": (n, 6), "joint_pivot": (n,), "spring": (n,),

@@ -77,9 +77,10 @@ def chain_outputs(constants, work, v, elastic):
         kinetic += link_energy(constants, work, i, v, elastic)
         velocity = tip_velocity(constants, work, i, v, elastic)
         origin = add(origin, apply(frame, load(work.tip, i)))
-    velocity = apply(frame, velocity)
-    payload = constants.payload_mass[0]
-    kinetic += 0.5 * payload * dot(velocity, velocity)
+    payload, moment, spin = constants.payload_mass[0], load(work.payload_moment, 0), load(work.payload_spin, 0)
+    kinetic += 0.5 * payload * dot(velocity, velocity) + dot(velocity, cross(spin, moment))
+    kinetic += 0.5 * dot(spin, apply(load_matrix(work.payload_rotary, 0), spin))
+    velocity, lifted = apply(frame, velocity), add(lifted, apply(frame, moment))
     gravity = (constants.gravity[0], constants.gravity[1], constants.gravity[2])
     gravitational = -dot(gravity, add_scaled(lifted, payload, origin))
     return origin, velocity, kinetic, gravitational
