@@ -4,12 +4,20 @@ from gymnasium.envs.registration import register
 
 from flexman_gym import catalog
 from flexman_gym.arm import Arm, Joint, Link, Payload
-from flexman_gym.dynamics import acceleration, frequencies, mass_matrix
+from flexman_gym.dynamics import (
+    acceleration,
+    frequencies,
+    inverse_dynamics,
+    linearize,
+    mass_matrix,
+    tip_acceleration,
+)
 from flexman_gym.methods import METHODS
 from flexman_gym.model import Model, build_model
 from flexman_gym.scene import ConstantTorque, Initial, ModelChoice, Scene, SineTorque
 from flexman_gym.sensors import Limits
 from flexman_gym.simulator import Simulator, Trajectory, simulate
+from flexman_gym.strain import curvature, strain
 from flexman_gym.tasks import Slew
 
 __all__ = [
@@ -31,9 +39,14 @@ __all__ = [
     "acceleration",
     "build_model",
     "catalog",
+    "curvature",
     "frequencies",
+    "inverse_dynamics",
+    "linearize",
     "mass_matrix",
     "simulate",
+    "strain",
+    "tip_acceleration",
 ]
 
 register(id="FlexRRR-v0", entry_point="flexman_gym.envs:FlexManEnv", max_episode_steps=500)
