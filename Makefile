@@ -2,13 +2,16 @@ PYTHON ?= python3
 RUN := .venv/bin/python -m
 CODE := flexman_gym scripts $(wildcard agents/*.py)
 
-.PHONY: demo test lint clean
+.PHONY: demo test lint verify clean
 
 demo: .venv/installed
 	.venv/bin/python scripts/demo.py
 
 test: lint
 	$(RUN) pytest
+
+verify: .venv/installed
+	.venv/bin/python scripts/verify.py --markdown docs/verification.md
 
 lint: .venv/installed
 	$(RUN) ruff check $(CODE) tests

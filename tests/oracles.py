@@ -1,8 +1,8 @@
 """An oracle: the paper's equations of a flexible arm, stated densely and slowly to check the fast kernels against.
 
-Three nouns: `Beam`, one link as mass points (Eq. 1-3, 13-18); `Chain`, the arm in joint and elastic coordinates
-(Eq. 4-14 and 22-46); and the closed-form eigenvalues of a uniform beam. It uses nothing but NumPy and SciPy, so that it
-shares no error with the code under test. SI units, radians. Capital letters are matrices of the paper.
+Two nouns: `Beam`, one link as mass points (Eq. 1-3, 13-18), and `Chain`, the arm in joint and elastic coordinates
+(Eq. 4-14 and 22-46); beside them the closed-form eigenvalues of a uniform beam. They use nothing but NumPy and SciPy,
+so that they share no error with the code under test. SI units, radians. Capital letters are matrices of the paper.
 """
 
 from dataclasses import dataclass, replace
@@ -11,7 +11,9 @@ from math import factorial
 
 import numpy as np
 from numpy.polynomial.polynomial import Polynomial, polyder, polyval
-from scipy.optimize import brentq
+
+from flexman_gym.closed_forms import beam_eigenvalues as beam_eigenvalues
+from flexman_gym.closed_forms import hub_eigenvalues as hub_eigenvalues
 
 
 @dataclass(frozen=True)
@@ -280,37 +282,3 @@ class Chain:
         """
         masses, positions, velocities = self.points(x, v)
         return masses @ np.cross(positions, velocities)
-
-
-def beam_eigenvalues(count, tip_mass_ratio=0.0):
-    """First lambda = omega sqrt(rho A L^4 / EI) (count,) of a cantilever; mu = tip_mass_ratio = tip mass / beam mass.
-
-    With w a function of b x / L, b = sqrt(lambda), primes by that argument: w = w' = 0 at the base; w'' = 0 and
-    w''' + mu b w = 0 at the tip. So 1 + cos b cosh b + mu b (cos b sinh b - sin b cosh b) = 0, once in each interval
-    between neighbouring multiples of pi.
-    """
-
-    def characteristic(b):  # divided by cosh b
-        return 1.0 / np.cosh(b) + np.cos(b) + tip_mass_ratio * b * (np.cos(b) * np.tanh(b) - np.sin(b))
-
-    return _squared_roots(characteristic, np.pi * np.arange(count + 1))
-
-
-def hub_eigenvalues(count, hub_inertia_ratio):
-    """First elastic lambda (count,) of a beam turning freely with a hub; eta = hub inertia / (rho A L^3).
-
-    The base has w = 0 and w'' + eta b^3 w' = 0. So sin b cosh b - cos b sinh b + eta b^3 (1 + cos b cosh b) = 0, once
-    between neighbouring cantilever roots, which are its limit for a heavy hub.
-    """
-
-    def characteristic(b):  # divided by cosh b
-        clamped = 1.0 / np.cosh(b) + np.cos(b)
-        return np.sin(b) - np.cos(b) * np.tanh(b) + hub_inertia_ratio * b**3 * clamped
-
-    return _squared_roots(characteristic, np.sqrt(beam_eigenvalues(count + 1)))
-
-
-def _squared_roots(function, ends):
-    """Squares of the roots of `function`, one in every interval between neighbouring `ends`."""
-    roots = [brentq(function, a, b, xtol=1e-14, rtol=1e-14) for a, b in pairwise(ends)]
-    return np.square(roots)

@@ -16,6 +16,8 @@ MOST_LINES, MOST_FUNCTION_LINES, MOST_ARGUMENTS, MOST_KERNEL_ARGUMENTS = 350, 60
 
 # Who may import whom, in the order from the ground up: a room may use what stands beside it, and nothing else of ours.
 ARROWS = {
+    "closed_forms": "",
+    "verification": "",
     "kernels": "",
     "checks": "",
     "arm": "checks",
@@ -26,21 +28,24 @@ ARROWS = {
     "reduction": "beam arm checks",
     "methods": "kernels checks",
     "model": "reduction beam scene arm checks kernels",
+    "strain": "model beam scene arm checks",
     "dynamics": "model reduction beam scene arm checks kernels",
     "simulator": "dynamics model methods reduction beam scene arm checks kernels",
     "fidelity": "simulator dynamics model methods reduction beam scene arm checks",
     "control": "simulator dynamics model reduction beam scene catalog arm checks kernels",
-    "sensors": "simulator dynamics model beam scene catalog arm checks kernels",
+    "sensors": "strain simulator dynamics model beam scene catalog arm checks kernels",
     "metrics": "simulator beam scene checks",
     "tasks": "sensors simulator dynamics model beam scene catalog arm checks kernels",
     "study": "fidelity metrics control simulator dynamics model methods scene catalog arm checks",
     "draw": "simulator dynamics model beam scene catalog arm checks",
     "envs": "tasks sensors control metrics draw simulator dynamics model methods beam scene catalog arm checks kernels",
+    "verification_cases": "verification closed_forms simulator dynamics model beam scene catalog arm kernels",
 }
 _PUBLIC = "envs tasks sensors control metrics study draw fidelity simulator dynamics model methods scene catalog arm"
+_PUBLIC += " strain"
 ARROWS["flexman_gym"] = _PUBLIC
 ARROWS["agents"] = f"agents flexman_gym checks {_PUBLIC}"
-ARROWS["scripts"] = f"scripts agents flexman_gym checks {_PUBLIC}"
+ARROWS["scripts"] = f"scripts agents flexman_gym checks {_PUBLIC} verification verification_cases"
 INSIDE_KERNELS = {"numba", "numpy", "math", "typing"}
 CACHE_ROOM = {"hashlib", "os", "tempfile", "pathlib"}  # kernels/__init__.py names the folder of the binaries
 HEAVY = {"torch", "stable_baselines3", "matplotlib", "pyvista", "ray"}

@@ -1,0 +1,108 @@
+"""Closed forms: natural frequencies of uniform Euler-Bernoulli beams and bars, from their characteristic equations.
+
+Nothing but NumPy and SciPy is used here, so that a closed form shares no error with the simulator that it checks.
+"""
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+Array = NDArray[np.float64]
+
+
+def beam_eigenvalues(count: int, tip_mass_ratio: float = 0.0) -> Array:
+    """First lambda = omega sqrt(rho A L^4 / EI) (count,) of a cantilever; mu = tip_mass_ratio = tip mass / beam mass.
+
+    With w a function of b x / L, b = sqrt(lambda), primes by that argument: w = w' = 0 at the base; w'' = 0 and
+    w''' + mu b w = 0 at the tip. So 1 + cos b cosh b + mu b (cos b sinh b - sin b cosh b) = 0, once in each interval
+    between neighbouring multiples of pi.
+    """
+
+    def characteristic(b: float) -> float:  # divided by cosh b
+        return 1.0 / np.cosh(b) + np.cos(b) + tip_mass_ratio * b * (np.cos(b) * np.tanh(b) - np.sin(b))
+
+    return _squared_roots(characteristic, np.linspace(0.0, np.pi * count, count + 1))
+
+
+def hub_eigenvalues(count: int, hub_inertia_ratio: float) -> Array:
+    """First elastic lambda (count,) of a beam turning freely with a hub; eta = hub inertia / (rho A L^3).
+
+    The base has w = 0 and w'' + eta b^3 w' = 0. So sin b cosh b - cos b sinh b + eta b^3 (1 + cos b cosh b) = 0, once
+    between neighbouring cantilever roots, which are its limit for a heavy hub.
+    """
+
+    def characteristic(b: float) -> float:  # divided by cosh b
+        clamped = 1.0 / np.cosh(b) + np.cos(b)
+        return np.sin(b) - np.cos(b) * np.tanh(b) + hub_inertia_ratio * b**3 * clamped
+
+    return _squared_roots(characteristic, np.sqrt(beam_eigenvalues(count + 1)))
+
+
+def joint_eigenvalues(
+    count: int, stiffness_ratio: float, rotor_inertia_ratio: float | None, tip_mass_ratio: float
+) -> Array:
+    """First elastic lambda (count,) of a beam on a torsion spring that a rotor carries, with a mass at its tip.
+
+    kappa = stiffness_ratio = K L / EI; eta = rotor inertia / (rho A L^3), None for a clamped rotor; mu = tip mass /
+    beam mass. The spring turns the base by kappa b w'; a free rotor answers it with (kappa - eta b^4) theta_m =
+    kappa b w'. So w = 0 and (kappa - eta b^4) w'' + kappa eta b^3 w' = 0 at the base, b w'' = kappa w' with the rotor
+    clamped; the tip is that of `beam_eigenvalues`.
+    """
+
+    def characteristic(b: float) -> float:  # columns: w = sin, and cos - cosh and sinh divided by cosh b
+        s, c, one, sh, mu = np.sin(b), np.cos(b), 1.0 / np.cosh(b), np.tanh(b), tip_mass_ratio * b
+        bend, slope = b, -stiffness_ratio
+        if rotor_inertia_ratio is not None:
+            bend = stiffness_ratio - rotor_inertia_ratio * b**4
+            slope = stiffness_ratio * rotor_inertia_ratio * b**3
+        base = [slope, -2.0 * bend * one, slope * one]
+        moment = [-s, -(c * one + 1.0), sh]
+        force = [-c + mu * s, s * one - sh + mu * (c * one - 1.0), 1.0 + mu * sh]
+        return float(np.linalg.det([base, moment, force]))
+
+    ends = np.arange(0.05, (count + 2) * np.pi, 0.01)
+    signs = np.sign([characteristic(b) for b in ends])
+    found = [brentq(characteristic, ends[i], ends[i + 1], xtol=1e-14) for i in np.nonzero(np.diff(signs))[0]]
+    return np.square(found[:count])
+
+
+def rayleigh_eigenvalues(count: int, gyration_ratio: float) -> Array:
+    """First lambda (count,) of a cantilever with the rotary inertia of its sections; s = gyration_ratio = I / (A L^2).
+
+    w'''' + lambda^2 s w'' - lambda^2 w = 0 with w = w' = 0 at the base, w'' = 0 and w''' + lambda^2 s w' = 0 at the
+    tip. So w consists of cos a x - cosh c x and sin a x / a - sinh c x / c, with a^2, c^2 = sqrt(lambda^4 s^2 / 4 +
+    lambda^2) +- lambda^2 s / 2. While s lambda is small, each root is a little below that of `beam_eigenvalues`.
+    """
+
+    def characteristic(eigenvalue: float) -> float:
+        half = eigenvalue**2 * gyration_ratio / 2.0
+        root = np.hypot(half, eigenvalue)
+        a, c = np.sqrt(root + half), np.sqrt(root - half)
+        moment = -(a**2) * np.cos(a) - c**2 * np.cosh(c), -a * np.sin(a) - c * np.sinh(c)
+        first = a**3 * np.sin(a) - c**3 * np.sinh(c) + 2.0 * half * moment[1]
+        second = moment[0] + 2.0 * half * (np.cos(a) - np.cosh(c))
+        return float(moment[0] * second - moment[1] * first)
+
+    slender = beam_eigenvalues(count)
+    return np.array([brentq(characteristic, 0.8 * each, 1.001 * each, xtol=1e-13) for each in slender])
+
+
+def bar_eigenvalues(count: int, elements: int | None = None) -> Array:
+    """First omega L / c (count,) of a bar clamped at one end; c = sqrt(E / rho), in torsion sqrt(G J / rho I_p).
+
+    Exact, (2 n - 1) pi / 2; or for equal linear elements with consistent mass: omega h / c = sqrt(6 (1 - cos a) /
+    (2 + cos a)) with a = (2 n - 1) pi / (2 elements).
+    """
+    exact = np.pi * (np.arange(count, dtype=np.float64) + 0.5)
+    if elements is None:
+        return exact
+    cosine = np.cos(exact / elements)
+    return np.array(elements * np.sqrt(6.0 * (1.0 - cosine) / (2.0 + cosine)))
+
+
+def _squared_roots(function: Callable[[float], float], ends: Array) -> Array:
+    """Squares of the roots of `function`, one in every interval between neighbouring `ends`."""
+    return np.square([brentq(function, a, b, xtol=1e-14, rtol=1e-14) for a, b in pairwise(ends)])
