@@ -226,7 +226,7 @@ def test_the_energy_residual_is_the_error_of_the_integrator():
 @pytest.mark.parametrize("fidelity", [{"modes": 2}, {"modes": None}, {"elements": 1}, {"elements": (1, 2, 3)}])
 def test_the_spaces_do_not_depend_on_the_fidelity(fidelity):
     env, reference = FlexManEnv(**fidelity), FlexManEnv()
-    assert env.observation_space == reference.observation_space and env.observation_space.shape == (33,)
+    assert env.observation_space == reference.observation_space and env.observation_space.shape == (36,)
     assert env.action_space == reference.action_space
     observation, _ = env.reset(seed=0)
     assert np.array_equal(observation, reference.reset(seed=0)[0]), "an undeformed arm looks the same"
@@ -242,8 +242,8 @@ def test_other_arms_work(arm, torque_limit):
         warnings.simplefilter("error")
         check_env(env.unwrapped)
     assert env.action_space.shape == (arm.n_joints,)
-    assert env.observation_space.shape == (9 * arm.n_joints + 6,)
-    assert not env.unwrapped.observation_space.contains(np.zeros(33, dtype=np.float32))
+    assert env.observation_space.shape == (9 * arm.n_joints + 9,)
+    assert not env.unwrapped.observation_space.contains(np.zeros(36, dtype=np.float32))
 
 
 def test_the_action_is_a_part_of_the_torque_limit():
