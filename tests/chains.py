@@ -135,3 +135,25 @@ def samples(draw, most_links=6, flexible_links=None, flexible_joints=None, reduc
         modal_damping_ratio=draw(st.sampled_from([0.0, 0.02])),
     )
     return Sample(arm, elements, modes, links, free_springs, draw(st.sampled_from(AMPLITUDES)), seed)
+
+
+def pinocchio_model(pin, arm):
+    """The rigid arm, with rotors and point payload, as a model of Pinocchio (the module `pin`)."""
+    model = pin.Model()
+    model.gravity.linear = np.array(arm.gravity)
+    place, parent = np.zeros(3), 0
+    for link, joint in zip(arm.links, arm.joints, strict=True):
+        kind = pin.JointModelRevoluteUnaligned(np.array(joint.axis))
+        parent = model.addJoint(parent, kind, pin.SE3(np.eye(3), place), "")
+        turn = np.array(link.orientation)
+        # about the centre: a slender rod and the rotary inertia of the section
+        y, z = link.density * link.length * np.array([link.second_moment_y, link.second_moment_z])
+        rod = link.mass * link.length**2 / 12
+        inertia = turn @ np.diag([y + z, rod + y, rod + z]) @ turn.T
+        place = link.length * turn[:, 0]
+        model.appendBodyToJoint(parent, pin.Inertia(link.mass, place / 2, inertia), pin.SE3.Identity())
+    if arm.payload is not None:
+        payload = pin.Inertia(arm.payload.mass, place, np.zeros((3, 3)))
+        model.appendBodyToJoint(parent, payload, pin.SE3.Identity())
+    model.armature = np.array([joint.rotor_inertia for joint in arm.joints])
+    return model

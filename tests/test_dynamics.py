@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from chains import QUICK, Sample, samples, slender_link
+from chains import QUICK, Sample, pinocchio_model, samples, slender_link
 from hypothesis import given, settings
 from oracles import hub_eigenvalues
 from scipy.spatial.transform import Rotation
@@ -194,23 +194,7 @@ def test_a_rigid_arm_has_no_deflection(sample):
 @given(samples(flexible_links=False, flexible_joints=False))
 def test_the_rigid_limit_is_pinocchio(sample):
     pin = pytest.importorskip("pinocchio")
-    model = pin.Model()
-    model.gravity.linear = np.array(sample.arm.gravity)
-    place, parent = np.zeros(3), 0
-    for link, joint in zip(sample.arm.links, sample.arm.joints, strict=True):
-        kind = pin.JointModelRevoluteUnaligned(np.array(joint.axis))
-        parent = model.addJoint(parent, kind, pin.SE3(np.eye(3), place), "")
-        turn = np.array(link.orientation)
-        # about the centre: a slender rod and the rotary inertia of the section
-        y, z = link.density * link.length * np.array([link.second_moment_y, link.second_moment_z])
-        rod = link.mass * link.length**2 / 12
-        inertia = turn @ np.diag([y + z, rod + y, rod + z]) @ turn.T
-        place = link.length * turn[:, 0]
-        model.appendBodyToJoint(parent, pin.Inertia(link.mass, place / 2, inertia), pin.SE3.Identity())
-    if sample.arm.payload is not None:
-        payload = pin.Inertia(sample.arm.payload.mass, place, np.zeros((3, 3)))
-        model.appendBodyToJoint(parent, payload, pin.SE3.Identity())
-    model.armature = np.array([joint.rotor_inertia for joint in sample.arm.joints])
+    model = pinocchio_model(pin, sample.arm)
     (x, v), torque = sample.state(), sample.torque()
     expected = pin.aba(model, model.createData(), x, v, torque)
     assert close(fm.acceleration(sample.model, np.r_[x, v], torque), expected)

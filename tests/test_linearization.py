@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from chains import QUICK, samples
+from chains import QUICK, pinocchio_model, samples
 from hypothesis import given, settings
 from scipy.linalg import expm
 
@@ -113,22 +113,7 @@ def test_a_holds_the_slopes_of_the_compiled_accelerations(sample):
 @given(samples(flexible_links=False, flexible_joints=False))
 def test_the_rigid_limit_is_pinocchio(sample):
     pin = pytest.importorskip("pinocchio")
-    model = pin.Model()
-    model.gravity.linear = np.array(sample.arm.gravity)
-    place, parent = np.zeros(3), 0
-    for link, joint in zip(sample.arm.links, sample.arm.joints, strict=True):
-        kind = pin.JointModelRevoluteUnaligned(np.array(joint.axis))
-        parent = model.addJoint(parent, kind, pin.SE3(np.eye(3), place), "")
-        turn = np.array(link.orientation)
-        y, z = link.density * link.length * np.array([link.second_moment_y, link.second_moment_z])
-        rod = link.mass * link.length**2 / 12
-        place = link.length * turn[:, 0]
-        inertia = pin.Inertia(link.mass, place / 2, turn @ np.diag([y + z, rod + y, rod + z]) @ turn.T)
-        model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
-    if sample.arm.payload is not None:
-        payload = pin.Inertia(sample.arm.payload.mass, place, np.zeros((3, 3)))
-        model.appendBodyToJoint(parent, payload, pin.SE3.Identity())
-    model.armature = np.array([joint.rotor_inertia for joint in sample.arm.joints])
+    model = pinocchio_model(pin, sample.arm)
     (x, v), torque, d = sample.state(), sample.torque(), sample.model.n_dof
     linear = fm.linearize(sample.model, state=np.r_[x, v], torque=torque)
     data = model.createData()  # owns the slopes
