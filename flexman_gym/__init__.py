@@ -4,6 +4,7 @@ from gymnasium.envs.registration import register
 
 from flexman_gym import catalog
 from flexman_gym.arm import Arm, Joint, Link, Payload
+from flexman_gym.drive import ConstantTorque, Signal, SineTorque
 from flexman_gym.dynamics import (
     acceleration,
     frequencies,
@@ -14,11 +15,12 @@ from flexman_gym.dynamics import (
 )
 from flexman_gym.methods import METHODS
 from flexman_gym.model import Model, build_model
-from flexman_gym.scene import ConstantTorque, Initial, ModelChoice, Scene, SineTorque
+from flexman_gym.scene import Initial, ModelChoice, Scene
 from flexman_gym.sensors import Limits
-from flexman_gym.simulator import Simulator, Trajectory, simulate
+from flexman_gym.simulator import Simulator, simulate
 from flexman_gym.strain import curvature, strain
 from flexman_gym.tasks import Slew
+from flexman_gym.trajectory import Trajectory
 
 __all__ = [
     "METHODS",
@@ -32,6 +34,7 @@ __all__ = [
     "ModelChoice",
     "Payload",
     "Scene",
+    "Signal",
     "Simulator",
     "SineTorque",
     "Slew",

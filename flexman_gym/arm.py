@@ -69,10 +69,13 @@ class Link:
 class Joint:
     """A revolute joint: a rotor that turns the link behind it directly, or through a spring and a damper (Eq. 23).
 
-    axis           (3,) unit vector in the frame of the previous link's tip (the base frame for the first joint)
-    rotor_inertia  kg m^2, about the axis, on the link's side of any gear
-    stiffness      N m/rad, of the spring between rotor and link; None for a rigid joint
-    damping        N m s/rad, of the damper parallel to that spring
+    axis              (3,) unit vector in the frame of the previous link's tip (the base frame for the first joint)
+    rotor_inertia     kg m^2, about the axis, on the link's side of any gear
+    stiffness         N m/rad, of the spring between rotor and link; None for a rigid joint
+    damping           N m s/rad, of the damper parallel to that spring
+    viscous_friction  N m s/rad, of the rotor in its bearings and gear (of the link where the joint is rigid)
+    coulomb_friction  N m, of the same; it opposes the rate r of the rotor with coulomb_friction tanh(r / coulomb_rate)
+    coulomb_rate      rad/s, where friction has reached three quarters of its full size
 
     Raises ValueError when the axis is not of length 1 within 1e-9 (it is not normalised), when a number is negative or
     not finite, for a damper without a spring, and for a spring without a rotor (its coordinate would have no mass).
@@ -82,6 +85,9 @@ class Joint:
     rotor_inertia: float = 0.0
     stiffness: float | None = None
     damping: float = 0.0
+    viscous_friction: float = 0.0
+    coulomb_friction: float = 0.0
+    coulomb_rate: float = 0.01
 
     def __post_init__(self) -> None:
         store(
@@ -89,6 +95,9 @@ class Joint:
             axis=unit_vector("Joint.axis", self.axis),
             rotor_inertia=non_negative("Joint.rotor_inertia", self.rotor_inertia, "kg m^2"),
             damping=non_negative("Joint.damping", self.damping, "N m s/rad"),
+            viscous_friction=non_negative("Joint.viscous_friction", self.viscous_friction, "N m s/rad"),
+            coulomb_friction=non_negative("Joint.coulomb_friction", self.coulomb_friction, "N m"),
+            coulomb_rate=positive("Joint.coulomb_rate", self.coulomb_rate, "rad/s"),
         )
         if self.stiffness is not None:
             store(self, stiffness=positive("Joint.stiffness", self.stiffness, "N m/rad; None for a rigid joint"))

@@ -8,7 +8,8 @@ from dataclasses import replace
 
 from flexman_gym.arm import Arm, Joint, Link, Payload
 from flexman_gym.checks import one_of
-from flexman_gym.scene import ConstantTorque, Initial, ModelChoice, Scene
+from flexman_gym.drive import ConstantTorque
+from flexman_gym.scene import Initial, ModelChoice, Scene
 
 _UP = ((0.0, 0.0, -1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))  # turns the x axis of a beam to +Z
 _LINK1_AREAS = {"printed": 0.028, "corrected": 0.0028}

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from flexman_gym.beam import NODE_COORDINATES, Array, beam_shapes
 from flexman_gym.checks import refusal, vector, whole_number
 from flexman_gym.model import Model
-from flexman_gym.simulator import Trajectory
+from flexman_gym.trajectory import Trajectory
 
 # Colours that people who cannot tell red from green can tell apart (Okabe and Ito).
 BLUE, ORANGE, GREEN, SKY, YELLOW, RED = "#0072B2", "#E69F00", "#009E73", "#56B4E9", "#F0E442", "#D55E00"

@@ -38,8 +38,8 @@ def acceleration(model: Model, state: Sequence[float] | Array, torque: Sequence[
     """
     x, v = _split(model, state)
     out = np.zeros(model.n_dof)
-    motor_torque = np.array(vector("torque", torque, model.n_joints, "N m"))
-    dynamics.accelerations(model.constants, make_work(model.constants), x, v, motor_torque, out)
+    drive = np.r_[vector("torque", torque, model.n_joints, "N m"), np.zeros(6)]  # without disturbances
+    dynamics.accelerations(model.constants, make_work(model.constants), x, v, drive, out)
     return out
 
 
@@ -60,8 +60,10 @@ def stiffness_matrix(model: Model) -> Array:
 
 
 def damping_matrix(model: Model) -> Array:
-    """Damping (d, d) of links and joint dampers."""
-    return _structure(model, model.constants.joint_damping, model.constants.damping)
+    """Damping (d, d) of links, joint dampers and viscous friction."""
+    matrix = _structure(model, model.constants.joint_damping, model.constants.damping)
+    matrix[model.motor_columns, model.motor_columns] += model.constants.viscous_friction
+    return matrix
 
 
 def frequencies(model: Model, joint_angles: Sequence[float] | None = None, lock_joints: bool = False) -> Array:
@@ -95,7 +97,8 @@ def linearize(
     """The linear model about the undeformed arm at rest at joint angles (n,) rad, or about a whole state (2 d,).
 
     Angles and torques (n,) in N m are zero by default. Where the accelerations there do not vanish (gravity, speeds),
-    x departs from the motion that starts there, and A is the slope at its start.
+    x departs from the motion that starts there, and A is the slope at its start. Coulomb friction enters with its slope
+    at the rates of the state, which is very steep at rest.
 
     The balance inertial forces + damping v + stiffness q = torques is differentiated term by term, so that stiff
     springs spoil nothing. Stiffness, damping, B and C are exact, the slope by speeds too (the forces are quadratic in
@@ -123,6 +126,9 @@ def linearize(
     demands = np.zeros((d, 2 * d + n))
     demands[:, :d] = -stiffness_matrix(model) - np.transpose([by_coordinate(unit) for unit in np.diag(size)]) / size
     demands[:, d : 2 * d] = -damping_matrix(model) - np.transpose([by_speed(unit) for unit in np.diag(size)]) / size
+    motors, constants = model.motor_columns, model.constants
+    steepness = constants.coulomb_friction / constants.coulomb_rate
+    demands[motors, d + motors] -= steepness / np.cosh(v[motors] / constants.coulomb_rate) ** 2
     demands[model.motor_columns, 2 * d + np.arange(n)] = 1.0
     mass = mass_matrix(model, state)
     scale = np.sqrt(np.diag(mass))  # metres and radians of fine elements weigh alike
@@ -173,8 +179,9 @@ def inverse_dynamics(
     It is differenced along the motion, extrapolated to order six; measured on random chains, the torques are right to
     1e-10 of the largest.
 
-    Raises ValueError for wrong shapes, values that are not finite, missing jerks or snaps, a flexible link, and a
-    damper in a flexible joint: the motor angle is then the solution of a differential equation.
+    Raises ValueError for wrong shapes, values that are not finite, missing jerks or snaps, a flexible link, and for a
+    flexible joint with a damper (the motor angle is then the solution of a differential equation), with friction of its
+    motor or with a spinning rotor.
     """
     n, constants = model.n_joints, model.constants
     motion = np.zeros((5, n))
@@ -191,6 +198,11 @@ def inverse_dynamics(
         raise refusal(
             f"model.arm.joints[{i}].damping", float(constants.joint_damping[i]), "0 where joints are flexible"
         )
+    for name in ("viscous_friction", "coulomb_friction"):
+        for i in np.flatnonzero(sprung & (getattr(constants, name) > 0.0)):
+            raise refusal(f"model.arm.joints[{i}].{name}", float(getattr(constants, name)[i]), "0 with flexible joints")
+    if (sprung & (constants.carried_inertia > 0.0)).any():
+        raise refusal("model.choice.spinning_rotors", True, "False where joints are flexible")
     forces, spread = _inertial_forces(model), np.zeros((model.n_dof, n))
     spread[np.arange(n), np.arange(n)] = 1.0  # rotors on springs stand still: their share is added below
 
@@ -199,7 +211,8 @@ def inverse_dynamics(
         angles, rates, accelerations = (powers[: 5 - order] @ motion[order:] for order in range(3))
         return forces(spread @ angles, spread @ rates, spread @ accelerations)[:n]
 
-    torques = link_torques(0.0)
+    torques = link_torques(0.0) + constants.viscous_friction * motion[1]
+    torques += constants.coulomb_friction * np.tanh(motion[1] / constants.coulomb_rate)
     if model.n_motors == 0:
         return torques
     quickest = max(np.abs(row).sum() ** (1 / order) for order, row in enumerate(motion[1:], start=1))

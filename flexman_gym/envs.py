@@ -14,6 +14,7 @@ from flexman_gym.model import build_model
 from flexman_gym.sensors import FullState, Limits
 from flexman_gym.simulator import Simulator
 from flexman_gym.tasks import Slew
+from flexman_gym.trajectory import ENERGY_ALARM
 
 Observation = NDArray[np.float32]
 
@@ -57,7 +58,8 @@ class FlexManEnv(gym.Env[Observation, Observation]):
     Info
         tip_error (m), tip_vibration (m/s, speed of the tip relative to the rigid arm at the motor angles),
         elastic_energy (J), energy_residual (J, work of the motors - dissipation - change of energy since the reset,
-        which the integrator invented or lost), reward_terms, status (of the simulation), failure ("" or what happened),
+        which the integrator invented or lost), energy_alarm (whether that is more than the part `energy_alarm` of the
+        energy turned over since the reset), reward_terms, status (of the simulation), failure ("" or what happened),
         tip and target (m), posture (rad, the goal).
 
     Fidelity
@@ -70,6 +72,7 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         torque_limit: N m, of each motor.
         control_period: s.
         elements, modes, method, step: see `build_model` and `Simulator`.
+        energy_alarm: part of the energy turned over (the largest of kinetic + elastic energy, work and dissipation).
         render_mode: None or "rgb_array".
         render_size: width and height of a frame in pixels.
 
@@ -91,6 +94,7 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         modes: int | tuple[int, ...] | None = 4,
         method: str = "ros2",
         step: float = 0.005,
+        energy_alarm: float = ENERGY_ALARM,
         render_mode: str | None = None,
         render_size: tuple[int, int] = (480, 360),
     ) -> None:
@@ -103,6 +107,7 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         if limits is not None and not isinstance(limits, Limits):
             raise refusal("limits", limits, "Limits")
         self.torque_limit = positive("torque_limit", torque_limit, "N m")
+        self.energy_alarm = positive("energy_alarm", energy_alarm)
         self.render_mode = render_mode
         self.task = Slew() if task is None else task
         model = build_model(default_arm() if arm is None else arm, elements, modes)
@@ -195,6 +200,7 @@ class FlexManEnv(gym.Env[Observation, Observation]):
             "tip_vibration": float(tip_vibration[0]),
             "elastic_energy": simulator.elastic_energy,
             "energy_residual": simulator.energy_residual,
+            "energy_alarm": abs(simulator.energy_residual) > self.energy_alarm * simulator.energy_turnover,
             "reward_terms": reward_terms,
             "status": simulator.status,
             "failure": failure,

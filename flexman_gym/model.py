@@ -86,6 +86,8 @@ def build_model(
     flexible_links: bool | tuple[bool, ...] = True,
     flexible_joints: bool = True,
     stiffening: bool = False,
+    *,
+    spinning_rotors: bool = False,
 ) -> Model:
     """Discretises an arm.
 
@@ -97,11 +99,12 @@ def build_model(
         flexible_joints: False locks the springs of all joints; their rotor inertia stays.
         stiffening: foreshortening of bent links (geometric stiffening), needed where links spin about as fast as they
             bend, or bend far.
+        spinning_rotors: rotors are bodies that spin in the frame that carries their joint; see `ModelChoice`.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
     """
-    choice = ModelChoice(flexible_links, elements, modes, flexible_joints, stiffening)
+    choice = ModelChoice(flexible_links, elements, modes, flexible_joints, stiffening, spinning_rotors)
     n = arm.n_joints
     flexible = _each("flexible_links", choice.flexible_links, n)
     counts = _each("elements", choice.elements, n)
@@ -121,10 +124,7 @@ def build_model(
 
 def scene_model(scene: Scene) -> Model:
     """The model that a scene asks for."""
-    choice = scene.model
-    return build_model(
-        scene.arm, choice.elements, choice.modes, choice.flexible_links, choice.flexible_joints, choice.stiffening
-    )
+    return build_model(scene.arm, **vars(scene.model))
 
 
 def _each(name: str, value: object, n: int) -> tuple:
@@ -173,6 +173,11 @@ def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], choice:
         joint_stiffness=np.array([joint.stiffness or 0.0 for joint in arm.joints]),
         joint_damping=np.array([joint.damping for joint in arm.joints]),
         rotor_inertia=np.array([joint.rotor_inertia for joint in arm.joints]),
+        carried_inertia=np.array([joint.rotor_inertia * choice.spinning_rotors for joint in arm.joints]),
+        viscous_friction=np.array([joint.viscous_friction for joint in arm.joints]),
+        coulomb_friction=np.array([joint.coulomb_friction for joint in arm.joints]),
+        coulomb_rate=np.array([joint.coulomb_rate for joint in arm.joints]),
+        prescribed=np.zeros(n, dtype=np.int64),
         length=np.array([link.length for link in arm.links]),
         mass=np.array([part.mass for part in parts]),
         first_moment=np.array([part.first_moment for part in parts]),

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,6 @@ from flexman_gym import scene_file
 from flexman_gym.arm import Arm, Joint, Link, Payload
 from flexman_gym.checks import (
     flag,
-    non_negative,
     one_of,
     positive,
     refusal,
@@ -22,6 +21,7 @@ from flexman_gym.checks import (
     vector,
     whole_number,
 )
+from flexman_gym.drive import ConstantTorque, Signal, SineTorque, drive_table, signals
 
 MOST_ELEMENTS = 64
 MOST_OUTPUT_STEPS = 10_000_000
@@ -38,6 +38,8 @@ class ModelChoice:
     modes            modes kept of a link, 0 to 384 (6 per element); None keeps every finite element coordinate
     flexible_joints  False makes every joint rigid, whatever its stiffness
     stiffening       foreshortening (geometric stiffening) of the links
+    spinning_rotors  a rotor spins as a body in the frame that carries its joint; False neglects that frame's rotation,
+                     as the paper does (Eq. 23). Only its inertia about the axis counts
 
     Raises ValueError for another type or a number outside its range.
     """
@@ -47,6 +49,7 @@ class ModelChoice:
     modes: int | tuple[int, ...] | None = None
     flexible_joints: bool = True
     stiffening: bool = False
+    spinning_rotors: bool = False
 
     def __post_init__(self) -> None:
         store(
@@ -55,66 +58,10 @@ class ModelChoice:
             elements=_one_or_each("ModelChoice.elements", self.elements, whole_number, 1, MOST_ELEMENTS),
             flexible_joints=flag("ModelChoice.flexible_joints", self.flexible_joints),
             stiffening=flag("ModelChoice.stiffening", self.stiffening),
+            spinning_rotors=flag("ModelChoice.spinning_rotors", self.spinning_rotors),
         )
         if self.modes is not None:
             store(self, modes=_one_or_each("ModelChoice.modes", self.modes, whole_number, 0, 6 * MOST_ELEMENTS))
-
-
-@dataclass(frozen=True)
-class ConstantTorque:
-    """Torques that do not change: `value` (n,) in N m, on the motors (on the links where joints are rigid).
-
-    Raises ValueError when `value` is not a list of finite numbers.
-    """
-
-    kind: ClassVar[str] = "constant"
-    value: Sequence[float]
-
-    def __post_init__(self) -> None:
-        store(self, value=vector("ConstantTorque.value", self.value, unit="N m"))
-
-    def table(self) -> NDArray[np.float64]:
-        """Return (4, n) rows a, b, f, p of the torque a + b sin(2 pi f t + p): N m, N m, Hz, rad."""
-        table = np.zeros((4, len(self.value)))
-        table[0] = self.value
-        return table
-
-    def at(self, time: float) -> NDArray[np.float64]:
-        """Return the torques (n,) in N m at `time` in s."""
-        return np.array(self.value)
-
-
-@dataclass(frozen=True)
-class SineTorque:
-    """Torques amplitude sin(2 pi frequency_hz t + phase), on the motors (on the links where joints are rigid).
-
-    amplitude     (n,) N m
-    frequency_hz  (n,) Hz, >= 0
-    phase         (n,) rad
-
-    Raises ValueError when one is not a list of finite numbers, or when they differ in length.
-    """
-
-    kind: ClassVar[str] = "sine"
-    amplitude: Sequence[float]
-    frequency_hz: Sequence[float]
-    phase: Sequence[float]
-
-    def __post_init__(self) -> None:
-        amplitude = vector("SineTorque.amplitude", self.amplitude, unit="N m")
-        frequency_hz = vector("SineTorque.frequency_hz", self.frequency_hz, len(amplitude), "Hz")
-        for i, frequency in enumerate(frequency_hz):
-            non_negative(f"SineTorque.frequency_hz[{i}]", frequency, "Hz")
-        phase = vector("SineTorque.phase", self.phase, len(amplitude), "rad")
-        store(self, amplitude=amplitude, frequency_hz=frequency_hz, phase=phase)
-
-    def table(self) -> NDArray[np.float64]:
-        """Return (4, n) rows a, b, f, p of the torque a + b sin(2 pi f t + p): N m, N m, Hz, rad."""
-        return np.array([[0.0] * len(self.amplitude), self.amplitude, self.frequency_hz, self.phase])
-
-    def at(self, time: float) -> NDArray[np.float64]:
-        """Return the torques (n,) in N m at `time` in s."""
-        return self.amplitude * np.sin(2.0 * np.pi * time * np.array(self.frequency_hz) + self.phase)
 
 
 @dataclass(frozen=True)
@@ -142,8 +89,13 @@ class Scene:
 
     duration, output_step  s; the duration is a whole number of output steps (to 1e-9 of itself), at most 10 million
     note                   free text for the reader
+    prescribed             (n,) the acceleration of a motor (of a joint where it is rigid) whose motion is given, a
+                           Signal in rad/s^2, and None for a motor that its torque drives; None where that holds for all
+    tip_force              three Signals in N, the force on the tip of the last link in the base frame; None without
+    base_acceleration      three Signals in m/s^2, the base moving as a whole, in the base frame; None without
 
-    Raises ValueError when a part has the wrong type or does not fit the number of joints of the arm.
+    Raises ValueError when a part has the wrong type or does not fit the number of joints of the arm, and for a torque
+    on a motor whose motion is prescribed.
     """
 
     arm: Arm
@@ -153,6 +105,9 @@ class Scene:
     duration: float
     output_step: float
     note: str = ""
+    prescribed: Sequence[Signal | None] | None = None
+    tip_force: Sequence[Signal] | None = None
+    base_acceleration: Sequence[Signal] | None = None
 
     def __post_init__(self) -> None:
         self._check_part("arm", Arm)
@@ -164,6 +119,9 @@ class Scene:
             duration=positive("Scene.duration", self.duration, "s"),
             output_step=positive("Scene.output_step", self.output_step, "s"),
             note=text("Scene.note", self.note),
+            prescribed=self._checked_motion(),
+            tip_force=signals("Scene.tip_force", self.tip_force, "N"),
+            base_acceleration=signals("Scene.base_acceleration", self.base_acceleration, "m/s^2"),
         )
         steps = self.duration / self.output_step
         if not 0.5 < steps <= MOST_OUTPUT_STEPS or abs(steps - round(steps)) > 1e-9 * steps:
@@ -180,6 +138,27 @@ class Scene:
         for name, entry in vars(value).items():
             if isinstance(entry, tuple) and len(entry) != self.arm.n_joints:
                 raise refusal(f"Scene.{part}.{name}", entry, f"{self.arm.n_joints} values, one for each joint")
+
+    def _checked_motion(self) -> tuple[Signal | None, ...] | None:
+        """The prescribed motions, refused with a torque on the same motor."""
+        if self.prescribed is None:
+            return None
+        name, count = "Scene.prescribed", self.arm.n_joints
+        motions = tuple(sequence(name, self.prescribed, "a Signal or None for each joint"))
+        if len(motions) != count or not all(isinstance(motion, Signal | None) for motion in motions):
+            raise refusal(name, self.prescribed, f"{count} of Signal or None, one for each joint")
+        for i, (motion, torque) in enumerate(zip(motions, self.torque.signals(), strict=True)):
+            if motion is not None and (torque.offset, torque.amplitude) != (0.0, 0.0):
+                value = max(torque.offset, torque.amplitude, key=abs)
+                raise refusal(f"Scene.torque of joint {i}", value, "0 (N m): the motion of this joint is prescribed")
+        return motions if any(motions) else None
+
+    @property
+    def drive(self) -> NDArray[np.float64]:
+        """The table of the drive (6, n + 6) as the kernels read it, see `kernels.layout`."""
+        motions, none = self.prescribed or [None] * self.arm.n_joints, [None] * 3
+        motors = [motion or torque for motion, torque in zip(motions, self.torque.signals(), strict=True)]
+        return drive_table([*motors, *(self.tip_force or none), *(self.base_acceleration or none)])
 
     @property
     def output_times(self) -> NDArray[np.float64]:
@@ -216,6 +195,10 @@ class Scene:
         entries["model"] = _part(ModelChoice, "model", entries["model"])
         entries["torque"] = _torque(entries["torque"])
         entries["initial"] = _part(Initial, "initial", entries["initial"])
+        for name in ("prescribed", "tip_force", "base_acceleration"):
+            if entries.get(name) is not None:
+                items = enumerate(sequence(name, entries[name], "a list of mappings"))
+                entries[name] = [None if item is None else _part(Signal, f"{name}[{i}]", item) for i, item in items]
         return _build(cls, "", entries)
 
     def to_dict(self) -> dict[str, Any]:
@@ -231,7 +214,10 @@ class Scene:
 _OPTIONAL: dict[type, tuple[str, ...]] = {
     Arm: ("modal_damping_ratio",),
     Payload: ("inertia", "offset"),
-    ModelChoice: ("modes",),
+    Joint: ("viscous_friction", "coulomb_friction", "coulomb_rate"),
+    ModelChoice: ("modes", "spinning_rotors"),
+    Signal: tuple(field.name for field in fields(Signal)),
+    Scene: ("prescribed", "tip_force", "base_acceleration"),
 }
 
 

@@ -1,57 +1,21 @@
 """The simulator: a model moved through time, as a whole scene or one control period after another."""
 
 import time as clock
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
 from flexman_gym.beam import Array
-from flexman_gym.checks import one_of, positive, refusal, vector
+from flexman_gym.checks import one_of, positive, refusal, vector, whole_number
+from flexman_gym.drive import drive_table
 from flexman_gym.kernels import layout, steppers
 from flexman_gym.kernels.layout import STATUS, Clock, Work, make_work
 from flexman_gym.methods import EXPLICIT, LINEARLY_IMPLICIT, METHODS, Method
 from flexman_gym.model import Model, scene_model
 from flexman_gym.scene import Scene
+from flexman_gym.trajectory import Trajectory, trajectory, turnover
 
 WHOLE = 1e-9  # how far a ratio of two times may be from a whole number, relatively
-
-
-@dataclass(frozen=True, eq=False)
-class Trajectory:
-    """The solution of a scene at T output times; after a divergence only the times before it. SI units, radians.
-
-    Attributes:
-        time: (T,) s.
-        tip, tip_velocity: (T, 3) in the base frame.
-        joint_angles, motor_angles: (T, n) link side and motor side; equal where a joint is rigid.
-        energy: (T,) kinetic + elastic (links and joints) + gravitational, the last zero at the base origin; J.
-        work, dissipation: (T,) work of the motors and energy lost in dampers since the start, J.
-        states: (T, 2 d); the order is that of `kernels.layout`.
-        deflection: (T, 3) tip relative to the tip of the rigid arm at the motor angles.
-        status: "ok", "diverged" or "not converged".
-        evaluations: of the accelerations.
-        wall_seconds: spent in the integrator, without compilation.
-    """
-
-    time: Array
-    tip: Array
-    tip_velocity: Array
-    joint_angles: Array
-    motor_angles: Array
-    energy: Array
-    work: Array
-    dissipation: Array
-    states: Array
-    deflection: Array
-    status: str
-    evaluations: int
-    wall_seconds: float
-
-    @property
-    def energy_residual(self) -> Array:
-        """(T,) work of the motors - dissipation - change of energy, J: what the integrator invented or lost."""
-        return self.work - self.dissipation - (self.energy - self.energy[0])
 
 
 def simulate(
@@ -85,26 +49,30 @@ def simulate(
     chosen = find_method("ros2" if method == "auto" and step is not None else "dop853" if method == "auto" else method)
     interval, substeps = _output_interval(chosen, step, scene.output_step)
     rows = _whole("step", interval, scene.duration, "a number of seconds that divides the duration")
-    run = _Run(model, chosen, (positive("rtol", rtol), positive("atol", atol)))
+    prescribed = [i for i, motion in enumerate(scene.prescribed or ()) if motion is not None]
+    run = _Run(model, chosen, (positive("rtol", rtol), positive("atol", atol)), prescribed)
     state = np.append(model.initial_state(scene.initial.joint_angles, scene.initial.joint_rates), [0.0, 0.0])
     states, outputs = np.zeros((rows + 1, len(state))), np.zeros((rows + 1, layout.OUTPUTS))
-    table = scene.torque.table()
     run.start(state, states[0], outputs[0])
     started = clock.perf_counter()
-    status, valid, evaluations = run(table, Clock(0.0, interval / substeps, substeps), state, states[1:], outputs[1:])
+    moment = Clock(0.0, interval / substeps, substeps)
+    status, valid, evaluations = run(scene.drive, moment, state, states[1:], outputs[1:])
     elapsed = clock.perf_counter() - started
     outcome = (STATUS[status], evaluations, elapsed)
-    return _trajectory(model, interval, states[: valid + 1], outputs[: valid + 1], outcome)
+    return trajectory(model, interval, states[: valid + 1], outputs[: valid + 1], outcome)
 
 
 class Simulator:
     """A model that is moved by one control period at a time, under torques that are constant during it.
+
+    Motors (joints where they are rigid) in `prescribed` follow accelerations instead of torques.
 
     Attributes:
         model: the model.
         state: (2 d,) coordinates and speeds, a view that `step` updates; order in `kernels.layout`.
         outputs: (OUTPUTS,) tip, deflection and energies at that state; columns in `kernels.layout`.
         time: s since the reset.
+        energy_turnover: the largest since the reset of kinetic + elastic energy, of work and of dissipation, J.
         status: of the last step, "ok", "diverged" or "not converged". After a failure state and outputs are those at
             the end of the last good control period, and only a reset leads on.
 
@@ -120,6 +88,7 @@ class Simulator:
         control_period: float = 0.02,
         rtol: float = 1e-6,
         atol: float = 1e-9,
+        prescribed: Collection[int] = (),
     ) -> None:
         if not isinstance(model, Model):
             raise refusal("model", model, "a Model, from build_model")
@@ -130,11 +99,13 @@ class Simulator:
             raise refusal("step", None, f"a number > 0 (s): {self.method.name} takes fixed steps")
         allowed = "a number of seconds that divides the control period"
         self.substeps = 1 if step is None else _whole("step", step, self.control_period, allowed)
-        self._run = _Run(model, self.method, (positive("rtol", rtol), positive("atol", atol)))
+        joints = [whole_number("prescribed", joint, 0, model.n_joints - 1) for joint in prescribed]
+        self._run = _Run(model, self.method, (positive("rtol", rtol), positive("atol", atol)), joints)
+        self._prescribed = self._run.constants.prescribed > 0
         size = 2 * model.n_dof
         self._row, self._rows = np.zeros(size + 2), np.zeros((1, size + 2))
         self.outputs, self._new_outputs = np.zeros(layout.OUTPUTS), np.zeros((1, layout.OUTPUTS))
-        self._torque = np.zeros((4, model.n_joints))
+        self._drive = drive_table([None] * (model.n_joints + 6))
         self.state = self._row[:size]
         self.reset(np.zeros(model.n_joints))
 
@@ -163,29 +134,64 @@ class Simulator:
         self.status = STATUS[layout.OK]
         self._run.start(self._row, self._rows[0], self.outputs)
         self._start_energy = self.energy
+        self.energy_turnover = self._turnover()
 
-    def step(self, torque: Sequence[float] | Array) -> str:
-        """Moves on by one control period under constant motor torques (n,) in N m; returns the status.
+    def step(
+        self,
+        torque: Sequence[float] | Array,
+        acceleration: Sequence[float] | Array | None = None,
+        tip_force: Sequence[float] | Array | None = None,
+        base_acceleration: Sequence[float] | Array | None = None,
+    ) -> str:
+        """Moves on by one control period, during which everything that drives the arm is constant.
+
+        Args:
+            torque: (n,) of the motors, N m; 0 where the motion is prescribed.
+            acceleration: (n,) of the motors whose motion is prescribed, rad/s^2, and 0 elsewhere; None for zeros.
+            tip_force: (3,) on the tip of the last link, base frame, N; None for none.
+            base_acceleration: (3,) of the base, base frame, m/s^2; None for none.
+
+        Returns the status.
 
         Raises:
-            ValueError: wrong shape or a value that is not finite.
+            ValueError: wrong shape, a value that is not finite, or a torque on a joint whose motion is prescribed.
             RuntimeError: after a failed step, until the next reset.
         """
         if self.status != STATUS[layout.OK]:
             raise RuntimeError(f"the simulation is over, it {self.status}: reset it first")
-        values = np.asarray(torque)
-        if values.shape != self._torque[0].shape or values.dtype.kind not in "fiu" or not np.isfinite(values).all():
-            raise refusal("torque", torque, f"{self.model.n_joints} finite numbers (N m)")
-        self._torque[0] = values
+        n, drive = self.model.n_joints, self._drive[layout.OFFSET]
+        drive[:n] = _numbers("torque", torque, n, "N m")
+        if self._prescribed.any() or acceleration is not None:
+            self._prescribe(drive[:n], acceleration)
+        drive[n : n + 3] = 0.0 if tip_force is None else _numbers("tip_force", tip_force, 3, "N")
+        drive[n + 3 :] = 0.0
+        if base_acceleration is not None:
+            drive[n + 3 :] = _numbers("base_acceleration", base_acceleration, 3, "m/s^2")
         moment = Clock(self.time, self.control_period / self.substeps, self.substeps)
-        status, _, _ = self._run(self._torque, moment, self._row, self._rows, self._new_outputs)
+        status, _, _ = self._run(self._drive, moment, self._row, self._rows, self._new_outputs)
         if status == layout.OK:
             self._periods += 1
             self.outputs[:] = self._new_outputs[0]
+            self.energy_turnover = max(self.energy_turnover, self._turnover())
         else:
             self._row[:] = self._rows[0]
         self.status = STATUS[status]
         return self.status
+
+    def _prescribe(self, drive: Array, acceleration: Sequence[float] | Array | None) -> None:
+        """Writes the accelerations of prescribed motors over their torques, which must be zero."""
+        given = np.zeros(len(drive)) if acceleration is None else acceleration
+        given = _numbers("acceleration", given, len(drive), "rad/s^2")
+        for i in np.flatnonzero(self._prescribed & (drive != 0.0)):
+            raise refusal(f"torque[{i}]", float(drive[i]), "0 (N m): the motion of this joint is prescribed")
+        for i in np.flatnonzero(~self._prescribed & (given != 0.0)):
+            allowed = "0 (rad/s^2): the motion of this joint is not prescribed"
+            raise refusal(f"acceleration[{i}]", float(given[i]), allowed)
+        drive[self._prescribed] = given[self._prescribed]
+
+    def _turnover(self) -> float:
+        moving = self.outputs[layout.KINETIC : layout.GRAVITATIONAL].sum()
+        return float(turnover(moving, self._row[-2], self._row[-1]))
 
     @property
     def time(self) -> float:
@@ -224,7 +230,7 @@ class Simulator:
 
     @property
     def energy_residual(self) -> float:
-        """Work of the motors - dissipation - change of energy since the reset, J."""
+        """Work - dissipation - change of energy since the reset, J; see `Trajectory`."""
         return float(self._row[-2] - self._row[-1]) - (self.energy - self._start_energy)
 
 
@@ -236,15 +242,18 @@ def find_method(name: object) -> Method:
 class _Run:
     """A method bound to a model and its work space."""
 
-    def __init__(self, model: Model, method: Method, tolerance: tuple[float, float]) -> None:
-        self.constants = model.constants
+    def __init__(
+        self, model: Model, method: Method, tolerance: tuple[float, float], prescribed: Collection[int]
+    ) -> None:
+        flags = np.isin(np.arange(model.n_joints), list(prescribed)).astype(np.int64)
+        self.constants = model.constants._replace(prescribed=flags)
         self.work: Work = make_work(model.constants)
         self.tableau = method.tableau
         self.tolerance = np.array(tolerance)
         self.kind = method.kind
 
-    def __call__(self, torque: Array, moment: Clock, state: Array, rows: Array, outputs: Array) -> tuple[int, int, int]:
-        arguments = (self.constants, self.work, self.tableau, torque, moment, state, rows, outputs)
+    def __call__(self, drive: Array, moment: Clock, state: Array, rows: Array, outputs: Array) -> tuple[int, int, int]:
+        arguments = (self.constants, self.work, self.tableau, drive, moment, state, rows, outputs)
         if self.kind == EXPLICIT:
             return steppers.run_explicit(*arguments)
         if self.kind == LINEARLY_IMPLICIT:
@@ -253,8 +262,16 @@ class _Run:
 
     def start(self, state: Array, row: Array, outputs: Array) -> None:
         """Records the state as it is, by a run of no steps, which also loads or compiles the kernels."""
-        at_rest = np.zeros((4, len(self.constants.mass)))
+        at_rest = drive_table([None] * (len(self.constants.mass) + 6))
         self(at_rest, Clock(0.0, 0.0, 0), state, row[None], outputs[None])
+
+
+def _numbers(name: str, value: Sequence[float] | Array, count: int, unit: str) -> Array:
+    """The value as an array of finite numbers."""
+    values = np.asarray(value)
+    if values.shape != (count,) or values.dtype.kind not in "fiu" or not np.isfinite(values).all():
+        raise refusal(name, value, f"{count} finite numbers ({unit})")
+    return values
 
 
 def _whole(name: str, part: float, total: float, allowed: str) -> int:
@@ -281,24 +298,3 @@ def _output_interval(method: Method, step: float | None, output_step: float) -> 
     if abs(multiple - round(multiple)) > WHOLE * multiple:
         raise refusal("step", step, f"{allowed}, {output_step} s")
     return step, 1
-
-
-def _trajectory(
-    model: Model, interval: float, states: Array, outputs: Array, outcome: tuple[str, int, float]
-) -> Trajectory:
-    size = 2 * model.n_dof
-    return Trajectory(
-        time=interval * np.arange(len(states), dtype=np.float64),
-        tip=outputs[:, layout.TIP],
-        tip_velocity=outputs[:, layout.TIP_VELOCITY],
-        joint_angles=states[:, : model.n_joints],
-        motor_angles=states[:, model.motor_columns],
-        energy=outputs[:, layout.KINETIC :].sum(axis=1),
-        work=states[:, size],
-        dissipation=states[:, size + 1],
-        states=states[:, :size],
-        deflection=outputs[:, layout.DEFLECTION],
-        status=outcome[0],
-        evaluations=outcome[1],
-        wall_seconds=outcome[2],
-    )

@@ -1,9 +1,7 @@
-"""Cases of verification: what is known of beams, joints, the paper's arm and its motions, and what we compute of it."""
+"""Cases of verification: what is known of beams, joints and the paper's arm, and what we compute of it."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 
@@ -19,9 +17,8 @@ from flexman_gym.closed_forms import (
 )
 from flexman_gym.dynamics import acceleration, frequencies, mass_matrix, stiffness_matrix
 from flexman_gym.kernels import inverse, layout
-from flexman_gym.model import Model, build_model, scene_model
-from flexman_gym.scene import Scene
-from flexman_gym.simulator import Simulator, Trajectory, simulate
+from flexman_gym.model import Model, build_model
+from flexman_gym.simulator import Simulator, simulate
 from flexman_gym.verification import Row, printed, series
 
 AXIAL, TWIST, BENDING_Y, BENDING_Z = (0,), (3,), (1, 5), (2, 4)  # coordinates of a node that move together
@@ -30,24 +27,10 @@ HERMITE = "known of cubic elements with consistent mass"
 MECHANICS = "Gere and Timoshenko, Mechanics of Materials"
 WRIGHT = "Wright et al., J. Applied Mechanics 49 (1982)"
 SPONG = "closed form: Spong, J. Dynamic Systems 109 (1987)"
-INDEPENDENT = "independent automatic-differentiation code"
 THREE_CODES = "three independent codes"
 TABLE_1 = "closed form with the paper's Table 1"
 IDENTITY = "identity"
 FLAP = {1.0: 3.6816, 2.0: 4.1373, 4.0: 5.5850, 6.0: 7.3604}  # eta: lambda_1, hub radius 0
-REFERENCES = ("paper_rr", "pendulum_1", "paper_fr", "paper_ff", "gravity_payload_ff", "spin_up_stiffened")
-QUICK_REFERENCES = REFERENCES[:2]
-
-
-def rows(reference: Path, quick: bool = False) -> Iterator[Row]:
-    """All rows, or those that take little time; `reference` is the folder of the reference scenes and solutions."""
-    for case in CASES:
-        yield from case()
-    for name in QUICK_REFERENCES if quick else REFERENCES:
-        yield from trajectory_rows(reference, name)
-    if not quick:
-        yield from momentum_rows(reference)
-        yield from large_rotation_rows(reference)
 
 
 def slender_link(length: float = 1.0, mass_per_length: float = 1.0, rigidity: float = 1.0, across: float = 1e4) -> Link:
@@ -234,45 +217,6 @@ def instant_rows() -> Iterator[Row]:
     yield Row("inverse of forward dynamics, largest relative gap", IDENTITY, 0.0, max(inertial), 1e-9)
 
 
-def trajectory_rows(reference: Path, name: str) -> Iterator[Row]:
-    """A reference scene against its solution, by the reference method; and its balance of work and energy."""
-    scene, expected = Scene.load(reference / f"{name}.json"), _solution(reference, name)
-    found = _motion(reference, name)
-    largest = np.abs(expected[:, -1]).max()
-    energy = np.abs(found.energy - expected[: len(found.time), -1]).max() / largest
-    residual = np.abs(found.energy_residual).max() / largest
-    yield Row(f"{name}, largest distance of the tip, m", INDEPENDENT, 0.0, _farthest(found, expected), 1e-6)
-    yield Row(f"{name}, largest relative error of energy", INDEPENDENT, 0.0, _whole(found, scene, energy), 1e-6)
-    yield Row(f"{name}, work - dissipation - energy, relative", IDENTITY, 0.0, _whole(found, scene, residual), 1e-6)
-
-
-def momentum_rows(reference: Path) -> Iterator[Row]:
-    """Angular momentum about the vertical axis of the paper's arm, everything flexible: 400 t.
-
-    That of the links is conjugate to the first joint angle; the first rotor has its own, the others take no part.
-    """
-    scene = Scene.load(reference / "paper_ff.json")
-    found, model = _motion(reference, "paper_ff"), scene_model(scene)
-    d, motor, rotor = model.n_dof, model.motor_columns[0], scene.arm.joints[0].rotor_inertia
-    gaps = []
-    for time, state in zip(found.time[::20], found.states[::20], strict=True):
-        momentum = mass_matrix(model, state)[0] @ state[d:] + rotor * state[d + motor]
-        gaps.append(abs(momentum - 400.0 * time) / (400.0 * scene.duration))
-    worst = _whole(found, scene, max(gaps))
-    yield Row("paper FF, angular momentum - 400 t, largest, of that at the end", IDENTITY, 0.0, worst, 1e-6)
-
-
-def large_rotation_rows(reference: Path) -> Iterator[Row]:
-    """The paper's flexible arm against a model of large rotations, with foreshortening and, not judged, without."""
-    expected = _solution(reference, "paper_ff_large_rotation")
-    source = "independent large-rotation code"
-    for name, stiffening, limits in (("with", True, (2e-3, 6e-3)), ("without", False, (None, None))):
-        found = _motion(reference, "paper_ff", stiffening)
-        for end, limit in zip((1.0, 2.0), limits, strict=True):
-            worst = _farthest(found, expected, int((expected[:, 0] < end + 1e-6).sum()))
-            yield Row(f"paper FF {name} foreshortening, tip within {end:g} s, m", source, 0.0, worst, limit)
-
-
 CASES: tuple[Callable[[], Iterator[Row]], ...] = (
     cantilever_rows,
     hub_rows,
@@ -309,28 +253,3 @@ def _slopes(model: Model, state: Array, columns: Array, step: float = 1e-5) -> A
         ahead, behind = (acceleration(model, state + sign * shift, [0.0]) for sign in (1.0, -1.0))
         slopes.append((ahead - behind)[columns] / (2.0 * step))
     return np.transpose(slopes)
-
-
-@cache
-def _motion(reference: Path, name: str, stiffening: bool = False) -> Trajectory:
-    """A reference scene by the reference method, as it asks or with foreshortening."""
-    scene = Scene.load(reference / f"{name}.json")
-    chosen = replace(scene, model=replace(scene.model, stiffening=stiffening or scene.model.stiffening))
-    return simulate(chosen, rtol=1e-8, atol=1e-10)
-
-
-def _solution(reference: Path, name: str) -> Array:
-    """Rows of a reference solution: time, tip, joint angles ..."""
-    return np.loadtxt(reference / f"{name}.csv", delimiter=",", skiprows=1)
-
-
-def _farthest(found: Trajectory, expected: Array, until: int | None = None) -> float:
-    """Largest distance of the tip, m; infinite when the run ended early."""
-    if found.status != "ok" or len(found.time) != len(expected):
-        return np.inf
-    return float(np.linalg.norm(found.tip - expected[:, 1:4], axis=1)[:until].max())
-
-
-def _whole(found: Trajectory, scene: Scene, value: float) -> float:
-    """The value of a run that went to the end of its scene; infinite of one that did not."""
-    return float(value) if found.status == "ok" and np.isclose(found.time[-1], scene.duration) else np.inf

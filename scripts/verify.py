@@ -5,10 +5,16 @@ import sys
 from pathlib import Path
 from time import perf_counter
 
-from flexman_gym.verification import as_json, exit_code, markdown, table
-from flexman_gym.verification_cases import rows
+from flexman_gym.verification import Row, as_json, exit_code, markdown, table
+from flexman_gym.verification_cases import CASES
+from flexman_gym.verification_motions import motion_rows
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference"
+
+
+def rows(reference: Path, quick: bool = False) -> list[Row]:
+    """All rows, or those that take little time; `reference` is the folder of the reference scenes and solutions."""
+    return [row for case in CASES for row in case()] + list(motion_rows(reference, quick))
 
 
 def main() -> int:
@@ -22,7 +28,7 @@ def main() -> int:
     if not options.reference.is_dir():
         parser.error(f"--reference: {options.reference} is not allowed; give the folder of the reference solutions")
     started = perf_counter()
-    found = list(rows(options.reference, options.quick))
+    found = rows(options.reference, options.quick)
     print(table(found))
     print(f"{perf_counter() - started:.0f} s")
     for file, text in ((options.json, as_json), (options.markdown, markdown)):

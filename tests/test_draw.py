@@ -8,8 +8,9 @@ from matplotlib.image import imread
 
 from flexman_gym import catalog
 from flexman_gym.draw import FramePainter, arm_frame, arm_lines, paper_figures
+from flexman_gym.drive import ConstantTorque
 from flexman_gym.model import build_model
-from flexman_gym.scene import ConstantTorque, Initial, ModelChoice, Scene
+from flexman_gym.scene import Initial, ModelChoice, Scene
 from flexman_gym.simulator import Simulator, simulate
 
 ARM = catalog.paper_rrr()

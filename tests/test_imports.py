@@ -22,15 +22,17 @@ ARROWS = {
     "checks": "",
     "arm": "checks",
     "scene_file": "checks",
-    "scene": "arm checks scene_file",
-    "catalog": "scene arm checks",
+    "drive": "checks",
+    "scene": "drive arm checks scene_file",
+    "catalog": "scene drive arm checks",
     "beam": "arm checks",
     "reduction": "beam arm checks",
     "methods": "kernels checks",
     "model": "reduction beam scene arm checks kernels",
     "strain": "model beam scene arm checks",
     "dynamics": "model reduction beam scene arm checks kernels",
-    "simulator": "dynamics model methods reduction beam scene arm checks kernels",
+    "trajectory": "model beam checks kernels",
+    "simulator": "trajectory drive dynamics model methods reduction beam scene arm checks kernels",
     "fidelity": "simulator dynamics model methods reduction beam scene arm checks",
     "control": "simulator dynamics model reduction beam scene catalog arm checks kernels",
     "sensors": "strain simulator dynamics model beam scene catalog arm checks kernels",
@@ -38,14 +40,16 @@ ARROWS = {
     "tasks": "sensors simulator dynamics model beam scene catalog arm checks kernels",
     "study": "fidelity metrics control simulator dynamics model methods scene catalog arm checks",
     "draw": "simulator dynamics model beam scene catalog arm checks",
-    "envs": "tasks sensors control metrics draw simulator dynamics model methods beam scene catalog arm checks kernels",
-    "verification_cases": "verification closed_forms simulator dynamics model beam scene catalog arm kernels",
+    "envs": "tasks sensors control metrics draw trajectory simulator dynamics model methods beam scene catalog arm checks"
+    " kernels",
+    "verification_cases": "verification closed_forms simulator dynamics model beam catalog arm kernels",
+    "verification_motions": "verification_cases verification trajectory drive simulator dynamics model beam scene arm",
 }
 _PUBLIC = "envs tasks sensors control metrics study draw fidelity simulator dynamics model methods scene catalog arm"
-_PUBLIC += " strain"
+_PUBLIC += " strain drive trajectory"
 ARROWS["flexman_gym"] = _PUBLIC
 ARROWS["agents"] = f"agents flexman_gym checks {_PUBLIC}"
-ARROWS["scripts"] = f"scripts agents flexman_gym checks {_PUBLIC} verification verification_cases"
+ARROWS["scripts"] = f"scripts agents flexman_gym checks {_PUBLIC} verification verification_cases verification_motions"
 INSIDE_KERNELS = {"numba", "numpy", "math", "typing"}
 CACHE_ROOM = {"hashlib", "os", "tempfile", "pathlib"}  # kernels/__init__.py names the folder of the binaries
 HEAVY = {"torch", "stable_baselines3", "matplotlib", "pyvista", "ray"}

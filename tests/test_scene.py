@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flexman_gym.arm import Arm, Joint, Link, Payload
-from flexman_gym.scene import ConstantTorque, Initial, ModelChoice, Scene, SineTorque
+from flexman_gym.drive import ConstantTorque, SineTorque
+from flexman_gym.scene import Initial, ModelChoice, Scene
 
 REFERENCE = sorted((Path(__file__).parent / "reference").glob("*.json"))
 SCENE = Scene.load(REFERENCE[0])
@@ -226,10 +227,11 @@ def test_any_bytes_are_refused_in_one_line(tmp_path_factory, content):
 
 
 @given(st.builds(ConstantTorque, triples) | st.builds(SineTorque, triples, triples, triples), st.floats(0.0, 10.0))
-def test_the_table_of_a_torque_is_its_formula(torque, time):
-    table = torque.table()
-    assert table.shape == (4, 3) and table.dtype == float
-    offset, amplitude, frequency_hz, phase = table
+def test_the_signals_of_a_torque_are_its_formula(torque, time):
+    signals = torque.signals()
+    assert len(signals) == 3 and all(signal.start == 0.0 and signal.stop is None for signal in signals)
+    numbers = [(signal.offset, signal.amplitude, signal.frequency_hz, signal.phase) for signal in signals]
+    offset, amplitude, frequency_hz, phase = np.transpose(numbers)
     expected = offset + amplitude * np.sin(2.0 * np.pi * frequency_hz * time + phase)
     assert torque.at(time) == pytest.approx(expected, rel=0.0, abs=1e-8)
 

@@ -1,5 +1,6 @@
 """Verification: its quick half passes, a wrong number fails, and its files hold every row."""
 
+import importlib
 import json
 import subprocess
 import sys
@@ -9,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flexman_gym import verification_cases
 from flexman_gym.closed_forms import bar_eigenvalues, beam_eigenvalues, joint_eigenvalues, rayleigh_eigenvalues
 from flexman_gym.verification import COLUMNS, Row, as_json, exit_code, markdown, printed, table
 
@@ -18,9 +18,19 @@ ROW = Row("a number, m", "a book", 2.0, 2.001, 1e-3)
 
 
 @pytest.fixture(scope="module")
-def rows():
+def verify():
+    """The command as a module."""
+    sys.path.insert(0, str(ROOT / "scripts"))
+    try:
+        return importlib.import_module("verify")
+    finally:
+        sys.path.pop(0)
+
+
+@pytest.fixture(scope="module")
+def rows(verify):
     """The quick half."""
-    return list(verification_cases.rows(ROOT / "tests" / "reference", quick=True))
+    return verify.rows(ROOT / "tests" / "reference", quick=True)
 
 
 def test_the_quick_half_passes(rows):
@@ -36,12 +46,7 @@ def test_a_wrong_expected_value_fails(rows):
     assert exit_code([*rows[1:], wrong[0]]) == 1
 
 
-def test_a_wrong_expected_value_ends_the_command_with_1(monkeypatch, capsys):
-    sys.path.insert(0, str(ROOT / "scripts"))
-    try:
-        import verify
-    finally:
-        sys.path.pop(0)
+def test_a_wrong_expected_value_ends_the_command_with_1(verify, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["verify.py", "--quick"])
     for row, code in ((ROW, 0), (replace(ROW, expected=3.0), 1)):
         monkeypatch.setattr(verify, "rows", lambda reference, quick, row=row: [row])

@@ -10,6 +10,8 @@ An inertia is a triple: force by linear, force by angular and moment by angular 
 
 import math
 
+from flexman_gym.kernels.forces import applied_forces
+from flexman_gym.kernels.joints import eliminate_joint, free_joint, joint_acceleration, prescribed_power
 from flexman_gym.kernels.kinematics import positions, velocities
 from flexman_gym.kernels.linalg import (
     LANES,
@@ -19,6 +21,8 @@ from flexman_gym.kernels.linalg import (
     add_scaled,
     apply,
     apply_back,
+    apply_inertia,
+    copy,
     cross,
     dot,
     inner,
@@ -37,51 +41,21 @@ from flexman_gym.kernels.linalg import (
 
 
 @kernel
-def accelerations(constants, work, x, v, torque, out):
-    """out (d,) = generalised accelerations at coordinates x (d,), speeds v (d,) under motor torques (n,) in N m."""
-    positions(constants, work, x)
-    velocities(constants, work, v)
-    factorise(constants, work, 0.0)
-    applied_forces(constants, work, x, v, torque)
-    solve(constants, work, out)
+def accelerations(constants, work, x, v, drive, out):
+    """out (d,) = generalised accelerations at coordinates x (d,), speeds v (d,) under a drive (n + 6,)."""
+    copy(drive, work.drive)
+    accelerate(constants, work, x, v, out)
 
 
 @inner
-def applied_forces(constants, work, x, v, torque):
-    """work.force (d,) = motor torques, springs and dampers of joints (Eq. 23) and links (Eq. 18); returns two powers.
-
-    Those are the power of the motors at the speeds v and the power lost in the dampers (W).
-    """
-    n = len(constants.mass)
-    elastic = len(x) - constants.elastic_start[n]
-    supplied = 0.0
-    lost = 0.0
-    for i in range(n):
-        m = constants.motor[i]
-        if m < 0:
-            work.force[i] = torque[i]
-            supplied += torque[i] * v[i]
-            continue
-        slip = v[m] - v[i]
-        reaction = constants.joint_stiffness[i] * (x[m] - x[i]) + constants.joint_damping[i] * slip
-        work.force[i] = reaction
-        work.force[m] = torque[i] - reaction
-        supplied += torque[i] * v[m]
-        lost += constants.joint_damping[i] * slip * slip
-    for i in range(n):
-        start = constants.elastic_start[i]
-        k = constants.elastic_start[i + 1] - start
-        first = elastic + start
-        for a in range(k):
-            row = constants.square_start[i] + a * k
-            restoring = 0.0
-            drag = 0.0
-            for b in range(k):
-                restoring += constants.stiffness[row + b] * x[first + b]
-                drag += constants.damping[row + b] * v[first + b]
-            work.force[first + a] = -restoring - drag
-            lost += drag * v[first + a]
-    return supplied, lost
+def accelerate(constants, work, x, v, out):
+    """out (d,) = generalised accelerations under work.drive; returns the power supplied and the power lost (W)."""
+    positions(constants, work, x)
+    velocities(constants, work, v)
+    factorise(constants, work, 0.0)
+    supplied, lost = applied_forces(constants, work, x, v)
+    solve(constants, work, out)
+    return supplied + prescribed_power(constants, work, v), lost
 
 
 @inner
@@ -181,41 +155,11 @@ def eliminate_elastic(constants, work, i, inertia):
 
 
 @inner
-def eliminate_joint(constants, work, i, g, inertia):
-    """What is left of an inertia when joint i, with its rotor and spring, is free."""
-    force, mixed, moment = inertia
-    axis = load(constants.axis, i)
-    linear, angular = apply(mixed, axis), apply(moment, axis)
-    pivot = dot(axis, angular)
-    rotor = constants.rotor_inertia[i]
-    spring = 0.0
-    if constants.motor[i] < 0:
-        pivot += rotor
-    else:
-        spring = g * (constants.joint_damping[i] + g * constants.joint_stiffness[i])
-        pivot += spring * rotor / (rotor + spring)
-    work.spring[i] = spring
-    work.joint_pivot[i] = pivot
-    store_pair(work.joint_column, i, linear, angular)
-    scaled, turned = add_scaled(ZERO, 1.0 / pivot, linear), add_scaled(ZERO, 1.0 / pivot, angular)
-    force, mixed = subtract_outer(force, scaled, linear), subtract_outer(mixed, scaled, angular)
-    return force, mixed, subtract_outer(moment, turned, angular)
-
-
-@inner
 def rotate_inertia(inertia, c):
     """An inertia in the frame before the rotation c."""
     back = transposed(c)
     force, mixed, moment = inertia
     return product(product(c, force), back), product(product(c, mixed), back), product(product(c, moment), back)
-
-
-@inner
-def apply_inertia(inertia, acceleration):
-    """Force and moment for a linear and angular acceleration."""
-    linear, angular = acceleration
-    force, mixed, moment = inertia
-    return add(apply(force, linear), apply(mixed, angular)), add(apply_back(mixed, linear), apply(moment, angular))
 
 
 @inner
@@ -227,6 +171,7 @@ def solve(constants, work, out):
     n = len(constants.mass)
     elastic = len(out) - constants.elastic_start[n]
     force, moment = payload_force(constants, work, load_pair(work.tip_bias, n - 1))
+    force = add_scaled(force, -1.0, load(work.tip_force, 0))
     for i in range(n - 1, -1, -1):
         c = load_matrix(work.rotation, i)
         force, moment = gather_forces(constants, work, i, elastic, (force, moment))
@@ -234,7 +179,7 @@ def solve(constants, work, out):
         bias = (apply_back(c, linear), apply_back(c, angular))
         force, moment = free_joint(constants, work, i, (force, moment), bias)
         force, moment = apply(c, force), apply(c, moment)
-    linear = (-constants.gravity[0], -constants.gravity[1], -constants.gravity[2])
+    linear = add_scaled(ZERO, -1.0, load(work.field, 0))
     angular = ZERO
     for i in range(n):
         c = load_matrix(work.rotation, i)
@@ -278,37 +223,6 @@ def gather_forces(constants, work, i, elastic, tip):
         force = add_scaled(force, -value, (factor[j], factor[j + 1], factor[j + 2]))
         moment = add_scaled(moment, -value, (factor[j + 3], factor[j + 4], factor[j + 5]))
     return force, moment
-
-
-@inner
-def free_joint(constants, work, i, total, bias):
-    """Force and moment that joint i passes on when it is free and its near side has the bias acceleration."""
-    axis, angular_bias = load(constants.axis, i), load(work.joint_bias, i)
-    torque = work.force[i] - dot(axis, total[1])
-    m = constants.motor[i]
-    if m >= 0:
-        torque += work.spring[i] / (constants.rotor_inertia[i] + work.spring[i]) * work.force[m]
-    work.joint_force[i] = torque
-    share = torque / work.joint_pivot[i]
-    linear, angular = load_pair(work.joint_column, i)
-    blocks, j = work.articulated, 3 * i
-    inertia = load_matrix(blocks, j), load_matrix(blocks, j + 1), load_matrix(blocks, j + 2)
-    if i == 0:
-        bias = (ZERO, ZERO)  # the base does not move by itself
-    force, moment = apply_inertia(inertia, (bias[0], add(bias[1], angular_bias)))
-    return add(add_scaled(total[0], share, linear), force), add(add_scaled(total[1], share, angular), moment)
-
-
-@inner
-def joint_acceleration(constants, work, i, frame, out):
-    """Acceleration of joint i, returned too, and of its motor, for that of the frame without the joint's share."""
-    linear, angular = load_pair(work.joint_column, i)
-    value = (work.joint_force[i] - dot(linear, frame[0]) - dot(angular, frame[1])) / work.joint_pivot[i]
-    out[i] = value
-    m = constants.motor[i]
-    if m >= 0:
-        out[m] = (work.force[m] + work.spring[i] * value) / (constants.rotor_inertia[i] + work.spring[i])
-    return value
 
 
 @inner

@@ -1,6 +1,7 @@
 """Inverse dynamics of the chain: the generalised forces that accelerations demand, M v' + h (left side of Eq. 44)."""
 
 from flexman_gym.kernels.dynamics import payload_force, tip_acceleration
+from flexman_gym.kernels.joints import rotor_push
 from flexman_gym.kernels.kinematics import positions, velocities
 from flexman_gym.kernels.linalg import (
     ZERO,
@@ -39,12 +40,16 @@ def inertial_forces(constants, work, x, v, acceleration, out):
         frame = load_pair(work.frame_acceleration, i)
         elastic_forces(constants, work, i, frame, (force, moment), acceleration, out)
         force, moment = link_force(constants, work, i, frame, (force, moment), acceleration)
-        out[i] = dot(load(constants.axis, i), moment)
-        m = constants.motor[i]
+        axis, m = load(constants.axis, i), constants.motor[i]
+        push, alone = rotor_push(constants, i, frame[1], acceleration), 0.0
+        if constants.carried_inertia[i] == 0.0:
+            alone = constants.rotor_inertia[i]
+        out[i] = dot(axis, moment)
         if m >= 0:
-            out[m] = constants.rotor_inertia[i] * acceleration[m]
+            out[m] = alone * acceleration[m] + push
         else:
-            out[i] += constants.rotor_inertia[i] * acceleration[i]
+            out[i] += alone * acceleration[i] + push
+        moment = add(add_scaled(moment, push, axis), load(work.rotor_bias, i))
         c = load_matrix(work.rotation, i)
         force, moment = apply(c, force), apply(c, moment)
 

@@ -144,8 +144,12 @@ def velocities(constants, work, v):
     for i in range(n):
         c = load_matrix(work.rotation, i)
         spin, velocity = apply_back(c, spin), apply_back(c, velocity)
-        turn = add_scaled(ZERO, v[i], load(constants.axis, i))
+        axis = load(constants.axis, i)
+        turn = add_scaled(ZERO, v[i], axis)
         store(work.joint_bias, i, cross(spin, turn))
+        if constants.carried_inertia[i] != 0.0:
+            rate = dot(axis, spin) + v[constants.motor[i] if constants.motor[i] >= 0 else i]
+            store(work.rotor_bias, i, add_scaled(ZERO, constants.carried_inertia[i] * rate, cross(spin, axis)))
         spin = add(spin, turn)
         store(work.spin, i, spin)
         store(work.velocity, i, velocity)
@@ -154,6 +158,7 @@ def velocities(constants, work, v):
         velocity = add(add(velocity, cross(spin, load(work.tip, i))), linear)
         spin = add(spin, angular)
     store(work.payload_spin, 0, spin)
+    store(work.tip_velocity, 0, velocity)
     force = cross(spin, cross(spin, load(work.payload_moment, 0)))
     store_pair(work.payload_bias, 0, force, cross(spin, apply(load_matrix(work.payload_rotary, 0), spin)))
 

@@ -5,7 +5,11 @@ State. With n links, m flexible joints and k = k_1 + ... + k_n elastic coordinat
     x = [joint angles (n), motor angles (m, of flexible joints in their order), elastic coordinates (k, link by link)]
 
 and speeds v in the same order. A state is [x, v], 2 d numbers. Integrators append the ledger: two more numbers, the
-work done by the motors and the energy dissipated since the start (J).
+work done by motors and disturbances and the energy dissipated since the start (J).
+
+Drive. What moves the arm from outside is n + 6 numbers: the torque of each motor (N m), or its acceleration (rad/s^2)
+where it is prescribed; the force on the tip (N) and the acceleration of the base (m/s^2), both in the base frame. Its
+table (6, n + 6) has a column for each: offset + amplitude sin(2 pi frequency t + phase) while start <= t < stop.
 
 Symbols. Single capital letters stand for these and nothing else:
 
@@ -40,6 +44,8 @@ LARGEST_STATE = 1e6
 
 STAGES = 16  # the most stages of a method, with the evaluation at the end of the step
 
+OFFSET, AMPLITUDE, FREQUENCY, PHASE, START, STOP = 0, 1, 2, 3, 4, 5
+
 # Columns of an output row.
 TIP, TIP_VELOCITY, DEFLECTION, DEFLECTION_RATE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 KINETIC, LINK_ENERGY, JOINT_ENERGY, GRAVITATIONAL = 12, 13, 14, 15
@@ -58,6 +64,11 @@ class Constants(NamedTuple):
     joint_stiffness: Array  # (n,)
     joint_damping: Array  # (n,)
     rotor_inertia: Array  # (n,)
+    carried_inertia: Array  # (n,) of rotors that spin with the link that carries them, 0 of the others (Eq. 23)
+    viscous_friction: Array  # (n,)
+    coulomb_friction: Array  # (n,)
+    coulomb_rate: Array  # (n,)
+    prescribed: IntArray  # (n,) 1 where the motion of a motor is prescribed; set by a run, not by a model
     length: Array  # (n,)
     mass: Array  # (n,)
     first_moment: Array  # (n, 3) integral of r0 dm
@@ -125,6 +136,8 @@ class Work(NamedTuple):
     payload_bias: Array  # (1, 6) quadratic velocity force and torque of the payload
     spin: Array  # (n, 3) angular velocity
     velocity: Array  # (n, 3) velocity of the origin
+    rotor_bias: Array  # (n, 3) gyroscopic torque of a carried rotor
+    tip_velocity: Array  # (1, 3) of the last link
     joint_bias: Array  # (n, 3) angular acceleration of the link that no acceleration causes
     tip_bias: Array  # (n, 6) acceleration of the tip that no acceleration causes
     bias: Array  # (n, 6) quadratic velocity force and torque, Eq. 14
@@ -137,16 +150,21 @@ class Work(NamedTuple):
     joint_column: Array  # (n, 6) articulated inertia times joint axis
     joint_pivot: Array  # (n,) what the joint torque accelerates
     spring: Array  # (n,) implicit stiffness of the joint spring
+    motor_inertia: Array  # (n,) of a rotor with its implicit spring and friction
+    friction_slope: Array  # (n,) of the friction torque by the motor rate
     # accelerations
+    drive: Array  # (n + 6,)
+    field: Array  # (1, 3) gravity less the acceleration of the base
+    tip_force: Array  # (1, 3) in the frame of the last link
     force: Array  # (d,) generalised forces of motors, springs and dampers
     elastic_force: Array  # (k,)
     joint_force: Array  # (n,)
+    motor_torque: Array  # (n,) that a prescribed motion takes
     frame_acceleration: Array  # (n, 6) of the link's frame, gravity as an upward acceleration of the base
     # integrators
-    torque: Array  # (n,)
     stages: Array  # (STAGES, 2 d + 2)
     stage_state: Array  # (2 d + 2,)
-    shifted: Array  # (2 d + 2,)
+    shift: Array  # (2 d + 2,)
     trial: Array  # (2 d + 2,)
 
 
@@ -162,11 +180,13 @@ def make_work(constants: Constants) -> Work:
         "moment_shape": (k, 3), "elastic_mass": constants.elastic_mass.shape, "station": (stations, 3),
         "stretch": (stretches,), "bend": (stretches,), "weight": (stations, 6),
         "payload_moment": (1, 3), "payload_rotary": (9,), "payload_spin": (1, 3), "payload_bias": (1, 6),
-        "velocity": (n, 3), "joint_bias": (n, 3),
+        "velocity": (n, 3), "joint_bias": (n, 3), "rotor_bias": (n, 3), "tip_velocity": (1, 3),
         "tip_bias": (n, 6), "bias": (n, 6), "elastic_bias": (k,), "articulated": (27 * n,), "carried": (k, 6),
         "factor": (rows,), "joint_column": (n, 6), "joint_pivot": (n,), "spring": (n,),
-        "force": (size // 2 - 1,), "elastic_force": (k,), "joint_force": (n,), "frame_acceleration": (n, 6),
-        "torque": (n,), "stages": (STAGES, size), "stage_state": (size,), "shifted": (size,), "trial": (size,),
+        "motor_inertia": (n,), "friction_slope": (n,), "drive": (n + 6,), "field": (1, 3), "tip_force": (1, 3),
+        "force": (size // 2 - 1,), "elastic_force": (k,), "joint_force": (n,), "motor_torque": (n,),
+        "frame_acceleration": (n, 6),
+        "stages": (STAGES, size), "stage_state": (size,), "shift": (size,), "trial": (size,),
     }  # fmt: skip
     return Work(**{name: np.zeros(shape) for name, shape in shapes.items()})
 

@@ -166,6 +166,14 @@ def product_skew(a, d):
 
 
 @inner
+def apply_inertia(inertia, acceleration):
+    """Force and moment for a linear and angular acceleration; an inertia is a triple, see `dynamics`."""
+    linear, angular = acceleration
+    force, mixed, moment = inertia
+    return add(apply(force, linear), apply(mixed, angular)), add(apply_back(mixed, linear), apply(moment, angular))
+
+
+@inner
 def rotation_matrix(sine, versine, v):
     """I + sine X + versine X^2, X the skew matrix of the vector v."""
     x, y, z = v

@@ -43,6 +43,8 @@ def observe(constants, work, x, v, out):
         if m >= 0:
             rotor_rate = v[m]
             joints += 0.5 * constants.joint_stiffness[i] * (x[m] - x[i]) ** 2
+        if constants.carried_inertia[i] != 0.0:
+            rotor_rate += dot(load(constants.axis, i), load(work.spin, i)) - v[i]  # of the frame that carries it
         kinetic += 0.5 * constants.rotor_inertia[i] * rotor_rate**2
     links = 0.0
     for i in range(n):

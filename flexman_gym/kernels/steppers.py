@@ -2,12 +2,14 @@
 
 A run fills rows (r, 2 d + 2) with the state and the ledger after every interval of the clock, and outputs (r, OUTPUTS)
 with what `observe` reads there. It returns a status, the rows that are valid and the number of evaluations. The state
-that is passed in is advanced in place. `torque` (4, n) is a table: offset + amplitude sin(2 pi frequency t + phase).
+that is passed in is advanced in place. `table` is that of the drive, see `layout`.
 """
 
 import math
 
-from flexman_gym.kernels.dynamics import applied_forces, factorise, solve
+from flexman_gym.kernels.dynamics import accelerate, factorise, solve
+from flexman_gym.kernels.forces import applied_forces, drive_at, friction_shift, friction_slopes, structural_forces
+from flexman_gym.kernels.joints import any_prescribed, prescribed_power
 from flexman_gym.kernels.kinematics import positions, velocities
 from flexman_gym.kernels.layout import DIVERGED, LARGEST_STATE, NOT_CONVERGED, OK
 from flexman_gym.kernels.linalg import copy, inner, kernel
@@ -18,28 +20,14 @@ SMALLEST_STEP = 1e-14  # of the interval
 
 
 @inner
-def torque_at(torque, time, out):
-    """out (n,) = motor torques (N m) at the time (s)."""
-    for i in range(len(out)):
-        out[i] = torque[0, i]
-        if torque[1, i] != 0.0:
-            out[i] += torque[1, i] * math.sin(2.0 * math.pi * torque[2, i] * time + torque[3, i])
-
-
-@inner
-def slope(constants, work, torque, time, state, out):
+def slope(constants, work, table, time, state, out):
     """out (2 d + 2,) = time derivative of state and ledger."""
     d = len(state) // 2 - 1
     x, v = state[:d], state[d : 2 * d]
-    torque_at(torque, time, work.torque)
-    positions(constants, work, x)
-    velocities(constants, work, v)
-    factorise(constants, work, 0.0)
-    supplied, lost = applied_forces(constants, work, x, v, work.torque)
-    solve(constants, work, out[d : 2 * d])
+    drive_at(table, time, work.drive)
+    out[2 * d], out[2 * d + 1] = accelerate(constants, work, x, v, out[d : 2 * d])
     for j in range(d):
         out[j] = v[j]
-    out[2 * d], out[2 * d + 1] = supplied, lost
 
 
 @inner
@@ -64,24 +52,24 @@ def add_stages(state, step, weights, stages, count, out):
 
 
 @inner
-def explicit_stages(constants, work, tableau, torque, time, step, state):
+def explicit_stages(constants, work, tableau, table, time, step, state):
     """Stages 1, 2, ... of an explicit step into work.stages, which holds stage 0, and the new state into work.trial."""
     s = len(tableau.b)
     for i in range(1, s):
         add_stages(state, step, tableau.a[i], work.stages, i, work.stage_state)
-        slope(constants, work, torque, time + tableau.abscissae[i] * step, work.stage_state, work.stages[i])
+        slope(constants, work, table, time + tableau.abscissae[i] * step, work.stage_state, work.stages[i])
     add_stages(state, step, tableau.b, work.stages, s, work.trial)
 
 
 @kernel
-def run_explicit(constants, work, tableau, torque, clock, state, rows, outputs):
+def run_explicit(constants, work, tableau, table, clock, state, rows, outputs):
     """Fixed steps of an explicit Runge-Kutta method."""
     d, step, evaluations = len(state) // 2 - 1, clock.step, 0
     for r in range(len(rows)):
         for n in range(clock.substeps):
             time = clock.time + (r * clock.substeps + n) * step
-            slope(constants, work, torque, time, state, work.stages[0])
-            explicit_stages(constants, work, tableau, torque, time, step, state)
+            slope(constants, work, table, time, state, work.stages[0])
+            explicit_stages(constants, work, tableau, table, time, step, state)
             evaluations += len(tableau.b)
             if out_of_bounds(work.trial):
                 return DIVERGED, r, evaluations
@@ -92,14 +80,14 @@ def run_explicit(constants, work, tableau, torque, clock, state, rows, outputs):
 
 
 @kernel
-def run_linearly_implicit(constants, work, tableau, torque, clock, state, rows, outputs):
+def run_linearly_implicit(constants, work, tableau, table, clock, state, rows, outputs):
     """Fixed steps of a W-method whose approximate Jacobian holds damping and stiffness of links and joint springs."""
     d, step, evaluations = len(state) // 2 - 1, clock.step, 0
     for r in range(len(rows)):
         for n in range(clock.substeps):
             time = clock.time + (r * clock.substeps + n) * step
             for i in range(len(tableau.b)):
-                implicit_stage(constants, work, tableau, torque, time, step, state, i)
+                implicit_stage(constants, work, tableau, table, time, step, state, i)
             add_stages(state, 1.0, tableau.b, work.stages, len(tableau.b), work.trial)
             evaluations += len(tableau.b)
             if out_of_bounds(work.trial):
@@ -111,16 +99,17 @@ def run_linearly_implicit(constants, work, tableau, torque, clock, state, rows, 
 
 
 @inner
-def implicit_stage(constants, work, tableau, torque, time, step, state, i):
+def implicit_stage(constants, work, tableau, table, time, step, state, i):
     """Stage i of a W-method into work.stages[i].
 
     With g = gamma step and r = sum of c_ij u_j / step, the stage u = (position part, speed part) solves
     u_x / g = v + u_v + r_x and M u_v / g = F(x, v) - K u_x - D u_v + M r_v. In w = u_v / g - r_v that is
     (M + g D + g^2 K) w = F with springs taken at x + g (v + r_x + g r_v) and dampers at v + g r_v: no product with M.
+    D holds the slope of friction at the start of the step.
     """
     d, size = len(state) // 2 - 1, len(state)
     g = tableau.gamma * step
-    shifted, stage = work.shifted, work.stages[i]  # stage holds r until u is known
+    shift, stage = work.shift, work.stages[i]  # stage holds r until u is known
     add_stages(state, 1.0, tableau.a[i], work.stages, i, work.stage_state)
     for k in range(size):
         stage[k] = 0.0
@@ -130,14 +119,21 @@ def implicit_stage(constants, work, tableau, torque, time, step, state, i):
             stage[k] += weight * work.stages[j, k]
     x, v = work.stage_state[:d], work.stage_state[d : 2 * d]
     for k in range(d):
-        shifted[k] = x[k] + g * (v[k] + stage[k] + g * stage[d + k])
-        shifted[d + k] = v[k] + g * stage[d + k]
-    torque_at(torque, time + tableau.abscissae[i] * step, work.torque)
+        shift[k] = g * (v[k] + stage[k] + g * stage[d + k])
+        shift[d + k] = g * stage[d + k]
+    drive_at(table, time + tableau.abscissae[i] * step, work.drive)
     positions(constants, work, x)
     velocities(constants, work, v)
+    supplied, lost = applied_forces(constants, work, x, v)
+    if any_prescribed(constants):
+        factorise(constants, work, 0.0)  # the torque of a prescribed motion needs the true accelerations
+        solve(constants, work, work.trial[:d])
+        supplied += prescribed_power(constants, work, v)
+    if i == 0:
+        friction_slopes(constants, work, v)
     factorise(constants, work, g)
-    supplied, lost = applied_forces(constants, work, x, v, work.torque)
-    applied_forces(constants, work, shifted[:d], shifted[d : 2 * d], work.torque)
+    structural_forces(constants, work, shift[:d], shift[d : 2 * d])
+    friction_shift(constants, work, shift[d : 2 * d])
     solve(constants, work, work.trial[:d])
     for k in range(d):
         stage[d + k] = g * (work.trial[k] + stage[d + k])
@@ -168,19 +164,19 @@ def error_norm(tableau, stages, step, state, trial, rtol, atol):
 
 
 @kernel
-def run_adaptive(constants, work, tableau, torque, clock, state, rows, outputs, tolerance):
+def run_adaptive(constants, work, tableau, table, clock, state, rows, outputs, tolerance):
     """Adaptive steps of an explicit pair that end on every output time; tolerance = (rtol, atol)."""
     d, s, evaluations, step = len(state) // 2 - 1, len(tableau.b), 1, clock.step
     interval = clock.step * clock.substeps
-    slope(constants, work, torque, clock.time, state, work.stages[0])
+    slope(constants, work, table, clock.time, state, work.stages[0])
     for r in range(len(rows)):
         done = 0.0
         while done < interval:
             time = clock.time + r * interval + done
             last = done + 1.0001 * step >= interval
             h = interval - done if last else step
-            explicit_stages(constants, work, tableau, torque, time, h, state)
-            slope(constants, work, torque, time + h, work.trial, work.stages[s])
+            explicit_stages(constants, work, tableau, table, time, h, state)
+            slope(constants, work, table, time + h, work.trial, work.stages[s])
             evaluations += s
             error = error_norm(tableau, work.stages, h, state, work.trial, tolerance[0], tolerance[1])
             if not error <= 1.0:

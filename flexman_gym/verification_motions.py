@@ -1,0 +1,129 @@
+"""Motions of verification: reference trajectories, conservation laws and a beam that is spun up."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from flexman_gym.arm import Arm, Joint, Link
+from flexman_gym.beam import Array
+from flexman_gym.drive import ConstantTorque, Signal
+from flexman_gym.dynamics import mass_matrix
+from flexman_gym.model import scene_model
+from flexman_gym.scene import Initial, ModelChoice, Scene
+from flexman_gym.simulator import simulate
+from flexman_gym.trajectory import Trajectory
+from flexman_gym.verification import Row
+from flexman_gym.verification_cases import IDENTITY
+
+INDEPENDENT = "independent automatic-differentiation code"
+KANE = "Kane, Ryan and Banerjee (1987); Simo and Vu-Quoc (1987)"
+REFERENCES = ("paper_rr", "pendulum_1", "paper_fr", "paper_ff", "gravity_payload_ff", "spin_up_stiffened")
+QUICK_REFERENCES = REFERENCES[:2]
+
+
+def motion_rows(reference: Path, quick: bool = False) -> Iterator[Row]:
+    """All rows, or those that take little time; `reference` is the folder of the reference scenes and solutions."""
+    for name in QUICK_REFERENCES if quick else REFERENCES:
+        yield from trajectory_rows(reference, name)
+    yield from spin_up_rows()
+    if not quick:
+        yield from momentum_rows(reference)
+        yield from large_rotation_rows(reference)
+
+
+def trajectory_rows(reference: Path, name: str) -> Iterator[Row]:
+    """A reference scene against its solution, by the reference method; and its balance of work and energy."""
+    scene, expected = Scene.load(reference / f"{name}.json"), _solution(reference, name)
+    found = _motion(reference, name)
+    largest = np.abs(expected[:, -1]).max()
+    energy = np.abs(found.energy - expected[: len(found.time), -1]).max() / largest
+    residual = np.abs(found.energy_residual).max() / largest
+    yield Row(f"{name}, largest distance of the tip, m", INDEPENDENT, 0.0, _farthest(found, expected), 1e-6)
+    yield Row(f"{name}, largest relative error of energy", INDEPENDENT, 0.0, _whole(found, scene, energy), 1e-6)
+    yield Row(f"{name}, work - dissipation - energy, relative", IDENTITY, 0.0, _whole(found, scene, residual), 1e-6)
+
+
+def momentum_rows(reference: Path) -> Iterator[Row]:
+    """Angular momentum about the vertical axis of the paper's arm, everything flexible: 400 t.
+
+    That of the links is conjugate to the first joint angle; the first rotor has its own, the others take no part.
+    """
+    scene = Scene.load(reference / "paper_ff.json")
+    found, model = _motion(reference, "paper_ff"), scene_model(scene)
+    d, motor, rotor = model.n_dof, model.motor_columns[0], scene.arm.joints[0].rotor_inertia
+    gaps = []
+    for time, state in zip(found.time[::20], found.states[::20], strict=True):
+        momentum = mass_matrix(model, state)[0] @ state[d:] + rotor * state[d + motor]
+        gaps.append(abs(momentum - 400.0 * time) / (400.0 * scene.duration))
+    worst = _whole(found, scene, max(gaps))
+    yield Row("paper FF, angular momentum - 400 t, largest, of that at the end", IDENTITY, 0.0, worst, 1e-6)
+
+
+def large_rotation_rows(reference: Path) -> Iterator[Row]:
+    """The paper's flexible arm against a model of large rotations, with foreshortening and, not judged, without."""
+    expected = _solution(reference, "paper_ff_large_rotation")
+    source = "independent large-rotation code"
+    for name, stiffening, limits in (("with", True, (2e-3, 6e-3)), ("without", False, (None, None))):
+        found = _motion(reference, "paper_ff", stiffening)
+        for end, limit in zip((1.0, 2.0), limits, strict=True):
+            worst = _farthest(found, expected, int((expected[:, 0] < end + 1e-6).sum()))
+            yield Row(f"paper FF {name} foreshortening, tip within {end:g} s, m", source, 0.0, worst, limit)
+
+
+def spin_up_scene(stiffening: bool) -> Scene:
+    """A beam of 10 m whose joint is brought to 6 rad/s within 15 s: the rate is 6 (t/15 - sin(2 pi t/15)/(2 pi))."""
+    link = Link(10.0, 4e-4, 2e-7, 2e-7, 4e-7, youngs_modulus=7e10, shear_modulus=2.7e10, density=3000.0)
+    return Scene(
+        Arm([link], [Joint((0.0, 0.0, 1.0))]),
+        ModelChoice(True, elements=4, stiffening=stiffening),
+        ConstantTorque([0.0]),
+        Initial([0.0], [0.0]),
+        duration=20.0,
+        output_step=0.01,
+        prescribed=[Signal(0.4, 0.4, 1.0 / 15.0, -np.pi / 2.0, stop=15.0)],
+    )
+
+
+def spin_up_rows() -> Iterator[Row]:
+    """Lag of the tip behind the turning frame, and stretch at the end; without foreshortening the beam diverges."""
+    found = simulate(spin_up_scene(stiffening=True), method="ros2", step=0.002)
+    cosine, sine = np.cos(found.joint_angles[:, 0]), np.sin(found.joint_angles[:, 0])
+    lag = sine * found.deflection[:, 0] - cosine * found.deflection[:, 1]
+    stretch = cosine * found.deflection[:, 0] + sine * found.deflection[:, 1]
+    steady, peak = found.time > 15.0, int(np.argmax(lag))
+    yield Row("spin-up to 6 rad/s, peak lag of the tip, m", KANE, 0.5739, lag[peak], 5e-3)
+    yield Row("spin-up to 6 rad/s, time of the peak, s", KANE, 6.76, found.time[peak], 0.05 / 6.76)
+    yield Row("spin-up to 6 rad/s, steady stretch, m", KANE, 5.143e-4, stretch[steady].mean(), 5e-3)
+    yield Row("spin-up to 6 rad/s, residual lag, m", KANE, 3.7e-3, np.abs(lag[steady]).max(), 0.05)
+    linear = simulate(spin_up_scene(stiffening=False), method="ros2", step=0.002)
+    diverged = float(linear.status == "diverged")
+    yield Row("spin-up to 6 rad/s without foreshortening, 1 for a divergence", KANE, 1.0, diverged, 0.0)
+
+
+@cache
+def _motion(reference: Path, name: str, stiffening: bool = False) -> Trajectory:
+    """A reference scene by the reference method, as it asks or with foreshortening."""
+    scene = Scene.load(reference / f"{name}.json")
+    chosen = replace(scene, model=replace(scene.model, stiffening=stiffening or scene.model.stiffening))
+    return simulate(chosen, rtol=1e-8, atol=1e-10)
+
+
+def _solution(reference: Path, name: str) -> Array:
+    """Rows of a reference solution: time, tip, joint angles ..."""
+    return np.loadtxt(reference / f"{name}.csv", delimiter=",", skiprows=1)
+
+
+def _farthest(found: Trajectory, expected: Array, until: int | None = None) -> float:
+    """Largest distance of the tip, m; infinite when the run ended early."""
+    if found.status != "ok" or len(found.time) != len(expected):
+        return np.inf
+    return float(np.linalg.norm(found.tip - expected[:, 1:4], axis=1)[:until].max())
+
+
+def _whole(found: Trajectory, scene: Scene, value: float) -> float:
+    """The value of a run that went to the end of its scene; infinite of one that did not."""
+    return float(value) if found.status == "ok" and np.isclose(found.time[-1], scene.duration) else np.inf
+

@@ -1,0 +1,190 @@
+"""Drive: signals, prescribed motions and disturbances do what mechanics says, and impossible ones are refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import flexman_gym as fm
+from flexman_gym.kernels import layout
+
+SCENE = replace(fm.catalog.paper_scene("ff"), duration=0.5)
+MODELS = {
+    "flexible joints": fm.build_model(SCENE.arm, modes=5),
+    "rigid joints": fm.build_model(SCENE.arm, modes=5, flexible_joints=False),
+    "spinning rotors": fm.build_model(SCENE.arm, modes=5, spinning_rotors=True),
+}
+both = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+WOBBLE = fm.Signal(amplitude=3.0, frequency_hz=1.5)
+REPLACED = {"torque": fm.ConstantTorque([0.0, 400.0, 400.0]), "prescribed": [WOBBLE, None, None]}
+number = st.floats(-1e3, 1e3)
+
+
+def truth(scene, model):
+    """The solution by the reference method."""
+    found = fm.simulate(scene, model, rtol=1e-9, atol=1e-11)
+    assert found.status == "ok"
+    return found
+
+
+def assert_balanced(found, relative=1e-8):
+    """Work less dissipation is the change of energy."""
+    assert np.abs(found.energy_residual).max() < relative * found.energy_turnover[-1]
+
+
+@given(number, number, st.floats(0.0, 10.0), number, st.floats(0.0, 5.0), st.floats(0.1, 5.0))
+def test_a_signal_is_the_column_of_its_formula(offset, amplitude, frequency, phase, start, length):
+    signal = fm.Signal(offset, amplitude, frequency, phase, start, start + length)
+    expected = [offset, amplitude, frequency, phase, start, start + length]
+    assert signal.column()[[layout.OFFSET, layout.AMPLITUDE, layout.FREQUENCY]] == pytest.approx(expected[:3])
+    assert signal.column()[[layout.PHASE, layout.START, layout.STOP]] == pytest.approx(expected[3:])
+    assert fm.Signal(offset).column()[layout.STOP] == np.inf
+
+
+@both
+def test_a_prescribed_motion_is_followed_and_its_work_is_counted(model):
+    found = truth(replace(SCENE, **REPLACED), model)
+    turn = 2.0 * np.pi * WOBBLE.frequency_hz
+    expected = WOBBLE.amplitude * (found.time / turn - np.sin(turn * found.time) / turn**2)
+    np.testing.assert_allclose(found.motor_angles[:, 0], expected, atol=1e-9)
+    assert abs(found.work[-1]) > 10.0
+    assert_balanced(found)
+
+
+@both
+@pytest.mark.parametrize("scene", [{}, REPLACED, {"tip_force": [fm.Signal(50.0), fm.Signal(), WOBBLE]}])
+def test_the_linearly_implicit_method_converges_to_the_same_motion(model, scene):
+    scene = replace(SCENE, **scene)
+    expected = truth(scene, model)
+    runs = [fm.simulate(scene, model, method="ros2", step=step) for step in (2e-4, 1e-4)]
+    errors = [np.linalg.norm(run.tip - expected.tip, axis=1).max() for run in runs]
+    assert errors[1] < 5e-4
+    assert np.log2(errors[0] / errors[1]) > 1.7
+    residuals = [np.abs(run.energy_residual).max() for run in runs]
+    assert residuals[1] < 2e-3 * expected.energy_turnover[-1]
+
+
+@both
+def test_a_prescribed_motion_is_the_limit_of_a_heavy_rotor(model):
+    heavy = replace(SCENE.arm, joints=[replace(SCENE.arm.joints[0], rotor_inertia=1e9), *SCENE.arm.joints[1:]])
+    choice = model.choice
+    driven = fm.build_model(
+        heavy, 2, 5, flexible_joints=choice.flexible_joints, spinning_rotors=choice.spinning_rotors
+    )
+    torque = fm.SineTorque([1e9 * WOBBLE.amplitude, 400.0, 400.0], [WOBBLE.frequency_hz] * 3, [0.0] * 3)
+    free = truth(replace(SCENE, arm=heavy, torque=torque), driven)
+    held = replace(SCENE, torque=replace(torque, amplitude=[0.0, 400.0, 400.0]), prescribed=REPLACED["prescribed"])
+    np.testing.assert_allclose(truth(held, model).tip, free.tip, atol=1e-5)
+
+
+@both
+def test_a_base_that_accelerates_upward_is_gravity(model):
+    lifted = replace(SCENE, base_acceleration=[fm.Signal(), fm.Signal(), fm.Signal(9.81)])
+    heavy = replace(SCENE.arm, gravity=(0.0, 0.0, -9.81))
+    choice = model.choice
+    weighed = fm.build_model(
+        heavy, 2, 5, flexible_joints=choice.flexible_joints, spinning_rotors=choice.spinning_rotors
+    )
+    found = truth(lifted, model)
+    np.testing.assert_allclose(found.tip, truth(replace(SCENE, arm=heavy), weighed).tip, atol=1e-7)
+    assert_balanced(found)
+
+
+@both
+def test_a_force_on_the_tip_acts_through_the_tips_jacobian(model):
+    state = model.initial_state([0.3, -0.4, 0.8])
+    force = np.array([30.0, -20.0, 50.0])
+    jacobian = fm.linearize(model, state=state).C[:, : model.n_dof]
+    simulator = fm.Simulator(model, "rk4", step=1e-7, control_period=1e-7)
+    simulator.reset(state=state)
+    simulator.step(np.zeros(3), tip_force=force)
+    gained = simulator.state[model.n_dof :] / 1e-7
+    demanded = fm.mass_matrix(model, state) @ gained
+    np.testing.assert_allclose(demanded, jacobian.T @ force, atol=1e-3 * np.abs(jacobian.T @ force).max())
+
+
+def test_disturbances_end_when_they_are_said_to():
+    pulse = [fm.Signal(100.0, start=0.1, stop=0.2), fm.Signal(), fm.Signal(amplitude=50.0, frequency_hz=5.0, stop=0.3)]
+    quiet = replace(SCENE, torque=fm.ConstantTorque([0.0] * 3), tip_force=pulse, base_acceleration=pulse)
+    found = truth(quiet, MODELS["flexible joints"])
+    assert_balanced(found)
+    ended = found.time >= 0.3
+    assert np.ptp(found.work[ended]) < 1e-9 * found.energy_turnover[-1] < np.ptp(found.work)
+
+
+@both
+def test_the_simulator_takes_the_same_drive_period_by_period(model):
+    simulator = fm.Simulator(model, step=0.002, control_period=0.02, prescribed=[0])
+    pushed = {"tip_force": [fm.Signal(20.0), fm.Signal(), fm.Signal()]}
+    scene = replace(SCENE, torque=REPLACED["torque"], prescribed=[fm.Signal(1.5), None, None], **pushed)
+    scene = replace(scene, base_acceleration=[fm.Signal(), fm.Signal(0.5), fm.Signal()], output_step=0.02)
+    expected = fm.simulate(scene, model, method="ros2", step=0.002)
+    for row in range(1, 6):
+        simulator.step([0.0, 400.0, 400.0], [1.5, 0.0, 0.0], [20.0, 0.0, 0.0], [0.0, 0.5, 0.0])
+        np.testing.assert_allclose(simulator.state, expected.states[row], atol=1e-9)
+        assert simulator.energy_residual == pytest.approx(expected.energy_residual[row], abs=1e-9)
+    assert simulator.energy_turnover == pytest.approx(expected.energy_turnover[5], rel=0.1)
+
+
+def test_a_scene_keeps_its_drive_in_a_file(tmp_path):
+    scene = replace(SCENE, **REPLACED, tip_force=[fm.Signal(1.0, start=0.1, stop=0.2), fm.Signal(), WOBBLE])
+    for suffix in ("json", "yaml"):
+        scene.save(tmp_path / f"scene.{suffix}")
+        assert fm.Scene.load(tmp_path / f"scene.{suffix}") == scene
+    assert "prescribed" not in SCENE.to_dict()
+
+
+@pytest.mark.parametrize(
+    ("change", "field", "allowed"),
+    [
+        ({"prescribed": [WOBBLE, None, None]}, "Scene.torque of joint 0: 400.0", "0 (N m)"),
+        ({"prescribed": [None]}, "Scene.prescribed: [None]", "3 of Signal or None"),
+        ({"prescribed": [1.0, None, None]}, "Scene.prescribed", "3 of Signal or None"),
+        ({"tip_force": [WOBBLE]}, "Scene.tip_force", "three of Signal"),
+        ({"base_acceleration": 9.81}, "Scene.base_acceleration: 9.81", "three of Signal"),
+    ],
+)
+def test_a_scene_refuses_a_drive_that_cannot_be(change, field, allowed):
+    with pytest.raises(ValueError) as error:
+        replace(SCENE, **change)
+    assert str(error.value).startswith(field) and allowed in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "field"),
+    [
+        (([1.0, 0.0, 0.0],), "torque[0]: 1.0"),
+        (([0.0] * 3, [0.0, 1.0, 0.0]), "acceleration[1]: 1.0"),
+        (([0.0] * 3, [0.0, np.nan, 0.0]), "acceleration"),
+        (([0.0] * 3, None, [1.0]), "tip_force: [1.0]"),
+        (([0.0] * 3, None, None, "up"), "base_acceleration: 'up'"),
+    ],
+)
+def test_the_simulator_refuses_a_drive_that_cannot_be(arguments, field):
+    simulator = fm.Simulator(MODELS["rigid joints"], prescribed=[0])
+    with pytest.raises(ValueError, match="is not allowed; give") as error:
+        simulator.step(*arguments)
+    assert str(error.value).startswith(field)
+    assert simulator.time == 0.0 and simulator.step([0.0, 1.0, 0.0]) == "ok"
+
+
+@pytest.mark.parametrize(
+    ("numbers", "field"),
+    [
+        ({"offset": np.inf}, "Signal.offset"),
+        ({"frequency_hz": -1.0}, "Signal.frequency_hz"),
+        ({"start": -1.0}, "Signal.start"),
+        ({"start": 2.0, "stop": 2.0}, "Signal.stop"),
+    ],
+)
+def test_a_signal_refuses_numbers_outside_their_range(numbers, field):
+    with pytest.raises(ValueError, match="is not allowed; give") as error:
+        fm.Signal(**numbers)
+    assert str(error.value).startswith(field)
+
+
+def test_a_joint_that_is_not_there_cannot_be_prescribed():
+    with pytest.raises(ValueError, match="prescribed: 3 is not allowed"):
+        fm.Simulator(MODELS["rigid joints"], prescribed=[3])
