@@ -148,8 +148,6 @@ def _basis(beam: Beam, outboard: Array, modes: int | None, field: str) -> Array:
 def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], choice: ModelChoice) -> layout.Constants:
     n = len(beams)
     payload = arm.payload or Payload(0.0)
-    springs = [joint.stiffness is not None and choice.flexible_joints for joint in arm.joints]
-    motors = n + np.cumsum(springs) - 1
     sizes = np.array([len(beam.stiffness) for beam in beams], dtype=np.int64)
     widths = LANES * ((sizes + 6 + LANES - 1) // LANES)
     parts = [shape_integrals(beam) for beam in beams]
@@ -164,20 +162,12 @@ def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], choice:
         return np.ascontiguousarray(rows[:, 0] if width == 1 else rows)
 
     return layout.Constants(
-        motor=np.where(springs, motors, -1).astype(np.int64),
         elastic_start=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
         square_start=np.concatenate([[0], np.cumsum(sizes**2)]).astype(np.int64),
         gravity=np.array(arm.gravity, dtype=float),
         mount=zero_pose_rotations(arm).ravel(),
         axis=np.array([np.array(li.orientation).T @ jo.axis for li, jo in zip(arm.links, arm.joints, strict=True)]),
-        joint_stiffness=np.array([joint.stiffness or 0.0 for joint in arm.joints]),
-        joint_damping=np.array([joint.damping for joint in arm.joints]),
-        rotor_inertia=np.array([joint.rotor_inertia for joint in arm.joints]),
-        carried_inertia=np.array([joint.rotor_inertia * choice.spinning_rotors for joint in arm.joints]),
-        viscous_friction=np.array([joint.viscous_friction for joint in arm.joints]),
-        coulomb_friction=np.array([joint.coulomb_friction for joint in arm.joints]),
-        coulomb_rate=np.array([joint.coulomb_rate for joint in arm.joints]),
-        prescribed=np.zeros(n, dtype=np.int64),
+        **_joints(arm, choice),
         length=np.array([link.length for link in arm.links]),
         mass=np.array([part.mass for part in parts]),
         first_moment=np.array([part.first_moment for part in parts]),
@@ -207,6 +197,21 @@ def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], choice:
         payload_inertia=np.array(payload.inertia or np.zeros((3, 3))).ravel(),
         payload_mount=np.array(arm.links[-1].orientation).T.ravel().copy(),
     )
+
+
+def _joints(arm: Arm, choice: ModelChoice) -> dict[str, np.ndarray]:
+    """The fields of `layout.Constants` that belong to joints and their rotors."""
+    springs = [joint.stiffness is not None and choice.flexible_joints for joint in arm.joints]
+    motors = arm.n_joints + np.cumsum(springs) - 1
+    names = ("rotor_inertia", "viscous_friction", "coulomb_friction", "coulomb_rate")
+    fields = {name: np.array([getattr(joint, name) for joint in arm.joints]) for name in names}
+    return fields | {
+        "motor": np.where(springs, motors, -1).astype(np.int64),
+        "joint_stiffness": np.array([joint.stiffness or 0.0 for joint in arm.joints]),
+        "joint_damping": np.array([joint.damping for joint in arm.joints]),
+        "carried_inertia": fields["rotor_inertia"] * choice.spinning_rotors,
+        "prescribed": np.zeros(arm.n_joints, dtype=np.int64),
+    }
 
 
 class _Sparse(NamedTuple):

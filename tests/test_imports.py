@@ -39,9 +39,8 @@ ARROWS = {
     "metrics": "simulator beam scene checks",
     "tasks": "sensors simulator dynamics model beam scene catalog arm checks kernels",
     "study": "fidelity metrics control simulator dynamics model methods scene catalog arm checks",
-    "draw": "simulator dynamics model beam scene catalog arm checks",
-    "envs": "tasks sensors control metrics draw trajectory simulator dynamics model methods beam scene catalog arm checks"
-    " kernels",
+    "draw": "trajectory simulator dynamics model beam scene catalog arm checks",
+    "envs": "tasks sensors control metrics draw trajectory simulator model methods beam scene catalog arm checks kernels",
     "verification_cases": "verification closed_forms simulator dynamics model beam catalog arm kernels",
     "verification_motions": "verification_cases verification trajectory drive simulator dynamics model beam scene arm",
 }
