@@ -3,7 +3,7 @@
 from gymnasium.envs.registration import register
 
 from flexman_gym import catalog
-from flexman_gym.arm import Arm, Joint, Link, Payload
+from flexman_gym.arm import Arm, Joint, Link, NonUniformLink, Payload
 from flexman_gym.drive import ConstantTorque, Signal, SineTorque
 from flexman_gym.dynamics import (
     acceleration,
@@ -32,6 +32,7 @@ __all__ = [
     "Link",
     "Model",
     "ModelChoice",
+    "NonUniformLink",
     "Payload",
     "Scene",
     "Signal",

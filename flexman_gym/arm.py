@@ -1,5 +1,7 @@
 """Arm: what a person describes, a serial chain of links and revolute joints with a payload, in SI units."""
 
+import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +17,9 @@ from flexman_gym.checks import (
     unit_vector,
     vector,
 )
+
+MOST_SECTIONS = 64  # of a link; a model has as many finite elements of it at most
+IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 _LINK_UNITS = {
     "length": "m",
@@ -42,7 +47,9 @@ class Link:
     density           kg/m^3
     orientation       (3, 3) rotation whose columns are the beam's axes in the joint's frame; stored as rows of floats
 
-    Raises ValueError when a number is not finite and > 0, or when `orientation` is not a rotation within 1e-9.
+    Raises ValueError when a number is not finite and > 0, or when `orientation` is not a rotation within 1e-9. Warns
+    (UserWarning) when second_moment_y + second_moment_z is less than area^2 / (2 pi), which no section can have: of all
+    sections of one area a solid disc has the least polar moment.
     """
 
     length: float
@@ -53,16 +60,64 @@ class Link:
     youngs_modulus: float
     shear_modulus: float
     density: float
-    orientation: Sequence[Sequence[float]] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    orientation: Sequence[Sequence[float]] = IDENTITY
 
     def __post_init__(self) -> None:
         store(self, **{name: positive(f"Link.{name}", getattr(self, name), unit) for name, unit in _LINK_UNITS.items()})
         store(self, orientation=rotation("Link.orientation", self.orientation))
+        polar, least = self.second_moment_y + self.second_moment_z, self.area * self.area / (2.0 * math.pi)
+        if polar < (1.0 - 1e-9) * least:
+            warnings.warn(
+                f"Link.second_moment_y + second_moment_z: {polar:.6g} is less than any section of the area "
+                f"{self.area:.6g} m^2 has; the least is {least:.6g} (m^4), area^2 / (2 pi) of a solid disc",
+                UserWarning,
+                stacklevel=3,  # who creates the Link; between are __init__ and this
+            )
 
     @property
     def mass(self) -> float:
         """Mass of the link in kg."""
         return self.density * self.area * self.length
+
+    @property
+    def sections(self) -> tuple["Link", ...]:
+        """The link itself, its only section."""
+        return (self,)
+
+
+@dataclass(frozen=True)
+class NonUniformLink:
+    """A straight beam of uniform pieces end to end, stepped or, with many of them, tapered; centroids on one line.
+
+    sections     1 to 64 of Link, base to tip, each with its length, section and material; stored as a tuple
+    orientation  (3, 3) as of a Link; the sections have none of their own, theirs is the identity
+
+    Raises ValueError when `sections` holds something else or a link with an orientation, and when `orientation` is not
+    a rotation within 1e-9.
+    """
+
+    sections: Sequence[Link]
+    orientation: Sequence[Sequence[float]] = IDENTITY
+
+    def __post_init__(self) -> None:
+        sections = _chain("NonUniformLink.sections", self.sections, Link)
+        if len(sections) > MOST_SECTIONS:
+            raise refusal("NonUniformLink.sections", f"{len(sections)} sections", f"at most {MOST_SECTIONS}")
+        for i, section in enumerate(sections):
+            if section.orientation != IDENTITY:
+                allowed = "the identity; the link as a whole has an orientation"
+                raise refusal(f"NonUniformLink.sections[{i}].orientation", section.orientation, allowed)
+        store(self, sections=sections, orientation=rotation("NonUniformLink.orientation", self.orientation))
+
+    @property
+    def length(self) -> float:
+        """Length of the link in m, the sum of its sections'."""
+        return sum(section.length for section in self.sections)
+
+    @property
+    def mass(self) -> float:
+        """Mass of the link in kg."""
+        return sum(section.mass for section in self.sections)
 
 
 @dataclass(frozen=True)
@@ -140,7 +195,7 @@ class Payload:
 class Arm:
     """A serial arm on a fixed base: joint i turns link i, joint i + 1 sits on the tip of link i.
 
-    links                           n of Link, base to tip; stored as a tuple
+    links                           n of Link or NonUniformLink, base to tip; stored as a tuple
     joints                          n of Joint; stored as a tuple
     payload                         Payload at the last tip; one of no mass is stored as None, the same arm
     gravity                         (3,) m/s^2, acceleration in the base frame
@@ -151,7 +206,7 @@ class Arm:
     is not three finite numbers, and when a damping is outside its range.
     """
 
-    links: Sequence[Link]
+    links: Sequence[Link | NonUniformLink]
     joints: Sequence[Joint]
     payload: Payload | None = None
     gravity: Sequence[float] = (0.0, 0.0, 0.0)
@@ -161,7 +216,7 @@ class Arm:
     def __post_init__(self) -> None:
         store(
             self,
-            links=_chain("Arm.links", self.links, Link),
+            links=_chain("Arm.links", self.links, Link, NonUniformLink),
             joints=_chain("Arm.joints", self.joints, Joint),
             gravity=vector("Arm.gravity", self.gravity, 3, "m/s^2"),
             stiffness_proportional_damping=non_negative(
@@ -186,12 +241,13 @@ class Arm:
         return len(self.joints)
 
 
-def _chain(name: str, value: object, kind: type) -> tuple[Any, ...]:
-    """Return a list of at least one `kind` as a tuple."""
-    items = sequence(name, value, f"at least one {kind.__name__}")
+def _chain(name: str, value: object, *kinds: type) -> tuple[Any, ...]:
+    """Return a list of at least one item, each of one of the `kinds`, as a tuple."""
+    names = " or ".join(kind.__name__ for kind in kinds)
+    items = sequence(name, value, f"at least one {names}")
     if not items:
-        raise refusal(name, value, f"at least one {kind.__name__}")
+        raise refusal(name, value, f"at least one {names}")
     for i, item in enumerate(items):
-        if not isinstance(item, kind):
-            raise refusal(f"{name}[{i}]", item, f"a {kind.__name__}")
+        if not isinstance(item, kinds):
+            raise refusal(f"{name}[{i}]", item, f"a {names}")
     return tuple(items)

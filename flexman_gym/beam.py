@@ -3,20 +3,35 @@
 A link is a straight Euler-Bernoulli beam along its own x axis, clamped to the floating frame at x = 0. Its mass is
 represented by mass points, four Gauss points an element times four section points; they integrate the polynomials of
 these elements exactly, so the sums below equal the volume integrals of Eq. 13 and 14.
+
+Without rotary inertia the mass points lie on the centreline, and sections beside them resist nothing but rotation about
+the beam axis: their energy is that of the rotation rate w_x + phi' of a frame with angular velocity w.
 """
 
-from dataclasses import dataclass
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arm import Link
+from flexman_gym.arm import Link, NonUniformLink
 
 Array = NDArray[np.float64]
 
 GAUSS_POINTS = 4  # exact to degree 7; the mass of cubic Hermite shapes has degree 6
 STATION_POINTS = 3  # of an element, for foreshortening
 NODE_COORDINATES = 6  # u, v, w, phi_x, theta_y = -w', theta_z = v'
+
+
+class Element(NamedTuple):
+    """One finite element of a link, between two neighbouring nodes."""
+
+    section: Link  # the uniform link that it is a piece of
+    start: float  # m, place of its first node along the link
+    length: float  # m
+    nodes: slice  # its twelve node coordinates among those of the link, the clamped node 0 included
 
 
 @dataclass(frozen=True)
@@ -33,6 +48,9 @@ class Beam:
         tip_shortening: (k, k), the same at the tip.
         stations: (s, 2) kg and m, mass and place of the stations on the centreline, two a Gauss-Legendre element.
         station_shapes: (s, 3, k) displacement of the centreline at the stations.
+        polar: (t,) kg m^2, inertia about the beam axis of sections that resist no other rotation; empty with rotary
+            inertia, which the mass points hold.
+        twist: (t, k), rotation of these sections about the beam axis per unit coordinate.
     """
 
     masses: Array
@@ -45,31 +63,36 @@ class Beam:
     tip_shortening: Array
     stations: Array
     station_shapes: Array
+    polar: Array
+    twist: Array
 
     @property
     def mass_matrix(self) -> Array:
         """(k, k) elastic mass matrix, sum of m S^T S over the mass points (lower right block of Eq. 13)."""
-        return np.einsum("p,pia,pib->ab", self.masses, self.shapes, self.shapes)
+        spinning = (self.twist.T * self.polar) @ self.twist
+        return np.einsum("p,pia,pib->ab", self.masses, self.shapes, self.shapes) + spinning
 
     def reduced(self, basis: Array) -> "Beam":
         """The same beam in the coordinates p with q = basis @ p; basis: (k, m)."""
-        return Beam(
-            self.masses,
-            self.positions,
-            self.shapes @ basis,
-            basis.T @ self.stiffness @ basis,
-            self.tip_translation @ basis,
-            self.tip_rotation @ basis,
-            basis.T @ self.shortening @ basis,
-            basis.T @ self.tip_shortening @ basis,
-            self.stations,
-            self.station_shapes @ basis,
+        return replace(
+            self,
+            shapes=self.shapes @ basis,
+            stiffness=basis.T @ self.stiffness @ basis,
+            tip_translation=self.tip_translation @ basis,
+            tip_rotation=self.tip_rotation @ basis,
+            shortening=basis.T @ self.shortening @ basis,
+            tip_shortening=basis.T @ self.tip_shortening @ basis,
+            station_shapes=self.station_shapes @ basis,
+            twist=self.twist @ basis,
         )
 
 
 @dataclass(frozen=True)
 class ShapeIntegrals:
     """Mass integrals of a beam with k elastic coordinates; r0 is the undeformed position, S_a shape vector a.
+
+    Sections that resist rotation about the beam axis alone take part as the (fictitious) second moments of mass that
+    give them the right inertia: j about x, nothing about y and z, and j_a about x for the rate of coordinate a.
 
     Attributes:
         mass: sum m, kg.
@@ -125,42 +148,84 @@ def beam_stiffness(link: Link, length: float) -> Array:
     return stiffness
 
 
-def build_beam(link: Link, elements: int, flexible: bool = True) -> Beam:
-    """Assembles a link from equal elements, with node 0 clamped to the floating frame: k = 6 * elements, or 0 if rigid.
+def beam_elements(link: Link | NonUniformLink, elements: int) -> list[Element]:
+    """The finite elements of a link, base to tip: so many equal ones in each of its sections."""
+    result: list[Element] = []
+    start = 0.0
+    for section in link.sections:
+        length = section.length / elements
+        for i in range(elements):
+            first = NODE_COORDINATES * len(result)
+            result.append(Element(section, start + i * length, length, slice(first, first + 2 * NODE_COORDINATES)))
+        start += section.length
+    return result
 
-    The coordinates are ordered node by node from the first free node to the tip.
+
+def find_element(elements: Sequence[Element], position: float) -> tuple[Element, float]:
+    """The element of a link at a position >= 0 (m), the outboard one at a node between two, and xi of 0 to 1 there."""
+    element = elements[bisect_right(elements, position, key=lambda element: element.start) - 1]
+    return element, (position - element.start) / element.length
+
+
+def build_beam(link: Link | NonUniformLink, elements: int, flexible: bool = True, rotary_inertia: bool = True) -> Beam:
+    """Assembles a link from equal elements in each section, with node 0 clamped to the floating frame.
+
+    k = 6 * elements * number of sections, or 0 if rigid. The coordinates are ordered node by node from the first free
+    node to the tip. Without rotary inertia the sections resist rotation about the beam axis only.
     """
-    length = link.length / elements
-    size = NODE_COORDINATES * (elements + 1)
+    pieces = beam_elements(link, elements)
+    size = NODE_COORDINATES * (len(pieces) + 1)
     stiffness = np.zeros((size, size))
-    section = section_points(link)
-    abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
-    masses, positions, shapes = [], [], []
-    for element in range(elements):
-        nodes = slice(NODE_COORDINATES * element, NODE_COORDINATES * (element + 2))
-        stiffness[nodes, nodes] += beam_stiffness(link, length)
-        for xi, weight in zip((1 + abscissae) / 2, weights / 2, strict=True):
-            for y, z in section:
-                masses.append(weight * length * link.density * link.area / len(section))
-                positions.append([(element + xi) * length, y, z])
-                shape = np.zeros((3, size))
-                shape[:, nodes] = beam_shapes(xi, length, y, z)
-                shapes.append(shape)
-    shortening, stations, station_shapes = _stations(link, elements)
+    for piece in pieces:
+        stiffness[piece.nodes, piece.nodes] += beam_stiffness(piece.section, piece.length)
+    masses, positions, shapes = _mass_points(pieces, size, rotary_inertia)
+    polar, twist = _spinning_sections([] if rotary_inertia else pieces, size)
+    shortening, stations, station_shapes = _stations(pieces, size)
     kept = slice(NODE_COORDINATES, size if flexible else NODE_COORDINATES)
     identity = np.eye(size)
     return Beam(
-        np.array(masses),
-        np.array(positions),
-        np.array(shapes)[:, :, kept],
-        stiffness[kept, kept],
-        identity[-6:-3, kept],
-        identity[-3:, kept],
-        shortening[:-1, kept, kept],
-        shortening[-1, kept, kept],
-        stations,
-        station_shapes[:, :, kept],
+        masses=masses,
+        positions=positions,
+        shapes=shapes[:, :, kept],
+        stiffness=stiffness[kept, kept],
+        tip_translation=identity[-6:-3, kept],
+        tip_rotation=identity[-3:, kept],
+        shortening=shortening[:-1, kept, kept],
+        tip_shortening=shortening[-1, kept, kept],
+        stations=stations,
+        station_shapes=station_shapes[:, :, kept],
+        polar=polar,
+        twist=twist[:, kept],
     )
+
+
+def _mass_points(elements: Sequence[Element], size: int, rotary_inertia: bool) -> tuple[Array, Array, Array]:
+    """Masses (p,), positions (p, 3) and shapes (p, 3, size) of the mass points."""
+    abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
+    masses, positions, shapes = [], [], []
+    for section, start, length, nodes in elements:
+        points = section_points(section) if rotary_inertia else np.zeros((1, 2))
+        for xi, weight in zip((1 + abscissae) / 2, weights / 2, strict=True):
+            for y, z in points:
+                masses.append(weight * length * section.density * section.area / len(points))
+                positions.append([start + xi * length, y, z])
+                shape = np.zeros((3, size))
+                shape[:, nodes] = beam_shapes(xi, length, y, z)
+                shapes.append(shape)
+    return np.array(masses), np.array(positions), np.array(shapes)
+
+
+def _spinning_sections(elements: Sequence[Element], size: int) -> tuple[Array, Array]:
+    """Polar inertias (t,) in kg m^2 and twists (t, size) of sections at the Gauss points of the elements."""
+    abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
+    count = len(elements) * GAUSS_POINTS
+    polar, twist = np.zeros(count), np.zeros((count, size))
+    for i, (section, _, length, nodes) in enumerate(elements):
+        rows = slice(GAUSS_POINTS * i, GAUSS_POINTS * (i + 1))
+        polar[rows] = weights / 2 * length * section.density * (section.second_moment_y + section.second_moment_z)
+        _, _, _, inner, *_, outer, _, _ = range(nodes.start, nodes.stop)
+        twist[rows, inner], twist[rows, outer] = (1 - abscissae) / 2, (1 + abscissae) / 2
+    return polar, twist
 
 
 def beam_slopes(xi: float, length: float) -> Array:
@@ -172,17 +237,15 @@ def beam_slopes(xi: float, length: float) -> Array:
     return slopes
 
 
-def _stations(link: Link, elements: int) -> tuple[Array, Array, Array]:
+def _stations(elements: Sequence[Element], size: int) -> tuple[Array, Array, Array]:
     """G at each station and at the tip (s + 1, size, size), stations (s, 2) and their shapes (s, 3, size).
 
     G is the integral of v'^T v' + w'^T w' from the base to there, by Gauss points that make it exact.
     """
-    length, size = link.length / elements, NODE_COORDINATES * (elements + 1)
     abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
     places, shares = np.polynomial.legendre.leggauss(STATION_POINTS)
     integrals, stations, shapes, before = [], [], [], np.zeros((size, size))
-    for element in range(elements):
-        nodes = slice(NODE_COORDINATES * element, NODE_COORDINATES * (element + 2))
+    for section, start, length, nodes in elements:
         for end in [*(1 + places) / 2, 1.0]:
             integral = before.copy()
             for xi, weight in zip(end * (1 + abscissae) / 2, end * weights / 2, strict=True):
@@ -191,7 +254,7 @@ def _stations(link: Link, elements: int) -> tuple[Array, Array, Array]:
             integrals.append(integral)
         before = integrals.pop()
         for xi, share in zip((1 + places) / 2, shares / 2, strict=True):
-            stations.append([share * length * link.density * link.area, (element + xi) * length])
+            stations.append([share * length * section.density * section.area, start + xi * length])
             shape = np.zeros((3, size))
             shape[:, nodes] = beam_shapes(xi, length, 0.0, 0.0)
             shapes.append(shape)
@@ -208,12 +271,16 @@ def section_points(link: Link) -> Array:
 def shape_integrals(beam: Beam) -> ShapeIntegrals:
     """The constant integrals from which mass matrix and quadratic velocity terms (Eq. 13, 14) follow at any state."""
     m, r0, s = beam.masses, beam.positions, beam.shapes
+    position_shape = np.einsum("p,pi,pja->aij", m, r0, s)
+    half = beam.polar @ beam.twist / 2
+    position_shape[:, 1, 2] += half
+    position_shape[:, 2, 1] -= half
     return ShapeIntegrals(
         mass=float(m.sum()),
         first_moment=m @ r0,
         first_moment_shape=np.einsum("p,pia->ai", m, s),
-        second_moment=np.einsum("p,pi,pj->ij", m, r0, r0),
-        position_shape=np.einsum("p,pi,pja->aij", m, r0, s),
+        second_moment=np.einsum("p,pi,pj->ij", m, r0, r0) + beam.polar.sum() / 2 * np.diag([-1.0, 1.0, 1.0]),
+        position_shape=position_shape,
         shape_shape=np.einsum("p,pib,pja->baij", m, s, s),
         elastic=beam.mass_matrix,
     )

@@ -3,10 +3,10 @@
 "The paper" is "Dynamic modeling and simulation of spatial manipulator with flexible links and joints".
 """
 
+import warnings
 from collections.abc import Sequence
-from dataclasses import replace
 
-from flexman_gym.arm import Arm, Joint, Link, Payload
+from flexman_gym.arm import IDENTITY, Arm, Joint, Link, Payload
 from flexman_gym.checks import one_of
 from flexman_gym.drive import ConstantTorque
 from flexman_gym.scene import Initial, ModelChoice, Scene
@@ -42,7 +42,7 @@ def paper_rrr(
     The printed area of link 1 is impossible with its printed polar moment, 1.66e-6 m^4: of all sections of one area a
     solid disc has the least polar moment, A^2 / (2 pi), and that is 1.25e-4 m^4 for 0.028 m^2. For 0.0028 m^2 it is
     1.25e-6 m^4, which fits. The printed area is the default because the paper's figures and the reference trajectories
-    use it.
+    use it; it is built without the warning that a Link gives of such a section.
 
     The paper shows axes and pose in a figure only; here, at zero angles, link 1 stands along +Z and links 2 and 3 lie
     along +X. The axes are +Z, -Y, -Y, so that positive angles of joints 2 and 3 raise the arm.
@@ -51,7 +51,7 @@ def paper_rrr(
     """
     area = _LINK1_AREAS[one_of("link1_area", link1_area, _LINK1_AREAS)]
     links = (
-        replace(_paper_link(1.0, area, 8.33e-7, 1.66e-6), orientation=_UP),
+        _paper_link(1.0, area, 8.33e-7, 1.66e-6, _UP),
         _paper_link(4.0, 0.0020, 6.24e-7, 1.24e-6),
         _paper_link(3.5, 0.0008, 5.37e-7, 1.07e-6),
     )
@@ -60,18 +60,27 @@ def paper_rrr(
     return Arm(links, joints, payload, gravity, **damping)
 
 
-def _paper_link(length: float, area: float, second_moment: float, polar_moment: float) -> Link:
+def _paper_link(
+    length: float,
+    area: float,
+    second_moment: float,
+    polar_moment: float,
+    orientation: Sequence[Sequence[float]] = IDENTITY,
+) -> Link:
     """Return a link of one column of Table 1: m, m^2, m^4, m^4."""
-    return Link(
-        length,
-        area,
-        second_moment_y=second_moment,
-        second_moment_z=second_moment,
-        torsion_constant=polar_moment,
-        youngs_modulus=206e9,
-        shear_modulus=79.3e9,
-        density=8253.0,
-    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of the printed area of link 1
+        return Link(
+            length,
+            area,
+            second_moment_y=second_moment,
+            second_moment_z=second_moment,
+            torsion_constant=polar_moment,
+            youngs_modulus=206e9,
+            shear_modulus=79.3e9,
+            density=8253.0,
+            orientation=orientation,
+        )
 
 
 def one_link(
@@ -87,10 +96,14 @@ def one_link(
     axis, rotor_inertia, joint_stiffness  of the hub's Joint; by default a rigid joint about +Z without a rotor
     payload, gravity, damping             of the Arm, as in `paper_rrr`
 
-    An example of our own, not a published arm. Its two bending stiffnesses differ (I_y = 3.25 I_z).
+    An example of our own, not a published arm. Its two bending stiffnesses differ (I_y = 3.25 I_z). No section of
+    4e-4 m^2 has its moments: their sum, 1.7e-8 m^4, is less than the 2.55e-8 m^4 of a solid disc and than the torsion
+    constant. The numbers stay because a reference trajectory uses them.
     Raises ValueError for what Joint and Arm refuse.
     """
-    link = Link(2.0, 4e-4, 1.3e-8, 4e-9, 2.2e-8, youngs_modulus=70e9, shear_modulus=26e9, density=2700.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of that section
+        link = Link(2.0, 4e-4, 1.3e-8, 4e-9, 2.2e-8, youngs_modulus=70e9, shear_modulus=26e9, density=2700.0)
     return Arm([link], [Joint(axis, rotor_inertia, joint_stiffness)], payload, gravity, **damping)
 
 

@@ -63,10 +63,33 @@ def joint_eigenvalues(
         force = [-c + mu * s, s * one - sh + mu * (c * one - 1.0), 1.0 + mu * sh]
         return float(np.linalg.det([base, moment, force]))
 
-    ends = np.arange(0.05, (count + 2) * np.pi, 0.01)
-    signs = np.sign([characteristic(b) for b in ends])
-    found = [brentq(characteristic, ends[i], ends[i + 1], xtol=1e-14) for i in np.nonzero(np.diff(signs))[0]]
-    return np.square(found[:count])
+    return _first_squared_roots(characteristic, count, np.arange(0.05, (count + 2) * np.pi, 0.01))
+
+
+def stepped_eigenvalues(count: int, place: float, rigidity_ratio: float, mass_ratio: float) -> Array:
+    """First lambda (count,) of a stepped cantilever; lambda with L of the whole, rho A and EI of the inboard segment.
+
+    place = length of the inboard segment / L; kappa = rigidity_ratio = EI and mu = mass_ratio = rho A of the outboard
+    segment over the inboard one's. With b x / L the argument inboard, from the base, and c y / L outboard, from the
+    tip, c = b (mu / kappa)^(1/4), each segment has the two solutions that its end allows. At the step w, w', EI w'' and
+    EI w''' agree, y running backwards: four homogeneous equations, whose determinant vanishes.
+    """
+    quicker = (mass_ratio / rigidity_ratio) ** 0.25
+
+    def solutions(x: float, end: float) -> Array:
+        # (4, 2): w to w''' of cos + end cosh, divided by cosh x, and of sin - cos - end exp(-x), that is of sin + end
+        # sinh less the former; of a clamped end with -1, of a free one with 1
+        s, c, one, sh, fall = np.sin(x), np.cos(x), 1.0 / np.cosh(x), np.tanh(x), end * np.exp(-x)
+        first = [c * one + end, -s * one + end * sh, -c * one + end, s * one + end * sh]
+        return np.transpose([first, [s - c - fall, c + s + fall, c - s - fall, -c - s + fall]])
+
+    def characteristic(b: float) -> float:
+        back = np.array([1.0, -quicker, rigidity_ratio * quicker**2, -rigidity_ratio * quicker**3])
+        inboard, outboard = solutions(b * place, -1.0), solutions(b * quicker * (1.0 - place), 1.0)
+        return float(np.linalg.det(np.hstack([inboard, back[:, None] * outboard])))
+
+    phase = place + quicker * (1.0 - place)  # of the waves, per b
+    return _first_squared_roots(characteristic, count, np.arange(0.05, (count + 2) * np.pi, 0.01) / phase)
 
 
 def rayleigh_eigenvalues(count: int, gyration_ratio: float) -> Array:
@@ -106,3 +129,10 @@ def bar_eigenvalues(count: int, elements: int | None = None) -> Array:
 def _squared_roots(function: Callable[[float], float], ends: Array) -> Array:
     """Squares of the roots of `function`, one in every interval between neighbouring `ends`."""
     return np.square([brentq(function, a, b, xtol=1e-14, rtol=1e-14) for a, b in pairwise(ends)])
+
+
+def _first_squared_roots(function: Callable[[float], float], count: int, ends: Array) -> Array:
+    """Squares (count,) of the first roots of `function`, at most one between neighbouring `ends`."""
+    signs = np.sign([function(end) for end in ends])
+    found = [brentq(function, ends[i], ends[i + 1], xtol=1e-14) for i in np.nonzero(np.diff(signs))[0][:count]]
+    return np.square(found)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from flexman_gym.beam import NODE_COORDINATES, Array, beam_shapes
+from flexman_gym.beam import NODE_COORDINATES, Array, beam_shapes, find_element
 from flexman_gym.checks import refusal, vector, whole_number
 from flexman_gym.model import Model
 from flexman_gym.trajectory import Trajectory
@@ -64,15 +64,13 @@ def _shortened(model: Model, link: int, elastic: Array, line: Array) -> Array:
 def _centreline_shapes(model: Model, points: int) -> tuple[Array, ...]:
     """(points, 3, k_i) of each link: displacement of evenly spaced points of its centreline per unit coordinate."""
     result = []
-    for basis, length in zip(model.bases, model.constants.length, strict=True):
-        elements = len(basis) // NODE_COORDINATES
+    for i, (basis, length) in enumerate(zip(model.bases, model.constants.length, strict=True)):
+        elements = model.elements(i) if basis.shape[1] else []
         shapes = np.zeros((points, 3, len(basis) + NODE_COORDINATES))
-        for shape, along in zip(shapes, np.linspace(0.0, elements, points), strict=True):
-            element = min(int(along), elements - 1)
+        for shape, place in zip(shapes, np.linspace(0.0, length, points), strict=True):
             if elements:
-                first = NODE_COORDINATES * element
-                nodes = slice(first, first + 2 * NODE_COORDINATES)
-                shape[:, nodes] = beam_shapes(along - element, length / elements, 0.0, 0.0)
+                element, xi = find_element(elements, place)
+                shape[:, element.nodes] = beam_shapes(xi, element.length, 0.0, 0.0)
         result.append(shapes[:, :, NODE_COORDINATES:] @ basis)  # node 0 is clamped
     return tuple(result)
 

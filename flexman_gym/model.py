@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.arm import Arm, Payload
-from flexman_gym.beam import Array, Beam, ShapeIntegrals, build_beam, shape_integrals
+from flexman_gym.beam import Array, Beam, Element, ShapeIntegrals, beam_elements, build_beam, shape_integrals
 from flexman_gym.checks import refusal, vector
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.linalg import LANES
 from flexman_gym.reduction import loaded_modes, modal_damping, outboard_inertias, zero_pose_rotations
-from flexman_gym.scene import ModelChoice, Scene
+from flexman_gym.scene import MOST_ELEMENTS, ModelChoice, Scene
 
 VANISHING = 1e-14  # a mass integral this small beside the masses of its two coordinates is a zero with rounding
 
@@ -25,8 +25,8 @@ class Model:
         arm: the arm it was built from.
         choice: elements, modes and flexibilities, as they were asked for.
         constants: arrays that the kernels read; shapes and units in `kernels.layout.Constants`.
-        bases: (6 * elements, k_i) of each link, the node coordinates per unit of its elastic coordinates; of a rigid
-            link (0, 0).
+        bases: (6 * elements * sections, k_i) of each link, the node coordinates per unit of its elastic coordinates; of
+            a rigid link (0, 0).
     """
 
     arm: Arm
@@ -65,6 +65,10 @@ class Model:
         start, stop = self.constants.elastic_start[link : link + 2]
         return slice(first + int(start), first + int(stop))
 
+    def elements(self, link: int) -> list[Element]:
+        """Finite elements of a link (counted from 0), base to tip."""
+        return beam_elements(self.arm.links[link], _each("elements", self.choice.elements, self.n_joints)[link])
+
     def initial_state(
         self, joint_angles: Sequence[float] | Array, joint_rates: Sequence[float] | Array | None = None
     ) -> Array:
@@ -88,28 +92,35 @@ def build_model(
     stiffening: bool = False,
     *,
     spinning_rotors: bool = False,
+    rotary_inertia: bool = True,
 ) -> Model:
     """Discretises an arm.
 
     Args:
         arm: the arm.
-        elements: finite elements of a link; one value or one per link.
-        modes: loaded component modes kept of a flexible link, at most 6 per element; None keeps every coordinate.
+        elements: finite elements of a Link, or of each section of a NonUniformLink; one value or one per link, and no
+            more than 64 elements of a link in all. A link has 6 * elements * number of sections coordinates.
+        modes: loaded component modes kept of a flexible link, at most its number of coordinates; None keeps them all.
         flexible_links: False makes a link rigid.
         flexible_joints: False locks the springs of all joints; their rotor inertia stays.
         stiffening: foreshortening of bent links (geometric stiffening), needed where links spin about as fast as they
             bend, or bend far.
-        spinning_rotors: rotors are bodies that spin in the frame that carries their joint; see `ModelChoice`.
+        spinning_rotors, rotary_inertia: see `ModelChoice`.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
     """
-    choice = ModelChoice(flexible_links, elements, modes, flexible_joints, stiffening, spinning_rotors)
+    switches = {"spinning_rotors": spinning_rotors, "rotary_inertia": rotary_inertia}
+    choice = ModelChoice(flexible_links, elements, modes, flexible_joints, stiffening, **switches)
     n = arm.n_joints
     flexible = _each("flexible_links", choice.flexible_links, n)
     counts = _each("elements", choice.elements, n)
     kept = _each("modes", choice.modes, n)
-    beams = tuple(map(build_beam, arm.links, counts, flexible))
+    for i, (link, count) in enumerate(zip(arm.links, counts, strict=True)):
+        most = MOST_ELEMENTS // len(link.sections)
+        if count > most:
+            raise refusal(f"elements[{i}]", count, f"at most {most} for each of the {len(link.sections)} sections")
+    beams = tuple(map(build_beam, arm.links, counts, flexible, [choice.rotary_inertia] * n))
     outboard = outboard_inertias(arm, beams)
     bases, dampings, reduced = [], [], []
     for i, beam in enumerate(beams):
@@ -146,7 +157,6 @@ def _basis(beam: Beam, outboard: Array, modes: int | None, field: str) -> Array:
 
 
 def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], choice: ModelChoice) -> layout.Constants:
-    n = len(beams)
     payload = arm.payload or Payload(0.0)
     sizes = np.array([len(beam.stiffness) for beam in beams], dtype=np.int64)
     widths = LANES * ((sizes + 6 + LANES - 1) // LANES)

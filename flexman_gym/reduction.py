@@ -36,6 +36,7 @@ def outboard_inertias(arm: Arm, beams: tuple[Beam, ...]) -> Array:
         for mass, position in zip(beams[i].masses, beams[i].positions, strict=True):
             point = _carry(position)[:3]
             total += mass * point.T @ point
+        total[3, 3] += beams[i].polar.sum()
         rotation = np.kron(np.eye(2), rotations[i])
         inertia = rotation @ total @ rotation.T
     return result

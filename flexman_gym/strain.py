@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flexman_gym.beam import NODE_COORDINATES, Array
+from flexman_gym.beam import NODE_COORDINATES, Array, find_element
 from flexman_gym.checks import finite, refusal, vector, whole_number
 from flexman_gym.model import Model
 
@@ -19,7 +19,8 @@ def curvature(model: Model, state: Sequence[float] | Array, link: int, position:
         position: along the link, 0 at its joint to its length at its tip, m.
 
     They are the derivatives of the finite elements, linear along each element and exact under forces and moments at
-    nodes; at a node between two elements that of the outboard one is taken. A rigid link has none.
+    nodes; at a node between two elements, so between two sections, that of the outboard one is taken. A rigid link has
+    none.
 
     Raises ValueError for wrong shapes, values that are not finite, and a link or position that is not there.
     """
@@ -48,10 +49,8 @@ def _deformation(model: Model, state: Sequence[float] | Array, link: int, positi
     if basis.shape[1] == 0:
         return np.zeros(4)
     nodes = np.append(np.zeros(NODE_COORDINATES), basis @ x[model.elastic_columns(i)])
-    elements = len(basis) // NODE_COORDINATES
-    element = min(int(place / length * elements), elements - 1)
-    both = nodes[NODE_COORDINATES * element : NODE_COORDINATES * (element + 2)]
-    return _derivatives(place / length * elements - element, length / elements) @ both
+    element, xi = find_element(model.elements(i), place)
+    return _derivatives(xi, element.length) @ nodes[element.nodes]
 
 
 def _derivatives(xi: float, length: float) -> Array:

@@ -20,6 +20,7 @@ from flexman_gym.kernels import inverse, layout
 from flexman_gym.model import Model, build_model
 from flexman_gym.simulator import Simulator, simulate
 from flexman_gym.verification import Row, printed, series
+from flexman_gym.verification_links import stepped_rows
 
 AXIAL, TWIST, BENDING_Y, BENDING_Z = (0,), (3,), (1, 5), (2, 4)  # coordinates of a node that move together
 BEAM = "closed form: Euler-Bernoulli beam"
@@ -38,9 +39,10 @@ def slender_link(length: float = 1.0, mass_per_length: float = 1.0, rigidity: fl
 
     Its radius of gyration is 1e-4 of its length, so that rotary inertia takes less than 1e-5 of a frequency.
     """
-    moment = 1e-8 * length**2
+    area = 1e-8 * length**2
+    moment = area**2
     modulus = rigidity / moment
-    return Link(length, 1.0, across * moment, moment, across * moment, modulus, modulus, mass_per_length)
+    return Link(length, area, across * moment, moment, across * moment, modulus, modulus, mass_per_length / area)
 
 
 def link_frequencies(link: Link, elements: int, columns: Sequence[int], tip_mass: float = 0.0) -> Array:
@@ -82,7 +84,7 @@ def convergence_rows() -> Iterator[Row]:
 
 def static_rows() -> Iterator[Row]:
     """Tip of link 2 of the paper's arm as a cantilever of two elements under unit loads and its own weight."""
-    link = catalog.paper_rrr().links[1]
+    link = _paper_links()[1]
     beam, length, mass = build_beam(link, 2), link.length, link.mass
     bending, twisting = link.youngs_modulus * link.second_moment_z, link.shear_modulus * link.torsion_constant
     weight = sum(m * shape[1] for m, shape in zip(beam.masses, beam.shapes, strict=True)) / mass  # 1 N along the link
@@ -100,7 +102,7 @@ def static_rows() -> Iterator[Row]:
 
 def bar_rows() -> Iterator[Row]:
     """Axial and torsional cantilever frequencies in Hz of link 3 of the paper's arm, 24 linear elements."""
-    link = catalog.paper_rrr().links[2]
+    link = _paper_links()[2]
     for name, columns in (("axial", AXIAL), ("torsional", TWIST)):
         scale = _bar_scale(link, columns)
         found = link_frequencies(link, 24, columns)
@@ -161,7 +163,7 @@ def rotating_beam_rows() -> Iterator[Row]:
 
 def paper_arm_rows() -> Iterator[Row]:
     """The paper's links as cantilevers and the paper's arm at its straight pose."""
-    corrected, (one, two, three) = catalog.paper_rrr(link1_area="corrected").links[0], catalog.paper_rrr().links
+    corrected, (one, two, three) = _paper_links("corrected")[0], _paper_links()
     known = (
         ("link 1 (area as printed)", one, "231.1"),
         ("link 1 (area 0.0028 m^2)", corrected, "23.1"),
@@ -222,6 +224,7 @@ CASES: tuple[Callable[[], Iterator[Row]], ...] = (
     hub_rows,
     convergence_rows,
     static_rows,
+    stepped_rows,
     bar_rows,
     elastic_joint_rows,
     spring_rows,
@@ -230,6 +233,11 @@ CASES: tuple[Callable[[], Iterator[Row]], ...] = (
     rigid_paper_rows,
     instant_rows,
 )
+
+
+def _paper_links(link1_area: str = "printed") -> list[Link]:
+    """The uniform links of the paper's arm."""
+    return [link.sections[0] for link in catalog.paper_rrr(link1_area).links]
 
 
 def _columns(elements: int, coordinates: Sequence[int]) -> Array:

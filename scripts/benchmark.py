@@ -41,7 +41,7 @@ def pinocchio_aba(arm: fm.Arm, rigid: fm.Model, count: int = 500) -> Timer:
     """ABA of the rigid arm with its rotors, checked to give the same accelerations."""
     pin = __import__("pinocchio")  # which has no types
     model, place, parent = pin.Model(), pin.SE3.Identity(), 0
-    for link, joint in zip(arm.links, arm.joints, strict=True):
+    for (link,), joint in zip((each.sections for each in arm.links), arm.joints, strict=True):  # uniform links
         parent = model.addJoint(parent, pin.JointModelRevoluteUnaligned(*joint.axis), place, f"joint {parent + 1}")
         y, z, slender = link.second_moment_y, link.second_moment_z, link.area * link.length**2 / 12
         inertia = link.density * link.length * np.diag([y + z, y + slender, z + slender])

@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+import warnings
 from pathlib import Path
 from time import perf_counter
 
@@ -27,6 +28,7 @@ def main() -> int:
     options = parser.parse_args()
     if not options.reference.is_dir():
         parser.error(f"--reference: {options.reference} is not allowed; give the folder of the reference solutions")
+    warnings.filterwarnings("ignore", "Link.second_moment_y", UserWarning)  # of the paper's printed area of link 1
     started = perf_counter()
     found = rows(options.reference, options.quick)
     print(table(found))

@@ -73,7 +73,7 @@ class Sample:
 def random_link(rng: np.random.Generator) -> Link:
     """A beam of about 1 m of metal or plastic, of any section and orientation."""
     area, youngs_modulus = 10 ** rng.uniform(-3.5, -2.5), 10 ** rng.uniform(9.0, 11.0)
-    y, z, twist = 10 ** rng.uniform(-1.5, -0.5, 3)
+    y, z, twist = 10 ** rng.uniform(-1.0, 0.0, 3)
     return Link(
         length=rng.uniform(0.5, 2.0),
         area=area,
@@ -100,7 +100,8 @@ def slender_link(length: float = 0.7, mass_per_length: float = 4.0, stiffness: f
 
     Across it is 100 times stiffer in frequency, so that the modes in the plane come first.
     """
-    area, second_moment = 1.0, 1e-8 * length**2
+    area = 1e-8 * length**2
+    second_moment = area**2
     return Link(
         length=length,
         area=area,

@@ -1,6 +1,7 @@
 """Arm: links, joints, payload and arm hold what was given, and refuse what is not an arm in one clear line."""
 
 import math
+import warnings
 from dataclasses import FrozenInstanceError, fields, replace
 
 import numpy as np
@@ -10,13 +11,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from flexman_gym.arm import Arm, Joint, Link, Payload
+from flexman_gym.arm import MOST_SECTIONS, Arm, Joint, Link, NonUniformLink, Payload
 
 LINK = Link(1.0, 0.002, 6e-7, 5e-7, 1e-6, 206e9, 79e9, 8253.0)
 JOINT = Joint((0.0, 0.0, 1.0))
 LINK_NUMBERS = [field.name for field in fields(Link) if field.name != "orientation"]
 NOT_NUMBERS = [math.nan, math.inf, -math.inf, 10**400, 10**5000, True, np.True_, "1.0", None, 1j, [1.0], np.ones(2)]
-PARTS = {"Link": LINK, "Joint": JOINT, "Payload": Payload(1.0), "Arm": Arm([LINK], [JOINT])}
+STEPPED = NonUniformLink([LINK, LINK])
+PARTS = {"Link": LINK, "NonUniformLink": STEPPED, "Joint": JOINT, "Payload": Payload(1.0), "Arm": Arm([LINK], [JOINT])}
 
 quaternions = arrays(float, 4, elements=st.floats(-1.0, 1.0)).filter(lambda q: np.linalg.norm(q) > 0.1)
 
@@ -46,7 +48,34 @@ def test_an_error_names_the_field_the_value_and_what_is_allowed():
 
 @given(*[st.floats(1e-3, 1e3)] * 3)
 def test_mass_is_density_times_volume(length, area, density):
-    assert replace(LINK, length=length, area=area, density=density).mass == pytest.approx(density * area * length)
+    link = replace(LINK, length=length, area=area, second_moment_y=area**2, density=density)
+    assert link.mass == pytest.approx(density * area * length)
+
+
+@given(st.floats(1e-3, 1e3), st.floats(1e-3, 1e3))
+def test_a_section_with_less_polar_moment_than_a_disc_is_warned_of(radius, height):
+    """A disc of radius r has I = pi r^4 / 4 in each plane, a rectangle b h^3 / 12 and h b^3 / 12."""
+    disc = {"area": math.pi * radius**2, **dict.fromkeys(LINK_NUMBERS[2:4], math.pi * radius**4 / 4)}
+    rectangle = {
+        "area": radius * height,
+        "second_moment_y": radius * height**3 / 12,
+        "second_moment_z": height * radius**3 / 12,
+    }
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        replace(LINK, **disc), replace(LINK, **rectangle)
+    with pytest.warns(UserWarning, match=r"^Link\.second_moment_y \+ second_moment_z: ") as caught:
+        link = replace(LINK, **disc | {"area": 1.001 * disc["area"]})
+    line = str(caught[0].message)
+    assert len(caught) == 1 and "\n" not in line
+    for value in (link.second_moment_y + link.second_moment_z, link.area, link.area**2 / (2 * math.pi)):
+        assert f"{value:.6g}" in line
+
+
+def test_the_warning_points_at_who_makes_the_link():
+    with pytest.warns(UserWarning) as caught:
+        Link(1.0, 0.028, 8.33e-7, 8.33e-7, 1.66e-6, 206e9, 79.3e9, 8253.0)
+    assert caught[0].filename == __file__
 
 
 @given(quaternions)
@@ -74,6 +103,32 @@ def test_every_rotation_is_an_orientation_and_no_reflection_is(quaternion):
 )
 def test_an_orientation_is_three_rows_of_three_finite_numbers(value):
     refused("Link.orientation", value)
+
+
+def test_a_non_uniform_link_is_as_long_and_heavy_as_its_sections():
+    half, other = replace(LINK, length=0.3), replace(LINK, length=0.5, density=1000.0)
+    link = NonUniformLink([half, other])
+    assert link.sections == (half, other) and LINK.sections == (LINK,)
+    assert link.length == pytest.approx(0.8) and link.mass == pytest.approx(half.mass + other.mass)
+    assert Arm([LINK, link], [JOINT] * 2).links == (LINK, link)
+
+
+@pytest.mark.parametrize(
+    "value", [None, (), LINK, "link", [LINK, 1.0], [STEPPED], [LINK] * (MOST_SECTIONS + 1)], ids=str
+)
+def test_a_non_uniform_link_is_made_of_uniform_ones(value):
+    refused("NonUniformLink.sections", value)
+
+
+@given(quaternions)
+def test_a_section_has_no_orientation_of_its_own_but_the_link_has(quaternion):
+    matrix = Rotation.from_quat(quaternion).as_matrix()
+    turned = replace(STEPPED, orientation=matrix)
+    assert np.array_equal(turned.orientation, matrix)
+    refused("NonUniformLink.orientation", -matrix, "a rotation matrix")
+    if not np.array_equal(matrix, np.eye(3)):
+        with pytest.raises(ValueError, match=r"^NonUniformLink\.sections\[1\]\.orientation: .* give the identity"):
+            NonUniformLink([LINK, replace(LINK, orientation=matrix)])
 
 
 @given(quaternions)

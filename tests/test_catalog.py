@@ -12,6 +12,8 @@ from flexman_gym.catalog import one_link, paper_rrr, paper_scene, planar_2r
 from flexman_gym.scene import Scene
 
 REFERENCE = Path(__file__).parent / "reference"
+# The reference scenes hold the printed area of link 1 and that of `one_link`, which no section can have.
+pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")
 
 
 @pytest.mark.parametrize("case", ["rr", "fr", "ff"])
@@ -34,6 +36,15 @@ def test_the_paper_arm_carries_what_the_gravity_scene_adds():
 def test_one_link_is_the_reference_pendulum():
     arm = one_link(axis=(0.6, 0.8, 0.0), payload=Payload(0.5), gravity=(0, 0, -9.81))
     assert arm == Scene.load(REFERENCE / "pendulum_1.json").arm
+
+
+@pytest.mark.filterwarnings("error")
+def test_the_catalogue_warns_of_nothing():
+    for area in ("printed", "corrected"):
+        paper_rrr(area)
+    one_link(), planar_2r()
+    for case in ("rr", "fr", "ff"):
+        assert paper_scene(case).arm == paper_rrr()
 
 
 def test_only_the_corrected_area_of_link_1_fits_its_polar_moment():

@@ -40,8 +40,10 @@ ARROWS = {
     "tasks": "sensors simulator dynamics model beam scene catalog arm checks kernels",
     "study": "fidelity metrics control simulator dynamics model methods scene catalog arm checks",
     "draw": "trajectory simulator dynamics model beam scene catalog arm checks",
-    "envs": "tasks sensors control metrics draw trajectory simulator model methods beam scene catalog arm checks kernels",
-    "verification_cases": "verification closed_forms simulator dynamics model beam catalog arm kernels",
+    "envs": "tasks sensors control draw trajectory simulator model methods beam scene catalog arm checks kernels",
+    "verification_links": "verification closed_forms dynamics model beam arm",
+    "verification_cases": "verification_links verification closed_forms simulator dynamics model beam catalog arm"
+    " kernels",
     "verification_motions": "verification_cases verification trajectory drive simulator dynamics model beam scene arm",
 }
 _PUBLIC = "envs tasks sensors control metrics study draw fidelity simulator dynamics model methods scene catalog arm"

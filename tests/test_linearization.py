@@ -119,7 +119,8 @@ def test_the_rigid_limit_is_pinocchio(sample):
     data = model.createData()  # owns the slopes
     expected = pin.computeABADerivatives(model, data, x, v, torque)
     for found, slopes in zip((linear.A[d:, :d], linear.A[d:, d:], linear.B[d:]), expected, strict=True):
-        assert np.abs(found - slopes).max() <= 1e-9 * max(np.abs(slopes).max(), 1e-6)
+        least = 1e-4  # one joint without gravity has slopes of nothing but rounding
+        assert np.abs(found - slopes).max() <= 1e-9 * max(np.abs(slopes).max(), least)
 
 
 def test_the_linear_response_is_left_by_the_square_of_the_amplitude():

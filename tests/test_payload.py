@@ -91,6 +91,7 @@ def test_an_impossible_payload_is_named(arguments, field):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")  # of the printed area of link 1, in the file
 def test_a_payload_survives_the_file(tmp_path):
     scene = fm.catalog.paper_scene("ff")
     arm = fm.Arm(scene.arm.links, scene.arm.joints, fm.Payload(BODY.mass, bar_inertia(), CENTRE))

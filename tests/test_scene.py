@@ -3,6 +3,7 @@
 import copy
 import json
 import math
+import warnings
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
@@ -13,17 +14,25 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexman_gym.arm import Arm, Joint, Link, Payload
+from flexman_gym.arm import IDENTITY, Arm, Joint, Link, NonUniformLink, Payload
 from flexman_gym.drive import ConstantTorque, SineTorque
 from flexman_gym.scene import Initial, ModelChoice, Scene
 
 REFERENCE = sorted((Path(__file__).parent / "reference").glob("*.json"))
-SCENE = Scene.load(REFERENCE[0])
-GIVEN = SCENE.to_dict() | {"model": SCENE.to_dict()["model"] | {"modes": [4, 4, 4]}}
+# Of the printed area of link 1 in the reference scenes, and of sections of any numbers.
+pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", UserWarning)
+    SCENE = Scene.load(REFERENCE[0])
+GIVEN = SCENE.to_dict()
+GIVEN["model"] |= {"modes": [4, 4, 4], "rotary_inertia": False}
+UNIFORM = {name: value for name, value in GIVEN["arm"]["links"][1].items() if name != "orientation"}
+GIVEN["arm"]["links"][1] = {"sections": [UNIFORM, dict(UNIFORM)], "orientation": [list(row) for row in IDENTITY]}
 
 positive = st.floats(1e-300, 1e300)
 number = st.floats(allow_nan=False, allow_infinity=False)
 triples = st.tuples(*[st.floats(0.0, 100.0)] * 3)
+TURNED = ((0.0, 0.0, -1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
 unit_axis = st.floats(-math.pi, math.pi).map(lambda angle: (math.cos(angle), math.sin(angle), 0.0))
 
 
@@ -33,7 +42,9 @@ def scenes(draw):
     n = draw(st.integers(1, 3))
     each = lambda entry: st.tuples(*[entry] * n)  # noqa: E731
     numbers = each(number)
-    links = draw(each(st.builds(Link, *[positive] * 8)))
+    uniform = st.builds(Link, *[positive] * 8)
+    stepped = st.builds(NonUniformLink, st.lists(uniform, min_size=1, max_size=3), st.sampled_from([IDENTITY, TURNED]))
+    links = draw(each(uniform | stepped))
     rigid = st.builds(Joint, unit_axis, st.floats(0.0, 1e300))
     springs = st.builds(Joint, unit_axis, positive, positive, st.floats(0.0, 1e300))
     arm = Arm(
@@ -48,6 +59,7 @@ def scenes(draw):
         draw(st.booleans() | each(st.booleans())),
         draw(st.integers(1, 64) | each(st.integers(1, 64))),
         draw(st.none() | st.integers(0, 384) | each(st.integers(0, 384))),
+        draw(st.booleans()),
         draw(st.booleans()),
         draw(st.booleans()),
     )
@@ -128,8 +140,10 @@ def test_a_key_is_needed_and_no_other_is_known(path):
     data = copy.deepcopy(GIVEN)
     entry = holder(data, path)
     value = entry.pop(path[-1])
-    if path[-1] in ("note", "payload", "modes"):
+    if path[-1] in ("note", "payload", "modes", "rotary_inertia"):
         Scene.from_dict(data)
+    elif path[-1] == "sections":  # without them it is a uniform link
+        assert refusal(Scene.from_dict, data).startswith(f"{named(path[:-1])}.length: missing; give the keys length, ")
     else:
         assert refusal(Scene.from_dict, data).startswith(f"{named(path)}: ")
     entry[path[-1]] = value
@@ -145,6 +159,24 @@ def test_the_error_of_a_file_names_the_file_the_field_the_value_and_what_is_allo
     assert refusal(Scene.load, path) == (
         f"{path}: arm.links[1].length: -1.0 is not allowed; give a finite number > 0 (m)"
     )
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"length": -1.0}, "length: -1.0 is not allowed; give a finite number > 0 (m)"),
+        ({"orientation": TURNED}, "orientation: "),
+    ],
+)
+def test_the_error_of_a_section_names_its_place(changes, said):
+    data = copy.deepcopy(GIVEN)
+    data["arm"]["links"][1]["sections"][0] = UNIFORM | changes
+    assert refusal(Scene.from_dict, data).startswith(f"arm.links[1].sections[0].{said}")
+
+
+def test_a_switch_is_written_where_it_is_off():
+    assert "rotary_inertia" not in SCENE.to_dict()["model"]
+    assert Scene.from_dict(GIVEN).to_dict()["model"]["rotary_inertia"] is False
 
 
 JSON = json.dumps(SCENE.to_dict())
@@ -292,6 +324,7 @@ def test_the_parts_of_a_scene_fit_each_other(part, value, field):
         ({"modes": [385]}, "modes[0]"),
         ({"flexible_joints": None}, "flexible_joints"),
         ({"stiffening": "yes"}, "stiffening"),
+        ({"rotary_inertia": 0}, "rotary_inertia"),
     ],
 )
 def test_a_model_choice_refuses(entries, field):
