@@ -9,7 +9,7 @@ from flexman_gym.checks import positive
 from flexman_gym.kernels import layout
 from flexman_gym.model import Model
 
-ENERGY_ALARM = 0.05  # of the energy turned over
+ENERGY_ALARM = 0.01  # of the energy turned over
 
 
 @dataclass(frozen=True, eq=False)

@@ -85,13 +85,17 @@ def structural_forces(constants, work, x, v):
 
 @inner
 def friction_slopes(constants, work, v):
-    """work.friction_slope (n,) = slope of the friction torque by the motor rate at the speeds v (d,)."""
+    """work.friction_slope (n,) = friction torque over motor rate at the speeds v (d,).
+
+    The tangent would vanish wherever the rate is not small, and a large step would jump over the stop and back; with
+    the secant it stops there, and the order of a W-method does not depend on it.
+    """
     for i in range(len(constants.mass)):
         slope = constants.viscous_friction[i]
         if constants.coulomb_friction[i] != 0.0:
-            m = constants.motor[i] if constants.motor[i] >= 0 else i
-            part = math.tanh(v[m] / constants.coulomb_rate[i])
-            slope += constants.coulomb_friction[i] / constants.coulomb_rate[i] * (1.0 - part * part)
+            part = v[constants.motor[i] if constants.motor[i] >= 0 else i] / constants.coulomb_rate[i]
+            steepness = constants.coulomb_friction[i] / constants.coulomb_rate[i]
+            slope += steepness * math.tanh(part) / part if part != 0.0 else steepness
         work.friction_slope[i] = slope
 
 

@@ -151,7 +151,7 @@ class Work(NamedTuple):
     joint_pivot: Array  # (n,) what the joint torque accelerates
     spring: Array  # (n,) implicit stiffness of the joint spring
     motor_inertia: Array  # (n,) of a rotor with its implicit spring and friction
-    friction_slope: Array  # (n,) of the friction torque by the motor rate
+    friction_slope: Array  # (n,) friction torque over motor rate
     # accelerations
     drive: Array  # (n + 6,)
     field: Array  # (1, 3) gravity less the acceleration of the base

@@ -105,7 +105,7 @@ def implicit_stage(constants, work, tableau, table, time, step, state, i):
     With g = gamma step and r = sum of c_ij u_j / step, the stage u = (position part, speed part) solves
     u_x / g = v + u_v + r_x and M u_v / g = F(x, v) - K u_x - D u_v + M r_v. In w = u_v / g - r_v that is
     (M + g D + g^2 K) w = F with springs taken at x + g (v + r_x + g r_v) and dampers at v + g r_v: no product with M.
-    D holds the slope of friction at the start of the step.
+    D holds friction over rate at the start of the step.
     """
     d, size = len(state) // 2 - 1, len(state)
     g = tableau.gamma * step
