@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
-from oracles import Chain
+from oracles import Chain, LinkModel
 from scipy.spatial.transform import Rotation
 
 from flexman_gym import Arm, Joint, Link, Model, Payload, build_model
@@ -28,26 +28,28 @@ class Sample:
     flexible_joints: bool
     amplitude: float
     seed: int
+    stiffening: bool = False
 
     @cached_property
     def model(self) -> Model:
         """The model under test."""
-        return build_model(self.arm, self.elements, self.modes, self.flexible_links, self.flexible_joints)
+        return build_model(
+            self.arm, self.elements, self.modes, self.flexible_links, self.flexible_joints, self.stiffening
+        )
 
     @cached_property
     def chain(self) -> Chain:
-        """The oracle in the coordinates of the model: the same basis and the same damping matrix for each link."""
+        """The oracle in the coordinates of the model: each link has the same basis, damping matrix and stations."""
         beams = tuple(map(build_beam, self.arm.links, self.elements, self.flexible_links))
-        bases, dampings = [], []
+        links = []
         for i, (beam, outboard) in enumerate(zip(beams, outboard_inertias(self.arm, beams), strict=True)):
             basis = np.eye(len(beam.stiffness))
             if self.modes is not None and self.flexible_links[i]:
                 basis = loaded_modes(beam, outboard)[1][:, : self.modes[i]]
             damping = modal_damping(beam, outboard, self.arm.modal_damping_ratio)
             damping = damping + self.arm.stiffness_proportional_damping * beam.stiffness
-            bases.append(basis)
-            dampings.append(basis.T @ damping @ basis)
-        return Chain(self.arm, self.elements, self.flexible_links, self.flexible_joints, bases, dampings)
+            links.append(LinkModel(basis, basis.T @ damping @ basis, beam if self.stiffening else None))
+        return Chain(self.arm, self.elements, self.flexible_links, self.flexible_joints, links)
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
         """Coordinates and speeds (d,): joints anywhere, springs wound up, links bent by about the amplitude."""
@@ -68,6 +70,19 @@ class Sample:
     def torque(self) -> np.ndarray:
         """Motor torques (n,), N m."""
         return np.random.default_rng(self.seed + 1).uniform(-50.0, 50.0, self.model.n_joints)
+
+    def applied(self, x: np.ndarray, v: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        """Forces (d,) of motors, springs and dampers, from their definitions (Eq. 18, 23)."""
+        forces, drag = np.zeros(len(x)), np.zeros(len(x))
+        forces[self.model.motor_columns] = torque
+        for i, motor in self.chain.motor.items():
+            joint = self.arm.joints[i]
+            forces[[i, motor]] += joint.stiffness * (x[motor] - x[i]) * np.array([1.0, -1.0])
+            drag[[i, motor]] += joint.damping * (v[motor] - v[i]) * np.array([-1.0, 1.0])
+        for beam, damping, columns in zip(self.chain.beams, self.chain.damping, self.chain.elastic, strict=True):
+            forces[columns] -= beam.K @ x[columns]
+            drag[columns] += damping @ v[columns]
+        return forces - drag
 
 
 def random_link(rng: np.random.Generator) -> Link:
@@ -95,6 +110,14 @@ def random_joint(rng: np.random.Generator, spring: bool) -> Joint:
     return Joint(axis, rng.uniform(0.05, 2.0), 10 ** rng.uniform(2.0, 4.0), rng.choice([0.0, rng.uniform(0.0, 20.0)]))
 
 
+def random_payload(rng: np.random.Generator, inertia: bool, offset: bool) -> Payload:
+    """A body of a few kg and up to a few dm, of any proportions from a rod to a disk, or a point."""
+    mass, turn = rng.uniform(0.1, 5.0), Rotation.random(random_state=rng).as_matrix()
+    spread = turn @ np.diag(rng.uniform(0.01, 0.3, 3) ** 2 * rng.integers(0, 2, 3)) @ turn.T
+    moments = mass * (np.trace(spread) * np.eye(3) - (spread + spread.T) / 2)
+    return Payload(mass, moments if inertia else None, rng.uniform(-0.3, 0.3, 3) if offset else None)
+
+
 def slender_link(length: float = 0.7, mass_per_length: float = 4.0, stiffness: float = 0.6) -> Link:
     """A link that bends in its x-y plane with EI = `stiffness` and next to no rotary inertia.
 
@@ -115,7 +138,7 @@ def slender_link(length: float = 0.7, mass_per_length: float = 4.0, stiffness: f
 
 
 @st.composite
-def samples(draw, most_links=6, flexible_links=None, flexible_joints=None, reduced=None):
+def samples(draw, most_links=7, flexible_links=None, flexible_joints=None, reduced=None, stiffening=False):
     """Arms of 1 to `most_links` links; a flag that is not None holds for the whole arm and the model."""
     n = draw(st.integers(1, most_links))
     each = lambda flag: st.tuples(*[st.booleans() if flag is None else st.just(flag)] * n)  # noqa: E731
@@ -127,19 +150,22 @@ def samples(draw, most_links=6, flexible_links=None, flexible_joints=None, reduc
     free_springs = draw(st.booleans()) if flexible_joints is None else flexible_joints
     seed = draw(st.integers(0, 10**6))
     rng = np.random.default_rng(seed)
+    carried = draw(st.sampled_from([None, (False, False), (True, False), (False, True), (True, True)]))
     arm = Arm(
         [random_link(rng) for _ in range(n)],
         [random_joint(rng, spring) for spring in springs],
-        draw(st.sampled_from([None, Payload(rng.uniform(0.1, 5.0))])),
+        None if carried is None else random_payload(rng, *carried),
         draw(st.sampled_from([(0.0, 0.0, 0.0), tuple(rng.uniform(-10.0, 10.0, 3))])),
         stiffness_proportional_damping=draw(st.sampled_from([0.0, 1e-4])),
         modal_damping_ratio=draw(st.sampled_from([0.0, 0.02])),
     )
-    return Sample(arm, elements, modes, links, free_springs, draw(st.sampled_from(AMPLITUDES)), seed)
+    amplitude = draw(st.sampled_from(AMPLITUDES))
+    shortened = draw(st.booleans()) if stiffening is None else stiffening
+    return Sample(arm, elements, modes, links, free_springs, amplitude, seed, shortened)
 
 
 def pinocchio_model(pin, arm):
-    """The rigid arm, with rotors and point payload, as a model of Pinocchio (the module `pin`)."""
+    """The rigid arm, with rotors and payload, as a model of Pinocchio (the module `pin`)."""
     model = pin.Model()
     model.gravity.linear = np.array(arm.gravity)
     place, parent = np.zeros(3), 0
@@ -154,7 +180,8 @@ def pinocchio_model(pin, arm):
         place = link.length * turn[:, 0]
         model.appendBodyToJoint(parent, pin.Inertia(link.mass, place / 2, inertia), pin.SE3.Identity())
     if arm.payload is not None:
-        payload = pin.Inertia(arm.payload.mass, place, np.zeros((3, 3)))
+        offset, moments = arm.payload.offset or np.zeros(3), arm.payload.inertia or np.zeros((3, 3))
+        payload = pin.Inertia(arm.payload.mass, place + offset, np.array(moments))
         model.appendBodyToJoint(parent, payload, pin.SE3.Identity())
     model.armature = np.array([joint.rotor_inertia for joint in arm.joints])
     return model
