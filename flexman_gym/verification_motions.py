@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from flexman_gym.arm import Arm, Joint, Link
+from flexman_gym import catalog
+from flexman_gym.arm import Arm, Joint, Link, NonUniformLink, Payload
 from flexman_gym.beam import Array
 from flexman_gym.drive import ConstantTorque, Signal
 from flexman_gym.dynamics import mass_matrix
@@ -31,6 +32,7 @@ def motion_rows(reference: Path, quick: bool = False) -> Iterator[Row]:
     yield from spin_up_rows()
     if not quick:
         yield from momentum_rows(reference)
+        yield from effect_rows()
         yield from large_rotation_rows(reference)
 
 
@@ -101,6 +103,45 @@ def spin_up_rows() -> Iterator[Row]:
     linear = simulate(spin_up_scene(stiffening=False), method="ros2", step=0.002)
     diverged = float(linear.status == "diverged")
     yield Row("spin-up to 6 rad/s without foreshortening, 1 for a divergence", KANE, 1.0, diverged, 0.0)
+
+
+def effect_rows() -> Iterator[Row]:
+    """How far each modelling choice moves the tip of the paper's arm, everything flexible, within 2 s; not judged."""
+    scene = catalog.paper_scene("ff")
+    body = Payload(5.0, inertia=((0.5, 0.0, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, 0.5)), offset=(0.2, 0.0, 0.0))
+    joints = [replace(joint, viscous_friction=5.0, coulomb_friction=20.0) for joint in scene.arm.joints]
+    first, second, third = scene.arm.links
+    (part,) = second.sections
+    tapered = [replace(part, length=2.0, area=factor * part.area, second_moment_y=factor**2 * part.second_moment_y,
+                       second_moment_z=factor**2 * part.second_moment_z,
+                       torsion_constant=factor**2 * part.torsion_constant) for factor in (1.2, 0.8)]  # fmt: skip
+    pulse, still = Signal(100.0, start=0.5, stop=0.6), Signal()
+    loaded, carrying = (replace(scene, arm=replace(scene.arm, payload=each)) for each in (Payload(5.0), body))
+    links = [first, NonUniformLink(tapered), third]
+    changes = {
+        "foreshortening": (scene, _chosen(scene, stiffening=True)),
+        "no rotary inertia of sections": (scene, _chosen(scene, rotary_inertia=False)),
+        "rotors as spinning bodies": (scene, _chosen(scene, spinning_rotors=True)),
+        "friction of 5 N m s/rad and 20 N m": (scene, replace(scene, arm=replace(scene.arm, joints=joints))),
+        "a payload of 5 kg": (scene, loaded),
+        "0.5 kg m^2 and 0.2 m of offset in that payload": (loaded, carrying),
+        "100 N upward on the tip for 0.1 s": (scene, replace(scene, tip_force=[still, still, pulse])),
+        "0.1 m/s^2 of the base upward": (scene, replace(scene, base_acceleration=[still, still, Signal(0.1)])),
+        "link 2 of two sections, 20 % more and less area": (scene, _tapered(scene, links)),
+    }
+    for name, (before, after) in changes.items():
+        pair = [simulate(each, rtol=1e-7, atol=1e-9) for each in (before, after)]
+        moved = _whole(pair[1], after, float(np.linalg.norm(pair[1].tip - pair[0].tip, axis=1).max()))
+        yield Row(f"paper FF, what moves the tip within 2 s, m: {name}", "with and without", 0.0, moved, None)
+
+
+def _chosen(scene: Scene, **choice: bool) -> Scene:
+    return replace(scene, model=replace(scene.model, **choice))
+
+
+def _tapered(scene: Scene, links: list[Link | NonUniformLink]) -> Scene:
+    """The scene with other links, of which the second has two sections of one element each."""
+    return replace(scene, arm=replace(scene.arm, links=links), model=replace(scene.model, elements=(2, 1, 2)))
 
 
 @cache

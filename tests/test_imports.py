@@ -44,7 +44,8 @@ ARROWS = {
     "verification_links": "verification closed_forms dynamics model beam arm",
     "verification_cases": "verification_links verification closed_forms simulator dynamics model beam catalog arm"
     " kernels",
-    "verification_motions": "verification_cases verification trajectory drive simulator dynamics model beam scene arm",
+    "verification_motions": "verification_cases verification trajectory drive simulator dynamics model beam scene"
+    " catalog arm",
 }
 _PUBLIC = "envs tasks sensors control metrics study draw fidelity simulator dynamics model methods scene catalog arm"
 _PUBLIC += " strain drive trajectory"
