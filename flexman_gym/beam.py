@@ -15,7 +15,7 @@ from flexman_gym.arm import Link
 Array = NDArray[np.float64]
 
 GAUSS_POINTS = 4  # exact to degree 7; the mass of cubic Hermite shapes has degree 6
-STATION_POINTS = 3  # of an element, for foreshortening
+GROUP = 4  # the tip and the stations of a link, for foreshortening, fill groups of this many
 NODE_COORDINATES = 6  # u, v, w, phi_x, theta_y = -w', theta_z = v'
 
 
@@ -30,8 +30,7 @@ class Beam:
         stiffness: (k, k), elastic stiffness (K of Eq. 18).
         tip_translation, tip_rotation: (3, k), displacement and rotation vector of the tip section (S^jt, S^jr).
         shortening: (s, k, k), G at each station: the foreshortening of the centreline from 0 to there is 1/2 q^T G q.
-        tip_shortening: (k, k), the same at the tip.
-        stations: (s, 2) kg and m, mass and place of the stations on the centreline, two a Gauss-Legendre element.
+        stations: (s, 2) kg and m, mass and place of the stations on the centreline, first the tip, without mass.
         station_shapes: (s, 3, k) displacement of the centreline at the stations.
     """
 
@@ -42,7 +41,6 @@ class Beam:
     tip_translation: Array
     tip_rotation: Array
     shortening: Array
-    tip_shortening: Array
     stations: Array
     station_shapes: Array
 
@@ -61,7 +59,6 @@ class Beam:
             self.tip_translation @ basis,
             self.tip_rotation @ basis,
             basis.T @ self.shortening @ basis,
-            basis.T @ self.tip_shortening @ basis,
             self.stations,
             self.station_shapes @ basis,
         )
@@ -156,8 +153,7 @@ def build_beam(link: Link, elements: int, flexible: bool = True) -> Beam:
         stiffness[kept, kept],
         identity[-6:-3, kept],
         identity[-3:, kept],
-        shortening[:-1, kept, kept],
-        shortening[-1, kept, kept],
+        shortening[:, kept, kept],
         stations,
         station_shapes[:, :, kept],
     )
@@ -173,29 +169,42 @@ def beam_slopes(xi: float, length: float) -> Array:
 
 
 def _stations(link: Link, elements: int) -> tuple[Array, Array, Array]:
-    """G at each station and at the tip (s + 1, size, size), stations (s, 2) and their shapes (s, 3, size).
+    """G at each station (s, size, size), stations (s, 2) and their shapes (s, 3, size), the first at the tip.
 
-    G is the integral of v'^T v' + w'^T w' from the base to there, by Gauss points that make it exact.
+    The other s - 1 >= elements + 1 stand for the polynomials nearest to the motion of the centreline: each, at a Gauss
+    point of the link, is the mean with that point's Lagrange polynomial as weight. Products of such polynomials have
+    the exact integral, and what stations leave of a mass matrix is a sum of squares, so it stays positive.
+    G at a point is the integral of v'^T v' + w'^T w' from the base to there, by Gauss points that make it exact.
     """
     length, size = link.length / elements, NODE_COORDINATES * (elements + 1)
+    count = GROUP * -(-(elements + 2) // GROUP) - 1
+    points, shares = np.polynomial.legendre.leggauss(count)
+    places = (1 + points) / 2 * elements
     abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
-    places, shares = np.polynomial.legendre.leggauss(STATION_POINTS)
-    integrals, stations, shapes, before = [], [], [], np.zeros((size, size))
+    fine, parts = np.polynomial.legendre.leggauss((count + 7) // 2)  # exact to degree 5 of G times that of the weight
+    before = np.zeros((size, size))
+    integrals, shapes = np.zeros((count + 1, size, size)), np.zeros((count + 1, 3, size))
     for element in range(elements):
         nodes = slice(NODE_COORDINATES * element, NODE_COORDINATES * (element + 2))
-        for end in [*(1 + places) / 2, 1.0]:
-            integral = before.copy()
+        for end, part in [*zip((1 + fine) / 2, parts / elements, strict=True), (1.0, 0.0)]:
+            integral, shape = before.copy(), np.zeros((3, size))
+            shape[:, nodes] = beam_shapes(end, length, 0.0, 0.0)
             for xi, weight in zip(end * (1 + abscissae) / 2, end * weights / 2, strict=True):
                 slopes = beam_slopes(xi, length)
                 integral[nodes, nodes] += weight * length * slopes.T @ slopes
-            integrals.append(integral)
-        before = integrals.pop()
-        for xi, share in zip((1 + places) / 2, shares / 2, strict=True):
-            stations.append([share * length * link.density * link.area, (element + xi) * length])
-            shape = np.zeros((3, size))
-            shape[:, nodes] = beam_shapes(xi, length, 0.0, 0.0)
-            shapes.append(shape)
-    return np.array([*integrals, before]), np.array(stations), np.array(shapes)
+            means = part / shares * _lagrange(places, element + end)
+            integrals[1:] += means[:, None, None] * integral
+            shapes[1:] += means[:, None, None] * shape
+        before = integral
+    integrals[0], shapes[0] = before, shape
+    stations = np.column_stack([link.mass * shares / 2, places * length])
+    return integrals, np.vstack([[0.0, link.length], stations]), shapes
+
+
+def _lagrange(places: Array, x: float) -> Array:
+    """The polynomials that are one at each of the places and zero at the others, at x."""
+    gaps = places[:, None] - places + np.eye(len(places))
+    return np.prod((x - places + np.diag(1.0 - x + places)) / gaps, axis=1)
 
 
 def section_points(link: Link) -> Array:

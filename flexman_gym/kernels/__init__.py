@@ -37,8 +37,30 @@ def _cache_folder() -> str:
 _setting = numba.config.CACHE_DIR
 numba.config.CACHE_DIR = _cache_folder()
 try:
-    from flexman_gym.kernels import dynamics, inverse, kinematics, layout, linalg, outputs, steppers, stiffening
+    from flexman_gym.kernels import (
+        dynamics,
+        elastic,
+        inverse,
+        kinematics,
+        lanes,
+        layout,
+        linalg,
+        outputs,
+        steppers,
+        stiffening,
+    )
 finally:
     numba.config.CACHE_DIR = _setting
 
-__all__ = ["dynamics", "inverse", "kinematics", "layout", "linalg", "outputs", "steppers", "stiffening"]
+__all__ = [
+    "dynamics",
+    "elastic",
+    "inverse",
+    "kinematics",
+    "lanes",
+    "layout",
+    "linalg",
+    "outputs",
+    "steppers",
+    "stiffening",
+]
