@@ -15,13 +15,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh_tridiagonal
 
 from flexman_gym.arm import Link, NonUniformLink
 
 Array = NDArray[np.float64]
 
 GAUSS_POINTS = 4  # exact to degree 7; the mass of cubic Hermite shapes has degree 6
-STATION_POINTS = 3  # of an element, for foreshortening
+GROUP = 4  # the tip and the stations of a link, for foreshortening, fill groups of this many
 NODE_COORDINATES = 6  # u, v, w, phi_x, theta_y = -w', theta_z = v'
 
 
@@ -45,8 +46,7 @@ class Beam:
         stiffness: (k, k), elastic stiffness (K of Eq. 18).
         tip_translation, tip_rotation: (3, k), displacement and rotation vector of the tip section (S^jt, S^jr).
         shortening: (s, k, k), G at each station: the foreshortening of the centreline from 0 to there is 1/2 q^T G q.
-        tip_shortening: (k, k), the same at the tip.
-        stations: (s, 2) kg and m, mass and place of the stations on the centreline, two a Gauss-Legendre element.
+        stations: (s, 2) kg and m, mass and place of the stations on the centreline, first the tip, without mass.
         station_shapes: (s, 3, k) displacement of the centreline at the stations.
         polar: (t,) kg m^2, inertia about the beam axis of sections that resist no other rotation; empty with rotary
             inertia, which the mass points hold.
@@ -60,7 +60,6 @@ class Beam:
     tip_translation: Array
     tip_rotation: Array
     shortening: Array
-    tip_shortening: Array
     stations: Array
     station_shapes: Array
     polar: Array
@@ -81,7 +80,6 @@ class Beam:
             tip_translation=self.tip_translation @ basis,
             tip_rotation=self.tip_rotation @ basis,
             shortening=basis.T @ self.shortening @ basis,
-            tip_shortening=basis.T @ self.tip_shortening @ basis,
             station_shapes=self.station_shapes @ basis,
             twist=self.twist @ basis,
         )
@@ -190,8 +188,7 @@ def build_beam(link: Link | NonUniformLink, elements: int, flexible: bool = True
         stiffness=stiffness[kept, kept],
         tip_translation=identity[-6:-3, kept],
         tip_rotation=identity[-3:, kept],
-        shortening=shortening[:-1, kept, kept],
-        tip_shortening=shortening[-1, kept, kept],
+        shortening=shortening[:, kept, kept],
         stations=stations,
         station_shapes=station_shapes[:, :, kept],
         polar=polar,
@@ -238,27 +235,63 @@ def beam_slopes(xi: float, length: float) -> Array:
 
 
 def _stations(elements: Sequence[Element], size: int) -> tuple[Array, Array, Array]:
-    """G at each station and at the tip (s + 1, size, size), stations (s, 2) and their shapes (s, 3, size).
+    """G at each station (s, size, size), stations (s, 2) and their shapes (s, 3, size), the first at the tip.
 
-    G is the integral of v'^T v' + w'^T w' from the base to there, by Gauss points that make it exact.
+    The other s - 1 >= elements + 1 stand for the polynomials nearest to the motion of the centreline: each, at a Gauss
+    point of the link, is the mean with that point's Lagrange polynomial as weight. Products of such polynomials have
+    the exact integral, and what stations leave of a mass matrix is a sum of squares, so it stays positive.
+    G at a point is the integral of v'^T v' + w'^T w' from the base to there, by Gauss points that make it exact.
     """
+    count = GROUP * -(-(len(elements) + 2) // GROUP) - 1
     abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
-    places, shares = np.polynomial.legendre.leggauss(STATION_POINTS)
-    integrals, stations, shapes, before = [], [], [], np.zeros((size, size))
-    for section, start, length, nodes in elements:
-        for end in [*(1 + places) / 2, 1.0]:
-            integral = before.copy()
+    fine, parts = np.polynomial.legendre.leggauss((count + 7) // 2)  # exact to degree 5 of G times that of the weight
+    points = np.concatenate([start + length * (1 + fine) / 2 for _, start, length, _ in elements])
+    shares = np.concatenate([parts / 2 * length * each.density * each.area for each, _, length, _ in elements])
+    places, masses = _gauss_rule(points, shares, count)
+    before, means = np.zeros((size, size)), iter((shares / masses[:, None] * _lagrange(places, points)).T)
+    integrals, shapes = np.zeros((count + 1, size, size)), np.zeros((count + 1, 3, size))
+    for _, _, length, nodes in elements:
+        for end in [*(1 + fine) / 2, 1.0]:
+            integral, shape = before.copy(), np.zeros((3, size))
+            shape[:, nodes] = beam_shapes(end, length, 0.0, 0.0)
             for xi, weight in zip(end * (1 + abscissae) / 2, end * weights / 2, strict=True):
                 slopes = beam_slopes(xi, length)
                 integral[nodes, nodes] += weight * length * slopes.T @ slopes
-            integrals.append(integral)
-        before = integrals.pop()
-        for xi, share in zip((1 + places) / 2, shares / 2, strict=True):
-            stations.append([share * length * section.density * section.area, start + xi * length])
-            shape = np.zeros((3, size))
-            shape[:, nodes] = beam_shapes(xi, length, 0.0, 0.0)
-            shapes.append(shape)
-    return np.array([*integrals, before]), np.array(stations), np.array(shapes)
+            if end < 1.0:
+                mean = next(means)[:, None, None]
+                integrals[1:] += mean * integral
+                shapes[1:] += mean * shape
+        before = integral
+    integrals[0], shapes[0] = before, shape
+    tip = [[0.0, elements[-1][1] + elements[-1][2]]]
+    return integrals, np.vstack([tip, np.column_stack([masses, places])]), shapes
+
+
+def _gauss_rule(places: Array, masses: Array, count: int) -> tuple[Array, Array]:
+    """Places and masses (count,) that integrate polynomials to degree 2 count - 1 over many masses at their places.
+
+    From the three-term recurrence of their orthogonal polynomials (Golub and Welsch, Math. Comp. 23, 1969).
+    """
+    diagonal, beside = np.zeros(count), np.zeros(count)
+    before, now = np.zeros(len(places)), np.ones(len(places)) / np.sqrt(masses.sum())
+    for i in range(count):
+        diagonal[i] = masses @ (places * now**2)
+        ahead = (places - diagonal[i]) * now - (beside[i - 1] if i else 0.0) * before
+        beside[i] = np.sqrt(masses @ ahead**2)
+        before, now = now, ahead / beside[i]
+    found, vectors = eigh_tridiagonal(diagonal, beside[:-1])
+    return np.asarray(found), masses.sum() * np.asarray(vectors)[0] ** 2
+
+
+def _lagrange(places: Array, points: Array) -> Array:
+    """(s, p) polynomials that are one at one of the places (s,) and zero at the others, at the points (p,)."""
+    others = ~np.eye(len(places), dtype=bool)
+    return np.array(
+        [
+            np.prod((points[:, None] - places[other]) / (place - places[other]), axis=1)
+            for place, other in zip(places, others, strict=True)
+        ]
+    )
 
 
 def section_points(link: Link) -> Array:

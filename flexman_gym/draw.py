@@ -54,8 +54,13 @@ def arm_lines(model: Model, state: Sequence[float] | Array, points: int = POINTS
 
 def _shortened(model: Model, link: int, elastic: Array, line: Array) -> Array:
     """(points,) foreshortening along a line (points, 3): exact at the tip, between by the slopes of the polyline."""
-    first, last = model.constants.square_start[link : link + 2]
-    tip = 0.5 * elastic @ model.constants.tip_shortening[first:last].reshape(len(elastic), len(elastic)) @ elastic
+    constants = model.constants
+    columns, stations = (slice(*field[link : link + 2]) for field in (constants.elastic_start, constants.station_start))
+    entries = np.arange(*constants.bend_start[[columns.start, columns.stop]])
+    # of the tip, which is the first station
+    values = constants.bend_value[constants.bend_row[link] + entries * (stations.stop - stations.start)]
+    rows = np.repeat(elastic, np.diff(constants.bend_start[columns.start : columns.stop + 1]))
+    tip = 0.5 * (values * rows) @ elastic[constants.bend_source[entries] - columns.start]
     drawn = np.cumsum(np.concatenate([[0.0], (np.diff(line[:, 1:], axis=0) ** 2).sum(axis=1)]))
     return tip * drawn / drawn[-1] if drawn[-1] > 0.0 else np.zeros(len(line))
 

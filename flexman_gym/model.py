@@ -165,6 +165,7 @@ def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], choice:
     shape = _sparse([part.shape_shape for part in parts], 9, parts)
     cross = _sparse([_axial(part.shape_shape) for part in parts], 3, parts)
 
+    end = np.zeros(LANES)  # for whole groups at the end
     both = list(zip(parts, beams, strict=True))
 
     def packed(blocks: list[Array], width: int) -> Array:
@@ -195,11 +196,11 @@ def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], choice:
         factor_start=np.concatenate([[0], np.cumsum(sizes * widths)])[:-1].astype(np.int64),
         factor_width=widths,
         carrying=_carrying(beams, choice.stiffening),
-        elastic_mass=packed([part.elastic - _axial_mass(beam, choice.stiffening) for part, beam in both], 1),
-        stiffness=packed([beam.stiffness for beam in beams], 1),
-        damping=packed(dampings, 1),
+        turning=_carrying(beams, False),
+        elastic_mass=packed([*[part.elastic - _axial_mass(beam, choice.stiffening) for part, beam in both], end], 1),
+        stiffness=packed([*[beam.stiffness for beam in beams], end], 1),
+        damping=packed([*dampings, end], 1),
         **_stations(beams, choice.stiffening),
-        tip_shortening=packed([beam.tip_shortening for beam in beams], 1),
         tip_translation=packed([beam.tip_translation.T for beam in beams], 3),
         tip_rotation=packed([beam.tip_rotation.T for beam in beams], 3),
         payload_mass=np.array([payload.mass]),
@@ -256,34 +257,50 @@ def _sparse(blocks: list[Array], width: int, parts: list[ShapeIntegrals]) -> _Sp
 
 def _stations(beams: tuple[Beam, ...], stiffening: bool) -> dict[str, np.ndarray]:
     """The fields of `layout.Constants` for foreshortening."""
-    stations, rows, entries, offset = [0], [0], [0], 0
-    masses, positions, shapes = [np.zeros(0)], [np.zeros(0)], [np.zeros((0, 3))]
-    sources, targets, values = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
-    for beam in beams:
-        k = len(beam.stiffness)
-        count = len(beam.stations) if stiffening else 0
-        station, target, source = np.nonzero(np.abs(beam.shortening[:count]) > 0.0)
-        masses.append(beam.stations[:count, 0])
-        positions.append(beam.stations[:count, 1])
-        shapes.append(np.swapaxes(beam.station_shapes[:count], 1, 2).reshape(count * k, 3))
-        sources.append(offset + source)
-        targets.append(rows[-1] + station * k + target)
-        values.append(beam.shortening[station, target, source])
-        stations.append(stations[-1] + count)
-        rows.append(rows[-1] + count * k)
-        entries.append(entries[-1] + len(source))
-        offset += k
+    sizes = np.array([len(beam.stiffness) for beam in beams])
+    widths = LANES * -(-sizes // LANES)
+    counts = np.array([LANES * -(-len(beam.stations) // LANES) for beam in beams]) * (sizes > 0) * stiffening
+    start, row, offsets = _starts(counts), _starts(widths * counts), _starts(sizes)
+    points, shapes = np.zeros((2, start[-1])), np.zeros((3, row[-1]))
+    places, bends = [], []
+    for i, beam in enumerate(beams):
+        known = min(counts[i], len(beam.stations))
+        points[:, start[i] : start[i] + known] = beam.stations[:known].T
+        shape = np.zeros((3, counts[i], widths[i]))
+        shape[:, :known, : sizes[i]] = np.swapaxes(beam.station_shapes[:known], 0, 1)
+        shapes[:, row[i] : row[i + 1]] = shape.reshape(3, -1)
+        shape = np.swapaxes(shape, 1, 2)[:, : sizes[i]]
+        places.append((shape, np.abs(shape).max(axis=(0, 2), initial=0.0)))
+        drawn = np.zeros((sizes[i], sizes[i], counts[i]))
+        drawn[:, :, :known] = np.moveaxis(beam.shortening[:known], 0, 2)
+        size = np.sqrt(np.diag(beam.shortening[0]))
+        bends.append((drawn, np.outer(size, size)))
+    result = {"station_start": start, "station_width": widths, "station_row": row[:-1], "station_mass": points[0]}
+    result |= {"station_position": points[1], "station_shape": shapes}
+    return result | _rows("place", places, offsets) | _rows("bend", bends, offsets)
+
+
+def _rows(name: str, blocks: list[tuple[Array, Array]], offsets: np.ndarray) -> dict[str, np.ndarray]:
+    """Fields start, row, source and value of blocks (rows, k, s), one per link, with their sizes to compare with."""
+    counts, starts = [], []
+    sources, values = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
+    for (block, size), offset in zip(blocks, offsets, strict=False):
+        row, source = np.nonzero(np.abs(block).max(axis=2, initial=0.0) > VANISHING * size)
+        starts.append(sum(each.size for each in values) - sum(each.size for each in sources) * block.shape[2])
+        counts.append(np.bincount(row, minlength=len(block)))
+        sources.append(offset + source.astype(np.int64))
+        values.append(block[row, source].ravel())
     return {
-        "station_start": np.array(stations, dtype=np.int64),
-        "station_row": np.array(rows[:-1], dtype=np.int64),
-        "station_mass": np.concatenate(masses),
-        "station_position": np.concatenate(positions),
-        "station_shape": np.concatenate(shapes),
-        "bend_start": np.array(entries, dtype=np.int64),
-        "bend_source": np.concatenate(sources).astype(np.int64),
-        "bend_target": np.concatenate(targets).astype(np.int64),
-        "bend_value": np.concatenate(values),
+        f"{name}_start": _starts(np.concatenate(counts)),
+        f"{name}_row": np.array(starts, dtype=np.int64),
+        f"{name}_source": np.concatenate(sources),
+        f"{name}_value": np.concatenate(values),
     }
+
+
+def _starts(counts: np.ndarray) -> np.ndarray:
+    """(n + 1,) where each of n parts starts in an array of all of them, and its end."""
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
 def _axial_mass(beam: Beam, stiffening: bool) -> Array:

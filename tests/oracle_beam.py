@@ -122,8 +122,8 @@ def shortened(beam, stations, basis):
     """The beam with the foreshortening of its centreline, given in the coordinates that basis @ q sets.
 
     The motion of its centreline is taken out, as stations of negative mass, and put back with foreshortening.
-    `stations` has the attributes of that name, `station_shapes`, `shortening` and `tip_shortening` of the package's
-    beam: the one thing the oracle shares with the code under test is where on the centreline mass is thought to sit.
+    `stations` has the attributes of that name, `station_shapes` and `shortening` of the package's beam: the one thing
+    the oracle shares with the code under test is how the mass of the centreline is thought to be lumped.
     """
     mass, place = stations.stations.T
     r0 = np.outer(place, _E1)
@@ -134,7 +134,7 @@ def shortened(beam, stations, basis):
         masses=np.concatenate([beam.masses, -mass, mass]),
         S=np.concatenate([beam.S, S, S]),
         G=np.concatenate([beam.G, 0.0 * G, G]),
-        G_t=basis.T @ stations.tip_shortening @ basis,
+        G_t=basis.T @ stations.shortening[0] @ basis,  # the first station is the tip
     )
 
 

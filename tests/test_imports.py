@@ -52,7 +52,7 @@ _PUBLIC += " strain drive trajectory"
 ARROWS["flexman_gym"] = _PUBLIC
 ARROWS["agents"] = f"agents flexman_gym checks {_PUBLIC}"
 ARROWS["scripts"] = f"scripts agents flexman_gym checks {_PUBLIC} verification verification_cases verification_motions"
-INSIDE_KERNELS = {"numba", "numpy", "math", "typing"}
+INSIDE_KERNELS = {"numba", "llvmlite", "numpy", "math", "operator", "typing", "collections"}
 CACHE_ROOM = {"hashlib", "os", "tempfile", "pathlib"}  # kernels/__init__.py names the folder of the binaries
 HEAVY = {"torch", "stable_baselines3", "matplotlib", "pyvista", "ray"}
 

@@ -31,21 +31,18 @@ class SpinningChain(Chain):
         super().__init__(sample.arm, sample.elements, sample.flexible_links, sample.flexible_joints)
         self.spinning = []
         for i, (link, beam) in enumerate(zip(sample.arm.links, self.beams, strict=True)):
-            count = len(beam.masses) // 4  # of sections, four points each, before that of a payload
-            points, payload = slice(0, 4 * count), slice(4 * count, None)
-            r0, S, masses = (part[points].reshape(count, 4, *part.shape[1:]) for part in (beam.r0, beam.S, beam.masses))
+            count = len(beam.masses) // 4  # of sections, four points each
+            r0, S, masses = (part.reshape(count, 4, *part.shape[1:]) for part in (beam.r0, beam.S, beam.masses))
             twist = (S[:, 0, 2] - S[:, 1, 2]) / (2.0 * r0[:, 0, 1, None])
             polar = masses.sum(axis=1) * (link.second_moment_y + link.second_moment_z) / link.area
             self.spinning.append((polar, twist))
-            self.beams[i] = replace(
-                beam,
-                r0=np.concatenate([r0.mean(axis=1), beam.r0[payload]]),
-                masses=np.concatenate([masses.sum(axis=1), beam.masses[payload]]),
-                S=np.concatenate([S.mean(axis=1), beam.S[payload]]),
-            )
+            lines = {"r0": r0.mean(axis=1), "masses": masses.sum(axis=1), "S": S.mean(axis=1), "G": beam.G[:count]}
+            self.bodies[i] = self.beams[i] = replace(beam, **lines)
 
-    def _link_equation(self, i, motion):
-        M, force = super()._link_equation(i, motion)
+    def _link_equation(self, i, motion, gravity):
+        M, force = super()._link_equation(i, motion, gravity)
+        if i == self.n:
+            return M, force
         polar, twist = self.spinning[i]
         rows = np.hstack([np.zeros((len(polar), 3)), np.tile(motion.A[:, 0], (len(polar), 1)), twist])
         M += (rows.T * polar) @ rows

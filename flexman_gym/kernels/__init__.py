@@ -39,10 +39,12 @@ numba.config.CACHE_DIR = _cache_folder()
 try:
     from flexman_gym.kernels import (
         dynamics,
+        elastic,
         forces,
         inverse,
         joints,
         kinematics,
+        lanes,
         layout,
         linalg,
         outputs,
@@ -54,10 +56,12 @@ finally:
 
 __all__ = [
     "dynamics",
+    "elastic",
     "forces",
     "inverse",
     "joints",
     "kinematics",
+    "lanes",
     "layout",
     "linalg",
     "outputs",

@@ -10,11 +10,11 @@ An inertia is a triple: force by linear, force by angular and moment by angular 
 
 import math
 
+from flexman_gym.kernels.elastic import elastic_block
 from flexman_gym.kernels.forces import applied_forces
 from flexman_gym.kernels.joints import eliminate_joint, free_joint, joint_acceleration, prescribed_power
 from flexman_gym.kernels.kinematics import positions, velocities
 from flexman_gym.kernels.linalg import (
-    LANES,
     ZERO,
     add,
     add_matrix,
@@ -33,7 +33,6 @@ from flexman_gym.kernels.linalg import (
     product,
     product_skew,
     store_matrix,
-    store_pair,
     subtract_outer,
     subtract_row,
     transposed,
@@ -95,39 +94,6 @@ def link_inertia(constants, work, i, tip):
     force = add_matrix(force, mass, (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
     mixed = add_matrix(mixed, 1.0, (0.0, c[2], -c[1], -c[2], 0.0, c[0], c[1], -c[0], 0.0))
     return force, mixed, moment
-
-
-@inner
-def elastic_block(constants, work, i, g, tip):
-    """factor = M + g damping + g^2 K of link i with what its tip carries (upper half), then coupling to the frame."""
-    start, stop = constants.elastic_start[i], constants.elastic_start[i + 1]
-    k = stop - start
-    square, width, first = constants.square_start[i], constants.factor_width[i], constants.factor_start[i]
-    carried, factor = work.carried, work.factor
-    for a in range(k):
-        for b in range(a - a % LANES, k):
-            j = square + a * k + b
-            factor[first + a * width + b] = work.elastic_mass[j] + g * (
-                constants.damping[j] + g * constants.stiffness[j]
-            )
-        for j in range(3):
-            factor[first + a * width + k + j] = work.moment_shape[start + a, j]
-            factor[first + a * width + k + 3 + j] = work.coupling[start + a, j]
-    d = load(work.tip, i)
-    for a in range(constants.carrying[i], stop):
-        force, moment = apply_inertia(tip, load_pair(work.tip_shape, a))
-        store_pair(carried, a, force, moment)
-        lever = cross(d, force)
-        row = first + (a - start) * width + k
-        for j in range(3):
-            factor[row + j] += force[j]
-            factor[row + 3 + j] += moment[j] + lever[j]
-    for a in range(constants.carrying[i], stop):
-        translation, rotation = load_pair(work.tip_shape, a)
-        row = first + (a - start) * width - start
-        for b in range(a, stop):
-            force, moment = load_pair(carried, b)
-            factor[row + b] += dot(translation, force) + dot(rotation, moment)
 
 
 @inner

@@ -18,6 +18,7 @@ from flexman_gym.kernels.linalg import (
     load_pair,
     store_pair,
 )
+from flexman_gym.kernels.stiffening import stretch_forces
 
 
 @kernel
@@ -84,5 +85,6 @@ def elastic_forces(constants, work, i, frame, tip, acceleration, out):
         value += dot(frame[0], load(work.moment_shape, start + a))
         value += dot(frame[1], load(work.coupling, start + a))
         for b in range(k):
-            value += work.elastic_mass[row + b] * acceleration[first + b]
+            value += constants.elastic_mass[row + b] * acceleration[first + b]
         out[first + a] = value
+    stretch_forces(constants, work, i, acceleration, first - start, out)

@@ -25,7 +25,7 @@ from flexman_gym.kernels.linalg import (
     tangent_coefficients,
     transposed,
 )
-from flexman_gym.kernels.stiffening import shorten_forces, shorten_mass, shorten_tip, shorten_tip_bias
+from flexman_gym.kernels.stiffening import shorten_forces, shorten_mass, shorten_tip
 
 
 @inner
@@ -79,7 +79,7 @@ def tip_position(constants, work, i, x, elastic):
     """Tip of link i and its change with the elastic coordinates (Eq. 26 with the tangent operator)."""
     tip = (constants.length[i], 0.0, 0.0)
     deflected = ZERO
-    for a in range(constants.carrying[i], constants.elastic_start[i + 1]):
+    for a in range(constants.turning[i], constants.elastic_start[i + 1]):
         q = x[elastic + a]
         tip = add_scaled(tip, q, load(constants.tip_translation, a))
         deflected = add_scaled(deflected, q, load(constants.tip_rotation, a))
@@ -88,7 +88,7 @@ def tip_position(constants, work, i, x, elastic):
     b, c, db, dc = tangent_coefficients(dot(deflected, deflected))
     work.tangent[i, 0], work.tangent[i, 1], work.tangent[i, 2], work.tangent[i, 3] = b, c, db, dc
     tangent = rotation_matrix(b, c, deflected)
-    for a in range(constants.carrying[i], constants.elastic_start[i + 1]):
+    for a in range(constants.turning[i], constants.elastic_start[i + 1]):
         turned = apply(tangent, load(constants.tip_rotation, a))
         store_pair(work.tip_shape, a, load(constants.tip_translation, a), turned)
     if len(constants.station_mass) > 0:
@@ -118,15 +118,13 @@ def mass_integrals(constants, work, i, x, elastic):
         xy += q * (u[1] + u0[3])
         xz += q * (u[2] + u0[6])
         yz += q * (u[5] + u0[7])
-    for j in range(constants.square_start[i], constants.square_start[i + 1]):
-        work.elastic_mass[j] = constants.elastic_mass[j]
-    if len(constants.station_mass) > 0:
-        change = shorten_mass(constants, work, i, x, elastic)
-        moment = (moment[0] + change[0], moment[1], moment[2])
-        xx, xy, xz = xx + change[1], xy + change[2], xz + change[3]
     for a in range(start, stop):
         u = load_matrix(shape, a)
         store(work.coupling, a, (u[5] - u[7], u[6] - u[2], u[1] - u[3]))
+    if len(constants.station_mass) > 0:
+        change = shorten_mass(constants, work, i)
+        moment = (moment[0] + change[0], moment[1], moment[2])
+        xx, xy, xz = xx + change[1], xy + change[2], xz + change[3]
     store(work.moment, i, moment)
     store_matrix(work.inertia, i, (yy + zz, -xy, -xz, -xy, xx + zz, -yz, -xz, -yz, xx + yy))
 
@@ -167,7 +165,9 @@ def velocities(constants, work, v):
 def tip_motion(constants, work, i, v, elastic):
     """Elastic velocity of the tip of link i, linear and angular; stores the tip's bias acceleration (Eq. 32, 33)."""
     linear = angular = turning = ZERO
-    for a in range(constants.carrying[i], constants.elastic_start[i + 1]):
+    for a in range(constants.carrying[i], constants.turning[i]):
+        linear = (linear[0] + v[elastic + a] * work.tip_shape[a, 0], 0.0, 0.0)
+    for a in range(constants.turning[i], constants.elastic_start[i + 1]):
         rate = v[elastic + a]
         translation, rotation = load_pair(work.tip_shape, a)
         linear, angular = add_scaled(linear, rate, translation), add_scaled(angular, rate, rotation)
@@ -180,8 +180,8 @@ def tip_motion(constants, work, i, v, elastic):
     turned = add_scaled(cross(spin, angular), change * work.tangent[i, 2], once)
     turned = add_scaled(turned, change * work.tangent[i, 3], cross(deflected, once))
     turned = add_scaled(turned, work.tangent[i, 1], cross(turning, once))
-    if len(constants.station_mass) > 0:
-        bias = (bias[0] + shorten_tip_bias(constants, work, i, v, elastic), bias[1], bias[2])
+    if constants.station_start[i + 1] > constants.station_start[i]:
+        bias = (bias[0] + work.pulled[constants.station_start[i]], bias[1], bias[2])
     store_pair(work.tip_bias, i, bias, turned)
     return linear, angular
 

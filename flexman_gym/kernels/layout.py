@@ -88,20 +88,30 @@ class Constants(NamedTuple):
     factor_start: IntArray  # (n,)
     factor_width: IntArray  # (n,) k_i + 6 in whole groups of LANES
     carrying: IntArray  # (n,) the first elastic coordinate that moves the tip; those before it do not
-    elastic_mass: Array  # (q,)
-    stiffness: Array  # (q,)
-    damping: Array  # (q,)
-    # foreshortening of the centreline, u_x -= 1/2 q^T G q at s stations of every link; empty arrays without it
+    turning: IntArray  # (n,) the first that does so without foreshortening; those before it move the tip along x alone
+    # with LANES zeros behind, so that groups may reach past the last row
+    elastic_mass: Array  # (q + LANES,) without the part of the stations
+    stiffness: Array  # (q + LANES,)
+    damping: Array  # (q + LANES,)
+    # foreshortening of the centreline, u_x -= 1/2 q^T G q at the s_i stations of link i, tip first, in whole groups of
+    # LANES; b numbers = s_i rows of station_width[i] for every link. Empty arrays without foreshortening
     station_start: IntArray  # (n + 1,)
-    station_row: IntArray  # (n,) where the rows of k_i numbers, one a station, of each link start
+    station_width: IntArray  # (n,) k_i in whole groups of LANES
+    station_row: IntArray  # (n,) where the b numbers of each link start
     station_mass: Array  # (s,)
     station_position: Array  # (s,) along the link
-    station_shape: Array  # (rows, 3) displacement of the centreline per unit coordinate
-    bend_start: IntArray  # (n + 1,) of the entries of G: entry e adds value q_source to number target of G q
+    station_shape: Array  # (3, b) displacement of the centreline per unit coordinate
+    # the same without zeros: per unit of coordinate `source`, entry e moves the stations of its link by the s_i values
+    # from place_row[i] + e s_i on
+    place_start: IntArray  # (3 n + 1,) of x, y, z of each link
+    place_row: IntArray  # (n,)
+    place_source: IntArray
+    place_value: Array
+    # G in the same way
+    bend_start: IntArray  # (k + 1,) of each row of G
+    bend_row: IntArray  # (n,)
     bend_source: IntArray
-    bend_target: IntArray
     bend_value: Array
-    tip_shortening: Array  # (q,) G at the tip
     tip_translation: Array  # (k, 3)
     tip_rotation: Array  # (k, 3)
     payload_mass: Array  # (1,)
@@ -124,11 +134,13 @@ class Work(NamedTuple):
     shape: Array  # (9 k,) U, by rows
     coupling: Array  # (k, 3) integral of r x S_a dm
     moment_shape: Array  # (k, 3) integral of S_a dm
-    elastic_mass: Array  # (q,) integral of S_a . S_b dm
-    station: Array  # (s, 3) position of the centreline
-    stretch: Array  # (rows,) axial displacement per unit coordinate
-    bend: Array  # (rows,) G q, then G q'
-    weight: Array  # (s, 6) what a station adds to U and to the moment shape
+    place: Array  # (3 s,) of each link three rows of s_i: displacement of the stations without foreshortening
+    back: Array  # (s,) - 1/2 q^T G q
+    bend_stations: Array  # (b,) of each link k_i rows of s_i: G q
+    bend: Array  # (b,) of each link s_i rows of station_width[i]: G q
+    stretch: Array  # (b,) axial displacement of the stations per unit coordinate
+    weight: Array  # (4 s,) factors of a sum over stations, of each link four rows of s_i
+    total: Array  # (largest 3 station_width,) such a sum
     payload_moment: Array  # (1, 3) first moment of the payload about the tip, in the frame of the last link
     payload_rotary: Array  # (9,) its inertia about the tip, there
     # velocities
@@ -140,11 +152,13 @@ class Work(NamedTuple):
     tip_velocity: Array  # (1, 3) of the last link
     joint_bias: Array  # (n, 3) angular acceleration of the link that no acceleration causes
     tip_bias: Array  # (n, 6) acceleration of the tip that no acceleration causes
+    rate: Array  # (s,) speed of the stations along x
+    pulled: Array  # (s,) - q'^T G q'
     bias: Array  # (n, 6) quadratic velocity force and torque, Eq. 14
     elastic_bias: Array  # (k,) quadratic velocity force on elastic coordinates, Eq. 14
     # factorisation
     articulated: Array  # (27 n,) inertia of link and everything outboard, joint free: three 3x3 blocks by rows
-    carried: Array  # (k, 6) inertia beyond the tip times tip_shape
+    carried: Array  # (6 x largest station_width,) inertia beyond the tip of one link times tip_shape, by components
     # k_i rows of factor_width[i]: upper Cholesky factor, its diagonal inverted, then 6 columns of coupling to the frame
     factor: Array
     joint_column: Array  # (n, 6) articulated inertia times joint axis
@@ -173,15 +187,17 @@ def make_work(constants: Constants) -> Work:
     n, k = len(constants.mass), len(constants.first_moment_shape)
     size = 2 * (n + int((constants.motor >= 0).sum()) + k) + 2
     rows = int((np.diff(constants.elastic_start) * constants.factor_width).sum())
-    stations, stretches = len(constants.station_mass), len(constants.station_shape)
+    widest = int(constants.station_width.max())
+    stations, rows_b = len(constants.station_mass), constants.station_shape.shape[1]
     shapes: dict[str, tuple[int, ...]] = {
         "rotation": (9 * n,), "tip": (n, 3), "deflected": (n, 3), "tangent": (n, 4), "tip_shape": (k, 6),
         "moment": (n, 3), "inertia": (9 * n,), "shape": (9 * k,), "coupling": (k, 3), "spin": (n, 3),
-        "moment_shape": (k, 3), "elastic_mass": constants.elastic_mass.shape, "station": (stations, 3),
-        "stretch": (stretches,), "bend": (stretches,), "weight": (stations, 6),
+        "moment_shape": (k, 3), "place": (3 * stations,), "back": (stations,), "bend_stations": (rows_b,),
+        "bend": (rows_b,), "stretch": (rows_b,), "weight": (4 * stations,),
+        "total": (3 * widest,), "rate": (stations,), "pulled": (stations,),
         "payload_moment": (1, 3), "payload_rotary": (9,), "payload_spin": (1, 3), "payload_bias": (1, 6),
         "velocity": (n, 3), "joint_bias": (n, 3), "rotor_bias": (n, 3), "tip_velocity": (1, 3),
-        "tip_bias": (n, 6), "bias": (n, 6), "elastic_bias": (k,), "articulated": (27 * n,), "carried": (k, 6),
+        "tip_bias": (n, 6), "bias": (n, 6), "elastic_bias": (k,), "articulated": (27 * n,), "carried": (6 * widest,),
         "factor": (rows,), "joint_column": (n, 6), "joint_pivot": (n,), "spring": (n,),
         "motor_inertia": (n,), "friction_slope": (n,), "drive": (n + 6,), "field": (1, 3), "tip_force": (1, 3),
         "force": (size // 2 - 1,), "elastic_force": (k,), "joint_force": (n,), "motor_torque": (n,),

@@ -18,6 +18,7 @@ from flexman_gym.kernels.linalg import (
     product,
     rotation_matrix,
 )
+from flexman_gym.kernels.stiffening import stretch_energy
 
 
 @kernel
@@ -101,7 +102,7 @@ def tip_velocity(constants, work, i, v, elastic):
 def link_energy(constants, work, i, v, elastic):
     """Kinetic energy of link i, 1/2 v^T M v with the blocks of Eq. 13."""
     velocity, spin = load(work.velocity, i), load(work.spin, i)
-    value = 0.5 * square_form(work.elastic_mass, constants, i, v, elastic)
+    value = 0.5 * square_form(constants.elastic_mass, constants, i, v, elastic) + stretch_energy(constants, work, i)
     value += dot(velocity, cross(spin, load(work.moment, i))) + 0.5 * constants.mass[i] * dot(velocity, velocity)
     value += 0.5 * dot(spin, apply(load_matrix(work.inertia, i), spin))
     for a in range(constants.elastic_start[i], constants.elastic_start[i + 1]):

@@ -1,148 +1,197 @@
 """Stiffening: what foreshortening adds to the kinematics of a bent link.
 
 A beam that bends keeps the length of its centreline, so a point at x moves back by 1/2 q^T G(x) q (the integral of half
-the squared slopes). Every term here is an exact derivative of the positions of mass points, the stations, on that
-centreline: an expansion to second order loses the positive mass matrix at deflections of a few percent of the length.
+the squared slopes). Every term here is an exact derivative of the positions of mass points, the stations, that stand
+for the centreline (see `beam`): an expansion to second order loses the positive mass matrix at deflections of a few
+percent of the length.
+
+The stations of a link, its tip first, fill whole groups of LANES; those that fill up the last group have no mass.
 """
 
-from flexman_gym.kernels.linalg import add_scaled, inner, load, load_pair, store, store_pair
+from flexman_gym.kernels.lanes import add_rows, all_lanes, lane, load_lanes, pick_lanes, store_lanes, sum_lanes
+from flexman_gym.kernels.linalg import LANES, dot, inner, load
 
 
 @inner
-def shorten_mass(constants, work, i, x, elastic):
-    """Adds foreshortening to U, the moments and the elastic mass matrix of link i.
+def shorten_tip(constants, work, i, x, elastic):
+    """Puts the stations of link i in their places and adds foreshortening to the tip and its shape."""
+    start, stop, first = constants.elastic_start[i], constants.elastic_start[i + 1], constants.station_start[i]
+    count = constants.station_start[i + 1] - first
+    width, row = constants.station_width[i], constants.station_row[i]
+    for s in range(0, count, LANES):
+        place = station_motion(constants, i, s, x, elastic)
+        for c in range(3):
+            store_lanes(work.place, 3 * first + c * count + s, place[c])
+        back = all_lanes(0.0)
+        for a in range(start, stop):
+            bend = station_bend(constants, i, s, a, x, elastic)
+            back -= 0.5 * x[elastic + a] * bend
+            store_lanes(work.bend_stations, row + (a - start) * count + s, bend)
+            j = row + s * width + a - start
+            work.bend[j], work.bend[j + width] = lane(bend, 0), lane(bend, 1)
+            work.bend[j + 2 * width], work.bend[j + 3 * width] = lane(bend, 2), lane(bend, 3)
+        store_lanes(work.back, first + s, back)
+    for a in range(start, stop):
+        work.tip_shape[a, 0] = constants.tip_translation[a, 0] - work.bend[row + a - start]
+    if count > 0:
+        work.tip[i, 0] += work.back[first]
+
+
+@inner
+def station_motion(constants, i, s, rates, elastic):
+    """Motion x, y, z of a group of stations of link i, from s on, by `rates` (d,), foreshortening left out."""
+    count = constants.station_start[i + 1] - constants.station_start[i]
+    x = y = z = all_lanes(0.0)
+    start, value = constants.place_start, constants.place_row[i] + s
+    for e in range(start[3 * i], start[3 * i + 1]):
+        x += rates[elastic + constants.place_source[e]] * load_lanes(constants.place_value, value + e * count)
+    for e in range(start[3 * i + 1], start[3 * i + 2]):
+        y += rates[elastic + constants.place_source[e]] * load_lanes(constants.place_value, value + e * count)
+    for e in range(start[3 * i + 2], start[3 * i + 3]):
+        z += rates[elastic + constants.place_source[e]] * load_lanes(constants.place_value, value + e * count)
+    return x, y, z
+
+
+@inner
+def station_bend(constants, i, s, a, rates, elastic):
+    """Row a of G times the elastic part of `rates` (d,) at a group of stations of link i, from s on."""
+    count = constants.station_start[i + 1] - constants.station_start[i]
+    bend, value = all_lanes(0.0), constants.bend_row[i] + s
+    for e in range(constants.bend_start[a], constants.bend_start[a + 1]):
+        bend += rates[elastic + constants.bend_source[e]] * load_lanes(constants.bend_value, value + e * count)
+    return bend
+
+
+@inner
+def shorten_mass(constants, work, i):
+    """Adds foreshortening to the moment shape and the coupling of link i; needs `shorten_tip`.
 
     Returns the change of the first moment along x, and of the entries xx, xy, xz of P.
     """
+    first, row, width = constants.station_start[i], constants.station_row[i], constants.station_width[i]
+    count, weight, total = constants.station_start[i + 1] - first, work.weight, work.total
+    lost = xx = xy = xz = all_lanes(0.0)
+    for s in range(0, count, LANES):
+        mass, back, j = load_lanes(constants.station_mass, first + s), load_lanes(work.back, first + s), 3 * first + s
+        along = load_lanes(constants.station_position, first + s) + load_lanes(work.place, j)
+        y, z, shift = load_lanes(work.place, j + count), load_lanes(work.place, j + 2 * count), mass * back
+        j = 4 * first + s
+        store_lanes(weight, j, shift)
+        store_lanes(weight, j + count, mass * y)
+        store_lanes(weight, j + 2 * count, mass * z)
+        lost += shift
+        xx += shift * (2.0 * along + back)
+        xy += shift * y
+        xz += shift * z
+    for group in range(0, width, LANES):
+        moment = across_y = across_z = all_lanes(0.0)
+        for s in range(0, count, LANES):
+            weights, j = 4 * first + s, row + s * width + group
+            shift = load_lanes(weight, weights)
+            moment = add_rows(moment, load_lanes(constants.station_mass, first + s), work.bend, j, width)
+            across_y = add_rows(across_y, load_lanes(weight, weights + count), work.bend, j, width)
+            across_y = add_rows(across_y, shift, constants.station_shape[1], j, width)
+            across_z = add_rows(across_z, load_lanes(weight, weights + 2 * count), work.bend, j, width)
+            across_z = add_rows(across_z, shift, constants.station_shape[2], j, width)
+        store_lanes(total, group, moment)
+        store_lanes(total, width + group, across_z)
+        store_lanes(total, 2 * width + group, across_y)
+    for j in range(row, row + count * width, LANES):
+        store_lanes(work.stretch, j, load_lanes(constants.station_shape[0], j) - load_lanes(work.bend, j))
     start = constants.elastic_start[i]
-    k = constants.elastic_start[i + 1] - start
-    bend_rates(constants, work, i, x, elastic)
-    lost = xx = xy = xz = 0.0
-    for s in range(constants.station_start[i], constants.station_start[i + 1]):
-        row = constants.station_row[i] + (s - constants.station_start[i]) * k
-        mass = constants.station_mass[s]
-        place = (constants.station_position[s], 0.0, 0.0)
-        back = 0.0
-        for a in range(k):
-            q = x[elastic + start + a]
-            place = add_scaled(place, q, load(constants.station_shape, row + a))
-            back -= 0.5 * q * work.bend[row + a]
-        lost += mass * back
-        xx += mass * back * (2.0 * place[0] + back)
-        xy += mass * back * place[1]
-        xz += mass * back * place[2]
-        along = place[0] + back
-        store(work.station, s, (along, place[1], place[2]))
-        store_pair(work.weight, s, (mass * back, mass * along, mass * place[1]), (mass * place[2], mass, 0.0))
-    for a in range(k):
-        shorten_shape(constants, work, i, a)
-    stretch_mass(constants, work, i)
-    return lost, xx, xy, xz
+    for a in range(constants.elastic_start[i + 1] - start):
+        work.moment_shape[start + a, 0] -= total[a]
+        work.coupling[start + a, 1] -= total[width + a]
+        work.coupling[start + a, 2] += total[2 * width + a]
+    return sum_lanes(lost), sum_lanes(xx), sum_lanes(xy), sum_lanes(xz)
 
 
 @inner
-def shorten_shape(constants, work, i, a):
-    """Adds to U and to the moment shape of coordinate a of link i what the weighted stations hold."""
-    first, k = constants.elastic_start[i], constants.elastic_start[i + 1] - constants.elastic_start[i]
-    row, j = constants.station_row[i] + a, 9 * (first + a)
-    xx = xy = xz = yx = zx = moment = 0.0
-    for s in range(constants.station_start[i], constants.station_start[i + 1]):
-        shape, bend = load(constants.station_shape, row), work.bend[row]
-        (shift, along, y), (z, mass, _) = load_pair(work.weight, s)
-        work.stretch[row] = shape[0] - bend
-        xx += shift * shape[0] - along * bend
-        xy += shift * shape[1]
-        xz += shift * shape[2]
-        yx += y * bend
-        zx += z * bend
-        moment += mass * bend
-        row += k
-    work.shape[j] += xx
-    work.shape[j + 1] += xy
-    work.shape[j + 2] += xz
-    work.shape[j + 3] -= yx
-    work.shape[j + 6] -= zx
-    work.moment_shape[first + a, 0] -= moment
-
-
-@inner
-def stretch_mass(constants, work, i):
-    """Adds the axial motion of the stations to the elastic mass matrix of link i, whose constant part left it out."""
-    k = constants.elastic_start[i + 1] - constants.elastic_start[i]
-    square, first = constants.square_start[i], constants.station_row[i]
-    count = constants.station_start[i + 1] - constants.station_start[i]
-    for a in range(k):
-        for b in range(a, k):
-            total = 0.0
-            for s in range(count):
-                row = first + s * k
-                mass = constants.station_mass[constants.station_start[i] + s]
-                total += mass * work.stretch[row + a] * work.stretch[row + b]
-            work.elastic_mass[square + a * k + b] += total
-            if b > a:
-                work.elastic_mass[square + b * k + a] += total
-
-
-@inner
-def bend_rates(constants, work, i, rates, elastic):
-    """work.bend = G times the elastic part of `rates` (d,) at all stations of link i."""
-    k = constants.elastic_start[i + 1] - constants.elastic_start[i]
-    rows = (constants.station_start[i + 1] - constants.station_start[i]) * k
-    for j in range(constants.station_row[i], constants.station_row[i] + rows):
-        work.bend[j] = 0.0
-    for e in range(constants.bend_start[i], constants.bend_start[i + 1]):
-        work.bend[constants.bend_target[e]] += constants.bend_value[e] * rates[elastic + constants.bend_source[e]]
+def stretch_mass(constants, work, i, a, group, total):
+    """total + what the axial motion of stations adds to a group of row a of the elastic mass matrix of link i."""
+    first, width, stretch = constants.station_start[i], constants.station_width[i], work.stretch
+    for s in range(0, constants.station_start[i + 1] - first, LANES):
+        j = constants.station_row[i] + s * width
+        factors = load_lanes(constants.station_mass, first + s) * pick_lanes(stretch, j + a, width)
+        total = add_rows(total, factors, stretch, j + group, width)
+    return total
 
 
 @inner
 def shorten_forces(constants, work, i, v, elastic):
     """Adds the quadratic velocity forces of foreshortening to link i; needs `shorten_mass` at the same x."""
+    first, row, width = constants.station_start[i], constants.station_row[i], constants.station_width[i]
+    count, weight, w = constants.station_start[i + 1] - first, work.weight, load(work.spin, i)
+    square = dot(w, w)
+    force = moment_x = moment_y = moment_z = all_lanes(0.0)
+    for s in range(0, count, LANES):
+        mass, back, j = load_lanes(constants.station_mass, first + s), load_lanes(work.back, first + s), 3 * first + s
+        x = load_lanes(constants.station_position, first + s) + load_lanes(work.place, j) + back
+        y, z = load_lanes(work.place, j + count), load_lanes(work.place, j + 2 * count)
+        rate = station_motion(constants, i, s, v, elastic)
+        drawn, pulled = station_rates(constants, work, i, s, v, elastic)
+        store_lanes(work.rate, first + s, rate[0] + drawn)
+        store_lanes(work.pulled, first + s, pulled)
+        # 2 w x velocity: what foreshortening turns, and without it
+        turn_y, turn_z = 2.0 * w[2] * drawn, -2.0 * w[1] * drawn
+        plain_y, plain_z = 2.0 * (w[2] * rate[0] - w[0] * rate[2]), 2.0 * (w[0] * rate[1] - w[1] * rate[0])
+        whole = w[0] * dot(w, (x, y, z)) - square * x + 2.0 * (w[1] * rate[2] - w[2] * rate[1]) + pulled
+        j = 4 * first + s
+        store_lanes(weight, j, mass * ((w[0] * w[0] - square) * back + pulled))
+        store_lanes(weight, j + count, mass * (w[0] * w[1] * back + turn_y))
+        store_lanes(weight, j + 2 * count, mass * (w[0] * w[2] * back + turn_z))
+        store_lanes(weight, j + 3 * count, (-1.0 * mass) * whole)
+        force += mass * pulled
+        moment_x += mass * (y * turn_z - z * turn_y)
+        moment_y += mass * (z * pulled - x * turn_z - back * plain_z)
+        moment_z += mass * (x * turn_y - y * pulled + back * plain_y)
+    work.bias[i, 0] += sum_lanes(force)
+    work.bias[i, 3] += sum_lanes(moment_x)
+    work.bias[i, 4] += sum_lanes(moment_y)
+    work.bias[i, 5] += sum_lanes(moment_z)
+    for group in range(0, width, LANES):
+        total = all_lanes(0.0)
+        for s in range(0, count, LANES):
+            weights, j = 4 * first + s, row + s * width + group
+            total = add_rows(total, load_lanes(weight, weights), constants.station_shape[0], j, width)
+            total = add_rows(total, load_lanes(weight, weights + count), constants.station_shape[1], j, width)
+            total = add_rows(total, load_lanes(weight, weights + 2 * count), constants.station_shape[2], j, width)
+            total = add_rows(total, load_lanes(weight, weights + 3 * count), work.bend, j, width)
+        store_lanes(work.total, group, total)
     start = constants.elastic_start[i]
-    k = constants.elastic_start[i + 1] - start
-    bend_rates(constants, work, i, v, elastic)
-    w = load(work.spin, i)
+    for a in range(constants.elastic_start[i + 1] - start):
+        work.elastic_bias[start + a] += work.total[a]
+
+
+@inner
+def station_rates(constants, work, i, s, v, elastic):
+    """Rate of foreshortening, - q'^T G q, and - q'^T G q' at a group of stations of link i, from s on."""
+    start, row = constants.elastic_start[i], constants.station_row[i] + s
+    count = constants.station_start[i + 1] - constants.station_start[i]
+    drawn = pulled = all_lanes(0.0)
+    for a in range(start, constants.elastic_start[i + 1]):
+        drawn -= v[elastic + a] * load_lanes(work.bend_stations, row + (a - start) * count)
+        pulled -= v[elastic + a] * station_bend(constants, i, s, a, v, elastic)
+    return drawn, pulled
+
+
+@inner
+def stretch_energy(constants, work, i):
+    """Kinetic energy that the elastic mass matrix of link i leaves out; needs `velocities`."""
+    value = 0.0
     for s in range(constants.station_start[i], constants.station_start[i + 1]):
-        row = constants.station_row[i] + (s - constants.station_start[i]) * k
-        mass = constants.station_mass[s]
-        drawn = across_y = across_z = pulled = 0.0
-        for a in range(k):
-            rate = v[elastic + start + a]
-            shape = load(constants.station_shape, row + a)
-            drawn += rate * (work.stretch[row + a] - shape[0])
-            across_y += rate * shape[1]
-            across_z += rate * shape[2]
-            pulled -= rate * work.bend[row + a]
-        work.bias[i, 0] += mass * pulled
-        work.bias[i, 4] += mass * pulled * work.station[s, 2]
-        work.bias[i, 5] -= mass * pulled * work.station[s, 1]
-        turned = w[1] * across_z - w[2] * across_y
-        for a in range(k):
-            shape = load(constants.station_shape, row + a)
-            stretch = work.stretch[row + a]
-            coriolis = drawn * (w[2] * shape[1] - w[1] * shape[2]) + (stretch - shape[0]) * turned
-            work.elastic_bias[start + a] += mass * (2.0 * coriolis + pulled * stretch)
+        value += 0.5 * constants.station_mass[s] * work.rate[s] * work.rate[s]
+    return value
 
 
 @inner
-def shorten_tip(constants, work, i, x, elastic):
-    """Adds foreshortening to the tip of link i and to its shape."""
-    start, stop = constants.elastic_start[i], constants.elastic_start[i + 1]
-    for a in range(start, stop):
-        row = constants.square_start[i] + (a - start) * (stop - start) - start
-        value = 0.0
-        for b in range(start, stop):
-            value += constants.tip_shortening[row + b] * x[elastic + b]
-        work.tip_shape[a, 0] -= value
-        work.tip[i, 0] -= 0.5 * value * x[elastic + a]
-
-
-@inner
-def shorten_tip_bias(constants, work, i, v, elastic):
-    """Acceleration along x that the elastic speeds alone give the tip of link i, - q'^T G q'."""
-    start, stop = constants.elastic_start[i], constants.elastic_start[i + 1]
-    bias = 0.0
-    for a in range(start, stop):
-        row = constants.square_start[i] + (a - start) * (stop - start) - start
-        for b in range(start, stop):
-            bias -= v[elastic + a] * constants.tip_shortening[row + b] * v[elastic + b]
-    return bias
+def stretch_forces(constants, work, i, rates, elastic, out):
+    """Adds to out (d,) the forces for accelerations `rates` (d,) that the elastic mass matrix of link i leaves out."""
+    start, first = elastic + constants.elastic_start[i], constants.station_start[i]
+    k = constants.elastic_start[i + 1] - constants.elastic_start[i]
+    for s in range(constants.station_start[i + 1] - first):
+        row, force = constants.station_row[i] + s * constants.station_width[i], 0.0
+        for a in range(k):
+            force += constants.station_mass[first + s] * work.stretch[row + a] * rates[start + a]
+        for a in range(k):
+            out[start + a] += force * work.stretch[row + a]
