@@ -176,7 +176,9 @@ def gather_forces(constants, work, i, elastic, tip):
     force, moment = add(force, tip[0]), add(moment, add(tip[1], cross(load(work.tip, i), tip[0])))
     for a in range(start, stop):
         demand[a] = work.elastic_bias[a] - work.force[elastic + a]
-    for a in range(constants.carrying[i], stop):
+    for a in range(constants.carrying[i], constants.turning[i]):
+        demand[a] += work.tip_shape[a, 0] * tip[0][0]
+    for a in range(constants.turning[i], stop):
         translation, rotation = load_pair(work.tip_shape, a)
         demand[a] += dot(translation, tip[0]) + dot(rotation, tip[1])
     for c in range(k):
@@ -216,7 +218,9 @@ def tip_acceleration(constants, work, i, frame, rates):
     linear, angular = load_pair(work.tip_bias, i)
     linear = add(add(linear, frame[0]), cross(frame[1], load(work.tip, i)))
     angular = add(angular, frame[1])
-    for a in range(constants.carrying[i], constants.elastic_start[i + 1]):
+    for a in range(constants.carrying[i], constants.turning[i]):
+        linear = (linear[0] + work.tip_shape[a, 0] * rates[elastic + a], linear[1], linear[2])
+    for a in range(constants.turning[i], constants.elastic_start[i + 1]):
         translation, rotation = load_pair(work.tip_shape, a)
         rate = rates[elastic + a]
         linear, angular = add_scaled(linear, rate, translation), add_scaled(angular, rate, rotation)
