@@ -20,7 +20,7 @@ from flexman_gym.verification import Row
 from flexman_gym.verification_cases import IDENTITY
 
 INDEPENDENT = "independent automatic-differentiation code"
-KANE = "Kane, Ryan and Banerjee (1987); Simo and Vu-Quoc (1987)"
+KANE = "two independent codes; case of Kane, Ryan and Banerjee (1987)"
 REFERENCES = ("paper_rr", "pendulum_1", "paper_fr", "paper_ff", "gravity_payload_ff", "spin_up_stiffened")
 QUICK_REFERENCES = REFERENCES[:2]
 
