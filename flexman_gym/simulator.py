@@ -6,12 +6,13 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from flexman_gym.beam import Array
-from flexman_gym.checks import one_of, positive, refusal, vector, whole_number
+from flexman_gym.checks import positive, refusal, vector, whole_number
 from flexman_gym.drive import drive_table
-from flexman_gym.kernels import layout, steppers
-from flexman_gym.kernels.layout import STATUS, Clock, Work, make_work
-from flexman_gym.methods import EXPLICIT, LINEARLY_IMPLICIT, METHODS, Method
+from flexman_gym.kernels import layout
+from flexman_gym.kernels.layout import STATUS
+from flexman_gym.methods import Method
 from flexman_gym.model import Model, scene_model
+from flexman_gym.run import Run, find_method
 from flexman_gym.scene import Scene
 from flexman_gym.trajectory import Trajectory, trajectory, turnover
 
@@ -21,7 +22,7 @@ WHOLE = 1e-9  # how far a ratio of two times may be from a whole number, relativ
 def simulate(
     scene: Scene,
     model: Model | None = None,
-    method: str = "auto",
+    method: str | Method = "auto",
     step: float | None = None,
     rtol: float = 1e-6,
     atol: float = 1e-9,
@@ -31,10 +32,12 @@ def simulate(
     Args:
         scene: arm, torque, initial state, duration.
         model: None takes what the scene says.
-        method: a name from `METHODS`; "auto" takes "ros2" where a step is given and the reference "dop853" where not.
-        step: of a fixed-step method, s. It divides the output step of the scene or is a multiple of it; in the latter
-            case there is an output after every step. An adaptive method takes it as its first guess.
-        rtol, atol: relative and absolute local error of an adaptive method.
+        method: a Method or a name from `METHODS`; "auto" takes "ros2" where a step is given and the reference "dop853"
+            where not.
+        step: s. It divides the output step of the scene or is a multiple of it; in the latter case there is an output
+            after every step. None lets a method that estimates its error choose its steps; a reference always does, and
+            takes the step as its first guess.
+        rtol, atol: relative and absolute local error, of a method that chooses its steps.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
@@ -46,16 +49,17 @@ def simulate(
         raise refusal("model", model, "a Model, from build_model")
     if model.n_joints != scene.arm.n_joints:
         raise refusal("model", f"{model.n_joints} joints", f"a model of the scene's arm, {scene.arm.n_joints} joints")
-    chosen = find_method("ros2" if method == "auto" and step is not None else "dop853" if method == "auto" else method)
+    automatic = "dop853" if step is None else "ros2"
+    chosen = find_method(automatic if isinstance(method, str) and method == "auto" else method)
     interval, substeps = _output_interval(chosen, step, scene.output_step)
     rows = _whole("step", interval, scene.duration, "a number of seconds that divides the duration")
     prescribed = [i for i, motion in enumerate(scene.prescribed or ()) if motion is not None]
-    run = _Run(model, chosen, (positive("rtol", rtol), positive("atol", atol)), prescribed)
+    run = Run(model, chosen, _tolerance(chosen, step, rtol, atol), prescribed)
     state = np.append(model.initial_state(scene.initial.joint_angles, scene.initial.joint_rates), [0.0, 0.0])
     states, outputs = np.zeros((rows + 1, len(state))), np.zeros((rows + 1, layout.OUTPUTS))
     run.start(state, states[0], outputs[0])
     started = clock.perf_counter()
-    moment = Clock(0.0, interval / substeps, substeps)
+    moment = (0.0, interval / substeps, substeps)
     status, valid, evaluations = run(scene.drive, moment, state, states[1:], outputs[1:])
     elapsed = clock.perf_counter() - started
     outcome = (STATUS[status], evaluations, elapsed)
@@ -83,7 +87,7 @@ class Simulator:
     def __init__(
         self,
         model: Model,
-        method: str = "ros2",
+        method: str | Method = "ros2",
         step: float | None = 0.005,
         control_period: float = 0.02,
         rtol: float = 1e-6,
@@ -95,12 +99,10 @@ class Simulator:
         self.model = model
         self.method = find_method(method)
         self.control_period = positive("control_period", control_period, "s")
-        if step is None and not self.method.adaptive:
-            raise refusal("step", None, f"a number > 0 (s): {self.method.name} takes fixed steps")
         allowed = "a number of seconds that divides the control period"
         self.substeps = 1 if step is None else _whole("step", step, self.control_period, allowed)
         joints = [whole_number("prescribed", joint, 0, model.n_joints - 1) for joint in prescribed]
-        self._run = _Run(model, self.method, (positive("rtol", rtol), positive("atol", atol)), joints)
+        self._run = Run(model, self.method, _tolerance(self.method, step, rtol, atol), joints)
         self._prescribed = self._run.constants.prescribed > 0
         size = 2 * model.n_dof
         self._row, self._rows = np.zeros(size + 2), np.zeros((1, size + 2))
@@ -167,7 +169,7 @@ class Simulator:
         drive[n + 3 :] = 0.0
         if base_acceleration is not None:
             drive[n + 3 :] = _numbers("base_acceleration", base_acceleration, 3, "m/s^2")
-        moment = Clock(self.time, self.control_period / self.substeps, self.substeps)
+        moment = (self.time, self.control_period / self.substeps, self.substeps)
         status, _, _ = self._run(self._drive, moment, self._row, self._rows, self._new_outputs)
         if status == layout.OK:
             self._periods += 1
@@ -234,44 +236,20 @@ class Simulator:
         return float(self._row[-2] - self._row[-1]) - (self.energy - self._start_energy)
 
 
-def find_method(name: object) -> Method:
-    """The method of that name; raises ValueError with the names there are."""
-    return METHODS[one_of("method", name, METHODS)]
-
-
-class _Run:
-    """A method bound to a model and its work space."""
-
-    def __init__(
-        self, model: Model, method: Method, tolerance: tuple[float, float], prescribed: Collection[int]
-    ) -> None:
-        flags = np.isin(np.arange(model.n_joints), list(prescribed)).astype(np.int64)
-        self.constants = model.constants._replace(prescribed=flags)
-        self.work: Work = make_work(model.constants)
-        self.tableau = method.tableau
-        self.tolerance = np.array(tolerance)
-        self.kind = method.kind
-
-    def __call__(self, drive: Array, moment: Clock, state: Array, rows: Array, outputs: Array) -> tuple[int, int, int]:
-        arguments = (self.constants, self.work, self.tableau, drive, moment, state, rows, outputs)
-        if self.kind == EXPLICIT:
-            return steppers.run_explicit(*arguments)
-        if self.kind == LINEARLY_IMPLICIT:
-            return steppers.run_linearly_implicit(*arguments)
-        return steppers.run_adaptive(*arguments, self.tolerance)
-
-    def start(self, state: Array, row: Array, outputs: Array) -> None:
-        """Records the state as it is, by a run of no steps, which also loads or compiles the kernels."""
-        at_rest = drive_table([None] * (len(self.constants.mass) + 6))
-        self(at_rest, Clock(0.0, 0.0, 0), state, row[None], outputs[None])
-
-
 def _numbers(name: str, value: Sequence[float] | Array, count: int, unit: str) -> Array:
     """The value as an array of finite numbers."""
     values = np.asarray(value)
     if values.shape != (count,) or values.dtype.kind not in "fiu" or not np.isfinite(values).all():
         raise refusal(name, value, f"{count} finite numbers ({unit})")
     return values
+
+
+def _tolerance(method: Method, step: float | None, rtol: float, atol: float) -> tuple[float, float] | None:
+    """The tolerance of a method that chooses its steps, None for one that is held to a fixed step."""
+    given = positive("rtol", rtol), positive("atol", atol)
+    if step is None and not method.estimates:
+        raise refusal("step", None, f"a number > 0 (s): {method.name} takes fixed steps")
+    return given if step is None or method.adaptive else None
 
 
 def _whole(name: str, part: float, total: float, allowed: str) -> int:
@@ -286,8 +264,6 @@ def _whole(name: str, part: float, total: float, allowed: str) -> int:
 def _output_interval(method: Method, step: float | None, output_step: float) -> tuple[float, int]:
     """Time between outputs and the number of steps in it."""
     if step is None:
-        if not method.adaptive:
-            raise refusal("step", None, f"a number > 0 (s): {method.name} takes fixed steps")
         return output_step, 1
     allowed = "a number of seconds that divides, or is a multiple of, the output step"
     if method.adaptive:

@@ -32,7 +32,8 @@ ARROWS = {
     "strain": "model beam scene arm checks",
     "dynamics": "model reduction beam scene arm checks kernels",
     "trajectory": "model beam checks kernels",
-    "simulator": "trajectory drive dynamics model methods reduction beam scene arm checks kernels",
+    "run": "model methods drive beam checks kernels",
+    "simulator": "run trajectory drive dynamics model methods reduction beam scene arm checks kernels",
     "fidelity": "simulator dynamics model methods reduction beam scene arm checks",
     "control": "simulator dynamics model reduction beam scene catalog arm checks kernels",
     "sensors": "strain simulator dynamics model beam scene catalog arm checks kernels",
@@ -48,7 +49,7 @@ ARROWS = {
     " catalog arm",
 }
 _PUBLIC = "envs tasks sensors control metrics study draw fidelity simulator dynamics model methods scene catalog arm"
-_PUBLIC += " strain drive trajectory"
+_PUBLIC += " strain drive trajectory run"
 ARROWS["flexman_gym"] = _PUBLIC
 ARROWS["agents"] = f"agents flexman_gym checks {_PUBLIC}"
 ARROWS["scripts"] = f"scripts agents flexman_gym checks {_PUBLIC} verification verification_cases verification_motions"

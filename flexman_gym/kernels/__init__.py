@@ -48,6 +48,7 @@ try:
         layout,
         linalg,
         outputs,
+        pace,
         steppers,
         stiffening,
     )
@@ -65,6 +66,7 @@ __all__ = [
     "layout",
     "linalg",
     "outputs",
+    "pace",
     "steppers",
     "stiffening",
 ]

@@ -1,9 +1,9 @@
 """Dynamics of the chain: a recursion that is equal to Eq. 40-46 and costs the same for every link.
 
 Going inward, each link's elastic coordinates and then its joint are eliminated, so that the link before it sees one six
-by six inertia (the articulated-body algorithm of Featherstone with elastic coordinates). With a shift g > 0 the
-eliminated blocks are M + g damping + g^2 K instead of M, with the damping and stiffness of links and joint springs:
-that solves the linear system of a linearly implicit step at the cost of an explicit one. g = 0 gives accelerations.
+by six inertia (the articulated-body algorithm of Featherstone with elastic coordinates). With a shift (g, h) the
+eliminated blocks are M + g damping + h K instead of M, with the damping and stiffness of links and joint springs: that
+solves the linear system of an implicit step at the cost of an explicit one. No shift gives accelerations.
 
 An inertia is a triple: force by linear, force by angular and moment by angular acceleration.
 """
@@ -51,23 +51,23 @@ def accelerate(constants, work, x, v, out):
     """out (d,) = generalised accelerations under work.drive; returns the power supplied and the power lost (W)."""
     positions(constants, work, x)
     velocities(constants, work, v)
-    factorise(constants, work, 0.0)
+    factorise(constants, work, (0.0, 0.0))
     supplied, lost = applied_forces(constants, work, x, v)
     solve(constants, work, out)
     return supplied + prescribed_power(constants, work, v), lost
 
 
 @inner
-def factorise(constants, work, g):
-    """Eliminates elastic coordinates and joints from tip to base, with the shift g (s). Needs `positions`.
+def factorise(constants, work, shift):
+    """Eliminates elastic coordinates and joints from tip to base, with the shift (s, s^2). Needs `positions`.
 
     Overwrites the work space group `factorisation`.
     """
     tip = payload_inertia(constants, work)
     for i in range(len(constants.mass) - 1, -1, -1):
-        elastic_block(constants, work, i, g, tip)
+        elastic_block(constants, work, i, shift, tip)
         inertia = eliminate_elastic(constants, work, i, link_inertia(constants, work, i, tip))
-        inertia = eliminate_joint(constants, work, i, g, inertia)
+        inertia = eliminate_joint(constants, work, i, shift, inertia)
         for j in range(3):
             store_matrix(work.articulated, 3 * i + j, inertia[j])
         tip = rotate_inertia(inertia, load_matrix(work.rotation, i))

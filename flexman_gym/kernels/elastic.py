@@ -17,8 +17,8 @@ from flexman_gym.kernels.stiffening import stretch_mass
 
 
 @inner
-def elastic_block(constants, work, i, g, tip):
-    """factor = M + g damping + g^2 K of link i with what its tip carries (upper half), then coupling to the frame."""
+def elastic_block(constants, work, i, shift, tip):
+    """factor = shifted M of link i with what its tip carries (upper half), then coupling to the frame."""
     start, stop = constants.elastic_start[i], constants.elastic_start[i + 1]
     square, width, first = constants.square_start[i], constants.factor_width[i], constants.factor_start[i]
     carried, factor, d = work.carried, work.factor, load(work.tip, i)
@@ -30,8 +30,8 @@ def elastic_block(constants, work, i, g, tip):
             terms = 6 if start + a >= constants.turning[i] else 1
         for group in range(a - a % LANES, length, LANES):
             j = square + a * k + group
-            total = load_lanes(constants.damping, j) + g * load_lanes(constants.stiffness, j)
-            total = load_lanes(constants.elastic_mass, j) + g * total
+            total = shift[0] * load_lanes(constants.damping, j) + shift[1] * load_lanes(constants.stiffness, j)
+            total = load_lanes(constants.elastic_mass, j) + total
             for c in range(terms):
                 total += work.tip_shape[start + a, c] * load_lanes(carried, c * length + group)
             if len(constants.station_mass) > 0:

@@ -23,14 +23,14 @@ from flexman_gym.kernels.linalg import (
 
 
 @inner
-def eliminate_joint(constants, work, i, g, inertia):
+def eliminate_joint(constants, work, i, shift, inertia):
     """What is left of an inertia when joint i, with its rotor and spring, is free, or moves as prescribed."""
     force, mixed_block, moment = inertia
     axis, rotor, carried = load(constants.axis, i), constants.rotor_inertia[i], constants.carried_inertia[i]
-    total = rotor + g * work.friction_slope[i]
+    total = rotor + shift[0] * work.friction_slope[i]
     spring, joint, mixed, frame = 0.0, total, carried, carried
     if constants.motor[i] >= 0:
-        spring = g * (constants.joint_damping[i] + g * constants.joint_stiffness[i])
+        spring = shift[0] * constants.joint_damping[i] + shift[1] * constants.joint_stiffness[i]
         if constants.prescribed[i]:
             joint, mixed = spring, 0.0
         else:

@@ -43,6 +43,7 @@ STATUS = ("ok", "diverged", "not converged")
 LARGEST_STATE = 1e6
 
 STAGES = 16  # the most stages of a method, with the evaluation at the end of the step
+SEQUENCES = 8  # the most sequences of an extrapolation
 
 OFFSET, AMPLITUDE, FREQUENCY, PHASE, START, STOP = 0, 1, 2, 3, 4, 5
 
@@ -180,6 +181,10 @@ class Work(NamedTuple):
     stage_state: Array  # (2 d + 2,)
     shift: Array  # (2 d + 2,)
     trial: Array  # (2 d + 2,)
+    rates: Array  # (d,)
+    extrapolated: Array  # (SEQUENCES, 2 d + 2)
+    estimate: Array  # (2, 2 d + 2)
+    pace: Array  # (1,) the step at which an adaptive run ended, 0 before
 
 
 def make_work(constants: Constants) -> Work:
@@ -203,6 +208,7 @@ def make_work(constants: Constants) -> Work:
         "force": (size // 2 - 1,), "elastic_force": (k,), "joint_force": (n,), "motor_torque": (n,),
         "frame_acceleration": (n, 6),
         "stages": (STAGES, size), "stage_state": (size,), "shift": (size,), "trial": (size,),
+        "rates": (size // 2 - 1,), "extrapolated": (SEQUENCES, size), "estimate": (2, size), "pace": (1,),
     }  # fmt: skip
     return Work(**{name: np.zeros(shape) for name, shape in shapes.items()})
 
@@ -212,21 +218,41 @@ class Tableau(NamedTuple):
 
     Explicit methods: stage i starts from y + h sum a_ij k_j, the step adds h sum b_i k_i, error rows weigh k (s + 1
     columns: the last is the slope at the new state). Linearly implicit ones: in the transformed variables u of Hairer
-    and Wanner (Solving ODEs II, IV.7), with the off-diagonal `c` and the diagonal `gamma`.
+    and Wanner (Solving ODEs II, IV.7), with the off-diagonal `c` and the diagonal `gamma`; extrapolation adds, with
+    weights, the results of the method in sequence[j] parts of the step.
     """
 
     a: Array  # (s, s)
     b: Array  # (s,)
     c: Array  # (s, s) linearly implicit only
-    abscissae: Array  # (s,)
-    error: Array  # (0 to 2, s + 1)
+    abscissae: Array  # (s + 1,)
+    error: Array  # (0 to 2, s + 1) explicit, (0 or 1, s) linearly implicit
     gamma: float
     order: int  # of the error estimate plus one: the exponent of step size control
+    semi_implicit: bool  # places follow the new speeds
+    sequence: IntArray  # (j,) ascending
+    weights: Array  # (j,)
+    sequence_error: Array  # (j,)
+
+
+class Averages(NamedTuple):
+    """Coefficients of an implicit step: generalised-alpha (Chung and Hulbert 1993), or the midpoint rule."""
+
+    mass: float  # alpha_m
+    force: float  # alpha_f
+    beta: float
+    gamma: float
+    midpoint: bool
 
 
 class Clock(NamedTuple):
-    """When a run takes place: it starts at `time` (s) and records after every `substeps` steps of `step` (s)."""
+    """When a run takes place: it starts at `time` (s) and records after every `substeps` steps of `step` (s).
+
+    With rtol > 0 it chooses its steps by their error, beginning with `step`, and records at the same times.
+    """
 
     time: float
     step: float
     substeps: int
+    rtol: float
+    atol: float

@@ -1,22 +1,21 @@
-"""Steppers: three families of one-step methods, each driven by coefficients (`layout.Tableau`).
+"""Steppers: three families of one-step methods, each driven by coefficients (`layout.Tableau`, `layout.Averages`).
 
 A run fills rows (r, 2 d + 2) with the state and the ledger after every interval of the clock, and outputs (r, OUTPUTS)
 with what `observe` reads there. It returns a status, the rows that are valid and the number of evaluations. The state
-that is passed in is advanced in place. `table` is that of the drive, see `layout`.
+that is passed in is advanced in place. `table` is that of the drive, see `layout`. Each family has its own loop, with
+one call of the dynamics in it: compilers copy that call wherever it stands.
 """
-
-import math
 
 from flexman_gym.kernels.dynamics import accelerate, factorise, solve
 from flexman_gym.kernels.forces import applied_forces, drive_at, friction_shift, friction_slopes, structural_forces
 from flexman_gym.kernels.joints import any_prescribed, prescribed_power
 from flexman_gym.kernels.kinematics import positions, velocities
-from flexman_gym.kernels.layout import DIVERGED, LARGEST_STATE, NOT_CONVERGED, OK
+from flexman_gym.kernels.layout import DIVERGED, NOT_CONVERGED, OK
 from flexman_gym.kernels.linalg import copy, inner, kernel
 from flexman_gym.kernels.outputs import observe
+from flexman_gym.kernels.pace import LEAST_PACE, error_norm, first_pace, next_pace, next_step, out_of_bounds
 
-SAFETY, SMALLEST_FACTOR, LARGEST_FACTOR = 0.9, 0.2, 10.0  # step size control, Hairer, Norsett and Wanner I, II.4
-SMALLEST_STEP = 1e-14  # of the interval
+ITERATIONS, CONVERGED = 25, 1e-11  # of an implicit step; the largest relative change that ends them
 
 
 @inner
@@ -30,13 +29,10 @@ def slope(constants, work, table, time, state, out):
         out[j] = v[j]
 
 
-@inner
-def out_of_bounds(state):
-    """Whether a state is not finite or beyond LARGEST_STATE; the ledger is not looked at."""
-    for j in range(len(state) - 2):
-        if not abs(state[j]) <= LARGEST_STATE:
-            return True
-    return False
+@kernel
+def derivative(constants, work, table, time, state, out):
+    """out (2 d + 2,) = time derivative of state and ledger, for integrators outside the kernels."""
+    slope(constants, work, table, time, state, out)
 
 
 @inner
@@ -51,29 +47,43 @@ def add_stages(state, step, weights, stages, count, out):
                 out[k] += weight * stages[j, k]
 
 
-@inner
-def explicit_stages(constants, work, tableau, table, time, step, state):
-    """Stages 1, 2, ... of an explicit step into work.stages, which holds stage 0, and the new state into work.trial."""
-    s = len(tableau.b)
-    for i in range(1, s):
-        add_stages(state, step, tableau.a[i], work.stages, i, work.stage_state)
-        slope(constants, work, table, time + tableau.abscissae[i] * step, work.stage_state, work.stages[i])
-    add_stages(state, step, tableau.b, work.stages, s, work.trial)
-
-
 @kernel
 def run_explicit(constants, work, tableau, table, clock, state, rows, outputs):
-    """Fixed steps of an explicit Runge-Kutta method."""
-    d, step, evaluations = len(state) // 2 - 1, clock.step, 0
+    """Steps of an explicit Runge-Kutta method, or of the semi-implicit Euler method."""
+    d, s, evaluations, known = len(state) // 2 - 1, len(tableau.b), 0, 0
+    adaptive = clock.rtol > 0.0
+    pace = first_pace(work, clock)
     for r in range(len(rows)):
-        for n in range(clock.substeps):
-            time = clock.time + (r * clock.substeps + n) * step
-            slope(constants, work, table, time, state, work.stages[0])
-            explicit_stages(constants, work, tableau, table, time, step, state)
-            evaluations += len(tableau.b)
+        n, done, last = 0, 0.0, clock.substeps == 0
+        while not last:
+            time, h, last = next_step(clock, r, n, done, pace)
+            for i in range(known, s + adaptive):  # the slope after the step, if wanted, is stage s
+                weights = tableau.a[i] if i < s else tableau.b
+                add_stages(state, h, weights, work.stages, min(i, s), work.stage_state)
+                slope(constants, work, table, time + tableau.abscissae[i] * h, work.stage_state, work.stages[i])
+                evaluations += 1
+            add_stages(state, h, tableau.b, work.stages, s, work.trial)
+            if tableau.semi_implicit:
+                for k in range(d):
+                    work.trial[k] = state[k] + h * work.trial[d + k]
+            if adaptive:
+                for e in range(len(tableau.error)):
+                    for k in range(len(state)):
+                        work.estimate[e, k] = 0.0
+                    add_stages(work.estimate[e], h, tableau.error[e], work.stages, s + 1, work.estimate[e])
+                error = error_norm(work, len(tableau.error), clock, state)
+                pace, known = next_pace(pace, h, last, error, tableau.order), 1
+                if not error <= 1.0:
+                    last = False
+                    if pace < LEAST_PACE * clock.step * clock.substeps:
+                        return (DIVERGED if out_of_bounds(work.trial) else NOT_CONVERGED), r, evaluations
+                    continue
+                copy(work.stages[s], work.stages[0])
             if out_of_bounds(work.trial):
                 return DIVERGED, r, evaluations
             copy(work.trial, state)
+            n, done = n + 1, done + h
+        work.pace[0] = pace
         copy(state, rows[r])
         observe(constants, work, state[:d], state[d : 2 * d], outputs[r])
     return OK, len(rows), evaluations
@@ -81,33 +91,76 @@ def run_explicit(constants, work, tableau, table, clock, state, rows, outputs):
 
 @kernel
 def run_linearly_implicit(constants, work, tableau, table, clock, state, rows, outputs):
-    """Fixed steps of a W-method whose approximate Jacobian holds damping and stiffness of links and joint springs."""
-    d, step, evaluations = len(state) // 2 - 1, clock.step, 0
+    """Steps of a W-method whose approximate Jacobian holds damping and stiffness of links and joints, extrapolated.
+
+    Extrapolation takes the method in sequence[j] equal parts of the step, for each j, and adds the results with
+    weights. All first parts start from the same state and share its kinematics.
+    """
+    d, s, evaluations = len(state) // 2 - 1, len(tableau.b), 0
+    adaptive, parts = clock.rtol > 0.0, tableau.sequence
+    pace = first_pace(work, clock)
     for r in range(len(rows)):
-        for n in range(clock.substeps):
-            time = clock.time + (r * clock.substeps + n) * step
-            for i in range(len(tableau.b)):
-                implicit_stage(constants, work, tableau, table, time, step, state, i)
-            add_stages(state, 1.0, tableau.b, work.stages, len(tableau.b), work.trial)
-            evaluations += len(tableau.b)
+        n, done, last = 0, 0.0, clock.substeps == 0
+        while not last:
+            time, h, last = next_step(clock, r, n, done, pace)
+            for j in range(len(parts)):
+                copy(state, work.extrapolated[j])
+            for p in range(parts[-1]):
+                for j in range(len(parts)):
+                    if p >= parts[j]:
+                        continue
+                    part, start = h / parts[j], work.extrapolated[j]
+                    for i in range(s):
+                        moved = p > 0 or i > 0 or j == 0
+                        moment = (time + p * part, part)
+                        implicit_stage(constants, work, tableau, table, moment, start, i, moved)
+                        evaluations += 1
+                    add_stages(start, 1.0, tableau.b, work.stages, s, start)
+            extrapolate(work, tableau, state)
+            if adaptive:
+                error = error_norm(work, 1, clock, state)
+                pace = next_pace(pace, h, last, error, tableau.order)
+                if not error <= 1.0:
+                    last = False
+                    if pace < LEAST_PACE * clock.step * clock.substeps:
+                        return (DIVERGED if out_of_bounds(work.trial) else NOT_CONVERGED), r, evaluations
+                    continue
             if out_of_bounds(work.trial):
                 return DIVERGED, r, evaluations
             copy(work.trial, state)
+            n, done = n + 1, done + h
+        work.pace[0] = pace
         copy(state, rows[r])
         observe(constants, work, state[:d], state[d : 2 * d], outputs[r])
     return OK, len(rows), evaluations
 
 
 @inner
-def implicit_stage(constants, work, tableau, table, time, step, state, i):
-    """Stage i of a W-method into work.stages[i].
+def extrapolate(work, tableau, state):
+    """work.trial = the weighted results of all sequences; work.estimate[0] = the error that they show."""
+    for k in range(len(state)):
+        value = wrong = 0.0
+        for j in range(len(tableau.sequence)):
+            # differences from the state lose no digits to its size
+            change = work.extrapolated[j, k] - state[k]
+            value += tableau.weights[j] * change
+            wrong += tableau.sequence_error[j] * change
+        for e in range(len(tableau.error)):
+            for i in range(len(tableau.b)):
+                wrong += tableau.error[e, i] * work.stages[i, k]
+        work.trial[k], work.estimate[0, k] = state[k] + value, wrong
+
+
+@inner
+def implicit_stage(constants, work, tableau, table, moment, state, i, moved):
+    """Stage i of a W-method into work.stages[i]; moment = (time, step); `moved` if kinematics must be computed anew.
 
     With g = gamma step and r = sum of c_ij u_j / step, the stage u = (position part, speed part) solves
     u_x / g = v + u_v + r_x and M u_v / g = F(x, v) - K u_x - D u_v + M r_v. In w = u_v / g - r_v that is
     (M + g D + g^2 K) w = F with springs taken at x + g (v + r_x + g r_v) and dampers at v + g r_v: no product with M.
     D holds friction over rate at the start of the step.
     """
-    d, size = len(state) // 2 - 1, len(state)
+    d, size, (time, step) = len(state) // 2 - 1, len(state), moment
     g = tableau.gamma * step
     shift, stage = work.shift, work.stages[i]  # stage holds r until u is known
     add_stages(state, 1.0, tableau.a[i], work.stages, i, work.stage_state)
@@ -121,77 +174,134 @@ def implicit_stage(constants, work, tableau, table, time, step, state, i):
     for k in range(d):
         shift[k] = g * (v[k] + stage[k] + g * stage[d + k])
         shift[d + k] = g * stage[d + k]
-    drive_at(table, time + tableau.abscissae[i] * step, work.drive)
-    positions(constants, work, x)
-    velocities(constants, work, v)
+    if moved:
+        drive_at(table, time + tableau.abscissae[i] * step, work.drive)
+        positions(constants, work, x)
+        velocities(constants, work, v)
     supplied, lost = applied_forces(constants, work, x, v)
-    if any_prescribed(constants):
-        factorise(constants, work, 0.0)  # the torque of a prescribed motion needs the true accelerations
-        solve(constants, work, work.trial[:d])
-        supplied += prescribed_power(constants, work, v)
     if i == 0:
         friction_slopes(constants, work, v)
-    factorise(constants, work, g)
-    structural_forces(constants, work, shift[:d], shift[d : 2 * d])
-    friction_shift(constants, work, shift[d : 2 * d])
-    solve(constants, work, work.trial[:d])
+    for implicit in range(0 if any_prescribed(constants) else 1, 2):
+        if implicit:
+            structural_forces(constants, work, shift[:d], shift[d : 2 * d])
+            friction_shift(constants, work, shift[d : 2 * d])
+        factorise(constants, work, (g * implicit, g * g * implicit))
+        solve(constants, work, work.rates)
+        if not implicit:  # the torque of a prescribed motion needs the true accelerations
+            supplied += prescribed_power(constants, work, v)
     for k in range(d):
-        stage[d + k] = g * (work.trial[k] + stage[d + k])
+        stage[d + k] = g * (work.rates[k] + stage[d + k])
         stage[k] = g * (v[k] + stage[k] + stage[d + k])
     stage[2 * d] = g * (supplied + stage[2 * d])
     stage[2 * d + 1] = g * (lost + stage[2 * d + 1])
 
 
-@inner
-def error_norm(tableau, stages, step, state, trial, rtol, atol):
-    """Scaled error of an explicit step; with two error rows the combination of DOP853 (Hairer et al. I, II.10)."""
-    size = len(state) - 2
-    first = second = 0.0
-    for k in range(size):
-        scale = atol + rtol * max(abs(state[k]), abs(trial[k]))
-        one = two = 0.0
-        for j in range(len(tableau.b) + 1):
-            one += tableau.error[0, j] * stages[j, k]
-            if len(tableau.error) > 1:
-                two += tableau.error[1, j] * stages[j, k]
-        first += (one / scale) ** 2
-        second += (two / scale) ** 2
-    if len(tableau.error) == 1:
-        return step * math.sqrt(first / size)
-    if first == 0.0 and second == 0.0:
-        return 0.0
-    return step * first / math.sqrt((first + 0.01 * second) * size)
-
-
 @kernel
-def run_adaptive(constants, work, tableau, table, clock, state, rows, outputs, tolerance):
-    """Adaptive steps of an explicit pair that end on every output time; tolerance = (rtol, atol)."""
-    d, s, evaluations, step = len(state) // 2 - 1, len(tableau.b), 1, clock.step
-    interval = clock.step * clock.substeps
-    slope(constants, work, table, clock.time, state, work.stages[0])
+def run_implicit(constants, work, averages, table, clock, state, rows, outputs):
+    """Fixed steps of the generalised-alpha method or of the implicit midpoint rule, by Newton's method.
+
+    The Jacobian is that of a linearly implicit step, the mass matrix, damping and stiffness at the latest iterate.
+    work.stages[0] and [1] hold the algorithmic and the true accelerations, followed by the two powers.
+    """
+    d, evaluations = len(state) // 2 - 1, 0
+    for k in range(len(state)):
+        work.stages[0, k] = work.stages[1, k] = 0.0
+    ready = averages.midpoint  # otherwise the accelerations at the start come first, by a step of no length
     for r in range(len(rows)):
-        done = 0.0
-        while done < interval:
-            time = clock.time + r * interval + done
-            last = done + 1.0001 * step >= interval
-            h = interval - done if last else step
-            explicit_stages(constants, work, tableau, table, time, h, state)
-            slope(constants, work, table, time + h, work.trial, work.stages[s])
-            evaluations += s
-            error = error_norm(tableau, work.stages, h, state, work.trial, tolerance[0], tolerance[1])
-            if not error <= 1.0:
-                step = h * (max(SMALLEST_FACTOR, SAFETY * error ** (-1.0 / tableau.order)) if error > 1.0 else 0.1)
-                if step < SMALLEST_STEP * interval:
-                    return (DIVERGED if out_of_bounds(work.trial) else NOT_CONVERGED), r, evaluations
-                continue
+        n = 0 if ready or clock.substeps == 0 else -1
+        while n < clock.substeps:
+            h = clock.step if n >= 0 else 0.0
+            time = clock.time + (r * clock.substeps + max(n, 0)) * clock.step
+            drive_at(table, time + (0.5 * h if averages.midpoint else h), work.drive)
+            by_rate, by_place = predict(averages, work, h, state)
+            count = implicit_solution(constants, work, by_rate, by_place, state)
+            evaluations += abs(count)
+            correct(averages, work, h, by_rate, by_place, state)
             if out_of_bounds(work.trial):
                 return DIVERGED, r, evaluations
-            factor = LARGEST_FACTOR if error == 0.0 else SAFETY * error ** (-1.0 / tableau.order)
-            step = max(step, h) if last else h
-            step *= min(LARGEST_FACTOR, max(SMALLEST_FACTOR, factor)) if not (last and factor > 1.0) else 1.0
-            done = interval if last else done + h
+            if count < 0:
+                return NOT_CONVERGED, r, evaluations
             copy(work.trial, state)
-            copy(work.stages[s], work.stages[0])
+            n += 1
+        ready = True
         copy(state, rows[r])
         observe(constants, work, state[:d], state[d : 2 * d], outputs[r])
     return OK, len(rows), evaluations
+
+
+@inner
+def predict(averages, work, h, state):
+    """work.stage_state = where the stage is without its accelerations w; returns what rates and places gain per w.
+
+    work.rates gets the first guess of w. Generalised-alpha as Arnold and Bruls (2007) have it.
+    """
+    d = len(state) // 2 - 1
+    old, true = work.stages[0], work.stages[1]
+    if averages.midpoint:
+        for k in range(d):
+            work.stage_state[k], work.stage_state[d + k] = state[k] + 0.5 * h * state[d + k], state[d + k]
+            work.rates[k] = true[k]
+        return 0.5 * h, 0.25 * h * h
+    share = 1.0 / (1.0 - averages.mass)
+    for k in range(d):
+        rest = share * (averages.force * true[k] - averages.mass * old[k])
+        place = (0.5 - averages.beta) * old[k] + averages.beta * rest
+        work.stage_state[k] = state[k] + h * state[d + k] + h * h * place
+        work.stage_state[d + k] = state[d + k] + h * ((1.0 - averages.gamma) * old[k] + averages.gamma * rest)
+        work.rates[k] = true[k]
+    weight = (1.0 - averages.force) * share
+    return h * averages.gamma * weight, h * h * averages.beta * weight
+
+
+@inner
+def implicit_solution(constants, work, by_rate, by_place, state):
+    """work.rates = accelerations w that the stage has by itself; returns the iterations, negative without success.
+
+    work.trial = the stage that they lead to, with the two powers there in place of the ledger.
+    """
+    d = len(state) // 2 - 1
+    place, speed, shift, w = work.trial[:d], work.trial[d : 2 * d], work.shift, work.rates
+    count, largest = 0, 1.0
+    while count < ITERATIONS and CONVERGED < largest < 1e30:
+        count += 1
+        for k in range(d):
+            place[k] = work.stage_state[k] + by_place * w[k]
+            speed[k] = work.stage_state[d + k] + by_rate * w[k]
+            shift[k], shift[d + k] = -by_place * w[k], -by_rate * w[k]
+        positions(constants, work, place)
+        velocities(constants, work, speed)
+        supplied, lost = applied_forces(constants, work, place, speed)
+        friction_slopes(constants, work, speed)
+        structural_forces(constants, work, shift[:d], shift[d : 2 * d])
+        friction_shift(constants, work, shift[d : 2 * d])
+        factorise(constants, work, (by_rate, by_place))
+        solve(constants, work, w)
+        largest = 0.0
+        for k in range(d):
+            moved = abs(by_place * w[k] + shift[k]) / (1.0 + abs(place[k]))
+            largest = max(largest, moved, abs(by_rate * w[k] + shift[d + k]) / (1.0 + abs(speed[k])))
+    work.trial[2 * d] = supplied + prescribed_power(constants, work, speed)
+    work.trial[2 * d + 1] = lost
+    return count if largest <= CONVERGED else -count
+
+
+@inner
+def correct(averages, work, h, by_rate, by_place, state):
+    """work.trial = the state and ledger after the step; keeps the accelerations for the next one."""
+    d = len(state) // 2 - 1
+    old, true, w = work.stages[0], work.stages[1], work.rates
+    share = 1.0 / (1.0 - averages.mass)
+    for k in range(d):
+        work.trial[k] = work.stage_state[k] + by_place * w[k]
+        work.trial[d + k] = work.stage_state[d + k] + by_rate * w[k]
+        if averages.midpoint:
+            work.trial[k], work.trial[d + k] = state[k] + h * work.trial[d + k], state[d + k] + h * w[k]
+        elif h > 0.0:
+            old[k] = share * ((1.0 - averages.force) * w[k] + averages.force * true[k] - averages.mass * old[k])
+        else:
+            old[k] = w[k]
+        true[k] = w[k]
+    for k in range(2 * d, 2 * d + 2):
+        power = work.trial[k]
+        work.trial[k] = state[k] + h * (power if averages.midpoint else 0.5 * (power + true[k]))
+        true[k] = power
