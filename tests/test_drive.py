@@ -66,6 +66,21 @@ def test_the_linearly_implicit_method_converges_to_the_same_motion(model, scene)
     assert residuals[1] < 2e-3 * expected.energy_turnover[-1]
 
 
+@pytest.mark.parametrize("name", [name for name, method in fm.METHODS.items() if not method.adaptive])
+def test_every_method_knows_every_part_of_the_drive(name):
+    """Friction, spinning rotors, a driven joint and disturbances at once, against the reference method."""
+    joints = [replace(joint, viscous_friction=5.0, coulomb_friction=20.0) for joint in SCENE.arm.joints]
+    arm = replace(SCENE.arm, joints=joints)
+    model = fm.build_model(arm, modes=2, spinning_rotors=True)
+    forces = {"tip_force": [fm.Signal(50.0), fm.Signal(), WOBBLE], "base_acceleration": [WOBBLE, WOBBLE, fm.Signal()]}
+    scene = replace(SCENE, arm=arm, **REPLACED, **forces)
+    expected = truth(scene, model)
+    found = fm.simulate(scene, model, method=name, step=1e-4)
+    assert np.abs(found.tip - expected.tip).max() < (1e-3 if fm.METHODS[name].order == 1 else 2e-5)
+    scale = expected.energy_turnover[-1]
+    assert np.abs(found.energy_residual).max() < (1e-2 if fm.METHODS[name].order == 1 else 1e-4) * scale
+
+
 @both
 def test_a_prescribed_motion_is_the_limit_of_a_heavy_rotor(model):
     heavy = replace(SCENE.arm, joints=[replace(SCENE.arm.joints[0], rotor_inertia=1e9), *SCENE.arm.joints[1:]])
