@@ -13,7 +13,7 @@ from flexman_gym.dynamics import (
     mass_matrix,
     tip_acceleration,
 )
-from flexman_gym.methods import METHODS
+from flexman_gym.methods import METHODS, generalised_alpha
 from flexman_gym.model import Model, build_model
 from flexman_gym.scene import Initial, ModelChoice, Scene
 from flexman_gym.sensors import Limits
@@ -45,6 +45,7 @@ __all__ = [
     "catalog",
     "curvature",
     "frequencies",
+    "generalised_alpha",
     "inverse_dynamics",
     "linearize",
     "mass_matrix",
