@@ -162,8 +162,8 @@ def test_binaries_lie_in_the_folder_of_these_sources():
     assert files == {f"{name}.py" for name in (*kernels.__all__, "__init__")}
 
 
-def test_other_packages_keep_their_cache_folder():
+def test_other_packages_keep_their_cache_folder(tmp_path):
     """`numba.config.CACHE_DIR` is as it was before the import."""
     script = "import numba; before = numba.config.CACHE_DIR; import flexman_gym; print(before, numba.config.CACHE_DIR)"
-    before, after = run(ROOT, os.environ.get("NUMBA_CACHE_DIR", "elsewhere"), script)
+    before, after = run(ROOT, os.environ.get("NUMBA_CACHE_DIR", str(tmp_path)), script)
     assert before == after
