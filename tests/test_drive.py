@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 import flexman_gym as fm
 from flexman_gym.kernels import layout
 
+pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")  # of the printed area, in a file
 SCENE = replace(fm.catalog.paper_scene("ff"), duration=0.5)
 MODELS = {
     "flexible joints": fm.build_model(SCENE.arm, modes=5),
