@@ -285,7 +285,7 @@ def test_rendering_without_a_mode_warns_and_gives_nothing():
         ({"method": "euler"}, "method", "dop853, ros2"),
         ({"step": 0.003}, "step", "divides the control period, 0.02 s"),
         ({"step": 0.05}, "step", "divides the control period, 0.02 s"),
-        ({"method": "rk4", "step": None}, "step", "a number > 0"),
+        ({"step": None, "method": "rk4"}, "step", "a number > 0"),
         ({"control_period": 0.0}, "control_period", "a finite number > 0"),
         ({"torque_limit": -1.0}, "torque_limit", "a finite number > 0"),
         ({"modes": 13}, "modes[0]", "at most 12"),
