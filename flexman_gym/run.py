@@ -52,7 +52,7 @@ class Run:
 
     def start(self, state: Array, row: Array, found: Array) -> None:
         """Records the state as it is, by a run of no steps, which also loads or compiles the kernels."""
-        self.work.pace[0] = 0.0
+        self.work.pace[0] = self.work.stages[:] = 0.0
         at_rest = drive_table([None] * (len(self.constants.mass) + 6))
         self(at_rest, (0.0, 0.0, 0), state, row[None], found[None])
 

@@ -16,6 +16,7 @@ from flexman_gym.kernels.outputs import observe
 from flexman_gym.kernels.pace import LEAST_PACE, error_norm, first_pace, next_pace, next_step, out_of_bounds
 
 ITERATIONS, CONVERGED = 25, 1e-11  # of an implicit step; the largest relative change that ends them
+ROUNDING = 1e-7  # a change below it that no longer shrinks is rounding, of stiff springs after many turns for example
 
 
 @inner
@@ -201,11 +202,10 @@ def run_implicit(constants, work, averages, table, clock, state, rows, outputs):
     """Fixed steps of the generalised-alpha method or of the implicit midpoint rule, by Newton's method.
 
     The Jacobian is that of a linearly implicit step, the mass matrix, damping and stiffness at the latest iterate.
-    work.stages[0] and [1] hold the algorithmic and the true accelerations, followed by the two powers.
+    work.stages[0] and [1] hold the algorithmic and the true accelerations, followed by the two powers; zero at first.
+    They outlive the run, so that the next one only adds what a new drive changes.
     """
     d, evaluations = len(state) // 2 - 1, 0
-    for k in range(len(state)):
-        work.stages[0, k] = work.stages[1, k] = 0.0
     ready = averages.midpoint  # otherwise the accelerations at the start come first, by a step of no length
     for r in range(len(rows)):
         n = 0 if ready or clock.substeps == 0 else -1
@@ -261,9 +261,9 @@ def implicit_solution(constants, work, by_rate, by_place, state):
     """
     d = len(state) // 2 - 1
     place, speed, shift, w = work.trial[:d], work.trial[d : 2 * d], work.shift, work.rates
-    count, largest = 0, 1.0
-    while count < ITERATIONS and CONVERGED < largest < 1e30:
-        count += 1
+    count, largest, converged = 0, 1.0, False
+    while count < ITERATIONS and largest < 1e30 and not converged:
+        count, before = count + 1, largest
         for k in range(d):
             place[k] = work.stage_state[k] + by_place * w[k]
             speed[k] = work.stage_state[d + k] + by_rate * w[k]
@@ -280,9 +280,10 @@ def implicit_solution(constants, work, by_rate, by_place, state):
         for k in range(d):
             moved = abs(by_place * w[k] + shift[k]) / (1.0 + abs(place[k]))
             largest = max(largest, moved, abs(by_rate * w[k] + shift[d + k]) / (1.0 + abs(speed[k])))
+        converged = largest <= CONVERGED or 0.5 * before < largest < ROUNDING
     work.trial[2 * d] = supplied + prescribed_power(constants, work, speed)
     work.trial[2 * d + 1] = lost
-    return count if largest <= CONVERGED else -count
+    return count if converged else -count
 
 
 @inner
@@ -299,7 +300,7 @@ def correct(averages, work, h, by_rate, by_place, state):
         elif h > 0.0:
             old[k] = share * ((1.0 - averages.force) * w[k] + averages.force * true[k] - averages.mass * old[k])
         else:
-            old[k] = w[k]
+            old[k] += w[k] - true[k]
         true[k] = w[k]
     for k in range(2 * d, 2 * d + 2):
         power = work.trial[k]
