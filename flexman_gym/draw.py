@@ -107,7 +107,7 @@ class FramePainter:
         width, height = self.size
         dpi = 100.0 * min(width / 480, height / 360)  # lines and dots grow with the picture
         # Matplotlib cuts a fraction of a pixel off: the tenth keeps rounding from cutting a whole one.
-        self._figure = _new_figure(((width + 0.1) / dpi, (height + 0.1) / dpi), dpi)
+        self._figure = new_figure(((width + 0.1) / dpi, (height + 0.1) / dpi), dpi)
         self._axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0))
         half = np.array([width, height]) / 2 * self.reach * max(2 * SIDE / width, (TOP - BOTTOM) / height)
         middle = (TOP + BOTTOM) / 2 * self.reach
@@ -216,7 +216,7 @@ def paper_figures(
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"figure_{number:02d}.png" for number in range(6, 12)]
     for column, path in enumerate(paths):
-        figure = _new_figure((6.4, 4.0), 120.0, layout="constrained")
+        figure = new_figure((6.4, 4.0), 120.0, layout="constrained")
         axes = figure.add_subplot()
         _difference(axes, column, rigid, cases)
         axes.set_title(f"{axes.get_title()}, under 400 N m at every joint")
@@ -227,7 +227,7 @@ def paper_figures(
 
 
 def _all_figures(rigid: Trajectory, cases: dict[str, Trajectory], path: Path) -> Path:
-    figure = _new_figure((10.5, 6.0), 120.0, layout="constrained")
+    figure = new_figure((10.5, 6.0), 120.0, layout="constrained")
     grid = figure.subplots(2, 3, sharex=True, sharey="row")
     for column, axes in enumerate(grid.flat):
         _difference(axes, column, rigid, cases)
@@ -278,7 +278,7 @@ def _round_number(value: float) -> float:
     return float(next(power * step for step in (1, 2, 5, 10) if power * step >= value))
 
 
-def _new_figure(inches: tuple[float, float], dpi: float, **options: Any) -> Any:
+def new_figure(inches: tuple[float, float], dpi: float, **options: Any) -> Any:
     """A Matplotlib figure on its own canvas: no window, and nothing of pyplot's global state."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -47,12 +47,17 @@ ARROWS = {
     " kernels",
     "verification_motions": "verification_cases verification trajectory drive simulator dynamics model beam scene"
     " catalog arm",
+    "stability": "verification simulator dynamics model methods beam",
+    "stability_cases": "stability run simulator drive model methods beam catalog arm kernels",
+    "stability_charts": "stability_cases stability draw methods",
+    "stability_page": "stability_cases stability methods",
 }
 _PUBLIC = "envs tasks sensors control metrics study draw fidelity simulator dynamics model methods scene catalog arm"
 _PUBLIC += " strain drive trajectory run"
 ARROWS["flexman_gym"] = _PUBLIC
 ARROWS["agents"] = f"agents flexman_gym checks {_PUBLIC}"
 ARROWS["scripts"] = f"scripts agents flexman_gym checks {_PUBLIC} verification verification_cases verification_motions"
+ARROWS["scripts"] += " stability stability_cases stability_charts stability_page"
 INSIDE_KERNELS = {"numba", "llvmlite", "numpy", "math", "operator", "typing", "collections"}
 CACHE_ROOM = {"hashlib", "os", "tempfile", "pathlib"}  # kernels/__init__.py names the folder of the binaries
 HEAVY = {"torch", "stable_baselines3", "matplotlib", "pyvista", "ray"}

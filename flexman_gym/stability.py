@@ -1,0 +1,218 @@
+"""Stability: what a method does to an undamped vibration, predicted from its coefficients, and rows of measurements."""
+
+import csv
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from scipy.linalg import eigh
+
+from flexman_gym.beam import Array
+from flexman_gym.dynamics import frequencies, mass_matrix, stiffness_matrix
+from flexman_gym.methods import EXPLICIT, IMPLICIT, METHODS, Method, extrapolation_weights
+from flexman_gym.model import Model
+from flexman_gym.simulator import Simulator
+from flexman_gym.verification import machine
+
+OK, INACCURATE, DIVERGED, NOT_CONVERGED = "ok", "inaccurate", "diverged", "not converged"
+VERDICTS = (OK, INACCURATE, DIVERGED, NOT_CONVERGED)
+FIXED = tuple(name for name, method in METHODS.items() if not method.adaptive)
+EXPLICIT_METHODS = tuple(name for name in FIXED if METHODS[name].kind == EXPLICIT)
+MODE_ENERGY = 1e-8  # J in each mode of a small vibration: a motion of micrometres, at which the arm is linear
+
+STEPS, PERIODS = 100, 20  # of a run that decides whether a step is stable: 2000 steps
+GROWTH = 10.0  # of its energy from the first half to the second, from which on it is not
+BOUNDLESS = 1e4  # times the first energy: growth, too, that ended early in a motion of another kind
+LIMIT_TOLERANCE = 0.05  # of a predicted limit
+BISECTIONS = 9  # to a thousandth of the limit
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measurement.
+
+    study      what it belongs to
+    parameter  what the study varies, in the unit of its chart
+    method     a name from METHODS
+    step       s
+    quantity   what was measured, with its unit
+    value      the number
+    expected   what the theory predicts; None where it predicts nothing
+    verdict    "ok", "inaccurate", "diverged" or "not converged"
+    """
+
+    study: str
+    parameter: float
+    method: str
+    step: float
+    quantity: str
+    value: float
+    expected: float | None
+    verdict: str
+
+
+def amplification_factors(method: Method, angle: float) -> Array:
+    """Complex factors by which a step of a method multiplies the parts of an undamped vibration.
+
+    angle  omega h, the angle (rad) by which the exact vibration turns in a step
+
+    Runge-Kutta and linearly implicit methods have one (with its conjugate), the stability function R(i omega h); the
+    semi-implicit Euler method two and the generalised-alpha method three, eigenvalues of their amplification matrix.
+    """
+    if method.semi_implicit:
+        return np.linalg.eigvals(np.array([[1.0 - angle**2, angle], [-angle, 1.0]]))
+    if method.kind == IMPLICIT:
+        return _implicit_factors(method, angle)
+    ones = np.ones(len(method.b))
+    matrix = method.a + method.coupling_matrix + method.gamma * np.eye(len(ones))
+    total = 0.0j
+    for parts, weight in zip(method.sequence, extrapolation_weights(method.sequence), strict=True):
+        z = 1j * angle / parts
+        total += weight * (1.0 + z * method.b @ np.linalg.solve(np.eye(len(ones)) - z * matrix, ones)) ** parts
+    return np.array([total])
+
+
+def _implicit_factors(method: Method, angle: float) -> Array:
+    if method.radius is None:
+        return np.array([(1.0 + 0.5j * angle) / (1.0 - 0.5j * angle)])
+    mass, force, beta, gamma = method.averages[:4]
+    square = angle**2
+    # of q, h v and h^2 a: (1 - mass) a1 + mass a = -omega^2 ((1 - force) q1 + force q), with Newmark's q1 and v1
+    after = [[1.0, 0.0, -beta], [0.0, 1.0, -gamma], [(1.0 - force) * square, 0.0, 1.0 - mass]]
+    before = [[1.0, 1.0, 0.5 - beta], [0.0, 1.0, 1.0 - gamma], [-force * square, 0.0, -mass]]
+    return np.linalg.eigvals(np.linalg.solve(np.array(after), np.array(before)))
+
+
+def spectral_radius(method: Method, angle: float) -> float:
+    """The largest factor by which a step multiplies an undamped vibration that turns by an angle (rad) in it."""
+    return float(np.abs(amplification_factors(method, angle)).max())
+
+
+def vibration_factor(method: Method, angle: float) -> complex:
+    """The factor that stands for the vibration itself: the one next to the exact factor exp(i omega h)."""
+    factors = amplification_factors(method, angle)
+    factors = np.concatenate([factors, factors.conj()])
+    return complex(factors[np.abs(factors - np.exp(1j * angle)).argmin()])
+
+
+def stability_limit(method: Method, growth: float = 0.0) -> float:
+    """The largest omega h (rad) up to which no step multiplies an undamped vibration by more than 1 + growth.
+
+    Infinite for a method that passes at every omega h up to 1e4. Rounding of 1e-12 counts as no growth.
+    """
+    grid = np.concatenate([np.arange(1, 10_000) * 1e-3, np.geomspace(10.0, 1e4, 300)])
+    most = 1.0 + growth + 1e-12
+    above = next((i for i, angle in enumerate(grid) if spectral_radius(method, angle) > most), None)
+    if above is None:
+        return math.inf
+    low, high = (grid[above - 1] if above else 0.0), grid[above]
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if spectral_radius(method, middle) <= most else (low, middle)
+    return float(low)
+
+
+def growth_per_step() -> float:
+    """The growth of amplitude in a step that a run of `measured_limit` just tolerates."""
+    return float(GROWTH ** (1.0 / (STEPS * PERIODS)) - 1.0)
+
+
+def predicted_limit(model: Model, method: Method, growth: float = 0.0) -> float:
+    """The largest stable step (s) of a method at the straight arm at rest, by its highest natural frequency."""
+    return stability_limit(method, growth) / (2.0 * np.pi * float(frequencies(model)[-1]))
+
+
+def measured_limit(model: Model, method: Method, guess: float) -> float:
+    """The largest step (s) at which a small vibration does not grow in 2000 steps as `grows` says.
+
+    The vibration is in all modes, mostly in the highest. Found by bisection between half and one and a half times a guess (s); NaN when it does not lie there.
+    """
+    start = small_vibration(model, [model.n_dof - model.n_joints]) + small_vibration(model, energy=1e-3 * MODE_ENERGY)
+    low, high = 0.5 * guess, 1.5 * guess
+    if grows(model, method, low, start) or not grows(model, method, high, start):
+        return math.nan
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if grows(model, method, middle, start) else (middle, high)
+    return 0.5 * (low + high)
+
+
+def grows(model: Model, method: Method, step: float, start: Array) -> bool:
+    """Whether the undriven motion from a state (2 d,) fails within 2000 steps (s) or its energy grows tenfold.
+
+    The largest energy of the second half counts against that of the first, and 1e4 times the first energy: the semi-implicit Euler method lets the
+    energy of a vibration waver, the more the nearer its limit, and yet it stays bounded.
+    """
+    simulator = Simulator(model, method, step, control_period=STEPS * step)
+    simulator.reset(state=start)
+    energies, torque, most = [], np.zeros(model.n_joints), BOUNDLESS * simulator.energy
+    for _ in range(PERIODS):
+        if simulator.step(torque) != OK or not simulator.energy < most:
+            return True
+        energies.append(simulator.energy)
+    half = PERIODS // 2
+    return not max(energies[half:]) < GROWTH * max(energies[:half])
+
+
+def natural_modes(model: Model) -> tuple[Array, Array]:
+    """Angular frequencies (d,) rad/s, ascending, and shapes (d, d), columns of unit modal mass, of the straight arm.
+
+    The first n are those of the arm that turns about its joints, of frequency 0.
+    """
+    mass = mass_matrix(model, model.initial_state(np.zeros(model.n_joints)))
+    squares, shapes = eigh(stiffness_matrix(model), mass)
+    squares[: model.n_joints] = 0.0
+    return np.sqrt(np.maximum(squares, 0.0)), shapes
+
+
+def small_vibration(model: Model, modes: Sequence[int] | None = None, energy: float = MODE_ENERGY) -> Array:
+    """State (2 d,) of the straight arm, bent and at rest, with an energy (J) in each of these modes, counted from 1.
+
+    None takes all; mode 1 is the lowest above the n of frequency 0.
+    """
+    omegas, shapes = natural_modes(model)
+    n = model.n_joints
+    columns = np.arange(n, model.n_dof) if modes is None else n - 1 + np.array(modes)
+    start = model.initial_state(np.zeros(n))
+    start[: model.n_dof] = shapes[:, columns] @ (math.sqrt(2.0 * energy) / omegas[columns])
+    return start
+
+
+def select(rows: Iterable[Row], **wanted: object) -> list[Row]:
+    """The rows with these values of their fields."""
+    return [row for row in rows if all(getattr(row, name) == value for name, value in wanted.items())]
+
+
+def write_rows(path: Path, rows: Iterable[Row]) -> None:
+    """Writes rows to a CSV file, below a comment with the machine and the versions that computed them."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        file.write("# " + ", ".join(f"{name} {value}" for name, value in machine().items()) + "\n")
+        writer = csv.writer(file, lineterminator="\n")
+        names = [field.name for field in fields(Row)]
+        writer.writerow(names)
+        for row in rows:
+            values = [getattr(row, name) for name in names]
+            writer.writerow([f"{value:.9g}" if isinstance(value, float) else value for value in values])
+
+
+def read_rows(path: Path) -> tuple[str, list[Row]]:
+    """The comment and the rows of a file that `write_rows` wrote."""
+    with path.open(encoding="utf-8", newline="") as file:
+        comment = file.readline().removeprefix("# ").strip()
+        found = list(csv.DictReader(file))
+    rows = [
+        Row(
+            study=line["study"],
+            parameter=float(line["parameter"]),
+            method=line["method"],
+            step=float(line["step"]),
+            quantity=line["quantity"],
+            value=float(line["value"]),
+            expected=float(line["expected"]) if line["expected"] else None,
+            verdict=line["verdict"],
+        )
+        for line in found
+    ]
+    return comment, rows

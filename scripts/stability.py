@@ -1,0 +1,67 @@
+"""Measures where each method fails, and what it damps: python scripts/stability.py --folder docs"""
+
+import argparse
+import sys
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from time import perf_counter
+
+from flexman_gym.stability import Row, read_rows, write_rows
+from flexman_gym.stability_cases import (
+    CASES,
+    LIMIT_STUDIES,
+    amplification_rows,
+    damping_rows,
+    drift_rows,
+    limit_rows,
+    map_rows,
+)
+from flexman_gym.stability_page import page, summary
+
+QUICK_METHODS, QUICK_STEPS = ("ros2", "implicit_midpoint"), (0.005, 0.02)
+
+
+def rows(quick: bool = False) -> Iterator[Row]:
+    """All rows, or a small grid of them."""
+    yield from amplification_rows()
+    for study in LIMIT_STUDIES:
+        yield from limit_rows(study, quick)
+    for study in CASES:
+        yield from map_rows(study, quick)
+    for rotor_inertia in (1.0, 10.0):
+        yield from damping_rows(rotor_inertia, QUICK_METHODS, QUICK_STEPS) if quick else damping_rows(rotor_inertia)
+    yield from drift_rows(10_000) if quick else drift_rows()
+
+
+def main() -> int:
+    """Reads the command line, prints a summary and writes what it is asked for."""
+    parser = argparse.ArgumentParser(description="Measure where each method fails, and what it damps.")
+    parser.add_argument("--quick", action="store_true", help="a small grid, less than 30 s once compiled")
+    parser.add_argument("--csv", type=Path, help="file for the rows")
+    parser.add_argument("--folder", type=Path, help="folder for rows, pictures and page: stability.csv, *.png, *.md")
+    parser.add_argument("--rows", type=Path, help="take the rows from this file instead of measuring")
+    options = parser.parse_args()
+    if options.quick and options.folder:
+        parser.error("--folder: the page needs all rows; leave --quick out")
+    warnings.filterwarnings("ignore", "Link.second_moment_y", UserWarning)  # of the paper's printed area of link 1
+    started = perf_counter()
+    found = read_rows(options.rows)[1] if options.rows else list(rows(options.quick))
+    print(summary(found))
+    print(f"{perf_counter() - started:.0f} s")
+    if options.csv:
+        write_rows(options.csv, found)
+    if options.folder:
+        from flexman_gym.stability_charts import draw
+
+        file = options.rows or options.folder / "stability.csv"
+        if not options.rows:
+            write_rows(file, found)
+        machine, found = read_rows(file)
+        draw(found, options.folder)
+        (options.folder / "stability.md").write_text(page(machine, found), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
