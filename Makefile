@@ -2,7 +2,7 @@ PYTHON ?= python3
 RUN := .venv/bin/python -m
 CODE := flexman_gym scripts $(wildcard agents/*.py)
 
-.PHONY: demo test lint verify clean
+.PHONY: demo test lint verify stability clean
 
 demo: .venv/installed
 	.venv/bin/python scripts/demo.py
@@ -12,6 +12,9 @@ test: lint
 
 verify: .venv/installed
 	.venv/bin/python scripts/verify.py --markdown docs/verification.md
+
+stability: .venv/installed
+	.venv/bin/python scripts/stability.py --folder docs
 
 lint: .venv/installed
 	$(RUN) ruff check $(CODE) tests

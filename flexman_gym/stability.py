@@ -4,9 +4,11 @@ import csv
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
+from functools import cache
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from flexman_gym.beam import Array
@@ -53,7 +55,7 @@ class Row:
     verdict: str
 
 
-def amplification_factors(method: Method, angle: float) -> Array:
+def amplification_factors(method: Method, angle: float) -> NDArray[np.complex128]:
     """Complex factors by which a step of a method multiplies the parts of an undamped vibration.
 
     angle  omega h, the angle (rad) by which the exact vibration turns in a step
@@ -62,7 +64,7 @@ def amplification_factors(method: Method, angle: float) -> Array:
     semi-implicit Euler method two and the generalised-alpha method three, eigenvalues of their amplification matrix.
     """
     if method.semi_implicit:
-        return np.linalg.eigvals(np.array([[1.0 - angle**2, angle], [-angle, 1.0]]))
+        return _eigenvalues(np.array([[1.0 - angle**2, angle], [-angle, 1.0]]))
     if method.kind == IMPLICIT:
         return _implicit_factors(method, angle)
     ones = np.ones(len(method.b))
@@ -74,7 +76,7 @@ def amplification_factors(method: Method, angle: float) -> Array:
     return np.array([total])
 
 
-def _implicit_factors(method: Method, angle: float) -> Array:
+def _implicit_factors(method: Method, angle: float) -> NDArray[np.complex128]:
     if method.radius is None:
         return np.array([(1.0 + 0.5j * angle) / (1.0 - 0.5j * angle)])
     mass, force, beta, gamma = method.averages[:4]
@@ -82,7 +84,11 @@ def _implicit_factors(method: Method, angle: float) -> Array:
     # of q, h v and h^2 a: (1 - mass) a1 + mass a = -omega^2 ((1 - force) q1 + force q), with Newmark's q1 and v1
     after = [[1.0, 0.0, -beta], [0.0, 1.0, -gamma], [(1.0 - force) * square, 0.0, 1.0 - mass]]
     before = [[1.0, 1.0, 0.5 - beta], [0.0, 1.0, 1.0 - gamma], [-force * square, 0.0, -mass]]
-    return np.linalg.eigvals(np.linalg.solve(np.array(after), np.array(before)))
+    return _eigenvalues(np.linalg.solve(np.array(after), np.array(before)))
+
+
+def _eigenvalues(matrix: Array) -> NDArray[np.complex128]:
+    return np.linalg.eigvals(matrix).astype(np.complex128)
 
 
 def spectral_radius(method: Method, angle: float) -> float:
@@ -97,6 +103,7 @@ def vibration_factor(method: Method, angle: float) -> complex:
     return complex(factors[np.abs(factors - np.exp(1j * angle)).argmin()])
 
 
+@cache
 def stability_limit(method: Method, growth: float = 0.0) -> float:
     """The largest omega h (rad) up to which no step multiplies an undamped vibration by more than 1 + growth.
 
@@ -127,7 +134,8 @@ def predicted_limit(model: Model, method: Method, growth: float = 0.0) -> float:
 def measured_limit(model: Model, method: Method, guess: float) -> float:
     """The largest step (s) at which a small vibration does not grow in 2000 steps as `grows` says.
 
-    The vibration is in all modes, mostly in the highest. Found by bisection between half and one and a half times a guess (s); NaN when it does not lie there.
+    The vibration is in all modes, mostly in the highest. Found by bisection between half and one and a half times a
+    guess (s); NaN when it does not lie there.
     """
     start = small_vibration(model, [model.n_dof - model.n_joints]) + small_vibration(model, energy=1e-3 * MODE_ENERGY)
     low, high = 0.5 * guess, 1.5 * guess
@@ -142,8 +150,9 @@ def measured_limit(model: Model, method: Method, guess: float) -> float:
 def grows(model: Model, method: Method, step: float, start: Array) -> bool:
     """Whether the undriven motion from a state (2 d,) fails within 2000 steps (s) or its energy grows tenfold.
 
-    The largest energy of the second half counts against that of the first, and 1e4 times the first energy: the semi-implicit Euler method lets the
-    energy of a vibration waver, the more the nearer its limit, and yet it stays bounded.
+    The largest energy of the second half counts against that of the first, and 1e4 times the first energy: the
+    semi-implicit Euler method lets the energy of a vibration waver, the more the nearer its limit, and yet it stays
+    bounded.
     """
     simulator = Simulator(model, method, step, control_period=STEPS * step)
     simulator.reset(state=start)

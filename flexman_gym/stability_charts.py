@@ -26,8 +26,9 @@ from flexman_gym.stability_cases import (
     THRESHOLD,
 )
 
+CROSS = "\u00d7"
 COLOURS = {OK: SKY, INACCURATE: YELLOW, DIVERGED: RED, NOT_CONVERGED: MIDDLE}
-MARKS = {OK: "", INACCURATE: "~", DIVERGED: "×", NOT_CONVERGED: "?"}
+MARKS = {OK: "", INACCURATE: "~", DIVERGED: CROSS, NOT_CONVERGED: "?"}
 LABELS = {
     SPRINGS: "stiffness of every joint spring (N m/rad)",
     MODES: "loaded modes kept of every link",
@@ -105,7 +106,7 @@ def _keys(study: str) -> list[Any]:
     from matplotlib.patches import Patch
 
     texts = {OK: f"tip within {1e3 * THRESHOLD:g} mm", INACCURATE: f"~ tip more than {1e3 * THRESHOLD:g} mm off",
-             DIVERGED: "× diverged", NOT_CONVERGED: "? iteration not converged"}  # fmt: skip
+             DIVERGED: f"{CROSS} diverged", NOT_CONVERGED: "? iteration not converged"}  # fmt: skip
     keys: list[Any] = [Patch(facecolor=COLOURS[verdict], label=text) for verdict, text in texts.items()]
     if study in LIMIT_STUDIES:
         keys.append(Line2D([], [], color=DARK, linewidth=2.2, label="predicted limit"))
@@ -164,15 +165,14 @@ def _damping(_: str, rows: Sequence[Row]) -> Any:
             axes.set(xlim=(-0.5, len(steps) - 0.5), ylim=(len(FIXED) - 0.5, -0.5))
     figure.supxlabel("step (ms)")
     figure.suptitle(
-        "Amplitude left after 10 s of an undamped vibration (truth: 100 %); × after it: other modes made the energy grow"
-        " tenfold", fontsize=13,
-    )  # fmt: skip
+        f"Amplitude (%) left after 10 s of an undamped vibration, in truth 100; {CROSS}: the run diverged", fontsize=13
+    )
     return figure
 
 
 def _share(row: Row) -> str:
     if np.isnan(row.value):
-        return "×"
+        return CROSS
     percent = 100.0 * row.value
     if percent < 0.1:
         text = "< 0.1"
@@ -180,7 +180,7 @@ def _share(row: Row) -> str:
         text = "> 1000"
     else:
         text = f"{percent:.1f}" if percent < 99.95 or percent >= 100.05 else "100"
-    return text + " ×" * (row.verdict == DIVERGED)
+    return text + f" {CROSS}" * (row.verdict == DIVERGED)
 
 
 def _drift(_: str, rows: Sequence[Row]) -> Any:

@@ -16,6 +16,7 @@ from flexman_gym.stability_cases import (
     drift_rows,
     limit_rows,
     map_rows,
+    spin_limit_row,
 )
 from flexman_gym.stability_page import page, summary
 
@@ -27,6 +28,7 @@ def rows(quick: bool = False) -> Iterator[Row]:
     yield from amplification_rows()
     for study in LIMIT_STUDIES:
         yield from limit_rows(study, quick)
+    yield spin_limit_row()
     for study in CASES:
         yield from map_rows(study, quick)
     for rotor_inertia in (1.0, 10.0):
@@ -54,6 +56,7 @@ def main() -> int:
     if options.folder:
         from flexman_gym.stability_charts import draw
 
+        options.folder.mkdir(parents=True, exist_ok=True)
         file = options.rows or options.folder / "stability.csv"
         if not options.rows:
             write_rows(file, found)

@@ -48,9 +48,10 @@ ARROWS = {
     "verification_motions": "verification_cases verification trajectory drive simulator dynamics model beam scene"
     " catalog arm",
     "stability": "verification simulator dynamics model methods beam",
-    "stability_cases": "stability run simulator drive model methods beam catalog arm kernels",
+    "stability_cases": "stability run simulator dynamics drive model methods beam catalog arm kernels",
     "stability_charts": "stability_cases stability draw methods",
-    "stability_page": "stability_cases stability methods",
+    "stability_conclusions": "stability_cases stability",
+    "stability_page": "stability_conclusions stability_cases stability methods",
 }
 _PUBLIC = "envs tasks sensors control metrics study draw fidelity simulator dynamics model methods scene catalog arm"
 _PUBLIC += " strain drive trajectory run"

@@ -174,7 +174,7 @@ def test_extrapolated_euler_grows_slowly_where_the_midpoint_rule_keeps_the_vibra
     ratios = {}
     for name in ("extrapolated_euler_3", "implicit_midpoint", "ros2"):
         simulator = fm.Simulator(model, name, step, steps * step)
-        simulator.reset(state=small_vibration(model, [model.n_dof - 3], energy=1e-12))
+        simulator.reset(state=small_vibration(model, [model.n_dof - 3]))
         first = simulator.energy
         assert simulator.step(np.zeros(3)) == "ok"
         ratios[name] = math.sqrt(simulator.energy / first)
@@ -182,7 +182,8 @@ def test_extrapolated_euler_grows_slowly_where_the_midpoint_rule_keeps_the_vibra
     assert radius == pytest.approx(1.0016, abs=5e-5)
     assert ratios["extrapolated_euler_3"] == pytest.approx(radius**steps, rel=0.1) and radius**steps > 1e3
     assert ratios["implicit_midpoint"] == pytest.approx(1.0, abs=1e-3)
-    assert ratios["ros2"] < 1e-3  # nor is damping the cure for one who wants that mode
+    damped = spectral_radius(fm.METHODS["ros2"], angle) ** steps
+    assert ratios["ros2"] == pytest.approx(damped, rel=0.1) and damped < 0.1  # no cure for one who wants that mode
 
 
 def test_strong_damping_eats_the_vibration_and_the_midpoint_rule_keeps_it():
@@ -205,8 +206,8 @@ def test_a_linear_frame_fails_past_its_spin_limit_and_stiffening_survives(name):
         case = spin_case(rate, stiffening)
         simulator = fm.Simulator(case.model, name, 0.0025, 0.02, prescribed=(0,))
         simulator.reset(state=case.start)
-        statuses = {simulator.step([0.0]) for _ in range(100)}
-        return float(np.linalg.norm(simulator.deflection[1:])) if statuses == {"ok"} else math.inf
+        done = all(simulator.step([0.0]) == "ok" for _ in range(100))
+        return float(np.linalg.norm(simulator.deflection[1:])) if done else math.inf
 
     assert deflection(1.3 * limit, False) > 1.0
     assert deflection(0.7 * limit, False) < 0.05
@@ -242,7 +243,7 @@ def test_clamped_modes_without_torsion_miss_centimetres_and_loaded_modes_do_not(
 
 
 def test_a_tiny_rotor_on_a_stiff_spring_stops_an_explicit_method_and_ros2_is_right():
-    model, step = arm_model(2, rotor_inertia=1e-6), 0.001
+    model, step = arm_model(2, rotor_inertia=1e-6), 0.00025
     scene = replace(fm.catalog.paper_scene(), duration=0.2, output_step=0.02)
     truth = fm.simulate(scene, model, "dop853", rtol=1e-8, atol=1e-10)
     assert truth.status == "ok"
