@@ -172,7 +172,7 @@ def _damping_conclusions(rows: Sequence[Row]) -> list[str]:
         f"{share('extrapolated_euler_3', 0.005, 2.0)} of mode 2 are "
         '"left". `extrapolated_euler_5` is the most faithful of the linearly implicit ones at 5 ms '
         f"({share('extrapolated_euler_5', 0.005, 2.0)}), and yet it and its kin diverge at other steps ({diverged}), "
-        "where a higher mode falls into their band of growth.",
+        "where some mode falls into their band of growth.",
         "",
     ]
 
