@@ -192,10 +192,10 @@ def test_strong_damping_eats_the_vibration_and_the_midpoint_rule_keeps_it():
     assert damping(1.0, "ros2", 0.001)[KEPT, 2.0].value > 0.99  # the same method keeps it at a short step
 
 
-def test_restarts_damp_what_generalised_alpha_would_keep():
+def test_generalised_alpha_keeps_its_vibration_over_control_periods():
     rows = damping(1.0, "generalised_alpha", 0.005)
     assert rows[KEPT, 2.0].value > 0.998
-    assert rows[RESTARTED, 2.0].value < 0.98
+    assert rows[RESTARTED, 2.0].value == pytest.approx(rows[KEPT, 2.0].value, abs=1e-3)
 
 
 @pytest.mark.parametrize("name", ["rk4", "ros2", "implicit_midpoint"])
