@@ -41,6 +41,10 @@ ARROWS = {
     "tasks": "sensors simulator dynamics model beam scene catalog arm checks kernels",
     "study": "fidelity metrics control simulator dynamics model methods scene catalog arm checks",
     "draw": "trajectory simulator dynamics model beam scene catalog arm checks",
+    "precision": "simulator trajectory model scene beam",
+    "precision_cases": "precision simulator drive model scene catalog",
+    "charts": "precision draw",
+    "precision_page": "precision charts verification",
     "envs": "tasks sensors control draw trajectory simulator model methods beam scene catalog arm checks kernels",
     "verification_links": "verification closed_forms dynamics model beam arm",
     "verification_cases": "verification_links verification closed_forms simulator dynamics model beam catalog arm"
@@ -59,6 +63,7 @@ ARROWS["flexman_gym"] = _PUBLIC
 ARROWS["agents"] = f"agents flexman_gym checks {_PUBLIC}"
 ARROWS["scripts"] = f"scripts agents flexman_gym checks {_PUBLIC} verification verification_cases verification_motions"
 ARROWS["scripts"] += " stability stability_cases stability_charts stability_page"
+ARROWS["scripts"] += " precision precision_cases precision_page charts"
 INSIDE_KERNELS = {"numba", "llvmlite", "numpy", "math", "operator", "typing", "collections"}
 CACHE_ROOM = {"hashlib", "os", "tempfile", "pathlib"}  # kernels/__init__.py names the folder of the binaries
 HEAVY = {"torch", "stable_baselines3", "matplotlib", "pyvista", "ray"}
