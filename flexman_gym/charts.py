@@ -9,16 +9,17 @@ from flexman_gym.draw import BLUE, DARK, GREEN, LIGHT, MIDDLE, ORANGE, RED, SKY,
 from flexman_gym.precision import OK, Row, pareto_front
 
 COST = "CPU seconds per simulated second"
-PURPLE, BLACK = "#CC79A7", "#000000"
+PURPLE, BLACK, TEAL, PINE = "#CC79A7", "#000000", "#66C2A5", "#004D3A"
+GAIN = 0.9  # a run on the front is named when its error is less than this part of that of the one named before
 # method: colour, marker; those who cannot tell the colours apart have the markers
 METHOD_STYLES = {
     "semi_implicit_euler": (ORANGE, "v"),
     "rk4": (BLUE, "o"),
     "dopri5": (SKY, "D"),
     "ros2": (RED, "s"),
-    "extrapolated_euler_3": (GREEN, "^"),
+    "extrapolated_euler_3": (TEAL, "^"),
     "extrapolated_euler_4": (GREEN, "<"),
-    "extrapolated_euler_5": (GREEN, ">"),
+    "extrapolated_euler_5": (PINE, ">"),
     "implicit_midpoint": (PURPLE, "P"),
     "generalised_alpha": (BLACK, "X"),
 }
@@ -60,12 +61,12 @@ def time_error_chart(rows: Sequence[Row], floors: dict[str, float], title: str, 
 
 def total_error_chart(rows: Sequence[Row], floor: float, title: str, path: Path) -> None:
     """Total error over cost, one dot a run, coloured by the kind of model; the Pareto front names its models."""
-    figure, panels = _panels(1, title)
+    figure, panels = _panels(1, title, 7.0)
     (axes,) = panels
     for name, (colour, marker) in MODEL_STYLES.items():
         line = [row for row in rows if family(row.model) == name]
         _line(axes, line, "total_error", name, {"color": colour, "marker": marker, "linestyle": ""})
-    front = _front(axes, rows, "total_error")
+    front = _front(axes, rows, "total_error", floor)
     _floor(axes, floor, "how well finest models agree")
     _name(axes, front)
     axes.set_ylabel("total error: largest distance of the tip from the truth (m)")
@@ -80,14 +81,14 @@ def peers_chart(rows: Sequence[Row], peers: dict[str, list[Row]], floor: float, 
     looks = zip((ORANGE, RED, PURPLE, GREEN, SKY, BLACK, MIDDLE, DARK), "o^vD<>PX", strict=True)
     for (name, found), (colour, marker) in zip(peers.items(), looks, strict=False):
         _line(axes, found, "total_error", name, {"color": colour, "marker": marker, "markersize": 7.0})
-    _front(axes, [*rows, *(row for found in peers.values() for row in found)], "total_error")
+    _front(axes, [*rows, *(row for found in peers.values() for row in found)], "total_error", floor)
     _floor(axes, floor, "how well finest models agree")
     axes.set_ylabel("total error: largest distance of the tip from the truth (m)")
     _finish(figure, panels, path)
 
 
-def _panels(count: int, title: str) -> tuple[Any, list[Any]]:
-    figure = _new_figure((5.6 + 4.4 * count, 5.4), 110.0, layout="constrained")
+def _panels(count: int, title: str, height: float = 5.4) -> tuple[Any, list[Any]]:
+    figure = _new_figure((5.6 + 4.4 * count, height), 110.0, layout="constrained")
     panels = list(figure.subplots(1, count, sharey=True, squeeze=False)[0])
     figure.suptitle(title, fontsize=13)
     for axes in panels:
@@ -116,9 +117,9 @@ def _line(axes: Any, rows: Sequence[Row], column: str, label: str, look: dict[st
         axes.plot(failed, [0.985] * len(failed), "x", color=look["color"], markersize=6.0, transform=upper)
 
 
-def _front(axes: Any, rows: Sequence[Row], column: str) -> list[Row]:
-    """A broad pale line along the best runs, which it returns."""
-    front = [rows[i] for i in pareto_front([(row.cpu, _error(row, column)) for row in rows])]
+def _front(axes: Any, rows: Sequence[Row], column: str, floor: float = 0.0) -> list[Row]:
+    """A broad pale line along the best runs, which it returns; errors below the floor (m) are all the same."""
+    front = [rows[i] for i in pareto_front([(row.cpu, max(floor, _error(row, column))) for row in rows])]
     values = [row.cpu for row in front], [_error(row, column) for row in front]
     look = {"color": "#b9bec7", "linewidth": 7.0, "alpha": 0.6, "zorder": 0, "solid_joinstyle": "round"}
     axes.plot(*values, drawstyle="steps-post", label="Pareto front", **look)
@@ -130,8 +131,11 @@ def _floor(axes: Any, floor: float, label: str) -> None:
 
 
 def _name(axes: Any, front: Sequence[Row]) -> None:
-    """Numbers the runs on the front where the model changes; the legend says what they are."""
-    changes = [row for last, row in zip([None, *front], front, strict=False) if last is None or last.model != row.model]
+    """Numbers the runs on the front that gain much; the legend says what they are."""
+    changes: list[Row] = []
+    for row in front:
+        if not changes or _error(row, "total_error") < GAIN * _error(changes[-1], "total_error"):
+            changes.append(row)
     for number, row in enumerate(changes, start=1):
         place = {"xytext": (-5, -5), "textcoords": "offset points", "ha": "right", "va": "top"}
         axes.annotate(str(number), (row.cpu, row.total_error), fontsize=9, color=DARK, **place)

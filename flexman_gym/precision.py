@@ -176,6 +176,22 @@ def cheapest(rows: Sequence[Row], model: str, method: str, error: float) -> Row 
     return min((row for row in found if row.time_error <= error), key=lambda row: row.cpu, default=None)  # type: ignore[operator]
 
 
+def settled(rows: Sequence[Row], error: float) -> list[Row]:
+    """The runs that come within a total error (m) together with every finer step of their model and method.
+
+    They owe nothing to errors of model and method that happen to cancel at one step.
+    """
+    return [
+        row
+        for row in rows
+        if all(
+            (other.total_error or 0.0) <= error
+            for other in rows
+            if (other.model, other.method) == (row.model, row.method) and (other.step or 0.0) <= (row.step or 0.0)
+        )
+    ]
+
+
 def setbacks(rows: Sequence[Row], factor: float = 10.0) -> list[tuple[Row, Row]]:
     """Pairs of a run and a finer one of the same scene, model and method that is less accurate by a factor, or fails.
 

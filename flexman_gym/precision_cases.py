@@ -108,7 +108,7 @@ def total_truth(case: Case, built: dict[str, Model], reference: Path) -> Truth:
         return Truth(tip, Truth(tip, 0.0, "").distance(fine), "independent large-rotation code")
     if fine.status != OK:
         raise RuntimeError(f"the finest model of {case.name}: {fine.status}")
-    coarser = simulate(case.scene, built[NEXT_FINEST], "extrapolated_euler_5", step=2.5 * _MS)
+    coarser = simulate(case.scene, built[NEXT_FINEST], "implicit_midpoint", step=0.1 * _MS)
     return Truth(fine.tip, Truth(fine.tip, 0.0, "").distance(coarser), f"{FINEST}, implicit_midpoint 0.1 ms")
 
 

@@ -8,7 +8,9 @@ A flexible joint is two hinges about one axis, one after the other: the motor's,
 (which resists relative rotation only, as in the paper's Eq. 23), and the spring's; the joint angle is their sum.
 """
 
+import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
@@ -18,17 +20,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 import flexman_gym as fm
+from flexman_gym.precision import OK, Row, Study
 
 Array = NDArray[np.float64]
-INTEGRATORS = ("Euler", "RK4", "implicitfast", "implicit", "discrete")
+SANE = 0.5  # m, of an error that still is a simulation
+DISCRETE = (2, 10, 20, 50, 100)  # steps of `discrete` in 10 ms: it is stable at all of them
+INTEGRATORS = ("Euler", "RK4", "implicitfast", "discrete")
 
 
 @dataclass(frozen=True, eq=False)
 class PeerRun:
-    """What a peer computed: tip (T, 3) m at the output times, and CPU seconds per simulated second."""
+    """What a peer computed: tip (T, 3) m at the output times, CPU and wall seconds per simulated second."""
 
     tip: Array
     cpu: float
+    wall: float
 
     @property
     def finite(self) -> bool:
@@ -107,10 +113,11 @@ def run(scene: fm.Scene, pieces: int, integrator: str, step: float) -> PeerRun:
     rows, substeps = round(scene.duration / scene.output_step), round(scene.output_step / step)
     if abs(substeps * step - scene.output_step) > 1e-9 * scene.output_step:
         raise ValueError(f"step: {step} is not allowed; give a number that divides {scene.output_step} s")
+    mujoco.set_mju_user_warning(lambda message: None)  # else it writes a file about every divergence
     mujoco.mj_forward(model, data)
     tip = np.full((rows + 1, 3), np.nan)
     tip[0] = data.site("tip").xpos
-    started = time.process_time()
+    started = time.process_time(), time.perf_counter()
     for row in range(1, rows + 1):
         mujoco.mj_step(model, data, substeps)
         mujoco.mj_kinematics(model, data)  # a step leaves the places of its start
@@ -118,7 +125,29 @@ def run(scene: fm.Scene, pieces: int, integrator: str, step: float) -> PeerRun:
         if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or not np.isfinite(data.qpos).all():
             tip[row:] = np.nan  # it resets itself and goes on from the start
             break
-    return PeerRun(tip, (time.process_time() - started) / scene.duration)
+    reached = row * scene.output_step
+    return PeerRun(tip, (time.process_time() - started[0]) / reached, (time.perf_counter() - started[1]) / reached)
+
+
+def stable_runs(study: Study) -> list[Callable[[], Row]]:
+    """Runs with 4 and 8 pieces: at the longest stable step of each integrator, found by trying."""
+
+    def row(pieces: int, integrator: str, parts: int) -> Row:
+        done = run(study.scene, pieces, integrator, 0.01 / parts)
+        error = float(np.linalg.norm(done.tip - study.truth.tip, axis=1).max()) if done.finite else math.inf
+        evaluations = 100.0 * parts * (4 if integrator == "RK4" else 1)
+        costs, status = (done.cpu, done.wall, evaluations), OK if error < SANE else "diverged"
+        return Row(study.name, f"MuJoCo, {pieces} pieces", integrator, 0.01 / parts, None, *costs, None, error, status)
+
+    found: list[Callable[[], Row]] = []
+    for pieces in (4, 8):
+        for name in integrators():
+            parts = DISCRETE[0]
+            while name != "discrete" and row(pieces, name, parts).status != OK:
+                parts = math.ceil(1.1 * parts)
+            chosen = {"discrete": DISCRETE, "Euler": (parts, 2 * parts)}.get(name, (parts,))
+            found += [lambda a=(pieces, name, each): row(*a) for each in chosen]  # type: ignore[misc]
+    return found
 
 
 def _add(parent: ElementTree.Element, tag: str, attributes: dict[str, str] | None = None, **more: str) -> Any:

@@ -44,7 +44,7 @@ ARROWS = {
     "precision": "simulator trajectory model scene beam",
     "precision_cases": "precision simulator drive model scene catalog",
     "charts": "precision draw",
-    "precision_page": "precision charts verification",
+    "precision_page": "precision charts methods verification",
     "envs": "tasks sensors control draw trajectory simulator model methods beam scene catalog arm checks kernels",
     "verification_links": "verification closed_forms dynamics model beam arm",
     "verification_cases": "verification_links verification closed_forms simulator dynamics model beam catalog arm"

@@ -14,10 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flexman_gym import catalog
+from flexman_gym.methods import METHODS
 from flexman_gym.model import build_model
 from flexman_gym.precision import Floor, Row, Truth, cheapest, pareto_front, read_rows, setbacks, write_rows
 from flexman_gym.precision_cases import RIGID_LINKS, cases, choices, whirl_scene
-from flexman_gym.precision_page import page, pictures
+from flexman_gym.precision_page import amplification, page, pictures
 from flexman_gym.simulator import simulate
 
 ROOT = Path(__file__).parents[1]
@@ -168,3 +169,17 @@ def test_scenes_and_models_of_the_study():
         assert (RIGID_LINKS in named) == case.scene.model.flexible_joints
         assert {"rigid", "1 mode a link", "7 modes a link", "1 element a link", "4 elements a link"} <= set(named)
     assert max(map(abs, whirl_scene().initial.joint_rates)) >= 5.0
+
+
+@pytest.mark.parametrize("name", ["extrapolated_euler_3", "extrapolated_euler_4", "extrapolated_euler_5"])
+def test_amplification_is_that_of_one_step_of_an_oscillator(name):
+    """The linearly implicit Euler method in n parts multiplies exp(i w t) by (1 - i w h / n)^-n."""
+    method = METHODS[name]
+    factor, angle = amplification(method)
+    table = [[(1 - 1j * angle / n) ** -n for n in method.sequence]]
+    for column in range(1, method.order):  # Neville's scheme, one power of the step after another
+        last, n = table[-1], method.sequence
+        ratios = [n[i + column] / n[i] for i in range(len(last) - 1)]
+        table.append([last[i + 1] + (last[i + 1] - last[i]) / (ratio - 1) for i, ratio in enumerate(ratios)])
+    assert abs(table[-1][0]) == pytest.approx(factor, rel=1e-12)
+    assert 1.0 < factor < 1.01
