@@ -19,8 +19,8 @@ ROUNDS = 2
 FINE = [f"{mesh}, foreshortening" for mesh in ("1, 2 and 2 elements", "2 elements a link", "3 elements a link")]
 GRID = {"extrapolated_euler_3": (1, 2, 3, 4, 5, 6), "extrapolated_euler_5": (1, 2, 3), "implicit_midpoint": range(2, 7)}
 Timer = Callable[[], Row]
-NOTE = """The rows are in `peers.csv`. MuJoCo's links are 4 or 8 rigid pieces between springs; Exudyn is left out, since its
-floating frame needs finite-element data that nobody has written here.
+NOTE = """The rows are in `peers.csv`. MuJoCo's links are 4 or 8 rigid pieces between springs; Exudyn is left out,
+since its floating frame needs finite-element data that nobody has written here.
 Each run takes the paper's arm with everything flexible through 2 s under 400 N m; the error is the largest distance of
 the tip from an independent large-rotation code. The cost is CPU time, the best of {} rounds in which all take turns."""
 
