@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from flexman_gym.draw import BLUE, DARK, GREEN, LIGHT, MIDDLE, ORANGE, RED, SKY, _new_figure
+from flexman_gym.draw import BLUE, DARK, GREEN, LIGHT, MIDDLE, ORANGE, RED, SKY, new_figure
 from flexman_gym.precision import OK, Row, pareto_front
 
 COST = "CPU seconds per simulated second"
@@ -88,7 +88,7 @@ def peers_chart(rows: Sequence[Row], peers: dict[str, list[Row]], floor: float, 
 
 
 def _panels(count: int, title: str, height: float = 5.4) -> tuple[Any, list[Any]]:
-    figure = _new_figure((5.6 + 4.4 * count, height), 110.0, layout="constrained")
+    figure = new_figure((5.6 + 4.4 * count, height), 110.0, layout="constrained")
     panels = list(figure.subplots(1, count, sharey=True, squeeze=False)[0])
     figure.suptitle(title, fontsize=13)
     for axes in panels:
