@@ -4,10 +4,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
+from flexman_gym.amplification import largest_growth
 from flexman_gym.charts import METHOD_STYLES
-from flexman_gym.methods import METHODS, Method, extrapolation_weights
+from flexman_gym.methods import METHODS
 from flexman_gym.precision import Floor, Row, cheapest, pareto_front, setbacks, settled
 from flexman_gym.verification import machine
 
@@ -104,21 +103,12 @@ PRIOR = (
 )
 
 
-def amplification(method: Method) -> tuple[float, float]:
-    """Largest factor by which a step of an extrapolation multiplies an undamped oscillation, and step times angular
-    frequency (rad) where it does."""
-    angles = np.logspace(-3.0, 3.0, 6001)
-    parts = zip(extrapolation_weights(method.sequence), method.sequence, strict=True)
-    factors = np.abs(sum(weight * (1.0 - 1j * angles / n) ** -float(n) for weight, n in parts))
-    return float(factors.max()), float(angles[factors.argmax()])
-
-
 def _instability(rows: Sequence[Row]) -> list[str]:
     """That finer steps can do harm, where they do, and why."""
     pairs = [pair for pair in setbacks(rows) if pair[1].method.startswith("extrapolated")]
     if not pairs:
         return []
-    known = {name: amplification(METHODS[name]) for name in sorted({fine.method for _, fine in pairs})}
+    known = {name: largest_growth(METHODS[name]) for name in sorted({fine.method for _, fine in pairs})}
     growth = [f"{factor:.4f} for {name} (at {y:.2g})" for name, (factor, y) in known.items()]
     worst = {fine.method: (coarse, fine) for coarse, fine in pairs if math.isfinite(fine.time_error or 0.0)}
     places = [

@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from flexman_gym import catalog
+from flexman_gym.amplification import spectral_radius, vibration_factor
 from flexman_gym.arm import Payload
 from flexman_gym.beam import Array
 from flexman_gym.drive import drive_table
@@ -29,8 +30,6 @@ from flexman_gym.stability import (
     natural_modes,
     predicted_limit,
     small_vibration,
-    spectral_radius,
-    vibration_factor,
 )
 
 ERROR, LIMIT, ENERGY, RADIUS = "tip error, m", "step limit, s", "energy error, relative", "spectral radius"

@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Sequence
 from functools import partial
 
+from flexman_gym.amplification import stability_limit
 from flexman_gym.methods import METHODS
 from flexman_gym.stability import (
     DIVERGED,
@@ -18,7 +19,6 @@ from flexman_gym.stability import (
     Row,
     growth_per_step,
     select,
-    stability_limit,
 )
 from flexman_gym.stability_cases import (
     AMPLIFICATION,

@@ -14,11 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flexman_gym import catalog
+from flexman_gym.amplification import largest_growth
 from flexman_gym.methods import METHODS
 from flexman_gym.model import build_model
 from flexman_gym.precision import Floor, Row, Truth, cheapest, pareto_front, read_rows, setbacks, write_rows
 from flexman_gym.precision_cases import RIGID_LINKS, cases, choices, whirl_scene
-from flexman_gym.precision_page import amplification, page, pictures
+from flexman_gym.precision_page import page, pictures
 from flexman_gym.simulator import simulate
 
 ROOT = Path(__file__).parents[1]
@@ -175,7 +176,7 @@ def test_scenes_and_models_of_the_study():
 def test_amplification_is_that_of_one_step_of_an_oscillator(name):
     """The linearly implicit Euler method in n parts multiplies exp(i w t) by (1 - i w h / n)^-n."""
     method = METHODS[name]
-    factor, angle = amplification(method)
+    factor, angle = largest_growth(method)
     table = [[(1 - 1j * angle / n) ** -n for n in method.sequence]]
     for column in range(1, method.order):  # Neville's scheme, one power of the step after another
         last, n = table[-1], method.sequence

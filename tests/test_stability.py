@@ -12,6 +12,7 @@ import pytest
 from scipy.linalg import block_diag, eigh
 
 import flexman_gym as fm
+from flexman_gym.amplification import spectral_radius, stability_limit, vibration_factor
 from flexman_gym.beam import build_beam
 from flexman_gym.dynamics import stiffness_matrix
 from flexman_gym.reduction import loaded_modes, outboard_inertias
@@ -27,9 +28,6 @@ from flexman_gym.stability import (
     read_rows,
     select,
     small_vibration,
-    spectral_radius,
-    stability_limit,
-    vibration_factor,
     write_rows,
 )
 from flexman_gym.stability_cases import (
