@@ -13,6 +13,7 @@ from flexman_gym.dynamics import (
     mass_matrix,
     tip_acceleration,
 )
+from flexman_gym.fidelity import Choice, choose_model
 from flexman_gym.methods import METHODS, generalised_alpha
 from flexman_gym.model import Model, build_model
 from flexman_gym.scene import Initial, ModelChoice, Scene
@@ -25,6 +26,7 @@ from flexman_gym.trajectory import Trajectory
 __all__ = [
     "METHODS",
     "Arm",
+    "Choice",
     "ConstantTorque",
     "Initial",
     "Joint",
@@ -43,6 +45,7 @@ __all__ = [
     "acceleration",
     "build_model",
     "catalog",
+    "choose_model",
     "curvature",
     "frequencies",
     "generalised_alpha",

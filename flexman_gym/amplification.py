@@ -17,7 +17,11 @@ def amplification_factors(method: Method, angle: float) -> NDArray[np.complex128
 
     Runge-Kutta and linearly implicit methods have one (with its conjugate), the stability function R(i omega h); the
     semi-implicit Euler method two and the generalised-alpha method three, eigenvalues of their amplification matrix.
+
+    Raises ValueError for a reference method, which has no fixed step.
     """
+    if method.adaptive:
+        raise ValueError(f"method: {method.name} chooses its steps; give one of fixed steps")
     if method.semi_implicit:
         return _eigenvalues(np.array([[1.0 - angle**2, angle], [-angle, 1.0]]))
     if method.kind == IMPLICIT:
@@ -82,7 +86,7 @@ def explicit_limit(method: Method) -> float:
 
 
 def largest_growth(method: Method) -> tuple[float, float]:
-    """The largest factor by which a step multiplies an undamped vibration, and the angle omega h (rad) where it does."""
+    """The largest factor by which a step multiplies an undamped vibration, and the omega h (rad) where it does."""
     angles = np.geomspace(1e-3, 1e3, 1501)
     factors = [spectral_radius(method, angle) for angle in angles]
     return max(factors), float(angles[np.argmax(factors)])

@@ -137,7 +137,7 @@ def linearize(
     return LinearModel(
         A=np.block([[np.zeros((d, d)), np.eye(d)], [slopes[:, : 2 * d]]]),
         B=np.vstack([np.zeros((d, n)), slopes[:, 2 * d :]]),
-        C=np.hstack([_tip_jacobian(model, x), np.zeros((3, d))]),
+        C=np.hstack([tip_jacobian(model, x), np.zeros((3, d))]),
         D=np.zeros((3, n)),
     )
 
@@ -262,7 +262,7 @@ def _coordinate_sizes(model: Model) -> Array:
     return sizes
 
 
-def _tip_jacobian(model: Model, x: Array) -> Array:
+def tip_jacobian(model: Model, x: Array) -> Array:
     """(3, d) tip velocity per unit speed."""
     rows = np.zeros((model.n_dof, OUTPUTS))
     work = make_work(model.constants)

@@ -86,7 +86,7 @@ class Model:
 def build_model(
     arm: Arm,
     elements: int | tuple[int, ...] = 2,
-    modes: int | tuple[int, ...] | None = None,
+    modes: int | tuple[int | tuple[int, ...], ...] | None = None,
     flexible_links: bool | tuple[bool, ...] = True,
     flexible_joints: bool = True,
     stiffening: bool = False,
@@ -101,6 +101,7 @@ def build_model(
         elements: finite elements of a Link, or of each section of a NonUniformLink; one value or one per link, and no
             more than 64 elements of a link in all. A link has 6 * elements * number of sections coordinates.
         modes: loaded component modes kept of a flexible link, at most its number of coordinates; None keeps them all.
+            One value or one per link: how many, of the lowest frequencies, or a tuple of their numbers, counted from 0.
         flexible_links: False makes a link rigid.
         flexible_joints: False locks the springs of all joints; their rotor inertia stays.
         stiffening: foreshortening of bent links (geometric stiffening), needed where links spin about as fast as they
@@ -147,13 +148,15 @@ def _each(name: str, value: object, n: int) -> tuple:
     return value
 
 
-def _basis(beam: Beam, outboard: Array, modes: int | None, field: str) -> Array:
+def _basis(beam: Beam, outboard: Array, modes: int | tuple[int, ...] | None, field: str) -> Array:
     size = len(beam.stiffness)
     if modes is None:
         return np.eye(size)
-    if modes > size:
+    if isinstance(modes, int) and modes > size:
         raise refusal(field, modes, f"at most {size}, the elastic coordinates of this link's elements")
-    return loaded_modes(beam, outboard)[1][:, :modes]
+    if isinstance(modes, tuple) and modes[-1] >= size:
+        raise refusal(field, modes, f"mode numbers below {size}, the elastic coordinates of this link's elements")
+    return loaded_modes(beam, outboard)[1][:, range(modes) if isinstance(modes, int) else modes]
 
 
 def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], choice: ModelChoice) -> layout.Constants:

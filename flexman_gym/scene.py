@@ -37,7 +37,9 @@ class ModelChoice:
     flexible_links   bool; a rigid link has no elastic coordinate
     elements         finite elements of a Link, or of each section of a NonUniformLink; 1 to 64, in a link as a whole
                      too. A link has 6 * elements * number of sections coordinates
-    modes            modes kept of a link, 0 to its number of coordinates (at most 384); None keeps every coordinate
+    modes            modes kept of a link: how many, those of the lowest frequencies, 0 to its number of coordinates (at
+                     most 384), or, in a tuple for all links, a tuple of their numbers, ascending, the lowest being 0:
+                     (4, (0, 1, 3), 0) keeps four modes, modes 0, 1 and 3, and none; None keeps every coordinate
     flexible_joints  False makes every joint rigid, whatever its stiffness
     stiffening       foreshortening (geometric stiffening) of the links
     spinning_rotors  a rotor spins as a body in the frame that carries its joint; False neglects that frame's rotation,
@@ -52,7 +54,7 @@ class ModelChoice:
 
     flexible_links: bool | tuple[bool, ...]
     elements: int | tuple[int, ...]
-    modes: int | tuple[int, ...] | None = None
+    modes: int | tuple[int | tuple[int, ...], ...] | None = None
     flexible_joints: bool = True
     stiffening: bool = False
     spinning_rotors: bool = False
@@ -69,7 +71,7 @@ class ModelChoice:
             rotary_inertia=flag("ModelChoice.rotary_inertia", self.rotary_inertia),
         )
         if self.modes is not None:
-            store(self, modes=_one_or_each("ModelChoice.modes", self.modes, whole_number, 0, 6 * MOST_ELEMENTS))
+            store(self, modes=_one_or_each("ModelChoice.modes", self.modes, _modes, 6 * MOST_ELEMENTS))
 
 
 @dataclass(frozen=True)
@@ -237,6 +239,16 @@ def _one_or_each(name: str, value: object, check: Callable[..., Any], *limits: i
     if not entries:
         raise refusal(name, value, "one value, or one for each link")
     return tuple(check(f"{name}[{i}]", entry, *limits) for i, entry in enumerate(entries))
+
+
+def _modes(name: str, value: object, most: int) -> int | tuple[int, ...]:
+    """Check how many modes of a link are kept, or which."""
+    if not isinstance(value, list | tuple | np.ndarray):
+        return whole_number(name, value, 0, most)
+    numbers = tuple(whole_number(f"{name}[{i}]", entry, 0, most - 1) for i, entry in enumerate(sequence(name, value)))
+    if not numbers or list(numbers) != sorted({*numbers}):
+        raise refusal(name, value, "a number of modes, or mode numbers that ascend, at least one")
+    return numbers
 
 
 def _arm(data: object) -> Arm:

@@ -282,7 +282,7 @@ def test_rendering_without_a_mode_warns_and_gives_nothing():
 @pytest.mark.parametrize(
     ("arguments", "field", "allowed"),
     [
-        ({"method": "euler"}, "method", "dop853, ros2"),
+        ({"method": "euler"}, "method", "one of semi_implicit_euler, rk4"),
         ({"step": 0.003}, "step", "divides the control period, 0.02 s"),
         ({"step": 0.05}, "step", "divides the control period, 0.02 s"),
         ({"step": None, "method": "rk4"}, "step", "a number > 0"),

@@ -28,13 +28,16 @@ ARROWS = {
     "beam": "arm checks",
     "reduction": "beam arm checks",
     "methods": "kernels checks",
+    "amplification": "methods beam",
     "model": "reduction beam scene arm checks kernels",
     "strain": "model beam scene arm checks",
     "dynamics": "model reduction beam scene arm checks kernels",
     "trajectory": "model beam checks kernels",
     "run": "model methods drive beam checks kernels",
     "simulator": "run trajectory drive dynamics model methods reduction beam scene arm checks kernels",
-    "fidelity": "simulator dynamics model methods reduction beam scene arm checks",
+    "fidelity_search": "trajectory simulator dynamics model methods beam scene checks",
+    "fidelity": "fidelity_search amplification trajectory simulator dynamics model methods reduction beam scene arm"
+    " checks",
     "control": "simulator dynamics model reduction beam scene catalog arm checks kernels",
     "sensors": "strain simulator dynamics model beam scene catalog arm checks kernels",
     "metrics": "simulator beam scene checks",
@@ -44,21 +47,22 @@ ARROWS = {
     "precision": "simulator trajectory model scene beam",
     "precision_cases": "precision simulator drive model scene catalog",
     "charts": "precision draw",
-    "precision_page": "precision charts methods verification",
-    "envs": "tasks sensors control draw trajectory simulator model methods beam scene catalog arm checks kernels",
+    "precision_page": "amplification precision charts methods verification",
+    "envs": "fidelity drive tasks sensors control draw trajectory simulator model methods beam scene catalog arm checks"
+    " kernels",
     "verification_links": "verification closed_forms dynamics model beam arm",
     "verification_cases": "verification_links verification closed_forms simulator dynamics model beam catalog arm"
     " kernels",
     "verification_motions": "verification_cases verification trajectory drive simulator dynamics model beam scene"
     " catalog arm",
-    "stability": "verification simulator dynamics model methods beam",
-    "stability_cases": "stability run simulator dynamics drive model methods beam catalog arm kernels",
+    "stability": "amplification verification simulator dynamics model methods beam",
+    "stability_cases": "amplification stability run simulator dynamics drive model methods beam catalog arm kernels",
     "stability_charts": "stability_cases stability draw methods",
     "stability_conclusions": "stability_cases stability",
-    "stability_page": "stability_conclusions stability_cases stability methods",
+    "stability_page": "amplification stability_conclusions stability_cases stability methods",
 }
 _PUBLIC = "envs tasks sensors control metrics study draw fidelity simulator dynamics model methods scene catalog arm"
-_PUBLIC += " strain drive trajectory run"
+_PUBLIC += " strain drive trajectory run amplification"
 ARROWS["flexman_gym"] = _PUBLIC
 ARROWS["agents"] = f"agents flexman_gym checks {_PUBLIC}"
 ARROWS["scripts"] = f"scripts agents flexman_gym checks {_PUBLIC} verification verification_cases verification_motions"

@@ -112,6 +112,13 @@ def test_kept_modes_count_as_asked_and_rigid_links_have_none(sample):
     assert columns.stop == model.n_dof
 
 
+def test_modes_may_be_chosen_by_their_numbers():
+    arm = fm.catalog.paper_rrr()
+    every, chosen = fm.build_model(arm, modes=12), fm.build_model(arm, modes=((1, 4, 11), 3, 0))
+    for i, numbers in enumerate(([1, 4, 11], [0, 1, 2], [])):
+        assert np.array_equal(chosen.bases[i], every.bases[i][:, numbers])
+
+
 def test_modes_of_an_assembled_arm_come_down_to_those_of_the_full_model():
     """Rayleigh-Ritz: with more modes no frequency rises, and none falls below the full model's."""
     arm = fm.catalog.paper_rrr()
@@ -129,6 +136,7 @@ def test_modes_of_an_assembled_arm_come_down_to_those_of_the_full_model():
     [
         ({"modes": 13}, "modes[0]"),
         ({"modes": (4, 4, 13)}, "modes[2]"),
+        ({"modes": (4, (0, 12), 3)}, "modes[1]"),
         ({"modes": (4, 4)}, "modes"),
         ({"elements": (2, 2, 2, 2)}, "elements"),
         ({"elements": 0}, "ModelChoice.elements"),

@@ -25,7 +25,7 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore", UserWarning)
     SCENE = Scene.load(REFERENCE[0])
 GIVEN = SCENE.to_dict()
-GIVEN["model"] |= {"modes": [4, 4, 4], "rotary_inertia": False}
+GIVEN["model"] |= {"modes": [4, [0, 1, 3], 4], "rotary_inertia": False}
 UNIFORM = {name: value for name, value in GIVEN["arm"]["links"][1].items() if name != "orientation"}
 GIVEN["arm"]["links"][1] = {"sections": [UNIFORM, dict(UNIFORM)], "orientation": [list(row) for row in IDENTITY]}
 
@@ -55,10 +55,11 @@ def scenes(draw):
         draw(st.floats(0.0, 1.0)),
         draw(st.floats(0.0, 1.0, exclude_max=True)),
     )
+    numbered = st.sets(st.integers(0, 383), min_size=1, max_size=4).map(lambda modes: tuple(sorted(modes)))
     model = ModelChoice(
         draw(st.booleans() | each(st.booleans())),
         draw(st.integers(1, 64) | each(st.integers(1, 64))),
-        draw(st.none() | st.integers(0, 384) | each(st.integers(0, 384))),
+        draw(st.none() | st.integers(0, 384) | each(st.integers(0, 384) | numbered)),
         draw(st.booleans()),
         draw(st.booleans()),
         draw(st.booleans()),
@@ -322,6 +323,10 @@ def test_the_parts_of_a_scene_fit_each_other(part, value, field):
         ({"elements": np.array([2, 65])}, "elements[1]"),
         ({"modes": -1}, "modes"),
         ({"modes": [385]}, "modes[0]"),
+        ({"modes": [4, (0, 384)]}, "modes[1][1]"),
+        ({"modes": [4, (3, 1)]}, "modes[1]"),
+        ({"modes": [4, (1, 1)]}, "modes[1]"),
+        ({"modes": [()]}, "modes[0]"),
         ({"flexible_joints": None}, "flexible_joints"),
         ({"stiffening": "yes"}, "stiffening"),
         ({"rotary_inertia": 0}, "rotary_inertia"),
@@ -335,6 +340,7 @@ def test_a_model_choice_refuses(entries, field):
 def test_a_model_choice_takes_one_value_or_one_for_each_link():
     assert ModelChoice(np.array([True, False]), np.array([2, 3]), [4, 0]) == ModelChoice((True, False), (2, 3), (4, 0))
     assert ModelChoice(True, 2).modes is None
+    assert ModelChoice(True, 2, [3, np.array([0, 2])]).modes == (3, (0, 2))
 
 
 def test_sine_torques_agree_in_length_and_have_no_negative_frequency():
