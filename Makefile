@@ -2,7 +2,7 @@ PYTHON ?= python3
 RUN := .venv/bin/python -m
 CODE := flexman_gym scripts $(wildcard agents/*.py)
 
-.PHONY: demo test lint verify stability clean
+.PHONY: demo test lint verify charts clean
 
 demo: .venv/installed
 	.venv/bin/python scripts/demo.py
@@ -13,8 +13,11 @@ test: lint
 verify: .venv/installed
 	.venv/bin/python scripts/verify.py --markdown docs/verification.md
 
-stability: .venv/installed
+charts: .venv/installed
+	.venv/bin/python scripts/work_precision.py --folder docs
+	.venv/bin/python scripts/compare_peers.py --folder docs
 	.venv/bin/python scripts/stability.py --folder docs
+	.venv/bin/python scripts/fidelity.py
 
 lint: .venv/installed
 	$(RUN) ruff check $(CODE) tests
