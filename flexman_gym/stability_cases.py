@@ -33,7 +33,7 @@ from flexman_gym.stability import (
 )
 
 ERROR, LIMIT, ENERGY, RADIUS = "tip error, m", "step limit, s", "energy error, relative", "spectral radius"
-KEPT, RESTARTED, FREQUENCY = "amplitude kept", "amplitude kept, restarted every 0.02 s", "frequency, Hz"
+KEPT, IN_PERIODS, FREQUENCY = "amplitude kept", "amplitude kept, in control periods", "frequency, Hz"
 NATURAL, SPIN_LIMIT = "natural frequency, Hz", "spin limit, rad/s"
 SPRINGS, MODES, PAYLOAD, SPIN, SPIN_STIFFENED = (
     "joint stiffness", "modes", "payload", "spin", "spin with stiffening",
@@ -276,7 +276,7 @@ def damping_rows(
             sampled.append(simulator.state.copy())
         found = _phasors(np.array(sampled), omegas, weights)
         yield from (
-            replace(row, quantity=RESTARTED, expected=None)
+            replace(row, quantity=IN_PERIODS, expected=None)
             for row in _damping_cells(study, GENERALISED, step, omegas, found, simulator.status)
             if row.quantity == KEPT
         )

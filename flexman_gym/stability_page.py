@@ -26,11 +26,11 @@ from flexman_gym.stability_cases import (
     DAMPING_STEPS,
     DRIFT,
     FREQUENCY,
+    IN_PERIODS,
     INVENTED,
     KEPT,
     LIMIT,
     NATURAL,
-    RESTARTED,
     THRESHOLD,
 )
 from flexman_gym.stability_conclusions import map_sections, names_of, percent
@@ -188,11 +188,9 @@ def _amplitude_conclusions(rows: Sequence[Row]) -> list[str]:
         f"left); the semi-implicit Euler method keeps them, but reads up to {percent(euler)} off at an instant, "
         "because what it conserves is not quite the energy. Numerical damping can therefore be computed before a run.",
         "",
-        "`generalised_alpha` carries an acceleration of its own from step to step. A `Simulator` starts it anew in "
-        f"every control period of 20 ms, and of mode 2 at 5 ms {share('generalised_alpha', 0.005, 2.0, RESTARTED)} "
-        f"are then left instead of {share('generalised_alpha', 0.005, 2.0)}; at 20 ms "
-        f"{share('generalised_alpha', 0.02, 2.0, RESTARTED)} instead of {share('generalised_alpha', 0.02, 2.0)}. For "
-        "control, count on the former.",
+        "`generalised_alpha` carries an acceleration of its own from step to step, and a `Simulator` keeps it from one "
+        f"control period of 20 ms to the next: of mode 2 at 5 ms {share('generalised_alpha', 0.005, 2.0, IN_PERIODS)} "
+        f"are then left, as in one run ({share('generalised_alpha', 0.005, 2.0)}).",
         "",
     ]
 
