@@ -2,13 +2,12 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 from flexman_gym.amplification import largest_growth
 from flexman_gym.charts import METHOD_STYLES
 from flexman_gym.methods import METHODS
 from flexman_gym.precision import Floor, Row, cheapest, pareto_front, setbacks, settled
-from flexman_gym.verification import machine
+from flexman_gym.verification import machine_text, table_line
 
 ERRORS = (1e-2, 1e-3, 1e-4, 1e-5)  # m
 ASKED = 3.0  # how many times cheaper than ros2 an extrapolation should be at 1e-4 m
@@ -21,8 +20,7 @@ def page(rows: Sequence[Row], floors: Sequence[Floor]) -> str:
     """A page in Markdown: the conclusion, then pictures and tables of each scene."""
     lines = ["# Speed against accuracy", ""]
     lines += ["Every row of `work_precision.csv` is one run; `python scripts/work_precision.py --folder docs` writes "]
-    lines[-1] += "all of this anew. Computed with "
-    lines[-1] += ", ".join(f"{name} {value}" for name, value in machine().items()) + ", one core."
+    lines[-1] += f"all of this anew. Computed with {machine_text()}, one core."
     lines += ["", *_explanation(), "", "## Conclusion", ""]
     lines += [f"- {sentence}" for sentence in conclusion(rows, floors)]
     for name in dict.fromkeys(floor.scene for floor in floors):
@@ -56,11 +54,11 @@ def cost_table(rows: Sequence[Row], model: str) -> list[str]:
     """The cheapest run of each method that reaches each error, in CPU ms per simulated second."""
     errors = [f"{error:.0e} m" for error in ERRORS]
     lines = [f"CPU ms per simulated second of the cheapest run within a time error, {model}:", ""]
-    lines += [_line(["method", *errors]), _line(["---"] * (1 + len(errors)))]
+    lines += [table_line(["method", *errors]), table_line(["---"] * (1 + len(errors)))]
     for method in METHOD_STYLES:
         found = [cheapest(rows, model, method, error) for error in ERRORS]
         lines.append(
-            _line([method, *("-" if row is None else f"{1e3 * row.cpu:.3g} ({row.setting})" for row in found)])
+            table_line([method, *("-" if row is None else f"{1e3 * row.cpu:.3g} ({row.setting})" for row in found)])
         )
     ratios = {method: ratio(rows, model, method) for method in METHOD_STYLES if method.startswith("extrapolated")}
     texts = [f"{method} {_times(value)}" for method, value in ratios.items()]
@@ -77,11 +75,11 @@ def front_table(rows: Sequence[Row], floor: float) -> list[str]:
     """The runs on the Pareto front of the total error; errors below the floor (m) are all the same."""
     points = [(row.cpu, math.inf if row.total_error is None else max(floor, row.total_error)) for row in rows]
     lines = ["Pareto front of the total error:", ""]
-    lines += [_line(["CPU ms per simulated second", "total error, mm", "model", "method", "setting"])]
-    lines += [_line(["---"] * 5)]
+    lines += [table_line(["CPU ms per simulated second", "total error, mm", "model", "method", "setting"])]
+    lines += [table_line(["---"] * 5)]
     for row in (rows[i] for i in pareto_front(points)):
         numbers = [f"{1e3 * row.cpu:.3g}", f"{1e3 * (row.total_error or 0.0):.3g}"]
-        lines.append(_line([*numbers, row.model, row.method, row.setting]))
+        lines.append(table_line([*numbers, row.model, row.method, row.setting]))
     return lines
 
 
@@ -185,10 +183,6 @@ def _metres(row: Row) -> str:
 
 def _times(value: float | None) -> str:
     return "-" if value is None else f"{value:.2g} times"
-
-
-def _line(cells: Sequence[Any]) -> str:
-    return "| " + " | ".join(map(str, cells)) + " |"
 
 
 def peers_conclusion(rows: Sequence[Row], peers: Sequence[Row], plain: str) -> list[str]:

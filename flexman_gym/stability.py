@@ -15,7 +15,7 @@ from flexman_gym.dynamics import frequencies, mass_matrix, stiffness_matrix
 from flexman_gym.methods import EXPLICIT, METHODS, Method
 from flexman_gym.model import Model
 from flexman_gym.simulator import Simulator
-from flexman_gym.verification import machine
+from flexman_gym.verification import machine_text
 
 OK, INACCURATE, DIVERGED, NOT_CONVERGED = "ok", "inaccurate", "diverged", "not converged"
 VERDICTS = (OK, INACCURATE, DIVERGED, NOT_CONVERGED)
@@ -130,7 +130,7 @@ def select(rows: Iterable[Row], **wanted: object) -> list[Row]:
 def write_rows(path: Path, rows: Iterable[Row]) -> None:
     """Writes rows to a CSV file, below a comment with the machine and the versions that computed them."""
     with path.open("w", encoding="utf-8", newline="") as file:
-        file.write("# " + ", ".join(f"{name} {value}" for name, value in machine().items()) + "\n")
+        file.write(f"# {machine_text()}\n")
         writer = csv.writer(file, lineterminator="\n")
         names = [field.name for field in fields(Row)]
         writer.writerow(names)

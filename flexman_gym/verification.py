@@ -102,8 +102,8 @@ def machine() -> dict[str, str]:
 def markdown(rows: Sequence[Row]) -> str:
     """A page with all rows, without a date, so that it changes only when a number does."""
     lines = ["# Verification", "", f"{summary(rows)} `make verify` writes this page anew.", "", RULE, ""]
-    lines += ["Computed with " + ", ".join(f"{name} {value}" for name, value in machine().items()) + ".", ""]
-    lines += [_line(COLUMNS), _line("---" for _ in COLUMNS), *(_line(row.cells()) for row in rows)]
+    lines += [f"Computed with {machine_text()}.", ""]
+    lines += [table_line(COLUMNS), table_line("---" for _ in COLUMNS), *(table_line(row.cells()) for row in rows)]
     return "\n".join(lines) + "\n"
 
 
@@ -113,9 +113,14 @@ def as_json(rows: Sequence[Row]) -> str:
     return json.dumps({"machine": machine(), "rule": RULE, "rows": clean}, indent=1, allow_nan=False) + "\n"
 
 
-def _line(cells: Iterable[str]) -> str:
+def machine_text(**more: str) -> str:
+    """The same, with more versions, as names and values in a row."""
+    return ", ".join(f"{name} {value}" for name, value in (machine() | more).items())
+
+
+def table_line(cells: Iterable[object]) -> str:
     """One line of a Markdown table."""
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+    return "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
 
 
 def _finite(value: str | float | None) -> str | float | None:

@@ -2,8 +2,6 @@
 
 import argparse
 import json
-import platform
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.metadata import version
@@ -14,6 +12,7 @@ import gymnasium as gym
 import numpy as np
 
 import flexman_gym as fm
+from flexman_gym.verification import machine, machine_text
 
 REPETITIONS, BATCHES, STEPS = 40, 3, 250
 ABA, PLAIN = "Pinocchio aba, rigid arm, from Python", "evaluation, 12 coordinates a link"
@@ -111,11 +110,9 @@ def main() -> None:
     for i in range(REPETITIONS):  # in turns, so that a slow moment of the machine hits all rows
         for name, (call, count) in calls.items():
             times[name][i] = min(repeat(call, number=1, repeat=BATCHES)) / count * 1e6
-    cpu = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text() if platform.system() == "Linux" else "")
-    machine = {"processor": cpu[1] if cpu else platform.processor(), "python": platform.python_version()}
-    machine |= {name: version(name) for name in ["numba", "numpy", "gymnasium", *["pin"] * (ABA in calls)]}
+    peers = {name: version(name) for name in ["gymnasium", *["pin"] * (ABA in calls)]}
     header = f"{'':<40}{'microseconds':>12}{'times peer':>12}{'at most':>12}"
-    print(", ".join(f"{name} {value}" for name, value in machine.items()), NOTE, header, sep="\n")
+    print(machine_text(**peers), NOTE, header, sep="\n")
     rows = []
     for name, found in times.items():
         peer = PLAIN if name.startswith(" ") else ABA
@@ -124,7 +121,7 @@ def main() -> None:
         print(f"{name:<40}" + "".join(f"{'' if x is None else f'{x:.2f}':>12}" for x in row.values()))
         rows.append(dict[str, object](name=name, **row))
     if file:
-        file.write_text(json.dumps({"machine": machine, "note": NOTE, "rows": rows}, indent=1) + "\n")
+        file.write_text(json.dumps({"machine": machine() | peers, "note": NOTE, "rows": rows}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from flexman_gym.charts import peers_chart
 from flexman_gym.precision import Row, Study, Truth, read_rows, write_rows
 from flexman_gym.precision_cases import FINEST, LARGE_ROTATION, PLAIN, models
 from flexman_gym.precision_page import peers_conclusion
-from flexman_gym.verification import machine
+from flexman_gym.verification import machine_text
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference" / LARGE_ROTATION
 ROUNDS = 2
@@ -59,9 +59,9 @@ def publish(rows: list[Row], floor: float, folder: Path) -> None:
         if row not in mine:
             peers.setdefault(f"{row.model}, {row.method}", []).append(row)
     peers_chart(mine, peers, floor, "The paper's arm, everything flexible", folder / "work_precision_peers.png")
-    known = machine() | ({"mujoco": version("mujoco")} if peers else {})
+    known = machine_text(**({"mujoco": version("mujoco")} if peers else {}))
     lines = ["# Beside other codes", "", NOTE.format(ROUNDS), "", "![error over cost](work_precision_peers.png)", ""]
-    lines += ["Computed with " + ", ".join(f"{name} {value}" for name, value in known.items()) + ", one core.", ""]
+    lines += [f"Computed with {known}, one core.", ""]
     lines += [f"- {text}" for text in peers_conclusion(mine, [row for row in rows if row not in mine], PLAIN)]
     (folder / "peers.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     print("\n".join(lines[-3:]))

@@ -1,12 +1,10 @@
 """Peers: MuJoCo's chain of pieces is the same arm: mass, place of the tip, lowest frequencies."""
 
-import importlib
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import command
 from scipy.linalg import eigh
 
 import flexman_gym as fm
@@ -18,11 +16,7 @@ ARM = fm.catalog.paper_rrr()
 @pytest.fixture(scope="module")
 def peers():
     """The room of MuJoCo's models as a module."""
-    sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-    try:
-        return importlib.import_module("peers_mujoco")
-    finally:
-        sys.path.pop(0)
+    return command("peers_mujoco")
 
 
 @pytest.mark.parametrize("pieces", [1, 4])

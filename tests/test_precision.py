@@ -1,8 +1,6 @@
 """Precision: the quick study holds what it promises, and the Pareto front is the set of runs that no other beats."""
 
-import importlib
 import math
-import sys
 from collections import defaultdict
 from dataclasses import replace
 from itertools import pairwise
@@ -10,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import command
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -28,32 +27,28 @@ NUMBERS = st.floats(min_value=1e-6, max_value=1e6) | st.just(math.inf)
 
 
 @pytest.fixture(scope="module")
-def command():
+def work_precision():
     """The command as a module."""
-    sys.path.insert(0, str(ROOT / "scripts"))
-    try:
-        return importlib.import_module("work_precision")
-    finally:
-        sys.path.pop(0)
+    return command("work_precision")
 
 
 @pytest.fixture(scope="module")
-def folder(command, tmp_path_factory):
+def folder(work_precision, tmp_path_factory):
     """The quick study, computed and published."""
     found = tmp_path_factory.mktemp("study")
-    command.compute(quick=True, folder=found)
-    command.publish(found)
+    work_precision.compute(quick=True, folder=found)
+    work_precision.publish(found)
     return found
 
 
 @pytest.fixture(scope="module")
-def rows(command, folder):
-    return read_rows(folder / command.ROWS, Row)
+def rows(work_precision, folder):
+    return read_rows(folder / work_precision.ROWS, Row)
 
 
 @pytest.fixture(scope="module")
-def floors(command, folder):
-    return read_rows(folder / command.FLOORS, Floor)
+def floors(work_precision, folder):
+    return read_rows(folder / work_precision.FLOORS, Floor)
 
 
 def test_rows_are_complete(rows, floors):
@@ -91,8 +86,8 @@ def test_the_error_of_the_model_is_what_the_methods_do_not_explain(rows):
         assert all(abs(row.total_error - limit) <= 1.01 * row.time_error + 1e-6 for row in mine)
 
 
-def test_the_page_holds_pictures_and_conclusion(command, folder, rows, floors):
-    text = (folder / command.PAGE).read_text(encoding="utf-8")
+def test_the_page_holds_pictures_and_conclusion(work_precision, folder, rows, floors):
+    text = (folder / work_precision.PAGE).read_text(encoding="utf-8")
     assert text == page(rows, floors)
     assert "## Conclusion" in text and "ROS34PW2" in text and "numba" in text
     assert all(f"({name})" in text for name in pictures(rows[0].scene))

@@ -1,6 +1,5 @@
 """Stability: predicted limits hold, and a gallery of failures, each beside the method or model that survives it."""
 
-import importlib
 import math
 import sys
 from dataclasses import replace
@@ -9,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import command
 from scipy.linalg import block_diag, eigh
 
 import flexman_gym as fm
@@ -281,15 +281,10 @@ def test_a_long_run_reports_its_energy():
 
 def test_the_page_and_its_charts_are_those_of_the_rows(tmp_path):
     pytest.importorskip("matplotlib")
-    sys.path.insert(0, str(ROOT / "scripts"))
-    try:
-        command = importlib.import_module("stability")
-    finally:
-        sys.path.pop(0)
     rows = str(DOCS / "stability.csv")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", ["stability.py", "--rows", rows, "--folder", str(tmp_path)])
-        assert command.main() == 0
+        assert command("stability").main() == 0
     assert (tmp_path / "stability.md").read_text(encoding="utf-8") == (DOCS / "stability.md").read_text(
         encoding="utf-8"
     )

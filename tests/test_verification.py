@@ -1,6 +1,5 @@
 """Verification: its quick half passes, a wrong number fails, and its files hold every row."""
 
-import importlib
 import json
 import subprocess
 import sys
@@ -9,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import command
 
 from flexman_gym.closed_forms import bar_eigenvalues, beam_eigenvalues, joint_eigenvalues, rayleigh_eigenvalues
 from flexman_gym.verification import COLUMNS, Row, as_json, exit_code, markdown, printed, table
@@ -22,11 +22,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning
 @pytest.fixture(scope="module")
 def verify():
     """The command as a module."""
-    sys.path.insert(0, str(ROOT / "scripts"))
-    try:
-        return importlib.import_module("verify")
-    finally:
-        sys.path.pop(0)
+    return command("verify")
 
 
 @pytest.fixture(scope="module")
