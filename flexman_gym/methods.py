@@ -134,7 +134,7 @@ class Method:
 
 def extrapolation_weights(sequence: Sequence[int]) -> NDArray[np.float64]:
     """Weights that eliminate the powers 1, 2, ... of the step from results in these numbers of parts (Neville)."""
-    return np.array([math.prod(n / (n - m) for m in sequence if m != n) for n in sequence])
+    return np.array([math.prod(n / (n - m) for m in sequence if m != n) for n in sequence], dtype=float)
 
 
 def order_conditions(method: Method) -> list[tuple[str, float]]:

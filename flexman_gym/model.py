@@ -10,7 +10,7 @@ from flexman_gym.arm import Arm, Payload
 from flexman_gym.beam import Array, Beam, Element, ShapeIntegrals, beam_elements, build_beam, shape_integrals
 from flexman_gym.checks import refusal, vector
 from flexman_gym.kernels import layout
-from flexman_gym.kernels.linalg import LANES
+from flexman_gym.kernels.layout import LANES
 from flexman_gym.reduction import loaded_modes, modal_damping, outboard_inertias, zero_pose_rotations
 from flexman_gym.scene import MOST_ELEMENTS, ModelChoice, Scene
 

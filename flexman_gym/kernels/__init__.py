@@ -38,6 +38,7 @@ _setting = numba.config.CACHE_DIR
 numba.config.CACHE_DIR = _cache_folder()
 try:
     from flexman_gym.kernels import (
+        arms,
         dynamics,
         elastic,
         forces,
@@ -56,6 +57,7 @@ finally:
     numba.config.CACHE_DIR = _setting
 
 __all__ = [
+    "arms",
     "dynamics",
     "elastic",
     "forces",

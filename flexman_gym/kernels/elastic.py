@@ -1,8 +1,7 @@
 """The mass matrix of one link's elastic coordinates with what its tip carries, for `dynamics` to eliminate."""
 
-from flexman_gym.kernels.lanes import load_lanes, store_lanes
+from flexman_gym.kernels.lanes import group_size, load_lanes, store_lanes
 from flexman_gym.kernels.linalg import (
-    LANES,
     ZERO,
     add,
     apply,
@@ -22,13 +21,13 @@ def elastic_block(constants, work, i, shift, tip):
     start, stop = constants.elastic_start[i], constants.elastic_start[i + 1]
     square, width, first = constants.square_start[i], constants.factor_width[i], constants.factor_start[i]
     carried, factor, d = work.carried, work.factor, load(work.tip, i)
-    k, length = stop - start, constants.station_width[i]
+    k, length, size = stop - start, constants.station_width[i], group_size(factor)
     carry(constants, work, i, tip)
     for a in range(k):
         row, terms = first + a * width, 0
         if start + a >= constants.carrying[i]:
             terms = 6 if start + a >= constants.turning[i] else 1
-        for group in range(a - a % LANES, length, LANES):
+        for group in range(a - a % size, k, size):
             j = square + a * k + group
             total = shift[0] * load_lanes(constants.damping, j) + shift[1] * load_lanes(constants.stiffness, j)
             total = load_lanes(constants.elastic_mass, j) + total

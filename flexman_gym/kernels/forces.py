@@ -3,12 +3,14 @@
 import math
 
 from flexman_gym.kernels.layout import AMPLITUDE, FREQUENCY, OFFSET, PHASE, START, STOP
+from flexman_gym.kernels.lanes import choose_below, vanishes
 from flexman_gym.kernels.linalg import (
     ZERO,
     add,
     add_scaled,
     apply,
     apply_back,
+    copy,
     cross,
     dot,
     inner,
@@ -20,7 +22,10 @@ from flexman_gym.kernels.linalg import (
 
 @inner
 def drive_at(table, time, out):
-    """out (n + 6,) = the drive of a table (6, n + 6) at the time (s)."""
+    """out (n + 6,) = the drive of a table (6, n + 6) at the time (s); a drive (n + 6,) in its place is constant."""
+    if table.ndim == 1:
+        copy(table, out)
+        return
     for i in range(len(out)):
         out[i] = 0.0
         if table[START, i] <= time < table[STOP, i]:
@@ -95,7 +100,8 @@ def friction_slopes(constants, work, v):
         if constants.coulomb_friction[i] != 0.0:
             part = v[constants.motor[i] if constants.motor[i] >= 0 else i] / constants.coulomb_rate[i]
             steepness = constants.coulomb_friction[i] / constants.coulomb_rate[i]
-            slope += steepness * math.tanh(part) / part if part != 0.0 else steepness
+            # at rest tanh(part) / part is 1 to rounding
+            slope += steepness * choose_below(part * part, 1e-16, 1.0, math.tanh(part) / part)
         work.friction_slope[i] = slope
 
 
@@ -114,12 +120,12 @@ def disturb(constants, work, v):
     drive, gravity = work.drive, constants.gravity
     force, base = (drive[n], drive[n + 1], drive[n + 2]), (drive[n + 3], drive[n + 4], drive[n + 5])
     store(work.field, 0, add_scaled((gravity[0], gravity[1], gravity[2]), -1.0, base))
-    if dot(force, force) != 0.0:
+    if not vanishes(dot(force, force)):
         for i in range(n):
             force = apply_back(load_matrix(work.rotation, i), force)
     store(work.tip_force, 0, force)
     power = dot(force, load(work.tip_velocity, 0))
-    if dot(base, base) != 0.0:
+    if not vanishes(dot(base, base)):
         power -= dot(base, momentum(constants, work, v))
     return power
 

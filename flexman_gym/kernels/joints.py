@@ -6,6 +6,7 @@ and the frame feels what that demands. `total` below is the rotor with its impli
 leaves the three numbers `joint`, `mixed` and `frame` that joint and frame see.
 """
 
+from flexman_gym.kernels.lanes import vanishes
 from flexman_gym.kernels.linalg import (
     ZERO,
     add,
@@ -43,7 +44,7 @@ def eliminate_joint(constants, work, i, shift, inertia):
     angular = add_scaled(angular, mixed, axis)
     work.joint_pivot[i] = pivot
     store_pair(work.joint_column, i, linear, angular)
-    if frame != 0.0:
+    if not vanishes(frame):
         moment = subtract_outer(moment, add_scaled(ZERO, -frame, axis), axis)
     if constants.prescribed[i] and constants.motor[i] < 0:
         return force, mixed_block, moment

@@ -2,6 +2,7 @@
 
 import math
 
+from flexman_gym.kernels.lanes import vanishes
 from flexman_gym.kernels.linalg import (
     IDENTITY,
     ZERO,
@@ -145,7 +146,7 @@ def velocities(constants, work, v):
         axis = load(constants.axis, i)
         turn = add_scaled(ZERO, v[i], axis)
         store(work.joint_bias, i, cross(spin, turn))
-        if constants.carried_inertia[i] != 0.0:
+        if not vanishes(constants.carried_inertia[i]):
             rate = dot(axis, spin) + v[constants.motor[i] if constants.motor[i] >= 0 else i]
             store(work.rotor_bias, i, add_scaled(ZERO, constants.carried_inertia[i] * rate, cross(spin, axis)))
         spin = add(spin, turn)

@@ -1,83 +1,212 @@
-"""Groups of LANES numbers that kernels add and multiply at once, each in one instruction of the processor.
+"""Lanes: numbers that kernels add and multiply at once, each in one instruction of the processor.
 
 Written out as a type because the compiler does not find such groups by itself: Numba keeps its search for them off.
+The lanes of `NEIGHBOURS` are neighbours in an array of one arm, those of `ARMS` the same number of several arms. Kernels
+are written once for both: where the arrays of work space hold `ARMS`, a group of neighbours is one element, and the
+constants that all arms share are read-only arrays of plain numbers.
 """
 
+import math
 import operator
 from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
-from numba.core import types
+from numba.core import cgutils, types
+from numba.core.typeconv import Conversion
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import intrinsic, lower_builtin, models, register_model
+from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 
-from flexman_gym.kernels.linalg import LANES, inner
+from flexman_gym.kernels.layout import ARMS_ABREAST, LANES
 
 FLAGS = ("contract", "reassoc", "nsz", "arcp")  # those of `linalg`
-GROUP = ir.VectorType(ir.DoubleType(), LANES)
 INDEX = ir.IntType(32)
 
 
 class Lanes(types.Type):
-    """Numba's name for such a group; adds, subtracts and multiplies with another one or with a number."""
+    """Numba's name for such a group; calculates with another one or with a number, which all lanes then share."""
 
-    def __init__(self) -> None:
-        super().__init__(name="Lanes")
+    def __init__(self, width: int) -> None:
+        super().__init__(name=f"Lanes({width})")
+        self.width = width
+        self.vector = ir.VectorType(ir.DoubleType(), width)
+
+    def unify(self, typing_context: Any, other: Any) -> Any:
+        """A variable that is a number here and a group there is a group."""
+        return self if other == types.float64 else None
+
+    def can_convert_from(self, typing_context: Any, other: Any) -> Any:
+        """Numbers become groups where one is wanted."""
+        return Conversion.safe if other == types.float64 else None
 
 
-LANES_TYPE = Lanes()
+NEIGHBOURS, ARMS = Lanes(LANES), Lanes(ARMS_ABREAST)
 
 
 @register_model(Lanes)
 class LanesModel(models.PrimitiveModel):
-    """A group is one vector register."""
+    """A group is one vector register, or a few."""
 
     def __init__(self, manager: Any, kind: Any) -> None:
-        super().__init__(manager, kind, GROUP)
+        super().__init__(manager, kind, kind.vector)
+
+
+@lower_cast(types.Float, Lanes)
+def _spread(context: Any, builder: Any, kind: Any, target: Any, value: Any) -> Any:
+    """The group that repeats a number; a group, and a number where one is wanted, stay as they are."""
+    if kind == target:
+        return value
+    undefined = ir.Constant(target.vector, ir.Undefined)
+    one = builder.insert_element(undefined, value, ir.Constant(INDEX, 0))
+    return builder.shuffle_vector(one, undefined, ir.Constant(ir.VectorType(INDEX, target.width), [0] * target.width))
+
+
+def _joint(*kinds: Any) -> Any:
+    """The type of what is calculated from these: the one group among numbers, None for other types."""
+    groups = {kind for kind in kinds if isinstance(kind, Lanes)}
+    if len(groups) > 1 or any(kind not in groups and kind != types.float64 for kind in kinds):
+        return None
+    return groups.pop() if groups else types.float64
 
 
 class LanesArithmetic(AbstractTemplate):
-    """The types of sums, differences and products."""
+    """The types of sums, differences, products, quotients and functions."""
 
     def generic(self, args: Any, kws: Any) -> Any:
-        """A group, if one of the two is a group and the other a group or a number."""
-        if len(args) == 2 and LANES_TYPE in args and all(each in (LANES_TYPE, types.float64) for each in args):
-            return signature(LANES_TYPE, *args)
-        return None
+        """A group, if an argument is one and the others are numbers or of the same kind."""
+        kind = _joint(*args)
+        return signature(kind, *args) if isinstance(kind, Lanes) else None
 
 
-def _spread(builder: Any, kind: Any, value: Any) -> Any:
-    """A group; of a number, the group that repeats it."""
-    if kind == LANES_TYPE:
-        return value
-    undefined, first = ir.Constant(GROUP, ir.Undefined), ir.Constant(INDEX, 0)
-    one = builder.insert_element(undefined, value, first)
-    return builder.shuffle_vector(one, undefined, ir.Constant(ir.VectorType(INDEX, LANES), [0] * LANES))
-
-
-def _define(symbol: Callable, instruction: str) -> None:
-    """Lets compiled code use an operator of Python between groups."""
+def _declare(symbol: Callable) -> None:
     infer_global(symbol)(type("LanesArithmetic", (LanesArithmetic,), {"key": symbol}))
 
+
+def _operator(symbol: Callable, instruction: str) -> None:
+    """Lets compiled code use an operator of Python between groups."""
+    _declare(symbol)
+
     def lower(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
-        operands = [_spread(builder, kind, value) for kind, value in zip(kinds.args, values, strict=True)]
+        pairs = zip(kinds.args, values, strict=True)
+        operands = [_spread(context, builder, kind, kinds.return_type, value) for kind, value in pairs]
         return getattr(builder, instruction)(*operands, flags=FLAGS)
 
-    for kinds in ((Lanes, Lanes), (Lanes, types.Float), (types.Float, Lanes)):
-        lower_builtin(symbol, *kinds)(lower)
+    for operands in ((Lanes, Lanes), (Lanes, types.Float), (types.Float, Lanes)):
+        lower_builtin(symbol, *operands)(lower)
 
 
-_define(operator.add, "fadd")
-_define(operator.iadd, "fadd")
-_define(operator.sub, "fsub")
-_define(operator.isub, "fsub")
-_define(operator.mul, "fmul")
+for _instruction, _symbols in {
+    "fadd": (operator.add, operator.iadd),
+    "fsub": (operator.sub, operator.isub),
+    "fmul": (operator.mul, operator.imul),
+    "fdiv": (operator.truediv, operator.itruediv),
+}.items():
+    for _symbol in _symbols:
+        _operator(_symbol, _instruction)
+
+for _symbol in (operator.neg, math.sqrt, math.sin, math.cos, math.tanh):
+    _declare(_symbol)
 
 
-def _place(context: Any, builder: Any, kind: Any, flat: Any, i: Any) -> Any:
-    data = context.make_array(kind)(context, builder, flat).data
-    return builder.bitcast(builder.gep(data, [i]), GROUP.as_pointer())
+@lower_builtin(operator.neg, Lanes)
+def _negative(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
+    return builder.fneg(values[0], flags=FLAGS)
+
+
+@lower_builtin(math.sqrt, Lanes)
+def _root(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
+    vector = kinds.return_type.vector
+    name = f"llvm.sqrt.v{kinds.return_type.width}f64"
+    return builder.call(cgutils.get_or_insert_function(builder.module, ir.FunctionType(vector, [vector]), name), values)
+
+
+def _one_by_one(symbol: Callable) -> None:
+    """A function of the mathematical library, which knows single numbers only."""
+
+    @lower_builtin(symbol, Lanes)
+    def lower(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
+        single = types.float64(types.float64)
+        function = context.get_function(context.typing_context.resolve_value_type(symbol), single)
+        group = values[0]
+        for k in range(kinds.return_type.width):
+            place = ir.Constant(INDEX, k)
+            group = builder.insert_element(group, function(builder, [builder.extract_element(values[0], place)]), place)
+        return group
+
+
+for _symbol in (math.sin, math.cos, math.tanh):
+    _one_by_one(_symbol)
+
+
+def _all(builder: Any, kind: Any, condition: Any) -> Any:
+    """Whether a condition holds in every lane."""
+    if not isinstance(kind, Lanes):
+        return condition
+    bits = ir.IntType(kind.width)
+    return builder.icmp_unsigned("==", builder.bitcast(condition, bits), ir.Constant(bits, 2**kind.width - 1))
+
+
+@intrinsic
+def vanishes(typing_context, a):
+    """Whether a number, or every lane of a group, is zero."""
+
+    def generate(context, builder, kinds, values):
+        zero = _spread(context, builder, types.float64, kinds.args[0], ir.Constant(ir.DoubleType(), 0.0))
+        return _all(builder, kinds.args[0], builder.fcmp_ordered("==", values[0], zero))
+
+    return types.boolean(a), generate
+
+
+@intrinsic
+def below(typing_context, a, limit):
+    """Whether a number, or every lane of a group, is less than a limit."""
+
+    def generate(context, builder, kinds, values):
+        kind = kinds.args[0]
+        bound = _spread(context, builder, types.float64, kind, values[1])
+        return _all(builder, kind, builder.fcmp_ordered("<", values[0], bound))
+
+    return types.boolean(a, types.float64), generate
+
+
+@intrinsic
+def choose_below(typing_context, a, limit, near, far):
+    """Lane by lane, near where a is less than a limit, far where it is not."""
+    kind = _joint(a, near, far)
+
+    def generate(context, builder, kinds, values):
+        pairs = zip(kinds.args, values, strict=True)
+        a, bound, near, far = (_spread(context, builder, each, kind, value) for each, value in pairs)
+        return builder.select(builder.fcmp_ordered("<", a, bound), near, far)
+
+    return kind(a, types.float64, near, far), generate
+
+
+def _group(flat: Any) -> Any:
+    """What a place of a flat array of one arm's or several arms' numbers gives when groups are asked for."""
+    if isinstance(flat.dtype, Lanes) or not flat.mutable:
+        return flat.dtype
+    return NEIGHBOURS
+
+
+@intrinsic
+def group_size(typing_context, flat):
+    """How many neighbours of a flat array are one group."""
+    size = LANES if _group(flat) == NEIGHBOURS else 1
+
+    def generate(context, builder, kinds, values):
+        return context.get_constant(types.intp, size)
+
+    return types.intp(flat), generate
+
+
+def _place(context: Any, builder: Any, kinds: Any, flat: Any, i: Any) -> tuple[Any, int]:
+    """Where the group at place i is, and how it is aligned."""
+    data = builder.gep(context.make_array(kinds.args[0])(context, builder, flat).data, [i])
+    kind = _group(kinds.args[0])
+    if kind == NEIGHBOURS:
+        return builder.bitcast(data, kind.vector.as_pointer()), 8
+    return data, 8 * kind.width if isinstance(kind, Lanes) else 8
 
 
 @intrinsic
@@ -85,24 +214,28 @@ def load_lanes(typing_context, flat, i):
     """The group that starts at place i >= 0 of a flat array."""
 
     def generate(context, builder, kinds, values):
-        return builder.load(_place(context, builder, kinds.args[0], *values), align=8)
+        place, alignment = _place(context, builder, kinds, *values)
+        return builder.load(place, align=alignment)
 
-    return LANES_TYPE(flat, types.intp), generate
+    return _group(flat)(flat, types.intp), generate
 
 
 @intrinsic
 def pick_lanes(typing_context, flat, i, stride):
     """The group of the numbers at place i >= 0 of a flat array and every stride from there on."""
+    kind = _group(flat)
 
     def generate(context, builder, kinds, values):
-        data = context.make_array(kinds.args[0])(context, builder, values[0]).data
-        group, place = ir.Constant(GROUP, ir.Undefined), values[1]
+        data, place = context.make_array(kinds.args[0])(context, builder, values[0]).data, values[1]
+        if kind != NEIGHBOURS:
+            return builder.load(builder.gep(data, [place]))
+        group = ir.Constant(kind.vector, ir.Undefined)
         for k in range(LANES):
             group = builder.insert_element(group, builder.load(builder.gep(data, [place])), ir.Constant(INDEX, k))
             place = builder.add(place, values[2])
         return group
 
-    return LANES_TYPE(flat, types.intp, types.intp), generate
+    return kind(flat, types.intp, types.intp), generate
 
 
 @intrinsic
@@ -110,43 +243,94 @@ def store_lanes(typing_context, flat, i, a):
     """The group from place i >= 0 of a flat array on = a."""
 
     def generate(context, builder, kinds, values):
-        builder.store(values[2], _place(context, builder, kinds.args[0], *values[:2]), align=8)
+        place, alignment = _place(context, builder, kinds, *values[:2])
+        builder.store(_spread(context, builder, kinds.args[2], _group(flat), values[2]), place, align=alignment)
         return context.get_dummy_value()
 
-    return types.void(flat, types.intp, LANES_TYPE), generate
+    return types.void(flat, types.intp, a), generate
 
 
 @intrinsic
-def all_lanes(typing_context, value):
-    """The group that repeats a number."""
+def spread_lanes(typing_context, flat, i, stride, a):
+    """The numbers at place i >= 0 of a flat array and every stride from there on = those of the group a."""
 
     def generate(context, builder, kinds, values):
-        return _spread(builder, types.float64, values[0])
+        data, place = context.make_array(kinds.args[0])(context, builder, values[0]).data, values[1]
+        group = _spread(context, builder, kinds.args[3], _group(flat), values[3])
+        if _group(flat) != NEIGHBOURS:
+            builder.store(group, builder.gep(data, [place]))
+            return context.get_dummy_value()
+        for k in range(LANES):
+            builder.store(builder.extract_element(group, ir.Constant(INDEX, k)), builder.gep(data, [place]))
+            place = builder.add(place, values[2])
+        return context.get_dummy_value()
 
-    return LANES_TYPE(types.float64), generate
+    return types.void(flat, types.intp, types.intp, a), generate
 
 
 @intrinsic
-def lane(typing_context, a, index):
-    """Number `index`, a constant, of a group."""
+def add_rows(typing_context, total, factors, rows, j, stride):
+    """total + the sum of the factors, a group, times as many groups of rows, from place j on every stride."""
+    kind = _joint(total, factors, _group(rows))
 
     def generate(context, builder, kinds, values):
-        return builder.extract_element(values[0], ir.Constant(INDEX, index.literal_value))
+        sum_, factors, array, place, step = values
+        sum_ = _spread(context, builder, kinds.args[0], kind, sum_)
+        if _group(rows) == NEIGHBOURS:
+            picked = [builder.extract_element(factors, ir.Constant(INDEX, k)) for k in range(LANES)]
+            picked = [_spread(context, builder, types.float64, kind, each) for each in picked]
+        else:
+            picked = [_spread(context, builder, kinds.args[1], kind, factors)]
+        data = context.make_array(rows)(context, builder, array).data
+        for factor in picked:
+            pointer = builder.gep(data, [place])
+            if _group(rows) == NEIGHBOURS:
+                row = builder.load(builder.bitcast(pointer, kind.vector.as_pointer()), align=8)
+            else:
+                row = _spread(context, builder, _group(rows), kind, builder.load(pointer))
+            sum_ = builder.fadd(sum_, builder.fmul(factor, row, flags=FLAGS), flags=FLAGS)
+            place = builder.add(place, step)
+        return sum_
 
-    if isinstance(index, types.Literal):
-        return types.float64(a, index), generate
-    return None
+    return kind(total, factors, rows, types.intp, types.intp), generate
 
 
-@inner
-def sum_lanes(a):
-    """The sum of a group."""
-    return (lane(a, 0) + lane(a, 2)) + (lane(a, 1) + lane(a, 3))
+@intrinsic
+def sum_lanes(typing_context, a):
+    """The sum of a group of neighbours; what is no such group is its own sum."""
+    result = types.float64 if a == NEIGHBOURS else a
+
+    def generate(context, builder, kinds, values):
+        if a != NEIGHBOURS:
+            return values[0]
+        part = [builder.extract_element(values[0], ir.Constant(INDEX, k)) for k in range(LANES)]
+        halves = builder.fadd(part[0], part[2], flags=FLAGS), builder.fadd(part[1], part[3], flags=FLAGS)
+        return builder.fadd(*halves, flags=FLAGS)
+
+    return result(a), generate
 
 
-@inner
-def add_rows(total, factors, rows, j, stride):
-    """total + the sum of LANES factors, a group, times as many groups of rows, from place j on every stride."""
-    total = total + lane(factors, 0) * load_lanes(rows, j) + lane(factors, 1) * load_lanes(rows, j + stride)
-    total = total + lane(factors, 2) * load_lanes(rows, j + 2 * stride)
-    return total + lane(factors, 3) * load_lanes(rows, j + 3 * stride)
+@intrinsic
+def lane_number(typing_context, flat, i, k):
+    """Number k of the group at place i of a flat array of arms abreast."""
+
+    def generate(context, builder, kinds, values):
+        return builder.load(_lane(context, builder, kinds, *values))
+
+    return types.float64(flat, types.intp, types.intp), generate
+
+
+@intrinsic
+def store_lane_number(typing_context, flat, i, k, value):
+    """Number k of the group at place i of a flat array of arms abreast = value."""
+
+    def generate(context, builder, kinds, values):
+        builder.store(values[3], _lane(context, builder, kinds, *values[:3]))
+        return context.get_dummy_value()
+
+    return types.void(flat, types.intp, types.intp, types.float64), generate
+
+
+def _lane(context: Any, builder: Any, kinds: Any, flat: Any, i: Any, k: Any) -> Any:
+    place = builder.gep(context.make_array(kinds.args[0])(context, builder, flat).data, [i])
+    return builder.gep(builder.bitcast(place, ir.DoubleType().as_pointer()), [k])

@@ -28,12 +28,14 @@ link, are packed one after the other and start at `square_start[i]`; rows of the
 `elastic_start[i]`.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Rows = Annotated[NDArray[np.float64], "two axes"]  # tells kernels for several arms how many axes a field has
 IntArray = NDArray[np.int64]
 
 OK, DIVERGED, NOT_CONVERGED = 0, 1, 2
@@ -41,6 +43,9 @@ STATUS = ("ok", "diverged", "not converged")
 
 # A coordinate or speed beyond this (rad, m, 1/s) is no motion of an arm: the run ends as diverged.
 LARGEST_STATE = 1e6
+
+LANES = 4  # neighbours that are one group; rows that are eliminated are padded to whole groups
+ARMS_ABREAST = 8  # arms that one call moves at once
 
 STAGES = 16  # the most stages of a method, with the evaluation at the end of the step
 SEQUENCES = 8  # the most sequences of an extrapolation
@@ -61,7 +66,7 @@ class Constants(NamedTuple):
     square_start: IntArray  # (n + 1,)
     gravity: Array  # (3,)
     mount: Array  # (9 n,) by rows: rotation between neighbouring beam frames at zero angle and no deflection
-    axis: Array  # (n, 3) joint axis in the frame of the link that it turns
+    axis: Rows  # (n, 3) joint axis in the frame of the link that it turns
     joint_stiffness: Array  # (n,)
     joint_damping: Array  # (n,)
     rotor_inertia: Array  # (n,)
@@ -72,9 +77,9 @@ class Constants(NamedTuple):
     prescribed: IntArray  # (n,) 1 where the motion of a motor is prescribed; set by a run, not by a model
     length: Array  # (n,)
     mass: Array  # (n,)
-    first_moment: Array  # (n, 3) integral of r0 dm
+    first_moment: Rows  # (n, 3) integral of r0 dm
     second_moment: Array  # (9 n,) integral of r0 r0^T dm, by rows
-    first_moment_shape: Array  # (k, 3) integral of S_a dm
+    first_moment_shape: Rows  # (k, 3) integral of S_a dm
     position_shape: Array  # (9 k,) integral of r0 S_a^T dm, by rows
     # integral of S_b S_a^T dm: entry e adds value q_b to number `target` of U; most entries vanish and are not kept
     shape_start: IntArray  # (n + 1,)
@@ -101,7 +106,7 @@ class Constants(NamedTuple):
     station_row: IntArray  # (n,) where the b numbers of each link start
     station_mass: Array  # (s,)
     station_position: Array  # (s,) along the link
-    station_shape: Array  # (3, b) displacement of the centreline per unit coordinate
+    station_shape: Rows  # (3, b) displacement of the centreline per unit coordinate
     # the same without zeros: per unit of coordinate `source`, entry e moves the stations of its link by the s_i values
     # from place_row[i] + e s_i on
     place_start: IntArray  # (3 n + 1,) of x, y, z of each link
@@ -113,10 +118,10 @@ class Constants(NamedTuple):
     bend_row: IntArray  # (n,)
     bend_source: IntArray
     bend_value: Array
-    tip_translation: Array  # (k, 3)
-    tip_rotation: Array  # (k, 3)
+    tip_translation: Rows  # (k, 3)
+    tip_rotation: Rows  # (k, 3)
     payload_mass: Array  # (1,)
-    payload_offset: Array  # (1, 3) of its centre of mass from the tip, in the frame of a next joint
+    payload_offset: Rows  # (1, 3) of its centre of mass from the tip, in the frame of a next joint
     payload_inertia: Array  # (9,) about its centre of mass, by rows
     payload_mount: Array  # (9,) rotation from the beam frame of the last link to that frame without deflection
 
@@ -126,15 +131,15 @@ class Work(NamedTuple):
 
     # positions
     rotation: Array  # (9 n,) C, by rows
-    tip: Array  # (n, 3) tip of the link from its origin
-    deflected: Array  # (n, 3) rotation vector S_r q of the tip
-    tangent: Array  # (n, 4) coefficients of T and their derivatives
-    tip_shape: Array  # (k, 6) motion of the tip per unit elastic speed: S_t and T S_r
-    moment: Array  # (n, 3) integral of r dm
+    tip: Rows  # (n, 3) tip of the link from its origin
+    deflected: Rows  # (n, 3) rotation vector S_r q of the tip
+    tangent: Rows  # (n, 4) coefficients of T and their derivatives
+    tip_shape: Rows  # (k, 6) motion of the tip per unit elastic speed: S_t and T S_r
+    moment: Rows  # (n, 3) integral of r dm
     inertia: Array  # (9 n,) J, by rows
     shape: Array  # (9 k,) U, by rows
-    coupling: Array  # (k, 3) integral of r x S_a dm
-    moment_shape: Array  # (k, 3) integral of S_a dm
+    coupling: Rows  # (k, 3) integral of r x S_a dm
+    moment_shape: Rows  # (k, 3) integral of S_a dm
     place: Array  # (3 s,) of each link three rows of s_i: displacement of the stations without foreshortening
     back: Array  # (s,) - 1/2 q^T G q
     bend_stations: Array  # (b,) of each link k_i rows of s_i: G q
@@ -142,53 +147,55 @@ class Work(NamedTuple):
     stretch: Array  # (b,) axial displacement of the stations per unit coordinate
     weight: Array  # (4 s,) factors of a sum over stations, of each link four rows of s_i
     total: Array  # (largest 3 station_width,) such a sum
-    payload_moment: Array  # (1, 3) first moment of the payload about the tip, in the frame of the last link
+    payload_moment: Rows  # (1, 3) first moment of the payload about the tip, in the frame of the last link
     payload_rotary: Array  # (9,) its inertia about the tip, there
     # velocities
-    payload_spin: Array  # (1, 3) angular velocity of the payload
-    payload_bias: Array  # (1, 6) quadratic velocity force and torque of the payload
-    spin: Array  # (n, 3) angular velocity
-    velocity: Array  # (n, 3) velocity of the origin
-    rotor_bias: Array  # (n, 3) gyroscopic torque of a carried rotor
-    tip_velocity: Array  # (1, 3) of the last link
-    joint_bias: Array  # (n, 3) angular acceleration of the link that no acceleration causes
-    tip_bias: Array  # (n, 6) acceleration of the tip that no acceleration causes
+    payload_spin: Rows  # (1, 3) angular velocity of the payload
+    payload_bias: Rows  # (1, 6) quadratic velocity force and torque of the payload
+    spin: Rows  # (n, 3) angular velocity
+    velocity: Rows  # (n, 3) velocity of the origin
+    rotor_bias: Rows  # (n, 3) gyroscopic torque of a carried rotor
+    tip_velocity: Rows  # (1, 3) of the last link
+    joint_bias: Rows  # (n, 3) angular acceleration of the link that no acceleration causes
+    tip_bias: Rows  # (n, 6) acceleration of the tip that no acceleration causes
     rate: Array  # (s,) speed of the stations along x
     pulled: Array  # (s,) - q'^T G q'
-    bias: Array  # (n, 6) quadratic velocity force and torque, Eq. 14
+    bias: Rows  # (n, 6) quadratic velocity force and torque, Eq. 14
     elastic_bias: Array  # (k,) quadratic velocity force on elastic coordinates, Eq. 14
     # factorisation
     articulated: Array  # (27 n,) inertia of link and everything outboard, joint free: three 3x3 blocks by rows
     carried: Array  # (6 x largest station_width,) inertia beyond the tip of one link times tip_shape, by components
     # k_i rows of factor_width[i]: upper Cholesky factor, its diagonal inverted, then 6 columns of coupling to the frame
     factor: Array
-    joint_column: Array  # (n, 6) articulated inertia times joint axis
+    joint_column: Rows  # (n, 6) articulated inertia times joint axis
     joint_pivot: Array  # (n,) what the joint torque accelerates
     spring: Array  # (n,) implicit stiffness of the joint spring
     motor_inertia: Array  # (n,) of a rotor with its implicit spring and friction
     friction_slope: Array  # (n,) friction torque over motor rate
     # accelerations
     drive: Array  # (n + 6,)
-    field: Array  # (1, 3) gravity less the acceleration of the base
-    tip_force: Array  # (1, 3) in the frame of the last link
+    field: Rows  # (1, 3) gravity less the acceleration of the base
+    tip_force: Rows  # (1, 3) in the frame of the last link
     force: Array  # (d,) generalised forces of motors, springs and dampers
     elastic_force: Array  # (k,)
     joint_force: Array  # (n,)
     motor_torque: Array  # (n,) that a prescribed motion takes
-    frame_acceleration: Array  # (n, 6) of the link's frame, gravity as an upward acceleration of the base
+    frame_acceleration: Rows  # (n, 6) of the link's frame, gravity as an upward acceleration of the base
     # integrators
-    stages: Array  # (STAGES, 2 d + 2)
+    stages: Rows  # (STAGES, 2 d + 2)
     stage_state: Array  # (2 d + 2,)
     shift: Array  # (2 d + 2,)
     trial: Array  # (2 d + 2,)
     rates: Array  # (d,)
-    extrapolated: Array  # (SEQUENCES, 2 d + 2)
-    estimate: Array  # (2, 2 d + 2)
+    extrapolated: Rows  # (SEQUENCES, 2 d + 2)
+    estimate: Rows  # (2, 2 d + 2)
+    row: Array  # (2 d + 2,)
+    outputs: Array  # (OUTPUTS,)
     pace: Array  # (1,) the step at which an adaptive run ended, 0 before
 
 
-def make_work(constants: Constants) -> Work:
-    """Allocates the work space of a model; every entry starts as zero."""
+def make_work(constants: Constants, zeros: Callable[[tuple[int, ...]], Array] = np.zeros) -> Work:
+    """The work space of a model, allocated by `zeros`; every entry starts as zero."""
     n, k = len(constants.mass), len(constants.first_moment_shape)
     size = 2 * (n + int((constants.motor >= 0).sum()) + k) + 2
     rows = int((np.diff(constants.elastic_start) * constants.factor_width).sum())
@@ -208,9 +215,10 @@ def make_work(constants: Constants) -> Work:
         "force": (size // 2 - 1,), "elastic_force": (k,), "joint_force": (n,), "motor_torque": (n,),
         "frame_acceleration": (n, 6),
         "stages": (STAGES, size), "stage_state": (size,), "shift": (size,), "trial": (size,),
-        "rates": (size // 2 - 1,), "extrapolated": (SEQUENCES, size), "estimate": (2, size), "pace": (1,),
+        "rates": (size // 2 - 1,), "extrapolated": (SEQUENCES, size), "estimate": (2, size), "row": (size,),
+        "outputs": (OUTPUTS,), "pace": (1,),
     }  # fmt: skip
-    return Work(**{name: np.zeros(shape) for name, shape in shapes.items()})
+    return Work(**{name: zeros(shape) for name, shape in shapes.items()})
 
 
 class Tableau(NamedTuple):

@@ -7,14 +7,14 @@ import math
 
 import numba
 
+from flexman_gym.kernels.lanes import below, choose_below, group_size, load_lanes, store_lanes
+
 # Without Numba's runtime a kernel that allocates does not compile, and a call does not count references to every array
 # of a model, which took ten times as long as the arithmetic. reassoc lets short sums use vector lanes; nnan and ninf
 # stay off, they would remove the test for divergence.
 FLAGS = {"cache": True, "_nrt": False, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"}}
 kernel = numba.njit(**FLAGS)  # what Python calls
 inner = numba.njit(**FLAGS, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)  # what other kernels call
-
-LANES = 4  # rows that are eliminated are padded to whole groups of this many numbers
 
 ZERO = (0.0, 0.0, 0.0)
 ZERO_MATRIX = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -187,27 +187,28 @@ def rotation_matrix(sine, versine, v):
 @inner
 def tangent_coefficients(z):
     """(1 - cos p)/p^2, (p - sin p)/p^3 and their derivatives with respect to z = p^2."""
-    if z < 0.25:
-        # Taylor series to rounding: the quotients below lose all digits at zero
-        b = 1 / 2 - z * (1 / 24 - z * (1 / 720 - z * (1 / 40320 - z * (1 / 3628800 - z * (1 / 479001600)))))
-        c = 1 / 6 - z * (1 / 120 - z * (1 / 5040 - z * (1 / 362880 - z * (1 / 39916800 - z * (1 / 6227020800)))))
-        db = -1 / 24 + z * (1 / 360 - z * (1 / 13440 - z * (1 / 907200 - z * (1 / 95800320 - z * (1 / 14529715200)))))
-        dc = 1 / 120960 - z * (1 / 9979200 - z * (1 / 1245404160 - z * (1 / 217945728000)))
-        dc = -1 / 120 + z * (1 / 2520 - z * dc)
+    # Taylor series to rounding: the quotients below lose all digits at zero
+    b = 1 / 2 - z * (1 / 24 - z * (1 / 720 - z * (1 / 40320 - z * (1 / 3628800 - z * (1 / 479001600)))))
+    c = 1 / 6 - z * (1 / 120 - z * (1 / 5040 - z * (1 / 362880 - z * (1 / 39916800 - z * (1 / 6227020800)))))
+    db = -1 / 24 + z * (1 / 360 - z * (1 / 13440 - z * (1 / 907200 - z * (1 / 95800320 - z * (1 / 14529715200)))))
+    dc = 1 / 120960 - z * (1 / 9979200 - z * (1 / 1245404160 - z * (1 / 217945728000)))
+    dc = -1 / 120 + z * (1 / 2520 - z * dc)
+    if below(z, 0.25):
         return b, c, db, dc
     p = math.sqrt(z)
-    b = (1.0 - math.cos(p)) / z
     s = math.sin(p) / p
-    c = (1.0 - s) / z
-    return b, c, (s - 2.0 * b) / (2.0 * z), (b - 3.0 * c) / (2.0 * z)
+    far_b = (1.0 - math.cos(p)) / z
+    far_c = (1.0 - s) / z
+    far_db, far_dc = (s - 2.0 * far_b) / (2.0 * z), (far_b - 3.0 * far_c) / (2.0 * z)
+    return (
+        choose_below(z, 0.25, b, far_b), choose_below(z, 0.25, c, far_c),
+        choose_below(z, 0.25, db, far_db), choose_below(z, 0.25, dc, far_dc),
+    )  # fmt: skip
 
 
 @inner
 def subtract_row(flat, row, factor, top, first, last):
-    """flat[row + j] -= factor flat[top + j] for first <= j < last, from the group of LANES that holds first."""
-    for group in range(first // LANES, (last + LANES - 1) // LANES):
-        i, j = row + LANES * group, top + LANES * group
-        a, b, c, d = flat[j], flat[j + 1], flat[j + 2], flat[j + 3]
-        e, f, g, h = flat[i], flat[i + 1], flat[i + 2], flat[i + 3]
-        flat[i], flat[i + 1] = e - factor * a, f - factor * b
-        flat[i + 2], flat[i + 3] = g - factor * c, h - factor * d
+    """flat[row + j] -= factor flat[top + j] for first <= j < last, from the group that holds first."""
+    size = group_size(flat)
+    for j in range(first - first % size, last, size):
+        store_lanes(flat, row + j, load_lanes(flat, row + j) - factor * load_lanes(flat, top + j))

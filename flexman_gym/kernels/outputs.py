@@ -3,6 +3,7 @@
 import math
 
 from flexman_gym.kernels.kinematics import positions, velocities
+from flexman_gym.kernels.lanes import vanishes
 from flexman_gym.kernels.linalg import (
     IDENTITY,
     ZERO,
@@ -43,10 +44,11 @@ def observe(constants, work, x, v, out):
         rotor_rate = v[i]
         if m >= 0:
             rotor_rate = v[m]
-            joints += 0.5 * constants.joint_stiffness[i] * (x[m] - x[i]) ** 2
-        if constants.carried_inertia[i] != 0.0:
+            twist = x[m] - x[i]
+            joints += 0.5 * constants.joint_stiffness[i] * twist * twist
+        if not vanishes(constants.carried_inertia[i]):
             rotor_rate += dot(load(constants.axis, i), load(work.spin, i)) - v[i]  # of the frame that carries it
-        kinetic += 0.5 * constants.rotor_inertia[i] * rotor_rate**2
+        kinetic += 0.5 * constants.rotor_inertia[i] * rotor_rate * rotor_rate
     links = 0.0
     for i in range(n):
         links += 0.5 * square_form(constants.stiffness, constants, i, x, elastic)

@@ -92,32 +92,15 @@ def run_explicit(constants, work, tableau, table, clock, state, rows, outputs):
 
 @kernel
 def run_linearly_implicit(constants, work, tableau, table, clock, state, rows, outputs):
-    """Steps of a W-method whose approximate Jacobian holds damping and stiffness of links and joints, extrapolated.
-
-    Extrapolation takes the method in sequence[j] equal parts of the step, for each j, and adds the results with
-    weights. All first parts start from the same state and share its kinematics.
-    """
-    d, s, evaluations = len(state) // 2 - 1, len(tableau.b), 0
-    adaptive, parts = clock.rtol > 0.0, tableau.sequence
+    """Steps of a W-method whose approximate Jacobian holds damping and stiffness of links and joints, extrapolated."""
+    d, evaluations = len(state) // 2 - 1, 0
+    adaptive = clock.rtol > 0.0
     pace = first_pace(work, clock)
     for r in range(len(rows)):
         n, done, last = 0, 0.0, clock.substeps == 0
         while not last:
             time, h, last = next_step(clock, r, n, done, pace)
-            for j in range(len(parts)):
-                copy(state, work.extrapolated[j])
-            for p in range(parts[-1]):
-                for j in range(len(parts)):
-                    if p >= parts[j]:
-                        continue
-                    part, start = h / parts[j], work.extrapolated[j]
-                    for i in range(s):
-                        moved = p > 0 or i > 0 or j == 0
-                        moment = (time + p * part, part)
-                        implicit_stage(constants, work, tableau, table, moment, start, i, moved)
-                        evaluations += 1
-                    add_stages(start, 1.0, tableau.b, work.stages, s, start)
-            extrapolate(work, tableau, state)
+            evaluations += implicit_step(constants, work, tableau, table, (time, h), state)
             if adaptive:
                 error = error_norm(work, 1, clock, state)
                 pace = next_pace(pace, h, last, error, tableau.order)
@@ -134,6 +117,30 @@ def run_linearly_implicit(constants, work, tableau, table, clock, state, rows, o
         copy(state, rows[r])
         observe(constants, work, state[:d], state[d : 2 * d], outputs[r])
     return OK, len(rows), evaluations
+
+
+@inner
+def implicit_step(constants, work, tableau, table, moment, state):
+    """work.trial = what follows the state; moment = (time, step). Returns the evaluations.
+
+    Extrapolation takes the method in sequence[j] equal parts of the step, for each j, and adds the results with
+    weights. All first parts start from the same state and share its kinematics.
+    """
+    s, parts, evaluations, (time, step) = len(tableau.b), tableau.sequence, 0, moment
+    for j in range(len(parts)):
+        copy(state, work.extrapolated[j])
+    for p in range(parts[-1]):
+        for j in range(len(parts)):
+            if p >= parts[j]:
+                continue
+            part, start = step / parts[j], work.extrapolated[j]
+            for i in range(s):
+                moved = p > 0 or i > 0 or j == 0
+                implicit_stage(constants, work, tableau, table, (time + p * part, part), start, i, moved)
+                evaluations += 1
+            add_stages(start, 1.0, tableau.b, work.stages, s, start)
+    extrapolate(work, tableau, state)
+    return evaluations
 
 
 @inner

@@ -8,8 +8,8 @@ percent of the length.
 The stations of a link, its tip first, fill whole groups of LANES; those that fill up the last group have no mass.
 """
 
-from flexman_gym.kernels.lanes import add_rows, all_lanes, lane, load_lanes, pick_lanes, store_lanes, sum_lanes
-from flexman_gym.kernels.linalg import LANES, dot, inner, load
+from flexman_gym.kernels.lanes import add_rows, group_size, load_lanes, pick_lanes, spread_lanes, store_lanes, sum_lanes
+from flexman_gym.kernels.linalg import dot, inner, load
 
 
 @inner
@@ -18,18 +18,16 @@ def shorten_tip(constants, work, i, x, elastic):
     start, stop, first = constants.elastic_start[i], constants.elastic_start[i + 1], constants.station_start[i]
     count = constants.station_start[i + 1] - first
     width, row = constants.station_width[i], constants.station_row[i]
-    for s in range(0, count, LANES):
+    for s in range(0, count, group_size(work.back)):
         place = station_motion(constants, i, s, x, elastic)
         for c in range(3):
             store_lanes(work.place, 3 * first + c * count + s, place[c])
-        back = all_lanes(0.0)
+        back = 0.0
         for a in range(start, stop):
             bend = station_bend(constants, i, s, a, x, elastic)
             back -= 0.5 * x[elastic + a] * bend
             store_lanes(work.bend_stations, row + (a - start) * count + s, bend)
-            j = row + s * width + a - start
-            work.bend[j], work.bend[j + width] = lane(bend, 0), lane(bend, 1)
-            work.bend[j + 2 * width], work.bend[j + 3 * width] = lane(bend, 2), lane(bend, 3)
+            spread_lanes(work.bend, row + s * width + a - start, width, bend)
         store_lanes(work.back, first + s, back)
     for a in range(start, stop):
         work.tip_shape[a, 0] = constants.tip_translation[a, 0] - work.bend[row + a - start]
@@ -41,7 +39,7 @@ def shorten_tip(constants, work, i, x, elastic):
 def station_motion(constants, i, s, rates, elastic):
     """Motion x, y, z of a group of stations of link i, from s on, by `rates` (d,), foreshortening left out."""
     count = constants.station_start[i + 1] - constants.station_start[i]
-    x = y = z = all_lanes(0.0)
+    x = y = z = 0.0
     start, value = constants.place_start, constants.place_row[i] + s
     for e in range(start[3 * i], start[3 * i + 1]):
         x += rates[elastic + constants.place_source[e]] * load_lanes(constants.place_value, value + e * count)
@@ -56,7 +54,7 @@ def station_motion(constants, i, s, rates, elastic):
 def station_bend(constants, i, s, a, rates, elastic):
     """Row a of G times the elastic part of `rates` (d,) at a group of stations of link i, from s on."""
     count = constants.station_start[i + 1] - constants.station_start[i]
-    bend, value = all_lanes(0.0), constants.bend_row[i] + s
+    bend, value = 0.0, constants.bend_row[i] + s
     for e in range(constants.bend_start[a], constants.bend_start[a + 1]):
         bend += rates[elastic + constants.bend_source[e]] * load_lanes(constants.bend_value, value + e * count)
     return bend
@@ -70,8 +68,8 @@ def shorten_mass(constants, work, i):
     """
     first, row, width = constants.station_start[i], constants.station_row[i], constants.station_width[i]
     count, weight, total = constants.station_start[i + 1] - first, work.weight, work.total
-    lost = xx = xy = xz = all_lanes(0.0)
-    for s in range(0, count, LANES):
+    lost = xx = xy = xz = 0.0
+    for s in range(0, count, group_size(work.back)):
         mass, back, j = load_lanes(constants.station_mass, first + s), load_lanes(work.back, first + s), 3 * first + s
         along = load_lanes(constants.station_position, first + s) + load_lanes(work.place, j)
         y, z, shift = load_lanes(work.place, j + count), load_lanes(work.place, j + 2 * count), mass * back
@@ -83,9 +81,9 @@ def shorten_mass(constants, work, i):
         xx += shift * (2.0 * along + back)
         xy += shift * y
         xz += shift * z
-    for group in range(0, width, LANES):
-        moment = across_y = across_z = all_lanes(0.0)
-        for s in range(0, count, LANES):
+    for group in range(0, width, group_size(work.back)):
+        moment = across_y = across_z = 0.0
+        for s in range(0, count, group_size(work.back)):
             weights, j = 4 * first + s, row + s * width + group
             shift = load_lanes(weight, weights)
             moment = add_rows(moment, load_lanes(constants.station_mass, first + s), work.bend, j, width)
@@ -96,7 +94,7 @@ def shorten_mass(constants, work, i):
         store_lanes(total, group, moment)
         store_lanes(total, width + group, across_z)
         store_lanes(total, 2 * width + group, across_y)
-    for j in range(row, row + count * width, LANES):
+    for j in range(row, row + count * width, group_size(work.back)):
         store_lanes(work.stretch, j, load_lanes(constants.station_shape[0], j) - load_lanes(work.bend, j))
     start = constants.elastic_start[i]
     for a in range(constants.elastic_start[i + 1] - start):
@@ -110,7 +108,7 @@ def shorten_mass(constants, work, i):
 def stretch_mass(constants, work, i, a, group, total):
     """total + what the axial motion of stations adds to a group of row a of the elastic mass matrix of link i."""
     first, width, stretch = constants.station_start[i], constants.station_width[i], work.stretch
-    for s in range(0, constants.station_start[i + 1] - first, LANES):
+    for s in range(0, constants.station_start[i + 1] - first, group_size(work.back)):
         j = constants.station_row[i] + s * width
         factors = load_lanes(constants.station_mass, first + s) * pick_lanes(stretch, j + a, width)
         total = add_rows(total, factors, stretch, j + group, width)
@@ -123,8 +121,8 @@ def shorten_forces(constants, work, i, v, elastic):
     first, row, width = constants.station_start[i], constants.station_row[i], constants.station_width[i]
     count, weight, w = constants.station_start[i + 1] - first, work.weight, load(work.spin, i)
     square = dot(w, w)
-    force = moment_x = moment_y = moment_z = all_lanes(0.0)
-    for s in range(0, count, LANES):
+    force = moment_x = moment_y = moment_z = 0.0
+    for s in range(0, count, group_size(work.back)):
         mass, back, j = load_lanes(constants.station_mass, first + s), load_lanes(work.back, first + s), 3 * first + s
         x = load_lanes(constants.station_position, first + s) + load_lanes(work.place, j) + back
         y, z = load_lanes(work.place, j + count), load_lanes(work.place, j + 2 * count)
@@ -149,9 +147,9 @@ def shorten_forces(constants, work, i, v, elastic):
     work.bias[i, 3] += sum_lanes(moment_x)
     work.bias[i, 4] += sum_lanes(moment_y)
     work.bias[i, 5] += sum_lanes(moment_z)
-    for group in range(0, width, LANES):
-        total = all_lanes(0.0)
-        for s in range(0, count, LANES):
+    for group in range(0, width, group_size(work.back)):
+        total = 0.0
+        for s in range(0, count, group_size(work.back)):
             weights, j = 4 * first + s, row + s * width + group
             total = add_rows(total, load_lanes(weight, weights), constants.station_shape[0], j, width)
             total = add_rows(total, load_lanes(weight, weights + count), constants.station_shape[1], j, width)
@@ -168,7 +166,7 @@ def station_rates(constants, work, i, s, v, elastic):
     """Rate of foreshortening, - q'^T G q, and - q'^T G q' at a group of stations of link i, from s on."""
     start, row = constants.elastic_start[i], constants.station_row[i] + s
     count = constants.station_start[i + 1] - constants.station_start[i]
-    drawn = pulled = all_lanes(0.0)
+    drawn = pulled = 0.0
     for a in range(start, constants.elastic_start[i + 1]):
         drawn -= v[elastic + a] * load_lanes(work.bend_stations, row + (a - start) * count)
         pulled -= v[elastic + a] * station_bend(constants, i, s, a, v, elastic)
