@@ -125,8 +125,7 @@ def _one_by_one(symbol: Callable) -> None:
 
     @lower_builtin(symbol, Lanes)
     def lower(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
-        single = types.float64(types.float64)
-        function = context.get_function(context.typing_context.resolve_value_type(symbol), single)
+        function = context.get_function(symbol, types.float64(types.float64))
         group = values[0]
         for k in range(kinds.return_type.width):
             place = ir.Constant(INDEX, k)
