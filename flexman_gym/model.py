@@ -190,11 +190,9 @@ def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], choice:
         position_shape=packed([part.position_shape for part in parts], 1),
         shape_start=shape.start,
         shape_source=shape.source,
-        shape_target=shape.target,
         shape_value=shape.value,
         cross_start=cross.start,
         cross_source=cross.source,
-        cross_target=cross.target,
         cross_value=cross.value,
         factor_start=np.concatenate([[0], np.cumsum(sizes * widths)])[:-1].astype(np.int64),
         factor_width=widths,
@@ -233,27 +231,24 @@ class _Sparse(NamedTuple):
 
     start: np.ndarray
     source: np.ndarray
-    target: np.ndarray
     value: Array
 
 
 def _sparse(blocks: list[Array], width: int, parts: list[ShapeIntegrals]) -> _Sparse:
     """Blocks (k, k, ...) with `width` numbers behind each pair of coordinates."""
-    offset, counts, sources, targets, values = 0, [0], [], [], []
+    offset, counts, sources, values = 0, [np.zeros(1, dtype=np.int64)], [], []
     for block, part in zip(blocks, parts, strict=True):
         k = len(part.elastic)
-        entries = block.reshape(k, width * k)
+        entries = block.reshape(k, width * k).T
         size = np.sqrt(np.diag(part.elastic))
-        source, target = np.nonzero(np.abs(entries) > VANISHING * np.outer(size, np.repeat(size, width)))
-        counts.append(len(source))
-        values.append(entries[source, target])
-        sources.append(source + offset)
-        targets.append(target + width * offset)
+        kept = np.abs(entries) > VANISHING * np.outer(np.repeat(size, width), size)
+        counts.append(kept.sum(axis=1))
+        values.append(entries[kept])
+        sources.append(np.nonzero(kept)[1] + offset)
         offset += k
     return _Sparse(
-        np.cumsum(counts, dtype=np.int64),
+        np.cumsum(np.concatenate(counts), dtype=np.int64),
         np.concatenate(sources).astype(np.int64),
-        np.concatenate(targets).astype(np.int64),
         np.concatenate(values),
     )
 

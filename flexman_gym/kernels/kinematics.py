@@ -102,9 +102,10 @@ def mass_integrals(constants, work, i, x, elastic):
     start, stop = constants.elastic_start[i], constants.elastic_start[i + 1]
     shape = work.shape
     for j in range(9 * start, 9 * stop):
-        shape[j] = constants.position_shape[j]
-    for e in range(constants.shape_start[i], constants.shape_start[i + 1]):
-        shape[constants.shape_target[e]] += x[elastic + constants.shape_source[e]] * constants.shape_value[e]
+        value = constants.position_shape[j]
+        for e in range(constants.shape_start[j], constants.shape_start[j + 1]):
+            value += x[elastic + constants.shape_source[e]] * constants.shape_value[e]
+        shape[j] = value
     moment = load(constants.first_moment, i)
     xx, xy, xz, _, yy, yz, _, _, zz = load_matrix(constants.second_moment, i)
     for a in range(start, stop):
@@ -200,11 +201,13 @@ def quadratic_forces(constants, work, i, v, elastic):
         trace = u[0] + u[4] + u[8]
         turned = apply_back(u, spin)
         relative = add_scaled(relative, rate, add_scaled(add_scaled(ZERO, trace, spin), -1.0, turned))
-        work.elastic_bias[a] = dot(turned, spin) - trace * square
-    for e in range(constants.cross_start[i], constants.cross_start[i + 1]):
-        source, target = constants.cross_source[e], constants.cross_target[e]
-        rate = 2.0 * v[elastic + source]
-        work.elastic_bias[target // 3] += rate * work.spin[i, target % 3] * constants.cross_value[e]
+        bias = dot(turned, spin) - trace * square
+        for j in range(3):
+            turning = 0.0  # integral of q' S_b x S_a dm
+            for e in range(constants.cross_start[3 * a + j], constants.cross_start[3 * a + j + 1]):
+                turning += v[elastic + constants.cross_source[e]] * constants.cross_value[e]
+            bias += 2.0 * spin[j] * turning
+        work.elastic_bias[a] = bias
     force = add_scaled(cross(spin, cross(spin, load(work.moment, i))), 2.0, cross(spin, linear))
     moment = add_scaled(cross(spin, apply(load_matrix(work.inertia, i), spin)), 2.0, relative)
     store_pair(work.bias, i, force, moment)

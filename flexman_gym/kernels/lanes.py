@@ -19,7 +19,7 @@ from numba.extending import intrinsic, lower_builtin, lower_cast, models, regist
 
 from flexman_gym.kernels.layout import ARMS_ABREAST, LANES
 
-FLAGS = ("contract", "reassoc", "nsz", "arcp")  # those of `linalg`
+FLAGS = ("contract",)  # those of `linalg`
 INDEX = ir.IntType(32)
 
 

@@ -81,15 +81,14 @@ class Constants(NamedTuple):
     second_moment: Array  # (9 n,) integral of r0 r0^T dm, by rows
     first_moment_shape: Rows  # (k, 3) integral of S_a dm
     position_shape: Array  # (9 k,) integral of r0 S_a^T dm, by rows
-    # integral of S_b S_a^T dm: entry e adds value q_b to number `target` of U; most entries vanish and are not kept
-    shape_start: IntArray  # (n + 1,)
+    # integral of S_b S_a^T dm: number j of U gains value e times coordinate source e, for the entries e of j; most
+    # vanish and are not kept
+    shape_start: IntArray  # (9 k + 1,)
     shape_source: IntArray
-    shape_target: IntArray
     shape_value: Array
-    # integral of S_b x S_a dm: entry e belongs to b = source and to component target % 3 of a = target // 3
-    cross_start: IntArray  # (n + 1,)
+    # integral of S_b x S_a dm in the same way, three numbers for each a
+    cross_start: IntArray  # (3 k + 1,)
     cross_source: IntArray
-    cross_target: IntArray
     cross_value: Array
     factor_start: IntArray  # (n,)
     factor_width: IntArray  # (n,) k_i + 6 in whole groups of LANES
