@@ -8,9 +8,7 @@ solves the linear system of an implicit step at the cost of an explicit one. No 
 An inertia is a triple: force by linear, force by angular and moment by angular acceleration.
 """
 
-import math
-
-from flexman_gym.kernels.elastic import elastic_block
+from flexman_gym.kernels.elastic import eliminate_elastic
 from flexman_gym.kernels.forces import applied_forces
 from flexman_gym.kernels.joints import eliminate_joint, free_joint, joint_acceleration, prescribed_power
 from flexman_gym.kernels.kinematics import positions, velocities
@@ -33,8 +31,6 @@ from flexman_gym.kernels.linalg import (
     product,
     product_skew,
     store_matrix,
-    subtract_outer,
-    subtract_row,
     transposed,
 )
 
@@ -65,8 +61,7 @@ def factorise(constants, work, shift):
     """
     tip = payload_inertia(constants, work)
     for i in range(len(constants.mass) - 1, -1, -1):
-        elastic_block(constants, work, i, shift, tip)
-        inertia = eliminate_elastic(constants, work, i, link_inertia(constants, work, i, tip))
+        inertia = eliminate_elastic(constants, work, i, shift, tip, link_inertia(constants, work, i, tip))
         inertia = eliminate_joint(constants, work, i, shift, inertia)
         for j in range(3):
             store_matrix(work.articulated, 3 * i + j, inertia[j])
@@ -93,30 +88,6 @@ def link_inertia(constants, work, i, tip):
     moment = add_matrix(moment, 1.0, load_matrix(work.inertia, i))
     force = add_matrix(force, mass, (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
     mixed = add_matrix(mixed, 1.0, (0.0, c[2], -c[1], -c[2], 0.0, c[0], c[1], -c[0], 0.0))
-    return force, mixed, moment
-
-
-@inner
-def eliminate_elastic(constants, work, i, inertia):
-    """What is left of an inertia when the elastic coordinates of link i are free: a Cholesky factorisation in place."""
-    start = constants.elastic_start[i]
-    k = constants.elastic_start[i + 1] - start
-    factor, width, first = work.factor, constants.factor_width[i], constants.factor_start[i]
-    force, mixed, moment = inertia
-    for c in range(k):
-        top = first + c * width
-        pivot = 1.0 / math.sqrt(factor[top + c])
-        for a in range(c + 1, k + 6):
-            factor[top + a] *= pivot
-        factor[top + c] = pivot
-        for b in range(c + 1, k):
-            subtract_row(factor, first + b * width, factor[top + b], top, b, k + 6)
-        j = top + k
-        linear = (factor[j], factor[j + 1], factor[j + 2])
-        angular = (factor[j + 3], factor[j + 4], factor[j + 5])
-        force = subtract_outer(force, linear, linear)
-        mixed = subtract_outer(mixed, linear, angular)
-        moment = subtract_outer(moment, angular, angular)
     return force, mixed, moment
 
 

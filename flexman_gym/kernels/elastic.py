@@ -1,9 +1,12 @@
-"""The mass matrix of one link's elastic coordinates with what its tip carries, for `dynamics` to eliminate."""
+"""The elastic coordinates of one link: their mass matrix with what the tip carries, and its elimination."""
+
+import math
 
 from flexman_gym.kernels.lanes import group_size, load_lanes, store_lanes
 from flexman_gym.kernels.linalg import (
     ZERO,
     add,
+    add_scaled,
     apply,
     apply_back,
     apply_inertia,
@@ -11,41 +14,75 @@ from flexman_gym.kernels.linalg import (
     inner,
     load,
     load_pair,
+    subtract_outer,
 )
 from flexman_gym.kernels.stiffening import stretch_mass
 
 
 @inner
-def elastic_block(constants, work, i, shift, tip):
-    """factor = shifted M of link i with what its tip carries (upper half), then coupling to the frame."""
-    start, stop = constants.elastic_start[i], constants.elastic_start[i + 1]
-    square, width, first = constants.square_start[i], constants.factor_width[i], constants.factor_start[i]
-    carried, factor, d = work.carried, work.factor, load(work.tip, i)
-    k, length, size = stop - start, constants.station_width[i], group_size(factor)
+def eliminate_elastic(constants, work, i, shift, tip, inertia):
+    """What is left of an inertia when the elastic coordinates of link i, with what its tip carries, are free.
+
+    Fills work.factor row by row: upper Cholesky factor of the shifted M, its diagonal inverted, then coupling to the
+    frame.
+    """
+    start, width, first = constants.elastic_start[i], constants.factor_width[i], constants.factor_start[i]
+    k, factor = constants.elastic_start[i + 1] - start, work.factor
+    force, mixed, moment = inertia
     carry(constants, work, i, tip)
     for a in range(k):
-        row, terms = first + a * width, 0
-        if start + a >= constants.carrying[i]:
-            terms = 6 if start + a >= constants.turning[i] else 1
-        for group in range(a - a % size, k, size):
-            j = square + a * k + group
-            total = shift[0] * load_lanes(constants.damping, j) + shift[1] * load_lanes(constants.stiffness, j)
-            total = load_lanes(constants.elastic_mass, j) + total
-            for c in range(terms):
-                total += work.tip_shape[start + a, c] * load_lanes(carried, c * length + group)
-            if len(constants.station_mass) > 0:
-                total = stretch_mass(constants, work, i, a, group, total)
-            store_lanes(factor, row + group, total)
-        # last, as these columns also take what the padding of the rows above holds
-        force, moment = ZERO, ZERO
-        if start + a >= constants.carrying[i]:
-            force = carried[a], carried[length + a], carried[2 * length + a]
-            moment = carried[3 * length + a], carried[4 * length + a], carried[5 * length + a]
-        force, moment = add(force, load(work.moment_shape, start + a)), add(moment, cross(d, force))
-        moment = add(moment, load(work.coupling, start + a))
+        row = first + a * width
+        elastic_row(constants, work, i, a, shift)
+        linear, angular = coupling(constants, work, i, a)
+        for c in range(a):
+            j, share = first + c * width + k, -factor[first + c * width + a]
+            linear = add_scaled(linear, share, (factor[j], factor[j + 1], factor[j + 2]))
+            angular = add_scaled(angular, share, (factor[j + 3], factor[j + 4], factor[j + 5]))
+        pivot = 1.0 / math.sqrt(factor[row + a])
+        factor[row + a] = pivot
+        for b in range(a + 1, k):
+            factor[row + b] *= pivot
+        linear, angular = add_scaled(ZERO, pivot, linear), add_scaled(ZERO, pivot, angular)
+        # last, as these columns also take what the padding of the row holds
         for j in range(3):
-            factor[row + k + j] = force[j]
-            factor[row + k + 3 + j] = moment[j]
+            factor[row + k + j], factor[row + k + 3 + j] = linear[j], angular[j]
+        force = subtract_outer(force, linear, linear)
+        mixed = subtract_outer(mixed, linear, angular)
+        moment = subtract_outer(moment, angular, angular)
+    return force, mixed, moment
+
+
+@inner
+def elastic_row(constants, work, i, a, shift):
+    """Row a of the shifted M of link i, from the diagonal on, into factor, less what the rows above take from it."""
+    start, square, width = constants.elastic_start[i], constants.square_start[i], constants.factor_width[i]
+    first, length, factor, carried = constants.factor_start[i], constants.station_width[i], work.factor, work.carried
+    k, size, terms = constants.elastic_start[i + 1] - start, group_size(factor), 0
+    if start + a >= constants.carrying[i]:
+        terms = 6 if start + a >= constants.turning[i] else 1
+    for group in range(a - a % size, k, size):
+        j = square + a * k + group
+        total = shift[0] * load_lanes(constants.damping, j) + shift[1] * load_lanes(constants.stiffness, j)
+        total = load_lanes(constants.elastic_mass, j) + total
+        for c in range(terms):
+            total += work.tip_shape[start + a, c] * load_lanes(carried, c * length + group)
+        if len(constants.station_mass) > 0:
+            total = stretch_mass(constants, work, i, a, group, total)
+        for top in range(first, first + a * width, width):
+            total -= factor[top + a] * load_lanes(factor, top + group)
+        store_lanes(factor, first + a * width + group, total)
+
+
+@inner
+def coupling(constants, work, i, a):
+    """Force and moment that elastic coordinate a of link i, accelerated, exerts on the frame."""
+    start, length, carried = constants.elastic_start[i], constants.station_width[i], work.carried
+    force = moment = ZERO
+    if start + a >= constants.carrying[i]:
+        force = carried[a], carried[length + a], carried[2 * length + a]
+        moment = carried[3 * length + a], carried[4 * length + a], carried[5 * length + a]
+    moment = add(add(moment, cross(load(work.tip, i), force)), load(work.coupling, start + a))
+    return add(force, load(work.moment_shape, start + a)), moment
 
 
 @inner

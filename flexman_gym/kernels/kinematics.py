@@ -206,7 +206,7 @@ def quadratic_forces(constants, work, i, v, elastic):
             turning = 0.0  # integral of q' S_b x S_a dm
             for e in range(constants.cross_start[3 * a + j], constants.cross_start[3 * a + j + 1]):
                 turning += v[elastic + constants.cross_source[e]] * constants.cross_value[e]
-            bias += 2.0 * spin[j] * turning
+            bias += 2.0 * work.spin[i, j] * turning
         work.elastic_bias[a] = bias
     force = add_scaled(cross(spin, cross(spin, load(work.moment, i))), 2.0, cross(spin, linear))
     moment = add_scaled(cross(spin, apply(load_matrix(work.inertia, i), spin)), 2.0, relative)

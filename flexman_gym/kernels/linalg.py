@@ -7,7 +7,7 @@ import math
 
 import numba
 
-from flexman_gym.kernels.lanes import below, choose_below, group_size, load_lanes, store_lanes
+from flexman_gym.kernels.lanes import below, choose_below
 
 # Without Numba's runtime a kernel that allocates does not compile, and a call does not count references to every array
 # of a model, which took ten times as long as the arithmetic. Only contract is on: what else fast arithmetic allows
@@ -204,11 +204,3 @@ def tangent_coefficients(z):
         choose_below(z, 0.25, b, far_b), choose_below(z, 0.25, c, far_c),
         choose_below(z, 0.25, db, far_db), choose_below(z, 0.25, dc, far_dc),
     )  # fmt: skip
-
-
-@inner
-def subtract_row(flat, row, factor, top, first, last):
-    """flat[row + j] -= factor flat[top + j] for first <= j < last, from the group that holds first."""
-    size = group_size(flat)
-    for j in range(first - first % size, last, size):
-        store_lanes(flat, row + j, load_lanes(flat, row + j) - factor * load_lanes(flat, top + j))
