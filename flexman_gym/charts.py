@@ -1,7 +1,8 @@
 """Charts: error of the tip over cost, from rows of a study of work and precision."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -73,18 +74,26 @@ def total_error_chart(rows: Sequence[Row], floor: float, title: str, path: Path)
     _finish(figure, panels, path)
 
 
-def peers_chart(rows: Sequence[Row], peers: dict[str, list[Row]], floor: float, title: str, path: Path) -> None:
-    """Total error over cost of our runs and of those of other codes, by name."""
-    figure, panels = _panels(1, title)
+def peers_chart(rows: Sequence[Row], peers: Sequence[Row], floor: float, title: str, path: Path) -> None:
+    """Total error over cost of our runs and of those of other codes: a colour for each model, a marker for a method."""
+    figure, panels = _panels(1, title, 6.4)
     (axes,) = panels
     _line(axes, rows, "total_error", "flexman_gym", {"color": BLUE, "marker": "s", "linestyle": ""})
-    looks = zip((ORANGE, RED, PURPLE, GREEN, SKY, BLACK, MIDDLE, DARK), "o^vD<>PX", strict=True)
-    for (name, found), (colour, marker) in zip(peers.items(), looks, strict=False):
-        _line(axes, found, "total_error", name, {"color": colour, "marker": marker, "markersize": 7.0})
-    _front(axes, [*rows, *(row for found in peers.values() for row in found)], "total_error", floor)
+    colours = _looks((row.model for row in peers), (ORANGE, RED, PURPLE, GREEN, SKY, BLACK, MIDDLE))
+    markers = _looks((row.method for row in peers), "ov^D<PX>")
+    for model, method in dict.fromkeys((row.model, row.method) for row in peers):
+        found = [row for row in peers if (row.model, row.method) == (model, method)]
+        look = {"color": colours[model], "marker": markers[method], "markersize": 7.0}
+        _line(axes, found, "total_error", f"{model}, {method}", look)
+    _front(axes, [*rows, *peers], "total_error", floor)
     _floor(axes, floor, "how well finest models agree")
     axes.set_ylabel("total error: largest distance of the tip from the truth (m)")
     _finish(figure, panels, path)
+
+
+def _looks(names: Iterable[str], values: Sequence[str]) -> dict[str, str]:
+    """A value for each name, in turn and from the start again when there are more names."""
+    return dict(zip(dict.fromkeys(names), cycle(values), strict=False))
 
 
 def _panels(count: int, title: str, height: float = 5.4) -> tuple[Any, list[Any]]:

@@ -176,6 +176,18 @@ def cheapest(rows: Sequence[Row], model: str, method: str, error: float) -> Row 
     return min((row for row in found if row.time_error <= error), key=lambda row: row.cpu, default=None)  # type: ignore[operator]
 
 
+def cost_at(rows: Sequence[Row], error: float) -> float | None:
+    """CPU seconds per simulated second of one method on one model at a time error (m); None outside its errors.
+
+    Between two runs both are taken to follow a power law: a line in a chart with logarithmic axes.
+    """
+    points = sorted((row.time_error, row.cpu) for row in rows if row.status == OK and row.time_error)
+    if not points or not points[0][0] <= error <= points[-1][0]:
+        return None
+    errors, costs = np.log(points).T
+    return float(np.exp(np.interp(np.log(error), errors, costs)))
+
+
 def settled(rows: Sequence[Row], error: float) -> list[Row]:
     """The runs that come within a total error (m) together with every finer step of their model and method.
 

@@ -67,16 +67,9 @@ def environment(env: gym.Env, count: int = 50) -> Timer:
 
 def pinocchio_aba(arm: fm.Arm, rigid: fm.Model, count: int = 500) -> Timer:
     """ABA of the rigid arm with its rotors, checked to give the same accelerations."""
-    pin = __import__("pinocchio")  # which has no types
-    model, place, parent = pin.Model(), pin.SE3.Identity(), 0
-    for (link,), joint in zip((each.sections for each in arm.links), arm.joints, strict=True):  # uniform links
-        parent = model.addJoint(parent, pin.JointModelRevoluteUnaligned(*joint.axis), place, f"joint {parent + 1}")
-        y, z, slender = link.second_moment_y, link.second_moment_z, link.area * link.length**2 / 12
-        inertia = link.density * link.length * np.diag([y + z, y + slender, z + slender])
-        body, turn = pin.Inertia(link.mass, np.array([link.length / 2, 0.0, 0.0]), inertia), np.array(link.orientation)
-        model.appendBodyToJoint(parent, body, pin.SE3(turn, np.zeros(3)))
-        place = pin.SE3(np.eye(3), turn[:, 0] * link.length)
-    model.armature, model.gravity.linear = np.array([j.rotor_inertia for j in arm.joints]), np.array(arm.gravity)
+    from peers_pinocchio import pin, rigid_model
+
+    model = rigid_model(arm)
     q, v, torque = np.random.default_rng(0).uniform(-1.0, 1.0, (3, arm.n_joints))
     data, ours = model.createData(), fm.acceleration(rigid, rigid.initial_state(q, v), torque)
     assert np.allclose(pin.aba(model, data, q, v, torque), ours, rtol=1e-9), "the rigid arms accelerate differently"

@@ -2,44 +2,29 @@
 
 A link of length L is cut into `pieces` segments of length l = L / pieces. The compliance of a segment sits in its
 middle, as three hinges with springs: G J / l about the beam, E I / l about the two axes across it. So a link has
-`pieces` sets of springs, whole pieces between them and a half piece at either end.
+`pieces` sets of springs, whole pieces between them and a half piece at either end. A rigid link is one of no pieces.
 
 A flexible joint is two hinges about one axis, one after the other: the motor's, whose armature is the rotor's inertia
 (which resists relative rotation only, as in the paper's Eq. 23), and the spring's; the joint angle is their sum.
+A rigid joint is the motor's hinge alone.
 """
 
 import math
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
 
 import mujoco  # type: ignore[import-not-found, unused-ignore]
 import numpy as np
-from numpy.typing import NDArray
+from peers import Array, PeerRun, Timer, output_count, row, with_rigid_joints
 
 import flexman_gym as fm
 from flexman_gym.precision import OK, Row, Study
 
-Array = NDArray[np.float64]
-SANE = 0.5  # m, of an error that still is a simulation
+SANE = 0.5  # m, of an error that still is a simulation of a flexible arm
+RIGID_STEPS = (5e-3, 1e-3)
 DISCRETE = (2, 10, 20, 50, 100)  # steps of `discrete` in 10 ms: it is stable at all of them
 INTEGRATORS = ("Euler", "RK4", "implicitfast", "discrete")
-
-
-@dataclass(frozen=True, eq=False)
-class PeerRun:
-    """What a peer computed: tip (T, 3) m at the output times, CPU and wall seconds per simulated second."""
-
-    tip: Array
-    cpu: float
-    wall: float
-
-    @property
-    def finite(self) -> bool:
-        """Whether the run stayed in the world."""
-        return bool(np.isfinite(self.tip).all() and np.abs(self.tip).max() < 1e3)
 
 
 def integrators() -> list[str]:
@@ -49,7 +34,7 @@ def integrators() -> list[str]:
 
 
 def description(arm: fm.Arm, pieces: int, integrator: str, step: float) -> str:
-    """The MJCF of an arm of uniform links in `pieces` pieces each, at zero angles, for a step in s."""
+    """The MJCF of an arm of uniform links in `pieces` pieces each (0 for rigid ones), at zero angles; step in s."""
     root = ElementTree.Element("mujoco")
     option = {"timestep": repr(float(step)), "integrator": integrator, "gravity": _text(arm.gravity)}
     flags = _add(_add(root, "option", option), "flag")
@@ -66,19 +51,21 @@ def description(arm: fm.Arm, pieces: int, integrator: str, step: float) -> str:
         if joint.stiffness is not None:
             spring = {"stiffness": repr(joint.stiffness), "damping": repr(joint.damping)}
             _add(body, "joint", spring, name=f"spring {i}", axis=_text(joint.axis))
-        parent, end = _link(body, link, pieces, i)
-        back = _quaternion(np.array(link.orientation).T)
-        place = {"pos": _text((end, 0.0, 0.0)), "quat": back}
+        parent, place = _link(body, link, pieces)
     if arm.payload is not None:
         raise ValueError("arm.payload: this description has none")
     _add(parent, "site", name="tip", pos=place["pos"])
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _link(body: ElementTree.Element, link: Any, pieces: int, number: int) -> tuple[ElementTree.Element, float]:
-    """Adds the pieces of a link to the body of its joint; returns the last and the place of the tip on its x axis."""
+def _link(body: ElementTree.Element, link: Any, pieces: int) -> tuple[ElementTree.Element, dict[str, str]]:
+    """Adds the pieces of a link to the body of its joint; returns the last and where in it the next joint sits."""
     (section,) = link.sections
-    turn, whole = np.array(link.orientation), link.length / pieces
+    turn = np.array(link.orientation)
+    if not pieces:
+        _inertia(body, section, link.length, turn)
+        return body, {"pos": _text(turn[:, 0] * link.length)}
+    whole = link.length / pieces
     _inertia(body, section, whole / 2, turn)
     place = {"pos": _text(turn[:, 0] * whole / 2), "quat": _quaternion(turn)}
     stiffnesses = (
@@ -93,7 +80,7 @@ def _link(body: ElementTree.Element, link: Any, pieces: int, number: int) -> tup
         length = whole if j < pieces - 1 else whole / 2
         _inertia(body, section, length, np.eye(3))
         place = {"pos": _text((length, 0.0, 0.0))}
-    return body, whole / 2
+    return body, {"pos": _text((whole / 2, 0.0, 0.0)), "quat": _quaternion(turn.T)}
 
 
 def _inertia(body: ElementTree.Element, section: Any, length: float, turn: Array) -> None:
@@ -110,43 +97,54 @@ def run(scene: fm.Scene, pieces: int, integrator: str, step: float) -> PeerRun:
     model = mujoco.MjModel.from_xml_string(description(scene.arm, pieces, integrator, step))
     data = mujoco.MjData(model)
     data.ctrl[:] = np.array(scene.torque.value)  # type: ignore[union-attr]
-    rows, substeps = round(scene.duration / scene.output_step), round(scene.output_step / step)
-    if abs(substeps * step - scene.output_step) > 1e-9 * scene.output_step:
-        raise ValueError(f"step: {step} is not allowed; give a number that divides {scene.output_step} s")
+    rows, substeps = output_count(scene, step)
     mujoco.set_mju_user_warning(lambda message: None)  # else it writes a file about every divergence
     mujoco.mj_forward(model, data)
     tip = np.full((rows + 1, 3), np.nan)
     tip[0] = data.site("tip").xpos
     started = time.process_time(), time.perf_counter()
-    for row in range(1, rows + 1):
+    for i in range(1, rows + 1):
         mujoco.mj_step(model, data, substeps)
         mujoco.mj_kinematics(model, data)  # a step leaves the places of its start
-        tip[row] = data.site_xpos[0]
+        tip[i] = data.site_xpos[0]
         if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or not np.isfinite(data.qpos).all():
-            tip[row:] = np.nan  # it resets itself and goes on from the start
+            tip[i:] = np.nan  # it resets itself and goes on from the start
             break
-    reached = row * scene.output_step
-    return PeerRun(tip, (time.process_time() - started[0]) / reached, (time.perf_counter() - started[1]) / reached)
+    reached = i * scene.output_step
+    costs = (time.process_time() - started[0]) / reached, (time.perf_counter() - started[1]) / reached
+    evaluations = (4 if integrator == "RK4" else 1) / step
+    return PeerRun(_name(scene.arm, pieces), integrator, step, tip, *costs, evaluations)
 
 
-def stable_runs(study: Study) -> list[Callable[[], Row]]:
+def _name(arm: fm.Arm, pieces: int) -> str:
+    if pieces:
+        return f"MuJoCo, {pieces} pieces"
+    return "MuJoCo, rigid" if arm.joints[0].stiffness is None else "MuJoCo, rigid links"
+
+
+def runs(study: Study) -> list[Timer]:
+    """Runs with rigid links, rigid joints too, and with 4 and 8 pieces."""
+    scenes = with_rigid_joints(study.scene), study.scene
+    found: list[Timer] = []
+    for scene in scenes:
+        found += [lambda a=(scene, 0, "RK4", step): row(study, run(*a)) for step in RIGID_STEPS]  # type: ignore[misc]
+    return found + stable_runs(study)
+
+
+def stable_runs(study: Study) -> list[Timer]:
     """Runs with 4 and 8 pieces: at the longest stable step of each integrator, found by trying."""
 
-    def row(pieces: int, integrator: str, parts: int) -> Row:
-        done = run(study.scene, pieces, integrator, 0.01 / parts)
-        error = float(np.linalg.norm(done.tip - study.truth.tip, axis=1).max()) if done.finite else math.inf
-        evaluations = 100.0 * parts * (4 if integrator == "RK4" else 1)
-        costs, status = (done.cpu, done.wall, evaluations), OK if error < SANE else "diverged"
-        return Row(study.name, f"MuJoCo, {pieces} pieces", integrator, 0.01 / parts, None, *costs, None, error, status)
+    def timed(pieces: int, integrator: str, parts: int) -> Row:
+        return row(study, run(study.scene, pieces, integrator, 0.01 / parts), sane=SANE)
 
-    found: list[Callable[[], Row]] = []
+    found: list[Timer] = []
     for pieces in (4, 8):
         for name in integrators():
             parts = DISCRETE[0]
-            while name != "discrete" and row(pieces, name, parts).status != OK:
+            while name != "discrete" and timed(pieces, name, parts).status != OK:
                 parts = math.ceil(1.1 * parts)
             chosen = {"discrete": DISCRETE, "Euler": (parts, 2 * parts)}.get(name, (parts,))
-            found += [lambda a=(pieces, name, each): row(*a) for each in chosen]  # type: ignore[misc]
+            found += [lambda a=(pieces, name, each): timed(*a) for each in chosen]  # type: ignore[misc]
     return found
 
 
