@@ -188,8 +188,10 @@ def cost_at(rows: Sequence[Row], error: float) -> float | None:
     return float(np.exp(np.interp(np.log(error), errors, costs)))
 
 
-def settled(rows: Sequence[Row], error: float) -> list[Row]:
-    """The runs that come within a total error (m) together with every finer step of their model and method.
+def settled(rows: Sequence[Row], error: float, column: str = "total_error") -> list[Row]:
+    """The runs that come within an error (m) together with every finer step of their model and method.
+
+    column  "total_error" or "time_error"
 
     They owe nothing to errors of model and method that happen to cancel at one step.
     """
@@ -197,7 +199,7 @@ def settled(rows: Sequence[Row], error: float) -> list[Row]:
         row
         for row in rows
         if all(
-            (other.total_error or 0.0) <= error
+            (getattr(other, column) or 0.0) <= error
             for other in rows
             if (other.model, other.method) == (row.model, row.method) and (other.step or 0.0) <= (row.step or 0.0)
         )

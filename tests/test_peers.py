@@ -146,8 +146,13 @@ def test_costs_between_runs_follow_a_power_law():
 def test_the_page_names_the_ratio_to_a_floating_frame():
     peer = replace(ROW, model="Exudyn, floating frame", method="quickest settings")
     peers = [replace(peer, time_error=error, cpu=cpu) for error, cpu in ((9e-3, 0.1), (1e-3, 0.9))]
-    text = peers_conclusion([ROW], peers, ROW.model)[-1]
-    assert "300 ms; ours is 15 times cheaper. Asked were 150 times." in text
+    coarse = [
+        replace(ROW, step=1.0, cpu=0.03),
+        replace(ROW, step=2.0, time_error=4e-3),
+        replace(ROW, step=4.0, cpu=0.01),
+    ]
+    text = peers_conclusion([ROW, *coarse], peers, ROW.model)[-1]
+    assert "300 ms; ours is 30 and 15 times cheaper. Asked were 150 times." in text
 
 
 def test_peers_that_are_missing_are_named(monkeypatch, capsys):
