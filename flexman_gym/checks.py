@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 UNIT_TOLERANCE = 1e-9  # how far a unit vector or a rotation may be from exact
+WHOLE = 1e-9  # how far a ratio of two times may be from a whole number, relatively
 
 
 def shown(value: object) -> str:
@@ -63,6 +64,15 @@ def whole_number(name: str, value: object, low: int, high: int) -> int:
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or not low <= int(value) <= high:
         raise refusal(name, value, f"a whole number from {low} to {high}")
     return int(value)
+
+
+def parts(name: str, part: float, total: float, allowed: str) -> int:
+    """Return how often the time `part` (s) goes into `total` (s); raise ValueError when that is no whole number."""
+    ratio = total / positive(name, part, "s")
+    count = round(ratio)
+    if count < 1 or abs(ratio - count) > WHOLE * ratio:
+        raise refusal(name, part, f"{allowed}, {total} s")
+    return count
 
 
 def flag(name: str, value: object) -> bool:

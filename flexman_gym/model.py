@@ -27,12 +27,14 @@ class Model:
         constants: arrays that the kernels read; shapes and units in `kernels.layout.Constants`.
         bases: (6 * elements * sections, k_i) of each link, the node coordinates per unit of its elastic coordinates; of
             a rigid link (0, 0).
+        modal_damping: the part of `constants.damping` that comes from the modal damping ratio, packed like it.
     """
 
     arm: Arm
     choice: ModelChoice
     constants: layout.Constants
     bases: tuple[Array, ...]
+    modal_damping: Array
 
     @property
     def n_joints(self) -> int:
@@ -126,12 +128,11 @@ def build_model(
     bases, dampings, reduced = [], [], []
     for i, beam in enumerate(beams):
         basis = _basis(beam, outboard[i], kept[i] if flexible[i] else None, f"modes[{i}]")
-        damping = arm.stiffness_proportional_damping * beam.stiffness
-        damping = damping + modal_damping(beam, outboard[i], arm.modal_damping_ratio)
         bases.append(basis)
-        dampings.append(basis.T @ damping @ basis)
+        dampings.append(basis.T @ modal_damping(beam, outboard[i], arm.modal_damping_ratio) @ basis)
         reduced.append(beam.reduced(basis))
-    return Model(arm, choice, _constants(arm, tuple(reduced), dampings, choice), tuple(bases))
+    damping = _packed([*dampings, np.zeros(LANES)], 1)
+    return Model(arm, choice, _constants(arm, tuple(reduced), damping, choice), tuple(bases), damping)
 
 
 def scene_model(scene: Scene) -> Model:
@@ -159,7 +160,7 @@ def _basis(beam: Beam, outboard: Array, modes: int | tuple[int, ...] | None, fie
     return loaded_modes(beam, outboard)[1][:, range(modes) if isinstance(modes, int) else modes]
 
 
-def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], choice: ModelChoice) -> layout.Constants:
+def _constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: ModelChoice) -> layout.Constants:
     payload = arm.payload or Payload(0.0)
     sizes = np.array([len(beam.stiffness) for beam in beams], dtype=np.int64)
     widths = LANES * ((sizes + 6 + LANES - 1) // LANES)
@@ -170,11 +171,7 @@ def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], choice:
 
     end = np.zeros(LANES)  # for whole groups at the end
     both = list(zip(parts, beams, strict=True))
-
-    def packed(blocks: list[Array], width: int) -> Array:
-        rows = np.concatenate([np.asarray(block, dtype=float).reshape(-1, width) for block in blocks])
-        return np.ascontiguousarray(rows[:, 0] if width == 1 else rows)
-
+    stiffness = _packed([*[beam.stiffness for beam in beams], end], 1)
     return layout.Constants(
         elastic_start=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
         square_start=np.concatenate([[0], np.cumsum(sizes**2)]).astype(np.int64),
@@ -186,8 +183,8 @@ def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], choice:
         mass=np.array([part.mass for part in parts]),
         first_moment=np.array([part.first_moment for part in parts]),
         second_moment=np.array([part.second_moment for part in parts]).ravel(),
-        first_moment_shape=packed([part.first_moment_shape for part in parts], 3),
-        position_shape=packed([part.position_shape for part in parts], 1),
+        first_moment_shape=_packed([part.first_moment_shape for part in parts], 3),
+        position_shape=_packed([part.position_shape for part in parts], 1),
         shape_start=shape.start,
         shape_source=shape.source,
         shape_value=shape.value,
@@ -198,17 +195,23 @@ def _constants(arm: Arm, beams: tuple[Beam, ...], dampings: list[Array], choice:
         factor_width=widths,
         carrying=_carrying(beams, choice.stiffening),
         turning=_carrying(beams, False),
-        elastic_mass=packed([*[part.elastic - _axial_mass(beam, choice.stiffening) for part, beam in both], end], 1),
-        stiffness=packed([*[beam.stiffness for beam in beams], end], 1),
-        damping=packed([*dampings, end], 1),
+        elastic_mass=_packed([*[part.elastic - _axial_mass(beam, choice.stiffening) for part, beam in both], end], 1),
+        stiffness=stiffness,
+        damping=arm.stiffness_proportional_damping * stiffness + modal,
         **_stations(beams, choice.stiffening),
-        tip_translation=packed([beam.tip_translation.T for beam in beams], 3),
-        tip_rotation=packed([beam.tip_rotation.T for beam in beams], 3),
+        tip_translation=_packed([beam.tip_translation.T for beam in beams], 3),
+        tip_rotation=_packed([beam.tip_rotation.T for beam in beams], 3),
         payload_mass=np.array([payload.mass]),
         payload_offset=np.array([payload.offset or (0.0, 0.0, 0.0)]),
         payload_inertia=np.array(payload.inertia or np.zeros((3, 3))).ravel(),
         payload_mount=np.array(arm.links[-1].orientation).T.ravel().copy(),
     )
+
+
+def _packed(blocks: list[Array], width: int) -> Array:
+    """Blocks one after the other, (rows, width), or (rows,) for a width of 1."""
+    rows = np.concatenate([np.asarray(block, dtype=float).reshape(-1, width) for block in blocks])
+    return np.ascontiguousarray(rows[:, 0] if width == 1 else rows)
 
 
 def _joints(arm: Arm, choice: ModelChoice) -> dict[str, np.ndarray]:

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from flexman_gym.beam import Array
-from flexman_gym.checks import one_of
+from flexman_gym.checks import one_of, positive, refusal
 from flexman_gym.drive import drive_table
 from flexman_gym.kernels import layout, outputs, steppers
 from flexman_gym.kernels.layout import Clock, Work, make_work
@@ -17,6 +17,14 @@ from flexman_gym.model import Model
 def find_method(method: object) -> Method:
     """The method of that name, or itself; raises ValueError with the names there are."""
     return method if isinstance(method, Method) else METHODS[one_of("method", method, METHODS)]
+
+
+def find_tolerance(method: Method, step: float | None, rtol: float, atol: float) -> tuple[float, float] | None:
+    """The tolerance of a method that chooses its steps, None for one that is held to a fixed step."""
+    given = positive("rtol", rtol), positive("atol", atol)
+    if step is None and not method.estimates:
+        raise refusal("step", None, f"a number > 0 (s): {method.name} takes fixed steps")
+    return given if step is None or method.adaptive else None
 
 
 class Run:

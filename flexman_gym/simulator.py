@@ -5,18 +5,16 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
+from flexman_gym.batch import Batch
 from flexman_gym.beam import Array
-from flexman_gym.checks import positive, refusal, vector, whole_number
-from flexman_gym.drive import drive_table
+from flexman_gym.checks import WHOLE, parts, positive, refusal, vector
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import STATUS
 from flexman_gym.methods import Method
 from flexman_gym.model import Model, scene_model
-from flexman_gym.run import Run, find_method
+from flexman_gym.run import Run, find_method, find_tolerance
 from flexman_gym.scene import Scene
-from flexman_gym.trajectory import Trajectory, trajectory, turnover
-
-WHOLE = 1e-9  # how far a ratio of two times may be from a whole number, relatively
+from flexman_gym.trajectory import Trajectory, trajectory
 
 
 def simulate(
@@ -52,9 +50,9 @@ def simulate(
     automatic = "dop853" if step is None else "ros2"
     chosen = find_method(automatic if isinstance(method, str) and method == "auto" else method)
     interval, substeps = _output_interval(chosen, step, scene.output_step)
-    rows = _whole("step", interval, scene.duration, "a number of seconds that divides the duration")
+    rows = parts("step", interval, scene.duration, "a number of seconds that divides the duration")
     prescribed = [i for i, motion in enumerate(scene.prescribed or ()) if motion is not None]
-    run = Run(model, chosen, _tolerance(chosen, step, rtol, atol), prescribed)
+    run = Run(model, chosen, find_tolerance(chosen, step, rtol, atol), prescribed)
     state = np.append(model.initial_state(scene.initial.joint_angles, scene.initial.joint_rates), [0.0, 0.0])
     states, outputs = np.zeros((rows + 1, len(state))), np.zeros((rows + 1, layout.OUTPUTS))
     run.start(state, states[0], outputs[0])
@@ -72,7 +70,8 @@ class Simulator:
     Motors (joints where they are rigid) in `prescribed` follow accelerations instead of torques.
 
     Attributes:
-        model: the model.
+        batch: the Batch of this one arm.
+        model, method, control_period, substeps: its.
         state: (2 d,) coordinates and speeds, a view that `step` updates; order in `kernels.layout`.
         outputs: (OUTPUTS,) tip, deflection and energies at that state; columns in `kernels.layout`.
         time: s since the reset.
@@ -94,22 +93,12 @@ class Simulator:
         atol: float = 1e-9,
         prescribed: Collection[int] = (),
     ) -> None:
-        if not isinstance(model, Model):
-            raise refusal("model", model, "a Model, from build_model")
-        self.model = model
-        self.method = find_method(method)
-        self.control_period = positive("control_period", control_period, "s")
-        allowed = "a number of seconds that divides the control period"
-        self.substeps = 1 if step is None else _whole("step", step, self.control_period, allowed)
-        joints = [whole_number("prescribed", joint, 0, model.n_joints - 1) for joint in prescribed]
-        self._run = Run(model, self.method, _tolerance(self.method, step, rtol, atol), joints)
-        self._prescribed = self._run.constants.prescribed > 0
-        size = 2 * model.n_dof
-        self._row, self._rows = np.zeros(size + 2), np.zeros((1, size + 2))
-        self.outputs, self._new_outputs = np.zeros(layout.OUTPUTS), np.zeros((1, layout.OUTPUTS))
-        self._drive = drive_table([None] * (model.n_joints + 6))
-        self.state = self._row[:size]
-        self.reset(np.zeros(model.n_joints))
+        self.batch = Batch(model, method, step, control_period, rtol, atol, prescribed)
+        self.model, self.method = self.batch.model, self.batch.method
+        self.control_period, self.substeps = self.batch.control_period, self.batch.substeps
+        self.state, self.outputs = self.batch.state[0], self.batch.outputs[0]
+        self._prescribed = np.isin(np.arange(model.n_joints), list(prescribed))
+        self._drive = np.zeros((1, model.n_joints + 6))
 
     def reset(
         self,
@@ -131,12 +120,7 @@ class Simulator:
         else:
             angles = np.zeros(self.model.n_joints) if joint_angles is None else joint_angles
             start = self.model.initial_state(angles, joint_rates)
-        self._row[:-2], self._row[-2:] = start, 0.0
-        self._periods = 0
-        self.status = STATUS[layout.OK]
-        self._run.start(self._row, self._rows[0], self.outputs)
-        self._start_energy = self.energy
-        self.energy_turnover = self._turnover()
+        self.batch.reset(np.zeros(1, dtype=np.int64), start[None])
 
     def step(
         self,
@@ -161,7 +145,7 @@ class Simulator:
         """
         if self.status != STATUS[layout.OK]:
             raise RuntimeError(f"the simulation is over, it {self.status}: reset it first")
-        n, drive = self.model.n_joints, self._drive[layout.OFFSET]
+        n, drive = self.model.n_joints, self._drive[0]
         drive[:n] = _numbers("torque", torque, n, "N m")
         if self._prescribed.any() or acceleration is not None:
             self._prescribe(drive[:n], acceleration)
@@ -169,15 +153,7 @@ class Simulator:
         drive[n + 3 :] = 0.0
         if base_acceleration is not None:
             drive[n + 3 :] = _numbers("base_acceleration", base_acceleration, 3, "m/s^2")
-        moment = (self.time, self.control_period / self.substeps, self.substeps)
-        status, _, _ = self._run(self._drive, moment, self._row, self._rows, self._new_outputs)
-        if status == layout.OK:
-            self._periods += 1
-            self.outputs[:] = self._new_outputs[0]
-            self.energy_turnover = max(self.energy_turnover, self._turnover())
-        else:
-            self._row[:] = self._rows[0]
-        self.status = STATUS[status]
+        self.batch.step(self._drive)
         return self.status
 
     def _prescribe(self, drive: Array, acceleration: Sequence[float] | Array | None) -> None:
@@ -191,14 +167,20 @@ class Simulator:
             raise refusal(f"acceleration[{i}]", float(given[i]), allowed)
         drive[self._prescribed] = given[self._prescribed]
 
-    def _turnover(self) -> float:
-        moving = self.outputs[layout.KINETIC : layout.GRAVITATIONAL].sum()
-        return float(turnover(moving, self._row[-2], self._row[-1]))
+    @property
+    def status(self) -> str:
+        """Of the last step: "ok", "diverged" or "not converged"."""
+        return STATUS[self.batch.status[0]]
 
     @property
     def time(self) -> float:
         """Seconds since the reset."""
-        return self._periods * self.control_period
+        return float(self.batch.time[0])
+
+    @property
+    def energy_turnover(self) -> float:
+        """The largest since the reset of kinetic + elastic energy, of work and of dissipation, J."""
+        return float(self.batch.energy_turnover[0])
 
     @property
     def tip(self) -> Array:
@@ -233,7 +215,7 @@ class Simulator:
     @property
     def energy_residual(self) -> float:
         """Work - dissipation - change of energy since the reset, J; see `Trajectory`."""
-        return float(self._row[-2] - self._row[-1]) - (self.energy - self._start_energy)
+        return float(self.batch.energy_residual[0])
 
 
 def _numbers(name: str, value: Sequence[float] | Array, count: int, unit: str) -> Array:
@@ -244,23 +226,6 @@ def _numbers(name: str, value: Sequence[float] | Array, count: int, unit: str) -
     return values
 
 
-def _tolerance(method: Method, step: float | None, rtol: float, atol: float) -> tuple[float, float] | None:
-    """The tolerance of a method that chooses its steps, None for one that is held to a fixed step."""
-    given = positive("rtol", rtol), positive("atol", atol)
-    if step is None and not method.estimates:
-        raise refusal("step", None, f"a number > 0 (s): {method.name} takes fixed steps")
-    return given if step is None or method.adaptive else None
-
-
-def _whole(name: str, part: float, total: float, allowed: str) -> int:
-    """total / part when that is a whole number."""
-    ratio = total / positive(name, part, "s")
-    count = round(ratio)
-    if count < 1 or abs(ratio - count) > WHOLE * ratio:
-        raise refusal(name, part, f"{allowed}, {total} s")
-    return count
-
-
 def _output_interval(method: Method, step: float | None, output_step: float) -> tuple[float, int]:
     """Time between outputs and the number of steps in it."""
     if step is None:
@@ -269,7 +234,7 @@ def _output_interval(method: Method, step: float | None, output_step: float) -> 
     if method.adaptive:
         return output_step, max(1, round(output_step / positive("step", step, "s")))
     if positive("step", step, "s") <= output_step:
-        return output_step, _whole("step", step, output_step, allowed)
+        return output_step, parts("step", step, output_step, allowed)
     multiple = step / output_step
     if abs(multiple - round(multiple)) > WHOLE * multiple:
         raise refusal("step", step, f"{allowed}, {output_step} s")

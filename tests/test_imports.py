@@ -34,7 +34,8 @@ ARROWS = {
     "dynamics": "model reduction beam scene arm checks kernels",
     "trajectory": "model beam checks kernels",
     "run": "model methods drive beam checks kernels",
-    "simulator": "run trajectory drive dynamics model methods reduction beam scene arm checks kernels",
+    "batch": "run trajectory drive methods model beam checks kernels",
+    "simulator": "batch run trajectory drive dynamics model methods reduction beam scene arm checks kernels",
     "fidelity_search": "trajectory simulator dynamics model methods beam scene checks",
     "fidelity": "fidelity_search amplification trajectory simulator dynamics model methods reduction beam scene arm"
     " checks",
