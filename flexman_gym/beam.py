@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh_tridiagonal
 
 from flexman_gym.arm import Link, NonUniformLink
 
@@ -279,8 +278,8 @@ def _gauss_rule(places: Array, masses: Array, count: int) -> tuple[Array, Array]
         ahead = (places - diagonal[i]) * now - (beside[i - 1] if i else 0.0) * before
         beside[i] = np.sqrt(masses @ ahead**2)
         before, now = now, ahead / beside[i]
-    found, vectors = eigh_tridiagonal(diagonal, beside[:-1])
-    return np.asarray(found), masses.sum() * np.asarray(vectors)[0] ** 2
+    found, vectors = np.linalg.eigh(np.diag(diagonal) + np.diag(beside[:-1], -1))  # reads the lower triangle
+    return found, masses.sum() * vectors[0] ** 2
 
 
 def _lagrange(places: Array, points: Array) -> Array:

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from flexman_gym.beam import NODE_COORDINATES, Array, beam_shapes, find_element
 from flexman_gym.checks import refusal, vector, whole_number
@@ -81,6 +80,8 @@ def _centreline_shapes(model: Model, points: int) -> tuple[Array, ...]:
 
 
 def _turn(rotation_vector: Array) -> Array:
+    from scipy.spatial.transform import Rotation
+
     return Rotation.from_rotvec(rotation_vector).as_matrix()
 
 

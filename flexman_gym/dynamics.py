@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, eigh
 
 from flexman_gym.beam import NODE_COORDINATES, Array
 from flexman_gym.checks import refusal, vector
@@ -82,6 +81,8 @@ def frequencies(model: Model, joint_angles: Sequence[float] | None = None, lock_
         mass, stiffness = mass[np.ix_(free, free)], stiffness[np.ix_(free, free)]
     if len(mass) == 0:
         return np.zeros(0)
+    from scipy.linalg import eigh
+
     squares = eigh(stiffness, mass, eigvals_only=True)
     if not lock_joints:
         squares[: model.n_joints] = 0.0  # rounding leaves their square roots at millihertz
@@ -109,6 +110,8 @@ def linearize(
 
     Raises ValueError for wrong shapes, values that are not finite, or a state and joint angles at once.
     """
+    from scipy.linalg import cho_factor, cho_solve
+
     if state is None:
         state = model.initial_state(np.zeros(model.n_joints) if joint_angles is None else joint_angles)
     elif joint_angles is not None:

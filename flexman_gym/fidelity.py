@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg import eigh
 
 from flexman_gym.amplification import amplitude_kept, explicit_limit, spectral_radius
 from flexman_gym.arm import Arm
@@ -81,6 +80,8 @@ def assembled_modes(
     `highest` (Hz), of the lowest three in any case, at zero joint angles or with a joint turned by 0.8 or 1.6 rad. It
     takes no simulation, and says nothing about an error: `choose_model` does.
     """
+    from scipy.linalg import eigh
+
     counts = tuple(basis.shape[1] for basis in build_model(arm, elements).bases)
     model = build_model(arm, elements, counts)
     stiffness, n = stiffness_matrix(model), model.n_joints

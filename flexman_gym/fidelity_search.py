@@ -4,8 +4,6 @@ import time as clock
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
-from scipy.linalg import eigh
 
 from flexman_gym.beam import Array
 from flexman_gym.dynamics import mass_matrix, stiffness_matrix, tip_jacobian
@@ -117,6 +115,8 @@ class Search:
             return np.inf
         error = _distance(run.tip, reference[:: (len(times) - 1) // (len(run.time) - 1)])
         if len(run.time) < len(times):
+            from scipy.interpolate import CubicHermiteSpline
+
             between = CubicHermiteSpline(run.time, run.tip, run.tip_velocity)(times)
             error = error if _distance(between, reference) <= self.tolerance else np.inf
         return error
@@ -158,6 +158,8 @@ class Search:
 
     def stiffest(self) -> list[tuple[int, int]]:
         """Modes (link, number), each the one that takes the most part in the highest system mode of those after it."""
+        from scipy.linalg import eigh
+
         model = self.model(self.full)
         mass = mass_matrix(model, model.initial_state(self.scene.initial.joint_angles))
         stiffness, size = stiffness_matrix(model), np.sqrt(np.diag(mass))

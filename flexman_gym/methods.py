@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import DOP853, RK45
 
+from flexman_gym.dormand_prince import A5, A8, B5, B8, ERROR5, ERROR8_3, ERROR8_5
 from flexman_gym.kernels.layout import SEQUENCES, STAGES, Averages, Tableau
 
 EXPLICIT, LINEARLY_IMPLICIT, IMPLICIT, REFERENCE = "explicit", "linearly implicit", "implicit", "reference"
@@ -185,11 +185,11 @@ def _explicit() -> tuple[Method, ...]:
     )  # fmt: skip
     third = _lower(4, [[0.5], [0.0, 0.5], [0.0, 0.0, 1.0]])
     rk4 = Method("rk4", 4, EXPLICIT, "Kutta 1901", third, np.array([1, 2, 2, 1]) / 6)
-    pair = "Dormand and Prince 1980; coefficients of SciPy"
-    dopri5 = Method("dopri5", 5, EXPLICIT, pair, _lower(6, RK45.A[1:].tolist()), np.array(RK45.B), error=RK45.E[None])
-    source = "Dormand and Prince; Hairer, Norsett and Wanner, Solving ODEs I, II.10; coefficients of SciPy"
-    stages, errors = np.array(DOP853.A[:12, :12]), np.array([DOP853.E5, DOP853.E3])
-    return euler, rk4, dopri5, Method("dop853", 8, REFERENCE, source, stages, np.array(DOP853.B), error=errors)
+    pair = "Dormand and Prince 1980; Hairer, Norsett and Wanner, Solving ODEs I, II.5"
+    dopri5 = Method("dopri5", 5, EXPLICIT, pair, _lower(6, A5), np.array(B5), error=np.array([ERROR5]))
+    source = "Dormand and Prince; Hairer, Norsett and Wanner, Solving ODEs I, II.10"
+    errors = np.array([ERROR8_5, ERROR8_3])
+    return euler, rk4, dopri5, Method("dop853", 8, REFERENCE, source, _lower(12, A8), np.array(B8), error=errors)
 
 
 def _linearly_implicit() -> tuple[Method, ...]:

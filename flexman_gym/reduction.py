@@ -7,7 +7,6 @@ carries everything outboard. Loaded modes see the inertia of the outboard arm, s
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import eigh
 
 from flexman_gym.arm import Arm
 from flexman_gym.beam import Array, Beam
@@ -47,6 +46,8 @@ def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
 
     The shapes are normalised to unit modal mass including the outboard inertia (6, 6).
     """
+    from scipy.linalg import eigh  # takes long to import, and not every use of the package needs it
+
     tip = np.vstack([beam.tip_translation, beam.tip_rotation])
     squares, shapes = eigh(beam.stiffness, beam.mass_matrix + tip.T @ outboard @ tip)
     return np.sqrt(squares), shapes

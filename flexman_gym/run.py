@@ -3,7 +3,6 @@
 from collections.abc import Collection
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from flexman_gym.beam import Array
 from flexman_gym.checks import one_of, positive, refusal
@@ -66,6 +65,8 @@ class Run:
 
     def _by_scipy(self, drive: Array, clock: Clock, state: Array, rows: Array, found: Array) -> tuple[int, int, int]:
         """The same by SciPy's implicit Runge-Kutta method of Radau, which differentiates the slopes numerically."""
+        from scipy.integrate import solve_ivp  # takes long to import, for a method that few use
+
         d, times = len(state) // 2 - 1, clock.time + clock.step * clock.substeps * np.arange(1.0, len(rows) + 1.0)
         valid, evaluations = len(rows), 0
         if clock.substeps > 0:

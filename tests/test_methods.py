@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.integrate import DOP853, RK45
 
 import flexman_gym as fm
 from flexman_gym.methods import EXPLICIT, IMPLICIT, LINEARLY_IMPLICIT, METHODS, REFERENCE, generalised_alpha
@@ -80,6 +81,15 @@ def test_methods_are_named_and_have_a_source():
         assert method.name == name and method.source
         assert method.kind in (EXPLICIT, LINEARLY_IMPLICIT, IMPLICIT, REFERENCE)
         assert method.tableau.abscissae[:-1] == pytest.approx(method.a.sum(axis=1))
+
+
+@pytest.mark.parametrize(("name", "theirs"), [("dopri5", RK45), ("dop853", DOP853)])
+def test_coefficients_of_dormand_and_prince_are_those_of_scipy(name, theirs):
+    method, s = METHODS[name], theirs.n_stages
+    errors = [theirs.E] if name == "dopri5" else [theirs.E5, theirs.E3]
+    stages = method.a[:, : theirs.A.shape[1]], theirs.A[:s, :s]  # of RK45 without the last column, which is zero
+    for mine, other in (stages, (method.b, theirs.B), (method.error, errors)):
+        assert mine == pytest.approx(np.array(other), rel=1e-15, abs=1e-16)
 
 
 @pytest.mark.parametrize("name", ADAPTIVE)
@@ -158,7 +168,7 @@ def changed(array, index, value):
     return copy
 
 
-RK4, ROS2, DOP853, EULER = (METHODS[name] for name in ("rk4", "ros2", "dop853", "extrapolated_euler_3"))
+RK4, ROS2, DOP8, EULER = (METHODS[name] for name in ("rk4", "ros2", "dop853", "extrapolated_euler_3"))
 
 
 @pytest.mark.parametrize(
@@ -186,10 +196,10 @@ RK4, ROS2, DOP853, EULER = (METHODS[name] for name in ("rk4", "ros2", "dop853", 
         (ROS2, {"gamma": 0.3}),
         (ROS2, {"coupling": None}),
         (ROS2, {"kind": EXPLICIT}),
-        (DOP853, {"error": DOP853.error[:, :12]}),
-        (DOP853, {"error": np.zeros((3, 13))}),
-        (DOP853, {"a": changed(DOP853.a, (11, 0), DOP853.a[11, 0] + 1e-6)}),
-        (DOP853, {"b": changed(DOP853.b, 0, DOP853.b[0] + 1e-9)}),
+        (DOP8, {"error": DOP8.error[:, :12]}),
+        (DOP8, {"error": np.zeros((3, 13))}),
+        (DOP8, {"a": changed(DOP8.a, (11, 0), DOP8.a[11, 0] + 1e-6)}),
+        (DOP8, {"b": changed(DOP8.b, 0, DOP8.b[0] + 1e-9)}),
     ],
 )
 def test_wrong_coefficients_are_refused_in_one_line(method, changes):
