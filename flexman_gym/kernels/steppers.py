@@ -15,7 +15,7 @@ from flexman_gym.kernels.linalg import copy, inner, kernel
 from flexman_gym.kernels.outputs import observe
 from flexman_gym.kernels.pace import LEAST_PACE, error_norm, first_pace, next_pace, next_step, out_of_bounds
 
-ITERATIONS, CONVERGED = 25, 1e-11  # of an implicit step; the largest relative change that ends them
+ITERATIONS, CONVERGED = 25, 1e-10  # of an implicit step; the largest relative error that ends them
 ROUNDING = 1e-7  # a change below it that no longer shrinks is rounding, of stiff springs after many turns for example
 
 
@@ -268,9 +268,9 @@ def implicit_solution(constants, work, by_rate, by_place, state):
     """
     d = len(state) // 2 - 1
     place, speed, shift, w = work.trial[:d], work.trial[d : 2 * d], work.shift, work.rates
-    count, largest, converged = 0, 1.0, False
+    count, largest, ratio, converged = 0, 1.0, 1.0, False
     while count < ITERATIONS and largest < 1e30 and not converged:
-        count, before = count + 1, largest
+        count, before, ratio_before = count + 1, largest, ratio
         for k in range(d):
             place[k] = work.stage_state[k] + by_place * w[k]
             speed[k] = work.stage_state[d + k] + by_rate * w[k]
@@ -287,7 +287,12 @@ def implicit_solution(constants, work, by_rate, by_place, state):
         for k in range(d):
             moved = abs(by_place * w[k] + shift[k]) / (1.0 + abs(place[k]))
             largest = max(largest, moved, abs(by_rate * w[k] + shift[d + k]) / (1.0 + abs(speed[k])))
-        converged = largest <= CONVERGED or 0.5 * before < largest < ROUNDING
+        # What is left is a geometric series of changes (Hairer and Wanner, Solving ODEs II, IV.8). A first change that
+        # is large by what is linear tells nothing of its ratio, therefore two ratios count.
+        ratio = largest / before
+        rest = max(ratio, ratio_before)
+        small = count > 2 and rest < 0.5 and rest * largest <= (1.0 - rest) * CONVERGED
+        converged = small or largest <= CONVERGED or 0.5 * before < largest < ROUNDING
     work.trial[2 * d] = supplied + prescribed_power(constants, work, speed)
     work.trial[2 * d + 1] = lost
     return count if converged else -count
