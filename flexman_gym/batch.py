@@ -6,11 +6,11 @@ import numpy as np
 
 from flexman_gym.beam import Array
 from flexman_gym.checks import one_of, parts, positive, refusal, whole_number
-from flexman_gym.drive import drive_table
 from flexman_gym.kernels import layout
-from flexman_gym.methods import Method
+from flexman_gym.methods import LINEARLY_IMPLICIT, Method
 from flexman_gym.model import Model
-from flexman_gym.run import Run, find_method, find_tolerance
+from flexman_gym.movers import Abreast, OneByOne
+from flexman_gym.run import Run, find_method, find_tolerance, prescribed_flags
 from flexman_gym.trajectory import turnover
 
 MOST_ARMS, MOST_THREADS = 65536, 256
@@ -61,12 +61,16 @@ class Batch:
         whole_number("threads", threads, 1, MOST_THREADS)
         joints = [whole_number("prescribed", joint, 0, n - 1) for joint in prescribed]
         tolerance = find_tolerance(self.method, step, rtol, atol)
-        self._runs = [Run(model, self.method, tolerance, joints) for _ in range(count)]
-        self._drive = drive_table([None] * (n + 6))
+        period = self.control_period, self.substeps
+        self._mover: OneByOne | Abreast
+        if self.method.kind == LINEARLY_IMPLICIT and tolerance is None:
+            constants = model.constants._replace(prescribed=prescribed_flags(n, joints))
+            self._mover = Abreast(constants, self.method, period, count, threads)
+        else:
+            self._mover = OneByOne([Run(model, self.method, tolerance, joints) for _ in range(count)], period)
         self.rows = np.zeros((count, 2 * model.n_dof + 2))
         self.state = self.rows[:, :-2]
         self.outputs = np.zeros((count, layout.OUTPUTS))
-        self._last, self._found = np.zeros_like(self.rows), np.zeros_like(self.outputs)
         self.status = np.zeros(count, dtype=np.int64)
         self._periods = np.zeros(count)  # since the reset
         self.energy_turnover, self._start_energy = np.zeros(count), np.zeros(count)
@@ -86,8 +90,7 @@ class Batch:
         self.rows[arms, :-2], self.rows[arms, -2:] = states, 0.0
         self.status[arms] = layout.OK
         self._periods[arms] = 0.0
-        for i in arms:
-            self._runs[i].start(self.rows[i], self._last[i], self.outputs[i])
+        self._mover.observe(arms, self.rows, self.outputs)
         self._start_energy[arms] = self._energy()[arms]
         self.energy_turnover[arms] = self._turned_over()[arms]
 
@@ -97,18 +100,8 @@ class Batch:
         The drive holds torques (accelerations where the motion is prescribed), tip force and base acceleration as
         `kernels.layout` has it; it is not checked.
         """
-        step = self.control_period / self.substeps
-        for i in np.flatnonzero(self.status == layout.OK):
-            self._drive[layout.OFFSET] = drive[i]
-            moment = (self._periods[i] * self.control_period, step, self.substeps)
-            last, found = self._last[i : i + 1], self._found[i : i + 1]
-            status, _, _ = self._runs[i](self._drive, moment, self.rows[i], last, found)
-            if status == layout.OK:
-                self._periods[i] += 1.0
-                self.outputs[i] = found[0]
-            else:
-                self.status[i] = status
-                self.rows[i] = last[0]
+        self._mover.move(drive, self._periods, self.rows, self.outputs, self.status)
+        self._periods += self.status == layout.OK
         np.maximum(self.energy_turnover, self._turned_over(), out=self.energy_turnover)
 
     def vary(self, arms: np.ndarray, **parameters: Array) -> None:
@@ -131,8 +124,7 @@ class Batch:
         for name, values in checked.items():
             self._parameters[name][arms] = values
         for i in arms:
-            run = self._runs[i]
-            run.constants = run.constants._replace(**self._varied(i))
+            self._mover.vary(i, self._varied(i))
 
     def _parameter(self, name: str, value: Array, count: int) -> Array:
         """The values (count, ...) of a parameter, checked."""

@@ -8,7 +8,7 @@ from flexman_gym.beam import Array
 from flexman_gym.checks import one_of, positive, refusal
 from flexman_gym.drive import drive_table
 from flexman_gym.kernels import layout, outputs, steppers
-from flexman_gym.kernels.layout import Clock, Work, make_work
+from flexman_gym.kernels.layout import Clock, IntArray, Work, make_work
 from flexman_gym.methods import IMPLICIT, LINEARLY_IMPLICIT, METHODS, Method
 from flexman_gym.model import Model
 
@@ -26,6 +26,11 @@ def find_tolerance(method: Method, step: float | None, rtol: float, atol: float)
     return given if step is None or method.adaptive else None
 
 
+def prescribed_flags(joints: int, prescribed: Collection[int]) -> IntArray:
+    """(joints,) 1 where the motion of a joint's motor is prescribed, 0 elsewhere."""
+    return np.isin(np.arange(joints), list(prescribed)).astype(np.int64)
+
+
 class Run:
     """A method bound to a model; `tolerance` (rtol, atol) lets it choose its steps, None holds it to the clock's.
 
@@ -37,8 +42,7 @@ class Run:
     def __init__(
         self, model: Model, method: Method, tolerance: tuple[float, float] | None, prescribed: Collection[int]
     ) -> None:
-        flags = np.isin(np.arange(model.n_joints), list(prescribed)).astype(np.int64)
-        self.constants = model.constants._replace(prescribed=flags)
+        self.constants = model.constants._replace(prescribed=prescribed_flags(model.n_joints, prescribed))
         self.work: Work = make_work(model.constants)
         self.method = method
         self.tolerance = tolerance or (0.0, 0.0)

@@ -167,4 +167,3 @@ def _farthest(found: Trajectory, expected: Array, until: int | None = None) -> f
 def _whole(found: Trajectory, scene: Scene, value: float) -> float:
     """The value of a run that went to the end of its scene; infinite of one that did not."""
     return float(value) if found.status == "ok" and np.isclose(found.time[-1], scene.duration) else np.inf
-

@@ -86,9 +86,7 @@ def test_every_method_knows_every_part_of_the_drive(name):
 def test_a_prescribed_motion_is_the_limit_of_a_heavy_rotor(model):
     heavy = replace(SCENE.arm, joints=[replace(SCENE.arm.joints[0], rotor_inertia=1e9), *SCENE.arm.joints[1:]])
     choice = model.choice
-    driven = fm.build_model(
-        heavy, 2, 5, flexible_joints=choice.flexible_joints, spinning_rotors=choice.spinning_rotors
-    )
+    driven = fm.build_model(heavy, 2, 5, flexible_joints=choice.flexible_joints, spinning_rotors=choice.spinning_rotors)
     torque = fm.SineTorque([1e9 * WOBBLE.amplitude, 400.0, 400.0], [WOBBLE.frequency_hz] * 3, [0.0] * 3)
     free = truth(replace(SCENE, arm=heavy, torque=torque), driven)
     held = replace(SCENE, torque=replace(torque, amplitude=[0.0, 400.0, 400.0]), prescribed=REPLACED["prescribed"])

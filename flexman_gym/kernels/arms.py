@@ -18,17 +18,16 @@ from numba.np import arrayobj
 from flexman_gym.kernels.lanes import ARMS, lane_number, store_lane_number
 from flexman_gym.kernels.layout import (
     ARMS_ABREAST,
-    DIVERGED,
     LARGEST_STATE,
-    OK,
     Array,
     Constants,
     IntArray,
     Rows,
     Work,
 )
-from flexman_gym.kernels.linalg import kernel
+from flexman_gym.kernels.linalg import copy, inner, released
 from flexman_gym.kernels.outputs import observe
+from flexman_gym.kernels.pace import out_of_bounds
 from flexman_gym.kernels.steppers import implicit_step
 
 PER_ARM = frozenset(
@@ -48,28 +47,28 @@ def arms_array(shape: tuple[int, ...]) -> Array:
     return memory[first : first + count].reshape(*shape, ARMS_ABREAST)
 
 
-def addresses(parts: NamedTuple) -> IntArray:
+def addresses(parts: NamedTuple, element: types.Type) -> IntArray:
     """(fields, 3) address and shape of every array of a `Constants` or `Work`, whose memory must stay alive.
 
-    Arrays of groups have one axis more, the arms.
+    Elements are numbers (types.float64) or `ARMS`, whose arrays have one axis more, the arms.
     """
     table = np.zeros((len(parts), 3), np.int64)
     for row, name, values in zip(table, parts._fields, parts, strict=True):
-        kind = _kind(type(parts), name)
-        shape = values.shape[: kind.ndim]
-        assert values.flags.c_contiguous and values.ndim == kind.ndim + (kind.dtype == ARMS), name
-        row[0], row[1 : 1 + kind.ndim] = values.ctypes.data, shape
+        kind = _kind(type(parts), name, element)
+        if not values.flags.c_contiguous or values.ndim != kind.ndim + (kind.dtype == ARMS):
+            raise TypeError(f"{name} is no contiguous array of {kind.ndim} axes")
+        row[0], row[1 : 1 + kind.ndim] = values.ctypes.data, values.shape[: kind.ndim]
     return table
 
 
-def _kind(parts: type, name: str) -> types.Array:
-    """The type of a field as the kernels for several arms see it."""
+def _kind(parts: type, name: str, element: types.Type) -> types.Array:
+    """The type of a field as the kernels see it; read-only are the constants that several arms share, see `lanes`."""
     annotation = parts.__annotations__[name]
     dimensions = 2 if annotation is Rows else 1
     if annotation is IntArray:
         return types.Array(types.int64, dimensions, "C", readonly=True)
-    if parts is Work or name in PER_ARM:
-        return types.Array(ARMS, dimensions, "C")
+    if parts is Work or name in PER_ARM or element != ARMS:
+        return types.Array(element, dimensions, "C")
     return types.Array(types.float64, dimensions, "C", readonly=True)
 
 
@@ -89,10 +88,10 @@ def _view(context: Any, builder: Any, kind: types.Array, table: Any, row: int) -
     return array._getvalue()
 
 
-def _reader(parts: type) -> Any:
+def _reader(parts: type, element: types.Type) -> Any:
     """A function for kernels that makes a `Constants` or `Work` of its table of addresses."""
-    kinds = [_kind(parts, name) for name in parts._fields]  # type: ignore[attr-defined]
-    whole = types.NamedTuple(kinds, parts)
+    kinds = [_kind(parts, name, element) for name in parts._fields]  # type: ignore[attr-defined]
+    whole = types.NamedTuple(kinds, parts)  # type: ignore[attr-defined]
 
     @intrinsic
     def read(typing_context, table):
@@ -106,40 +105,77 @@ def _reader(parts: type) -> Any:
     return read
 
 
-constants_at, work_at = _reader(Constants), _reader(Work)
+constants_of_arms, work_of_arms = _reader(Constants, ARMS), _reader(Work, ARMS)
+constants_of_one, work_of_one = _reader(Constants, types.float64), _reader(Work, types.float64)
 
 
-@kernel
-def advance(tables, work_table, tableau, drives, clock, rows, found, status):
+@inner
+def proceed(constants, work, tableau, clock, state):
+    """Moves state and ledger, an array of work space, under work.drive; then fills work.outputs."""
+    d = len(state) // 2 - 1
+    for n in range(clock.substeps):
+        implicit_step(constants, work, tableau, work.drive, (clock.time + n * clock.step, clock.step), state)
+        copy(work.trial, state)
+    observe(constants, work, state[:d], state[d : 2 * d], work.outputs)
+
+
+@released
+def advance_arms(tables, work_table, tableau, drives, clock, rows, found, moving):
     """Moves arms by steps of a linearly implicit method under constant drives (b, n + 6).
 
-    `tables` (groups, fields, 3) are the addresses of the constants of each group of ARMS_ABREAST arms. rows
-    (b, 2 d + 2), state and ledger, and outputs `found` (b, OUTPUTS) are overwritten where status (b,) is OK and the arm
-    does not diverge, which its status then says.
+    `tables` (groups, fields, 3) are the addresses of the constants of each group of ARMS_ABREAST arms. Overwrites rows
+    (b, 2 d + 2), state and ledger, and outputs `found` (b, OUTPUTS) of the arms that are `moving` (b,) and do not
+    diverge; moving becomes 0 for one that does.
     """
-    work, last = work_at(work_table), len(rows) - 1
-    state, size, d = work.row, len(work.row), len(work.row) // 2 - 1
+    work, last = work_of_arms(work_table), len(rows) - 1
+    state = work.row
     for group in range(len(tables)):
-        constants = constants_at(tables[group])
+        first = group * ARMS_ABREAST
+        end = min(first + ARMS_ABREAST, len(rows))
+        if not any_moving(moving, first, end):
+            continue
         for k in range(ARMS_ABREAST):
-            arm = min(group * ARMS_ABREAST + k, last)  # lanes without an arm repeat the last one
-            for j in range(size):
+            arm = min(first + k, last)  # lanes without an arm repeat the last one
+            for j in range(len(state)):
                 store_lane_number(state, j, k, rows[arm, j])
             for j in range(len(work.drive)):
                 store_lane_number(work.drive, j, k, drives[arm, j])
-        for n in range(clock.substeps):
-            moment = (clock.time + n * clock.step, clock.step)
-            implicit_step(constants, work, tableau, work.drive, moment, state)
-            for j in range(size):
-                state[j] = work.trial[j]
-        observe(constants, work, state[:d], state[d : 2 * d], work.outputs)
-        for k in range(min(ARMS_ABREAST, len(rows) - group * ARMS_ABREAST)):
-            arm = group * ARMS_ABREAST + k
-            for j in range(2 * d):
-                if not abs(lane_number(state, j, k)) <= LARGEST_STATE and status[arm] == OK:
-                    status[arm] = DIVERGED
-            if status[arm] == OK:
-                for j in range(size):
-                    rows[arm, j] = lane_number(state, j, k)
+        proceed(constants_of_arms(tables[group]), work, tableau, clock, state)
+        for arm in range(first, end):
+            moving[arm] = moving[arm] and lane_in_bounds(state, arm - first)
+            if moving[arm]:
+                for j in range(len(state)):
+                    rows[arm, j] = lane_number(state, j, arm - first)
                 for j in range(len(work.outputs)):
-                    found[arm, j] = lane_number(work.outputs, j, k)
+                    found[arm, j] = lane_number(work.outputs, j, arm - first)
+
+
+@released
+def advance_one(table, work_table, tableau, drives, clock, rows, found, moving):
+    """The same for a single arm."""
+    work = work_of_one(work_table)
+    copy(rows[0], work.row)
+    copy(drives[0], work.drive)
+    proceed(constants_of_one(table), work, tableau, clock, work.row)
+    moving[0] = moving[0] and not out_of_bounds(work.row)
+    if moving[0]:
+        copy(work.row, rows[0])
+        copy(work.outputs, found[0])
+
+
+@inner
+def any_moving(moving, first, end):
+    """Whether an arm from `first` to `end` is to be moved."""
+    for arm in range(first, end):
+        if moving[arm]:
+            return True
+    return False
+
+
+@inner
+def lane_in_bounds(state, k):
+    """Whether the state in lane k is finite and within LARGEST_STATE; the ledger is not looked at."""
+    for j in range(len(state) - 2):
+        if not abs(lane_number(state, j, k)) <= LARGEST_STATE:
+            return False
+    return True

@@ -2,8 +2,8 @@
 
 import math
 
-from flexman_gym.kernels.layout import AMPLITUDE, FREQUENCY, OFFSET, PHASE, START, STOP
 from flexman_gym.kernels.lanes import choose_below, vanishes
+from flexman_gym.kernels.layout import AMPLITUDE, FREQUENCY, OFFSET, PHASE, START, STOP
 from flexman_gym.kernels.linalg import (
     ZERO,
     add,

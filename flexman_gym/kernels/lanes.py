@@ -1,9 +1,9 @@
 """Lanes: numbers that kernels add and multiply at once, each in one instruction of the processor.
 
 Written out as a type because the compiler does not find such groups by itself: Numba keeps its search for them off.
-The lanes of `NEIGHBOURS` are neighbours in an array of one arm, those of `ARMS` the same number of several arms. Kernels
-are written once for both: where the arrays of work space hold `ARMS`, a group of neighbours is one element, and the
-constants that all arms share are read-only arrays of plain numbers.
+The lanes of `NEIGHBOURS` are neighbours in an array of one arm, those of `ARMS` the same number of several arms.
+Kernels are written once for both: where the arrays of work space hold `ARMS`, a group of neighbours is one element, and
+the constants that all arms share are read-only arrays of plain numbers.
 """
 
 import math
@@ -104,8 +104,8 @@ for _instruction, _symbols in {
     for _symbol in _symbols:
         _operator(_symbol, _instruction)
 
-for _symbol in (operator.neg, math.sqrt, math.sin, math.cos, math.tanh):
-    _declare(_symbol)
+for _function in (operator.neg, math.sqrt, math.sin, math.cos, math.tanh):
+    _declare(_function)
 
 
 @lower_builtin(operator.neg, Lanes)
@@ -133,8 +133,8 @@ def _one_by_one(symbol: Callable) -> None:
         return group
 
 
-for _symbol in (math.sin, math.cos, math.tanh):
-    _one_by_one(_symbol)
+for _single in (math.sin, math.cos, math.tanh):
+    _one_by_one(_single)
 
 
 def _all(builder: Any, kind: Any, condition: Any) -> Any:

@@ -14,6 +14,7 @@ from flexman_gym.kernels.lanes import below, choose_below
 # would give one arm other last digits than several abreast, and nnan would remove the test for divergence.
 FLAGS = {"cache": True, "_nrt": False, "error_model": "numpy", "fastmath": {"contract"}}
 kernel = numba.njit(**FLAGS)  # what Python calls
+released = numba.njit(**FLAGS, nogil=True)  # what Python calls in several threads
 inner = numba.njit(**FLAGS, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)  # what other kernels call
 
 ZERO = (0.0, 0.0, 0.0)
