@@ -57,4 +57,9 @@ __all__ = [
     "tip_acceleration",
 ]
 
-register(id="FlexRRR-v0", entry_point="flexman_gym.envs:FlexManEnv", max_episode_steps=500)
+register(
+    id="FlexRRR-v0",
+    entry_point="flexman_gym.envs:FlexManEnv",
+    vector_entry_point="flexman_gym.vector_env:FlexManVectorEnv",
+    max_episode_steps=500,
+)

@@ -14,6 +14,8 @@ from flexman_gym.run import Run, find_method, find_tolerance, prescribed_flags
 from flexman_gym.trajectory import turnover
 
 MOST_ARMS, MOST_THREADS = 65536, 256
+ENERGY = np.isin(np.arange(layout.OUTPUTS), range(layout.KINETIC, layout.OUTPUTS)).astype(float)
+MOVING_ENERGY = np.isin(np.arange(layout.OUTPUTS), range(layout.KINETIC, layout.GRAVITATIONAL)).astype(float)
 
 
 class Batch:
@@ -174,8 +176,7 @@ class Batch:
         return self.rows[:, -2] - self.rows[:, -1] - (self._energy() - self._start_energy)
 
     def _energy(self) -> Array:
-        return self.outputs[:, layout.KINETIC :].sum(axis=1)
+        return np.vecdot(self.outputs, ENERGY)  # arm by arm, so that its bits do not depend on how many there are
 
     def _turned_over(self) -> Array:
-        moving = self.outputs[:, layout.KINETIC : layout.GRAVITATIONAL].sum(axis=1)
-        return turnover(moving, self.rows[:, -2], self.rows[:, -1])
+        return turnover(np.vecdot(self.outputs, MOVING_ENERGY), self.rows[:, -2], self.rows[:, -1])

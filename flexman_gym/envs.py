@@ -1,4 +1,4 @@
-"""Environments: a simulator, a task and sensors behind Gymnasium's interface."""
+"""Environment: a simulator, a task and sensors behind Gymnasium's interface."""
 
 from typing import Any
 
@@ -7,21 +7,14 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from flexman_gym.arm import Arm
-from flexman_gym.catalog import paper_rrr
-from flexman_gym.checks import one_of, positive, refusal, vector
-from flexman_gym.drive import SineTorque
-from flexman_gym.fidelity import Choice, assembled_modes, choose_model
-from flexman_gym.model import build_model
-from flexman_gym.scene import Initial, ModelChoice, Scene
-from flexman_gym.sensors import FullState, Limits
+from flexman_gym.checks import one_of
+from flexman_gym.episodes import Episodes, checked_actions
+from flexman_gym.kernels import layout
+from flexman_gym.setup import Setup
 from flexman_gym.simulator import Simulator
-from flexman_gym.tasks import Slew
-from flexman_gym.trajectory import ENERGY_ALARM
 
 Observation = NDArray[np.float32]
-FIDELITY = {"elements": 2, "modes": "assembled", "method": "ros2", "step": 0.005}
-SLEW = 3.0  # s, of the motion for which fidelity="auto" chooses
+ONLY = np.zeros(1, dtype=np.int64)  # the index of the arm
 
 
 class FlexManEnv(gym.Env[Observation, Observation]):
@@ -55,8 +48,9 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         In [0, 1] a step, less a penalty for a failure: `tasks.Slew` has the terms, `info["reward_terms"]` their values.
 
     Start and end
-        `reset(seed=...)` draws start and target; `reset(options={"start": angles, "posture": angles})` sets them. An
-        episode is truncated after 10 s (500 steps). It terminates with the failure penalty when an observed quantity
+        `reset(seed=...)` draws start and target; `reset(options={"start": angles, "posture": angles})` sets them, and
+        "parameters", a dict, sets physical parameters of the arm from this episode on (see `Batch.vary`). An episode is
+        truncated after 10 s (500 steps). It terminates with the failure penalty when an observed quantity
         leaves its bound or the simulation diverges; `info["failure"]` says which. The observation is then the last one
         within the bounds, so that every observation lies in the space.
 
@@ -83,17 +77,9 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         `env.unwrapped.choice`. The tolerance holds for that motion, more or less for others like it.
 
     Args:
-        arm: None takes the arm above.
-        task: None takes `Slew()`.
-        limits: None takes `Limits()`.
-        torque_limit: N m, of each motor.
-        control_period: s.
-        fidelity: "default" or "auto"; the latter with a tolerance, and without the next four.
-        tolerance: m, largest error of the tip in a slew.
-        elements, modes, method, step: see `build_model` and `Simulator`; "assembled" modes are those described above.
-        energy_alarm: part of the energy turned over (the largest of kinetic + elastic energy, work and dissipation).
         render_mode: None or "rgb_array".
         render_size: width and height of a frame in pixels.
+        settings: the attributes of `Setup`: arm, task, limits, fidelity and so on.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
@@ -102,82 +88,34 @@ class FlexManEnv(gym.Env[Observation, Observation]):
     metadata = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012
 
     def __init__(
-        self,
-        *,
-        arm: Arm | None = None,
-        task: Slew | None = None,
-        limits: Limits | None = None,
-        torque_limit: float = 400.0,
-        control_period: float = 0.02,
-        fidelity: str = "default",
-        tolerance: float | None = None,
-        elements: int | tuple[int, ...] = 2,
-        modes: int | tuple[int | tuple[int, ...], ...] | str | None = "assembled",
-        method: str = "ros2",
-        step: float = 0.005,
-        energy_alarm: float = ENERGY_ALARM,
-        render_mode: str | None = None,
-        render_size: tuple[int, int] = (480, 360),
+        self, *, render_mode: str | None = None, render_size: tuple[int, int] = (480, 360), **settings: Any
     ) -> None:
         if render_mode is not None:
             one_of("render_mode", render_mode, ("rgb_array",))
-        if arm is not None and not isinstance(arm, Arm):
-            raise refusal("arm", arm, "an Arm")
-        if task is not None and not isinstance(task, Slew):
-            raise refusal("task", task, "a task, such as Slew()")
-        if limits is not None and not isinstance(limits, Limits):
-            raise refusal("limits", limits, "Limits")
-        self.torque_limit = positive("torque_limit", torque_limit, "N m")
-        self.energy_alarm = positive("energy_alarm", energy_alarm)
         self.render_mode = render_mode
-        self.task = Slew() if task is None else task
-        arm = default_arm() if arm is None else arm
-        period = positive("control_period", control_period, "s")
-        given = {"elements": elements, "modes": modes, "method": method, "step": step}
-        self.choice: Choice | None = None
-        if _automatic(fidelity, tolerance, given):
-            self.choice = _chosen(arm, self.task, self.torque_limit, period, tolerance)
-            model, method, step = self.choice.model, self.choice.method, self.choice.step
-        else:
-            kept = assembled_modes(arm, elements, 0.5 / period) if isinstance(modes, str) else modes
-            model = build_model(arm, elements, kept)
-        self.simulator = Simulator(model, method, step, control_period)
-        self.sensors = FullState(model, Limits() if limits is None else limits)
-        bound = self.sensors.bound.astype(np.float32)
-        self.observation_space = spaces.Box(-bound, bound, dtype=np.float32)
-        self.action_space = spaces.Box(-1.0, 1.0, (model.n_joints,), dtype=np.float32)
+        setup = Setup(**settings)
+        self.simulator = Simulator(setup.model, setup.method, setup.step, setup.control_period)
+        self.episodes = Episodes(setup, self.simulator.batch)
+        self.task, self.torque_limit, self.choice = setup.task, setup.torque_limit, setup.choice
+        self.sensors = self.episodes.sensors
+        self.observation_space = observation_space(self.episodes)
+        self.action_space = action_space(self.episodes)
         self.metadata = FlexManEnv.metadata | {"render_fps": round(1 / self.simulator.control_period)}
+        self._shape = (setup.model.n_joints,)
+        self._allowed = f"{setup.model.n_joints} numbers from -1 to 1"
         self._painter: Any = None
         if render_mode is not None:
             from flexman_gym.draw import FramePainter  # which needs the extra [render]
 
-            self._painter = FramePainter(model, render_size)
-        self._over = True
+            self._painter = FramePainter(setup.model, render_size)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Starts an episode; options may set "start" and "posture", joint angles (n,) in rad."""
+        """Starts an episode; options may set "start" and "posture", joint angles (n,) in rad, and "parameters"."""
         super().reset(seed=seed)
-        self._over = True  # until the new episode has begun: a refusal below leaves none
-        joints = self.simulator.model.n_joints
-        start, posture = self.task.draw(self.np_random, joints)
-        drawn = {"start": start, "posture": posture}
-        if options is not None and not isinstance(options, dict):
-            raise refusal("options", options, "a dict with start or posture")
-        for name, value in (options or {}).items():
-            one_of("options", name, drawn)
-            drawn[name] = np.array(vector(f"options[{name!r}]", value, joints, "rad"))
-        self.simulator.reset(drawn["posture"])
-        self._posture = self.simulator.state[self.sensors.motor_columns][None].copy()
-        self._target = self.simulator.tip[None].copy()
-        self.simulator.reset(drawn["start"])
-        reading = self._read()
-        if failure := self.sensors.broken(reading):
-            raise refusal("options", options, f"a start and a posture within the limits ({failure})")
-        self._over = False
-        self._observation = reading.astype(np.float32)
-        return self._observation.copy(), self._outcome(np.zeros((1, joints)), "")[1]
+        self.episodes.reset(ONLY, [self.np_random], options)
+        return self.episodes.seen[0].copy(), self._outcome()[1]
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Applies motor torques for one control period.
@@ -186,91 +124,38 @@ class FlexManEnv(gym.Env[Observation, Observation]):
             ValueError: for an action of another shape or outside the action space.
             RuntimeError: before a reset and after the end of an episode.
         """
-        if self._over:
+        episodes = self.episodes
+        if episodes.over[0]:
             raise RuntimeError("the episode is over: reset the environment first")
-        values = np.asarray(action)
-        if (
-            values.shape != self.action_space.shape
-            or values.dtype.kind not in "fiu"
-            or not (np.abs(values) <= 1.0).all()
-        ):
-            raise refusal("action", action, f"{self.simulator.model.n_joints} numbers from -1 to 1")
-        values = values.astype(float)
-        status = self.simulator.step(self.torque_limit * values)
-        reading = self._read()
-        failure = self.sensors.broken(reading) if status == "ok" else f"the simulation {status}"
-        if not failure:
-            self._observation = reading.astype(np.float32)
-        reward, info = self._outcome(values[None], failure)
-        self._over = bool(failure)
-        return self._observation.copy(), reward, self._over, False, info
+        values = checked_actions("action", action, self._shape, self._allowed)
+        episodes.step(values[None])
+        reward, info = self._outcome()
+        return episodes.seen[0].copy(), reward, bool(episodes.failures), False, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """A frame (height, width, 3) uint8 of the deformed arm and the target."""
         if self._painter is None:
             gym.logger.warn('render() needs render_mode="rgb_array" in gym.make')
             return None
-        return self._painter.paint(self.simulator.state, self._target[0])
+        return self._painter.paint(self.simulator.state, self.episodes.targets[0])
 
-    def _read(self) -> NDArray[np.float64]:
-        simulator = self.simulator
-        return self.sensors.read(simulator.state[None], simulator.outputs[None], self._posture, self._target)[0]
-
-    def _outcome(self, actions: NDArray[np.float64], failure: str) -> tuple[float, dict[str, Any]]:
-        """Reward and info of the state that the arm is in, after actions (1, n)."""
-        simulator = self.simulator
-        error = self._target - simulator.tip
-        tip_error = np.sqrt((error * error).sum(axis=1))
-        rate = simulator.deflection_rate[None]
-        tip_vibration = np.sqrt((rate * rate).sum(axis=1))
-        terms = self.task.reward_terms(tip_error, tip_vibration, actions, np.array([failure != ""]))
-        reward_terms = {name: float(value[0]) for name, value in terms.items()}
-        return sum(reward_terms.values()), {
-            "tip_error": float(tip_error[0]),
-            "tip_vibration": float(tip_vibration[0]),
-            "elastic_energy": simulator.elastic_energy,
-            "energy_residual": simulator.energy_residual,
-            "energy_alarm": abs(simulator.energy_residual) > self.energy_alarm * simulator.energy_turnover,
-            "reward_terms": reward_terms,
-            "status": simulator.status,
-            "failure": failure,
-            "tip": simulator.tip.copy(),
-            "target": self._target[0].copy(),
-            "posture": self._posture[0].copy(),
-        }
+    def _outcome(self) -> tuple[float, dict[str, Any]]:
+        """Reward and info of the state that the arm is in."""
+        episodes = self.episodes
+        reward, info = episodes.judge(*[figure.item() for figure in episodes.figures()])
+        info["status"] = layout.STATUS[episodes.batch.status[0]]
+        info["failure"] = episodes.failures.get(0, "")
+        info["tip"] = episodes.batch.outputs[0, layout.TIP].copy()
+        info["target"] = episodes.targets[0].copy()
+        info["posture"] = episodes.postures[0].copy()
+        return reward, info
 
 
-def _automatic(fidelity: str, tolerance: float | None, given: dict[str, Any]) -> bool:
-    """Whether the fidelity is to be chosen; refuses what contradicts that."""
-    if one_of("fidelity", fidelity, ("default", "auto")) == "default":
-        if tolerance is not None:
-            raise refusal("tolerance", tolerance, 'None without fidelity="auto"')
-        if isinstance(given["modes"], str):
-            one_of("modes", given["modes"], ("assembled",))
-        return False
-    for name, value in given.items():
-        if value != FIDELITY[name]:
-            raise refusal(name, value, 'nothing: fidelity="auto" chooses it')
-    positive("tolerance", tolerance, 'm, for fidelity="auto"')
-    return True
+def observation_space(episodes: Episodes) -> spaces.Space[Any]:
+    """The space of observations of one arm."""
+    return spaces.Box(-episodes.bound, episodes.bound, dtype=np.float32)
 
 
-def _chosen(arm: Arm, task: Slew, torque_limit: float, period: float, tolerance: float | None) -> Choice:
-    """Fidelity for a slew of the task: sine torques of the limit from a posture in the middle of its range."""
-    n = arm.n_joints
-    start = [0.5 * task.start * (-1.0) ** i for i in range(n)]
-    steps = max(1, round(SLEW / period))
-    scene = Scene(
-        arm,
-        ModelChoice(flexible_links=True, elements=2),
-        SineTorque([torque_limit] * n, [0.5] * n, [0.0] * n),
-        Initial(start, [0.0] * n),
-        duration=steps * period,
-        output_step=period,
-    )
-    return choose_model(scene, positive("tolerance", tolerance, "m"), longest_step=period)
-
-
-def default_arm() -> Arm:
-    """The arm of FlexRRR-v0."""
-    return paper_rrr(rotor_inertia=10.0, modal_damping_ratio=0.005)
+def action_space(episodes: Episodes) -> spaces.Space[Any]:
+    """The space of actions of one arm."""
+    return spaces.Box(-1.0, 1.0, (episodes.postures.shape[1],), dtype=np.float32)

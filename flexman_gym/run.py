@@ -46,6 +46,7 @@ class Run:
         self.work: Work = make_work(model.constants)
         self.method = method
         self.tolerance = tolerance or (0.0, 0.0)
+        self._at_rest = drive_table([None] * (model.n_joints + 6))
         self._coefficients = method.averages if method.kind == IMPLICIT else method.tableau
 
     def __call__(
@@ -64,8 +65,7 @@ class Run:
     def start(self, state: Array, row: Array, found: Array) -> None:
         """Records the state as it is, by a run of no steps, which also loads or compiles the kernels."""
         self.work.pace[0] = self.work.stages[:] = 0.0
-        at_rest = drive_table([None] * (len(self.constants.mass) + 6))
-        self(at_rest, (0.0, 0.0, 0), state, row[None], found[None])
+        self(self._at_rest, (0.0, 0.0, 0), state, row[None], found[None])
 
     def _by_scipy(self, drive: Array, clock: Clock, state: Array, rows: Array, found: Array) -> tuple[int, int, int]:
         """The same by SciPy's implicit Runge-Kutta method of Radau, which differentiates the slopes numerically."""

@@ -9,6 +9,7 @@ from flexman_gym.checks import positive, store
 from flexman_gym.kernels import layout
 from flexman_gym.model import Model
 
+MOVING = slice(layout.TIP_VELOCITY.start, layout.DEFLECTION_RATE.stop)
 NEAR = 0.1  # m of tip error that is half of the way to the largest nearness
 
 
@@ -46,19 +47,20 @@ class FullState:
         slices: name -> slice of the observation.
         units: name -> unit.
         bound: (size,) largest magnitude of each entry.
-        motor_columns: (n,) columns of the motor angles in a state.
+        observations: (b, size) of the last reading, which the next one overwrites.
+        tip_error: (b,) distance of tip and target in the last reading, m.
+        tip_vibration: (b,) speed of the tip relative to that of the rigid arm at the motor angles and rates, m/s.
     """
 
-    def __init__(self, model: Model, limits: Limits) -> None:
+    def __init__(self, model: Model, limits: Limits, arms: int = 1) -> None:
         n, d = model.n_joints, model.n_dof
         constants = model.constants
         reach = float(constants.length.sum())
-        self.motor_columns = model.motor_columns
         bending = np.zeros((2 * d, 2 * n))
         for i in range(n):
             start, stop = constants.elastic_start[i : i + 2]
             bending[model.elastic_columns(i), 2 * i : 2 * i + 2] = constants.tip_translation[start:stop, 1:]
-        angles = np.eye(2 * d)[:, self.motor_columns]
+        angles = np.eye(2 * d)[:, model.motor_columns]
         twist = angles - np.eye(2 * d)[:, :n]
         linear = {
             "motor_angles": (angles, "rad", limits.angle),
@@ -84,21 +86,32 @@ class FullState:
         self.units = {name: part[1] for name, part in (linear | goal).items()}
         bounds = [np.ones(sizes[name]) * np.asarray(part[2]) for name, part in (linear | goal).items()]
         self.bound: Array = np.concatenate(bounds)
-        self._from_state = np.hstack([part[0] for part in linear.values()])
+        self._from_state = np.hstack([part[0] for part in linear.values()] + [-angles])
+        self._allocate(arms)
 
-    def read(self, states: Array, outputs: Array, postures: Array, targets: Array) -> Array:
-        """Observations (b, size) of states (b, 2 d) with outputs (b, OUTPUTS) for goals (b, n) rad and (b, 3) m."""
-        error = targets - outputs[:, layout.TIP]
+    def _allocate(self, arms: int) -> None:
+        """Space of a reading, and the views of it that `read` fills."""
+        size, motion = len(self.bound), self._from_state.shape[1]
+        # an observation ends with the tip's velocity; its deflection and the rate of that follow it as in the outputs
+        row = np.zeros((arms, size + 6))
+        self.observations = row[:, :size]
+        self._motion, self._postures = row[:, None, :motion], row[:, self.slices["posture_errors"]]
+        self._error, self._near = row[:, self.slices["target_error"]], row[:, self.slices["target_nearness"]]
+        self._moving = row[:, size - 3 :]
+        self._lengths = row[:, motion:].reshape(arms, 5, 3)[:, ::4]  # error and rate of deflection
+        self.tip_error, self.tip_vibration = np.zeros(arms), np.zeros(arms)
+
+    def read(self, states: Array, outputs: Array, postures: Array, targets: Array) -> None:
+        """Reads states (b, 2 d) with outputs (b, OUTPUTS) for goals (b, n) rad and (b, 3) m."""
+        # one small product an arm, so that the bits of an arm do not depend on how many there are
+        np.matmul(states[:, None], self._from_state, out=self._motion)
+        self._postures += postures
+        np.subtract(targets, outputs[:, layout.TIP], out=self._error)
+        self._moving[:] = outputs[:, MOVING]
+        lengths = np.sqrt(np.vecdot(self._lengths, self._lengths))
         # the error again on a scale that still tells millimetres when normalised by the metres of a slew
-        nearness = error / (NEAR + np.sqrt((error * error).sum(axis=1, keepdims=True)))
-        parts = (
-            states @ self._from_state,
-            postures - states[:, self.motor_columns],
-            error,
-            nearness,
-            outputs[:, layout.TIP_VELOCITY],
-        )
-        return np.concatenate(parts, axis=1)
+        np.divide(self._error, lengths[:, :1] + NEAR, out=self._near)
+        self.tip_error, self.tip_vibration = lengths[:, 0], lengths[:, 1]
 
     def broken(self, observation: Array) -> str:
         """The name of the first slice of one observation (size,) beyond its bound, with the value; "" if none is."""

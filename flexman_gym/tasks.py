@@ -1,13 +1,15 @@
-"""Tasks: where an episode starts, what its goal is and what a step is worth. Arrays have a leading batch axis b."""
+"""Tasks: where an episode starts, what its goal is and what a step is worth."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from flexman_gym.beam import Array
 from flexman_gym.checks import non_negative, positive, store
 
-WIDTHS = np.array([2.0, 0.4, 0.08])  # m, of the three bells that reward closeness
+Number = Any  # a float or an array (b,): only arithmetic is done with it
+WIDTHS = (2.0, 0.4, 0.08)  # m, of the three bells that reward closeness
 CALM = 0.3  # m/s of tip vibration that halves the reward for calm
 
 
@@ -49,12 +51,16 @@ class Slew:
         start = random.uniform(-self.start, self.start, joints)
         return start, start + random.uniform(-self.slew, self.slew, joints)
 
-    def reward_terms(self, tip_error: Array, tip_vibration: Array, actions: Array, failed: Array) -> dict[str, Array]:
-        """Terms (b,) of the reward for tip errors (b,) m, tip vibrations (b,) m/s, actions (b, n) and failures (b,)."""
-        near = 1.0 / (1.0 + (tip_error[:, None] / WIDTHS) ** 2)
+    def reward_terms(self, tip_error: Number, tip_vibration: Number, effort: Number, failed: Number) -> dict[str, Any]:
+        """Terms of the reward for a tip error (m), a tip vibration (m/s), the mean squared action and a failure.
+
+        All are numbers, those of one arm, or all are arrays (b,), and so are the terms.
+        """
+        square = tip_error * tip_error
+        near = [width**2 / (width**2 + square) for width in WIDTHS]
         return {
-            "tip_error": 0.7 * near.mean(axis=1),
-            "tip_vibration": 0.2 / (1.0 + (tip_vibration / CALM) ** 2),
-            "effort": 0.1 * (1.0 - (actions**2).mean(axis=1)),
-            "failure": np.where(failed, -self.failure_penalty, 0.0),
+            "tip_error": 0.7 / 3.0 * (near[0] + near[1] + near[2]),
+            "tip_vibration": 0.2 * CALM**2 / (CALM**2 + tip_vibration * tip_vibration),
+            "effort": 0.1 * (1.0 - effort),
+            "failure": 0.0 - self.failure_penalty * failed,
         }

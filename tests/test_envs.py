@@ -320,9 +320,9 @@ def test_a_bad_action_is_refused_in_one_line_and_changes_nothing(action):
 @pytest.mark.parametrize(
     ("options", "allowed"),
     [
-        ({"speed": 1.0}, "one of start, posture"),
+        ({"speed": 1.0}, "one of start, posture, parameters"),
         ({"start": [5.0, 0.0, 0.0]}, "a start and a posture within the limits"),
-        (3, "a dict with start or posture"),
+        (3, "a dict with start, posture or parameters"),
     ],
 )
 def test_bad_options_are_refused_in_one_line_and_end_the_episode(options, allowed):

@@ -50,8 +50,10 @@ ARROWS = {
     "precision_cases": "precision simulator drive model scene catalog",
     "charts": "precision draw",
     "precision_page": "amplification precision charts methods verification",
-    "envs": "fidelity drive tasks sensors control draw trajectory simulator model methods beam scene catalog arm checks"
-    " kernels",
+    "setup": "fidelity drive tasks sensors control trajectory model methods beam scene catalog arm checks",
+    "episodes": "setup batch tasks sensors model beam checks kernels",
+    "envs": "episodes setup batch draw simulator checks kernels",
+    "vector_env": "envs episodes setup batch beam checks kernels",
     "verification_links": "verification closed_forms dynamics model beam arm",
     "verification_cases": "verification_links verification closed_forms simulator dynamics model beam catalog arm"
     " kernels",
@@ -63,8 +65,8 @@ ARROWS = {
     "stability_conclusions": "stability_cases stability",
     "stability_page": "amplification stability_conclusions stability_cases stability methods",
 }
-_PUBLIC = "envs tasks sensors control metrics study draw fidelity simulator dynamics model methods scene catalog arm"
-_PUBLIC += " strain drive trajectory run amplification"
+_PUBLIC = "vector_env envs episodes setup tasks sensors control metrics study draw fidelity simulator dynamics model"
+_PUBLIC += " methods scene catalog arm batch strain drive trajectory run amplification"
 ARROWS["flexman_gym"] = _PUBLIC
 ARROWS["agents"] = f"agents flexman_gym checks {_PUBLIC}"
 ARROWS["scripts"] = f"scripts agents flexman_gym checks {_PUBLIC} verification verification_cases verification_motions"
