@@ -16,6 +16,7 @@ from flexman_gym.dynamics import (
 from flexman_gym.fidelity import Choice, choose_model
 from flexman_gym.methods import METHODS, generalised_alpha
 from flexman_gym.model import Model, build_model
+from flexman_gym.randomisation import Randomisation
 from flexman_gym.scene import Initial, ModelChoice, Scene
 from flexman_gym.sensors import Limits
 from flexman_gym.simulator import Simulator, simulate
@@ -36,6 +37,7 @@ __all__ = [
     "ModelChoice",
     "NonUniformLink",
     "Payload",
+    "Randomisation",
     "Scene",
     "Signal",
     "Simulator",

@@ -59,7 +59,8 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         elastic_energy (J), energy_residual (J, work of the motors - dissipation - change of energy since the reset,
         which the integrator invented or lost), energy_alarm (whether that is more than the part `energy_alarm` of the
         energy turned over since the reset), reward_terms, status (of the simulation), failure ("" or what happened),
-        tip and target (m), posture (rad, the goal).
+        tip and target (m), posture (rad, the goal); with a randomisation also drawn, a dict of what the episode drew
+        (see `Effects`).
 
     Fidelity
         By default two elements a link, of whose loaded modes those are kept that carry more than 2 % of the elastic
@@ -148,6 +149,8 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         info["tip"] = episodes.batch.outputs[0, layout.TIP].copy()
         info["target"] = episodes.targets[0].copy()
         info["posture"] = episodes.postures[0].copy()
+        if episodes.effects is not None:
+            info["drawn"] = episodes.effects.of(0)
         return reward, info
 
 

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 from flexman_gym.batch import Batch
 from flexman_gym.beam import Array
 from flexman_gym.checks import one_of, refusal, sequence, vector
+from flexman_gym.effects import Effects
 from flexman_gym.kernels import layout
+from flexman_gym.randomisation import TRUNCATION
 from flexman_gym.sensors import FullState
 from flexman_gym.setup import Setup
 
@@ -24,6 +26,7 @@ class Episodes:
 
     Attributes:
         batch, sensors: the arms and what is seen of them.
+        effects: of the randomisation, None without one.
         bound: (size,) float32 largest magnitude of each entry of an observation.
         postures, targets: (b, n) rad and (b, 3) m, the goals.
         seen: (b, size) float32 observations; those of an arm that failed are the last ones within the bounds.
@@ -35,7 +38,12 @@ class Episodes:
         self.batch, self.task = batch, setup.task
         arms, joints = len(batch.rows), setup.model.n_joints
         self.sensors = FullState(setup.model, setup.limits, arms)
-        self.bound = self.sensors.bound.astype(np.float32)
+        noise: tuple[float, float] = (0.0, 0.0)
+        self.effects: Effects | None = None
+        if setup.randomisation is not None:
+            noise = setup.randomisation.sensor_noise or noise
+            self.effects = Effects(setup.randomisation, batch, setup.limits, self.sensors.bound, setup.torque_limit)
+        self.bound = ((1.0 + TRUNCATION * noise[1]) * self.sensors.bound).astype(np.float32)
         self._energy_alarm = setup.energy_alarm
         self.postures, self.targets = np.zeros((arms, joints)), np.zeros((arms, 3))
         self.seen = np.zeros((arms, len(self.bound)), dtype=np.float32)
@@ -44,7 +52,7 @@ class Episodes:
         self._failed, self._effort = np.zeros(arms, dtype=bool), np.zeros(arms)
         self._torque_limits = np.full((arms, joints), setup.torque_limit)
         self._drive = np.zeros((arms, joints + 6))
-        self._torques = self._drive[:, :joints]
+        self._torques, self._forces = self._drive[:, :joints], self._drive[:, joints : joints + 3]
         self._size = np.zeros((arms, len(self.bound)))
 
     def reset(
@@ -62,11 +70,20 @@ class Episodes:
         drawn = [self.task.draw(random, self.postures.shape[1]) for random in randoms]
         goals = {"start": np.array([each[0] for each in drawn]), "posture": np.array([each[1] for each in drawn])}
         given = self._given(options)
-        self.batch.vary(arms, **{name: values[arms] for name, values in given.pop("parameters", {}).items()})
+        parameters = {name: values[arms] for name, values in given.pop("parameters", {}).items()}
+        if self.effects is not None:
+            parameters = self.effects.draw(arms, randoms, parameters)
+            if "torque_limit" in self.effects.drawn:
+                self._torque_limits[arms] = self.effects.drawn["torque_limit"][arms]
+        if parameters:
+            self.batch.vary(arms, **parameters)
         goals |= {name: values[arms] for name, values in given.items()}
         self.batch.reset(arms, self._undeformed(goals["posture"]))
         self.postures[arms], self.targets[arms] = goals["posture"], self.batch.outputs[arms, layout.TIP]
-        self.batch.reset(arms, self._undeformed(goals["start"]))
+        start = self._undeformed(goals["start"])
+        if self.effects is not None:
+            self.effects.bend(arms, start)
+        self.batch.reset(arms, start)
         self._begin(arms, options)
 
     def _begin(self, arms: Arms, options: object) -> None:
@@ -77,7 +94,8 @@ class Episodes:
             if failure := self.sensors.broken(observations[arm]):
                 raise refusal("options", options, f"a start and a posture within the limits ({failure})")
         self.failures = {arm: text for arm, text in self.failures.items() if arm not in arms}
-        self.seen[arms] = observations[arms]
+        seen = observations[arms]
+        self.seen[arms] = seen if self.effects is None else self.effects.disturb(seen, arms)
         self._effort, self._failed = self._effort.copy(), self._failed.copy()  # others may hold the old ones
         self._effort[arms], self._failed[arms], self.over[arms] = 0.0, False, False
 
@@ -86,7 +104,11 @@ class Episodes:
 
         An arm whose episode is over has no outcome worth reading before it is reset.
         """
-        np.multiply(actions, self._torque_limits, out=self._torques)
+        arriving = actions
+        if self.effects is not None:
+            arriving = self.effects.delay(actions)
+            self.effects.push(self._forces, self.over)
+        np.multiply(arriving, self._torque_limits, out=self._torques)
         self.batch.step(self._drive)
         self._effort = np.vecdot(actions, actions)
         self._read()
@@ -94,12 +116,13 @@ class Episodes:
             self.failures, self._failed = {}, np.zeros_like(self._failed)
         observations = self.sensors.observations
         inside = np.abs(observations, out=self._size) <= self.sensors.bound
+        seen = observations if self.effects is None else self.effects.disturb(observations)
         if np.count_nonzero(inside) == inside.size and not np.count_nonzero(self.batch.status):
-            self.seen[:] = observations
+            self.seen[:] = seen
             return
         self._fail(np.flatnonzero(~inside.all(axis=1) | (self.batch.status != layout.OK)))
         good = ~self._failed
-        self.seen[good] = observations[good]
+        self.seen[good] = seen[good]
 
     def _fail(self, arms: Arms) -> None:
         for arm in arms[~self.over[arms]].tolist():

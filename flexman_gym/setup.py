@@ -10,6 +10,7 @@ from flexman_gym.drive import SineTorque
 from flexman_gym.fidelity import Choice, assembled_modes, choose_model
 from flexman_gym.methods import Method
 from flexman_gym.model import Model, build_model
+from flexman_gym.randomisation import Randomisation
 from flexman_gym.scene import Initial, ModelChoice, Scene
 from flexman_gym.sensors import Limits
 from flexman_gym.tasks import Slew
@@ -34,6 +35,7 @@ class Setup:
         elements, modes, method, step: see `build_model` and `Simulator`; "assembled" modes are those that `FlexManEnv`
             describes.
         energy_alarm: part of the energy turned over (the largest of kinetic + elastic energy, work and dissipation).
+        randomisation: a Randomisation, or a dict of its attributes; None for none.
         model: made from the above.
         choice: of fidelity="auto", else None.
 
@@ -53,6 +55,7 @@ class Setup:
     method: str | Method = "ros2"
     step: float = 0.005
     energy_alarm: float = ENERGY_ALARM
+    randomisation: Randomisation | None = None
     model: Model = field(init=False)
     choice: Choice | None = field(init=False, default=None)
 
@@ -67,6 +70,7 @@ class Setup:
             if value is not None and not isinstance(value, kind):
                 raise refusal(name, value, allowed)
             store(self, **{name: default() if value is None else value})
+        store(self, randomisation=_randomisation(self.randomisation))
         store(self, torque_limit=positive("torque_limit", self.torque_limit, "N m"))
         store(self, energy_alarm=positive("energy_alarm", self.energy_alarm))
         store(self, control_period=positive("control_period", self.control_period, "s"))
@@ -107,6 +111,15 @@ class Setup:
         )
         tolerance = positive("tolerance", self.tolerance, "m")
         return choose_model(scene, tolerance, longest_step=self.control_period)
+
+
+def _randomisation(value: object) -> Randomisation | None:
+    if isinstance(value, dict):
+        names = [each.name for each in fields(Randomisation)]
+        return Randomisation(**{one_of("randomisation", name, names): ranges for name, ranges in value.items()})
+    if value is not None and not isinstance(value, Randomisation):
+        raise refusal("randomisation", value, "a Randomisation, or a dict of its attributes")
+    return value
 
 
 def default_arm() -> Arm:

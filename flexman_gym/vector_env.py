@@ -148,6 +148,8 @@ class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
             status[arm], failure[arm] = layout.STATUS[self.batch.status[arm]], text
         infos |= {"status": status, "failure": failure, "tip": self.batch.outputs[:, layout.TIP].copy()}
         infos |= {"target": episodes.targets.copy(), "posture": episodes.postures.copy()}
+        if episodes.effects is not None:
+            infos["drawn"] = episodes.effects.drawn
         return rewards, _with_masks(infos, np.ones(self.num_envs, dtype=bool))
 
     @property  # type: ignore[misc]

@@ -50,8 +50,10 @@ ARROWS = {
     "precision_cases": "precision simulator drive model scene catalog",
     "charts": "precision draw",
     "precision_page": "amplification precision charts methods verification",
-    "setup": "fidelity drive tasks sensors control trajectory model methods beam scene catalog arm checks",
-    "episodes": "setup batch tasks sensors model beam checks kernels",
+    "randomisation": "checks",
+    "effects": "randomisation batch sensors model beam checks",
+    "setup": "randomisation fidelity drive tasks sensors trajectory model methods beam scene catalog arm checks",
+    "episodes": "setup effects randomisation batch tasks sensors model beam checks kernels",
     "envs": "episodes setup batch draw simulator checks kernels",
     "vector_env": "envs episodes setup batch beam checks kernels",
     "verification_links": "verification closed_forms dynamics model beam arm",
@@ -66,7 +68,7 @@ ARROWS = {
     "stability_page": "amplification stability_conclusions stability_cases stability methods",
 }
 _PUBLIC = "vector_env envs episodes setup tasks sensors control metrics study draw fidelity simulator dynamics model"
-_PUBLIC += " methods scene catalog arm batch strain drive trajectory run amplification"
+_PUBLIC += " methods scene catalog arm batch randomisation strain drive trajectory run amplification"
 ARROWS["flexman_gym"] = _PUBLIC
 ARROWS["agents"] = f"agents flexman_gym checks {_PUBLIC}"
 ARROWS["scripts"] = f"scripts agents flexman_gym checks {_PUBLIC} verification verification_cases verification_motions"
