@@ -65,7 +65,7 @@ class FlexManEnv(gym.Env[Observation, Observation]):
     Fidelity
         By default two elements a link, of whose loaded modes those are kept that carry more than 2 % of the elastic
         energy of a vibration of the arm below half the control frequency (`fidelity.assembled_modes`): 16 for the arm
-        above, (0-4, 6), (0-5, 8) and (0, 1, 3), with "ros2" at 5 ms. The first five vibrations then have the full
+        above, (0-4, 6), (0-5, 8) and (0-2), with "ros2" at 5 ms. The first five vibrations then have the full
         model's frequencies within 0.7 %; with the 4 lowest modes of each link the first two are 26 % off, as mode 8 of
         link 2 is missing. ros2 leaves 99.9 % of the amplitude of the first two vibrations (3.4 Hz) after 10 s. Three
         episodes of random torques, changed every half second, end 2.5 s later with a tip that was at most 63, 10 and

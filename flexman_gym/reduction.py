@@ -11,6 +11,8 @@ import numpy as np
 from flexman_gym.arm import Arm
 from flexman_gym.beam import Array, Beam
 
+VANISHING = 1e-12  # of the geometric mean of two diagonal entries: a coupling below is rounding
+
 
 def zero_pose_rotations(arm: Arm) -> Array:
     """(n, 3, 3) rotation of each beam frame relative to the one before it (the base for the first) at zero angles."""
@@ -44,13 +46,35 @@ def outboard_inertias(arm: Arm, beams: tuple[Beam, ...]) -> Array:
 def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
     """Angular frequencies (k,) rad/s, ascending, and shapes (k, k), columns, of a clamped link that carries an inertia.
 
-    The shapes are normalised to unit modal mass including the outboard inertia (6, 6).
+    The shapes are normalised to unit modal mass including the outboard inertia (6, 6). Coordinates that nothing couples
+    are solved apart: the bending of a round link has two modes of the same frequency, in any two planes, and is given
+    those along y and z, whose integrals vanish more often.
     """
     from scipy.linalg import eigh  # takes long to import, and not every use of the package needs it
 
     tip = np.vstack([beam.tip_translation, beam.tip_rotation])
-    squares, shapes = eigh(beam.stiffness, beam.mass_matrix + tip.T @ outboard @ tip)
-    return np.sqrt(squares), shapes
+    mass, stiffness = beam.mass_matrix + tip.T @ outboard @ tip, beam.stiffness
+    frequencies, shapes, found = np.zeros(len(mass)), np.zeros_like(mass), 0
+    for group in uncoupled(mass, stiffness):
+        block, columns = np.ix_(group, group), slice(found, found + len(group))
+        squares, shapes[group, columns] = eigh(stiffness[block], mass[block])
+        frequencies[columns] = np.sqrt(squares)
+        found += len(group)
+    # rounding must not decide which of two equal ones comes first
+    order = np.argsort([float(f"{frequency:.9g}") for frequency in frequencies], kind="stable")
+    return frequencies[order], shapes[:, order]
+
+
+def uncoupled(*matrices: Array) -> list[np.ndarray]:
+    """Groups of coordinates that symmetric positive definite matrices (k, k) do not couple, rounding left out."""
+    joined = np.zeros(matrices[0].shape, dtype=bool)
+    for matrix in matrices:
+        size = np.sqrt(np.diag(matrix))
+        joined |= np.abs(matrix) > VANISHING * np.outer(size, size)
+    group, before = np.arange(len(joined)), np.full(len(joined), -1)
+    while not np.array_equal(group, before):  # the lowest number spreads over its group
+        before, group = group, np.where(joined, group, len(group)).min(axis=1, initial=len(group))
+    return [np.flatnonzero(group == number) for number in np.unique(group)]
 
 
 def modal_damping(beam: Beam, outboard: Array, ratio: float) -> Array:

@@ -55,6 +55,15 @@ def test_loaded_modes_of_a_link_with_a_tip_mass_have_its_frequencies(ratio):
     assert found[:3] == pytest.approx(beam_eigenvalues(3, ratio), rel=2e-5)
 
 
+def test_modes_of_a_round_link_bend_along_one_axis():
+    """Any two planes would do for two equal frequencies, so that rounding must not choose them."""
+    axial, bending_y, bending_z, torsion = (0,), (1, 5), (2, 4), (3,)  # node coordinates that move
+    for basis in fm.build_model(fm.catalog.paper_rrr(), 2, 12).bases[1:]:
+        moved = [tuple(np.flatnonzero(shape.reshape(2, 6).any(axis=0))) for shape in basis.T]
+        assert {*moved} == {axial, bending_y, bending_z, torsion}
+        assert moved[:4] == [bending_y, bending_z] * 2
+
+
 @settings(QUICK)
 @given(samples(flexible_links=True))
 def test_loaded_modes_are_orthonormal_and_ascend(sample):
