@@ -32,11 +32,11 @@ from flexman_gym.kernels.caller import doubled
 print(doubled(), sum(doubled.stats.cache_hits.values()), doubled.stats.cache_path)
 """
 REAL = """import numpy as np, flexman_gym as fm
-from flexman_gym.kernels import dynamics, steppers
+from flexman_gym.kernels import arms, dynamics
 model = fm.build_model(fm.catalog.one_link())
 fm.acceleration(model, np.zeros(2 * model.n_dof), [0.0])
 fm.Simulator(model, step=0.02).step([0.0])
-for kernel in (dynamics.accelerations, steppers.run_linearly_implicit):
+for kernel in (dynamics.accelerations, arms.advance_one):
     print(sum(kernel.stats.cache_hits.values()), sum(kernel.stats.cache_misses.values()))
 """
 
