@@ -22,7 +22,6 @@ from flexman_gym.kernels.layout import (
     Array,
     Constants,
     IntArray,
-    Rows,
     Work,
 )
 from flexman_gym.kernels.linalg import copy, inner, released
@@ -57,6 +56,8 @@ def addresses(parts: NamedTuple, element: types.Type) -> IntArray:
         kind = _kind(type(parts), name, element)
         if not values.flags.c_contiguous or values.ndim != kind.ndim + (kind.dtype == ARMS):
             raise TypeError(f"{name} is no contiguous array of {kind.ndim} axes")
+        if kind.ndim == 2 and values.shape[1] != (_columns(type(parts), name) or values.shape[1]):
+            raise TypeError(f"{name} has {values.shape[1]} columns")
         row[0], row[1 : 1 + kind.ndim] = values.ctypes.data, values.shape[: kind.ndim]
     return table
 
@@ -64,7 +65,7 @@ def addresses(parts: NamedTuple, element: types.Type) -> IntArray:
 def _kind(parts: type, name: str, element: types.Type) -> types.Array:
     """The type of a field as the kernels see it; read-only are the constants that several arms share, see `lanes`."""
     annotation = parts.__annotations__[name]
-    dimensions = 2 if annotation is Rows else 1
+    dimensions = 2 if hasattr(annotation, "__metadata__") else 1
     if annotation is IntArray:
         return types.Array(types.int64, dimensions, "C", readonly=True)
     if parts is Work or name in PER_ARM or element != ARMS:
@@ -72,8 +73,14 @@ def _kind(parts: type, name: str, element: types.Type) -> types.Array:
     return types.Array(types.float64, dimensions, "C", readonly=True)
 
 
-def _view(context: Any, builder: Any, kind: types.Array, table: Any, row: int) -> Any:
+def _columns(parts: type, name: str) -> int:
+    """The number of columns of a field that has two axes, 0 where it depends on the model."""
+    return getattr(parts.__annotations__[name], "__metadata__", (0,))[0]
+
+
+def _view(context: Any, builder: Any, kind: types.Array, address: tuple[Any, int], columns: int) -> Any:
     """The array whose address and shape stand in a row of a table of addresses."""
+    table, row = address
 
     def number(column: int) -> Any:
         return builder.load(builder.gep(table, [ir.Constant(ir.IntType(64), 3 * row + column)]))
@@ -81,6 +88,8 @@ def _view(context: Any, builder: Any, kind: types.Array, table: Any, row: int) -
     array = context.make_array(kind)(context, builder)
     element = context.get_data_type(kind.dtype)
     shape = [number(1 + axis) for axis in range(kind.ndim)]
+    if columns:
+        shape[1] = ir.Constant(ir.IntType(64), columns)
     size = ir.Constant(ir.IntType(64), context.get_abi_sizeof(element))
     strides = [size] if kind.ndim == 1 else [builder.mul(shape[1], size), size]
     data = builder.inttoptr(number(0), element.as_pointer())
@@ -91,13 +100,15 @@ def _view(context: Any, builder: Any, kind: types.Array, table: Any, row: int) -
 def _reader(parts: type, element: types.Type) -> Any:
     """A function for kernels that makes a `Constants` or `Work` of its table of addresses."""
     kinds = [_kind(parts, name, element) for name in parts._fields]  # type: ignore[attr-defined]
+    columns = [_columns(parts, name) for name in parts._fields]  # type: ignore[attr-defined]
     whole = types.NamedTuple(kinds, parts)  # type: ignore[attr-defined]
 
     @intrinsic
     def read(typing_context, table):
         def generate(context, builder, signature, values):
             data = context.make_array(signature.args[0])(context, builder, values[0]).data
-            fields = [_view(context, builder, kind, data, row) for row, kind in enumerate(kinds)]
+            places = zip(kinds, columns, strict=True)
+            fields = [_view(context, builder, kind, (data, row), width) for row, (kind, width) in enumerate(places)]
             return context.make_tuple(builder, whole, fields)
 
         return whole(table), generate

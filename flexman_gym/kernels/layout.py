@@ -35,7 +35,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Rows = Annotated[NDArray[np.float64], "two axes"]  # tells kernels for several arms how many axes a field has
+# Arrays with two axes; the number of their columns, where it is always the same, helps the compiler (see `arms`).
+Rows = Annotated[NDArray[np.float64], 0]
+Vectors = Annotated[NDArray[np.float64], 3]
+Pairs = Annotated[NDArray[np.float64], 6]
 IntArray = NDArray[np.int64]
 
 OK, DIVERGED, NOT_CONVERGED = 0, 1, 2
@@ -66,7 +69,7 @@ class Constants(NamedTuple):
     square_start: IntArray  # (n + 1,)
     gravity: Array  # (3,)
     mount: Array  # (9 n,) by rows: rotation between neighbouring beam frames at zero angle and no deflection
-    axis: Rows  # (n, 3) joint axis in the frame of the link that it turns
+    axis: Vectors  # (n, 3) joint axis in the frame of the link that it turns
     joint_stiffness: Array  # (n,)
     joint_damping: Array  # (n,)
     rotor_inertia: Array  # (n,)
@@ -77,9 +80,9 @@ class Constants(NamedTuple):
     prescribed: IntArray  # (n,) 1 where the motion of a motor is prescribed; set by a run, not by a model
     length: Array  # (n,)
     mass: Array  # (n,)
-    first_moment: Rows  # (n, 3) integral of r0 dm
+    first_moment: Vectors  # (n, 3) integral of r0 dm
     second_moment: Array  # (9 n,) integral of r0 r0^T dm, by rows
-    first_moment_shape: Rows  # (k, 3) integral of S_a dm
+    first_moment_shape: Vectors  # (k, 3) integral of S_a dm
     position_shape: Array  # (9 k,) integral of r0 S_a^T dm, by rows
     # integral of S_b S_a^T dm: number j of U gains value e times coordinate source e, for the entries e of j; most
     # vanish and are not kept
@@ -117,10 +120,10 @@ class Constants(NamedTuple):
     bend_row: IntArray  # (n,)
     bend_source: IntArray
     bend_value: Array
-    tip_translation: Rows  # (k, 3)
-    tip_rotation: Rows  # (k, 3)
+    tip_translation: Vectors  # (k, 3)
+    tip_rotation: Vectors  # (k, 3)
     payload_mass: Array  # (1,)
-    payload_offset: Rows  # (1, 3) of its centre of mass from the tip, in the frame of a next joint
+    payload_offset: Vectors  # (1, 3) of its centre of mass from the tip, in the frame of a next joint
     payload_inertia: Array  # (9,) about its centre of mass, by rows
     payload_mount: Array  # (9,) rotation from the beam frame of the last link to that frame without deflection
 
@@ -130,15 +133,15 @@ class Work(NamedTuple):
 
     # positions
     rotation: Array  # (9 n,) C, by rows
-    tip: Rows  # (n, 3) tip of the link from its origin
-    deflected: Rows  # (n, 3) rotation vector S_r q of the tip
+    tip: Vectors  # (n, 3) tip of the link from its origin
+    deflected: Vectors  # (n, 3) rotation vector S_r q of the tip
     tangent: Rows  # (n, 4) coefficients of T and their derivatives
-    tip_shape: Rows  # (k, 6) motion of the tip per unit elastic speed: S_t and T S_r
-    moment: Rows  # (n, 3) integral of r dm
+    tip_shape: Pairs  # (k, 6) motion of the tip per unit elastic speed: S_t and T S_r
+    moment: Vectors  # (n, 3) integral of r dm
     inertia: Array  # (9 n,) J, by rows
     shape: Array  # (9 k,) U, by rows
-    coupling: Rows  # (k, 3) integral of r x S_a dm
-    moment_shape: Rows  # (k, 3) integral of S_a dm
+    coupling: Vectors  # (k, 3) integral of r x S_a dm
+    moment_shape: Vectors  # (k, 3) integral of S_a dm
     place: Array  # (3 s,) of each link three rows of s_i: displacement of the stations without foreshortening
     back: Array  # (s,) - 1/2 q^T G q
     bend_stations: Array  # (b,) of each link k_i rows of s_i: G q
@@ -146,40 +149,40 @@ class Work(NamedTuple):
     stretch: Array  # (b,) axial displacement of the stations per unit coordinate
     weight: Array  # (4 s,) factors of a sum over stations, of each link four rows of s_i
     total: Array  # (largest 3 station_width,) such a sum
-    payload_moment: Rows  # (1, 3) first moment of the payload about the tip, in the frame of the last link
+    payload_moment: Vectors  # (1, 3) first moment of the payload about the tip, in the frame of the last link
     payload_rotary: Array  # (9,) its inertia about the tip, there
     # velocities
-    payload_spin: Rows  # (1, 3) angular velocity of the payload
-    payload_bias: Rows  # (1, 6) quadratic velocity force and torque of the payload
-    spin: Rows  # (n, 3) angular velocity
-    velocity: Rows  # (n, 3) velocity of the origin
-    rotor_bias: Rows  # (n, 3) gyroscopic torque of a carried rotor
-    tip_velocity: Rows  # (1, 3) of the last link
-    joint_bias: Rows  # (n, 3) angular acceleration of the link that no acceleration causes
-    tip_bias: Rows  # (n, 6) acceleration of the tip that no acceleration causes
+    payload_spin: Vectors  # (1, 3) angular velocity of the payload
+    payload_bias: Pairs  # (1, 6) quadratic velocity force and torque of the payload
+    spin: Vectors  # (n, 3) angular velocity
+    velocity: Vectors  # (n, 3) velocity of the origin
+    rotor_bias: Vectors  # (n, 3) gyroscopic torque of a carried rotor
+    tip_velocity: Vectors  # (1, 3) of the last link
+    joint_bias: Vectors  # (n, 3) angular acceleration of the link that no acceleration causes
+    tip_bias: Pairs  # (n, 6) acceleration of the tip that no acceleration causes
     rate: Array  # (s,) speed of the stations along x
     pulled: Array  # (s,) - q'^T G q'
-    bias: Rows  # (n, 6) quadratic velocity force and torque, Eq. 14
+    bias: Pairs  # (n, 6) quadratic velocity force and torque, Eq. 14
     elastic_bias: Array  # (k,) quadratic velocity force on elastic coordinates, Eq. 14
     # factorisation
     articulated: Array  # (27 n,) inertia of link and everything outboard, joint free: three 3x3 blocks by rows
     carried: Array  # (6 x largest station_width,) inertia beyond the tip of one link times tip_shape, by components
     # k_i rows of factor_width[i]: upper Cholesky factor, its diagonal inverted, then 6 columns of coupling to the frame
     factor: Array
-    joint_column: Rows  # (n, 6) articulated inertia times joint axis
+    joint_column: Pairs  # (n, 6) articulated inertia times joint axis
     joint_pivot: Array  # (n,) what the joint torque accelerates
     spring: Array  # (n,) implicit stiffness of the joint spring
     motor_inertia: Array  # (n,) of a rotor with its implicit spring and friction
     friction_slope: Array  # (n,) friction torque over motor rate
     # accelerations
     drive: Array  # (n + 6,)
-    field: Rows  # (1, 3) gravity less the acceleration of the base
-    tip_force: Rows  # (1, 3) in the frame of the last link
+    field: Vectors  # (1, 3) gravity less the acceleration of the base
+    tip_force: Vectors  # (1, 3) in the frame of the last link
     force: Array  # (d,) generalised forces of motors, springs and dampers
     elastic_force: Array  # (k,)
     joint_force: Array  # (n,)
     motor_torque: Array  # (n,) that a prescribed motion takes
-    frame_acceleration: Rows  # (n, 6) of the link's frame, gravity as an upward acceleration of the base
+    frame_acceleration: Pairs  # (n, 6) of the link's frame, gravity as an upward acceleration of the base
     # integrators
     stages: Rows  # (STAGES, 2 d + 2)
     stage_state: Array  # (2 d + 2,)
