@@ -13,29 +13,35 @@ from flexman_gym.control import PD
 GAINS: dict[str, Any] = {"stiffness": (497.0, 325.0, 328.0), "damping": (950.0, 950.0, 103.0)}
 
 
-def default_pd(env: gym.Env[Any, Any]) -> PD:
+def default_pd(env: Any) -> PD:
     """The PD controller of FlexRRR-v0 for that environment; raises ValueError for an arm without three joints."""
-    joints = env.unwrapped.simulator.model.n_joints  # type: ignore[attr-defined]
+    joints = env.unwrapped.episodes.batch.model.n_joints
     if joints != len(GAINS["stiffness"]):
         raise ValueError(f"env: {joints} joints are not allowed; the PD gains are those of FlexRRR-v0, 3 joints")
-    return PD(**GAINS, torque_limit=env.unwrapped.torque_limit)  # type: ignore[attr-defined]
+    return PD(**GAINS, torque_limit=env.unwrapped.torque_limit)
 
 
-class Residual(gym.Wrapper[Any, Any, Any, Any]):
-    """The sum of PD action and agent's action, saturated like a motor, drives the arm."""
+class _Adding:
+    """What both wrappers do: they keep the observation from which the PD controller computes its part of the action."""
 
-    def __init__(self, env: gym.Env[Any, Any]) -> None:
-        super().__init__(env)
-        self._pd = default_pd(env)
-        self._slices = env.unwrapped.sensors.slices  # type: ignore[attr-defined]
+    env: Any
 
     def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
         """Starts an episode."""
+        self._pd, self._slices = default_pd(self.env), self.env.unwrapped.sensors.slices
         self._observation, info = self.env.reset(**options)
         return self._observation, info
 
-    def step(self, action: NDArray[np.floating]) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[np.floating]) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Applies the sum of both actions."""
         total = np.clip(self._pd.act(self._observation, self._slices) + action, -1.0, 1.0)
-        self._observation, reward, terminated, truncated, info = self.env.step(total.astype(np.float32))
-        return self._observation, reward, terminated, truncated, info
+        self._observation, *outcome = self.env.step(total.astype(np.float32))
+        return self._observation, *outcome
+
+
+class Residual(_Adding, gym.Wrapper[Any, Any, Any, Any]):
+    """The sum of PD action and agent's action, saturated like a motor, drives the arm."""
+
+
+class VectorResidual(_Adding, gym.vector.VectorWrapper):
+    """The same for many arms; their environment resets in the step that ends an episode, or not by itself."""

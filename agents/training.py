@@ -10,14 +10,15 @@ from typing import Any
 import gymnasium as gym
 import stable_baselines3 as sb3
 import torch
+from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, EveryNTimesteps
-from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 import flexman_gym  # noqa: F401  registers the environments
-from agents.residual import Residual
+from agents.residual import Residual, VectorResidual
+from agents.vector import Arms
 from flexman_gym.checks import flag, one_of, store, text, whole_number
 
 MODEL, STATISTICS, SETTINGS, REPLAY = "model.zip", "normalisation.pkl", "settings.json", "replay.pkl"
@@ -25,7 +26,7 @@ MODEL, STATISTICS, SETTINGS, REPLAY = "model.zip", "normalisation.pkl", "setting
 HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     # one batch a large part of the rollout: with small ones the optimiser, not the simulator, takes the time
     "ppo": {
-        "n_steps": 256,
+        "n_steps": 64,
         "batch_size": 1024,
         "n_epochs": 10,
         "learning_rate": 2e-4,
@@ -35,6 +36,7 @@ HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     },
     "sac": {"batch_size": 256, "gamma": 0.99, "learning_starts": 2000, "policy_kwargs": {"net_arch": [128, 128]}},
 }
+ENVS = {"ppo": 64, "sac": 16}  # which learns once a step of all
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": sb3.PPO, "sac": sb3.SAC}
 
 
@@ -47,7 +49,7 @@ class Settings:
         env: id of the environment.
         steps: environment steps in all.
         seed: of environments, exploration and weights.
-        envs: environments side by side in one process.
+        envs: arms side by side; None takes 64 for PPO and 16 for SAC.
         residual: the policy adds to a PD controller instead of acting alone.
 
     Raises:
@@ -58,17 +60,17 @@ class Settings:
     env: str = "FlexRRR-v0"
     steps: int = 1_000_000
     seed: int = 0
-    envs: int = 16
+    envs: int = None  # type: ignore[assignment]
     residual: bool = False
 
     def __post_init__(self) -> None:
+        store(self, algo=one_of("algo", self.algo, ALGORITHMS))
         store(
             self,
-            algo=one_of("algo", self.algo, ALGORITHMS),
             env=one_of("env", text("env", self.env), [name for name in gym.registry if name.startswith("Flex")]),
             steps=whole_number("steps", self.steps, 1, 10**10),
             seed=whole_number("seed", self.seed, 0, 2**32 - 1),
-            envs=whole_number("envs", self.envs, 1, 4096),
+            envs=whole_number("envs", ENVS[self.algo] if self.envs is None else self.envs, 1, 4096),
             residual=flag("residual", self.residual),
         )
 
@@ -137,8 +139,9 @@ def existing(path: Path) -> Path:
     return path
 
 
-def _environments(settings: Settings) -> DummyVecEnv:
-    return DummyVecEnv([lambda: Monitor(make_env(settings))] * settings.envs)
+def _environments(settings: Settings) -> VecMonitor:
+    env = gym.make_vec(settings.env, settings.envs, "vector_entry_point", autoreset_mode=AutoresetMode.SAME_STEP)
+    return VecMonitor(Arms(VectorResidual(env) if settings.residual else env))
 
 
 class _SaveRun(BaseCallback):

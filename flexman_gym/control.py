@@ -38,7 +38,7 @@ class PD:
         store(self, stiffness=stiffness, damping=damping, torque_limit=limit)
 
     def act(self, observation: NDArray[np.floating], slices: Mapping[str, slice]) -> NDArray[np.float32]:
-        """Action (n,) for an observation with the named slices of `FullState`."""
-        error, rate = observation[slices["posture_errors"]], observation[slices["motor_rates"]]
+        """Action (n,), or (b, n), for an observation (size,), or (b, size), with the named slices of `FullState`."""
+        error, rate = observation[..., slices["posture_errors"]], observation[..., slices["motor_rates"]]
         torque = np.array(self.stiffness) * error - np.array(self.damping) * rate
         return np.clip(torque / self.torque_limit, -1.0, 1.0).astype(np.float32)

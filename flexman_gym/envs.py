@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from flexman_gym.checks import one_of
 from flexman_gym.episodes import Episodes, checked_actions
 from flexman_gym.kernels import layout
+from flexman_gym.model import Model
 from flexman_gym.setup import Setup
 from flexman_gym.simulator import Simulator
 
@@ -91,9 +92,7 @@ class FlexManEnv(gym.Env[Observation, Observation]):
     def __init__(
         self, *, render_mode: str | None = None, render_size: tuple[int, int] = (480, 360), **settings: Any
     ) -> None:
-        if render_mode is not None:
-            one_of("render_mode", render_mode, ("rgb_array",))
-        self.render_mode = render_mode
+        self.render_mode = checked_mode(render_mode)
         setup = Setup(**settings)
         self.simulator = Simulator(setup.model, setup.method, setup.step, setup.control_period)
         self.episodes = Episodes(setup, self.simulator.batch)
@@ -104,11 +103,7 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         self.metadata = FlexManEnv.metadata | {"render_fps": round(1 / self.simulator.control_period)}
         self._shape = (setup.model.n_joints,)
         self._allowed = f"{setup.model.n_joints} numbers from -1 to 1"
-        self._painter: Any = None
-        if render_mode is not None:
-            from flexman_gym.draw import FramePainter  # which needs the extra [render]
-
-            self._painter = FramePainter(setup.model, render_size)
+        self._painter = painter(render_mode, setup.model, render_size)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -162,3 +157,17 @@ def observation_space(episodes: Episodes) -> spaces.Space[Any]:
 def action_space(episodes: Episodes) -> spaces.Space[Any]:
     """The space of actions of one arm."""
     return spaces.Box(-1.0, 1.0, (episodes.postures.shape[1],), dtype=np.float32)
+
+
+def checked_mode(render_mode: str | None) -> str | None:
+    """The render mode; raises ValueError for one that there is not."""
+    return None if render_mode is None else one_of("render_mode", render_mode, ("rgb_array",))
+
+
+def painter(render_mode: str | None, model: Model, size: tuple[int, int]) -> Any:
+    """A FramePainter, None without a render mode."""
+    if render_mode is None:
+        return None
+    from flexman_gym.draw import FramePainter  # which needs the extra [render]
+
+    return FramePainter(model, size)

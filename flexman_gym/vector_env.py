@@ -4,15 +4,16 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium import logger
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from flexman_gym.batch import Batch
+from flexman_gym.batch import MOST_ARMS, Batch
 from flexman_gym.beam import Array
 from flexman_gym.checks import refusal, whole_number
-from flexman_gym.envs import FlexManEnv, action_space, observation_space
+from flexman_gym.envs import FlexManEnv, action_space, checked_mode, observation_space, painter
 from flexman_gym.episodes import Arms, Episodes, Observations, checked_actions
 from flexman_gym.kernels import layout
 from flexman_gym.setup import Setup
@@ -38,13 +39,14 @@ class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
         threads: that move them.
         max_episode_steps: after which an episode is truncated.
         autoreset_mode: an AutoresetMode of Gymnasium, or its value.
+        render_mode, render_size: see `FlexManEnv`; a frame of each arm.
         settings: the attributes of `Setup`.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
     """
 
-    metadata = FlexManEnv.metadata | {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}
+    metadata = FlexManEnv.metadata | {"autoreset_mode": AutoresetMode.NEXT_STEP}
 
     def __init__(
         self,
@@ -53,20 +55,25 @@ class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
         threads: int = 1,
         max_episode_steps: int = 500,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        render_size: tuple[int, int] = (480, 360),
         **settings: Any,
     ) -> None:
         modes = {mode.value: mode for mode in AutoresetMode}
         chosen = autoreset_mode.value if isinstance(autoreset_mode, AutoresetMode) else autoreset_mode
         if chosen not in modes:
-            raise refusal("autoreset_mode", autoreset_mode, f"an AutoresetMode, or one of {', '.join(modes)}")
+            raise refusal("autoreset_mode", autoreset_mode, f"an AutoresetMode or one of {', '.join(modes)}")
         self.autoreset_mode = modes[chosen]
         self.max_episode_steps = whole_number("max_episode_steps", max_episode_steps, 1, LONGEST)
+        self.num_envs = whole_number("num_envs", num_envs, 1, MOST_ARMS)
+        self.render_mode = checked_mode(render_mode)
         setup = Setup(**settings)
+        self._painter = painter(render_mode, setup.model, render_size)
         period = setup.control_period
         self.batch = Batch(setup.model, setup.method, setup.step, period, arms=num_envs, threads=threads)
         self.episodes = Episodes(setup, self.batch)
         self.task, self.torque_limit, self.choice = setup.task, setup.torque_limit, setup.choice
-        self.sensors, self.num_envs = self.episodes.sensors, num_envs
+        self.sensors = self.episodes.sensors
         self.single_observation_space = observation_space(self.episodes)
         self.single_action_space = action_space(self.episodes)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -124,6 +131,14 @@ class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
                 infos = self._finish(over.copy(), infos)
         return episodes.seen.copy(), rewards, terminations, truncations, infos
 
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """Frames (height, width, 3) uint8 of the deformed arms and their targets."""
+        if self._painter is None:
+            logger.warn('render() needs render_mode="rgb_array" in gymnasium.make_vec')
+            return None
+        arms = zip(self.batch.state, self.episodes.targets, strict=True)
+        return tuple(self._painter.paint(state, target) for state, target in arms)
+
     def _finish(self, ended: Flags, infos: Infos) -> Infos:
         """Resets the arms that have ended; returns the infos of all, with what the ended ones were."""
         final = np.full(self.num_envs, None, dtype=object)
@@ -172,7 +187,7 @@ class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
             return [int(seed) + arm for arm in range(self.num_envs)]
         if not isinstance(seed, Sequence | np.ndarray) or len(seed) != self.num_envs:
             raise refusal("seed", seed, f"a whole number, or a list of {self.num_envs}")
-        return [None if each is None else int(each) for each in seed]
+        return [each if each is None else int(each) for each in seed]
 
     def _checked_mask(self, mask: object) -> Flags:
         if isinstance(mask, np.ndarray) and mask.shape == (self.num_envs,) and mask.dtype == bool and mask.any():

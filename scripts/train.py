@@ -14,7 +14,7 @@ def main() -> int:
     parser.add_argument("--env", default="FlexRRR-v0")
     parser.add_argument("--steps", type=int, default=1_000_000, help="environment steps; more steps with --resume")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--envs", type=int, default=16, help="environments side by side")
+    parser.add_argument("--envs", type=int, help="arms side by side; 64 for PPO, 16 for SAC")
     parser.add_argument("--residual", action="store_true", help="the policy adds to a PD controller")
     parser.add_argument("--folder", type=Path, default=Path("runs/latest"))
     parser.add_argument("--resume", action="store_true", help="go on with the run in the folder, with its settings")

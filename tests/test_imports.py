@@ -54,7 +54,7 @@ ARROWS = {
     "effects": "randomisation batch sensors model beam checks",
     "setup": "randomisation fidelity drive tasks sensors trajectory model methods beam scene catalog arm checks",
     "episodes": "setup effects randomisation batch tasks sensors model beam checks kernels",
-    "envs": "episodes setup batch draw simulator checks kernels",
+    "envs": "episodes setup draw simulator model checks kernels",
     "vector_env": "envs episodes setup batch beam checks kernels",
     "verification_links": "verification closed_forms dynamics model beam arm",
     "verification_cases": "verification_links verification closed_forms simulator dynamics model beam catalog arm"
