@@ -26,7 +26,7 @@ MODEL, STATISTICS, SETTINGS, REPLAY = "model.zip", "normalisation.pkl", "setting
 HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     # one batch a large part of the rollout: with small ones the optimiser, not the simulator, takes the time
     "ppo": {
-        "n_steps": 64,
+        "n_steps": 128,
         "batch_size": 1024,
         "n_epochs": 10,
         "learning_rate": 2e-4,

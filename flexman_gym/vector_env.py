@@ -124,8 +124,8 @@ class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
             rewards[late] = 0.0
         truncations = self._ages >= self.max_episode_steps
         terminations = np.zeros(self.num_envs, dtype=bool)
-        terminations[list(episodes.failures)] = True
         if episodes.failures or np.count_nonzero(truncations):
+            terminations[list(episodes.failures)] = True
             over |= truncations
             if self.autoreset_mode == AutoresetMode.SAME_STEP:
                 infos = self._finish(over.copy(), infos)

@@ -5,13 +5,19 @@ import subprocess
 import sys
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 pytest.importorskip("stable_baselines3")
 
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
+
+import flexman_gym as fm
 from agents.evaluation import episode_figures, evaluate, load_policy, table
+from agents.residual import Residual, VectorResidual
 from agents.training import MODEL, SETTINGS, STATISTICS, Settings, load_settings, resume, train
+from agents.vector import Arms
 
 ROOT = Path(__file__).parents[1]
 
@@ -28,7 +34,7 @@ def test_a_run_keeps_model_statistics_seed_settings_and_versions(run):
     assert {path.name for path in run.iterdir()} == {MODEL, STATISTICS, SETTINGS}
     record = json.loads((run / SETTINGS).read_text())
     assert record["seed"] == 3
-    assert record["hyperparameters"]["batch_size"] == 128  # not more than two arms give in 64 steps
+    assert record["hyperparameters"]["batch_size"] == 256  # not more than two arms give in 128 steps
     assert "numba" in record["versions"]
     assert load_settings(run) == Settings(algo="ppo", steps=512, envs=2, seed=3, residual=True)
 
@@ -143,3 +149,62 @@ def test_command_lines_say_what_is_wrong_in_one_line(script, arguments):
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1
     assert done.stdout == ""
+
+
+# Many arms for Stable-Baselines3
+
+
+def arms_and_singles(count, steps=20, wrapper=lambda env: env, single=lambda env: env):
+    """The adapter of the vector environment, and Stable-Baselines3's own vector of as many single environments."""
+    options = {"max_episode_steps": steps, "limits": fm.Limits(rate=2.0)}
+    env = gym.make_vec("FlexRRR-v0", count, "vector_entry_point", autoreset_mode="SameStep", **options)
+    singles = DummyVecEnv([lambda: single(gym.make("FlexRRR-v0", **options))] * count)
+    return Arms(wrapper(env)), singles
+
+
+@pytest.mark.parametrize("residual", [False, True])
+@pytest.mark.parametrize("normalised", [False, True])
+def test_arms_are_single_environments_side_by_side(residual, normalised):
+    wrappers = (VectorResidual, Residual) if residual else ()
+    both = [VecMonitor(each) for each in arms_and_singles(3, 20, *wrappers)]
+    both = [VecNormalize(each) for each in both] if normalised else both
+    for each in both:
+        each.seed(4)
+    assert np.array_equal(*(each.reset() for each in both))
+    random, ends = np.random.default_rng(0), set()
+    for _ in range(100):
+        actions = random.uniform(-1.0, 1.0, (3, 3)).astype(np.float32)
+        (seen, rewards, dones, infos), (others, worth, ended, told) = (each.step(actions) for each in both)
+        assert np.array_equal(seen, others) and np.array_equal(dones, ended)
+        assert rewards == pytest.approx(worth, rel=1e-6)  # the other vector keeps them in single precision
+        for info, expected in zip(infos, told, strict=True):
+            if "terminal_observation" not in expected:
+                assert info == {}
+                continue
+            assert info.keys() == expected.keys()
+            assert np.array_equal(info["terminal_observation"], expected["terminal_observation"])
+            assert info["TimeLimit.truncated"] == expected["TimeLimit.truncated"]
+            assert (info["episode"]["l"], info["failure"]) == (expected["episode"]["l"], expected["failure"])
+            ends.add(info["TimeLimit.truncated"])
+    assert ends == {False, True}
+
+
+def test_arms_tell_what_they_share_and_refuse_what_they_do_not_have():
+    arms, _ = arms_and_singles(2)
+    assert arms.get_attr("torque_limit") == [400.0, 400.0] and arms.get_attr("torque_limit", [1]) == [400.0]
+    assert arms.env_is_wrapped(gym.Wrapper) == [False, False] and not arms.has_attr("nothing")
+    assert arms.seed(3) == [3, 4]
+    with pytest.raises(ValueError, match=r"^set_attr: 'task' is not allowed; give arguments to the environment as"):
+        arms.set_attr("task", None)
+    with pytest.raises(ValueError, match=r"^env_method: 'reset' is not allowed; give a call of a method of `env`"):
+        arms.env_method("reset")
+    arms.set_options({"start": [0.1, 0.2, 0.3]})
+    seen = arms.reset()
+    assert seen[:, :3] == pytest.approx(np.array([[0.1, 0.2, 0.3]] * 2))
+    assert (arms.reset()[:, :3] != seen[:, :3]).any(), "options hold for one reset"
+    arms.set_options([{"start": [0.0] * 3}, {}])
+    with pytest.raises(ValueError, match=r"^options: .* give the same options for all environments$"):
+        arms.reset()
+    with pytest.raises(ValueError, match=r"^autoreset_mode: .* give an environment made with AutoresetMode.SAME_STEP$"):
+        Arms(gym.make_vec("FlexRRR-v0", 2))
+    arms.close()

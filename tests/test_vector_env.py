@@ -51,9 +51,14 @@ def actions(arms, steps, seed=0):
         yield np.sign(action) if step % 40 > 20 else 0.2 * action
 
 
-@pytest.mark.parametrize("randomisation", [None, EVERYTHING], ids=["plain", "randomised"])
 @pytest.mark.parametrize(
-    ("arms", "mode"), [(1, MODES[0]), *((3, mode) for mode in MODES), (64, MODES[0])], ids=lambda value: str(value)
+    ("arms", "mode", "randomisation"),
+    [
+        (1, MODES[0], None),
+        (64, MODES[0], EVERYTHING),
+        *((3, mode, each) for mode in MODES for each in (None, EVERYTHING)),
+    ],
+    ids=lambda value: "randomised" if isinstance(value, dict) else str(value),
 )
 def test_it_is_many_single_environments_bit_for_bit(arms, mode, randomisation):
     ours, theirs = pair(arms, mode, randomisation=randomisation, **SHORT)
