@@ -188,7 +188,7 @@ def _times(value: float | None) -> str:
 
 def peers_conclusion(rows: Sequence[Row], peers: Sequence[Row], plain: str) -> list[str]:
     """What a comparison with other codes says; `plain` is the model whose time error counts."""
-    return [*_pieces(rows, peers), *_frames(rows, peers, plain), *_rigid(rows, peers)]
+    return [*_pieces(rows, peers), *_alone(rows, peers), *_frames(rows, peers, plain), *_rigid(rows, peers)]
 
 
 def _pieces(rows: Sequence[Row], peers: Sequence[Row]) -> list[str]:
@@ -202,7 +202,8 @@ def _pieces(rows: Sequence[Row], peers: Sequence[Row]) -> list[str]:
         limit = peer.total_error or 0.0
         texts = [
             f"the cheapest no less accurate is {_cheapest_text(_within(rows, limit), peer)}",
-            f"the cheapest of which every finer step is so too is {_cheapest_text(settled(rows, limit), peer)}",
+            "the cheapest of which every finer step that was tried is so too is "
+            f"{_cheapest_text(settled(rows, limit), peer)}",
         ]
         if pieces == 8:
             near = _cheapest_text(_within(rows, NEAR), peer)
@@ -239,6 +240,19 @@ def _rigid(rows: Sequence[Row], peers: Sequence[Row]) -> list[str]:
     costs = [f"{row.model.removesuffix('rigid') or 'ours, '}{1e3 * row.cpu:.3g} ms" for row in known]
     far = max(row.total_error or 0.0 for row in known)
     return [f"A rigid arm, RK4 at {known[0].setting}: {'; '.join(costs)}; {far:.2g} m from the truth."]
+
+
+def _alone(rows: Sequence[Row], peers: Sequence[Row]) -> list[str]:
+    """The error of each model at its shortest step, so that nobody takes a lucky step for a good model."""
+    known: dict[str, Row] = {}
+    for row in sorted([*rows, *peers], key=lambda row: (row.model, -(row.step or math.inf))):
+        if row.method in ("implicit_midpoint", "RK4") and not row.model.endswith("rigid"):
+            known[row.model] = row
+    texts = [f"{row.model} {1e3 * (row.total_error or 0.0):.2g} mm ({row.setting})" for row in known.values()]
+    return texts and [
+        f"Errors of the models alone, at short steps of methods without numerical damping: {'; '.join(texts)}. Where a "
+        "longer step is better than its model, errors of model and method cancel in part."
+    ]
 
 
 def _within(rows: Sequence[Row], error: float) -> list[Row]:
