@@ -246,7 +246,7 @@ def _alone(rows: Sequence[Row], peers: Sequence[Row]) -> list[str]:
     """The error of each model at its shortest step, so that nobody takes a lucky step for a good model."""
     known: dict[str, Row] = {}
     for row in sorted([*rows, *peers], key=lambda row: (row.model, -(row.step or math.inf))):
-        if row.method in ("implicit_midpoint", "RK4") and not row.model.endswith("rigid"):
+        if row.method in ("implicit_midpoint", "RK4") and "rigid" not in row.model:
             known[row.model] = row
     texts = [f"{row.model} {1e3 * (row.total_error or 0.0):.2g} mm ({row.setting})" for row in known.values()]
     return texts and [
