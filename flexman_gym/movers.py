@@ -11,14 +11,13 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numba import types
 
 from flexman_gym.beam import Array
 from flexman_gym.drive import drive_table
 from flexman_gym.kernels import arms as kernels
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.arms import PER_ARM, addresses, arms_array
-from flexman_gym.kernels.lanes import ARMS
+from flexman_gym.kernels.lanes import ARMS, NUMBER
 from flexman_gym.kernels.layout import ARMS_ABREAST, Clock, Constants, IntArray, make_work
 from flexman_gym.methods import Method
 from flexman_gym.run import Run
@@ -72,7 +71,7 @@ class Abreast:
         else:
             self._constants = [_for_arms(constants) for _ in range(groups)]
             self._works = [make_work(constants, arms_array) for _ in range(min(threads, groups))]
-        kind = types.float64 if self._alone else ARMS
+        kind = NUMBER if self._alone else ARMS
         self._tables = np.array([addresses(each, kind) for each in self._constants])
         self._work_tables = [addresses(each, kind) for each in self._works]
         bounds = np.linspace(0, groups, len(self._works) + 1).round().astype(int)

@@ -35,7 +35,8 @@ ARROWS = {
     "dynamics": "model reduction beam scene arm checks kernels",
     "trajectory": "model beam checks kernels",
     "run": "model methods drive beam checks kernels",
-    "batch": "run trajectory drive methods model beam checks kernels",
+    "movers": "run drive methods beam kernels",
+    "batch": "movers run trajectory methods model beam checks kernels",
     "simulator": "batch run trajectory drive dynamics model methods reduction beam scene arm checks kernels",
     "fidelity_search": "trajectory simulator dynamics model methods beam scene checks",
     "fidelity": "fidelity_search amplification trajectory simulator dynamics model methods reduction beam scene arm"

@@ -15,7 +15,7 @@ from numba.core import types
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
-from flexman_gym.kernels.lanes import ARMS, lane_number, store_lane_number
+from flexman_gym.kernels.lanes import ARMS, NUMBER, lane_number, store_lane_number
 from flexman_gym.kernels.layout import (
     ARMS_ABREAST,
     LARGEST_STATE,
@@ -49,7 +49,7 @@ def arms_array(shape: tuple[int, ...]) -> Array:
 def addresses(parts: NamedTuple, element: types.Type) -> IntArray:
     """(fields, 3) address and shape of every array of a `Constants` or `Work`, whose memory must stay alive.
 
-    Elements are numbers (types.float64) or `ARMS`, whose arrays have one axis more, the arms.
+    Elements are numbers (NUMBER) or `ARMS`, whose arrays have one axis more, the arms.
     """
     table = np.zeros((len(parts), 3), np.int64)
     for row, name, values in zip(table, parts._fields, parts, strict=True):
@@ -70,7 +70,7 @@ def _kind(parts: type, name: str, element: types.Type) -> types.Array:
         return types.Array(types.int64, dimensions, "C", readonly=True)
     if parts is Work or name in PER_ARM or element != ARMS:
         return types.Array(element, dimensions, "C")
-    return types.Array(types.float64, dimensions, "C", readonly=True)
+    return types.Array(NUMBER, dimensions, "C", readonly=True)
 
 
 def _columns(parts: type, name: str) -> int:
@@ -117,7 +117,7 @@ def _reader(parts: type, element: types.Type) -> Any:
 
 
 constants_of_arms, work_of_arms = _reader(Constants, ARMS), _reader(Work, ARMS)
-constants_of_one, work_of_one = _reader(Constants, types.float64), _reader(Work, types.float64)
+constants_of_one, work_of_one = _reader(Constants, NUMBER), _reader(Work, NUMBER)
 
 
 @inner

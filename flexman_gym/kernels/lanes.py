@@ -33,14 +33,14 @@ class Lanes(types.Type):
 
     def unify(self, typing_context: Any, other: Any) -> Any:
         """A variable that is a number here and a group there is a group."""
-        return self if other == types.float64 else None
+        return self if other == NUMBER else None
 
     def can_convert_from(self, typing_context: Any, other: Any) -> Any:
         """Numbers become groups where one is wanted."""
-        return Conversion.safe if other == types.float64 else None
+        return Conversion.safe if other == NUMBER else None
 
 
-NEIGHBOURS, ARMS = Lanes(LANES), Lanes(ARMS_ABREAST)
+NUMBER, NEIGHBOURS, ARMS = types.float64, Lanes(LANES), Lanes(ARMS_ABREAST)
 
 
 @register_model(Lanes)
@@ -64,9 +64,9 @@ def _spread(context: Any, builder: Any, kind: Any, target: Any, value: Any) -> A
 def _joint(*kinds: Any) -> Any:
     """The type of what is calculated from these: the one group among numbers, None for other types."""
     groups = {kind for kind in kinds if isinstance(kind, Lanes)}
-    if len(groups) > 1 or any(kind not in groups and kind != types.float64 for kind in kinds):
+    if len(groups) > 1 or any(kind not in groups and kind != NUMBER for kind in kinds):
         return None
-    return groups.pop() if groups else types.float64
+    return groups.pop() if groups else NUMBER
 
 
 class LanesArithmetic(AbstractTemplate):
@@ -125,7 +125,7 @@ def _one_by_one(symbol: Callable) -> None:
 
     @lower_builtin(symbol, Lanes)
     def lower(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
-        function = context.get_function(symbol, types.float64(types.float64))
+        function = context.get_function(symbol, NUMBER(NUMBER))
         group = values[0]
         for k in range(kinds.return_type.width):
             place = ir.Constant(INDEX, k)
@@ -150,7 +150,7 @@ def vanishes(typing_context, a):
     """Whether a number, or every lane of a group, is zero."""
 
     def generate(context, builder, kinds, values):
-        zero = _spread(context, builder, types.float64, kinds.args[0], ir.Constant(ir.DoubleType(), 0.0))
+        zero = _spread(context, builder, NUMBER, kinds.args[0], ir.Constant(ir.DoubleType(), 0.0))
         return _all(builder, kinds.args[0], builder.fcmp_ordered("==", values[0], zero))
 
     return types.boolean(a), generate
@@ -162,10 +162,10 @@ def below(typing_context, a, limit):
 
     def generate(context, builder, kinds, values):
         kind = kinds.args[0]
-        bound = _spread(context, builder, types.float64, kind, values[1])
+        bound = _spread(context, builder, NUMBER, kind, values[1])
         return _all(builder, kind, builder.fcmp_ordered("<", values[0], bound))
 
-    return types.boolean(a, types.float64), generate
+    return types.boolean(a, NUMBER), generate
 
 
 @intrinsic
@@ -178,7 +178,7 @@ def choose_below(typing_context, a, limit, near, far):
         a, bound, near, far = (_spread(context, builder, each, kind, value) for each, value in pairs)
         return builder.select(builder.fcmp_ordered("<", a, bound), near, far)
 
-    return kind(a, types.float64, near, far), generate
+    return kind(a, NUMBER, near, far), generate
 
 
 def _group(flat: Any) -> Any:
@@ -277,7 +277,7 @@ def add_rows(typing_context, total, factors, rows, j, stride):
         sum_ = _spread(context, builder, kinds.args[0], kind, sum_)
         if _group(rows) == NEIGHBOURS:
             picked = [builder.extract_element(factors, ir.Constant(INDEX, k)) for k in range(LANES)]
-            picked = [_spread(context, builder, types.float64, kind, each) for each in picked]
+            picked = [_spread(context, builder, NUMBER, kind, each) for each in picked]
         else:
             picked = [_spread(context, builder, kinds.args[1], kind, factors)]
         data = context.make_array(rows)(context, builder, array).data
@@ -297,7 +297,7 @@ def add_rows(typing_context, total, factors, rows, j, stride):
 @intrinsic
 def sum_lanes(typing_context, a):
     """The sum of a group of neighbours; what is no such group is its own sum."""
-    result = types.float64 if a == NEIGHBOURS else a
+    result = NUMBER if a == NEIGHBOURS else a
 
     def generate(context, builder, kinds, values):
         if a != NEIGHBOURS:
@@ -316,7 +316,7 @@ def lane_number(typing_context, flat, i, k):
     def generate(context, builder, kinds, values):
         return builder.load(_lane(context, builder, kinds, *values))
 
-    return types.float64(flat, types.intp, types.intp), generate
+    return NUMBER(flat, types.intp, types.intp), generate
 
 
 @intrinsic
@@ -327,7 +327,7 @@ def store_lane_number(typing_context, flat, i, k, value):
         builder.store(values[3], _lane(context, builder, kinds, *values[:3]))
         return context.get_dummy_value()
 
-    return types.void(flat, types.intp, types.intp, types.float64), generate
+    return types.void(flat, types.intp, types.intp, NUMBER), generate
 
 
 def _lane(context: Any, builder: Any, kinds: Any, flat: Any, i: Any, k: Any) -> Any:
