@@ -155,7 +155,7 @@ class Episodes:
         }
 
     def _read(self) -> None:
-        self.sensors.read(self.batch.state, self.batch.outputs, self.postures, self.targets)
+        self.sensors.read(self.batch.rows, self.batch.outputs, self.postures, self.targets)
 
     def _undeformed(self, angles: Array) -> Array:
         """States (r, 2 d) at rest at joint angles (r, n)."""

@@ -7,6 +7,7 @@ import numpy as np
 from flexman_gym.beam import Array
 from flexman_gym.checks import positive, store
 from flexman_gym.kernels import layout
+from flexman_gym.kernels.outputs import combine
 from flexman_gym.model import Model
 
 MOVING = slice(layout.TIP_VELOCITY.start, layout.DEFLECTION_RATE.stop)
@@ -86,25 +87,26 @@ class FullState:
         self.units = {name: part[1] for name, part in (linear | goal).items()}
         bounds = [np.ones(sizes[name]) * np.asarray(part[2]) for name, part in (linear | goal).items()]
         self.bound: Array = np.concatenate(bounds)
-        self._from_state = np.hstack([part[0] for part in linear.values()] + [-angles])
+        from_state = np.hstack([part[0] for part in linear.values()] + [-angles]).T  # most of it is zero
+        self._start = np.append(0, np.cumsum(np.count_nonzero(from_state, axis=1)))
+        self._source, self._value = np.nonzero(from_state)[1], from_state[from_state != 0.0]
         self._allocate(arms)
 
     def _allocate(self, arms: int) -> None:
         """Space of a reading, and the views of it that `read` fills."""
-        size, motion = len(self.bound), self._from_state.shape[1]
+        size, motion = len(self.bound), len(self._start) - 1
         # an observation ends with the tip's velocity; its deflection and the rate of that follow it as in the outputs
         row = np.zeros((arms, size + 6))
         self.observations = row[:, :size]
-        self._motion, self._postures = row[:, None, :motion], row[:, self.slices["posture_errors"]]
+        self._row, self._postures = row, row[:, self.slices["posture_errors"]]
         self._error, self._near = row[:, self.slices["target_error"]], row[:, self.slices["target_nearness"]]
         self._moving = row[:, size - 3 :]
         self._lengths = row[:, motion:].reshape(arms, 5, 3)[:, ::4]  # error and rate of deflection
         self.tip_error, self.tip_vibration = np.zeros(arms), np.zeros(arms)
 
     def read(self, states: Array, outputs: Array, postures: Array, targets: Array) -> None:
-        """Reads states (b, 2 d) with outputs (b, OUTPUTS) for goals (b, n) rad and (b, 3) m."""
-        # one small product an arm, so that the bits of an arm do not depend on how many there are
-        np.matmul(states[:, None], self._from_state, out=self._motion)
+        """Reads states (b, 2 d), or with a ledger, and outputs (b, OUTPUTS) for goals (b, n) rad and (b, 3) m."""
+        combine(states, self._start, self._source, self._value, self._row)
         self._postures += postures
         np.subtract(targets, outputs[:, layout.TIP], out=self._error)
         self._moving[:] = outputs[:, MOVING]

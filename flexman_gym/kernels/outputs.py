@@ -55,6 +55,17 @@ def observe(constants, work, x, v, out):
     out[12], out[13], out[14], out[15] = kinetic, links, joints, gravitational
 
 
+@kernel
+def combine(rows, start, source, value, out):
+    """out[b, j] = the sum of value[e] rows[b, source[e]] over start[j] <= e < start[j + 1]: linear readings of states."""
+    for b in range(len(rows)):
+        for j in range(len(start) - 1):
+            total = 0.0
+            for e in range(start[j], start[j + 1]):
+                total += value[e] * rows[b, source[e]]
+            out[b, j] = total
+
+
 @inner
 def square_form(matrices, constants, i, rates, elastic):
     """q^T matrix q for the packed (k, k) matrix of link i and the elastic part of `rates` (d,)."""
