@@ -174,12 +174,11 @@ def elastic_accelerations(constants, work, i, frame, out):
     for c in range(k - 1, -1, -1):
         row = constants.factor_start[i] + c * constants.factor_width[i]
         j = row + k
-        value = -work.elastic_force[start + c]
-        value -= dot(linear, (factor[j], factor[j + 1], factor[j + 2]))
-        value -= dot(angular, (factor[j + 3], factor[j + 4], factor[j + 5]))
+        value = dot(linear, (factor[j], factor[j + 1], factor[j + 2]))
+        value += dot(angular, (factor[j + 3], factor[j + 4], factor[j + 5]))
         for a in range(c + 1, k):
-            value -= factor[row + a] * out[first + a]
-        out[first + c] = value * factor[row + c]
+            value += factor[row + a] * out[first + a]
+        out[first + c] = -work.elastic_force[start + c] - value * factor[row + c]
 
 
 @inner

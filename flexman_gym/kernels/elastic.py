@@ -2,7 +2,7 @@
 
 import math
 
-from flexman_gym.kernels.lanes import group_size, load_lanes, store_lanes
+from flexman_gym.kernels.lanes import choose_below, group_size, load_lanes, store_lanes
 from flexman_gym.kernels.linalg import (
     ZERO,
     add,
@@ -23,8 +23,8 @@ from flexman_gym.kernels.stiffening import stretch_mass
 def eliminate_elastic(constants, work, i, shift, tip, inertia):
     """What is left of an inertia when the elastic coordinates of link i, with what its tip carries, are free.
 
-    Fills work.factor row by row: upper Cholesky factor of the shifted M, its diagonal inverted, then coupling to the
-    frame.
+    Fills work.factor row by row: the shifted M as R^T D^-1 R with the diagonal D of R, which stands there inverted, then
+    coupling to the frame.
     """
     start, width, first = constants.elastic_start[i], constants.factor_width[i], constants.factor_start[i]
     k, factor = constants.elastic_start[i + 1] - start, work.factor
@@ -35,20 +35,19 @@ def eliminate_elastic(constants, work, i, shift, tip, inertia):
         elastic_row(constants, work, i, a, shift)
         linear, angular = coupling(constants, work, i, a)
         for c in range(a):
-            j, share = first + c * width + k, -factor[first + c * width + a]
+            j, share = first + c * width + k, -factor[first + c * width + a] * factor[first + c * width + c]
             linear = add_scaled(linear, share, (factor[j], factor[j + 1], factor[j + 2]))
             angular = add_scaled(angular, share, (factor[j + 3], factor[j + 4], factor[j + 5]))
-        pivot = 1.0 / math.sqrt(factor[row + a])
+        # an M that is not positive definite, of a state out of all bounds, ends as a divergence
+        pivot = choose_below(factor[row + a], 0.0, math.nan, 1.0 / factor[row + a])
         factor[row + a] = pivot
-        for b in range(a + 1, k):
-            factor[row + b] *= pivot
-        linear, angular = add_scaled(ZERO, pivot, linear), add_scaled(ZERO, pivot, angular)
         # last, as these columns also take what the padding of the row holds
         for j in range(3):
             factor[row + k + j], factor[row + k + 3 + j] = linear[j], angular[j]
-        force = subtract_outer(force, linear, linear)
-        mixed = subtract_outer(mixed, linear, angular)
-        moment = subtract_outer(moment, angular, angular)
+        scaled, turned = add_scaled(ZERO, pivot, linear), add_scaled(ZERO, pivot, angular)
+        force = subtract_outer(force, scaled, linear)
+        mixed = subtract_outer(mixed, scaled, angular)
+        moment = subtract_outer(moment, turned, angular)
     return force, mixed, moment
 
 
@@ -68,8 +67,9 @@ def elastic_row(constants, work, i, a, shift):
             total += work.tip_shape[start + a, c] * load_lanes(carried, c * length + group)
         if len(constants.station_mass) > 0:
             total = stretch_mass(constants, work, i, a, group, total)
-        for top in range(first, first + a * width, width):
-            total -= factor[top + a] * load_lanes(factor, top + group)
+        for c in range(a):
+            top = first + c * width
+            total -= factor[top + a] * factor[top + c] * load_lanes(factor, top + group)
         store_lanes(factor, first + a * width + group, total)
 
 

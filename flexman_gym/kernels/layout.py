@@ -167,7 +167,7 @@ class Work(NamedTuple):
     # factorisation
     articulated: Array  # (27 n,) inertia of link and everything outboard, joint free: three 3x3 blocks by rows
     carried: Array  # (6 x largest station_width,) inertia beyond the tip of one link times tip_shape, by components
-    # k_i rows of factor_width[i]: upper Cholesky factor, its diagonal inverted, then 6 columns of coupling to the frame
+    # k_i rows of factor_width[i]: R of the shifted M = R^T D^-1 R, its diagonal D inverted, then 6 columns of coupling
     factor: Array
     joint_column: Pairs  # (n, 6) articulated inertia times joint axis
     joint_pivot: Array  # (n,) what the joint torque accelerates
