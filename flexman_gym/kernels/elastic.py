@@ -23,8 +23,7 @@ from flexman_gym.kernels.stiffening import stretch_mass
 def eliminate_elastic(constants, work, i, shift, tip, inertia):
     """What is left of an inertia when the elastic coordinates of link i, with what its tip carries, are free.
 
-    Fills work.factor row by row: the shifted M as R^T D^-1 R with the diagonal D of R, which stands there inverted, then
-    coupling to the frame.
+    Fills work.factor row by row: R of the shifted M = R^T D^-1 R, its diagonal D inverted, then coupling to the frame.
     """
     start, width, first = constants.elastic_start[i], constants.factor_width[i], constants.factor_start[i]
     k, factor = constants.elastic_start[i + 1] - start, work.factor

@@ -57,7 +57,7 @@ def observe(constants, work, x, v, out):
 
 @kernel
 def combine(rows, start, source, value, out):
-    """out[b, j] = the sum of value[e] rows[b, source[e]] over start[j] <= e < start[j + 1]: linear readings of states."""
+    """Linear readings: out[b, j] = sum of value[e] rows[b, source[e]] over start[j] <= e < start[j + 1]."""
     for b in range(len(rows)):
         for j in range(len(start) - 1):
             total = 0.0
