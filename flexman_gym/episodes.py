@@ -53,7 +53,7 @@ class Episodes:
         self._torque_limits = np.full((arms, joints), setup.torque_limit)
         self._drive = np.zeros((arms, joints + 6))
         self._torques, self._forces = self._drive[:, :joints], self._drive[:, joints : joints + 3]
-        self._size = np.zeros((arms, len(self.bound)))
+        self._magnitude = np.zeros((arms, len(self.bound)))
 
     def reset(
         self, arms: Arms, randoms: Sequence[np.random.Generator], options: Mapping[str, Any] | None = None
@@ -96,7 +96,6 @@ class Episodes:
         self.failures = {arm: text for arm, text in self.failures.items() if arm not in arms}
         seen = observations[arms]
         self.seen[arms] = seen if self.effects is None else self.effects.disturb(seen, arms)
-        self._effort, self._failed = self._effort.copy(), self._failed.copy()  # others may hold the old ones
         self._effort[arms], self._failed[arms], self.over[arms] = 0.0, False, False
 
     def step(self, actions: Array) -> None:
@@ -115,7 +114,7 @@ class Episodes:
         if np.count_nonzero(self._failed):
             self.failures, self._failed = {}, np.zeros_like(self._failed)
         observations = self.sensors.observations
-        inside = np.abs(observations, out=self._size) <= self.sensors.bound
+        inside = np.abs(observations, out=self._magnitude) <= self.sensors.bound
         seen = observations if self.effects is None else self.effects.disturb(observations)
         if np.count_nonzero(inside) == inside.size and not np.count_nonzero(self.batch.status):
             self.seen[:] = seen
