@@ -12,6 +12,7 @@ from flexman_gym.kernels.elastic import eliminate_elastic
 from flexman_gym.kernels.forces import applied_forces
 from flexman_gym.kernels.joints import eliminate_joint, free_joint, joint_acceleration, prescribed_power
 from flexman_gym.kernels.kinematics import positions, velocities
+from flexman_gym.kernels.lanes import fused
 from flexman_gym.kernels.linalg import (
     ZERO,
     add,
@@ -148,7 +149,7 @@ def gather_forces(constants, work, i, elastic, tip):
     for a in range(start, stop):
         demand[a] = work.elastic_bias[a] - work.force[elastic + a]
     for a in range(constants.carrying[i], constants.turning[i]):
-        demand[a] += work.tip_shape[a, 0] * tip[0][0]
+        demand[a] = fused(work.tip_shape[a, 0], tip[0][0], demand[a])
     for a in range(constants.turning[i], stop):
         translation, rotation = load_pair(work.tip_shape, a)
         demand[a] += dot(translation, tip[0]) + dot(rotation, tip[1])
@@ -157,7 +158,7 @@ def gather_forces(constants, work, i, elastic, tip):
         value = demand[start + c] * factor[top + c]
         demand[start + c] = value
         for b in range(c + 1, k):
-            demand[start + b] -= value * factor[top + b]
+            demand[start + b] = fused(-value, factor[top + b], demand[start + b])
         j = top + k
         force = add_scaled(force, -value, (factor[j], factor[j + 1], factor[j + 2]))
         moment = add_scaled(moment, -value, (factor[j + 3], factor[j + 4], factor[j + 5]))
@@ -177,8 +178,8 @@ def elastic_accelerations(constants, work, i, frame, out):
         value = dot(linear, (factor[j], factor[j + 1], factor[j + 2]))
         value += dot(angular, (factor[j + 3], factor[j + 4], factor[j + 5]))
         for a in range(c + 1, k):
-            value += factor[row + a] * out[first + a]
-        out[first + c] = -work.elastic_force[start + c] - value * factor[row + c]
+            value = fused(factor[row + a], out[first + a], value)
+        out[first + c] = fused(-value, factor[row + c], -work.elastic_force[start + c])
 
 
 @inner

@@ -2,7 +2,7 @@
 
 import math
 
-from flexman_gym.kernels.lanes import choose_below, group_size, load_lanes, store_lanes
+from flexman_gym.kernels.lanes import choose_below, fused, group_size, load_lanes, store_lanes
 from flexman_gym.kernels.linalg import (
     ZERO,
     add,
@@ -60,15 +60,15 @@ def elastic_row(constants, work, i, a, shift):
         terms = 6 if start + a >= constants.turning[i] else 1
     for group in range(a - a % size, k, size):
         j = square + a * k + group
-        total = shift[0] * load_lanes(constants.damping, j) + shift[1] * load_lanes(constants.stiffness, j)
-        total = load_lanes(constants.elastic_mass, j) + total
+        total = fused(shift[0], load_lanes(constants.damping, j), load_lanes(constants.elastic_mass, j))
+        total = fused(shift[1], load_lanes(constants.stiffness, j), total)
         for c in range(terms):
-            total += work.tip_shape[start + a, c] * load_lanes(carried, c * length + group)
+            total = fused(work.tip_shape[start + a, c], load_lanes(carried, c * length + group), total)
         if len(constants.station_mass) > 0:
             total = stretch_mass(constants, work, i, a, group, total)
         for c in range(a):
             top = first + c * width
-            total -= factor[top + a] * factor[top + c] * load_lanes(factor, top + group)
+            total = fused(-factor[top + a] * factor[top + c], load_lanes(factor, top + group), total)
         store_lanes(factor, first + a * width + group, total)
 
 

@@ -2,7 +2,7 @@
 
 import math
 
-from flexman_gym.kernels.lanes import choose_below, vanishes
+from flexman_gym.kernels.lanes import choose_below, fused, vanishes
 from flexman_gym.kernels.layout import AMPLITUDE, FREQUENCY, OFFSET, PHASE, START, STOP
 from flexman_gym.kernels.linalg import (
     ZERO,
@@ -81,10 +81,10 @@ def structural_forces(constants, work, x, v):
             restoring = 0.0
             drag = 0.0
             for b in range(k):
-                restoring += constants.stiffness[row + b] * x[first + b]
-                drag += constants.damping[row + b] * v[first + b]
+                restoring = fused(constants.stiffness[row + b], x[first + b], restoring)
+                drag = fused(constants.damping[row + b], v[first + b], drag)
             work.force[first + a] -= restoring + drag
-            lost += drag * v[first + a]
+            lost = fused(drag, v[first + a], lost)
     return lost
 
 

@@ -2,7 +2,7 @@
 
 import math
 
-from flexman_gym.kernels.lanes import vanishes
+from flexman_gym.kernels.lanes import fused, vanishes
 from flexman_gym.kernels.linalg import (
     IDENTITY,
     ZERO,
@@ -104,7 +104,7 @@ def mass_integrals(constants, work, i, x, elastic):
     for j in range(9 * start, 9 * stop):
         value = constants.position_shape[j]
         for e in range(constants.shape_start[j], constants.shape_start[j + 1]):
-            value += x[elastic + constants.shape_source[e]] * constants.shape_value[e]
+            value = fused(x[elastic + constants.shape_source[e]], constants.shape_value[e], value)
         shape[j] = value
     moment = load(constants.first_moment, i)
     xx, xy, xz, _, yy, yz, _, _, zz = load_matrix(constants.second_moment, i)
@@ -114,12 +114,12 @@ def mass_integrals(constants, work, i, x, elastic):
         moment = add_scaled(moment, q, load(constants.first_moment_shape, a))
         # P = integral of r r^T, with r = r0 + S q; U holds r S^T, position_shape r0 S^T
         u, u0 = load_matrix(shape, a), load_matrix(constants.position_shape, a)
-        xx += q * (u[0] + u0[0])
-        yy += q * (u[4] + u0[4])
-        zz += q * (u[8] + u0[8])
-        xy += q * (u[1] + u0[3])
-        xz += q * (u[2] + u0[6])
-        yz += q * (u[5] + u0[7])
+        xx = fused(q, u[0] + u0[0], xx)
+        yy = fused(q, u[4] + u0[4], yy)
+        zz = fused(q, u[8] + u0[8], zz)
+        xy = fused(q, u[1] + u0[3], xy)
+        xz = fused(q, u[2] + u0[6], xz)
+        yz = fused(q, u[5] + u0[7], yz)
     for a in range(start, stop):
         u = load_matrix(shape, a)
         store(work.coupling, a, (u[5] - u[7], u[6] - u[2], u[1] - u[3]))
@@ -205,8 +205,8 @@ def quadratic_forces(constants, work, i, v, elastic):
         for j in range(3):
             turning = 0.0  # integral of q' S_b x S_a dm
             for e in range(constants.cross_start[3 * a + j], constants.cross_start[3 * a + j + 1]):
-                turning += v[elastic + constants.cross_source[e]] * constants.cross_value[e]
-            bias += 2.0 * work.spin[i, j] * turning
+                turning = fused(v[elastic + constants.cross_source[e]], constants.cross_value[e], turning)
+            bias = fused(2.0 * work.spin[i, j], turning, bias)
         work.elastic_bias[a] = bias
     force = add_scaled(cross(spin, cross(spin, load(work.moment, i))), 2.0, cross(spin, linear))
     moment = add_scaled(cross(spin, apply(load_matrix(work.inertia, i), spin)), 2.0, relative)

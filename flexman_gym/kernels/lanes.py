@@ -19,7 +19,6 @@ from numba.extending import intrinsic, lower_builtin, lower_cast, models, regist
 
 from flexman_gym.kernels.layout import ARMS_ABREAST, LANES
 
-FLAGS = ("contract",)  # those of `linalg`
 INDEX = ir.IntType(32)
 
 
@@ -78,6 +77,13 @@ class LanesArithmetic(AbstractTemplate):
         return signature(kind, *args) if isinstance(kind, Lanes) else None
 
 
+def _instruction(builder: Any, name: str, kind: Any, operands: Any) -> Any:
+    """One of the compiler's own functions, of numbers or groups."""
+    element, suffix = (kind.vector, f"v{kind.width}f64") if isinstance(kind, Lanes) else (ir.DoubleType(), "f64")
+    function = ir.FunctionType(element, [element] * len(operands))
+    return builder.call(cgutils.get_or_insert_function(builder.module, function, f"llvm.{name}.{suffix}"), operands)
+
+
 def _declare(symbol: Callable) -> None:
     infer_global(symbol)(type("LanesArithmetic", (LanesArithmetic,), {"key": symbol}))
 
@@ -89,20 +95,20 @@ def _operator(symbol: Callable, instruction: str) -> None:
     def lower(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
         pairs = zip(kinds.args, values, strict=True)
         operands = [_spread(context, builder, kind, kinds.return_type, value) for kind, value in pairs]
-        return getattr(builder, instruction)(*operands, flags=FLAGS)
+        return getattr(builder, instruction)(*operands)
 
     for operands in ((Lanes, Lanes), (Lanes, types.Float), (types.Float, Lanes)):
         lower_builtin(symbol, *operands)(lower)
 
 
-for _instruction, _symbols in {
+for _name, _symbols in {
     "fadd": (operator.add, operator.iadd),
     "fsub": (operator.sub, operator.isub),
     "fmul": (operator.mul, operator.imul),
     "fdiv": (operator.truediv, operator.itruediv),
 }.items():
     for _symbol in _symbols:
-        _operator(_symbol, _instruction)
+        _operator(_symbol, _name)
 
 for _function in (operator.neg, math.sqrt, math.sin, math.cos, math.tanh):
     _declare(_function)
@@ -110,14 +116,12 @@ for _function in (operator.neg, math.sqrt, math.sin, math.cos, math.tanh):
 
 @lower_builtin(operator.neg, Lanes)
 def _negative(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
-    return builder.fneg(values[0], flags=FLAGS)
+    return builder.fneg(values[0])
 
 
 @lower_builtin(math.sqrt, Lanes)
 def _root(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
-    vector = kinds.return_type.vector
-    name = f"llvm.sqrt.v{kinds.return_type.width}f64"
-    return builder.call(cgutils.get_or_insert_function(builder.module, ir.FunctionType(vector, [vector]), name), values)
+    return _instruction(builder, "sqrt", kinds.return_type, values)
 
 
 def _one_by_one(symbol: Callable) -> None:
@@ -135,6 +139,19 @@ def _one_by_one(symbol: Callable) -> None:
 
 for _single in (math.sin, math.cos, math.tanh):
     _one_by_one(_single)
+
+
+@intrinsic
+def fused(typing_context, a, b, c):
+    """a b + c, rounded once; written out, as the compiler would fuse differently for one arm and for several."""
+    kind = _joint(a, b, c)
+
+    def generate(context, builder, kinds, values):
+        pairs = zip(kinds.args, values, strict=True)
+        operands = [_spread(context, builder, each, kind, value) for each, value in pairs]
+        return _instruction(builder, "fma", kind, operands)
+
+    return kind(a, b, c), generate
 
 
 def _all(builder: Any, kind: Any, condition: Any) -> Any:
@@ -287,7 +304,7 @@ def add_rows(typing_context, total, factors, rows, j, stride):
                 row = builder.load(builder.bitcast(pointer, kind.vector.as_pointer()), align=8)
             else:
                 row = _spread(context, builder, _group(rows), kind, builder.load(pointer))
-            sum_ = builder.fadd(sum_, builder.fmul(factor, row, flags=FLAGS), flags=FLAGS)
+            sum_ = _instruction(builder, "fma", kind, [factor, row, sum_])
             place = builder.add(place, step)
         return sum_
 
@@ -303,8 +320,8 @@ def sum_lanes(typing_context, a):
         if a != NEIGHBOURS:
             return values[0]
         part = [builder.extract_element(values[0], ir.Constant(INDEX, k)) for k in range(LANES)]
-        halves = builder.fadd(part[0], part[2], flags=FLAGS), builder.fadd(part[1], part[3], flags=FLAGS)
-        return builder.fadd(*halves, flags=FLAGS)
+        halves = builder.fadd(part[0], part[2]), builder.fadd(part[1], part[3])
+        return builder.fadd(*halves)
 
     return result(a), generate
 

@@ -3,7 +3,7 @@
 import math
 
 from flexman_gym.kernels.kinematics import positions, velocities
-from flexman_gym.kernels.lanes import vanishes
+from flexman_gym.kernels.lanes import fused, vanishes
 from flexman_gym.kernels.linalg import (
     IDENTITY,
     ZERO,
@@ -62,7 +62,7 @@ def combine(rows, start, source, value, out):
         for j in range(len(start) - 1):
             total = 0.0
             for e in range(start[j], start[j + 1]):
-                total += value[e] * rows[b, source[e]]
+                total = fused(value[e], rows[b, source[e]], total)
             out[b, j] = total
 
 
@@ -120,7 +120,7 @@ def link_energy(constants, work, i, v, elastic):
     value += 0.5 * dot(spin, apply(load_matrix(work.inertia, i), spin))
     for a in range(constants.elastic_start[i], constants.elastic_start[i + 1]):
         momentum = dot(velocity, load(work.moment_shape, a)) + dot(spin, load(work.coupling, a))
-        value += v[elastic + a] * momentum
+        value = fused(v[elastic + a], momentum, value)
     return value
 
 

@@ -10,6 +10,7 @@ from flexman_gym.kernels.dynamics import accelerate, factorise, solve
 from flexman_gym.kernels.forces import applied_forces, drive_at, friction_shift, friction_slopes, structural_forces
 from flexman_gym.kernels.joints import any_prescribed, prescribed_power
 from flexman_gym.kernels.kinematics import positions, velocities
+from flexman_gym.kernels.lanes import fused
 from flexman_gym.kernels.layout import DIVERGED, NOT_CONVERGED, OK
 from flexman_gym.kernels.linalg import copy, inner, kernel
 from flexman_gym.kernels.outputs import observe
@@ -45,7 +46,7 @@ def add_stages(state, step, weights, stages, count, out):
         weight = step * weights[j]
         if weight != 0.0:
             for k in range(len(state)):
-                out[k] += weight * stages[j, k]
+                out[k] = fused(weight, stages[j, k], out[k])
 
 
 @kernel
@@ -151,8 +152,8 @@ def extrapolate(work, tableau, state):
         for j in range(len(tableau.sequence)):
             # differences from the state lose no digits to its size
             change = work.extrapolated[j, k] - state[k]
-            value += tableau.weights[j] * change
-            wrong += tableau.sequence_error[j] * change
+            value = fused(tableau.weights[j], change, value)
+            wrong = fused(tableau.sequence_error[j], change, wrong)
         for e in range(len(tableau.error)):
             for i in range(len(tableau.b)):
                 wrong += tableau.error[e, i] * work.stages[i, k]
@@ -177,10 +178,10 @@ def implicit_stage(constants, work, tableau, table, moment, state, i, moved):
     for j in range(i):
         weight = tableau.c[i, j] / step
         for k in range(size):
-            stage[k] += weight * work.stages[j, k]
+            stage[k] = fused(weight, work.stages[j, k], stage[k])
     x, v = work.stage_state[:d], work.stage_state[d : 2 * d]
     for k in range(d):
-        shift[k] = g * (v[k] + stage[k] + g * stage[d + k])
+        shift[k] = g * fused(g, stage[d + k], v[k] + stage[k])
         shift[d + k] = g * stage[d + k]
     if moved:
         drive_at(table, time + tableau.abscissae[i] * step, work.drive)

@@ -8,7 +8,16 @@ percent of the length.
 The stations of a link, its tip first, fill whole groups of LANES; those that fill up the last group have no mass.
 """
 
-from flexman_gym.kernels.lanes import add_rows, group_size, load_lanes, pick_lanes, spread_lanes, store_lanes, sum_lanes
+from flexman_gym.kernels.lanes import (
+    add_rows,
+    fused,
+    group_size,
+    load_lanes,
+    pick_lanes,
+    spread_lanes,
+    store_lanes,
+    sum_lanes,
+)
 from flexman_gym.kernels.linalg import dot, inner, load
 
 
@@ -25,7 +34,7 @@ def shorten_tip(constants, work, i, x, elastic):
         back = 0.0
         for a in range(start, stop):
             bend = station_bend(constants, i, s, a, x, elastic)
-            back -= 0.5 * x[elastic + a] * bend
+            back = fused(-0.5 * x[elastic + a], bend, back)
             store_lanes(work.bend_stations, row + (a - start) * count + s, bend)
             spread_lanes(work.bend, row + s * width + a - start, width, bend)
         store_lanes(work.back, first + s, back)
@@ -42,11 +51,11 @@ def station_motion(constants, i, s, rates, elastic):
     x = y = z = 0.0
     start, value = constants.place_start, constants.place_row[i] + s
     for e in range(start[3 * i], start[3 * i + 1]):
-        x += rates[elastic + constants.place_source[e]] * load_lanes(constants.place_value, value + e * count)
+        x = fused(rates[elastic + constants.place_source[e]], load_lanes(constants.place_value, value + e * count), x)
     for e in range(start[3 * i + 1], start[3 * i + 2]):
-        y += rates[elastic + constants.place_source[e]] * load_lanes(constants.place_value, value + e * count)
+        y = fused(rates[elastic + constants.place_source[e]], load_lanes(constants.place_value, value + e * count), y)
     for e in range(start[3 * i + 2], start[3 * i + 3]):
-        z += rates[elastic + constants.place_source[e]] * load_lanes(constants.place_value, value + e * count)
+        z = fused(rates[elastic + constants.place_source[e]], load_lanes(constants.place_value, value + e * count), z)
     return x, y, z
 
 
@@ -56,7 +65,9 @@ def station_bend(constants, i, s, a, rates, elastic):
     count = constants.station_start[i + 1] - constants.station_start[i]
     bend, value = 0.0, constants.bend_row[i] + s
     for e in range(constants.bend_start[a], constants.bend_start[a + 1]):
-        bend += rates[elastic + constants.bend_source[e]] * load_lanes(constants.bend_value, value + e * count)
+        bend = fused(
+            rates[elastic + constants.bend_source[e]], load_lanes(constants.bend_value, value + e * count), bend
+        )
     return bend
 
 
@@ -78,9 +89,9 @@ def shorten_mass(constants, work, i):
         store_lanes(weight, j + count, mass * y)
         store_lanes(weight, j + 2 * count, mass * z)
         lost += shift
-        xx += shift * (2.0 * along + back)
-        xy += shift * y
-        xz += shift * z
+        xx = fused(shift, 2.0 * along + back, xx)
+        xy = fused(shift, y, xy)
+        xz = fused(shift, z, xz)
     for group in range(0, width, group_size(work.back)):
         moment = across_y = across_z = 0.0
         for s in range(0, count, group_size(work.back)):
@@ -139,7 +150,7 @@ def shorten_forces(constants, work, i, v, elastic):
         store_lanes(weight, j + count, mass * (w[0] * w[1] * back + turn_y))
         store_lanes(weight, j + 2 * count, mass * (w[0] * w[2] * back + turn_z))
         store_lanes(weight, j + 3 * count, (-1.0 * mass) * whole)
-        force += mass * pulled
+        force = fused(mass, pulled, force)
         moment_x += mass * (y * turn_z - z * turn_y)
         moment_y += mass * (z * pulled - x * turn_z - back * plain_z)
         moment_z += mass * (x * turn_y - y * pulled + back * plain_y)
@@ -168,8 +179,8 @@ def station_rates(constants, work, i, s, v, elastic):
     count = constants.station_start[i + 1] - constants.station_start[i]
     drawn = pulled = 0.0
     for a in range(start, constants.elastic_start[i + 1]):
-        drawn -= v[elastic + a] * load_lanes(work.bend_stations, row + (a - start) * count)
-        pulled -= v[elastic + a] * station_bend(constants, i, s, a, v, elastic)
+        drawn = fused(-v[elastic + a], load_lanes(work.bend_stations, row + (a - start) * count), drawn)
+        pulled = fused(-v[elastic + a], station_bend(constants, i, s, a, v, elastic), pulled)
     return drawn, pulled
 
 
