@@ -1,0 +1,99 @@
+"""Rows of the benchmark: calls that take turns, what each costs, and the file that keeps them."""
+
+import csv
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+EVALUATIONS, ENVIRONMENTS, STARTS = "evaluations", "environments", "starts"
+TEXTS = ("table", "name", "peer")
+
+
+class Cost(NamedTuple):
+    """What one step, evaluation or start costs: seconds of the processor and of a clock; part that is simulation."""
+
+    cpu: float
+    wall: float
+    share: float = float("nan")
+
+
+Timer = Callable[[], Cost]
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the benchmark.
+
+    table         to which it belongs
+    name          what is timed
+    arms, threads numbers of them, None where that says nothing
+    cpu, wall     seconds, medians over the rounds
+    peer          name of the row that it is compared with, "" for none
+    times_peer    median over the rounds: of evaluations the cost, of environments the speed, as a multiple of the
+                  peer's; by CPU time, for a row of several threads by the clock
+    at_most       what times_peer should be at most
+    share         part of the CPU time that is spent in the environment's steps
+    """
+
+    table: str
+    name: str
+    arms: float | None
+    threads: float | None
+    cpu: float
+    wall: float
+    peer: str = ""
+    times_peer: float | None = None
+    at_most: float | None = None
+    share: float | None = None
+
+
+def clock(call: Callable[[], object]) -> tuple[float, float]:
+    """CPU time of the whole process and time of the clock of one call, s."""
+    started = time.process_time(), time.perf_counter()
+    call()
+    return time.process_time() - started[0], time.perf_counter() - started[1]
+
+
+def timer(call: Callable[[], object], count: int, batches: int = 1) -> Timer:
+    """The cost of one of the `count` things that a call does, the cheapest of so many calls."""
+
+    def measure() -> Cost:
+        cpu, wall = min(clock(call) for _ in range(batches))
+        return Cost(cpu / count, wall / count)
+
+    return measure
+
+
+def in_turns(timers: Mapping[str, Timer], rounds: int) -> dict[str, Array]:
+    """Costs (rounds, 3) of each; they take turns, so that a slow moment of the machine hits all of them."""
+    costs: dict[str, list[Cost]] = {name: [] for name in timers}
+    for _ in range(rounds):
+        for name, measure in timers.items():
+            costs[name].append(measure())
+    return {name: np.array(found) for name, found in costs.items()}
+
+
+def write(rows: Sequence[Row], file: Path) -> None:
+    """The rows as a CSV file; nothing where a number is None."""
+    with file.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow([field.name for field in fields(Row)])
+        writer.writerows([f"{each:.6g}" if isinstance(each, float) else each for each in astuple(row)] for row in rows)
+
+
+def read(file: Path) -> list[Row]:
+    """The rows of such a file."""
+    with file.open(newline="", encoding="utf-8") as stream:
+        return [Row(**{key: _value(key, text) for key, text in line.items()}) for line in csv.DictReader(stream)]
+
+
+def _value(key: str, text: str) -> Any:
+    if key in TEXTS:
+        return text
+    return float(text) if text else None

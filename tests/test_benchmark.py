@@ -1,0 +1,75 @@
+"""Benchmark: its quick grid fills every table, whatever the machine and the packages on it."""
+
+import math
+import sys
+from importlib.util import find_spec
+
+import pytest
+from commands import SCRIPTS, command
+
+COMMANDS = ("benchmark_rows", "benchmark_page", "benchmark_envs", "benchmark_evaluations", "benchmark")
+
+
+@pytest.fixture(scope="module")
+def rooms():
+    """The rooms of the benchmark by name."""
+    return {name: command(name) for name in COMMANDS}
+
+
+@pytest.fixture(scope="module")
+def quick(rooms, tmp_path_factory):
+    """Rows and page of a quick run."""
+    folder = tmp_path_factory.mktemp("benchmark")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(SCRIPTS)
+        patch.setattr(sys, "argv", ["benchmark.py", "--quick", "--folder", str(folder)])
+        rooms["benchmark"].main()
+    return rooms["benchmark_rows"].read(folder / "benchmark.csv"), (folder / "benchmark.md").read_text()
+
+
+def test_every_row_has_its_cost_and_a_finite_ratio(quick, rooms):
+    rows, _ = quick
+    assert {row.table for row in rows} == set(rooms["benchmark_page"].TABLES)
+    for row in rows:
+        assert 0.0 < row.cpu < 100.0 and 0.0 < row.wall < 100.0, row.name
+        assert row.times_peer is None or 0.0 < row.times_peer < math.inf, row.name
+        assert (row.times_peer is None) == (row.peer == ""), row.name
+        assert row.share is None or 0.0 <= row.share <= 1.0, row.name
+
+
+def test_arms_and_threads_are_those_of_the_grid(quick, rooms):
+    envs = rooms["benchmark_envs"]
+    found = [(row.arms, row.threads) for row in quick[0] if row.name == envs.VECTOR]
+    assert found == [(arms, 1) for arms in envs.QUICK.arms] + [(arms, 2) for arms in envs.QUICK.arms if arms > 1]
+    assert (envs.PPO in {row.name for row in quick[0]}) == bool(find_spec("stable_baselines3"))
+
+
+def test_a_row_is_its_own_peer_once(quick, rooms):
+    peers = {row.peer for row in quick[0]} - {""}
+    for peer in peers:
+        (row,) = [row for row in quick[0] if row.name == peer]
+        assert row.peer != row.name or row.times_peer == 1.0
+
+
+def test_the_page_has_a_line_for_every_row_and_sentences_about_them(quick, rooms):
+    rows, page = quick
+    assert sum(line.startswith("| ") for line in page.splitlines()) == len(rows) + 2 * len(
+        rooms["benchmark_page"].TABLES
+    )
+    conclusions = rooms["benchmark_page"].conclusions(rows)
+    assert len(conclusions) >= 3 and all(f"- {text}" in page for text in conclusions)
+
+
+def test_peers_that_are_missing_are_named_and_left_out(rooms, monkeypatch, capsys):
+    envs, evaluations = rooms["benchmark_envs"], rooms["benchmark_evaluations"]
+    for name in ("mujoco", "pinocchio", "benchmark_mujoco", "peers_pinocchio"):
+        monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.setattr(envs, "find_spec", lambda name: None)
+    rows = envs.rows(envs.Grid(arms=(1, 2), steps=2, singles=2, physics=(1, 1), rounds=1))
+    assert {row.peer for row in rows} == {""} and {row.times_peer for row in rows} == {None}
+    timers = evaluations.timers()
+    assert evaluations.ABA not in timers and evaluations.PLAIN in timers
+    found = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert found == ["Stable-Baselines3", "MuJoCo", "Pinocchio"]
+    page = rooms["benchmark_page"]
+    assert page.conclusions(rows)
