@@ -2,7 +2,7 @@ PYTHON ?= python3
 RUN := .venv/bin/python -m
 CODE := flexman_gym scripts $(wildcard agents/*.py)
 
-.PHONY: demo test lint verify charts clean
+.PHONY: demo test lint verify charts benchmark clean
 
 demo: .venv/installed
 	.venv/bin/python scripts/demo.py
@@ -18,6 +18,11 @@ charts: .venv/installed
 	.venv/bin/python scripts/compare_peers.py --folder docs
 	.venv/bin/python scripts/stability.py --folder docs
 	.venv/bin/python scripts/fidelity.py
+
+benchmark: export OMP_NUM_THREADS = 1
+benchmark: .venv/installed
+	.venv/bin/python scripts/benchmark.py --folder docs
+	.venv/bin/python scripts/endurance.py --folder docs
 
 lint: .venv/installed
 	$(RUN) ruff check $(CODE) tests

@@ -11,7 +11,7 @@ from benchmark_start import COLD, FIRST, IMPORT, MORE, WARM
 from flexman_gym.verification import table_line
 
 PAGE = "benchmark.md"
-ENDURANCE = "endurance.md"  # a section that scripts/endurance.py writes
+ENDURANCE = "## Endurance"  # the last section, which scripts/endurance.py writes
 STEPS_NOTE = f"""Steps of 20 ms under random actions drawn beforehand, with the resets of the episodes that end; medians
 over rounds in which all rows take turns. A second of CPU is one of all threads together; where there are two, the ratio
 is that of the clock, which others on the machine disturb. "Physics only" is without observations, rewards and episodes.
@@ -140,9 +140,14 @@ def publish(rows: Sequence[Row], known: str, folder: Path) -> str:
     lines += [f"Computed with {known}.", "", *(f"- {text}" for text in conclusions(rows)), ""]
     for name in TABLES:
         lines += _table(name, rows)
-    section = folder / ENDURANCE
-    if section.exists():
-        lines.append(section.read_text(encoding="utf-8").rstrip())
+    lines += without_endurance(folder / PAGE)[1]
     page = "\n".join(lines).rstrip() + "\n"
     (folder / PAGE).write_text(page, encoding="utf-8")
     return page
+
+
+def without_endurance(page: Path) -> tuple[list[str], list[str]]:
+    """The lines of a page, if there is one, before the section on endurance, and those of the section."""
+    lines = page.read_text(encoding="utf-8").splitlines() if page.exists() else []
+    first = lines.index(ENDURANCE) if ENDURANCE in lines else len(lines)
+    return lines[:first], lines[first:]

@@ -73,3 +73,25 @@ def test_peers_that_are_missing_are_named_and_left_out(rooms, monkeypatch, capsy
     assert found == ["Stable-Baselines3", "MuJoCo", "Pinocchio"]
     page = rooms["benchmark_page"]
     assert page.conclusions(rows)
+
+
+def test_endurance_counts_its_episodes_and_fills_its_section_of_the_page(tmp_path, monkeypatch):
+    """The page keeps one such section, however often either is written."""
+    endurance, page = command("endurance"), command("benchmark_page")
+    monkeypatch.setattr(sys, "argv", ["endurance.py", "--steps", "4000", "--arms", "9", "--folder", str(tmp_path)])
+    monkeypatch.setattr(endurance, "ALLOWED", math.inf)  # so short a run still fills its memory
+    (tmp_path / page.PAGE).write_text(f"before\n{page.ENDURANCE}\nold\n")
+    endurance.main()
+    text = (tmp_path / page.PAGE).read_text()
+    assert text.startswith("before\n") and text.count(page.ENDURANCE) == 1 and "old" not in text
+    section = page.without_endurance(tmp_path / page.PAGE)[1]
+    row, envs = command("benchmark_rows").Row, command("benchmark_envs")
+    rows = [row("environments", name, 1, 1, 1.0, 1.0) for name in (envs.OURS, envs.VECTOR)]
+    page.publish(rows, "a machine", tmp_path)
+    assert page.without_endurance(tmp_path / page.PAGE)[1] == section
+
+
+def test_every_episode_of_an_endurance_run_is_counted_once():
+    count = command("endurance").endure(3000, 8, settled=1000)
+    assert count.steps >= 3000 and count.episodes == count.truncated + sum(count.failures.values()) > 0
+    assert count.diverged == 0 and min(count.memory) > 0.0
