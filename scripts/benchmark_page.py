@@ -96,11 +96,13 @@ def _of_arms(rows: Sequence[Row]) -> list[str]:
     if best.times_peer and single.times_peer:
         text += f": {number(single.times_peer)} and {number(best.times_peer)} times as many as of {REACHER}"
     found = [text + "."]
-    gains = []
+    gains, cores = [], 0.0
     for row in vectors:
         same = [each for each in alone if each.arms == row.arms and row.threads != 1]
         gains += [f"{number(each.wall / row.wall)} with {number(row.arms)} arms" for each in same]
-    return [*found, f"By the clock two threads are as many times faster as one: {', '.join(gains)}."]
+        cores = max(cores, row.cpu / row.wall)
+    text = f"By the clock two threads are as many times faster as one: {', '.join(gains)}"
+    return [*found, f"{text}; the machine gave them {cores:.1f} cores at most."]
 
 
 def _of_physics(rows: Sequence[Row]) -> list[str]:
