@@ -1,6 +1,7 @@
 """Batch: arms of one model that move side by side."""
 
 from collections.abc import Collection
+from typing import NoReturn
 
 import numpy as np
 
@@ -105,6 +106,11 @@ class Batch:
         self._mover.move(drive, self._periods, self.rows, self.outputs, self.status)
         self._periods += self.status == layout.OK
         np.maximum(self.energy_turnover, self._turned_over(), out=self.energy_turnover)
+
+    def __reduce__(self) -> NoReturn:
+        raise TypeError(
+            "a Batch cannot be copied or pickled, nor what holds one: make another and reset it to the state"
+        )
 
     def vary(self, arms: np.ndarray, **parameters: Array) -> None:
         """Gives the arms with the indices (r,) other physical parameters than the model's; nothing else of it changes.

@@ -1,7 +1,10 @@
 """Batch: an arm among many moves as it would alone, and what is varied is what building the model anew gives."""
 
+import copy
+import pickle
 from dataclasses import replace
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -198,3 +201,16 @@ def test_bad_arguments_are_refused_in_one_line(arguments, line):
     with pytest.raises(ValueError) as error:
         Batch(fm.build_model(ARM, modes=1), **arguments)
     assert str(error.value).startswith(line) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_a_batch_refuses_to_be_copied(duplicate):
+    """A copy would move the arrays of the first one, whose addresses its kernels know."""
+    with pytest.raises(TypeError, match="cannot be copied or pickled"):
+        duplicate(Batch(fm.build_model(ARM, modes=2)))
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, pickle.dumps])
+def test_an_environment_refuses_to_be_copied(duplicate):
+    with pytest.raises(TypeError, match="cannot be copied or pickled"):
+        duplicate(gym.make("FlexRRR-v0").unwrapped)
