@@ -135,10 +135,11 @@ def rows(grid: Grid) -> list[Row]:
 
 
 def _row(entry: Entry, cost: Array, peer: Array | None) -> Row:
-    cpu, wall, share = (float(each) for each in np.median(cost, axis=0))
-    name, times = "", None
+    cpu, share = (float(each) for each in np.median(cost[:, ::2], axis=0))
+    wall, name, times = float(cost[:, 1].min()), "", None
     if peer is not None:
-        column = int(entry.threads > 1)
-        name, times = REACHER, float(np.median(peer[:, column] / cost[:, column]))
+        name, times = REACHER, float(np.median(peer[:, 0] / cost[:, 0]))
+        if entry.threads > 1:
+            times = float(peer[:, 1].min() / wall)
     part = None if np.isnan(share) else share
     return Row(ENVIRONMENTS, entry.name, entry.arms, entry.threads, cpu, wall, name, times, share=part)

@@ -12,13 +12,13 @@ from flexman_gym.verification import table_line
 
 PAGE = "benchmark.md"
 ENDURANCE = "## Endurance"  # the last section, which scripts/endurance.py writes
-STEPS_NOTE = f"""Steps of 20 ms under random actions drawn beforehand, with the resets of the episodes that end; medians
-over rounds in which all rows take turns. A second of CPU is one of all threads together; where there are two, the ratio
-is that of the clock, which others on the machine disturb. "Physics only" is without observations, rewards and episodes.
-MuJoCo's arm is that of {OURS} as a chain of rigid pieces without modal damping, all arms in one call a control period,
-at the longest step that is stable; [peers.md](peers.md) says how accurate either is. Steps of training are those of
-`scripts/train.py` from a new policy on, in batches of 1024, with one thread for the networks; the share of the arms is
-that of the environment's `step`."""
+STEPS_NOTE = f"""Steps of 20 ms under random actions drawn beforehand, with the resets of the episodes that end. All
+rows take turns in rounds; CPU time, of all threads together, is the median of them, time by the clock that of the
+quickest, as others on the machine disturb it. Ratios are those of CPU time, where there are two threads of the clock.
+"Physics only" is without observations, rewards and episodes. MuJoCo's arm is that of {OURS} as a chain of rigid
+pieces without modal damping, all arms in one call a control period, at the longest step that is stable;
+[peers.md](peers.md) says how accurate either is. Steps of training are those of `scripts/train.py` from a new policy
+on, in batches of 1024, with one thread for the networks; the share of the arms is that of the environment's `step`."""
 STARTS_NOTE = (
     """In a new process, one part after the other; without kernels on disk once, with them the median of several."""
 )

@@ -33,10 +33,10 @@ class Row:
     table         to which it belongs
     name          what is timed
     arms, threads numbers of them, None where that says nothing
-    cpu, wall     seconds, medians over the rounds
+    cpu, wall     seconds, medians over the rounds; wall of environments that of the quickest round
     peer          name of the row that it is compared with, "" for none
-    times_peer    median over the rounds: of evaluations the cost, of environments the speed, as a multiple of the
-                  peer's; by CPU time, for a row of several threads by the clock
+    times_peer    of evaluations the cost, of environments the speed, as a multiple of the peer's: median over the
+                  rounds by CPU time; for a row of several threads by the clock
     at_most       what times_peer should be at most
     share         part of the CPU time that is spent in the environment's steps
     """
