@@ -34,7 +34,7 @@ def eliminate_elastic(constants, work, i, shift, tip, inertia):
         elastic_row(constants, work, i, a, shift)
         linear, angular = coupling(constants, work, i, a)
         for c in range(a):
-            j, share = first + c * width + k, -factor[first + c * width + a] * factor[first + c * width + c]
+            j, share = first + c * width + k, work.total[c]
             linear = add_scaled(linear, share, (factor[j], factor[j + 1], factor[j + 2]))
             angular = add_scaled(angular, share, (factor[j + 3], factor[j + 4], factor[j + 5]))
         # an M that is not positive definite, of a state out of all bounds, ends as a divergence
@@ -52,23 +52,33 @@ def eliminate_elastic(constants, work, i, shift, tip, inertia):
 
 @inner
 def elastic_row(constants, work, i, a, shift):
-    """Row a of the shifted M of link i, from the diagonal on, into factor, less what the rows above take from it."""
+    """Row a of the shifted M of link i, from the diagonal on, into factor, less what the rows above take from it.
+
+    work.total[c] = the share of row c that is taken.
+    """
     start, square, width = constants.elastic_start[i], constants.square_start[i], constants.factor_width[i]
     first, length, factor, carried = constants.factor_start[i], constants.station_width[i], work.factor, work.carried
-    k, size, terms = constants.elastic_start[i + 1] - start, group_size(factor), 0
-    if start + a >= constants.carrying[i]:
-        terms = 6 if start + a >= constants.turning[i] else 1
+    k, size = constants.elastic_start[i + 1] - start, group_size(factor)
+    linear, angular = load_pair(work.tip_shape, start + a)
+    for c in range(a):
+        work.total[c] = -factor[first + c * width + a] * factor[first + c * width + c]
     for group in range(a - a % size, k, size):
         j = square + a * k + group
         total = fused(shift[0], load_lanes(constants.damping, j), load_lanes(constants.elastic_mass, j))
         total = fused(shift[1], load_lanes(constants.stiffness, j), total)
-        for c in range(terms):
-            total = fused(work.tip_shape[start + a, c], load_lanes(carried, c * length + group), total)
+        if start + a >= constants.turning[i]:
+            total = fused(linear[0], load_lanes(carried, group), total)
+            total = fused(linear[1], load_lanes(carried, length + group), total)
+            total = fused(linear[2], load_lanes(carried, 2 * length + group), total)
+            total = fused(angular[0], load_lanes(carried, 3 * length + group), total)
+            total = fused(angular[1], load_lanes(carried, 4 * length + group), total)
+            total = fused(angular[2], load_lanes(carried, 5 * length + group), total)
+        elif start + a >= constants.carrying[i]:
+            total = fused(linear[0], load_lanes(carried, group), total)
         if len(constants.station_mass) > 0:
             total = stretch_mass(constants, work, i, a, group, total)
         for c in range(a):
-            top = first + c * width
-            total = fused(-factor[top + a] * factor[top + c], load_lanes(factor, top + group), total)
+            total = fused(work.total[c], load_lanes(factor, first + c * width + group), total)
         store_lanes(factor, first + a * width + group, total)
 
 

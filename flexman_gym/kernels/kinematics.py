@@ -120,8 +120,6 @@ def mass_integrals(constants, work, i, x, elastic):
         xy = fused(q, u[1] + u0[3], xy)
         xz = fused(q, u[2] + u0[6], xz)
         yz = fused(q, u[5] + u0[7], yz)
-    for a in range(start, stop):
-        u = load_matrix(shape, a)
         store(work.coupling, a, (u[5] - u[7], u[6] - u[2], u[1] - u[3]))
     if len(constants.station_mass) > 0:
         change = shorten_mass(constants, work, i)

@@ -324,29 +324,3 @@ def sum_lanes(typing_context, a):
         return builder.fadd(*halves)
 
     return result(a), generate
-
-
-@intrinsic
-def lane_number(typing_context, flat, i, k):
-    """Number k of the group at place i of a flat array of arms abreast."""
-
-    def generate(context, builder, kinds, values):
-        return builder.load(_lane(context, builder, kinds, *values))
-
-    return NUMBER(flat, types.intp, types.intp), generate
-
-
-@intrinsic
-def store_lane_number(typing_context, flat, i, k, value):
-    """Number k of the group at place i of a flat array of arms abreast = value."""
-
-    def generate(context, builder, kinds, values):
-        builder.store(values[3], _lane(context, builder, kinds, *values[:3]))
-        return context.get_dummy_value()
-
-    return types.void(flat, types.intp, types.intp, NUMBER), generate
-
-
-def _lane(context: Any, builder: Any, kinds: Any, flat: Any, i: Any, k: Any) -> Any:
-    place = builder.gep(context.make_array(kinds.args[0])(context, builder, flat).data, [i])
-    return builder.gep(builder.bitcast(place, ir.DoubleType().as_pointer()), [k])

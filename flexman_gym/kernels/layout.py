@@ -148,7 +148,7 @@ class Work(NamedTuple):
     bend: Array  # (b,) of each link s_i rows of station_width[i]: G q
     stretch: Array  # (b,) axial displacement of the stations per unit coordinate
     weight: Array  # (4 s,) factors of a sum over stations, of each link four rows of s_i
-    total: Array  # (largest 3 station_width,) such a sum
+    total: Array  # (largest 3 station_width,) such a sum; later the shares of rows in a factor
     payload_moment: Vectors  # (1, 3) first moment of the payload about the tip, in the frame of the last link
     payload_rotary: Array  # (9,) its inertia about the tip, there
     # velocities
