@@ -22,6 +22,8 @@ from flexman_gym.kernels.layout import ARMS_ABREAST, Clock, Constants, IntArray,
 from flexman_gym.methods import Method
 from flexman_gym.run import Run
 
+SHARE = 4  # groups that are worth a thread: waking one takes as long as it takes to move two
+
 
 class OneByOne:
     """Arms moved by a `Run` each."""
@@ -70,7 +72,7 @@ class Abreast:
             self._works = [make_work(constants)]
         else:
             self._constants = [_for_arms(constants) for _ in range(groups)]
-            self._works = [make_work(constants, arms_array) for _ in range(min(threads, groups))]
+            self._works = [make_work(constants, arms_array) for _ in range(min(threads, -(-groups // SHARE)))]
         kind = NUMBER if self._alone else ARMS
         self._tables = np.array([addresses(each, kind) for each in self._constants])
         self._work_tables = [addresses(each, kind) for each in self._works]
