@@ -152,7 +152,7 @@ def test_the_page_names_the_ratio_to_a_floating_frame():
         replace(ROW, step=4.0, cpu=0.01),
     ]
     text = peers_conclusion([ROW, *coarse], peers, ROW.model)[-1]
-    assert "300 ms; ours is 30 and 15 times cheaper. Asked were 150 times." in text
+    assert "300 ms; ours is 30 and 15 times cheaper. The goal is 150 times." in text
 
 
 def test_peers_that_are_missing_are_named(monkeypatch, capsys):
