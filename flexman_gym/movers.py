@@ -22,7 +22,7 @@ from flexman_gym.kernels.layout import ARMS_ABREAST, Clock, Constants, IntArray,
 from flexman_gym.methods import Method
 from flexman_gym.run import Run
 
-SHARE = 4  # groups that are worth a thread: waking one takes as long as it takes to move two
+SHARE = 8  # groups that are worth a thread: to wake one takes as long as to move two or three
 
 
 class OneByOne:

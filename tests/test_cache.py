@@ -42,7 +42,7 @@ def counts():
 
 def fresh(number=0):
     """Bits of an environment with many arms and of one with a single arm, and the counts."""
-    return bits(environment(17), 1), bits(environment(1), 1), counts()
+    return bits(environment(72), 1), bits(environment(1), 1), counts()
 
 def inherited():
     """Bits of an environment that was made and used before this process was."""
@@ -58,7 +58,7 @@ if __name__ == "__main__":
         with context.Pool(2) as pool:
             found = pool.map(fresh, range(2))
         if way == "fork":
-            used = environment(17)
+            used = environment(72)
             bits(used, 1)
             with context.Pool(1) as pool:
                 found.append([pool.apply(inherited), inherited()])

@@ -64,12 +64,12 @@ def test_lanes_hold_the_bits_of_an_arm_alone(case, method):
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_threads_share_the_groups(threads):
     model = fm.build_model(fm.catalog.paper_rrr(), modes=2)
-    states = 1e-3 * np.random.default_rng(0).normal(size=(137, 2 * model.n_dof))
-    drives = np.random.default_rng(1).uniform(-100.0, 100.0, (137, 9))
+    states = 1e-3 * np.random.default_rng(0).normal(size=(273, 2 * model.n_dof))
+    drives = np.random.default_rng(1).uniform(-100.0, 100.0, (273, 9))
     ros2 = METHODS["ros2"]
-    expected = moved(Abreast(model.constants, ros2, (0.02, 4), 137, 1), states, drives)
+    expected = moved(Abreast(model.constants, ros2, (0.02, 4), 273, 1), states, drives)
     for found, wanted in zip(
-        moved(Abreast(model.constants, ros2, (0.02, 4), 137, threads), states, drives), expected, strict=True
+        moved(Abreast(model.constants, ros2, (0.02, 4), 273, threads), states, drives), expected, strict=True
     ):
         assert np.array_equal(found, wanted)
 

@@ -81,6 +81,16 @@ def test_it_is_many_single_environments_bit_for_bit(arms, mode, randomisation):
     assert terminated and truncated, "both ways to end were seen"
 
 
+def test_threads_change_no_bit():
+    """As many arms as two threads share."""
+    one, two = (FlexManVectorEnv(136, threads=threads, randomisation=EVERYTHING, **SHORT) for threads in (1, 2))
+    for found, expected in zip(two.reset(seed=3), one.reset(seed=3), strict=True):
+        same(found, expected, "reset")
+    for step, action in enumerate(actions(136, 200)):
+        for found, expected in zip(two.step(action), one.step(action), strict=True):
+            same(found, expected, f"step {step}")
+
+
 @pytest.mark.parametrize("seed", [7, [3, 1, 2], np.array([3, 1, 2]), [4, None, 4]])
 def test_seeds_are_those_of_the_single_environment(seed):
     env = FlexManVectorEnv(3)
