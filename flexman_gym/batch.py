@@ -7,7 +7,7 @@ import numpy as np
 
 from flexman_gym.beam import Array
 from flexman_gym.checks import one_of, parts, positive, refusal, whole_number
-from flexman_gym.kernels import layout
+from flexman_gym.kernels import layout, outputs
 from flexman_gym.methods import LINEARLY_IMPLICIT, Method
 from flexman_gym.model import Model
 from flexman_gym.movers import Abreast, OneByOne
@@ -106,6 +106,12 @@ class Batch:
         self._mover.move(drive, self._periods, self.rows, self.outputs, self.status)
         self._periods += self.status == layout.OK
         np.maximum(self.energy_turnover, self._turned_over(), out=self.energy_turnover)
+
+    def rigid_tips(self, states: Array) -> Array:
+        """(r, 3) m: tips, in the base frame, of the rigid arm at the motor angles of states (r, 2 d)."""
+        tips = np.empty((len(states), 3))
+        outputs.rigid_tips(self.model.constants, states, tips)
+        return tips
 
     def __reduce__(self) -> NoReturn:
         raise TypeError(

@@ -78,8 +78,8 @@ class Episodes:
         if parameters:
             self.batch.vary(arms, **parameters)
         goals |= {name: values[arms] for name, values in given.items()}
-        self.batch.reset(arms, self._undeformed(goals["posture"]))
-        self.postures[arms], self.targets[arms] = goals["posture"], self.batch.outputs[arms, layout.TIP]
+        self.postures[arms] = goals["posture"]
+        self.targets[arms] = self.batch.rigid_tips(self._undeformed(goals["posture"]))
         start = self._undeformed(goals["start"])
         if self.effects is not None:
             self.effects.bend(arms, start)

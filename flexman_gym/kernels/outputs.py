@@ -18,6 +18,7 @@ from flexman_gym.kernels.linalg import (
     load_matrix,
     product,
     rotation_matrix,
+    store,
 )
 from flexman_gym.kernels.stiffening import stretch_energy
 
@@ -138,3 +139,11 @@ def rigid_tip(constants, x, v):
         arm = apply(frame, (constants.length[i], 0.0, 0.0))
         origin, velocity = add(origin, arm), add(velocity, cross(spin, arm))
     return origin, velocity
+
+
+@kernel
+def rigid_tips(constants, states, out):
+    """out (r, 3) = tips, in the base frame, of the rigid arm at the motor angles of states (r, 2 d)."""
+    d = states.shape[1] // 2
+    for r in range(len(states)):
+        store(out, r, rigid_tip(constants, states[r, :d], states[r, d:])[0])
