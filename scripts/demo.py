@@ -1,4 +1,4 @@
-"""The main job: the three cases of the paper with figures, a short training on FlexRRR-v0, one table of policies."""
+"""The main job: the three cases of the paper with figures, a training on FlexRRR-v0, one table of policies."""
 
 import shutil
 import time
@@ -20,7 +20,7 @@ CASES = {
     "fr": "flexible links, rigid joints",
     "ff": "flexible links, flexible joints",
 }
-TRAINING = Settings(algo="ppo", steps=160_000, residual=True)
+TRAINING = Settings(algo="ppo", steps=1_000_000, residual=True)
 EPISODES, FIRST_SEED = 20, 1000
 
 
@@ -29,7 +29,7 @@ def main() -> None:
     print("1. The paper's scene: 2 s under 400 N m at each joint, by the adaptive reference method.")
     print("   The first run also compiles the kernels, which takes a minute.")
     draw_cases(simulate_cases())
-    print("2. Training: PPO, a short while, adding to a PD controller of the motors.")
+    print("2. Training: PPO, a million steps, adding to a PD controller of the motors.")
     shutil.rmtree(OUT / "ppo", ignore_errors=True)
     train(TRAINING, OUT / "ppo")
     print(f"3. Evaluation: {EPISODES} episodes of FlexRRR-v0 each, the same for all.")
