@@ -30,7 +30,8 @@ HYPERPARAMETERS: dict[str, dict[str, Any]] = {
         "batch_size": 1024,
         "n_epochs": 5,
         "learning_rate": 2e-4,
-        "gamma": 0.999,  # a vibration outlives the 100 steps that 0.99 looks ahead: with it, PPO spoils the PD it adds to
+        # a vibration outlives the 100 steps that 0.99 looks ahead: with that, PPO spoils the PD it adds to
+        "gamma": 0.999,
         "gae_lambda": 0.99,
         "policy_kwargs": {"net_arch": [128, 128], "log_std_init": -3.0},  # louder noise shakes the arm for seconds
     },
