@@ -1,12 +1,9 @@
 """Precision: what a run costs and how far its tip is from the truth, as rows of a study of work and precision."""
 
-import csv
 import math
 import time as clock
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
-from pathlib import Path
-from typing import Any, TypeVar
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,10 +66,6 @@ class Floor:
     model: str
     floor: float
     source: str
-
-
-_NUMBERS = ("step", "rtol", "cpu", "wall", "evaluations", "time_error", "total_error", "floor")
-Kind = TypeVar("Kind", Row, Floor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,26 +218,3 @@ def setbacks(rows: Sequence[Row], factor: float = 10.0) -> list[tuple[Row, Row]]
             if worst is None or error > (worst[1].time_error or 0.0):
                 pairs[key] = earlier, row
     return list(pairs.values())
-
-
-def write_rows(rows: Sequence[Row] | Sequence[Floor], path: Path) -> None:
-    """Rows of one kind, at least one, as a CSV file; nothing where a number is None."""
-    names = [field.name for field in fields(rows[0])]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(names)
-        for row in rows:
-            values = (getattr(row, name) for name in names)
-            writer.writerow([f"{value:.6g}" if isinstance(value, float) else value for value in values])
-
-
-def read_rows(path: Path, kind: type[Kind]) -> list[Kind]:
-    """Rows of such a file, each a Row or a Floor."""
-    with path.open(newline="", encoding="utf-8") as file:
-        return [kind(**{name: _value(name, text) for name, text in line.items()}) for line in csv.DictReader(file)]
-
-
-def _value(name: str, text: str) -> Any:
-    if name not in _NUMBERS:
-        return text
-    return float(text) if text else None

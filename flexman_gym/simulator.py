@@ -12,7 +12,7 @@ from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import STATUS
 from flexman_gym.methods import Method
 from flexman_gym.model import Model, scene_model
-from flexman_gym.run import Run, find_method, find_tolerance
+from flexman_gym.run import Run, find_method, find_tolerance, prescribed_flags
 from flexman_gym.scene import Scene
 from flexman_gym.trajectory import Trajectory, trajectory
 
@@ -97,7 +97,7 @@ class Simulator:
         self.model, self.method = self.batch.model, self.batch.method
         self.control_period, self.substeps = self.batch.control_period, self.batch.substeps
         self.state, self.outputs = self.batch.state[0], self.batch.outputs[0]
-        self._prescribed = np.isin(np.arange(model.n_joints), list(prescribed))
+        self._prescribed = prescribed_flags(model.n_joints, prescribed) > 0
         self._drive = np.zeros((1, model.n_joints + 6))
 
     def reset(

@@ -1,10 +1,8 @@
 """Stability: what a method does to an undamped vibration, predicted from its coefficients, and rows of measurements."""
 
-import csv
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import eigh
@@ -15,7 +13,6 @@ from flexman_gym.dynamics import frequencies, mass_matrix, stiffness_matrix
 from flexman_gym.methods import EXPLICIT, METHODS, Method
 from flexman_gym.model import Model
 from flexman_gym.simulator import Simulator
-from flexman_gym.verification import machine_text
 
 OK, INACCURATE, DIVERGED, NOT_CONVERGED = "ok", "inaccurate", "diverged", "not converged"
 VERDICTS = (OK, INACCURATE, DIVERGED, NOT_CONVERGED)
@@ -125,36 +122,3 @@ def small_vibration(model: Model, modes: Sequence[int] | None = None, energy: fl
 def select(rows: Iterable[Row], **wanted: object) -> list[Row]:
     """The rows with these values of their fields."""
     return [row for row in rows if all(getattr(row, name) == value for name, value in wanted.items())]
-
-
-def write_rows(path: Path, rows: Iterable[Row]) -> None:
-    """Writes rows to a CSV file, below a comment with the machine and the versions that computed them."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        file.write(f"# {machine_text()}\n")
-        writer = csv.writer(file, lineterminator="\n")
-        names = [field.name for field in fields(Row)]
-        writer.writerow(names)
-        for row in rows:
-            values = [getattr(row, name) for name in names]
-            writer.writerow([f"{value:.9g}" if isinstance(value, float) else value for value in values])
-
-
-def read_rows(path: Path) -> tuple[str, list[Row]]:
-    """The comment and the rows of a file that `write_rows` wrote."""
-    with path.open(encoding="utf-8", newline="") as file:
-        comment = file.readline().removeprefix("# ").strip()
-        found = list(csv.DictReader(file))
-    rows = [
-        Row(
-            study=line["study"],
-            parameter=float(line["parameter"]),
-            method=line["method"],
-            step=float(line["step"]),
-            quantity=line["quantity"],
-            value=float(line["value"]),
-            expected=float(line["expected"]) if line["expected"] else None,
-            verdict=line["verdict"],
-        )
-        for line in found
-    ]
-    return comment, rows

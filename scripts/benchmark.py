@@ -8,8 +8,9 @@ import benchmark_envs
 import benchmark_evaluations
 import benchmark_start
 from benchmark_page import publish
-from benchmark_rows import read, write
+from benchmark_rows import Row
 
+from flexman_gym.table import read_rows, write_rows
 from flexman_gym.verification import machine_text
 
 EVALUATION_ROUNDS, STARTS = 40, 5
@@ -41,8 +42,8 @@ def main() -> None:
         rows = benchmark_envs.rows(grid)
         rows += benchmark_start.rows(1 if options.quick else STARTS, cold=not options.quick)
         rows += benchmark_evaluations.rows(2 if options.quick else EVALUATION_ROUNDS)
-        write(rows, file)
-    print(publish(read(file), machine_text(**versions()), options.folder))
+        write_rows(rows, file)
+    print(publish(read_rows(file, Row), machine_text(**versions()), options.folder))
 
 
 if __name__ == "__main__":

@@ -1,18 +1,15 @@
-"""Rows of the benchmark: calls that take turns, what each costs, and the file that keeps them."""
+"""Rows of the benchmark: calls that take turns, and what each costs."""
 
-import csv
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import astuple, dataclass, fields
-from pathlib import Path
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 EVALUATIONS, ENVIRONMENTS, STARTS = "evaluations", "environments", "starts"
-TEXTS = ("table", "name", "peer")
 
 
 class Cost(NamedTuple):
@@ -77,23 +74,3 @@ def in_turns(timers: Mapping[str, Timer], rounds: int) -> dict[str, Array]:
         for name, measure in timers.items():
             costs[name].append(measure())
     return {name: np.array(found) for name, found in costs.items()}
-
-
-def write(rows: Sequence[Row], file: Path) -> None:
-    """The rows as a CSV file; nothing where a number is None."""
-    with file.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow([field.name for field in fields(Row)])
-        writer.writerows([f"{each:.6g}" if isinstance(each, float) else each for each in astuple(row)] for row in rows)
-
-
-def read(file: Path) -> list[Row]:
-    """The rows of such a file."""
-    with file.open(newline="", encoding="utf-8") as stream:
-        return [Row(**{key: _value(key, text) for key, text in line.items()}) for line in csv.DictReader(stream)]
-
-
-def _value(key: str, text: str) -> Any:
-    if key in TEXTS:
-        return text
-    return float(text) if text else None

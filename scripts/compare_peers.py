@@ -10,9 +10,10 @@ from peers import Timer
 
 import flexman_gym as fm
 from flexman_gym.charts import peers_chart
-from flexman_gym.precision import Row, Study, Truth, read_rows, write_rows
+from flexman_gym.precision import Row, Study, Truth
 from flexman_gym.precision_cases import FINEST, LARGE_ROTATION, PLAIN, RIGID, RIGID_LINKS, models
 from flexman_gym.precision_page import peers_conclusion
+from flexman_gym.table import read_rows, write_rows
 from flexman_gym.verification import machine_text
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference" / LARGE_ROTATION

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from time import perf_counter
 
-from flexman_gym.stability import Row, read_rows, write_rows
+from flexman_gym.stability import Row
 from flexman_gym.stability_cases import (
     CASES,
     LIMIT_STUDIES,
@@ -19,7 +19,10 @@ from flexman_gym.stability_cases import (
     spin_limit_row,
 )
 from flexman_gym.stability_page import page, summary
+from flexman_gym.table import read_comment, read_rows, write_rows
+from flexman_gym.verification import machine_text
 
+DIGITS = 9
 QUICK_METHODS, QUICK_STEPS = ("ros2", "implicit_midpoint"), (0.005, 0.02)
 
 
@@ -48,21 +51,21 @@ def main() -> int:
         parser.error("--folder: the page needs all rows; leave --quick out")
     warnings.filterwarnings("ignore", "Link.second_moment_y", UserWarning)  # of the paper's printed area of link 1
     started = perf_counter()
-    found = read_rows(options.rows)[1] if options.rows else list(rows(options.quick))
+    found = read_rows(options.rows, Row) if options.rows else list(rows(options.quick))
     print(summary(found))
     print(f"{perf_counter() - started:.0f} s")
     if options.csv:
-        write_rows(options.csv, found)
+        write_rows(found, options.csv, DIGITS, machine_text())
     if options.folder:
         from flexman_gym.stability_charts import draw
 
         options.folder.mkdir(parents=True, exist_ok=True)
         file = options.rows or options.folder / "stability.csv"
         if not options.rows:
-            write_rows(file, found)
-        machine, found = read_rows(file)
+            write_rows(found, file, DIGITS, machine_text())
+        found = read_rows(file, Row)
         draw(found, options.folder)
-        (options.folder / "stability.md").write_text(page(machine, found), encoding="utf-8")
+        (options.folder / "stability.md").write_text(page(read_comment(file), found), encoding="utf-8")
     return 0
 
 

@@ -7,6 +7,8 @@ from importlib.util import find_spec
 import pytest
 from commands import SCRIPTS, command
 
+from flexman_gym.table import read_rows
+
 COMMANDS = ("benchmark_rows", "benchmark_page", "benchmark_envs", "benchmark_evaluations", "benchmark")
 
 
@@ -24,7 +26,7 @@ def quick(rooms, tmp_path_factory):
         patch.syspath_prepend(SCRIPTS)
         patch.setattr(sys, "argv", ["benchmark.py", "--quick", "--folder", str(folder)])
         rooms["benchmark"].main()
-    return rooms["benchmark_rows"].read(folder / "benchmark.csv"), (folder / "benchmark.md").read_text()
+    return read_rows(folder / "benchmark.csv", rooms["benchmark_rows"].Row), (folder / "benchmark.md").read_text()
 
 
 def test_every_row_has_its_cost_and_a_finite_ratio(quick, rooms):

@@ -62,7 +62,8 @@ ARROWS = {
     " kernels",
     "verification_motions": "verification_cases verification trajectory drive simulator dynamics model beam scene"
     " catalog arm",
-    "stability": "amplification verification simulator dynamics model methods beam",
+    "table": "",
+    "stability": "amplification simulator dynamics model methods beam",
     "stability_cases": "amplification stability run simulator dynamics drive model methods beam catalog arm kernels",
     "stability_charts": "stability_cases stability draw methods",
     "stability_conclusions": "stability_cases stability",
@@ -74,7 +75,7 @@ ARROWS["flexman_gym"] = _PUBLIC
 ARROWS["agents"] = f"agents flexman_gym checks {_PUBLIC}"
 ARROWS["scripts"] = f"scripts agents flexman_gym checks {_PUBLIC} verification verification_cases verification_motions"
 ARROWS["scripts"] += " stability stability_cases stability_charts stability_page"
-ARROWS["scripts"] += " precision precision_cases precision_page charts beam"
+ARROWS["scripts"] += " precision precision_cases precision_page charts beam table"
 INSIDE_KERNELS = {"numba", "llvmlite", "numpy", "math", "operator", "typing", "collections"}
 CACHE_ROOM = {"hashlib", "os", "tempfile", "pathlib"}  # kernels/__init__.py names the folder of the binaries
 HEAVY = {"torch", "stable_baselines3", "matplotlib", "pyvista", "ray"}

@@ -16,10 +16,11 @@ from flexman_gym import catalog
 from flexman_gym.amplification import largest_growth
 from flexman_gym.methods import METHODS
 from flexman_gym.model import build_model
-from flexman_gym.precision import Floor, Row, Truth, cheapest, pareto_front, read_rows, setbacks, write_rows
+from flexman_gym.precision import Floor, Row, Truth, cheapest, pareto_front, setbacks
 from flexman_gym.precision_cases import RIGID_LINKS, cases, choices, whirl_scene
 from flexman_gym.precision_page import page, pictures
 from flexman_gym.simulator import simulate
+from flexman_gym.table import read_rows, write_rows
 
 ROOT = Path(__file__).parents[1]
 ROW = Row("a scene", "a model", "ros2", 0.01, None, 1.0, 1.0, 100.0, 1e-2, 1e-1, "ok")

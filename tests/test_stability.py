@@ -25,10 +25,8 @@ from flexman_gym.stability import (
     measured_limit,
     natural_modes,
     predicted_limit,
-    read_rows,
     select,
     small_vibration,
-    write_rows,
 )
 from flexman_gym.stability_cases import (
     FREQUENCY,
@@ -43,6 +41,8 @@ from flexman_gym.stability_cases import (
     map_rows,
     spin_case,
 )
+from flexman_gym.table import read_comment, read_rows, write_rows
+from flexman_gym.verification import machine_text
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -260,8 +260,8 @@ def test_rows_survive_their_file(tmp_path):
         Row("a", 1.0, "rk4", 0.5, "b, m", 0.25, None, "ok"),
         Row("a", 2.0, "rk4", 0.5, "b, m", 1.0, 2.0, "diverged"),
     ]
-    write_rows(tmp_path / "rows.csv", rows)
-    comment, found = read_rows(tmp_path / "rows.csv")
+    write_rows(rows, tmp_path / "rows.csv", comment=machine_text())
+    comment, found = read_comment(tmp_path / "rows.csv"), read_rows(tmp_path / "rows.csv", Row)
     assert found == rows and "numba" in comment
 
 
