@@ -66,14 +66,14 @@ class FlexManEnv(gym.Env[Observation, Observation]):
     Fidelity
         By default two elements a link, of whose loaded modes those are kept that carry more than 2 % of the elastic
         energy of a vibration of the arm below half the control frequency (`fidelity.assembled_modes`): 16 for the arm
-        above, (0-4, 6), (0-5, 8) and (0-2), with "ros2" at 5 ms. At zero angles and with a joint turned by a quarter, the
-        first five vibrations then have the full model's frequencies within 0.8 %; with the 4 lowest modes of each link
-        the first is up to 23 % off, as mode 8 of link 2 is missing. ros2 leaves 99.9 % of the amplitude of the first
-        two vibrations (3.4 Hz) after 10 s. Under random torques up to 400 N m, changed every half second for 2.5 s,
-        from three random postures, the tip is at most 38, 2 and 15 mm from that of all coordinates with
-        foreshortening (4 lowest modes: 172, 113, 253 mm, 19 % cheaper). Shorter steps give 24, 4 and 16 mm;
-        method="extrapolated_euler_5", step=0.02 gives 23, 4 and 16 mm for 1.3 times the cost, but lets vibrations
-        near 14 Hz of an undamped arm grow.
+        above, (0-4, 6), (0-5, 8) and (0-2), with "ros2" at 5 ms. At zero angles and with one joint turned by a
+        quarter, the first five vibrations then have the full model's frequencies within 0.8 %; with the 4 lowest modes
+        of each link the first is 23 % off where joint 3 is turned, as mode 8 of link 2 is missing. ros2 leaves 99.9 %
+        of the amplitude of the first two vibrations (3.4 Hz) after 10 s. Under random torques up to 400 N m, changed
+        every half second for 2.5 s, from three random postures, the tip is at most 38, 2 and 15 mm from that of all
+        coordinates with foreshortening (4 lowest modes: 172, 113, 253 mm, 19 % cheaper). Shorter steps give 24, 4 and
+        16 mm; method="extrapolated_euler_5", step=0.02 gives 23, 4 and 16 mm for 1.3 times the cost, but lets
+        vibrations near 14 Hz of an undamped arm grow.
 
         fidelity="auto" with a tolerance (m) lets `choose_model` choose modes, method and step for a slew of 3 s with
         sine torques (0.5 Hz, `torque_limit`) from a posture within the task's range; the choice is at
