@@ -1,6 +1,6 @@
 PYTHON ?= python3
 RUN := .venv/bin/python -m
-CODE := flexman_gym scripts $(wildcard agents/*.py)
+CODE := flexman_gym agents scripts
 
 .PHONY: demo test lint verify charts benchmark clean
 
@@ -26,7 +26,8 @@ benchmark: .venv/installed
 
 lint: .venv/installed
 	$(RUN) ruff check $(CODE) tests
-	$(RUN) mypy $(CODE)
+	@mkdir -p build/names && ln -sfn ../../agents build/names/flexman_agents
+	$(RUN) mypy flexman_gym scripts build/names/flexman_agents
 
 # torch comes first, as a CPU build where one is provided, so that the training extra does not pull CUDA packages.
 .venv/installed: pyproject.toml

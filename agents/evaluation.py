@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import flexman_gym  # noqa: F401  registers the environments
-from agents.residual import default_pd
-from agents.training import MODEL, STATISTICS, existing, load_settings, make_env
+from flexman_agents.residual import default_pd
+from flexman_agents.training import MODEL, STATISTICS, existing, load_settings, make_env
 
 Array = NDArray[np.float64]
 Act = Callable[[NDArray[np.float32]], NDArray[np.float32]]
@@ -71,7 +71,7 @@ def _trained(folder: Path) -> tuple[gym.Env[Any, Any], Act]:
     import torch  # a second to import, which the baselines need not wait for
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-    from agents.training import ALGORITHMS
+    from flexman_agents.training import ALGORITHMS
 
     torch.set_num_threads(1)
     model = ALGORITHMS[settings.algo].load(model_path, device="cpu")

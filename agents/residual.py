@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.control import PD
+from flexman_gym.control.pd import PD
 
 # The best by mean reward of 8 episodes of FlexRRR-v0 among 200 gains drawn at random and 60 around the best of those,
 # damping held below 950 N m s/rad: the sampled motor is unstable from 2 rotor inertia / period = 1000 on.

@@ -17,8 +17,8 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 import flexman_gym  # noqa: F401  registers the environments
-from agents.residual import Residual, VectorResidual
-from agents.vector import Arms
+from flexman_agents.residual import Residual, VectorResidual
+from flexman_agents.vector import Arms
 from flexman_gym.checks import flag, one_of, store, text, whole_number
 
 MODEL, STATISTICS, SETTINGS, REPLAY = "model.zip", "normalisation.pkl", "settings.json", "replay.pkl"

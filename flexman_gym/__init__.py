@@ -2,27 +2,35 @@
 
 from gymnasium.envs.registration import register
 
-from flexman_gym import catalog
-from flexman_gym.arm import Arm, Joint, Link, NonUniformLink, Payload
-from flexman_gym.drive import ConstantTorque, Signal, SineTorque
-from flexman_gym.dynamics import (
+from flexman_gym.envs import Limits, Randomisation, Slew
+from flexman_gym.fidelity import Choice, choose_model
+from flexman_gym.model import (
+    Model,
     acceleration,
+    build_model,
+    curvature,
     frequencies,
     inverse_dynamics,
     linearize,
     mass_matrix,
+    strain,
     tip_acceleration,
 )
-from flexman_gym.fidelity import Choice, choose_model
-from flexman_gym.methods import METHODS, generalised_alpha
-from flexman_gym.model import Model, build_model
-from flexman_gym.randomisation import Randomisation
-from flexman_gym.scene import Initial, ModelChoice, Scene
-from flexman_gym.sensors import Limits
-from flexman_gym.simulator import Simulator, simulate
-from flexman_gym.strain import curvature, strain
-from flexman_gym.tasks import Slew
-from flexman_gym.trajectory import Trajectory
+from flexman_gym.scene import (
+    Arm,
+    ConstantTorque,
+    Initial,
+    Joint,
+    Link,
+    ModelChoice,
+    NonUniformLink,
+    Payload,
+    Scene,
+    Signal,
+    SineTorque,
+    catalog,
+)
+from flexman_gym.simulation import METHODS, Simulator, Trajectory, generalised_alpha, simulate
 
 __all__ = [
     "METHODS",
@@ -62,6 +70,6 @@ __all__ = [
 register(
     id="FlexRRR-v0",
     entry_point="flexman_gym.envs:FlexManEnv",
-    vector_entry_point="flexman_gym.vector_env:FlexManVectorEnv",
+    vector_entry_point="flexman_gym.envs:FlexManVectorEnv",
     max_episode_steps=500,
 )

@@ -4,14 +4,11 @@ import argparse
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-import benchmark_envs
-import benchmark_evaluations
-import benchmark_start
-from benchmark_page import publish
-from benchmark_rows import Row
-
-from flexman_gym.table import read_rows, write_rows
-from flexman_gym.verification import machine_text
+from flexman_gym.studies.benchmark import environments, evaluations, starts
+from flexman_gym.studies.benchmark.page import publish
+from flexman_gym.studies.benchmark.rows import Row
+from flexman_gym.studies.table import read_rows, write_rows
+from flexman_gym.studies.verification.rows import machine_text
 
 EVALUATION_ROUNDS, STARTS = 40, 5
 PEERS = ("gymnasium", "stable-baselines3", "torch", "mujoco", "pin")
@@ -38,10 +35,10 @@ def main() -> None:
     options.folder.mkdir(parents=True, exist_ok=True)
     file = options.folder / "benchmark.csv"
     if not options.redraw:
-        grid = benchmark_envs.QUICK if options.quick else benchmark_envs.Grid()
-        rows = benchmark_envs.rows(grid)
-        rows += benchmark_start.rows(1 if options.quick else STARTS, cold=not options.quick)
-        rows += benchmark_evaluations.rows(2 if options.quick else EVALUATION_ROUNDS)
+        grid = environments.QUICK if options.quick else environments.Grid()
+        rows = environments.rows(grid)
+        rows += starts.rows(1 if options.quick else STARTS, cold=not options.quick)
+        rows += evaluations.rows(2 if options.quick else EVALUATION_ROUNDS)
         write_rows(rows, file)
     print(publish(read_rows(file, Row), machine_text(**versions()), options.folder))
 

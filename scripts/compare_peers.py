@@ -6,15 +6,15 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-from peers import Timer
 
 import flexman_gym as fm
-from flexman_gym.charts import peers_chart
-from flexman_gym.precision import Row, Study, Truth
-from flexman_gym.precision_cases import FINEST, LARGE_ROTATION, PLAIN, RIGID, RIGID_LINKS, models
-from flexman_gym.precision_page import peers_conclusion
-from flexman_gym.table import read_rows, write_rows
-from flexman_gym.verification import machine_text
+from flexman_gym.studies.peers.runs import Timer
+from flexman_gym.studies.precision.cases import FINEST, LARGE_ROTATION, PLAIN, RIGID, RIGID_LINKS, models
+from flexman_gym.studies.precision.charts import peers_chart
+from flexman_gym.studies.precision.measure import Row, Study, Truth
+from flexman_gym.studies.precision.page import peers_conclusion
+from flexman_gym.studies.table import read_rows, write_rows
+from flexman_gym.studies.verification.rows import machine_text
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference" / LARGE_ROTATION
 ROUNDS = 3
@@ -28,7 +28,7 @@ GRID = {"extrapolated_euler_3": (1, 2, 3, 4, 5, 6), "extrapolated_euler_5": (1, 
 GRID["implicit_midpoint"] = (2, 3, 4, 5, 6, 100)  # the last for the error of the model alone
 MORE = {"extrapolated_euler_4": (1, 2, 3), "ros2": (5, 10), "generalised_alpha": range(4, 7)}  # where time errors count
 PEERS = {"MuJoCo": "mujoco", "Exudyn": "exudyn", "Pinocchio": "pin"}  # name: package
-ROOMS = {"MuJoCo": "peers_mujoco", "Exudyn": "peers_exudyn", "Pinocchio": "peers_pinocchio"}
+ROOMS = {"MuJoCo": "mujoco", "Exudyn": "exudyn", "Pinocchio": "pinocchio"}
 NOTE = """The rows are in `peers.csv`. Each run takes the paper's arm, everything flexible, through 2 s under 400 N m.
 The error is the largest distance of the tip from an independent large-rotation code, the cost is CPU time on one core:
 the best of {} rounds in which all take turns.
@@ -60,7 +60,7 @@ def theirs(study: Study) -> list[Timer]:
     found: list[Timer] = []
     for name, room in ROOMS.items():
         try:
-            found += importlib.import_module(room).runs(study)
+            found += importlib.import_module(f"flexman_gym.studies.peers.{room}").runs(study)
         except ImportError:
             print(f"{name} is missing, so it is left out: pip install 'flexman_gym[peers]'")
     return found

@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.image import imsave
 
 import flexman_gym as fm
-from agents.evaluation import evaluate, table
-from agents.training import Settings, train
+from flexman_agents.evaluation import evaluate, table
+from flexman_agents.training import Settings, train
 from flexman_gym import draw
-from flexman_gym.model import scene_model
+from flexman_gym.model.model import scene_model
 
 OUT = Path("out")
 METHOD, RTOL = "dop853", 1e-7

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
-from benchmark_page import ENDURANCE, PAGE, without_endurance
 
 import flexman_gym  # noqa: F401  registers the environments
-from flexman_gym.verification import table_line
+from flexman_gym.studies.benchmark.page import ENDURANCE, PAGE, without_endurance
+from flexman_gym.studies.verification.rows import table_line
 
 RANDOMISATION = {
     "payload_mass": (0.0, 5.0),

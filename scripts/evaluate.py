@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from agents.evaluation import BASELINES, evaluate, table
+from flexman_agents.evaluation import BASELINES, evaluate, table
 
 
 def main() -> int:

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fidelity_scenes import scenes
 
 import flexman_gym as fm
+from flexman_gym.studies.fidelity.cases import scenes
 
 TOLERANCES = (1e-1, 1e-2, 1e-3)
 GRID_MODES = (2, 4, 6, 9, None)

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from time import perf_counter
 
-from flexman_gym.stability import Row
-from flexman_gym.stability_cases import (
+from flexman_gym.studies.stability.cases import (
     CASES,
     LIMIT_STUDIES,
     amplification_rows,
@@ -18,9 +17,10 @@ from flexman_gym.stability_cases import (
     map_rows,
     spin_limit_row,
 )
-from flexman_gym.stability_page import page, summary
-from flexman_gym.table import read_comment, read_rows, write_rows
-from flexman_gym.verification import machine_text
+from flexman_gym.studies.stability.measure import Row
+from flexman_gym.studies.stability.page import page, summary
+from flexman_gym.studies.table import read_comment, read_rows, write_rows
+from flexman_gym.studies.verification.rows import machine_text
 
 DIGITS = 9
 QUICK_METHODS, QUICK_STEPS = ("ros2", "implicit_midpoint"), (0.005, 0.02)
@@ -57,7 +57,7 @@ def main() -> int:
     if options.csv:
         write_rows(found, options.csv, DIGITS, machine_text())
     if options.folder:
-        from flexman_gym.stability_charts import draw
+        from flexman_gym.studies.stability.charts import draw
 
         options.folder.mkdir(parents=True, exist_ok=True)
         file = options.rows or options.folder / "stability.csv"

@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from agents.training import ALGORITHMS, Settings, resume, train
+from flexman_agents.training import ALGORITHMS, Settings, resume, train
 
 
 def main() -> int:

@@ -6,9 +6,9 @@ import warnings
 from pathlib import Path
 from time import perf_counter
 
-from flexman_gym.verification import Row, as_json, exit_code, markdown, table
-from flexman_gym.verification_cases import CASES
-from flexman_gym.verification_motions import motion_rows
+from flexman_gym.studies.verification.beams import CASES
+from flexman_gym.studies.verification.motions import motion_rows
+from flexman_gym.studies.verification.rows import Row, as_json, exit_code, markdown, table
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference"
 

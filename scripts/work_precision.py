@@ -5,11 +5,11 @@ import warnings
 from pathlib import Path
 from time import process_time
 
-from flexman_gym.charts import time_error_chart, total_error_chart
-from flexman_gym.precision import Floor, Row
-from flexman_gym.precision_cases import cases, grid, quick_grid, quick_study, study
-from flexman_gym.precision_page import page, pictures
-from flexman_gym.table import read_rows, write_rows
+from flexman_gym.studies.precision.cases import cases, grid, quick_grid, quick_study, study
+from flexman_gym.studies.precision.charts import time_error_chart, total_error_chart
+from flexman_gym.studies.precision.measure import Floor, Row
+from flexman_gym.studies.precision.page import page, pictures
+from flexman_gym.studies.table import read_rows, write_rows
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference"
 ROWS, FLOORS, PAGE = "work_precision.csv", "work_precision_truths.csv", "work_precision.md"

@@ -4,6 +4,8 @@ import ast
 import os
 import subprocess
 import sys
+import tomllib
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -14,74 +16,29 @@ PACKAGE = Path(flexman_gym.__file__).parent
 ROOT = PACKAGE.parent
 MOST_LINES, MOST_FUNCTION_LINES, MOST_ARGUMENTS, MOST_KERNEL_ARGUMENTS = 350, 60, 7, 9
 
-# Who may import whom, in the order from the ground up: a room may use what stands beside it, and nothing else of ours.
-ARROWS = {
-    "closed_forms": "",
-    "verification": "",
-    "kernels": "",
+# Who may import whom, from the ground up: a folder uses what stands beside it, and itself, and nothing else of ours.
+FLOORS = {
+    "arrays": "",
     "checks": "",
-    "arm": "checks",
-    "scene_file": "checks",
-    "drive": "checks",
-    "scene": "drive arm checks scene_file",
-    "catalog": "scene drive arm checks",
-    "beam": "arm checks",
-    "reduction": "beam arm checks",
-    "dormand_prince": "",
-    "methods": "dormand_prince kernels checks",
-    "amplification": "methods beam",
-    "model": "reduction beam scene arm checks kernels",
-    "strain": "model beam scene arm checks",
-    "dynamics": "model reduction beam scene arm checks kernels",
-    "trajectory": "model beam checks kernels",
-    "run": "model methods drive beam checks kernels",
-    "movers": "run drive methods beam kernels",
-    "batch": "movers run trajectory methods model beam checks kernels",
-    "simulator": "batch run trajectory drive dynamics model methods reduction beam scene arm checks kernels",
-    "fidelity_search": "trajectory simulator dynamics model methods beam scene checks",
-    "fidelity": "fidelity_search amplification trajectory simulator dynamics model methods reduction beam scene arm"
-    " checks",
-    "control": "simulator dynamics model reduction beam scene catalog arm checks kernels",
-    "sensors": "strain simulator dynamics model beam scene catalog arm checks kernels",
-    "metrics": "simulator beam scene checks",
-    "tasks": "sensors simulator dynamics model beam scene catalog arm checks kernels",
-    "study": "fidelity metrics control simulator dynamics model methods scene catalog arm checks",
-    "draw": "trajectory simulator dynamics model beam scene catalog arm checks",
-    "precision": "simulator trajectory model scene beam",
-    "precision_cases": "precision simulator drive model scene catalog",
-    "charts": "precision draw",
-    "precision_page": "amplification precision charts methods verification",
-    "randomisation": "checks",
-    "effects": "randomisation batch sensors model beam checks",
-    "setup": "randomisation fidelity drive tasks sensors trajectory model methods beam scene catalog arm checks",
-    "episodes": "setup effects randomisation batch tasks sensors model beam checks kernels",
-    "envs": "episodes setup draw simulator model checks kernels",
-    "vector_env": "envs episodes setup batch beam checks kernels",
-    "verification_links": "verification closed_forms dynamics model beam arm",
-    "verification_cases": "verification_links verification closed_forms simulator dynamics model beam catalog arm"
-    " kernels",
-    "verification_motions": "verification_cases verification trajectory drive simulator dynamics model beam scene"
-    " catalog arm",
-    "table": "",
-    "stability": "amplification simulator dynamics model methods beam",
-    "stability_cases": "amplification stability run simulator dynamics drive model methods beam catalog arm kernels",
-    "stability_charts": "stability_cases stability draw methods",
-    "stability_conclusions": "stability_cases stability",
-    "stability_page": "amplification stability_conclusions stability_cases stability methods",
+    "kernels": "",
+    "scene": "arrays checks",
+    "model": "scene kernels arrays checks",
+    "simulation": "model scene kernels arrays checks",
+    "fidelity": "simulation model scene arrays checks",
+    "control": "simulation model kernels arrays checks",
+    "draw": "simulation model scene kernels arrays checks",
+    "envs": "draw control fidelity simulation model scene kernels arrays checks",
+    "agents": "flexman_gym envs control simulation arrays checks",
+    "studies": "flexman_gym agents envs draw fidelity simulation model scene kernels arrays checks",
+    "scripts": "flexman_gym agents studies envs draw fidelity simulation model scene arrays checks",
 }
-_PUBLIC = "vector_env envs episodes setup tasks sensors control metrics study draw fidelity simulator dynamics model"
-_PUBLIC += " methods scene catalog arm batch randomisation strain drive trajectory run amplification"
-ARROWS["flexman_gym"] = _PUBLIC
-ARROWS["agents"] = f"agents flexman_gym checks {_PUBLIC}"
-ARROWS["scripts"] = f"scripts agents flexman_gym checks {_PUBLIC} verification verification_cases verification_motions"
-ARROWS["scripts"] += " stability stability_cases stability_charts stability_page"
-ARROWS["scripts"] += " precision precision_cases precision_page charts beam table"
+PUBLIC = "envs control draw fidelity simulation model scene"  # what flexman_gym/__init__.py gathers
 INSIDE_KERNELS = {"numba", "llvmlite", "numpy", "math", "operator", "typing", "collections"}
 CACHE_ROOM = {"hashlib", "os", "tempfile", "pathlib"}  # kernels/__init__.py names the folder of the binaries
 HEAVY = {"torch", "stable_baselines3", "matplotlib", "pyvista", "ray"}
 
 FILES = sorted(path for folder in (PACKAGE, ROOT / "agents", ROOT / "scripts") for path in folder.rglob("*.py"))
-TESTS = sorted(Path(__file__).parent.glob("*.py"))
+TESTS = sorted(Path(__file__).parent.rglob("*.py"))
 KERNELS = [path for path in FILES if path.parent.name == "kernels"]
 
 
@@ -90,11 +47,10 @@ def name_of(path):
     return str(path.relative_to(ROOT))
 
 
-def room(path):
-    """The room that a file belongs to."""
-    if path.parent.name in ("kernels", "agents", "scripts"):
-        return path.parent.name
-    return path.parent.name if path.stem == "__init__" else path.stem
+def floor(path):
+    """The folder, or the single room of the ground floor, that a file belongs to; "flexman_gym" for the roof."""
+    parts = path.relative_to(PACKAGE if PACKAGE in path.parents else ROOT).with_suffix("").parts
+    return "flexman_gym" if parts[0] == "__init__" else parts[0]
 
 
 def modules(tree):
@@ -114,13 +70,13 @@ def at_module_level(tree):
 
 
 def targets(tree):
-    """Rooms that a file imports."""
+    """Floors that a file imports from."""
     for module in modules(tree):
         parts = module.split(".")
-        if parts[0] in ("agents", "scripts"):
-            yield parts[0]
+        if parts[0] == "flexman_agents":
+            yield "agents"
         if parts[0] == "flexman_gym":
-            yield parts[1] if len(parts) > 1 and parts[1] in ARROWS else "flexman_gym"
+            yield parts[1] if len(parts) > 1 and parts[1] in FLOORS else "flexman_gym"
 
 
 def parsed(path):
@@ -129,17 +85,42 @@ def parsed(path):
 
 
 @pytest.mark.parametrize("path", FILES, ids=name_of)
-def test_arrows_run_one_way(path):
-    assert room(path) in ARROWS, "a new room: write it into the table of arrows"
-    allowed = {room(path), *ARROWS[room(path)].split()} if room(path) == "kernels" else ARROWS[room(path)].split()
+def test_a_folder_imports_from_the_floors_below(path):
+    here = floor(path)
+    assert here in FLOORS or here == "flexman_gym", "a new folder: write it into the table of floors"
+    allowed = PUBLIC.split() if here == "flexman_gym" else [here, *FLOORS[here].split()]
     assert sorted(set(targets(parsed(path))) - set(allowed)) == []
 
 
-def test_the_table_of_arrows_has_no_circle():
-    order = list(ARROWS)
-    for name, allowed in ARROWS.items():
-        earlier = set(order[: order.index(name)]) | ({name} & {"agents", "scripts"})
-        assert set(allowed.split()) <= earlier, name
+def test_the_table_of_floors_has_no_circle():
+    order = list(FLOORS)
+    for name, allowed in FLOORS.items():
+        assert set(allowed.split()) <= {"flexman_gym", *order[: order.index(name)]}, name
+        assert "flexman_gym" not in allowed.split() or order.index(name) > max(map(order.index, PUBLIC.split())), name
+
+
+def test_files_import_each_other_in_no_circle():
+    names = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path for path in FILES}
+    graph = {}
+    for name, path in names.items():
+        found = set()
+        for module in modules(parsed(path)):
+            known = module if module in names else module.rpartition(".")[0]
+            found |= {known} & names.keys() - {name}
+        graph[name] = found
+    tuple(TopologicalSorter(graph).static_order())  # raises CycleError
+
+
+def test_what_is_installed_are_the_folders_with_code():
+    listed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["packages"]
+    folders = {".".join(path.parent.relative_to(ROOT).parts) for path in PACKAGE.rglob("__init__.py")}
+    assert set(listed) == folders | {"flexman_agents"}
+    assert all((path.parent / "__init__.py").exists() for path in FILES if path.parent != ROOT / "scripts")
+
+
+def test_tests_import_no_tests():
+    for path in TESTS:
+        assert not [name for name in modules(parsed(path)) if name.split(".")[-1].startswith("test_")], path
 
 
 @pytest.mark.parametrize("path", FILES, ids=name_of)

@@ -1,0 +1,5 @@
+"""Control: controllers with one call signature."""
+
+from flexman_gym.control.pd import PD
+
+__all__ = ["PD"]

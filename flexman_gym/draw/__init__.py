@@ -1,0 +1,5 @@
+"""Pictures: frames of an arm and the paper's figures, in Matplotlib, which is imported when something is drawn."""
+
+from flexman_gym.draw.frames import FramePainter, arm_frame, arm_lines, paper_figures
+
+__all__ = ["FramePainter", "arm_frame", "arm_lines", "paper_figures"]

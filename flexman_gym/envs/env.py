@@ -1,0 +1,174 @@
+"""Environment: a simulator, a task and sensors behind Gymnasium's interface."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from flexman_gym.checks import one_of
+from flexman_gym.envs.episodes import Episodes, checked_actions
+from flexman_gym.envs.setup import Setup
+from flexman_gym.kernels import layout
+from flexman_gym.model.model import Model
+from flexman_gym.simulation.simulator import Simulator
+
+Observation = NDArray[np.float32]
+ONLY = np.zeros(1, dtype=np.int64)  # the index of the arm
+
+
+class FlexManEnv(gym.Env[Observation, Observation]):
+    """A flexible arm slews its tip to a target and settles there: `gym.make("FlexRRR-v0")`.
+
+    Arm
+        The paper's three-link arm of 8.5 m, flexible links and joints (K 5000 N m/rad), no gravity, 0.5 % modal damping
+        in the links, none in the joints (`arm=catalog.paper_rrr(rotor_inertia=10)` gives the paper's undamped arm). Its
+        rotors have 10 kg m^2: with the 1 kg m^2 of the paper's scene no motor controller at 50 Hz can damp it.
+
+    Actions
+        Box(-1, 1, (n,)): motor torques as parts of `torque_limit` (400 N m), constant during a control period of 20 ms.
+        An action outside the box is refused.
+
+    Observations
+        Box (36,) float32; `env.unwrapped.sensors` has the same as `slices`, `units` and `bound`:
+
+        slice                  entries  unit   bound
+        motor_angles           0-2      rad    4
+        motor_rates            3-5      rad/s  10
+        joint_twists           6-8      rad    1         motor angle - joint angle
+        joint_twist_rates      9-11     rad/s  10
+        link_deflections       12-17    m      length/4  tip of each link along y and z of its beam frame
+        link_deflection_rates  18-23    m/s    15
+        posture_errors         24-26    rad    8         goal posture - motor angles
+        target_error           27-29    m      17        target - tip, base frame
+        target_nearness        30-32    1      1         target_error / (0.1 m + its length)
+        tip_velocity           33-35    m/s    40        base frame
+
+    Reward
+        In [0, 1] a step, less a penalty for a failure: `tasks.Slew` has the terms, `info["reward_terms"]` their values.
+
+    Start and end
+        `reset(seed=...)` draws start and target; `reset(options={"start": angles, "posture": angles})` sets them, and
+        "parameters", a dict, sets physical parameters of the arm from this episode on (see `Batch.vary`). An episode is
+        truncated after 10 s (500 steps). It terminates with the failure penalty when an observed quantity
+        leaves its bound or the simulation diverges; `info["failure"]` says which. The observation is then the last one
+        within the bounds, so that every observation lies in the space.
+
+    Info
+        tip_error (m), tip_vibration (m/s, speed of the tip relative to the rigid arm at the motor angles),
+        elastic_energy (J), energy_residual (J, work of the motors - dissipation - change of energy since the reset,
+        which the integrator invented or lost), energy_alarm (whether that is more than the part `energy_alarm` of the
+        energy turned over since the reset), reward_terms, status (of the simulation), failure ("" or what happened),
+        tip and target (m), posture (rad, the goal); with a randomisation also drawn, a dict of what the episode drew
+        (see `Effects`).
+
+    Fidelity
+        By default two elements a link, of whose loaded modes those are kept that carry more than 2 % of the elastic
+        energy of a vibration of the arm below half the control frequency (`fidelity.assembled_modes`): 16 for the arm
+        above, (0-4, 6), (0-5, 8) and (0-2), with "ros2" at 5 ms. At zero angles and with one joint turned by a
+        quarter, the first five vibrations then have the full model's frequencies within 0.8 %; with the 4 lowest modes
+        of each link the first is 23 % off where joint 3 is turned, as mode 8 of link 2 is missing. ros2 leaves 99.9 %
+        of the amplitude of the first two vibrations (3.4 Hz) after 10 s. Under random torques up to 400 N m, changed
+        every half second for 2.5 s, from three random postures, the tip is at most 38, 2 and 15 mm from that of all
+        coordinates with foreshortening (4 lowest modes: 172, 113, 253 mm, 19 % cheaper). Shorter steps give 24, 4 and
+        16 mm; method="extrapolated_euler_5", step=0.02 gives 23, 4 and 16 mm for 1.3 times the cost, but lets
+        vibrations near 14 Hz of an undamped arm grow.
+
+        fidelity="auto" with a tolerance (m) lets `choose_model` choose modes, method and step for a slew of 3 s with
+        sine torques (0.5 Hz, `torque_limit`) from a posture within the task's range; the choice is at
+        `env.unwrapped.choice`. The tolerance holds for that motion, more or less for others like it.
+
+    Args:
+        render_mode: None or "rgb_array".
+        render_size: width and height of a frame in pixels.
+        settings: the attributes of `Setup`: arm, task, limits, fidelity and so on.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012
+
+    def __init__(
+        self, *, render_mode: str | None = None, render_size: tuple[int, int] = (480, 360), **settings: Any
+    ) -> None:
+        self.render_mode = checked_mode(render_mode)
+        setup = Setup(**settings)
+        self.simulator = Simulator(setup.model, setup.method, setup.step, setup.control_period)
+        self.episodes = Episodes(setup, self.simulator.batch)
+        self.task, self.torque_limit, self.choice = setup.task, setup.torque_limit, setup.choice
+        self.sensors = self.episodes.sensors
+        self.observation_space = observation_space(self.episodes)
+        self.action_space = action_space(self.episodes)
+        self.metadata = FlexManEnv.metadata | {"render_fps": round(1 / self.simulator.control_period)}
+        self._shape = (setup.model.n_joints,)
+        self._allowed = f"{setup.model.n_joints} numbers from -1 to 1"
+        self._painter = painter(render_mode, setup.model, render_size)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Starts an episode; options may set "start" and "posture", joint angles (n,) in rad, and "parameters"."""
+        super().reset(seed=seed)
+        self.episodes.reset(ONLY, [self.np_random], options)
+        return self.episodes.seen[0].copy(), self._outcome()[1]
+
+    def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Applies motor torques for one control period.
+
+        Raises:
+            ValueError: for an action of another shape or outside the action space.
+            RuntimeError: before a reset and after the end of an episode.
+        """
+        episodes = self.episodes
+        if episodes.over[0]:
+            raise RuntimeError("the episode is over: reset the environment first")
+        values = checked_actions("action", action, self._shape, self._allowed)
+        episodes.step(values[None])
+        reward, info = self._outcome()
+        return episodes.seen[0].copy(), reward, bool(episodes.failures), False, info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """A frame (height, width, 3) uint8 of the deformed arm and the target."""
+        if self._painter is None:
+            gym.logger.warn('render() needs render_mode="rgb_array" in gym.make')
+            return None
+        return self._painter.paint(self.simulator.state, self.episodes.targets[0])
+
+    def _outcome(self) -> tuple[float, dict[str, Any]]:
+        """Reward and info of the state that the arm is in."""
+        episodes = self.episodes
+        reward, info = episodes.judge(*[figure.item() for figure in episodes.figures()])
+        info["status"] = layout.STATUS[episodes.batch.status[0]]
+        info["failure"] = episodes.failures.get(0, "")
+        info["tip"] = episodes.batch.outputs[0, layout.TIP].copy()
+        info["target"] = episodes.targets[0].copy()
+        info["posture"] = episodes.postures[0].copy()
+        if episodes.effects is not None:
+            info["drawn"] = episodes.effects.of(0)
+        return reward, info
+
+
+def observation_space(episodes: Episodes) -> spaces.Space[Any]:
+    """The space of observations of one arm."""
+    return spaces.Box(-episodes.bound, episodes.bound, dtype=np.float32)
+
+
+def action_space(episodes: Episodes) -> spaces.Space[Any]:
+    """The space of actions of one arm."""
+    return spaces.Box(-1.0, 1.0, (episodes.postures.shape[1],), dtype=np.float32)
+
+
+def checked_mode(render_mode: str | None) -> str | None:
+    """The render mode; raises ValueError for one that there is not."""
+    return None if render_mode is None else one_of("render_mode", render_mode, ("rgb_array",))
+
+
+def painter(render_mode: str | None, model: Model, size: tuple[int, int]) -> Any:
+    """A FramePainter, None without a render mode."""
+    if render_mode is None:
+        return None
+    from flexman_gym.draw.frames import FramePainter  # which needs the extra [render]
+
+    return FramePainter(model, size)

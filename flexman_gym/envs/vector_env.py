@@ -1,0 +1,217 @@
+"""Vector environment: many arms, each in an episode of its own, behind Gymnasium's interface for vectors."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import logger
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from flexman_gym.arrays import Array
+from flexman_gym.checks import refusal, whole_number
+from flexman_gym.envs.env import FlexManEnv, action_space, checked_mode, observation_space, painter
+from flexman_gym.envs.episodes import Arms, Episodes, Observations, checked_actions
+from flexman_gym.envs.setup import Setup
+from flexman_gym.kernels import layout
+from flexman_gym.simulation.batch import MOST_ARMS, Batch
+
+Flags = NDArray[np.bool_]
+Infos = dict[str, Any]
+LONGEST = 10**9  # steps of an episode
+
+
+class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
+    """Many `FlexManEnv` in one: `gym.make_vec("FlexRRR-v0", num_envs=64, vectorization_mode="vector_entry_point")`.
+
+    Observations, rewards, terminations, truncations and infos are those of `gymnasium.vector.SyncVectorEnv` over the
+    single environment, bit for bit, with an axis for the arms in front. Infos follow Gymnasium's convention: an array
+    for each key and its mask under the key with an underscore in front; masks of one info may be the same array.
+
+    `reset(seed=...)` takes one seed, of arm 0, to which the others add their number, or a list of a seed for each. Its
+    options may set "start", "posture" and "parameters" for all arms, or with a leading axis for each. With
+    autoreset_mode="Disabled" the option "reset_mask", (num_envs,) bool, says which arms are reset.
+
+    Args:
+        num_envs: number of arms.
+        threads: that move them, at most one for 64 arms; a second one pays from about 256 arms on.
+        max_episode_steps: after which an episode is truncated.
+        autoreset_mode: an AutoresetMode of Gymnasium, or its value.
+        render_mode, render_size: see `FlexManEnv`; a frame of each arm.
+        settings: the attributes of `Setup`.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed.
+    """
+
+    metadata = FlexManEnv.metadata | {"autoreset_mode": AutoresetMode.NEXT_STEP}
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        threads: int = 1,
+        max_episode_steps: int = 500,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        render_size: tuple[int, int] = (480, 360),
+        **settings: Any,
+    ) -> None:
+        modes = {mode.value: mode for mode in AutoresetMode}
+        chosen = autoreset_mode.value if isinstance(autoreset_mode, AutoresetMode) else autoreset_mode
+        if chosen not in modes:
+            raise refusal("autoreset_mode", autoreset_mode, f"an AutoresetMode or one of {', '.join(modes)}")
+        self.autoreset_mode = modes[chosen]
+        self.max_episode_steps = whole_number("max_episode_steps", max_episode_steps, 1, LONGEST)
+        self.num_envs = whole_number("num_envs", num_envs, 1, MOST_ARMS)
+        self.render_mode = checked_mode(render_mode)
+        setup = Setup(**settings)
+        self._painter = painter(render_mode, setup.model, render_size)
+        period = setup.control_period
+        self.batch = Batch(setup.model, setup.method, setup.step, period, arms=num_envs, threads=threads)
+        self.episodes = Episodes(setup, self.batch)
+        self.task, self.torque_limit, self.choice = setup.task, setup.torque_limit, setup.choice
+        self.sensors = self.episodes.sensors
+        self.single_observation_space = observation_space(self.episodes)
+        self.single_action_space = action_space(self.episodes)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode, "render_fps": round(1 / period)}
+        self._shape = (num_envs, setup.model.n_joints)
+        self._allowed = f"{num_envs} rows of {setup.model.n_joints} numbers from -1 to 1"
+        self._randoms: list[np.random.Generator | None] = [None] * num_envs
+        self._seeds = [-1] * num_envs
+        self._ages = np.zeros(num_envs, dtype=np.int64)
+        self._ok, self._no_failure = (np.full(num_envs, text, dtype=object) for text in (layout.STATUS[0], ""))
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, Infos]:
+        """Starts the episodes of all arms, or of those of options["reset_mask"]; see the class."""
+        seeds = self._each_seed(seed)
+        mask = None
+        if isinstance(options, dict) and "reset_mask" in options:
+            options = dict(options)
+            mask = self._checked_mask(options.pop("reset_mask"))
+        arms = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask)
+        for arm in arms:
+            if seeds[arm] is not None:
+                self._randoms[arm], self._seeds[arm] = seeding.np_random(seeds[arm])
+        self._restart(arms, options)
+        infos = self._outcome()[1]
+        return self.episodes.seen.copy(), infos if mask is None else _masked(infos, mask)
+
+    def step(self, actions: NDArray[Any]) -> tuple[Observations, Array, Flags, Flags, Infos]:
+        """Applies motor torques (num_envs, n) for one control period, and resets as the autoreset mode says.
+
+        Raises:
+            ValueError: for actions of another shape or outside the action space.
+            RuntimeError: before a reset and, with autoreset_mode="Disabled", for an arm whose episode is over.
+        """
+        episodes, over = self.episodes, self.episodes.over
+        values = checked_actions("actions", actions, self._shape, self._allowed)
+        late = np.flatnonzero(over) if np.count_nonzero(over) else None
+        if late is not None and (self.autoreset_mode != AutoresetMode.NEXT_STEP or None in self._randoms):
+            raise RuntimeError(f"the episodes of arms {late.tolist()} are over: reset them first")
+        episodes.step(values)
+        self._ages += 1
+        if late is not None:
+            self._restart(late, None)
+        rewards, infos = self._outcome()
+        if late is not None:
+            rewards[late] = 0.0
+        truncations = self._ages >= self.max_episode_steps
+        terminations = np.zeros(self.num_envs, dtype=bool)
+        if episodes.failures or np.count_nonzero(truncations):
+            terminations[list(episodes.failures)] = True
+            over |= truncations
+            if self.autoreset_mode == AutoresetMode.SAME_STEP:
+                infos = self._finish(over.copy(), infos)
+        return episodes.seen.copy(), rewards, terminations, truncations, infos
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """Frames (height, width, 3) uint8 of the deformed arms and their targets."""
+        if self._painter is None:
+            logger.warn('render() needs render_mode="rgb_array" in gymnasium.make_vec')
+            return None
+        arms = zip(self.batch.state, self.episodes.targets, strict=True)
+        return tuple(self._painter.paint(state, target) for state, target in arms)
+
+    def _finish(self, ended: Flags, infos: Infos) -> Infos:
+        """Resets the arms that have ended; returns the infos of all, with what the ended ones were."""
+        final = np.full(self.num_envs, None, dtype=object)
+        arms = np.flatnonzero(ended)
+        for arm in arms:
+            final[arm] = self.episodes.seen[arm].copy()
+        self._restart(arms, None)
+        both = {"final_obs": final, "final_info": _masked(infos, ended)}
+        return _masked(both, ended) | self._outcome()[1]
+
+    def _restart(self, arms: Arms, options: dict[str, Any] | None) -> None:
+        randoms = self.np_random
+        self._ages[arms] = 0
+        self.episodes.reset(arms, [randoms[arm] for arm in arms], options)
+
+    def _outcome(self) -> tuple[Array, Infos]:
+        """Rewards and infos of the states that the arms are in."""
+        episodes = self.episodes
+        rewards, infos = episodes.judge(*episodes.figures())
+        status, failure = self._ok.copy(), self._no_failure.copy()
+        for arm, text in episodes.failures.items():
+            status[arm], failure[arm] = layout.STATUS[self.batch.status[arm]], text
+        infos |= {"status": status, "failure": failure, "tip": self.batch.outputs[:, layout.TIP].copy()}
+        infos |= {"target": episodes.targets.copy(), "posture": episodes.postures.copy()}
+        if episodes.effects is not None:
+            infos["drawn"] = episodes.effects.drawn
+        return rewards, _with_masks(infos, np.ones(self.num_envs, dtype=bool))
+
+    @property  # type: ignore[misc]
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
+        """The generator of each arm, of starts and postures; made with a random seed where there is none."""
+        for arm, random in enumerate(self._randoms):
+            if random is None:
+                self._randoms[arm], self._seeds[arm] = seeding.np_random()
+        return tuple(self._randoms)  # type: ignore[arg-type]
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
+        """The seed of each arm's generator."""
+        return tuple(self._seeds) if self.np_random else ()
+
+    def _each_seed(self, seed: object) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, int | np.integer):
+            return [int(seed) + arm for arm in range(self.num_envs)]
+        if not isinstance(seed, Sequence | np.ndarray) or len(seed) != self.num_envs:
+            raise refusal("seed", seed, f"a whole number, or a list of {self.num_envs}")
+        return [each if each is None else int(each) for each in seed]
+
+    def _checked_mask(self, mask: object) -> Flags:
+        if isinstance(mask, np.ndarray) and mask.shape == (self.num_envs,) and mask.dtype == bool and mask.any():
+            return mask
+        raise refusal("options['reset_mask']", mask, f"an array ({self.num_envs},) of bool, not all of them False")
+
+
+def _with_masks(infos: Infos, mask: Flags) -> Infos:
+    """The infos with a mask for each key, those of dicts inside too."""
+    result = {}
+    for key, value in infos.items():
+        result[key] = _with_masks(value, mask) if isinstance(value, dict) else value
+        result[f"_{key}"] = mask
+    return result
+
+
+def _masked(infos: Infos, mask: Flags) -> Infos:
+    """Infos of the arms of a mask alone, zero (None for objects) elsewhere."""
+    result: Infos = {}
+    for key, value in infos.items():
+        if isinstance(value, dict):
+            result[key] = _masked(value, mask)
+        elif not key.startswith("_"):
+            result[key] = np.zeros_like(value) if value.dtype != object else np.full_like(value, None)
+            result[key][mask] = value[mask]
+        result[key if key.startswith("_") else f"_{key}"] = mask.copy()
+    return result

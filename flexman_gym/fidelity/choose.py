@@ -1,0 +1,238 @@
+"""Fidelity: the smallest model, the method and the longest step that meet a tolerance at the tip in a scene."""
+
+import time as clock
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from flexman_gym.arrays import Array
+from flexman_gym.checks import positive, refusal
+from flexman_gym.fidelity.search import SHARP, Candidate, Search, Trial, given_modes
+from flexman_gym.model.instant import frequencies, mass_matrix, stiffness_matrix
+from flexman_gym.model.model import Model, build_model
+from flexman_gym.scene.arm import Arm
+from flexman_gym.scene.scene import Scene
+from flexman_gym.simulation.amplification import amplitude_kept, explicit_limit, spectral_radius
+from flexman_gym.simulation.methods import EXPLICIT, METHODS, Method
+
+SAFETY = 0.8  # part of the tolerance that the chosen run may use
+MODEL_SHARES = (0.6, 0.25)  # parts of the tolerance that dropped coordinates may use: two models compete
+TRIED = ("extrapolated_euler_5", "extrapolated_euler_4", "extrapolated_euler_3", "ros2", "rk4", "dopri5",
+         "implicit_midpoint", "generalised_alpha")  # fmt: skip
+MULTIPLES = (10, 8, 5, 4, 3, 2)  # of the output step
+PARTS = (1, 2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 25, 32, 40, 50, 64, 80, 100, 128, 160, 200, 256, 320, 400, 512, 1024)
+MOST_GROWTH = 100.0  # of any mode by the method within the scene, from amplitudes that are next to nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """What `choose_model` chose.
+
+    Attributes:
+        model: the model, for `simulate`.
+        method: a name from `METHODS`.
+        step: s.
+        estimated_error: m, largest distance of the tip from that of the reference at the outputs of the run, plus the
+            error of the reference.
+        dropped: a text for each thing that was left out, with what it does.
+        report: a text about frequencies, step, numerical damping and the cost of the choice.
+    """
+
+    model: Model
+    method: str
+    step: float
+    estimated_error: float
+    dropped: tuple[str, ...]
+    report: str
+
+
+def choose_model(scene: Scene, tolerance: float, longest_step: float | None = None) -> Choice:
+    """Chooses the cheapest model, method and step whose tip stays within a tolerance (m) of the reference.
+
+    The reference is the scene's arm with its elements, every coordinate of what the scene has flexible, foreshortening,
+    and a converged integration; the error of its elements is not part of it. Candidates leave out foreshortening, the
+    springs of all joints and the component modes that move the tip least in the reference's own motion (the bend of a
+    mode times what it moves the tip), and are run on the scene itself: every error is measured. Step by step the
+    tolerance holds at the outputs of the run, which are those of the scene or, for a longer step, after each step; what
+    cubic interpolation (positions and velocities) gives between those holds it too.
+
+    Steps longer than `longest_step` (s) are not tried; None tries up to ten output steps.
+
+    A choice costs some hundred runs of the scene; the same scene and tolerance give the same object again at once.
+
+    Raises:
+        ValueError: for another scene or tolerance, and where nothing meets the tolerance, with what was reached.
+    """
+    if not isinstance(scene, Scene):
+        raise refusal("scene", scene, "a Scene")
+    longest = np.inf if longest_step is None else positive("longest_step", longest_step, "s")
+    return _choose(scene, positive("tolerance", tolerance, "m"), longest)
+
+
+def assembled_modes(
+    arm: Arm, elements: int | tuple[int, ...] = 2, highest: float = 25.0, share: float = 0.02
+) -> tuple[int | tuple[int, ...], ...]:
+    """The loaded modes of each link, for `build_model`, that carry a share of an assembled arm's slow vibrations.
+
+    A mode is kept that has more than `share` of the elastic energy of a vibration (motors free, undamped) below
+    `highest` (Hz), of the lowest three in any case, at zero joint angles or with a joint turned by 0.8 or 1.6 rad. It
+    takes no simulation, and says nothing about an error: `choose_model` does.
+    """
+    from scipy.linalg import eigh
+
+    counts = tuple(basis.shape[1] for basis in build_model(arm, elements).bases)
+    model = build_model(arm, elements, counts)
+    stiffness, n = stiffness_matrix(model), model.n_joints
+    turned = [angle * row for angle in (0.8, 1.6) for row in np.eye(n)]
+    carried = np.zeros(model.n_dof)
+    for pose in [np.zeros(n), *turned]:
+        squares, shapes = eigh(stiffness, mass_matrix(model, model.initial_state(pose)))
+        slow = np.sqrt(np.maximum(squares, 0.0)) < 2.0 * np.pi * highest
+        slow[: n + 3] = True
+        slow[:n] = False  # the arm turning about its joints
+        energies = shapes[:, slow] ** 2 * np.diag(stiffness)[:, None] / squares[slow]
+        carried = np.maximum(carried, energies.max(axis=1, initial=0.0))
+    links = [carried[model.elastic_columns(i)] > share for i in range(n)]
+    return tuple(given_modes(tuple(np.flatnonzero(kept).tolist())) for kept in links)
+
+
+@lru_cache(maxsize=64)
+def _choose(scene: Scene, tolerance: float, longest: float) -> Choice:
+    started = clock.process_time()
+    search = Search(scene, tolerance)
+    if search.error > 2 * SHARP * tolerance:
+        raise refusal(
+            "tolerance", tolerance, f"at least {search.error / SHARP:.2g} m: the reference is known no better"
+        )
+    parts = search.parts()
+    trials = [trial for candidate in _candidates(search, parts) for trial in _steps(search, candidate, longest)]
+    good = [trial for trial in trials if trial.error + search.error <= SAFETY * tolerance]
+    if not good:
+        reached = min(trial.error for trial in trials) if trials else np.inf
+        raise refusal("tolerance", tolerance, f"at least {(reached + search.error) / SAFETY:.2g} m, what was reached")
+    cheapest = min(trial.cost for trial in good)
+    close = [trial for trial in good if trial.cost <= 1.5 * cheapest]
+    timed = [(min(search.trial(*trial[:3]).cost for _ in range(3)), trial) for trial in close]
+    best = min(timed, key=lambda pair: pair[0])[1]
+    search.sharpen(best.error)
+    error = search.tip_error(search.run(*best[:3])) + search.error
+    report = _report(search, best, trials, clock.process_time() - started)
+    dropped = _dropped(search, best.candidate, parts)
+    return Choice(search.model(best.candidate), best.method.name, best.step, error, dropped, report)
+
+
+def _candidates(search: Search, parts: dict[tuple[int, int], float]) -> list[Candidate]:
+    """Models that meet their share of the tolerance, the one with the fewest coordinates first."""
+    found, stiffest = {search.full}, search.stiffest()
+    for springs in {search.full.springs, False}:
+        for stiffening in {False, search.full.stiffening}:
+            start = search.full._replace(springs=springs, stiffening=stiffening)
+            for share in MODEL_SHARES:
+                budget = share * search.tolerance
+                if search.screen(start) <= budget:
+                    found.add(search.reduced(start, budget, list(parts)))
+            if search.screen(start) <= budget:  # for explicit methods
+                softer = search.reduced(start, budget, stiffest)
+                found.add(search.reduced(softer, MODEL_SHARES[0] * search.tolerance, list(parts)))
+    angles = search.scene.initial.joint_angles
+
+    def fastest(candidate: Candidate) -> float:
+        return frequencies(search.model(candidate), angles).max()
+
+    smallest: list[Candidate] = []
+    for candidate in sorted(found, key=lambda each: (search.model(each).n_dof, each.stiffening)):
+        error = search.screen(candidate)
+        speed = fastest(candidate)
+        if not any(
+            search.screen(other) <= error and other.stiffening <= candidate.stiffening and fastest(other) <= speed
+            for other in smallest
+        ):
+            smallest.append(candidate)
+    return smallest
+
+
+def _steps(search: Search, candidate: Candidate, longest: float) -> Iterator[Trial]:
+    """Runs of a candidate by each method, with shorter and shorter steps until one meets the tolerance or costs more
+    than what already does."""
+    modes = frequencies(search.model(candidate), search.scene.initial.joint_angles)
+    aim = SAFETY * search.tolerance - search.error
+    for method in (METHODS[name] for name in TRIED):
+        ladder = [step for step in _ladder(search.scene) if step <= longest * (1.0 + 1e-9)]
+        steps = [step for step in ladder if _stays(method, step, modes, search.scene.duration)]
+        per_step, place = search.guess(candidate, method), 0
+        while place < len(steps) and per_step / steps[place] <= 1.2 * search.best:
+            trial = search.trial(candidate, method, steps[place])
+            per_step = trial.cost * trial.step
+            yield trial
+            if trial.error <= aim:
+                search.best = min(search.best, trial.cost)
+                break
+            # The order of the method tells which step may do; the error of one far too long tells nothing.
+            shrink = 0.5 if not trial.error < 1.0 else max(0.2, (aim / trial.error) ** (1.0 / method.order))
+            place += max(1, sum(step > 1.15 * shrink * trial.step for step in steps[place:]))
+
+
+def _stays(method: Method, step: float, modes: Array, duration: float) -> bool:
+    """Whether a method with a step (s) lets no vibration (Hz) grow much within a duration (s)."""
+    angles = 2.0 * np.pi * step * modes
+    return all(duration / step * np.log(spectral_radius(method, angle)) <= np.log(MOST_GROWTH) for angle in angles)
+
+
+def _ladder(scene: Scene) -> list[float]:
+    """Steps that `simulate` can take, descending."""
+    rows = len(scene.output_times) - 1
+    longer = [scene.output_step * multiple for multiple in MULTIPLES if rows % multiple == 0]
+    return longer + [scene.output_step / parts for parts in PARTS]
+
+
+def _dropped(search: Search, candidate: Candidate, parts: dict[tuple[int, int], float]) -> tuple[str, ...]:
+    """A text for everything that a candidate leaves out."""
+    full, texts = search.full, []
+    if full.stiffening and not candidate.stiffening:
+        error = search.screen(full._replace(stiffening=False))
+        texts.append(f"foreshortening: without it the tip moves by {error:.2g} m")
+    if full.springs and not candidate.springs:
+        error = search.screen(full._replace(springs=False))
+        texts.append(f"springs of the joints: with rigid joints the tip moves by {error:.2g} m")
+    model = search.model(full)
+    squares = np.diag(stiffness_matrix(model))
+    for i, kept in enumerate(full.modes):
+        gone = [mode for mode in kept if mode not in candidate.modes[i]]
+        if gone:
+            most = max(parts[i, mode] for mode in gone)
+            lowest = np.sqrt(squares[model.elastic_columns(i)][gone[0]]) / (2.0 * np.pi)  # of unit modal mass
+            numbers = "all" if gone == list(kept) else ", ".join(map(str, gone))
+            texts.append(
+                f"link {i + 1}, loaded modes {numbers} of {len(kept)} (from {lowest:.4g} Hz): none moves the tip by"
+                f" more than {most:.2g} m"
+            )
+    if texts:
+        texts[-1] += f"; everything that is left out moves the tip by {search.screen(candidate):.2g} m together"
+    return tuple(texts)
+
+
+def _report(search: Search, best: Trial, trials: list[Trial], seconds: float) -> str:
+    """Frequencies, step, numerical damping and cost in words."""
+    scene, model, full = search.scene, search.model(best.candidate), search.model(search.full)
+    own, all_ = (frequencies(each, scene.initial.joint_angles)[model.n_joints :] for each in (model, full))
+    lines = [f"{model.n_dof} of {full.n_dof} coordinates, {best.method.name} with {best.step:.4g} s"]
+    if len(own):
+        lines.append("system frequencies (Hz, motors free): " + ", ".join(f"{each:.4g}" for each in own))
+        lines.append(f"the highest is {own[-1]:.4g} Hz, with all coordinates {all_[-1]:.4g} Hz")
+    if best.method.kind == EXPLICIT and len(own):
+        limit = explicit_limit(best.method) / (2.0 * np.pi * own[-1])
+        lines.append(f"the step could not exceed {limit:.3g} s, the stability limit of {best.method.name}")
+    same = [each for each in trials if each[:2] == best[:2] and each.step > best.step]
+    if same:
+        next_ = min(same, key=lambda each: each.step)
+        lines.append(f"what limits the step: {next_.step:.4g} s leaves an error of {next_.error:.2g} m")
+    for i, frequency in enumerate(own[:3]):
+        change = 100.0 * (amplitude_kept(best.method, best.step, frequency) - 1.0)
+        lines.append(f"numerical damping of mode {i + 1} ({frequency:.4g} Hz) over 10 s: {change:+.2g} % of amplitude")
+    lines.append(
+        f"reference: {search.reference.evaluations} evaluations with all coordinates, known to {search.error:.1g} m"
+    )
+    lines.append(f"the scene costs {best.cost:.2g} s, the choice took {seconds:.3g} s ({len(trials)} runs with it)")
+    return "\n".join(lines)

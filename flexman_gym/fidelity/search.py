@@ -1,0 +1,200 @@
+"""Fidelity search: candidates for a scene, each measured against a converged run of its finest model."""
+
+import time as clock
+from typing import NamedTuple
+
+import numpy as np
+
+from flexman_gym.arrays import Array
+from flexman_gym.model.instant import mass_matrix, stiffness_matrix, tip_jacobian
+from flexman_gym.model.model import Model, build_model
+from flexman_gym.scene.scene import Scene
+from flexman_gym.simulation.methods import EXPLICIT, METHODS, REFERENCE, Method
+from flexman_gym.simulation.simulator import simulate
+from flexman_gym.simulation.trajectory import Trajectory
+
+SHARP = 0.05  # of the tolerance, the most by which the reference may be off
+# Method, steps in an output step and rtol of finer and finer references. Stiff modes do not limit the first two
+# methods, but the first lets some of them grow.
+REFERENCES = (
+    *((METHODS["extrapolated_euler_5"], parts, 1e-6) for parts in (1, 2)),
+    *((METHODS["ros2"], parts, 1e-6) for parts in (16, 64)),
+    *((METHODS["dop853"], None, rtol) for rtol in (1e-5, 1e-8, 1e-11)),
+)
+
+
+class Candidate(NamedTuple):
+    """What a model keeps: numbers of the loaded modes of each link, springs in joints, foreshortening."""
+
+    modes: tuple[tuple[int, ...], ...]
+    springs: bool
+    stiffening: bool
+
+    def build(self, scene: Scene) -> Model:
+        """Its model; where the lowest modes are kept they are given by their number."""
+        modes = tuple(given_modes(kept) for kept in self.modes)
+        switches = vars(scene.model) | {"flexible_joints": self.springs, "stiffening": self.stiffening, "modes": modes}
+        return build_model(scene.arm, **switches)
+
+
+class Trial(NamedTuple):
+    """A run of a candidate: its error at the tip (m), inf where it failed, and its cost (s of computing)."""
+
+    candidate: Candidate
+    method: Method
+    step: float
+    error: float
+    cost: float
+    evaluations: int
+
+
+class Search:
+    """The reference of a scene, and what candidates were measured against it."""
+
+    def __init__(self, scene: Scene, tolerance: float) -> None:
+        self.scene, self.tolerance = scene, tolerance
+        self.models: dict[Candidate, Model] = {}
+        self.screened: dict[Candidate, Trial] = {}
+        choice = scene.model
+        everything = build_model(scene.arm, **(vars(choice) | {"modes": None}))
+        modes = tuple(tuple(range(basis.shape[1])) for basis in everything.bases)
+        self.full = Candidate(modes, everything.n_motors > 0, any(modes))
+        self.tips: list[Array] = []
+        self.error = np.inf
+        self.best = np.inf  # cost of the cheapest run that met the tolerance
+        self._converge(SHARP * tolerance)
+
+    def _converge(self, error: float) -> None:
+        """Goes to finer references until two agree to an error (m)."""
+        for method, parts, rtol in REFERENCES[len(self.tips) :]:
+            if self.error <= error:
+                return
+            step = self.scene.output_step / parts if parts else None
+            run = simulate(self.scene, self.model(self.full), method, step, rtol, 0.01 * rtol)
+            if run.status == "ok":
+                self.reference = run
+            last = self.tips[-1] if self.tips else np.full_like(run.tip, np.nan)
+            self.tips.append(run.tip if run.status == "ok" else np.full((*self.scene.output_times.shape, 3), np.nan))
+            self.error = np.nan_to_num(_distance(self.tips[-1], last), nan=np.inf)
+
+    @property
+    def screening(self) -> tuple[Method, float | None]:
+        """The longest step of the first method of references that is right on the scene with all coordinates."""
+        for (method, parts, _), tip in zip(REFERENCES, self.tips, strict=False):
+            if _distance(tip, self.tips[-1]) <= 2 * SHARP * self.tolerance:
+                return method, self.scene.output_step / parts if parts else None
+        return METHODS["dop853"], None
+
+    def sharpen(self, error: float) -> None:
+        """A finer reference, so that its own error is small beside an error (m) measured against it."""
+        if self.error > 0.25 * error:
+            self._converge(0.25 * error)
+
+    def model(self, candidate: Candidate) -> Model:
+        """The model of a candidate, built once."""
+        if candidate not in self.models:
+            self.models[candidate] = candidate.build(self.scene)
+        return self.models[candidate]
+
+    def run(self, candidate: Candidate, method: Method, step: float | None) -> Trajectory:
+        """The scene with a candidate."""
+        return simulate(self.scene, self.model(candidate), method, step)
+
+    def trial(self, candidate: Candidate, method: Method, step: float | None) -> Trial:
+        """The same with its error and cost."""
+        self.model(candidate)
+        started = clock.process_time()
+        run = self.run(candidate, method, step)
+        cost = clock.process_time() - started
+        return Trial(candidate, method, step or 0.0, self.tip_error(run), cost, run.evaluations)
+
+    def tip_error(self, run: Trajectory) -> float:
+        """Error (m) of a run at its outputs; inf for one that failed or that goes astray between its outputs."""
+        times, reference = self.scene.output_times, self.tips[-1]
+        if run.status != "ok" or not np.isclose(run.time[-1], times[-1], rtol=1e-6):
+            return np.inf
+        error = _distance(run.tip, reference[:: (len(times) - 1) // (len(run.time) - 1)])
+        if len(run.time) < len(times):
+            from scipy.interpolate import CubicHermiteSpline
+
+            between = CubicHermiteSpline(run.time, run.tip, run.tip_velocity)(times)
+            error = error if _distance(between, reference) <= self.tolerance else np.inf
+        return error
+
+    def screen(self, candidate: Candidate) -> float:
+        """Error (m) of a candidate that is integrated well."""
+        if candidate not in self.screened:
+            self.screened[candidate] = self.trial(candidate, *self.screening)
+        return self.screened[candidate].error
+
+    def guess(self, candidate: Candidate, method: Method) -> float:
+        """About the cost of the scene times the step of an explicit method; 0 for others, whose steps are long."""
+        self.screen(candidate)
+        screened = self.screened[candidate]
+        ease = 1.0 if screened.method.kind == REFERENCE else 0.3  # without factors of matrices
+        seconds = ease * screened.cost / max(screened.evaluations, 1)
+        return seconds * len(method.b) * self.scene.duration * (method.kind == EXPLICIT)
+
+    def parts(self) -> dict[tuple[int, int], float]:
+        """How far (m) each mode (link, number) moves the tip in the motion of the reference, ascending.
+
+        A mode that bends turns the free joints the other way, as momentum is kept; its motion is that with the turn.
+        """
+        model, states = self.model(self.full), self.reference.states
+        turns = np.eye(model.n_dof)[:, : model.n_joints]
+        turns[model.motor_columns] = np.eye(model.n_joints)
+        moves = np.zeros(model.n_dof)
+        for state in states[:: max(1, len(states) // 8)]:
+            momentum = turns.T @ mass_matrix(model, state)
+            moved = np.eye(model.n_dof) - turns @ np.linalg.solve(momentum @ turns, momentum)
+            tip = tip_jacobian(model, state[: model.n_dof]) @ moved
+            moves = np.maximum(moves, np.linalg.norm(tip, axis=0))
+        moves *= np.abs(states[:, : model.n_dof]).max(axis=0)
+        parts = {}
+        for link, kept in enumerate(self.full.modes):
+            for number, part in zip(kept, moves[model.elastic_columns(link)], strict=True):
+                parts[link, number] = float(part)
+        return dict(sorted(parts.items(), key=lambda item: item[1]))
+
+    def stiffest(self) -> list[tuple[int, int]]:
+        """Modes (link, number), each the one that takes the most part in the highest system mode of those after it."""
+        from scipy.linalg import eigh
+
+        model = self.model(self.full)
+        mass = mass_matrix(model, model.initial_state(self.scene.initial.joint_angles))
+        stiffness, size = stiffness_matrix(model), np.sqrt(np.diag(mass))
+        modes = [(link, number) for link, kept in enumerate(self.full.modes) for number in kept]
+        first, order = model.n_dof - len(modes), []
+        left = list(range(model.n_dof))
+        while len(left) > first:
+            block = np.ix_(left, left)
+            shape = eigh(stiffness[block], mass[block])[1][:, -1]
+            place = first + int(np.argmax(np.abs(shape * size[left])[first:]))
+            order.append(modes[left.pop(place) - first])
+        return order
+
+    def reduced(self, start: Candidate, budget: float, order: list[tuple[int, int]]) -> Candidate:
+        """Leaves out as many modes, in that order, as a budget (m) allows, and some of the next where it allows."""
+
+        def without(gone: list[tuple[int, int]]) -> Candidate:
+            modes = [tuple(j for j in kept if (i, j) not in gone) for i, kept in enumerate(start.modes)]
+            return start._replace(modes=tuple(modes))
+
+        low, high = 0, len(order) + 1
+        while high - low > 1:
+            middle = (low + high) // 2
+            low, high = (middle, high) if self.screen(without(order[:middle])) <= budget else (low, middle)
+        gone = order[:low]
+        for mode in order[low + 1 : low + 5]:
+            if self.screen(without([*gone, mode])) <= budget:
+                gone = [*gone, mode]
+        return without(gone)
+
+
+def given_modes(numbers: tuple[int, ...]) -> int | tuple[int, ...]:
+    """Modes of a link as `build_model` takes them: where they are the lowest ones, how many."""
+    return len(numbers) if numbers == tuple(range(len(numbers))) else numbers
+
+
+def _distance(tips: Array, others: Array) -> float:
+    return float(np.linalg.norm(tips - others, axis=-1).max())

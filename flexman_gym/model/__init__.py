@@ -1,0 +1,26 @@
+"""Model: an arm turned into numbers, and what they say at an instant."""
+
+from flexman_gym.model.instant import (
+    acceleration,
+    frequencies,
+    inverse_dynamics,
+    linearize,
+    mass_matrix,
+    tip_acceleration,
+)
+from flexman_gym.model.model import Model, build_model, scene_model
+from flexman_gym.model.strain import curvature, strain
+
+__all__ = [
+    "Model",
+    "acceleration",
+    "build_model",
+    "curvature",
+    "frequencies",
+    "inverse_dynamics",
+    "linearize",
+    "mass_matrix",
+    "scene_model",
+    "strain",
+    "tip_acceleration",
+]

@@ -1,0 +1,96 @@
+"""Reduction: component modes of a link that carries the rest of the arm.
+
+Modes of the bare clamped link, sorted by frequency, are a trap: they rank torsion far behind bending although torsion
+carries everything outboard. Loaded modes see the inertia of the outboard arm, straight and rigid, at the link's tip.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+
+from flexman_gym.arrays import Array
+from flexman_gym.model.beam import Beam
+from flexman_gym.scene.arm import Arm
+
+VANISHING = 1e-12  # of the geometric mean of two diagonal entries: a coupling below is rounding
+
+
+def zero_pose_rotations(arm: Arm) -> Array:
+    """(n, 3, 3) rotation of each beam frame relative to the one before it (the base for the first) at zero angles."""
+    orientations = [np.eye(3)] + [np.array(link.orientation) for link in arm.links]
+    return np.array([before.T @ after for before, after in pairwise(orientations)])
+
+
+def outboard_inertias(arm: Arm, beams: tuple[Beam, ...]) -> Array:
+    """(n, 6, 6) rigid inertia that each link's tip carries at zero angles, in its beam frame, linear part first."""
+    inertia = np.zeros((6, 6))
+    if arm.payload is not None:
+        mount = np.array(arm.links[-1].orientation).T
+        centre = _carry(mount @ (arm.payload.offset or np.zeros(3)))[:3]
+        inertia = arm.payload.mass * centre.T @ centre
+        inertia[3:, 3:] += mount @ (arm.payload.inertia or np.zeros((3, 3))) @ mount.T
+    result = np.zeros((len(beams), 6, 6))
+    rotations = zero_pose_rotations(arm)
+    for i in reversed(range(len(beams))):
+        result[i] = inertia
+        tip = _carry(np.array([arm.links[i].length, 0.0, 0.0]))
+        total = tip.T @ inertia @ tip
+        for mass, position in zip(beams[i].masses, beams[i].positions, strict=True):
+            point = _carry(position)[:3]
+            total += mass * point.T @ point
+        total[3, 3] += beams[i].polar.sum()
+        rotation = np.kron(np.eye(2), rotations[i])
+        inertia = rotation @ total @ rotation.T
+    return result
+
+
+def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
+    """Angular frequencies (k,) rad/s, ascending, and shapes (k, k), columns, of a clamped link that carries an inertia.
+
+    The shapes are normalised to unit modal mass including the outboard inertia (6, 6). Coordinates that nothing couples
+    are solved apart: the bending of a round link has two modes of the same frequency, in any two planes, and is given
+    those along y and z, whose integrals vanish more often.
+    """
+    from scipy.linalg import eigh  # takes long to import, and not every use of the package needs it
+
+    tip = np.vstack([beam.tip_translation, beam.tip_rotation])
+    mass, stiffness = beam.mass_matrix + tip.T @ outboard @ tip, beam.stiffness
+    frequencies, shapes, found = np.zeros(len(mass)), np.zeros_like(mass), 0
+    for group in uncoupled(mass, stiffness):
+        block, columns = np.ix_(group, group), slice(found, found + len(group))
+        squares, shapes[group, columns] = eigh(stiffness[block], mass[block])
+        frequencies[columns] = np.sqrt(squares)
+        found += len(group)
+    # rounding must not decide which of two equal ones comes first
+    order = np.argsort([float(f"{frequency:.9g}") for frequency in frequencies], kind="stable")
+    return frequencies[order], shapes[:, order]
+
+
+def uncoupled(*matrices: Array) -> list[np.ndarray]:
+    """Groups of coordinates that symmetric positive definite matrices (k, k) do not couple, rounding left out."""
+    joined = np.zeros(matrices[0].shape, dtype=bool)
+    for matrix in matrices:
+        size = np.sqrt(np.diag(matrix))
+        joined |= np.abs(matrix) > VANISHING * np.outer(size, size)
+    group, before = np.arange(len(joined)), np.full(len(joined), -1)
+    while not np.array_equal(group, before):  # the lowest number spreads over its group
+        before, group = group, np.where(joined, group, len(group)).min(axis=1, initial=len(group))
+    return [np.flatnonzero(group == number) for number in np.unique(group)]
+
+
+def modal_damping(beam: Beam, outboard: Array, ratio: float) -> Array:
+    """(k, k) damping matrix of a link that gives each of its loaded modes the same damping ratio."""
+    if len(beam.stiffness) == 0:
+        return np.zeros((0, 0))
+    frequencies, shapes = loaded_modes(beam, outboard)
+    # K shape / frequency^2 is the loaded mass matrix times the shape, the inverse of the shapes.
+    inverse = beam.stiffness @ shapes / frequencies**2
+    return 2.0 * ratio * inverse * frequencies @ inverse.T
+
+
+def _carry(offset: Array) -> Array:
+    """(6, 6) motion of a point at an offset from the motion of the origin: v + w x offset, w."""
+    x, y, z = offset
+    motion = np.eye(6)
+    motion[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+    return motion

@@ -1,0 +1,8 @@
+"""Simulation: models moved through time, one or many, by methods that are data."""
+
+from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.methods import METHODS, generalised_alpha
+from flexman_gym.simulation.simulator import Simulator, simulate
+from flexman_gym.simulation.trajectory import Trajectory
+
+__all__ = ["METHODS", "Batch", "Simulator", "Trajectory", "generalised_alpha", "simulate"]

@@ -1,0 +1,194 @@
+"""Batch: arms of one model that move side by side."""
+
+from collections.abc import Collection
+from typing import NoReturn
+
+import numpy as np
+
+from flexman_gym.arrays import Array
+from flexman_gym.checks import one_of, parts, positive, refusal, whole_number
+from flexman_gym.kernels import layout, outputs
+from flexman_gym.model.model import Model
+from flexman_gym.simulation.methods import LINEARLY_IMPLICIT, Method
+from flexman_gym.simulation.movers import Abreast, OneByOne
+from flexman_gym.simulation.run import Run, find_method, find_tolerance, prescribed_flags
+from flexman_gym.simulation.trajectory import turnover
+
+MOST_ARMS, MOST_THREADS = 65536, 256
+ENERGY = np.isin(np.arange(layout.OUTPUTS), range(layout.KINETIC, layout.OUTPUTS)).astype(float)
+MOVING_ENERGY = np.isin(np.arange(layout.OUTPUTS), range(layout.KINETIC, layout.GRAVITATIONAL)).astype(float)
+
+
+class Batch:
+    """b arms of one model that are moved by one control period at a time, each from its own state, by its own drive.
+
+    The arms share all constants of the model but those that `vary` sets. An arm moves as it would alone, bit for bit.
+
+    Attributes:
+        model, method: the model and the Method.
+        control_period: s.
+        substeps: steps in a control period.
+        rows: (b, 2 d + 2) state and ledger of each arm, see `kernels.layout`; `state`, (b, 2 d), is a view.
+        outputs: (b, OUTPUTS) tip, deflection and energies at that state; columns in `kernels.layout`.
+        status: (b,) int64 of the last step: OK, DIVERGED or NOT_CONVERGED of `kernels.layout`. An arm that failed keeps
+            state and outputs of the end of its last good control period and rests until it is reset.
+        energy_turnover: (b,) the largest since the reset of kinetic + elastic energy, of work and of dissipation, J.
+        nominal: payload_mass (kg), joint_stiffness (n,) N m/rad, joint_damping (n,) N m s/rad, rotor_inertia (n,)
+            kg m^2 of the model, and link_stiffness (n,) ones: what `vary` starts from.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        method: str | Method = "ros2",
+        step: float | None = 0.005,
+        control_period: float = 0.02,
+        rtol: float = 1e-6,
+        atol: float = 1e-9,
+        prescribed: Collection[int] = (),
+        *,
+        arms: int = 1,
+        threads: int = 1,
+    ) -> None:
+        if not isinstance(model, Model):
+            raise refusal("model", model, "a Model, from build_model")
+        self.model = model
+        self.method = find_method(method)
+        self.control_period = positive("control_period", control_period, "s")
+        allowed = "a number of seconds that divides the control period"
+        self.substeps = 1 if step is None else parts("step", step, self.control_period, allowed)
+        n, count = model.n_joints, whole_number("arms", arms, 1, MOST_ARMS)
+        whole_number("threads", threads, 1, MOST_THREADS)
+        joints = [whole_number("prescribed", joint, 0, n - 1) for joint in prescribed]
+        tolerance = find_tolerance(self.method, step, rtol, atol)
+        period = self.control_period, self.substeps
+        self._mover: OneByOne | Abreast
+        if self.method.kind == LINEARLY_IMPLICIT and tolerance is None:
+            constants = model.constants._replace(prescribed=prescribed_flags(n, joints))
+            self._mover = Abreast(constants, self.method, period, count, threads)
+        else:
+            self._mover = OneByOne([Run(model, self.method, tolerance, joints) for _ in range(count)], period)
+        self.rows = np.zeros((count, 2 * model.n_dof + 2))
+        self.state = self.rows[:, :-2]
+        self.outputs = np.zeros((count, layout.OUTPUTS))
+        self.status = np.zeros(count, dtype=np.int64)
+        self._periods = np.zeros(count)  # since the reset
+        self.energy_turnover, self._start_energy = np.zeros(count), np.zeros(count)
+        constants = model.constants
+        self.nominal: dict[str, float | Array] = {
+            "payload_mass": float(constants.payload_mass[0]),
+            "joint_stiffness": constants.joint_stiffness.copy(),
+            "joint_damping": constants.joint_damping.copy(),
+            "rotor_inertia": constants.rotor_inertia.copy(),
+            "link_stiffness": np.ones(n),
+        }
+        self._parameters = {name: np.array([value] * count) for name, value in self.nominal.items()}
+        self.reset(np.arange(count), np.zeros((count, 2 * model.n_dof)))
+
+    def reset(self, arms: np.ndarray, states: Array) -> None:
+        """Starts the arms with the indices (r,) anew, at time 0 and at states (r, 2 d)."""
+        self.rows[arms, :-2], self.rows[arms, -2:] = states, 0.0
+        self.status[arms] = layout.OK
+        self._periods[arms] = 0.0
+        self._mover.observe(arms, self.rows, self.outputs)
+        self._start_energy[arms] = self._energy()[arms]
+        self.energy_turnover[arms] = self._turned_over()[arms]
+
+    def step(self, drive: Array) -> None:
+        """Moves all arms that have not failed by one control period, during which their drive (b, n + 6) is constant.
+
+        The drive holds torques (accelerations where the motion is prescribed), tip force and base acceleration as
+        `kernels.layout` has it; it is not checked.
+        """
+        self._mover.move(drive, self._periods, self.rows, self.outputs, self.status)
+        self._periods += self.status == layout.OK
+        np.maximum(self.energy_turnover, self._turned_over(), out=self.energy_turnover)
+
+    def rigid_tips(self, states: Array) -> Array:
+        """(r, 3) m: tips, in the base frame, of the rigid arm at the motor angles of states (r, 2 d)."""
+        tips = np.empty((len(states), 3))
+        outputs.rigid_tips(self.model.constants, states, tips)
+        return tips
+
+    def __reduce__(self) -> NoReturn:
+        raise TypeError(
+            "a Batch cannot be copied or pickled, nor what holds one: make another and reset it to the state"
+        )
+
+    def vary(self, arms: np.ndarray, **parameters: Array) -> None:
+        """Gives the arms with the indices (r,) other physical parameters than the model's; nothing else of it changes.
+
+        They act from the next step on, and the energies from the next reset on, which should follow at once. Elements
+        and modes stay those of the model, modal damping keeps its ratio.
+
+        Args:
+            arms: indices.
+            parameters: payload_mass (r,) kg, with which the payload's inertia grows; joint_stiffness (r, n) N m/rad,
+                joint_damping (r, n) N m s/rad, rotor_inertia (r, n) kg m^2; link_stiffness (r, n), factors on the
+                elastic moduli of each link, which leave a rigid link as it is.
+
+        Raises:
+            ValueError: for another name or shape, numbers that are not finite, below zero, or zero where an arm needs
+                more, and values other than the model's for stiffness or damping of a rigid joint.
+        """
+        checked = {name: self._parameter(name, value, len(arms)) for name, value in parameters.items()}
+        for name, values in checked.items():
+            self._parameters[name][arms] = values
+        for i in arms:
+            self._mover.vary(i, self._varied(i))
+
+    def _parameter(self, name: str, value: Array, count: int) -> Array:
+        """The values (count, ...) of a parameter, checked."""
+        nominal = np.asarray(self.nominal[one_of("parameters", name, self.nominal)])
+        values = np.asarray(value)
+        allowed = f"finite numbers >= 0, of shape {(count, *nominal.shape)}"
+        if values.shape != (count, *nominal.shape) or values.dtype.kind not in "fiu":
+            raise refusal(name, value, allowed)
+        if not (np.isfinite(values).all() and (values >= 0.0).all()):
+            raise refusal(name, value, allowed)
+        rigid = self.model.constants.motor < 0
+        if name in ("joint_stiffness", "joint_damping") and (values != nominal)[:, rigid].any():
+            raise refusal(name, value, f"{nominal[rigid].tolist()} for joints {np.flatnonzero(rigid).tolist()}: rigid")
+        needed = np.isin(name, ("joint_stiffness", "rotor_inertia")) & ~rigid | (name == "link_stiffness")
+        if name != "payload_mass" and (values == 0.0)[:, needed].any():
+            raise refusal(name, value, "numbers > 0 where a link or joint is flexible")
+        return values.astype(float)
+
+    def _varied(self, arm: int) -> dict[str, Array]:
+        """The constants of one arm that its parameters change."""
+        nominal, model = self.model.constants, self.model
+        own = {name: values[arm] for name, values in self._parameters.items()}
+        heavier = own["payload_mass"] / nominal.payload_mass[0] if nominal.payload_mass[0] > 0.0 else 0.0
+        factor = np.ones(len(nominal.stiffness))
+        sizes = np.diff(nominal.square_start)
+        factor[: nominal.square_start[-1]] = np.repeat(own["link_stiffness"], sizes)
+        stiffness = factor * nominal.stiffness
+        return {
+            "payload_mass": own["payload_mass"].reshape(1),
+            "payload_inertia": heavier * nominal.payload_inertia,
+            "joint_stiffness": own["joint_stiffness"].copy(),
+            "joint_damping": own["joint_damping"].copy(),
+            "rotor_inertia": own["rotor_inertia"].copy(),
+            "carried_inertia": own["rotor_inertia"] * model.choice.spinning_rotors,
+            "stiffness": stiffness,
+            "damping": model.arm.stiffness_proportional_damping * stiffness + np.sqrt(factor) * model.modal_damping,
+        }
+
+    @property
+    def time(self) -> Array:
+        """(b,) seconds since the reset."""
+        return self._periods * self.control_period
+
+    @property
+    def energy_residual(self) -> Array:
+        """(b,) work - dissipation - change of energy since the reset, J; see `Trajectory`."""
+        return self.rows[:, -2] - self.rows[:, -1] - (self._energy() - self._start_energy)
+
+    def _energy(self) -> Array:
+        return np.vecdot(self.outputs, ENERGY)  # arm by arm, so that its bits do not depend on how many there are
+
+    def _turned_over(self) -> Array:
+        return turnover(np.vecdot(self.outputs, MOVING_ENERGY), self.rows[:, -2], self.rows[:, -1])

@@ -1,0 +1,138 @@
+"""Movers: how the arms of a batch are moved, one by one by any method or several abreast by linearly implicit ones.
+
+A mover has `vary(arm, constants)`, which gives an arm constants of its own; `observe(arms, rows, outputs)`, which reads
+the outputs off the rows of some arms; and `move(drives, periods, rows, outputs, status)`, which moves the arms whose
+status is OK by one control period, `periods` (b,) after their start, and sets the status of those that fail.
+"""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from flexman_gym.arrays import Array
+from flexman_gym.kernels import arms as kernels
+from flexman_gym.kernels import layout
+from flexman_gym.kernels.arms import PER_ARM, addresses, arms_array
+from flexman_gym.kernels.lanes import ARMS, NUMBER
+from flexman_gym.kernels.layout import ARMS_ABREAST, Clock, Constants, IntArray, make_work
+from flexman_gym.scene.drive import drive_table
+from flexman_gym.simulation.methods import Method
+from flexman_gym.simulation.run import Run
+
+SHARE = 8  # groups that are worth a thread: to wake one takes as long as to move two or three
+
+
+class OneByOne:
+    """Arms moved by a `Run` each."""
+
+    def __init__(self, runs: list[Run], period: tuple[float, int]) -> None:
+        self._runs = runs
+        self._step, self._substeps = period[0] / period[1], period[1]
+        self._period = period[0]
+        self._drive = drive_table([None] * (len(runs[0].constants.mass) + 6))
+
+    def vary(self, arm: int, constants: dict[str, Any]) -> None:
+        """Gives an arm constants of its own."""
+        self._runs[arm].constants = self._runs[arm].constants._replace(**constants)
+
+    def observe(self, arms: IntArray, rows: Array, outputs: Array) -> None:
+        """Reads the outputs of some arms."""
+        for arm in arms:
+            self._runs[arm].start(rows[arm], rows[arm].copy(), outputs[arm])
+
+    def move(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
+        """Moves the arms whose status is OK."""
+        row, found = np.zeros((1, rows.shape[1])), np.zeros((1, layout.OUTPUTS))
+        for arm in np.flatnonzero(status == layout.OK):
+            self._drive[layout.OFFSET] = drives[arm]
+            moment, state = (periods[arm] * self._period, self._step, self._substeps), rows[arm].copy()
+            status[arm] = self._runs[arm](self._drive, moment, state, row, found)[0]
+            if status[arm] == layout.OK:
+                rows[arm], outputs[arm] = state, found[0]
+
+
+class Abreast:
+    """Arms moved by fixed steps of a linearly implicit method, ARMS_ABREAST of them in one pass of the kernels.
+
+    A single arm without foreshortening is moved alone, which takes less time and gives the same bits.
+    """
+
+    def __init__(
+        self, constants: Constants, method: Method, period: tuple[float, int], arms: int, threads: int
+    ) -> None:
+        self._tableau = method.tableau
+        self._clock, self._still = Clock(0.0, period[0] / period[1], period[1], 0.0, 0.0), Clock(0.0, 0.0, 0, 0.0, 0.0)
+        self._alone = arms == 1 and len(constants.station_mass) == 0
+        groups = -(-arms // ARMS_ABREAST)
+        if self._alone:
+            self._constants = [constants._replace(**{name: getattr(constants, name).copy() for name in PER_ARM})]
+            self._works = [make_work(constants)]
+        else:
+            self._constants = [_for_arms(constants) for _ in range(groups)]
+            self._works = [make_work(constants, arms_array) for _ in range(min(threads, -(-groups // SHARE)))]
+        kind = NUMBER if self._alone else ARMS
+        self._tables = np.array([addresses(each, kind) for each in self._constants])
+        self._work_tables = [addresses(each, kind) for each in self._works]
+        bounds = np.linspace(0, groups, len(self._works) + 1).round().astype(int)
+        self._shares = [slice(int(first), int(end)) for first, end in pairwise(bounds)]
+        self._moving = np.zeros(arms, dtype=np.int64)
+        self._pool: ThreadPoolExecutor | None = None
+        self._process = 0
+
+    def vary(self, arm: int, constants: dict[str, Any]) -> None:
+        """Gives an arm constants of its own."""
+        own = self._constants[arm // ARMS_ABREAST]
+        for name, values in constants.items():
+            target = getattr(own, name)
+            (target if self._alone else target[..., arm % ARMS_ABREAST])[...] = values
+
+    def observe(self, arms: IntArray, rows: Array, outputs: Array) -> None:
+        """Reads the outputs of some arms, by a run of no steps."""
+        self._moving[:] = 0
+        self._moving[arms] = 1
+        self._advance(np.zeros((len(rows), len(self._constants[0].mass) + 6)), self._still, rows, outputs)
+
+    def move(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
+        """Moves the arms whose status is OK."""
+        np.equal(status, layout.OK, out=self._moving, casting="unsafe")
+        self._advance(drives, self._clock, rows, outputs)
+        failed = (status == layout.OK) & (self._moving == 0)
+        if failed.any():
+            status[failed] = layout.DIVERGED
+
+    def _advance(self, drives: Array, clock: Clock, rows: Array, outputs: Array) -> None:
+        if self._alone:
+            kernels.advance_one(
+                self._tables[0], self._work_tables[0], self._tableau, drives, clock, rows, outputs, self._moving
+            )
+            return
+
+        def share(thread: int) -> None:
+            groups = self._shares[thread]
+            arms = slice(groups.start * ARMS_ABREAST, groups.stop * ARMS_ABREAST)
+            kernels.advance_arms(
+                self._tables[groups], self._work_tables[thread], self._tableau,
+                drives[arms], clock, rows[arms], outputs[arms], self._moving[arms],
+            )  # fmt: skip
+
+        others = [self._threads().submit(share, thread) for thread in range(1, len(self._shares))]
+        share(0)
+        for each in others:
+            each.result()
+
+    def _threads(self) -> ThreadPoolExecutor:
+        """The threads beside the calling one; a forked process has none of its parent's."""
+        if self._pool is None or self._process != os.getpid():
+            self._pool, self._process = ThreadPoolExecutor(len(self._shares) - 1), os.getpid()
+        return self._pool
+
+
+def _for_arms(constants: Constants) -> Constants:
+    """The constants of ARMS_ABREAST arms, all alike."""
+    own: dict[str, Any] = {name: arms_array(getattr(constants, name).shape) for name in PER_ARM}
+    for name, values in own.items():
+        values[:] = getattr(constants, name)[..., None]
+    return constants._replace(**own)

@@ -1,0 +1,95 @@
+"""Run: a method bound to a model and its work space, as a call that moves a state through time."""
+
+from collections.abc import Collection
+
+import numpy as np
+
+from flexman_gym.arrays import Array
+from flexman_gym.checks import one_of, positive, refusal
+from flexman_gym.kernels import layout, outputs, steppers
+from flexman_gym.kernels.layout import Clock, IntArray, Work, make_work
+from flexman_gym.model.model import Model
+from flexman_gym.scene.drive import drive_table
+from flexman_gym.simulation.methods import IMPLICIT, LINEARLY_IMPLICIT, METHODS, Method
+
+
+def find_method(method: object) -> Method:
+    """The method of that name, or itself; raises ValueError with the names there are."""
+    return method if isinstance(method, Method) else METHODS[one_of("method", method, METHODS)]
+
+
+def find_tolerance(method: Method, step: float | None, rtol: float, atol: float) -> tuple[float, float] | None:
+    """The tolerance of a method that chooses its steps, None for one that is held to a fixed step."""
+    given = positive("rtol", rtol), positive("atol", atol)
+    if step is None and not method.estimates:
+        raise refusal("step", None, f"a number > 0 (s): {method.name} takes fixed steps")
+    return given if step is None or method.adaptive else None
+
+
+def prescribed_flags(joints: int, prescribed: Collection[int]) -> IntArray:
+    """(joints,) 1 where the motion of a joint's motor is prescribed, 0 elsewhere."""
+    return np.isin(np.arange(joints), list(prescribed)).astype(np.int64)
+
+
+class Run:
+    """A method bound to a model; `tolerance` (rtol, atol) lets it choose its steps, None holds it to the clock's.
+
+    A call with the drive's table (6, n + 6), a clock without tolerance, a state with its ledger (2 d + 2,), rows
+    (r, 2 d + 2) and outputs (r, OUTPUTS) advances the state in place and fills the rows. It returns the status, the
+    rows that are valid and the number of evaluations.
+    """
+
+    def __init__(
+        self, model: Model, method: Method, tolerance: tuple[float, float] | None, prescribed: Collection[int]
+    ) -> None:
+        self.constants = model.constants._replace(prescribed=prescribed_flags(model.n_joints, prescribed))
+        self.work: Work = make_work(model.constants)
+        self.method = method
+        self.tolerance = tolerance or (0.0, 0.0)
+        self._at_rest = drive_table([None] * (model.n_joints + 6))
+        self._coefficients = method.averages if method.kind == IMPLICIT else method.tableau
+
+    def __call__(
+        self, drive: Array, moment: tuple[float, float, int], state: Array, rows: Array, found: Array
+    ) -> tuple[int, int, int]:
+        clock = Clock(*moment, *self.tolerance)
+        if self.method.by_scipy:
+            return self._by_scipy(drive, clock, state, rows, found)
+        arguments = (self.constants, self.work, self._coefficients, drive, clock, state, rows, found)
+        if self.method.kind == LINEARLY_IMPLICIT:
+            return steppers.run_linearly_implicit(*arguments)
+        if self.method.kind == IMPLICIT:
+            return steppers.run_implicit(*arguments)
+        return steppers.run_explicit(*arguments)
+
+    def start(self, state: Array, row: Array, found: Array) -> None:
+        """Records the state as it is, by a run of no steps, which also loads or compiles the kernels."""
+        self.work.pace[0] = self.work.stages[:] = 0.0
+        self(self._at_rest, (0.0, 0.0, 0), state, row[None], found[None])
+
+    def _by_scipy(self, drive: Array, clock: Clock, state: Array, rows: Array, found: Array) -> tuple[int, int, int]:
+        """The same by SciPy's implicit Runge-Kutta method of Radau, which differentiates the slopes numerically."""
+        from scipy.integrate import solve_ivp  # takes long to import, for a method that few use
+
+        d, times = len(state) // 2 - 1, clock.time + clock.step * clock.substeps * np.arange(1.0, len(rows) + 1.0)
+        valid, evaluations = len(rows), 0
+        if clock.substeps > 0:
+
+            def slope(time: float, values: Array) -> Array:
+                out = np.zeros(len(values))
+                steppers.derivative(self.constants, self.work, drive, time, values, out)
+                return out
+
+            span = (clock.time, times[-1])
+            done = solve_ivp(slope, span, state, "Radau", times, rtol=clock.rtol, atol=clock.atol)
+            valid, evaluations = len(done.t), done.nfev
+            rows[:valid] = done.y.T
+        else:
+            rows[:] = state
+        for row, out in zip(rows[:valid], found, strict=False):
+            outputs.observe(self.constants, self.work, row[:d], row[d : 2 * d], out)
+        if valid:
+            state[:] = rows[valid - 1]
+        bounded = bool((np.abs(state[: 2 * d]) <= layout.LARGEST_STATE).all())
+        status = layout.OK if valid == len(rows) else layout.NOT_CONVERGED
+        return (status if bounded else layout.DIVERGED), valid, evaluations

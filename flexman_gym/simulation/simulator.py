@@ -1,0 +1,241 @@
+"""The simulator: a model moved through time, as a whole scene or one control period after another."""
+
+import time as clock
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from flexman_gym.arrays import Array
+from flexman_gym.checks import WHOLE, parts, positive, refusal, vector
+from flexman_gym.kernels import layout
+from flexman_gym.kernels.layout import STATUS
+from flexman_gym.model.model import Model, scene_model
+from flexman_gym.scene.scene import Scene
+from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.methods import Method
+from flexman_gym.simulation.run import Run, find_method, find_tolerance, prescribed_flags
+from flexman_gym.simulation.trajectory import Trajectory, trajectory
+
+
+def simulate(
+    scene: Scene,
+    model: Model | None = None,
+    method: str | Method = "auto",
+    step: float | None = None,
+    rtol: float = 1e-6,
+    atol: float = 1e-9,
+) -> Trajectory:
+    """Simulates a scene.
+
+    Args:
+        scene: arm, torque, initial state, duration.
+        model: None takes what the scene says.
+        method: a Method or a name from `METHODS`; "auto" takes "ros2" where a step is given and the reference "dop853"
+            where not.
+        step: s. It divides the output step of the scene or is a multiple of it; in the latter case there is an output
+            after every step. None lets a method that estimates its error choose its steps; a reference always does, and
+            takes the step as its first guess.
+        rtol, atol: relative and absolute local error, of a method that chooses its steps.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed.
+    """
+    if not isinstance(scene, Scene):
+        raise refusal("scene", scene, "a Scene")
+    model = scene_model(scene) if model is None else model
+    if not isinstance(model, Model):
+        raise refusal("model", model, "a Model, from build_model")
+    if model.n_joints != scene.arm.n_joints:
+        raise refusal("model", f"{model.n_joints} joints", f"a model of the scene's arm, {scene.arm.n_joints} joints")
+    automatic = "dop853" if step is None else "ros2"
+    chosen = find_method(automatic if isinstance(method, str) and method == "auto" else method)
+    interval, substeps = _output_interval(chosen, step, scene.output_step)
+    rows = parts("step", interval, scene.duration, "a number of seconds that divides the duration")
+    prescribed = [i for i, motion in enumerate(scene.prescribed or ()) if motion is not None]
+    run = Run(model, chosen, find_tolerance(chosen, step, rtol, atol), prescribed)
+    state = np.append(model.initial_state(scene.initial.joint_angles, scene.initial.joint_rates), [0.0, 0.0])
+    states, outputs = np.zeros((rows + 1, len(state))), np.zeros((rows + 1, layout.OUTPUTS))
+    run.start(state, states[0], outputs[0])
+    started = clock.perf_counter()
+    moment = (0.0, interval / substeps, substeps)
+    status, valid, evaluations = run(scene.drive, moment, state, states[1:], outputs[1:])
+    elapsed = clock.perf_counter() - started
+    outcome = (STATUS[status], evaluations, elapsed)
+    return trajectory(model, interval, states[: valid + 1], outputs[: valid + 1], outcome)
+
+
+class Simulator:
+    """A model that is moved by one control period at a time, under torques that are constant during it.
+
+    Motors (joints where they are rigid) in `prescribed` follow accelerations instead of torques.
+
+    Attributes:
+        batch: the Batch of this one arm.
+        model, method, control_period, substeps: its.
+        state: (2 d,) coordinates and speeds, a view that `step` updates; order in `kernels.layout`.
+        outputs: (OUTPUTS,) tip, deflection and energies at that state; columns in `kernels.layout`.
+        time: s since the reset.
+        energy_turnover: the largest since the reset of kinetic + elastic energy, of work and of dissipation, J.
+        status: of the last step, "ok", "diverged" or "not converged". After a failure state and outputs are those at
+            the end of the last good control period, and only a reset leads on.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        method: str | Method = "ros2",
+        step: float | None = 0.005,
+        control_period: float = 0.02,
+        rtol: float = 1e-6,
+        atol: float = 1e-9,
+        prescribed: Collection[int] = (),
+    ) -> None:
+        self.batch = Batch(model, method, step, control_period, rtol, atol, prescribed)
+        self.model, self.method = self.batch.model, self.batch.method
+        self.control_period, self.substeps = self.batch.control_period, self.batch.substeps
+        self.state, self.outputs = self.batch.state[0], self.batch.outputs[0]
+        self._prescribed = prescribed_flags(model.n_joints, prescribed) > 0
+        self._drive = np.zeros((1, model.n_joints + 6))
+
+    def reset(
+        self,
+        joint_angles: Sequence[float] | Array | None = None,
+        joint_rates: Sequence[float] | Array | None = None,
+        state: Sequence[float] | Array | None = None,
+    ) -> None:
+        """Starts anew at time 0, undeformed at joint angles (n,) rad and rates (n,) rad/s, or at a whole state (2 d,).
+
+        Angles and rates are zero by default; a state excludes them.
+
+        Raises:
+            ValueError: wrong shape, a value that is not finite, or both ways at once.
+        """
+        if state is not None:
+            if joint_angles is not None or joint_rates is not None:
+                raise refusal("state", "given with joint_angles or joint_rates", "one of the two")
+            start = np.array(vector("state", state, 2 * self.model.n_dof))
+        else:
+            angles = np.zeros(self.model.n_joints) if joint_angles is None else joint_angles
+            start = self.model.initial_state(angles, joint_rates)
+        self.batch.reset(np.zeros(1, dtype=np.int64), start[None])
+
+    def step(
+        self,
+        torque: Sequence[float] | Array,
+        acceleration: Sequence[float] | Array | None = None,
+        tip_force: Sequence[float] | Array | None = None,
+        base_acceleration: Sequence[float] | Array | None = None,
+    ) -> str:
+        """Moves on by one control period, during which everything that drives the arm is constant.
+
+        Args:
+            torque: (n,) of the motors, N m; 0 where the motion is prescribed.
+            acceleration: (n,) of the motors whose motion is prescribed, rad/s^2, and 0 elsewhere; None for zeros.
+            tip_force: (3,) on the tip of the last link, base frame, N; None for none.
+            base_acceleration: (3,) of the base, base frame, m/s^2; None for none.
+
+        Returns the status.
+
+        Raises:
+            ValueError: wrong shape, a value that is not finite, or a torque on a joint whose motion is prescribed.
+            RuntimeError: after a failed step, until the next reset.
+        """
+        if self.status != STATUS[layout.OK]:
+            raise RuntimeError(f"the simulation is over, it {self.status}: reset it first")
+        n, drive = self.model.n_joints, self._drive[0]
+        drive[:n] = _numbers("torque", torque, n, "N m")
+        if self._prescribed.any() or acceleration is not None:
+            self._prescribe(drive[:n], acceleration)
+        drive[n : n + 3] = 0.0 if tip_force is None else _numbers("tip_force", tip_force, 3, "N")
+        drive[n + 3 :] = 0.0
+        if base_acceleration is not None:
+            drive[n + 3 :] = _numbers("base_acceleration", base_acceleration, 3, "m/s^2")
+        self.batch.step(self._drive)
+        return self.status
+
+    def _prescribe(self, drive: Array, acceleration: Sequence[float] | Array | None) -> None:
+        """Writes the accelerations of prescribed motors over their torques, which must be zero."""
+        given = np.zeros(len(drive)) if acceleration is None else acceleration
+        given = _numbers("acceleration", given, len(drive), "rad/s^2")
+        for i in np.flatnonzero(self._prescribed & (drive != 0.0)):
+            raise refusal(f"torque[{i}]", float(drive[i]), "0 (N m): the motion of this joint is prescribed")
+        for i in np.flatnonzero(~self._prescribed & (given != 0.0)):
+            allowed = "0 (rad/s^2): the motion of this joint is not prescribed"
+            raise refusal(f"acceleration[{i}]", float(given[i]), allowed)
+        drive[self._prescribed] = given[self._prescribed]
+
+    @property
+    def status(self) -> str:
+        """Of the last step: "ok", "diverged" or "not converged"."""
+        return STATUS[self.batch.status[0]]
+
+    @property
+    def time(self) -> float:
+        """Seconds since the reset."""
+        return float(self.batch.time[0])
+
+    @property
+    def energy_turnover(self) -> float:
+        """The largest since the reset of kinetic + elastic energy, of work and of dissipation, J."""
+        return float(self.batch.energy_turnover[0])
+
+    @property
+    def tip(self) -> Array:
+        """(3,) tip position in the base frame, m."""
+        return self.outputs[layout.TIP]
+
+    @property
+    def tip_velocity(self) -> Array:
+        """(3,) tip velocity in the base frame, m/s."""
+        return self.outputs[layout.TIP_VELOCITY]
+
+    @property
+    def deflection(self) -> Array:
+        """(3,) tip relative to the tip of the rigid arm at the motor angles, m."""
+        return self.outputs[layout.DEFLECTION]
+
+    @property
+    def deflection_rate(self) -> Array:
+        """(3,) tip velocity relative to that of the rigid arm at the motor angles and rates, m/s."""
+        return self.outputs[layout.DEFLECTION_RATE]
+
+    @property
+    def elastic_energy(self) -> float:
+        """Elastic energy of links and joints, J."""
+        return float(self.outputs[layout.LINK_ENERGY] + self.outputs[layout.JOINT_ENERGY])
+
+    @property
+    def energy(self) -> float:
+        """Kinetic, elastic and gravitational energy, the last zero at the base origin, J."""
+        return float(self.outputs[layout.KINETIC :].sum())
+
+    @property
+    def energy_residual(self) -> float:
+        """Work - dissipation - change of energy since the reset, J; see `Trajectory`."""
+        return float(self.batch.energy_residual[0])
+
+
+def _numbers(name: str, value: Sequence[float] | Array, count: int, unit: str) -> Array:
+    """The value as an array of finite numbers."""
+    values = np.asarray(value)
+    if values.shape != (count,) or values.dtype.kind not in "fiu" or not np.isfinite(values).all():
+        raise refusal(name, value, f"{count} finite numbers ({unit})")
+    return values
+
+
+def _output_interval(method: Method, step: float | None, output_step: float) -> tuple[float, int]:
+    """Time between outputs and the number of steps in it."""
+    if step is None:
+        return output_step, 1
+    allowed = "a number of seconds that divides, or is a multiple of, the output step"
+    if method.adaptive:
+        return output_step, max(1, round(output_step / positive("step", step, "s")))
+    if positive("step", step, "s") <= output_step:
+        return output_step, parts("step", step, output_step, allowed)
+    multiple = step / output_step
+    if abs(multiple - round(multiple)) > WHOLE * multiple:
+        raise refusal("step", step, f"{allowed}, {output_step} s")
+    return step, 1

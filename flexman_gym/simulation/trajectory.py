@@ -1,0 +1,95 @@
+"""Trajectory: the solution of a scene at its output times, with the audit of its energy."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from flexman_gym.arrays import Array
+from flexman_gym.checks import positive
+from flexman_gym.kernels import layout
+from flexman_gym.model.model import Model
+
+ENERGY_ALARM = 0.01  # of the energy turned over
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """The solution of a scene at T output times; after a divergence only the times before it. SI units, radians.
+
+    Attributes:
+        time: (T,) s.
+        tip, tip_velocity: (T, 3) in the base frame.
+        joint_angles, motor_angles: (T, n) link side and motor side; equal where a joint is rigid.
+        energy: (T,) kinetic + elastic (links and joints) + gravitational, the last zero at the base origin; J.
+        moving_energy: (T,) its kinetic and elastic part, J.
+        work, dissipation: (T,) work of motors, tip force and base acceleration since the start, and energy lost in
+            dampers and friction, J. Energies are those relative to the base.
+        states: (T, 2 d); the order is that of `kernels.layout`.
+        deflection: (T, 3) tip relative to the tip of the rigid arm at the motor angles.
+        status: "ok", "diverged" or "not converged".
+        evaluations: of the accelerations.
+        wall_seconds: spent in the integrator, without compilation.
+    """
+
+    time: Array
+    tip: Array
+    tip_velocity: Array
+    joint_angles: Array
+    motor_angles: Array
+    energy: Array
+    moving_energy: Array
+    work: Array
+    dissipation: Array
+    states: Array
+    deflection: Array
+    status: str
+    evaluations: int
+    wall_seconds: float
+
+    @property
+    def energy_residual(self) -> Array:
+        """(T,) work - dissipation - change of energy, J: what the integrator invented or lost."""
+        return self.work - self.dissipation - (self.energy - self.energy[0])
+
+    @property
+    def energy_turnover(self) -> Array:
+        """(T,) the largest so far of kinetic + elastic energy, of work and of dissipation, J."""
+        parts = turnover(self.moving_energy, self.work, self.dissipation)
+        return np.maximum.accumulate(parts)
+
+    def energy_alarm(self, level: float = ENERGY_ALARM) -> float | None:
+        """The first time (s) at which the residual exceeds `level` times the energy turned over until the end, or None.
+
+        Raises ValueError for a level that is not a number > 0.
+        """
+        limit = positive("level", level) * self.energy_turnover[-1]
+        late = np.flatnonzero(np.abs(self.energy_residual) > limit)
+        return float(self.time[late[0]]) if late.size else None
+
+
+def turnover(moving_energy: Array | float, work: Array | float, dissipation: Array | float) -> Array:
+    """The largest of the three, in absolute value: the scale of an error of the energy, J."""
+    return np.maximum(np.maximum(moving_energy, np.abs(work)), np.abs(dissipation))
+
+
+def trajectory(
+    model: Model, interval: float, states: Array, outputs: Array, outcome: tuple[str, int, float]
+) -> Trajectory:
+    """From rows of states with their ledger (T, 2 d + 2) and of outputs (T, OUTPUTS) at equal intervals (s)."""
+    size = 2 * model.n_dof
+    return Trajectory(
+        time=interval * np.arange(len(states), dtype=np.float64),
+        tip=outputs[:, layout.TIP],
+        tip_velocity=outputs[:, layout.TIP_VELOCITY],
+        joint_angles=states[:, : model.n_joints],
+        motor_angles=states[:, model.motor_columns],
+        energy=outputs[:, layout.KINETIC :].sum(axis=1),
+        moving_energy=outputs[:, layout.KINETIC : layout.GRAVITATIONAL].sum(axis=1),
+        work=states[:, size],
+        dissipation=states[:, size + 1],
+        states=states[:, :size],
+        deflection=outputs[:, layout.DEFLECTION],
+        status=outcome[0],
+        evaluations=outcome[1],
+        wall_seconds=outcome[2],
+    )

@@ -1,0 +1,1 @@
+"""Studies: published evidence about the package, which nothing in it imports."""

@@ -1,0 +1,1 @@
+"""Benchmark: what steps, training and starts cost beside peers."""

@@ -1,0 +1,1 @@
+"""Fidelity: are the choices of models right, and are they cheap?"""

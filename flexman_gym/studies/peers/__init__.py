@@ -1,0 +1,1 @@
+"""Peers: the same arm in other codes."""

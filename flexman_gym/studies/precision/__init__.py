@@ -1,0 +1,1 @@
+"""Precision: error of the tip over cost, of all methods and models."""

@@ -1,0 +1,1 @@
+"""Stability: where methods fail, and what they damp."""

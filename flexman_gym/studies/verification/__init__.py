@@ -1,0 +1,1 @@
+"""Verification: numbers that are known from elsewhere, beside what the package computes."""

@@ -1,0 +1,151 @@
+"""Draw: the lines of an arm end where the simulator puts its tip, and pictures show what they are given."""
+
+import sys
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from flexman_gym.draw.frames import FramePainter, arm_frame, arm_lines, paper_figures
+from flexman_gym.model.model import build_model
+from flexman_gym.scene import catalog
+from flexman_gym.scene.drive import ConstantTorque
+from flexman_gym.scene.scene import Initial, ModelChoice, Scene
+from flexman_gym.simulation.simulator import Simulator, simulate
+
+ARM = catalog.paper_rrr()
+ANGLES = (0.4, 0.5, -0.8)
+
+
+def trajectory(flexible_links, flexible_joints, output_step=0.01, arm=ARM):
+    n = arm.n_joints
+    choice = ModelChoice(flexible_links, 1, flexible_joints=flexible_joints)
+    start = Initial((0.0,) * n, (0.0,) * n)
+    return simulate(Scene(arm, choice, ConstantTorque((400.0,) * n), start, 0.05, output_step), method="rk4", step=1e-5)
+
+
+@pytest.fixture(scope="module")
+def cases():
+    return [trajectory(False, False), trajectory(True, False), trajectory(True, True)]
+
+
+@pytest.mark.parametrize("modes", [None, 4, 0])
+@pytest.mark.parametrize("elements", [1, 3])
+@pytest.mark.parametrize("stiffening", [False, True])
+def test_the_lines_of_a_deformed_arm_end_at_its_tip(stiffening, elements, modes):
+    model = build_model(ARM, elements=elements, modes=modes, stiffening=stiffening)
+    simulator = Simulator(model)
+    state = simulator.state.copy()
+    state[: model.n_dof] = np.random.default_rng(1).normal(0.0, 0.1, model.n_dof)
+    simulator.reset(state=state)
+    lines = arm_lines(model, state)
+    assert np.allclose(lines[-1, -1], simulator.tip, rtol=0.0, atol=1e-12)
+    assert np.array_equal(lines[1:, 0], lines[:-1, -1])
+
+
+def test_the_lines_follow_a_simulation(cases):
+    model = build_model(ARM, elements=1)
+    for state, tip in zip(cases[2].states, cases[2].tip, strict=True):
+        assert np.allclose(arm_lines(model, state)[-1, -1], tip, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("flexible", [True, False, (False, True, False)])
+def test_the_lines_of_an_undeformed_arm_are_straight(flexible):
+    model = build_model(ARM, flexible_links=flexible)
+    points = 7
+    lines = arm_lines(model, model.initial_state(ANGLES), points)
+    assert lines.shape == (3, points, 3)
+    for line, link in zip(lines, ARM.links, strict=True):
+        along = np.linspace(0.0, 1.0, points)[:, None]
+        assert np.allclose(line, line[0] + along * (line[-1] - line[0]), rtol=0.0, atol=1e-13)
+        assert np.linalg.norm(line[-1] - line[0]) == pytest.approx(link.length, rel=1e-13)
+
+
+def test_a_tip_load_bends_a_link_into_the_cubic_of_a_cantilever():
+    """w(x) = w(L) (3 (x/L)^2 - (x/L)^3) / 2, on a mesh of any number of elements."""
+    arm = catalog.one_link()
+    model = build_model(arm, elements=3)
+    stiffness = model.constants.stiffness[: 18 * 18].reshape(18, 18)
+    load = np.zeros(18)
+    load[13] = 1.0  # v of the last node
+    state = model.initial_state([0.0])
+    state[model.elastic_columns(0)] = np.linalg.solve(stiffness, load)
+    x, y, z = arm_lines(model, state, points=20)[0].T
+    link, along = arm.links[0], np.linspace(0.0, 1.0, 20)
+    sag = link.length**3 / (3.0 * link.youngs_modulus * link.second_moment_z)
+    assert np.allclose(y, sag * (3.0 * along**2 - along**3) / 2.0, rtol=1e-9, atol=0.0)
+    assert np.allclose(x, link.length * along) and np.allclose(z, 0.0)
+
+
+@pytest.mark.parametrize("size", [(480, 360), (333, 217), (200, 500)])
+def test_a_frame_has_the_size_asked_for_and_is_not_blank(size):
+    model = build_model(ARM, modes=2)
+    frame = arm_frame(model, model.initial_state(ANGLES), (5.0, 1.0, 2.0), size)
+    assert frame.shape == (size[1], size[0], 3) and frame.dtype == np.uint8
+    assert len(np.unique(frame.reshape(-1, 3), axis=0)) > 20
+
+
+def test_a_painter_shows_state_and_target_and_forgets_the_last_frame():
+    model = build_model(ARM, modes=2)
+    painter = FramePainter(model)
+    straight, raised = model.initial_state((0.0, 0.0, 0.0)), model.initial_state(ANGLES)
+    bent = straight.copy()
+    bent[model.elastic_columns(1)] = 0.5
+    first = painter.paint(straight)
+    kept = first.copy()
+    for other in (painter.paint(raised), painter.paint(bent), painter.paint(straight, (5.0, 1.0, 2.0))):
+        assert (other != first).any()
+    assert np.array_equal(first, kept), "a later frame wrote into an earlier one"
+    assert np.array_equal(painter.paint(straight), first)
+
+
+def test_nothing_of_the_arm_is_cut_off_above_the_ground():
+    """A border of the picture stays white, but for the note in the corner, wherever the arm points."""
+    model = build_model(ARM, modes=0)
+    painter = FramePainter(model)
+    for turn in np.linspace(0.0, 2 * np.pi, 9):
+        for angles in ((turn, 0.0, 0.0), (turn, np.pi / 2, 0.0), (turn, np.pi / 4, 0.0)):
+            frame = painter.paint(model.initial_state(angles))
+            assert (frame[:3] == 255).all() and (frame[:, :3] == 255).all() and (frame[:, -3:] == 255).all()
+
+
+def test_bad_input_is_refused_in_one_line():
+    model = build_model(ARM, modes=0)
+    state = model.initial_state(ANGLES)
+    painter = FramePainter(model)
+    for field, attempt in {
+        "state": lambda: painter.paint(state[:-1]),
+        "state[0]": lambda: painter.paint(np.full(len(state), np.nan)),
+        "target": lambda: painter.paint(state, (1.0, 2.0)),
+        "points": lambda: arm_lines(model, state, 1),
+        "size": lambda: FramePainter(model, 480),
+        "size[1]": lambda: FramePainter(model, (480, 0)),
+    }.items():
+        with pytest.raises(ValueError) as error:
+            attempt()
+        assert str(error.value).startswith(f"{field}: ") and "\n" not in str(error.value)
+
+
+def test_paper_figures_are_written(cases, tmp_path):
+    paths = paper_figures(*cases, tmp_path / "new" / "folder")
+    assert [path.name for path in paths] == [f"figure_{i:02d}.png" for i in range(6, 12)] + ["paper_figures.png"]
+    for path in paths:
+        picture = imread(path)
+        assert min(picture.shape[:2]) > 300 and len(np.unique(picture)) > 20
+
+
+def test_paper_figures_refuse_what_does_not_fit_together(cases, tmp_path):
+    rigid, links, both = cases
+    with pytest.raises(ValueError, match=r"^flexible_both\.time: .*output times of the rigid case$"):
+        paper_figures(rigid, links, trajectory(True, True, output_step=0.025), tmp_path)
+    planar = trajectory(False, False, arm=catalog.planar_2r())
+    with pytest.raises(ValueError, match=r"^flexible_links\.joint_angles: .*; give 3 joints"):
+        paper_figures(planar, links, both, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_matplotlib_one_line_names_the_extra(cases, monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    for attempt in (lambda: FramePainter(build_model(ARM, modes=0)), lambda: paper_figures(*cases, tmp_path)):
+        with pytest.raises(ImportError, match=r"^pictures need Matplotlib: pip install 'flexman_gym\[render\]'$"):
+            attempt()

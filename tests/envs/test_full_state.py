@@ -1,0 +1,163 @@
+"""Sensors: observations say what the simulator and the lines of the drawn arm say, at every fidelity the same size."""
+
+from dataclasses import fields
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import flexman_gym as fm
+from flexman_gym.draw.frames import arm_lines
+from flexman_gym.envs.sensors.full import FullState
+from flexman_gym.simulation.simulator import Simulator
+
+ARM = fm.catalog.paper_rrr()
+REACH = sum(link.length for link in ARM.links)
+
+
+def moving(model, size=0.05, seed=1):
+    """A simulator at a random state: turning, wound up, bent and vibrating."""
+    simulator = Simulator(model)
+    simulator.reset(state=np.random.default_rng(seed).normal(0.0, size, 2 * model.n_dof))
+    return simulator
+
+
+def observe(simulator, posture=(0.0, 0.0, 0.0), target=(0.0, 0.0, 0.0)):
+    """Slices of the observation of one arm, by name."""
+    sensors = FullState(simulator.model, fm.Limits())
+    state, outputs = simulator.state[None], simulator.outputs[None]
+    sensors.read(state, outputs, np.array([posture]), np.array([target]))
+    return {name: sensors.observations[0, part] for name, part in sensors.slices.items()}
+
+
+def beam_frames(angles):
+    """(3, 3) axes of each link of the undeformed arm, whose joint axes are given at zero angles in the base frame."""
+    turn = Rotation.identity()
+    for link, joint, angle in zip(ARM.links, ARM.joints, angles, strict=True):
+        turn = turn * Rotation.from_rotvec(angle * np.array(joint.axis))
+        yield turn.as_matrix() @ np.array(link.orientation)
+
+
+def test_slices_follow_each_other_and_each_has_unit_and_bound():
+    sensors = FullState(fm.build_model(ARM, modes=2), fm.Limits())
+    parts = list(sensors.slices.values())
+    assert parts[0].start == 0 and parts[-1].stop == len(sensors.bound)
+    assert all(before.stop == after.start for before, after in pairwise(parts))
+    assert sensors.units.keys() == sensors.slices.keys()
+    assert (sensors.bound > 0.0).all()
+
+
+@pytest.mark.parametrize("flexible_joints", [True, False])
+def test_joints_and_goals_are_the_differences_they_claim(flexible_joints):
+    model = fm.build_model(ARM, modes=3, flexible_joints=flexible_joints)
+    simulator = moving(model)
+    posture, target, d = np.array([0.3, -0.2, 0.5]), np.array([4.0, 1.0, 2.0]), model.n_dof
+    x, v = simulator.state[:d], simulator.state[d:]
+    found = observe(simulator, posture, target)
+    for kind, vector in (("s", x), ("_rates", v)):
+        motors = vector[3:6] if flexible_joints else vector[:3]  # the order that kernels.layout describes
+        assert np.array_equal(found[f"motor_{'angles' if kind == 's' else 'rates'}"], motors)
+        assert found[f"joint_twist{kind}"] == pytest.approx(motors - vector[:3], abs=1e-15)
+    assert np.array_equal(found["posture_errors"], posture - found["motor_angles"])
+    assert np.array_equal(found["target_error"], target - simulator.tip)
+    assert np.array_equal(found["tip_velocity"], simulator.tip_velocity)
+
+
+@pytest.mark.parametrize("modes", [None, 4, 2])
+@pytest.mark.parametrize("link", [0, 1, 2])
+def test_the_deflection_of_a_link_is_where_its_drawn_tip_went(link, modes):
+    model = fm.build_model(ARM, modes=modes)
+    angles = np.array([0.4, 0.5, -0.8])
+    straight = model.initial_state(angles)
+    bent = straight.copy()
+    columns = model.elastic_columns(link)
+    bent[columns] = np.random.default_rng(link).normal(0.0, 0.05, columns.stop - columns.start)
+    simulator = Simulator(model)
+    simulator.reset(state=bent)
+    moved = arm_lines(model, bent)[link, -1] - arm_lines(model, straight)[link, -1]
+    expected = np.zeros((3, 2))
+    expected[link] = (moved @ list(beam_frames(angles))[link])[1:]
+    assert np.abs(expected).max() > 1e-6
+    assert observe(simulator)["link_deflections"] == pytest.approx(expected.ravel(), abs=1e-12)
+
+
+@pytest.mark.parametrize("modes", [None, 4])
+def test_rates_are_the_slopes_of_what_they_are_rates_of(modes):
+    model = fm.build_model(ARM, modes=modes)
+    simulator, d, step = moving(model), model.n_dof, 1e-6
+    x, v = simulator.state[:d], simulator.state[d:]
+    found = observe(simulator)
+    before, after = Simulator(model), Simulator(model)
+    for other, sign in ((before, -1.0), (after, 1.0)):
+        other.reset(state=np.append(x + sign * step * v, v))
+    earlier, later = observe(before), observe(after)
+    for name, rate in (
+        ("motor_angles", "motor_rates"),
+        ("joint_twists", "joint_twist_rates"),
+        ("link_deflections", "link_deflection_rates"),
+    ):
+        assert found[rate] == pytest.approx((later[name] - earlier[name]) / (2 * step), abs=1e-8)
+    ends = [arm_lines(model, other.state)[-1, -1] for other in (before, after)]
+    assert found["tip_velocity"] == pytest.approx((ends[1] - ends[0]) / (2 * step), abs=1e-7)
+
+
+@pytest.mark.parametrize("flexibility", [True, False, (True, False, True)])
+@pytest.mark.parametrize("elements", [1, 2])
+@pytest.mark.parametrize("modes", [0, 2, None])
+def test_size_and_bounds_do_not_depend_on_the_fidelity(elements, modes, flexibility):
+    limits = fm.Limits()
+    reference = FullState(fm.build_model(ARM), limits)
+    sensors = FullState(fm.build_model(ARM, elements, modes, flexibility), limits)
+    assert sensors.slices == reference.slices
+    assert np.array_equal(sensors.bound, reference.bound)
+
+
+def test_a_batch_reads_what_its_rows_read():
+    model = fm.build_model(ARM, modes=4)
+    arms = [moving(model, seed=seed) for seed in range(5)]
+    rng = np.random.default_rng(0)
+    postures, targets, sensors = rng.normal(size=(5, 3)), rng.normal(size=(5, 3)), FullState(model, fm.Limits(), 5)
+    states, outputs = np.array([arm.state for arm in arms]), np.array([arm.outputs for arm in arms])
+    sensors.read(states, outputs, postures, targets)
+    for arm, posture, target, row in zip(arms, postures, targets, sensors.observations, strict=True):
+        assert np.array_equal(np.concatenate(list(observe(arm, posture, target).values())), row)
+
+
+def test_an_observation_on_its_bound_is_inside_and_the_next_number_is_not():
+    sensors = FullState(fm.build_model(ARM, modes=2), fm.Limits())
+    assert sensors.broken(sensors.bound) == sensors.broken(-sensors.bound) == ""
+    for name, part in sensors.slices.items():
+        for i in range(part.start, part.stop):
+            for value in (np.nextafter(sensors.bound[i], np.inf), -2 * sensors.bound[i], np.inf, np.nan):
+                observation = np.zeros(len(sensors.bound))
+                observation[i] = value
+                said = sensors.broken(observation)
+                assert said.startswith(f"{name} ") and sensors.units[name] in said
+
+
+def test_bounds_are_the_limits():
+    limits = fm.Limits(angle=1.0, rate=2.0, twist=3.0, deflection=0.5, deflection_rate=5.0, tip_speed=6.0)
+    sensors = FullState(fm.build_model(ARM, modes=2), limits)
+    for name, expected in {
+        "motor_angles": 1.0,
+        "motor_rates": 2.0,
+        "joint_twists": 3.0,
+        "joint_twist_rates": 2.0,
+        "link_deflections": 0.5 * np.repeat([link.length for link in ARM.links], 2),
+        "link_deflection_rates": 5.0,
+        "tip_velocity": 6.0,
+    }.items():
+        assert sensors.bound[sensors.slices[name]] == pytest.approx(expected)
+    # Two postures within the limits are at most two limits apart, tip and target at most two reaches.
+    assert sensors.bound[sensors.slices["posture_errors"]] == pytest.approx(2.0)
+    assert sensors.bound[sensors.slices["target_error"]] == pytest.approx(2 * REACH)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, "wide", None, True])
+def test_a_limit_that_is_no_positive_number_is_refused_in_one_line(value):
+    for field in fields(fm.Limits):
+        with pytest.raises(ValueError) as error:
+            fm.Limits(**{field.name: value})
+        message = str(error.value)
+        assert message == f"Limits.{field.name}: {value!r} is not allowed; give a finite number > 0"

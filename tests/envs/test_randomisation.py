@@ -1,0 +1,269 @@
+"""Randomisation: each effect draws from its own stream within its range, and does what it says to an episode."""
+
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import flexman_gym as fm
+from flexman_gym.draw.frames import arm_lines
+from flexman_gym.envs.env import FlexManEnv
+from flexman_gym.envs.randomisation import EFFECTS
+from flexman_gym.envs.vector_env import FlexManVectorEnv
+
+from oracles.episodes import EVERYTHING, actions
+
+RANGES = {name: EVERYTHING[name] for name in EFFECTS}
+QUICK = settings(deadline=None, derandomize=True, max_examples=15)
+STILL = {"start": [0.3, 0.4, -0.5], "posture": [0.3, 0.4, -0.5]}
+PUSH = np.array([0.5, -0.3, 0.2])
+
+
+def env_with(*effects, **more):
+    """An environment with some of the effects, within the ranges above."""
+    return FlexManEnv(randomisation={name: RANGES[name] for name in effects} | more)
+
+
+def episodes(env, seeds):
+    """What the episodes of these seeds, None to go on, drew and where they began."""
+    infos = [env.reset(seed=seed)[1] for seed in seeds]
+    return [{"start": env.simulator.state[:3].copy(), "goal": info["posture"], **info["drawn"]} for info in infos]
+
+
+@QUICK
+@given(st.sets(st.sampled_from(EFFECTS)), st.sampled_from(EFFECTS), st.integers(0, 2**32))
+def test_an_effect_changes_neither_the_draws_of_others_nor_start_and_goal(effects, another, seed):
+    without, with_it = env_with(*effects - {another}), env_with(*effects | {another})
+    plain = FlexManEnv()
+    for one, other in zip(*(episodes(env, [seed, None, None]) for env in (without, with_it)), strict=True):
+        for name in one:
+            assert np.array_equal(one[name], other[name]), name
+    plain.reset(seed=seed)
+    without.reset(seed=seed)
+    assert np.array_equal(plain.simulator.state[:3], without.simulator.state[:3])
+
+
+def test_draws_do_not_depend_on_what_happened_in_episodes_before():
+    idle, busy = env_with(*EFFECTS), env_with(*EFFECTS)
+    for env in (idle, busy):
+        env.reset(seed=3)
+    for action in actions(1, 15):
+        busy.step(action[0])
+    found, expected = (episodes(env, [None])[0] for env in (busy, idle))
+    for name in expected:
+        assert np.array_equal(found[name], expected[name]), name
+    # and neither do noise and impulses of the next episode
+    seen = [[env.step(0.1 * PUSH)[0] for _ in range(40)] for env in (idle, busy)]
+    assert np.array_equal(*seen)
+
+
+def test_draws_lie_in_their_ranges_and_fill_them():
+    env = FlexManVectorEnv(400, modes=1, randomisation=RANGES)
+    drawn, nominal = env.reset(seed=1)[1]["drawn"], env.batch.nominal
+    scale = {name: nominal[name] for name in ("joint_stiffness", "rotor_inertia")} | {"torque_limit": 400.0}
+    for name, (low, high) in RANGES.items():
+        if name == "tip_impulse":
+            continue
+        values = drawn[name] / scale.get(name, 1.0)
+        values = np.linalg.norm(values, axis=-1) if name == "initial_vibration" else values
+        width, rounding = high - low, 1e-12 * high
+        assert (
+            low - rounding <= values.min() < low + 0.05 * width
+            and high - 0.05 * width < values.max() <= high + rounding
+        )
+        if values.ndim > 1:
+            assert np.abs(np.corrcoef(values.T) - np.eye(3)).max() < 0.2, "each joint and link for itself"
+
+
+@pytest.mark.parametrize(
+    "name", ["payload_mass", "joint_stiffness", "link_stiffness", "rotor_inertia", "joint_damping"]
+)
+def test_what_is_drawn_is_what_moves(name):
+    """The same episode with the drawn values given as parameters."""
+    drawn, set_by_hand = env_with(name), FlexManEnv()
+    values = drawn.reset(seed=5)[1]["drawn"][name]
+    set_by_hand.reset(seed=5, options={"parameters": {name: values}})
+    nominal = FlexManEnv()
+    nominal.reset(seed=5)
+    for _ in range(10):
+        observations = [env.step(PUSH)[0] for env in (drawn, set_by_hand, nominal)]
+    assert np.array_equal(observations[0], observations[1]) and (observations[0] != observations[2]).any()
+
+
+def test_given_parameters_go_before_drawn_ones_and_are_said():
+    env, plain = env_with("payload_mass", "rotor_inertia"), env_with("payload_mass", "rotor_inertia")
+    info = env.reset(seed=2, options={"parameters": {"payload_mass": 4.5}})[1]
+    assert info["drawn"]["payload_mass"] == 4.5
+    expected = [plain.reset(seed=seed)[1]["drawn"] for seed in (2, None)]
+    assert np.array_equal(info["drawn"]["rotor_inertia"], expected[0]["rotor_inertia"])
+    assert env.reset()[1]["drawn"]["payload_mass"] == expected[1]["payload_mass"]
+
+
+def test_torque_limits_scale_the_torques():
+    env, plain = env_with("torque_limit"), FlexManEnv()
+    factors = env.reset(seed=4)[1]["drawn"]["torque_limit"] / 400.0
+    plain.reset(seed=4)
+    for _ in range(5):
+        found, expected = env.step(PUSH)[0], plain.step(PUSH * factors)[0]
+    assert found == pytest.approx(expected, rel=1e-5, abs=1e-6)
+
+
+@pytest.mark.parametrize("periods", [0, 1, 3])
+def test_torques_come_late_by_whole_periods(periods):
+    late, plain = FlexManEnv(randomisation={"delay": (periods, periods)}), FlexManEnv()
+    commands = np.random.default_rng(0).uniform(-1.0, 1.0, (12, 3))
+    for _ in range(2):  # also after an episode that left commands behind
+        assert late.reset(seed=6)[1]["drawn"] == {"delay": periods}
+        plain.reset(seed=6)
+        waiting = np.concatenate([np.zeros((periods, 3)), commands])
+        for command, arriving in zip(commands, waiting, strict=False):
+            found, expected = late.step(command), plain.step(arriving)
+            assert np.array_equal(found[0], expected[0])
+
+
+@pytest.mark.parametrize("modes", ["assembled", None, 3])
+def test_the_initial_vibration_deflects_each_tip_as_drawn_and_starts_at_rest(modes):
+    env = FlexManEnv(modes=modes, randomisation={"initial_vibration": (0.01, 0.02)})
+    for seed in range(3):
+        observation, info = env.reset(seed=seed)
+        tips = info["drawn"]["initial_vibration"]
+        sizes = np.linalg.norm(tips, axis=1)
+        assert ((sizes >= 0.01) & (sizes <= 0.02)).all()
+        assert observation[env.sensors.slices["link_deflections"]] == pytest.approx(tips.ravel(), rel=1e-5, abs=1e-8)
+        assert not env.simulator.state[env.simulator.model.n_dof :].any()
+        assert info["energy_residual"] == 0.0 < info["elastic_energy"]
+    for _ in range(20):
+        info = env.step(np.zeros(3))[4]
+    assert info["tip_vibration"] > 0.0
+
+
+def test_the_initial_shape_is_the_one_of_a_force_on_the_tip():
+    """With all coordinates of one link: the cubic of a cantilever, W (3 s^2 - s^3) / 2 at the part s of its length."""
+    arm = fm.catalog.one_link(rotor_inertia=1.0)
+    env = FlexManEnv(arm=arm, modes=None, torque_limit=1.0, randomisation={"initial_vibration": (0.01, 0.01)})
+    _, info = env.reset(seed=0, options={"start": [0.0], "posture": [0.0]})
+    model, state = env.simulator.model, env.simulator.state
+    bent = arm_lines(model, state)[0] - arm_lines(model, model.initial_state([0.0]))[0]
+    part = arm_lines(model, model.initial_state([0.0]))[0] @ np.array(arm.links[0].orientation)[:, 0]
+    part = part / arm.links[0].length
+    expected = (3 * part**2 - part**3) / 2 * np.linalg.norm(info["drawn"]["initial_vibration"])
+    assert np.linalg.norm(bent, axis=1) == pytest.approx(expected, abs=1e-9)
+
+
+def test_impulses_come_with_their_gap_and_their_size():
+    """Momentum of the whole arm is hard to see; the force that the simulator was given is not."""
+    period, gap = 0.02, 0.1
+    env = FlexManVectorEnv(
+        50, modes=1, max_episode_steps=10**6, randomisation={"tip_impulse": (1.0, 2.0), "impulse_gap": gap}
+    )
+    env.reset(seed=0)
+    drives, step = [], env.batch.step
+    env.batch.step = lambda drive: drives.append(drive.copy()) or step(drive)
+    for _ in range(400):
+        env.step(np.zeros((50, 3)))
+    drives = np.array(drives)
+    forces = drives[..., 3:6]
+    sizes = np.linalg.norm(forces, axis=2) * period
+    hit = sizes > 0.0
+    assert ((sizes[hit] >= 1.0 - 1e-12) & (sizes[hit] <= 2.0 + 1e-12)).all()
+    count = hit.sum()
+    assert count == pytest.approx(50 * 400 * period / gap, abs=5 * np.sqrt(50 * 400 * 0.2 * 0.8))
+    ways = forces[hit] / np.linalg.norm(forces[hit], axis=1)[:, None]
+    assert np.abs(ways.mean(axis=0)).max() < 5 / np.sqrt(3 * count)
+    assert not drives[..., :3].any() and not drives[..., 6:].any()
+
+
+def test_an_impulse_pushes_the_tip():
+    calm, pushed = FlexManEnv(), FlexManEnv(randomisation={"tip_impulse": (5.0, 5.0), "impulse_gap": 0.02})
+    for env in (calm, pushed):
+        env.reset(seed=1, options=STILL)
+        info = env.step(np.zeros(3))[4]
+        assert (info["tip_vibration"] > 1e-3) == (env is pushed)
+
+
+def test_noise_is_normal_with_the_drawn_deviation_and_stays_in_the_space():
+    env, plain = FlexManEnv(randomisation={"sensor_noise": (0.02, 0.02)}), FlexManEnv()
+    assert np.array_equal(env.observation_space.high, ((1 + 4 * 0.02) * plain.sensors.bound).astype(np.float32))
+    noise = []
+    for seed in range(4):
+        observations = [each.reset(seed=seed, options=STILL)[0] for each in (env, plain)]
+        for _ in range(200):
+            noise.append((observations[0] - observations[1]) / plain.sensors.bound / 0.02)
+            observations = [each.step(0.01 * PUSH)[0] for each in (env, plain)]
+            assert env.observation_space.contains(observations[0])
+            assert np.array_equal(env.simulator.state, plain.simulator.state), "noise moves nothing"
+    values = np.array(noise)
+    assert np.abs(values).max() < 4.001
+    many = values.size
+    assert abs(values.mean()) < 5 / np.sqrt(many) and abs(values.std() - 1.0) < 5 / np.sqrt(2 * many) + 0.001
+    assert np.abs(np.corrcoef(values.T) - np.eye(values.shape[1])).max() < 6 / np.sqrt(len(values))
+    assert abs((values[1:] * values[:-1]).mean()) < 5 / np.sqrt(many), "one step tells nothing of the next"
+
+
+def test_limits_are_judged_without_noise():
+    """On a motor rate that noise lifts over the limit half of the time."""
+    limits = fm.Limits(rate=0.3)
+    noisy, plain = (FlexManEnv(limits=limits, randomisation=given) for given in ({"sensor_noise": (0.1, 0.1)}, None))
+    for env in (noisy, plain):
+        env.reset(seed=1, options=STILL)
+    for _ in range(100):
+        results = [env.step(PUSH) for env in (noisy, plain)]
+        assert results[0][2] == results[1][2] and results[0][4]["failure"] == results[1][4]["failure"]
+        if results[0][2]:
+            break
+    assert results[0][2]
+
+
+def test_checkers_find_nothing_to_complain_about():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gym.make("FlexRRR-v0", randomisation=EVERYTHING).unwrapped)
+        checker = pytest.importorskip("stable_baselines3.common.env_checker")
+        checker.check_env(gym.make("FlexRRR-v0", randomisation=EVERYTHING))
+        env = gym.make("FlexRRR-v0", randomisation=fm.Randomisation(**EVERYTHING))
+        env.reset(seed=0)
+        for action in actions(1, 10):
+            env.step(action[0])
+
+
+def test_nothing_is_drawn_where_nothing_is_asked():
+    assert fm.Randomisation().effects == ()
+    assert "drawn" not in FlexManEnv().reset(seed=0)[1]
+    assert FlexManEnv(randomisation=fm.Randomisation()).reset(seed=0)[1]["drawn"] == {}
+
+
+@pytest.mark.parametrize(
+    ("fields", "line"),
+    [
+        ({"payload_mass": 3.0}, "Randomisation.payload_mass: 3.0 is not allowed; give a list of numbers"),
+        ({"payload_mass": (3.0, 1.0)}, "Randomisation.payload_mass: (3.0, 1.0) is not allowed; give a range (low"),
+        ({"payload_mass": (-1.0, 1.0)}, "Randomisation.payload_mass: -1.0 is not allowed; give a finite number >= 0"),
+        ({"link_stiffness": (0.0, 1.0)}, "Randomisation.link_stiffness: 0.0 is not allowed; give a finite number > 0"),
+        ({"sensor_noise": (0.0, np.inf)}, "Randomisation.sensor_noise[1]: inf is not allowed; give a finite number"),
+        ({"delay": (0, 1.5)}, "Randomisation.delay: 1.5 is not allowed; give a whole number from 0"),
+        ({"impulse_gap": 0.0}, "Randomisation.impulse_gap: 0.0 is not allowed; give a finite number > 0"),
+        ({"impulse_gap": 0.01}, "Randomisation.impulse_gap: 0.01 is not allowed; give at least the control period"),
+        ({"initial_vibration": (0.0, 9.0)}, "Randomisation.initial_vibration: (0.0, 9.0) is not allowed; give at most"),
+        ({"mass": (0.0, 9.0)}, "randomisation: 'mass' is not allowed; give one of payload_mass, joint_stiffness"),
+    ],
+)  # fmt: skip
+def test_bad_ranges_are_refused_in_one_line(fields, line):
+    with pytest.raises(ValueError) as error:
+        FlexManEnv(randomisation=fields)
+    assert str(error.value).startswith(line) and "\n" not in str(error.value)
+
+
+def test_effects_that_a_rigid_arm_has_no_room_for_are_refused():
+    with pytest.raises(ValueError, match=r"^randomisation: 3 is not allowed; give a Randomisation, or a dict"):
+        FlexManEnv(randomisation=3)
+    arm = fm.catalog.one_link(joint_stiffness=None)
+    for effects in ({"joint_stiffness": (0.9, 1.1)}, {"joint_damping": (0.0, 1.0)}):
+        with pytest.raises(ValueError, match=r"give None: every joint of this arm is rigid$"):
+            FlexManEnv(arm=arm, torque_limit=0.5, randomisation=effects)
+    for effects in ({"link_stiffness": (0.9, 1.1)}, {"initial_vibration": (0.0, 1e-3)}):
+        with pytest.raises(ValueError, match=r"give None: every link of this arm is rigid$"):
+            FlexManEnv(modes=0, randomisation=effects)

@@ -1,0 +1,196 @@
+"""Fidelity: what is chosen meets its tolerance, knows its error and says what it left out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+
+import flexman_gym as fm
+from flexman_gym.envs.env import FlexManEnv
+from flexman_gym.fidelity.choose import assembled_modes
+from flexman_gym.model.instant import stiffness_matrix
+from flexman_gym.simulation.amplification import amplitude_kept, explicit_limit, spectral_radius
+from flexman_gym.simulation.methods import METHODS
+
+from oracles.chains import random_joint, random_link
+from oracles.files import REFERENCE
+
+pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")
+FIXED = [name for name, method in METHODS.items() if not method.adaptive]
+
+
+def chain(seed, links):
+    """A random chain with springs and dampers in its joints, under sine torques."""
+    rng = np.random.default_rng(seed)
+    arm = fm.Arm([random_link(rng) for _ in range(links)], [random_joint(rng, True) for _ in range(links)])
+    torque = fm.SineTorque(rng.uniform(5.0, 20.0, links), rng.uniform(0.5, 2.0, links), [0.0] * links)
+    start = fm.Initial([0.0] * links, [0.0] * links)
+    return fm.Scene(arm, fm.ModelChoice(True, 1), torque, start, 0.6, 0.02)
+
+
+def one_link():
+    """A thin link on a hub, pushed for half a second."""
+    arm = fm.catalog.one_link(rotor_inertia=0.1)
+    torque, start = fm.ConstantTorque([0.5]), fm.Initial([0.0], [0.0])
+    return fm.Scene(arm, fm.ModelChoice(True, 2), torque, start, 0.5, 0.01)
+
+
+SCENES = {
+    "paper ff": lambda: replace(fm.catalog.paper_scene("ff"), duration=0.5),
+    "paper fr": lambda: replace(fm.catalog.paper_scene("fr"), duration=0.5),
+    "gravity and payload": lambda: replace(fm.Scene.load(REFERENCE / "gravity_payload_ff.json"), duration=0.5),
+    "two links": lambda: chain(3, 2),
+    "one link": one_link,
+}
+
+
+def truth(scene):
+    """The finest model of the scene by the reference method, independently of the choice."""
+    model = fm.build_model(scene.arm, **(vars(scene.model) | {"modes": None, "stiffening": True}))
+    return fm.simulate(scene, model, "dop853", rtol=1e-8, atol=1e-11).tip
+
+
+def true_error(scene, choice, tips):
+    """Largest distance of the tip, by an independent run of the choice."""
+    run = fm.simulate(scene, choice.model, choice.method, choice.step)
+    assert run.status == "ok"
+    every = round(run.time[1] / scene.output_step)
+    return np.linalg.norm(run.tip - tips[::every], axis=1).max()
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_choice_meets_its_tolerance_and_knows_its_error(name):
+    scene = SCENES[name]()
+    tips = truth(scene)
+    size = np.linalg.norm(tips - tips[0], axis=1).max()
+    assert size > 0.01, "the arm moves"
+    for tolerance in (1e-2, 2e-3):
+        choice = fm.choose_model(scene, tolerance)
+        error = true_error(scene, choice, tips)
+        assert error <= tolerance and choice.estimated_error <= tolerance
+        assert error / 5 <= choice.estimated_error <= 5 * max(error, 1e-12)
+        assert choice.model.n_dof <= fm.build_model(scene.arm, scene.model.elements).n_dof
+        assert fm.choose_model(scene, tolerance) is choice
+
+
+def test_a_loose_tolerance_drops_more_and_says_what():
+    scene = SCENES["paper ff"]()
+    loose, tight = fm.choose_model(scene, 0.1), fm.choose_model(scene, 2e-3)
+    assert loose.model.n_dof < tight.model.n_dof < 42
+    said = "\n".join(loose.dropped)
+    assert not loose.model.choice.stiffening and "foreshortening" in said
+    for i in range(3):
+        assert f"link {i + 1}, loaded modes" in said
+    assert said.count(" m") >= len(loose.dropped)
+    for word in ("of 42 coordinates", "Hz", "what limits the step", "mode 1", "over 10 s", "the choice took"):
+        assert word in tight.report, word
+
+
+def test_what_a_scene_declares_rigid_stays_rigid():
+    scene = replace(fm.catalog.paper_scene("rr"), duration=0.5)
+    choice = fm.choose_model(scene, 1e-2)
+    assert choice.model.n_dof == 3 and choice.dropped == ()
+
+
+def test_a_tolerance_below_what_can_be_reached_is_refused_with_what_was():
+    with pytest.raises(ValueError, match=r"^tolerance: 1e-15 is not allowed; give at least .* m"):
+        fm.choose_model(one_link(), 1e-15)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "field"),
+    [
+        (("scene", 1e-3), "scene"),
+        ((None, 1e-3), "scene"),
+        ((one_link(), 0.0), "tolerance"),
+        ((one_link(), -1.0), "tolerance"),
+        ((one_link(), np.nan), "tolerance"),
+        ((one_link(), None), "tolerance"),
+        ((one_link(), 1e-3, 0.0), "longest_step"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(arguments, field):
+    with pytest.raises(ValueError) as error:
+        fm.choose_model(*arguments)
+    assert str(error.value).startswith(f"{field}: ") and "give " in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", FIXED)
+def test_the_amplification_is_what_a_vibration_does(name):
+    """A free vibration of a spring between two rotors: its energy falls by the square of the amplification a step."""
+    arm = fm.catalog.one_link(rotor_inertia=0.3, joint_stiffness=50.0)
+    model = fm.build_model(arm, flexible_links=False)
+    frequency = fm.frequencies(model)[-1]
+    step = 0.1 / frequency
+    simulator = fm.Simulator(model, name, step, 40 * step)
+    inertia = fm.mass_matrix(model, np.zeros(4))
+    simulator.reset(state=[0.2 / inertia[0, 0], -0.2 / inertia[1, 1], 0.0, 0.0])
+    before = simulator.elastic_energy
+    for _ in range(5):
+        assert simulator.step([0.0]) == "ok"
+    kept = spectral_radius(METHODS[name], 2 * np.pi * frequency * step) ** 400
+    assert kept == pytest.approx(amplitude_kept(METHODS[name], step, frequency, 200 * step) ** 2)
+    if name != "semi_implicit_euler":  # whose energy swings, with the amplitude of its modified one kept
+        assert simulator.energy / before == pytest.approx(kept, rel=0.02)
+
+
+def test_explicit_limits_are_those_of_the_books():
+    assert explicit_limit(METHODS["rk4"]) == pytest.approx(np.sqrt(8.0), abs=0.01)
+    assert explicit_limit(METHODS["semi_implicit_euler"]) == pytest.approx(2.0, abs=0.01)
+    assert explicit_limit(METHODS["ros2"]) == np.inf
+    with pytest.raises(ValueError, match=r"^method: dop853 chooses its steps"):
+        spectral_radius(METHODS["dop853"], 0.1)
+
+
+def test_the_default_environment_has_the_slow_vibrations_of_the_full_arm():
+    model = FlexManEnv().simulator.model
+    full = fm.build_model(model.arm)
+    for pose in ((0.0, 0.0, 0.0), (0.3, 0.8, -0.8), (0.0, 0.4, 1.2), (0.3, 0.8, 0.8)):
+        assert fm.frequencies(model, pose)[3:8] == pytest.approx(fm.frequencies(full, pose)[3:8], rel=7e-3)
+    assert model.n_elastic <= 16
+    assert assembled_modes(fm.catalog.planar_2r(), 1)[0]
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_the_default_environment_keeps_98_percent_of_an_undamped_vibration_for_10_s(number):
+    env = FlexManEnv(arm=fm.catalog.paper_rrr(rotor_inertia=10.0))
+    simulator, model = env.simulator, env.simulator.model
+    squares, shapes = eigh(stiffness_matrix(model), fm.mass_matrix(model, np.zeros(2 * model.n_dof)))
+    simulator.reset(state=[*(1e-3 * shapes[:, 3 + number]), *np.zeros(model.n_dof)])
+    before = simulator.energy
+    for _ in range(500):
+        assert simulator.step(np.zeros(3)) == "ok"
+    kept = np.sqrt(simulator.energy / before)
+    frequency = np.sqrt(squares[3 + number]) / (2 * np.pi)
+    assert kept == pytest.approx(amplitude_kept(simulator.method, 0.02 / simulator.substeps, frequency), abs=1e-3)
+    assert 0.98 < kept <= 1.0
+
+
+def test_an_environment_chooses_its_fidelity():
+    env = FlexManEnv(arm=fm.catalog.planar_2r(joint_stiffness=50.0), torque_limit=0.2, fidelity="auto", tolerance=0.01)
+    assert env.choice is not None and env.choice.estimated_error <= 0.01
+    assert env.simulator.model is env.choice.model and env.simulator.method.name == env.choice.method
+    assert 0.02 / env.choice.step == pytest.approx(env.simulator.substeps)
+    env.reset(seed=0)
+    assert env.step(np.zeros(2))[4]["status"] == "ok"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "field"),
+    [
+        ({"fidelity": "auto"}, "tolerance"),
+        ({"fidelity": "best"}, "fidelity"),
+        ({"tolerance": 0.01}, "tolerance"),
+        ({"fidelity": "auto", "tolerance": -1.0}, "tolerance"),
+        ({"fidelity": "auto", "tolerance": 0.01, "modes": 4}, "modes"),
+        ({"fidelity": "auto", "tolerance": 0.01, "step": 0.01}, "step"),
+        ({"fidelity": "auto", "tolerance": 0.01, "method": "rk4"}, "method"),
+        ({"fidelity": "auto", "tolerance": 0.01, "elements": 3}, "elements"),
+        ({"modes": "all"}, "modes"),
+    ],
+)
+def test_a_contradictory_fidelity_is_refused(arguments, field):
+    with pytest.raises(ValueError, match=f"^{field}: ") as error:
+        FlexManEnv(**arguments)
+    assert "\n" not in str(error.value)

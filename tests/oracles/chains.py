@@ -1,0 +1,188 @@
+"""Chains: random arms, models and states for tests, with the dense oracle of each in the same coordinates."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from hypothesis import settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from flexman_gym import Arm, Joint, Link, Model, Payload, build_model
+from flexman_gym.model.beam import build_beam
+from flexman_gym.model.modes import loaded_modes, modal_damping, outboard_inertias
+
+from oracles.dense import Chain, LinkModel
+
+QUICK = settings(deadline=None, derandomize=True, max_examples=40)
+AMPLITUDES = (0.0, 1e-6, 0.05, 1.5)  # rad, rotation of a link's tip; also its deflection / length
+
+
+@dataclass(frozen=True)
+class Sample:
+    """An arm with a choice of model; `seed` makes the numbers of its states."""
+
+    arm: Arm
+    elements: tuple[int, ...]
+    modes: tuple[int, ...] | None
+    flexible_links: tuple[bool, ...]
+    flexible_joints: bool
+    amplitude: float
+    seed: int
+    stiffening: bool = False
+
+    @cached_property
+    def model(self) -> Model:
+        """The model under test."""
+        return build_model(
+            self.arm, self.elements, self.modes, self.flexible_links, self.flexible_joints, self.stiffening
+        )
+
+    @cached_property
+    def chain(self) -> Chain:
+        """The oracle in the coordinates of the model: each link has the same basis, damping matrix and stations."""
+        beams = tuple(map(build_beam, self.arm.links, self.elements, self.flexible_links))
+        links = []
+        for i, (beam, outboard) in enumerate(zip(beams, outboard_inertias(self.arm, beams), strict=True)):
+            basis = np.eye(len(beam.stiffness))
+            if self.modes is not None and self.flexible_links[i]:
+                basis = loaded_modes(beam, outboard)[1][:, : self.modes[i]]
+            damping = modal_damping(beam, outboard, self.arm.modal_damping_ratio)
+            damping = damping + self.arm.stiffness_proportional_damping * beam.stiffness
+            links.append(LinkModel(basis, basis.T @ damping @ basis, beam if self.stiffening else None))
+        return Chain(self.arm, self.elements, self.flexible_links, self.flexible_joints, links)
+
+    def state(self) -> tuple[np.ndarray, np.ndarray]:
+        """Coordinates and speeds (d,): joints anywhere, springs wound up, links bent by about the amplitude."""
+        rng = np.random.default_rng(self.seed)
+        joints = self.model.n_joints + self.model.n_motors
+        x, v = rng.uniform(-1.0, 1.0, (2, self.model.n_dof))
+        x[: self.model.n_joints] *= np.pi
+        x[self.model.motor_columns] = x[: self.model.n_joints] + 0.1 * rng.uniform(-1.0, 1.0, self.model.n_joints)
+        v[:joints] *= 3.0
+        for i, (beam, columns) in enumerate(zip(self.chain.beams, self.chain.elastic, strict=True)):
+            mass = np.einsum("p,pia,pia->a", beam.masses, beam.S, beam.S)
+            for vector, size in ((x, self.amplitude), (v, max(self.amplitude, 0.1))):
+                q = vector[columns] / np.sqrt(mass)
+                bend = max(np.linalg.norm(beam.S_r @ q), np.linalg.norm(beam.S_t @ q) / self.arm.links[i].length)
+                vector[columns] = q * (size / bend if q.size else 0.0)
+        return x, v
+
+    def torque(self) -> np.ndarray:
+        """Motor torques (n,), N m."""
+        return np.random.default_rng(self.seed + 1).uniform(-50.0, 50.0, self.model.n_joints)
+
+    def applied(self, x: np.ndarray, v: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        """Forces (d,) of motors, springs and dampers, from their definitions (Eq. 18, 23)."""
+        forces, drag = np.zeros(len(x)), np.zeros(len(x))
+        forces[self.model.motor_columns] = torque
+        for i, motor in self.chain.motor.items():
+            joint = self.arm.joints[i]
+            forces[[i, motor]] += joint.stiffness * (x[motor] - x[i]) * np.array([1.0, -1.0])
+            drag[[i, motor]] += joint.damping * (v[motor] - v[i]) * np.array([-1.0, 1.0])
+        for beam, damping, columns in zip(self.chain.beams, self.chain.damping, self.chain.elastic, strict=True):
+            forces[columns] -= beam.K @ x[columns]
+            drag[columns] += damping @ v[columns]
+        return forces - drag
+
+
+def random_link(rng: np.random.Generator) -> Link:
+    """A beam of about 1 m of metal or plastic, of any section and orientation."""
+    area, youngs_modulus = 10 ** rng.uniform(-3.5, -2.5), 10 ** rng.uniform(9.0, 11.0)
+    y, z, twist = 10 ** rng.uniform(-1.0, 0.0, 3)
+    return Link(
+        length=rng.uniform(0.5, 2.0),
+        area=area,
+        second_moment_y=y * area**2,
+        second_moment_z=z * area**2,
+        torsion_constant=twist * area**2,
+        youngs_modulus=youngs_modulus,
+        shear_modulus=youngs_modulus * rng.uniform(0.2, 0.5),
+        density=rng.uniform(1000.0, 8000.0),
+        orientation=Rotation.random(random_state=rng).as_matrix(),
+    )
+
+
+def random_joint(rng: np.random.Generator, spring: bool) -> Joint:
+    """A joint about any axis, with a spring and a damper or without."""
+    axis = Rotation.random(random_state=rng).as_matrix()[0]
+    if not spring:
+        return Joint(axis, rotor_inertia=rng.choice([0.0, rng.uniform(0.0, 2.0)]))
+    return Joint(axis, rng.uniform(0.05, 2.0), 10 ** rng.uniform(2.0, 4.0), rng.choice([0.0, rng.uniform(0.0, 20.0)]))
+
+
+def random_payload(rng: np.random.Generator, inertia: bool, offset: bool) -> Payload:
+    """A body of a few kg and up to a few dm, of any proportions from a rod to a disk, or a point."""
+    mass, turn = rng.uniform(0.1, 5.0), Rotation.random(random_state=rng).as_matrix()
+    spread = turn @ np.diag(rng.uniform(0.01, 0.3, 3) ** 2 * rng.integers(0, 2, 3)) @ turn.T
+    moments = mass * (np.trace(spread) * np.eye(3) - (spread + spread.T) / 2)
+    return Payload(mass, moments if inertia else None, rng.uniform(-0.3, 0.3, 3) if offset else None)
+
+
+def slender_link(length: float = 0.7, mass_per_length: float = 4.0, stiffness: float = 0.6) -> Link:
+    """A link that bends in its x-y plane with EI = `stiffness` and next to no rotary inertia.
+
+    Across it is 100 times stiffer in frequency, so that the modes in the plane come first.
+    """
+    area = 1e-8 * length**2
+    second_moment = area**2
+    return Link(
+        length=length,
+        area=area,
+        second_moment_y=1e4 * second_moment,
+        second_moment_z=second_moment,
+        torsion_constant=1e4 * second_moment,
+        youngs_modulus=stiffness / second_moment,
+        shear_modulus=stiffness / second_moment,
+        density=mass_per_length / area,
+    )
+
+
+@st.composite
+def samples(draw, most_links=7, flexible_links=None, flexible_joints=None, reduced=None, stiffening=False):
+    """Arms of 1 to `most_links` links; a flag that is not None holds for the whole arm and the model."""
+    n = draw(st.integers(1, most_links))
+    each = lambda flag: st.tuples(*[st.booleans() if flag is None else st.just(flag)] * n)  # noqa: E731
+    links, springs = draw(each(flexible_links)), draw(each(flexible_joints))
+    elements = draw(st.tuples(*[st.integers(1, 3)] * n))
+    modes = None
+    if draw(st.booleans()) if reduced is None else reduced:
+        modes = tuple(draw(st.integers(0, 6 * count)) for count in elements)
+    free_springs = draw(st.booleans()) if flexible_joints is None else flexible_joints
+    seed = draw(st.integers(0, 10**6))
+    rng = np.random.default_rng(seed)
+    carried = draw(st.sampled_from([None, (False, False), (True, False), (False, True), (True, True)]))
+    arm = Arm(
+        [random_link(rng) for _ in range(n)],
+        [random_joint(rng, spring) for spring in springs],
+        None if carried is None else random_payload(rng, *carried),
+        draw(st.sampled_from([(0.0, 0.0, 0.0), tuple(rng.uniform(-10.0, 10.0, 3))])),
+        stiffness_proportional_damping=draw(st.sampled_from([0.0, 1e-4])),
+        modal_damping_ratio=draw(st.sampled_from([0.0, 0.02])),
+    )
+    amplitude = draw(st.sampled_from(AMPLITUDES))
+    shortened = draw(st.booleans()) if stiffening is None else stiffening
+    return Sample(arm, elements, modes, links, free_springs, amplitude, seed, shortened)
+
+
+def pinocchio_model(pin, arm):
+    """The rigid arm, with rotors and payload, as a model of Pinocchio (the module `pin`)."""
+    model = pin.Model()
+    model.gravity.linear = np.array(arm.gravity)
+    place, parent = np.zeros(3), 0
+    for link, joint in zip(arm.links, arm.joints, strict=True):
+        kind = pin.JointModelRevoluteUnaligned(np.array(joint.axis))
+        parent = model.addJoint(parent, kind, pin.SE3(np.eye(3), place), "")
+        turn = np.array(link.orientation)
+        # about the centre: a slender rod and the rotary inertia of the section
+        y, z = link.density * link.length * np.array([link.second_moment_y, link.second_moment_z])
+        rod = link.mass * link.length**2 / 12
+        inertia = turn @ np.diag([y + z, rod + y, rod + z]) @ turn.T
+        place = link.length * turn[:, 0]
+        model.appendBodyToJoint(parent, pin.Inertia(link.mass, place / 2, inertia), pin.SE3.Identity())
+    if arm.payload is not None:
+        offset, moments = arm.payload.offset or np.zeros(3), arm.payload.inertia or np.zeros((3, 3))
+        payload = pin.Inertia(arm.payload.mass, place + offset, np.array(moments))
+        model.appendBodyToJoint(parent, payload, pin.SE3.Identity())
+    model.armature = np.array([joint.rotor_inertia for joint in arm.joints])
+    return model

@@ -1,0 +1,275 @@
+"""An oracle: the paper's equations of a flexible arm, stated densely and slowly to check the fast kernels against.
+
+`Chain` is the arm in joint and elastic coordinates (Eq. 4-14 and 22-46), its links are the mass points of
+`oracle_beam` (Eq. 1-3, 13-18); beside them the closed-form eigenvalues of a uniform beam. They use nothing but NumPy,
+so that they share no error with the code under test. SI units, radians. Capital letters are matrices of the paper.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from flexman_gym.studies.verification.closed_forms import beam_eigenvalues as beam_eigenvalues
+from flexman_gym.studies.verification.closed_forms import hub_eigenvalues as hub_eigenvalues
+
+from oracles.beam import beam_points as beam_points
+from oracles.beam import payload_points, rotation, shortened, tangent
+from oracles.beam import skew as skew
+
+
+@dataclass(frozen=True)
+class LinkModel:
+    """What a link of a `Chain` has beside its elements, of which it has 6 coordinates each."""
+
+    basis: np.ndarray | None = None  # (6 elements, k) coordinates of the elements per unit of q; None keeps them
+    damping: np.ndarray | None = None  # (k, k); None takes C = beta K
+    stations: Any = None  # where it is foreshortened, see `shortened`; None is a link without foreshortening
+
+
+@dataclass(frozen=True)
+class LinkMotion:
+    """Position and velocity of one link's frame in the base frame, and its entries D and gamma in Eq. 34.
+
+    The tip of the last link has one too, as if it were a link without coordinates.
+    """
+
+    R: np.ndarray  # (3,) origin
+    A: np.ndarray  # (3, 3) columns are the axes of the beam frame
+    axis: np.ndarray  # (3,) joint axis, Eq. 29
+    rates: np.ndarray  # (6 + k,) velocity of the origin, angular velocity, elastic rates
+    q: np.ndarray  # (k,) elastic coordinates
+    D: np.ndarray  # (6, 6 + k) takes the rates to the velocity and angular velocity of the tip, Eq. 36
+    gamma: np.ndarray  # (6 + k,) accelerations of the frame that are quadratic in the speeds of x, Eq. 32-33
+
+
+class Chain:
+    """Dense equations of motion of an arm, Eq. 8-14 and 22-46.
+
+    Angular velocity and acceleration stand where the paper has Euler parameters and their derivatives: omega = G beta'
+    has one beta' (normal to beta) for every omega, so the motion is the same. Link i has the absolute accelerations
+    [R'', omega', q''] (6 + k,), the first two in the base frame. The elastic rotation of a tip turns the next joint by
+    the exponential map; the exact derivatives of that map replace Eq. 26.
+
+    Coordinates x = [theta (n), theta_m (flexible joints only), q_1, q_2, ...]; speeds v in the same order. In x, rotor
+    i is at motor[i] and q_i at elastic[i]; damping[i] is the damping matrix of link i.
+    Frames: joint frame E_1 = I, A_i = E_i rotation(axis_i theta_i) F_i, E_{i+1} = A_i rotation(S_r q_i) F_i^T. The
+    payload is a rigid body in E_{n+1}.
+    A rigid joint takes its torque directly, and its rotor turns with its angle. A rotor adds to the inertia of its own
+    coordinate only (Eq. 23), unless rotors are `spinning`: carried by the link before, each also turns with that link
+    about the joint axis, and has the inertia of a disk about that axis and none across it.
+    """
+
+    def __init__(
+        self, arm, elements=2, flexible_links=True, flexible_joints=True, link_models=None, spinning_rotors=False
+    ):
+        """Take one value or one a link for `elements` and `flexible_links`; a list of n `LinkModel` or None."""
+        n = len(arm.links)
+        elements, flexible_links = np.broadcast_to(elements, n), np.broadcast_to(flexible_links, n)
+        self.arm, self.n, self.spinning_rotors = arm, n, spinning_rotors
+        self.axes = [np.array(joint.axis, dtype=float) for joint in arm.joints]
+        self.orientations = [np.array(link.orientation, dtype=float) for link in arm.links]
+        self.gravity = np.array(arm.gravity, dtype=float)
+        self.beams, self.damping = [], []
+        for i, (link, given) in enumerate(zip(arm.links, link_models or [LinkModel()] * n, strict=True)):
+            basis = np.eye(6 * elements[i]) if given.basis is None else given.basis
+            if not flexible_links[i]:
+                basis, given = np.zeros((6 * elements[i], 0)), LinkModel()  # a rigid link is a beam without coordinates
+            beam = beam_points(link, int(elements[i]), basis)
+            self.beams.append(beam if given.stations is None else shortened(beam, given.stations, basis))
+            proportional = arm.stiffness_proportional_damping * beam.K
+            self.damping.append(proportional if given.damping is None else np.array(given.damping))
+        self.bodies = [*self.beams, payload_points(arm.payload)]
+        springs = [i for i, joint in enumerate(arm.joints) if flexible_joints and joint.stiffness is not None]
+        self.motor = {joint: n + place for place, joint in enumerate(springs)}  # index of theta_m in x
+        ends = n + len(springs) + np.cumsum([0] + [beam.K.shape[0] for beam in self.beams])
+        self.elastic = [slice(a, b) for a, b in pairwise(ends)]  # q_i in x
+        self.n_dof = int(ends[-1])
+
+    def _motion(self, x, v):
+        """Outward pass, Eq. 24-33: the `LinkMotion` of every link and, last, of the tip."""
+        R, E, tip_rates, tip_gamma, motions = np.zeros(3), np.eye(3), np.zeros(6), np.zeros(6), []
+        for i, beam in enumerate(self.beams):
+            F, q, dq = self.orientations[i], x[self.elastic[i]], v[self.elastic[i]]
+            A, axis = E @ rotation(self.axes[i] * x[i]) @ F, E @ self.axes[i]
+            spin, zero = axis * v[i], np.zeros(3)  # Eq. 28
+            gamma = np.r_[tip_gamma + np.r_[zero, skew(tip_rates[3:]) @ spin], np.zeros(q.size)]
+            rates = np.r_[tip_rates + np.r_[zero, spin], dq]
+
+            phi, dphi, W = beam.S_r @ q, beam.S_r @ dq, skew(rates[3:6])
+            T, dT = tangent(phi, dphi)
+            displacement, shape = beam.tip_displacement(q)
+            lever, slide = A @ displacement + A[:, 0] * self.arm.links[i].length, A @ shape @ dq
+            D = np.block([[np.eye(3), -skew(lever), A @ shape], [np.zeros((3, 3)), np.eye(3), A @ T @ beam.S_r]])
+            motions.append(LinkMotion(R, A, axis, rates, q, D, gamma))
+
+            tip_rates = D @ rates
+            bend = A @ beam.curvature(dq)[1]
+            tip_gamma = np.r_[W @ (W @ lever + 2.0 * slide) + bend, W @ A @ T @ dphi + A @ dT @ dphi]
+            R, E = R + lever, A @ rotation(phi) @ F.T
+        motions.append(LinkMotion(R, E, np.zeros(3), tip_rates, np.zeros(0), np.eye(6), tip_gamma))
+        return motions
+
+    @staticmethod
+    def _point_matrix(beam, motion):
+        """Levers A u (P, 3) and L (P, 3, 6 + k) of Eq. 8, so that a mass point moves with L [R', omega, q'], Eq. 4."""
+        position, shape = beam.points(motion.q)
+        lever = position @ motion.A.T
+        identity = np.broadcast_to(np.eye(3), (len(lever), 3, 3))
+        return lever, np.concatenate([identity, -skew(lever), motion.A @ shape], axis=2)
+
+    def _link_equation(self, i, motion, gravity):
+        """M (6 + k, 6 + k) of Eq. 13 and the force Q_e + Q_v + Q_s (6 + k,) of Eq. 21 of link i; Q_e is gravity."""
+        beam, W, dq = self.bodies[i], skew(motion.rates[3:6]), motion.rates[6:]
+        lever, L = self._point_matrix(beam, motion)
+        Q = lever @ (W @ W).T + 2.0 * L[:, :, 6:] @ dq @ W.T + beam.curvature(dq)[0] @ motion.A.T  # Eq. 10
+        M = np.einsum("p,pia,pib->ab", beam.masses, L, L)
+        force = np.einsum("p,pia,pi->a", beam.masses, L, gravity - Q)
+        if i < self.n:
+            force[6:] -= beam.K @ motion.q + self.damping[i] @ dq
+        return M, force
+
+    def _projection(self, motions):
+        """B = D^-1 H, one column a coordinate of x, and D^-1 gamma of every link and the tip: Eq. 35-43.
+
+        The frame of a link is clamped to its joint, so its own D_i is the identity. Columns of rotors are zero.
+        """
+        ends = np.cumsum([0] + [motion.gamma.size for motion in motions])
+        D, H = np.eye(ends[-1]), np.zeros((ends[-1], self.n_dof))
+        for i, (start, end) in enumerate(pairwise(ends)):
+            if i < self.n:
+                H[start + 3 : start + 6, i] = motions[i].axis
+                H[start + 6 : end, self.elastic[i]] = np.eye(end - start - 6)
+                D[end : end + 6, start:end] = -motions[i].D
+        B, bias = np.linalg.solve(D, H), np.linalg.solve(D, np.concatenate([motion.gamma for motion in motions]))
+        return [(B[start:end], bias[start:end]) for start, end in pairwise(ends)]
+
+    def _equation(self, x, v, torque, tip_force=None, base_acceleration=None):
+        """M_bar and Q_bar of Eq. 46 (n_dof, n_dof), (n_dof,), with the joints of Eq. 23."""
+        motions = self._motion(x, v)
+        projection = self._projection(motions)
+        # What rests on an accelerated base sees that acceleration as gravity the other way.
+        gravity = self.gravity if base_acceleration is None else self.gravity - base_acceleration
+        M_bar, Q_bar = np.zeros((self.n_dof, self.n_dof)), np.zeros(self.n_dof)
+        for i, (motion, (B, bias)) in enumerate(zip(motions, projection, strict=True)):
+            M, force = self._link_equation(i, motion, gravity)
+            M_bar += B.T @ M @ B
+            Q_bar += B.T @ (force - M @ bias)
+        for i, motion in enumerate(motions[: self.n]):
+            inertia, force = self._rotor(i, motion, *projection[i], v)
+            M_bar += inertia
+            Q_bar += force + self._joint_force(i, x, v)
+            Q_bar[self.motor.get(i, i)] += torque[i]
+        if tip_force is not None:
+            Q_bar += projection[-1][0][:3].T @ tip_force
+        return M_bar, Q_bar
+
+    def _rotor(self, i, motion, B, bias, v):
+        """Inertia (n_dof, n_dof) and force quadratic in the speeds (n_dof,) of rotor i; B and bias are those of link i.
+
+        A spinning rotor has the angular momentum h axis with h = J (axis . w + theta_m'), w the angular velocity of
+        what carries it. Its rate h' axis + h w x axis does work on w + axis theta_m'.
+        """
+        J, axis, row = self.arm.joints[i].rotor_inertia, motion.axis, np.zeros(self.n_dof)
+        row[self.motor.get(i, i)] = 1.0
+        if not self.spinning_rotors:
+            return J * np.outer(row, row), np.zeros(self.n_dof)
+        carrier = B[3:6].copy()  # B v = w + axis theta', and no other column has theta' in it
+        carrier[:, i] = 0.0
+        w = carrier @ v
+        row += axis @ carrier
+        quadratic = axis @ bias[3:6]  # the part of it that is joint i's own, w x axis theta', is normal to the axis
+        return J * np.outer(row, row), -J * (row * quadratic + (row @ v) * np.cross(w, axis) @ carrier)
+
+    def _joint_force(self, i, x, v):
+        """Force (n_dof,) of spring, damper and friction of joint i; friction acts on its motor coordinate."""
+        joint, driven, force = self.arm.joints[i], self.motor.get(i, i), np.zeros(self.n_dof)
+        if i in self.motor:
+            reaction = joint.stiffness * (x[driven] - x[i]) + joint.damping * (v[driven] - v[i])
+            force[i] += reaction
+            force[driven] -= reaction
+        viscous, coulomb = getattr(joint, "viscous_friction", 0.0), getattr(joint, "coulomb_friction", 0.0)
+        force[driven] -= viscous * v[driven]
+        if coulomb > 0.0:
+            force[driven] -= coulomb * np.tanh(v[driven] / joint.coulomb_rate)
+        return force
+
+    def mass_matrix(self, x):
+        """M_bar of Eq. 46 with the rotors, (n_dof, n_dof)."""
+        return self._equation(x, np.zeros(self.n_dof), np.zeros(self.n))[0]
+
+    def acceleration(self, x, v, torque, tip_force=None, base_acceleration=None):
+        """Accelerations (n_dof,) under the motor torques (n,), N m: Eq. 45.
+
+        A force on the tip (3,) N and an acceleration of the base (3,) m/s^2 are in the base frame. Coordinates and
+        speeds are relative to the base.
+        """
+        return np.linalg.solve(*self._equation(x, v, torque, tip_force, base_acceleration))
+
+    def driven(self, x, v, torque, prescribed, tip_force=None, base_acceleration=None):
+        """Accelerations (n_dof,) and motor torques (n,) where the motors {joint: rad/s^2} have these accelerations.
+
+        The torques (n,) that are given hold for the other motors; where a joint is rigid its angle is its motor's.
+        """
+        free_torque = np.where(np.isin(np.arange(self.n), list(prescribed)), 0.0, torque)
+        M, Q = self._equation(x, v, free_torque, tip_force, base_acceleration)
+        a, held = np.zeros(self.n_dof), np.zeros(self.n_dof, dtype=bool)
+        for joint, value in prescribed.items():
+            a[self.motor.get(joint, joint)], held[self.motor.get(joint, joint)] = value, True
+        a[~held] = np.linalg.solve(M[np.ix_(~held, ~held)], (Q - M @ a)[~held])
+        needed = (M @ a - Q)[[self.motor.get(i, i) for i in range(self.n)]]
+        return a, np.where(np.isin(np.arange(self.n), list(prescribed)), needed, torque)
+
+    def tip(self, x):
+        """Position (3,) of the tip of the last link, m."""
+        return self._motion(x, np.zeros(self.n_dof))[-1].R
+
+    def tip_velocity(self, x, v):
+        """Velocity (3,) of the tip of the last link, m/s."""
+        return self._motion(x, v)[-1].rates[:3]
+
+    def points(self, x, v):
+        """Masses (N,), positions (N, 3) and velocities (N, 3) of every mass point of links, then payload, Eq. 1, 4."""
+        masses, positions, velocities = [], [], []
+        for beam, motion in zip(self.bodies, self._motion(x, v), strict=True):
+            lever, L = self._point_matrix(beam, motion)
+            masses.append(beam.masses)
+            positions.append(motion.R + lever)
+            velocities.append(L @ motion.rates)
+        return np.concatenate(masses), np.concatenate(positions), np.concatenate(velocities)
+
+    def rotors(self, x, v):
+        """Axes (n, 3) of the rotors in the base frame, and their rates (n,) about them: absolute where they spin."""
+        motions = self._motion(x, v)[: self.n]
+        axes, rates = np.array([motion.axis for motion in motions]), v[[self.motor.get(i, i) for i in range(self.n)]]
+        if self.spinning_rotors:
+            rates = rates + [motion.axis @ motion.rates[3:6] - v[i] for i, motion in enumerate(motions)]
+        return axes, rates
+
+    def energy(self, x, v):
+        """Kinetic (with rotors), elastic (links and joints) and gravitational energy (zero at the base origin), J."""
+        masses, positions, velocities = self.points(x, v)
+        _, rates = self.rotors(x, v)
+        kinetic = 0.5 * masses @ np.sum(velocities**2, axis=1)
+        elastic = sum(0.5 * x[q] @ beam.K @ x[q] for q, beam in zip(self.elastic, self.beams, strict=True))
+        for i, joint in enumerate(self.arm.joints):
+            kinetic += 0.5 * joint.rotor_inertia * rates[i] ** 2
+            if i in self.motor:
+                elastic += 0.5 * joint.stiffness * (x[self.motor[i]] - x[i]) ** 2
+        return kinetic, elastic, -masses @ positions @ self.gravity
+
+    def angular_momentum(self, x, v):
+        """Angular momentum (3,) of links and payload about the base origin, kg m^2/s; of rotors where they spin.
+
+        Without a moment of gravity, axis_1 . angular_momentum grows at the rate T_1 where rotors spin. Where they do
+        not, only the first enters that balance: axis_1 . angular_momentum + J_1 theta_m1' (theta_1' where joint 1 is
+        rigid) does. The others turn relative to their links and their absolute rotation is dropped (Eq. 23), so they
+        neither take nor give momentum about axis_1.
+        """
+        masses, positions, velocities = self.points(x, v)
+        momentum = masses @ np.cross(positions, velocities)
+        if self.spinning_rotors:
+            axes, rates = self.rotors(x, v)
+            momentum += [joint.rotor_inertia for joint in self.arm.joints] * rates @ axes
+        return momentum

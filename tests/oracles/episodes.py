@@ -1,0 +1,17 @@
+"""Episodes: random actions and a randomisation with everything on, for tests of the environments."""
+
+import numpy as np
+
+EVERYTHING = {
+    "payload_mass": (0.0, 5.0), "joint_stiffness": (0.8, 1.2), "link_stiffness": (0.8, 1.2),
+    "rotor_inertia": (0.9, 1.1), "joint_damping": (0.0, 20.0), "torque_limit": (0.9, 1.1), "sensor_noise": (0.0, 0.01),
+    "delay": (0, 3), "initial_vibration": (0.0, 0.01), "tip_impulse": (0.0, 5.0), "impulse_gap": 0.2,
+}  # fmt: skip
+
+
+def actions(arms, steps, seed=0):
+    """Gentle torques, and now and then all that the motors have."""
+    random = np.random.default_rng(seed)
+    for step in range(steps):
+        action = random.uniform(-1.0, 1.0, (arms, 3)).astype(np.float32)
+        yield np.sign(action) if step % 40 > 20 else 0.2 * action

@@ -1,0 +1,18 @@
+"""Files: where the project, its reference solutions and its scripts are, and scripts as modules."""
+
+import importlib
+import sys
+from pathlib import Path
+from types import ModuleType
+
+ROOT = Path(__file__).parents[2]
+REFERENCE, SCRIPTS = ROOT / "tests" / "reference", ROOT / "scripts"
+
+
+def command(name: str) -> ModuleType:
+    """The script of that name, imported as Python does for one that is run: its folder comes first."""
+    sys.path.insert(0, str(SCRIPTS))
+    try:
+        return importlib.import_module(name)
+    finally:
+        sys.path.remove(str(SCRIPTS))

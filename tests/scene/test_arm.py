@@ -1,0 +1,208 @@
+"""Arm: links, joints, payload and arm hold what was given, and refuse what is not an arm in one clear line."""
+
+import math
+import warnings
+from dataclasses import FrozenInstanceError, fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.spatial.transform import Rotation
+
+from flexman_gym.scene.arm import MOST_SECTIONS, Arm, Joint, Link, NonUniformLink, Payload
+
+LINK = Link(1.0, 0.002, 6e-7, 5e-7, 1e-6, 206e9, 79e9, 8253.0)
+JOINT = Joint((0.0, 0.0, 1.0))
+LINK_NUMBERS = [field.name for field in fields(Link) if field.name != "orientation"]
+NOT_NUMBERS = [math.nan, math.inf, -math.inf, 10**400, 10**5000, True, np.True_, "1.0", None, 1j, [1.0], np.ones(2)]
+STEPPED = NonUniformLink([LINK, LINK])
+PARTS = {"Link": LINK, "NonUniformLink": STEPPED, "Joint": JOINT, "Payload": Payload(1.0), "Arm": Arm([LINK], [JOINT])}
+
+quaternions = arrays(float, 4, elements=st.floats(-1.0, 1.0)).filter(lambda q: np.linalg.norm(q) > 0.1)
+
+
+def refused(field: str, value: object, allowed: str = "") -> None:
+    """Assert that `field` ("Link.length") refuses `value` in one line that names the field and says what is allowed."""
+    kind, _, name = field.partition(".")
+    with pytest.raises(ValueError) as error:
+        replace(PARTS[kind], **{name: value})
+    line = str(error.value)
+    assert line.startswith(field)
+    assert "give " in line and allowed in line
+    assert "\n" not in line and len(line) < 250
+
+
+@pytest.mark.parametrize("name", LINK_NUMBERS)
+@pytest.mark.parametrize("value", [0.0, -1.0, *NOT_NUMBERS], ids=lambda value: str(type(value)))
+def test_a_link_number_is_finite_and_positive(name, value):
+    refused(f"Link.{name}", value, "a finite number > 0")
+
+
+def test_an_error_names_the_field_the_value_and_what_is_allowed():
+    with pytest.raises(ValueError) as error:
+        replace(LINK, length=-1.0)
+    assert str(error.value) == "Link.length: -1.0 is not allowed; give a finite number > 0 (m)"
+
+
+@given(*[st.floats(1e-3, 1e3)] * 3)
+def test_mass_is_density_times_volume(length, area, density):
+    link = replace(LINK, length=length, area=area, second_moment_y=area**2, density=density)
+    assert link.mass == pytest.approx(density * area * length)
+
+
+@given(st.floats(1e-3, 1e3), st.floats(1e-3, 1e3))
+def test_a_section_with_less_polar_moment_than_a_disc_is_warned_of(radius, height):
+    """A disc of radius r has I = pi r^4 / 4 in each plane, a rectangle b h^3 / 12 and h b^3 / 12."""
+    disc = {"area": math.pi * radius**2, **dict.fromkeys(LINK_NUMBERS[2:4], math.pi * radius**4 / 4)}
+    rectangle = {
+        "area": radius * height,
+        "second_moment_y": radius * height**3 / 12,
+        "second_moment_z": height * radius**3 / 12,
+    }
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        replace(LINK, **disc), replace(LINK, **rectangle)
+    with pytest.warns(UserWarning, match=r"^Link\.second_moment_y \+ second_moment_z: ") as caught:
+        link = replace(LINK, **disc | {"area": 1.001 * disc["area"]})
+    line = str(caught[0].message)
+    assert len(caught) == 1 and "\n" not in line
+    for value in (link.second_moment_y + link.second_moment_z, link.area, link.area**2 / (2 * math.pi)):
+        assert f"{value:.6g}" in line
+
+
+def test_the_warning_points_at_who_makes_the_link():
+    with pytest.warns(UserWarning) as caught:
+        Link(1.0, 0.028, 8.33e-7, 8.33e-7, 1.66e-6, 206e9, 79.3e9, 8253.0)
+    assert caught[0].filename == __file__
+
+
+@given(quaternions)
+def test_every_rotation_is_an_orientation_and_no_reflection_is(quaternion):
+    matrix = Rotation.from_quat(quaternion).as_matrix()
+    assert np.array_equal(replace(LINK, orientation=matrix).orientation, matrix)
+    refused("Link.orientation", -matrix, "a rotation matrix")
+    refused("Link.orientation", 1.00001 * matrix, "a rotation matrix")
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        None,
+        1.0,
+        "identity",
+        [],
+        np.eye(2),
+        np.zeros((3, 3)),
+        np.full((3, 3), math.nan),
+        np.full((3, 3), 1e300),
+        [[1.0]] * 3,
+    ],
+    ids=str,
+)
+def test_an_orientation_is_three_rows_of_three_finite_numbers(value):
+    refused("Link.orientation", value)
+
+
+def test_a_non_uniform_link_is_as_long_and_heavy_as_its_sections():
+    half, other = replace(LINK, length=0.3), replace(LINK, length=0.5, density=1000.0)
+    link = NonUniformLink([half, other])
+    assert link.sections == (half, other) and LINK.sections == (LINK,)
+    assert link.length == pytest.approx(0.8) and link.mass == pytest.approx(half.mass + other.mass)
+    assert Arm([LINK, link], [JOINT] * 2).links == (LINK, link)
+
+
+@pytest.mark.parametrize(
+    "value", [None, (), LINK, "link", [LINK, 1.0], [STEPPED], [LINK] * (MOST_SECTIONS + 1)], ids=str
+)
+def test_a_non_uniform_link_is_made_of_uniform_ones(value):
+    refused("NonUniformLink.sections", value)
+
+
+@given(quaternions)
+def test_a_section_has_no_orientation_of_its_own_but_the_link_has(quaternion):
+    matrix = Rotation.from_quat(quaternion).as_matrix()
+    turned = replace(STEPPED, orientation=matrix)
+    assert np.array_equal(turned.orientation, matrix)
+    refused("NonUniformLink.orientation", -matrix, "a rotation matrix")
+    if not np.array_equal(matrix, np.eye(3)):
+        with pytest.raises(ValueError, match=r"^NonUniformLink\.sections\[1\]\.orientation: .* give the identity"):
+            NonUniformLink([LINK, replace(LINK, orientation=matrix)])
+
+
+@given(quaternions)
+def test_an_axis_of_length_one_is_kept_as_it_is(quaternion):
+    axis = Rotation.from_quat(quaternion).as_matrix()[0]
+    assert Joint(axis).axis == tuple(axis)
+
+
+@pytest.mark.parametrize("length", [0.0, 1.0 - 1e-6, 1.0 + 1e-6, 2.0])
+def test_an_axis_of_another_length_is_refused_with_its_length(length):
+    refused("Joint.axis", (0.0, -length, 0.0), f"the length of this one is {length:.12g}")
+
+
+@pytest.mark.parametrize("value", [None, 1.0, "z", [], (1.0, 0.0), (0.0, 0.0, math.nan), (0.0, 0.0, True)], ids=str)
+def test_an_axis_is_three_finite_numbers(value):
+    refused("Joint.axis", value)
+
+
+@pytest.mark.parametrize("field", ["Joint.rotor_inertia", "Joint.damping", "Payload.mass"])
+@pytest.mark.parametrize("value", [-1.0, *NOT_NUMBERS], ids=lambda value: str(type(value)))
+def test_inertia_damping_and_payload_are_not_negative(field, value):
+    refused(field, value, "a finite number >= 0")
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, math.inf, "rigid"])
+def test_a_joint_is_rigid_by_none_only(value):
+    refused("Joint.stiffness", value, "None for a rigid joint")
+
+
+def test_a_damper_needs_its_spring_and_a_spring_its_rotor():
+    refused("Joint.damping", 1.0, "the damper is parallel to the spring")
+    with pytest.raises(ValueError, match=r"^Joint.rotor_inertia: 0.0 is not allowed; give a number > 0"):
+        Joint((0, 0, 1), stiffness=100.0)
+    assert Joint((0, 0, 1), rotor_inertia=1.0, stiffness=100.0, damping=2.0).damping == 2.0
+
+
+@pytest.mark.parametrize("name", ["links", "joints"])
+@pytest.mark.parametrize("value", [(), None, "arm", LINK, JOINT, [LINK, 1.0], [JOINT, None]], ids=str)
+def test_an_arm_is_a_chain_of_at_least_one_link_and_joint(name, value):
+    refused(f"Arm.{name}", value)
+
+
+def test_an_arm_has_one_joint_for_each_link():
+    with pytest.raises(ValueError, match=r"^Arm.joints: 2 joints are not allowed; give 3, one for each link$"):
+        Arm([LINK] * 3, [JOINT] * 2)
+    assert Arm([LINK] * 3, [JOINT] * 3).n_joints == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("payload", 5.0),
+        ("gravity", -9.81),
+        ("gravity", (0.0, -9.81)),
+        ("gravity", (0.0, 0.0, math.nan)),
+        ("stiffness_proportional_damping", -1e-4),
+        ("modal_damping_ratio", -0.01),
+        ("modal_damping_ratio", 1.0),
+    ],
+)
+def test_an_arm_refuses(name, value):
+    refused(f"Arm.{name}", value)
+
+
+def test_lists_arrays_and_tuples_describe_the_same_arm():
+    arms = [
+        Arm(kind([LINK, LINK]), kind([Joint(kind([0, 0, 1]))] * 2), Payload(2), kind([0, 0, -9.81]))
+        for kind in (list, tuple, np.array)
+    ]
+    assert len(set(arms)) == 1
+    assert arms[0] != replace(arms[0], payload=Payload(3.0))
+    with pytest.raises(FrozenInstanceError):
+        arms[0].gravity = (0.0, 0.0, 0.0)
+
+
+def test_a_payload_of_no_mass_is_no_payload():
+    assert Arm([LINK], [JOINT], Payload(0.0)) == Arm([LINK], [JOINT])

@@ -1,0 +1,74 @@
+"""Catalog: the named arms and scenes are those of their sources."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from flexman_gym.scene.arm import Payload
+from flexman_gym.scene.catalog import one_link, paper_rrr, paper_scene, planar_2r
+from flexman_gym.scene.scene import Scene
+
+from oracles.files import REFERENCE
+
+# The reference scenes hold the printed area of link 1 and that of `one_link`, which no section can have.
+pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")
+
+
+@pytest.mark.parametrize("case", ["rr", "fr", "ff"])
+def test_a_paper_scene_is_the_reference_scene(case):
+    assert paper_scene(case) == replace(Scene.load(REFERENCE / f"paper_{case}.json"), note=paper_scene(case).note)
+
+
+def test_the_paper_arm_carries_what_the_gravity_scene_adds():
+    arm = paper_rrr(
+        rotor_inertia=2.0,
+        joint_stiffness=60000.0,
+        joint_damping=150.0,
+        payload=Payload(5.0),
+        gravity=(0, 0, -9.81),
+        stiffness_proportional_damping=2e-4,
+    )
+    assert arm == Scene.load(REFERENCE / "gravity_payload_ff.json").arm
+
+
+def test_one_link_is_the_reference_pendulum():
+    arm = one_link(axis=(0.6, 0.8, 0.0), payload=Payload(0.5), gravity=(0, 0, -9.81))
+    assert arm == Scene.load(REFERENCE / "pendulum_1.json").arm
+
+
+@pytest.mark.filterwarnings("error")
+def test_the_catalogue_warns_of_nothing():
+    for area in ("printed", "corrected"):
+        paper_rrr(area)
+    one_link(), planar_2r()
+    for case in ("rr", "fr", "ff"):
+        assert paper_scene(case).arm == paper_rrr()
+
+
+def test_only_the_corrected_area_of_link_1_fits_its_polar_moment():
+    """Of all sections of one area a solid disc has the least polar moment, A^2 / (2 pi)."""
+    for area, fits in (("printed", False), ("corrected", True)):
+        link = paper_rrr(area).links[0]
+        assert (link.area**2 / (2.0 * math.pi) <= link.torsion_constant) is fits
+
+
+def test_the_paper_arm_reaches_7_5_m_out_and_1_m_up():
+    """At zero angles link 1 stands up and the others lie along +X; the reference trajectories start there."""
+    tip = sum(link.length * np.array(link.orientation)[:, 0] for link in paper_rrr().links)
+    assert np.allclose(tip, (7.5, 0.0, 1.0), rtol=0.0, atol=1e-15)
+
+
+def test_the_planar_arm_bends_most_easily_in_its_plane():
+    arm = planar_2r(joint_stiffness=100.0, modal_damping_ratio=0.01)
+    assert arm.n_joints == 2
+    assert all(joint.axis == (0.0, 0.0, 1.0) for joint in arm.joints)
+    assert all(link.second_moment_z < 0.01 * link.second_moment_y for link in arm.links)
+
+
+def test_a_wrong_name_is_refused_with_the_right_ones():
+    with pytest.raises(ValueError, match=r"^link1_area: 0.0028 is not allowed; give one of printed, corrected$"):
+        paper_rrr(link1_area=0.0028)
+    with pytest.raises(ValueError, match=r"^case: 'rf' is not allowed; give one of rr, fr, ff$"):
+        paper_scene("rf")

@@ -1,0 +1,216 @@
+"""Batch: an arm among many moves as it would alone, and what is varied is what building the model anew gives."""
+
+import copy
+import pickle
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import flexman_gym as fm
+from flexman_gym.kernels import layout
+from flexman_gym.simulation.batch import Batch
+
+ARM = replace(
+    fm.catalog.paper_rrr(rotor_inertia=10.0, link1_area="corrected"),
+    payload=fm.Payload(3.0, inertia=np.diag([0.2, 0.3, 0.4]).tolist(), offset=(0.1, 0.0, 0.2)),
+    gravity=(0.0, 0.0, -9.81),
+    stiffness_proportional_damping=1e-4,
+)
+FACTORS = st.tuples(*3 * [st.floats(0.5, 2.0)])
+FEW = settings(deadline=None, derandomize=True, max_examples=10)
+METHODS = ("ros2", "extrapolated_euler_3", "generalised_alpha", "rk4", "dop853")
+
+
+def states_of(model, arms, seed=0):
+    """Arms that turn, bend a little and vibrate, the rotors with them."""
+    random = np.random.default_rng(seed)
+    states = 1e-3 * random.normal(size=(arms, 2 * model.n_dof))
+    turned = random.uniform(-1.0, 1.0, (arms, model.n_joints))
+    states[:, : model.n_joints] += turned
+    states[:, model.motor_columns] += turned
+    return states
+
+
+def drives(arms, steps, seed=1):
+    """Torques, tip forces and accelerations of the base, (steps, b, n + 6)."""
+    return np.random.default_rng(seed).uniform(-1.0, 1.0, (steps, arms, 9)) * ([400.0] * 3 + [20.0] * 3 + [1.0] * 3)
+
+
+def everything(batch):
+    """All that a batch says of its arms, (b, ...) each."""
+    names = ("rows", "outputs", "status", "time", "energy_turnover", "energy_residual")
+    return [np.array(getattr(batch, name)) for name in names]
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("stiffening", [False, True])
+def test_an_arm_among_many_moves_as_it_would_alone(method, stiffening):
+    model = fm.build_model(ARM, modes=2, stiffening=stiffening)
+    step = 0.0001 if method == "rk4" else 0.005
+    together, alone = Batch(model, method, step, 0.01, arms=11), Batch(model, method, step, 0.01)
+    states, drive = states_of(model, 11), drives(11, 5)
+    together.reset(np.arange(11), states)
+    for each in drive:
+        together.step(each)
+    for arm in range(11):
+        alone.reset(np.array([0]), states[arm : arm + 1])
+        for each in drive:
+            alone.step(each[arm : arm + 1])
+        for found, expected in zip(everything(together), everything(alone), strict=True):
+            assert np.array_equal(found[arm], expected[0])
+
+
+def test_arms_are_reset_at_different_times():
+    """Two arms that start from the same state and are driven alike move alike, one period apart."""
+    model = fm.build_model(ARM, modes=2)
+    batch, state, drive = Batch(model, arms=2), states_of(model, 1), drives(1, 6)
+    batch.reset(np.array([0]), state)
+    earlier = []
+    for period in range(6):
+        if period == 1:
+            batch.reset(np.array([1]), state)
+        batch.step(np.concatenate([drive[period], drive[period - 1]]))
+        earlier.append([each[0] for each in everything(batch)])
+        if period:
+            for found, expected in zip(everything(batch), earlier[period - 1], strict=True):
+                assert np.array_equal(found[1], expected)
+
+
+def test_a_failed_arm_rests_at_its_last_good_period_until_it_is_reset():
+    model = fm.build_model(ARM, modes=2)
+    batch, states, drive = Batch(model, arms=3), states_of(model, 3), drives(3, 4)
+    batch.reset(np.arange(3), states)
+    batch.step(drive[0])
+    before = everything(batch)
+    drive[1:, 1, 0] = 1e12
+    for each in drive[1:3]:
+        batch.step(each)
+    assert batch.status.tolist() == [layout.OK, layout.DIVERGED, layout.OK]
+    for found, old in zip(everything(batch)[:2], before[:2], strict=True):
+        assert np.array_equal(found[1], old[1])
+        assert (found[0] != old[0]).any() and np.isfinite(found).all()
+    assert batch.time == pytest.approx([0.06, 0.02, 0.06])
+    batch.reset(np.array([1]), states[1:2])
+    batch.step(drives(3, 1)[0])
+    assert batch.status[1] == layout.OK and np.array_equal(batch.rows[1], before[0][1])
+
+
+def assert_varied(arm, changed, parameters, **choice):
+    """Asserts that an arm with these parameters moves like the changed arm built anew, and its neighbour as before."""
+    nominal, anew = fm.build_model(arm, **choice), fm.build_model(changed, **choice)
+    times = {"step": 1e-4, "control_period": 1e-3}
+    together, alone, unvaried = Batch(nominal, **times, arms=2), Batch(anew, **times), Batch(nominal, **times)
+    together.vary(np.array([1]), **{name: np.array([value]) for name, value in parameters.items()})
+    states, drive = states_of(nominal, 2), drives(2, 1)[0]
+    for batch, part in ((together, slice(2)), (alone, slice(1, 2)), (unvaried, slice(1))):
+        batch.reset(np.arange(len(batch.rows)), states[part])
+        batch.step(drive[part])
+    for found, same, expected in zip(*map(everything, (together, unvaried, alone)), strict=True):
+        assert np.array_equal(found[0], same[0])
+        size = np.abs(expected).max()
+        assert found[1] == pytest.approx(expected[0], rel=1e-9, abs=1e-9 * size + 1e-9)
+    assert not np.allclose(unvaried.state, alone.state, rtol=1e-6, atol=0.0), "the change is to be seen"
+
+
+@FEW
+@given(FACTORS, st.sampled_from([0.0, 0.01]))
+def test_stiffer_links_are_links_of_stiffer_material(factors, ratio):
+    """Their modal damping keeps its ratio: a factor on all of a link's stiffness leaves the shapes of its modes."""
+    arm = replace(ARM, modal_damping_ratio=ratio)
+    links = [
+        replace(link, youngs_modulus=factor * link.youngs_modulus, shear_modulus=factor * link.shear_modulus)
+        for link, factor in zip(arm.links, factors, strict=True)
+    ]
+    assert_varied(arm, replace(arm, links=links), {"link_stiffness": factors})
+
+
+@FEW
+@given(st.floats(0.1, 20.0))
+def test_a_heavier_payload_is_a_payload_of_the_same_shape(mass):
+    inertia = (mass / ARM.payload.mass * np.array(ARM.payload.inertia)).tolist()
+    assert_varied(ARM, replace(ARM, payload=replace(ARM.payload, mass=mass, inertia=inertia)), {"payload_mass": mass})
+
+
+def test_a_payload_where_there_was_none_is_a_point():
+    bare = replace(ARM, payload=None)
+    assert_varied(bare, replace(bare, payload=fm.Payload(2.0)), {"payload_mass": 2.0})
+
+
+@FEW
+@given(FACTORS, st.booleans())
+def test_joints_are_those_of_an_arm_with_such_joints(factors, spinning):
+    values = {
+        "joint_stiffness": 5000.0 * np.array(factors),
+        "joint_damping": 10.0 * np.array(factors[::-1]),
+        "rotor_inertia": 10.0 / np.array(factors),
+    }
+    joints = [
+        replace(joint, stiffness=values["joint_stiffness"][i], damping=values["joint_damping"][i],
+                rotor_inertia=values["rotor_inertia"][i]) for i, joint in enumerate(ARM.joints)
+    ]  # fmt: skip
+    assert_varied(ARM, replace(ARM, joints=joints), values, spinning_rotors=spinning)
+
+
+def test_nominal_parameters_change_no_bit():
+    model = fm.build_model(replace(ARM, modal_damping_ratio=0.01), modes=3)
+    batch, states, drive = Batch(model, arms=2), states_of(model, 1), drives(1, 3)
+    batch.vary(np.array([1]), **{name: np.array([value]) for name, value in batch.nominal.items()})
+    batch.reset(np.arange(2), states.repeat(2, axis=0))
+    for each in drive:
+        batch.step(each.repeat(2, axis=0))
+    for found in everything(batch):
+        assert np.array_equal(found[0], found[1])
+
+
+@pytest.mark.parametrize(
+    ("parameters", "line"),
+    [
+        ({"mass": [1.0]}, "parameters: 'mass' is not allowed; give one of payload_mass, joint_stiffness"),
+        ({"payload_mass": [-1.0]}, "payload_mass: [-1.0] is not allowed; give finite numbers >= 0, of shape (1,)"),
+        ({"payload_mass": [np.nan]}, "payload_mass: [nan] is not allowed; give finite numbers >= 0, of shape (1,)"),
+        ({"payload_mass": [1.0, 2.0]}, "payload_mass: [1.0, 2.0] is not allowed"),
+        ({"link_stiffness": [[1.0, 0.0, 1.0]]}, "link_stiffness: [[1.0, 0.0, 1.0]] is not allowed; give numbers > 0"),
+        ({"joint_stiffness": [[1.0, 0.0, 0.0]]}, "joint_stiffness: [[1.0, 0.0, 0.0]] is not allowed; give numbers > 0"),
+        ({"joint_stiffness": [[1.0, 1.0, 5.0]]}, "joint_stiffness: [[1.0, 1.0, 5.0]] is not allowed; give [0.0] for"),
+        ({"joint_damping": [[1.0, 1.0, 5.0]]}, "joint_damping: [[1.0, 1.0, 5.0]] is not allowed; give [0.0] for"),
+        ({"rotor_inertia": [[1.0, 0.0, 1.0]]}, "rotor_inertia: [[1.0, 0.0, 1.0]] is not allowed; give numbers > 0"),
+    ],
+)
+def test_bad_parameters_are_refused_in_one_line(parameters, line):
+    joints = [*ARM.joints[:2], replace(ARM.joints[2], stiffness=None)]
+    batch = Batch(fm.build_model(replace(ARM, joints=joints), modes=1))
+    with pytest.raises(ValueError) as error:
+        batch.vary(np.array([0]), **parameters)
+    assert str(error.value).startswith(line) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ({"arms": 0}, "arms: 0 is not allowed; give a whole number from 1"),
+        ({"threads": 0}, "threads: 0 is not allowed; give a whole number from 1"),
+        ({"step": 0.003}, "step: 0.003 is not allowed; give a number of seconds that divides the control period"),
+        ({"prescribed": (3,)}, "prescribed: 3 is not allowed; give a whole number from 0 to 2"),
+    ],
+)
+def test_bad_arguments_are_refused_in_one_line(arguments, line):
+    with pytest.raises(ValueError) as error:
+        Batch(fm.build_model(ARM, modes=1), **arguments)
+    assert str(error.value).startswith(line) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_a_batch_refuses_to_be_copied(duplicate):
+    """A copy would move the arrays of the first one, whose addresses its kernels know."""
+    with pytest.raises(TypeError, match="cannot be copied or pickled"):
+        duplicate(Batch(fm.build_model(ARM, modes=2)))
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, pickle.dumps])
+def test_an_environment_refuses_to_be_copied(duplicate):
+    with pytest.raises(TypeError, match="cannot be copied or pickled"):
+        duplicate(gym.make("FlexRRR-v0").unwrapped)

@@ -1,0 +1,213 @@
+"""Methods: coefficients check themselves, and every method converges with the order that it claims."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.integrate import DOP853, RK45
+
+import flexman_gym as fm
+from flexman_gym.simulation.methods import EXPLICIT, IMPLICIT, LINEARLY_IMPLICIT, METHODS, REFERENCE, generalised_alpha
+
+FIXED = [name for name, method in METHODS.items() if not method.adaptive]
+ADAPTIVE = [name for name, method in METHODS.items() if method.estimates]
+DURATION = 0.5  # s
+SOFT = 5.0  # N m/rad, where even loose tolerances resolve the oscillation
+STEPS = (256, 512, 1024, 2048, 4096)
+ROUNDING = 1e-10  # errors below are no longer those of a method
+
+
+@cache
+def scene(stiffness=50.0):
+    """A rigid 2R arm on damped springs (N m/rad), swung by sine torques: a smooth problem without stiff modes."""
+    arm = fm.catalog.planar_2r(joint_stiffness=stiffness, payload=fm.Payload(0.2), gravity=(0.0, -9.81, 0.0))
+    arm = replace(arm, joints=[replace(joint, damping=0.002) for joint in arm.joints])
+    torque = fm.SineTorque((2.0, 1.0), (1.0, 2.0), (0.3, 0.0))
+    choice = fm.ModelChoice(flexible_links=False, elements=1)
+    return fm.Scene(arm, choice, torque, fm.Initial((0.4, -0.6), (1.0, 0.5)), DURATION, DURATION)
+
+
+@cache
+def truth(stiffness):
+    """The last state, to rounding."""
+    return fm.simulate(scene(stiffness), method="dop853", rtol=1e-13, atol=1e-14).states[-1]
+
+
+def error(method, stiffness=50.0, **options):
+    """Error of the last state."""
+    return np.linalg.norm(fm.simulate(scene(stiffness), method=method, **options).states[-1] - truth(stiffness))
+
+
+def observed_orders(errors, rounding=ROUNDING):
+    """Orders seen between runs of which each has half the step of the one before, as long as rounding is far off."""
+    errors = np.array([error for error in errors if error > rounding])
+    assert len(errors) >= 3, "too few errors above rounding"
+    return np.log2(errors[:-1] / errors[1:])
+
+
+@pytest.mark.parametrize("name", FIXED)
+def test_a_fixed_step_method_converges_with_its_order(name):
+    orders = observed_orders(error(name, step=DURATION / steps) for steps in STEPS)
+    assert orders[-1] == pytest.approx(METHODS[name].order, abs=0.15)
+
+
+@pytest.mark.parametrize("name", FIXED)
+def test_the_energy_ledger_converges_with_the_order_of_the_method(name):
+    runs = [fm.simulate(scene(), method=name, step=DURATION / steps) for steps in (64, 128, 256, 512)]
+    orders = observed_orders((abs(run.energy_residual[-1]) / run.energy.max() for run in runs), 1e-13)
+    assert orders[-1] > METHODS[name].order - 0.5  # at least: errors of opposite sign leave it wavering
+
+
+@pytest.mark.parametrize("name", [name for name in ADAPTIVE if name != "radau"])
+def test_the_error_of_an_adaptive_method_follows_rtol(name):
+    tolerances = 10.0 ** -np.arange(5, 11)  # with looser ones a step of order 8 is too long for its error estimate
+    errors = np.array([error(name, SOFT, rtol=rtol, atol=rtol) for rtol in tolerances])
+    assert (errors < 100 * tolerances).all()
+    assert errors[-1] < 1e-3 * errors[0]
+    work = [fm.simulate(scene(SOFT), method=name, rtol=rtol, atol=rtol).evaluations for rtol in (1e-4, 1e-7, 1e-10)]
+    assert work == sorted(work) and work[0] < work[-1]
+
+
+def test_three_families_agree():
+    """The reference has only its own word for it; other methods at their finest say the same."""
+    assert error("rk4", step=DURATION / 4096) < 1e-9
+    assert error("radau", rtol=1e-8, atol=1e-10) < 1e-6
+
+
+def test_methods_are_named_and_have_a_source():
+    assert {"semi_implicit_euler", "rk4", "dopri5", "dop853", "ros2", "implicit_midpoint", "radau"} <= set(METHODS)
+    for name, method in METHODS.items():
+        assert method.name == name and method.source
+        assert method.kind in (EXPLICIT, LINEARLY_IMPLICIT, IMPLICIT, REFERENCE)
+        assert method.tableau.abscissae[:-1] == pytest.approx(method.a.sum(axis=1))
+
+
+@pytest.mark.parametrize(("name", "theirs"), [("dopri5", RK45), ("dop853", DOP853)])
+def test_coefficients_of_dormand_and_prince_are_those_of_scipy(name, theirs):
+    method, s = METHODS[name], theirs.n_stages
+    errors = [theirs.E] if name == "dopri5" else [theirs.E5, theirs.E3]
+    stages = method.a[:, : theirs.A.shape[1]], theirs.A[:s, :s]  # of RK45 without the last column, which is zero
+    for mine, other in (stages, (method.b, theirs.B), (method.error, errors)):
+        assert mine == pytest.approx(np.array(other), rel=1e-15, abs=1e-16)
+
+
+@pytest.mark.parametrize("name", ADAPTIVE)
+def test_error_estimates_vanish_for_a_constant_slope(name):
+    method = METHODS[name]
+    if method.error.size:
+        assert method.error.sum(axis=1) == pytest.approx(0.0, abs=1e-14)
+    assert method.tableau.sequence_error.sum() == pytest.approx(0.0, abs=1e-12)
+
+
+def stability(method, z):
+    """R(z): what a step of length 1 makes of y' = z y, y = 1; the sequences of an extrapolation weighed."""
+    ones = np.ones(len(method.b))
+    matrix = method.a + method.coupling_matrix + method.gamma * np.eye(len(ones))
+
+    def once(part):
+        return 1 + part * method.b @ np.linalg.solve(np.eye(len(ones)) - part * matrix, ones)
+
+    tableau = method.tableau
+    return sum(w * once(z / n) ** n for w, n in zip(tableau.weights, tableau.sequence, strict=True))
+
+
+@pytest.mark.parametrize("name", [name for name in FIXED if METHODS[name].kind == LINEARLY_IMPLICIT])
+def test_a_linearly_implicit_method_damps_infinitely_stiff_modes(name):
+    """R goes to 0 as z goes to -infinity; ros2 is L-stable, extrapolation grows a mode of h w near 1 a little."""
+    method = METHODS[name]
+    assert abs(stability(method, -1e9)) < 1e-7
+    largest = max(abs(stability(method, 1j * w)) for w in 10 ** np.linspace(-3, 6, 400))
+    growth = {"ros2": 1e-12, "extrapolated_euler_3": 2e-3, "extrapolated_euler_4": 5e-3, "extrapolated_euler_5": 8e-3}
+    assert largest <= 1.0 + growth[name]
+    assert method.gamma > 0.0
+
+
+@pytest.mark.parametrize("name", [name for name in FIXED if METHODS[name].kind in (EXPLICIT, LINEARLY_IMPLICIT)])
+def test_the_stability_function_agrees_with_the_exponential_to_the_order(name):
+    method = METHODS[name]
+    errors = [abs(stability(method, z) - np.exp(z)) for z in (-0.04 + 0.08j, -0.02 + 0.04j)]
+    assert np.log2(errors[0] / errors[1]) > method.order + 0.8
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.5, 0.9, 1.0])
+def test_generalised_alpha_has_its_spectral_radius_at_infinite_frequency(radius):
+    """Of the matrix that takes (x, h v, h^2 a) of an undamped mode over a step, h w = 1e6 (Chung and Hulbert 1993)."""
+    am, af, beta, gamma, _ = generalised_alpha(radius).averages
+    square = 1e12
+    # (1 - am) a1 + am a0 = -w^2 ((1 - af) x1 + af x0), with x1 and v1 by Newmark's formulas
+    new = np.array([[1.0, 0.0, -beta], [0.0, 1.0, -gamma], [(1 - af) * square, 0.0, 1 - am]])
+    old = np.array([[1.0, 1.0, 0.5 - beta], [0.0, 1.0, 1 - gamma], [-af * square, 0.0, -am]])
+    found = np.abs(np.linalg.eigvals(np.linalg.solve(new, old))).max()
+    assert found == pytest.approx(radius, abs=2e-2)
+    assert gamma == pytest.approx(0.5 - am + af) and beta >= 0.25 + 0.5 * (af - am) - 1e-12  # order 2, stable
+
+
+def test_a_method_may_be_given_itself():
+    assert error(generalised_alpha(0.2), step=DURATION / 4096) < 1e-3
+    with pytest.raises(ValueError, match="radius must be from 0 to 1"):
+        generalised_alpha(1.5)
+
+
+@pytest.mark.parametrize("name", ["implicit_midpoint", "generalised_alpha"])
+def test_an_implicit_step_that_does_not_converge_is_a_status(name):
+    fast = replace(scene(), initial=fm.Initial((0.4, -0.6), (300.0, -900.0)))
+    assert fm.simulate(fast, method=name, step=DURATION).status in ("not converged", "diverged")
+
+
+def test_extrapolation_weights_eliminate_powers():
+    weights = METHODS["extrapolated_euler_4"].tableau.weights
+    for power in range(1, 4):
+        assert weights @ (1.0 / np.arange(1, 5) ** power) == pytest.approx(0.0, abs=1e-13)
+
+
+def changed(array, index, value):
+    """A copy with one entry changed."""
+    copy = np.array(array)
+    copy[index] = value
+    return copy
+
+
+RK4, ROS2, DOP8, EULER = (METHODS[name] for name in ("rk4", "ros2", "dop853", "extrapolated_euler_3"))
+
+
+@pytest.mark.parametrize(
+    ("method", "changes"),
+    [
+        (RK4, {"b": changed(RK4.b, 0, 0.2)}),
+        (RK4, {"b": np.array([1, 3, 3, 1]) / 8}),
+        (RK4, {"a": changed(RK4.a, (2, 1), 0.4)}),
+        (RK4, {"a": changed(RK4.a, (0, 1), 0.5)}),
+        (RK4, {"a": changed(RK4.a, (1, 1), 0.5)}),
+        (RK4, {"a": RK4.a[:3, :3]}),
+        (RK4, {"b": changed(RK4.b, 0, np.nan)}),
+        (RK4, {"a": changed(RK4.a, (1, 0), np.nan)}),
+        (RK4, {"kind": "symplectic"}),
+        (RK4, {"kind": IMPLICIT}),
+        (RK4, {"sequence": (1, 2)}),
+        (RK4, {"radius": 0.5}),
+        (EULER, {"sequence": (1, 3, 2)}),
+        (EULER, {"sequence": (1, 2)}),
+        (EULER, {"b": np.array([0.9])}),
+        (RK4, {"kind": LINEARLY_IMPLICIT}),
+        (RK4, {"gamma": 0.5}),
+        (ROS2, {"b": np.array([0.4, 0.6])}),
+        (ROS2, {"gamma": 0.0}),
+        (ROS2, {"gamma": 0.3}),
+        (ROS2, {"coupling": None}),
+        (ROS2, {"kind": EXPLICIT}),
+        (DOP8, {"error": DOP8.error[:, :12]}),
+        (DOP8, {"error": np.zeros((3, 13))}),
+        (DOP8, {"a": changed(DOP8.a, (11, 0), DOP8.a[11, 0] + 1e-6)}),
+        (DOP8, {"b": changed(DOP8.b, 0, DOP8.b[0] + 1e-9)}),
+    ],
+)
+def test_wrong_coefficients_are_refused_in_one_line(method, changes):
+    with pytest.raises(ValueError) as error:
+        replace(method, **changes)
+    line = str(error.value)
+    assert line.startswith(f"{method.name}: ") and "\n" not in line
+
+
+def test_a_method_may_claim_less_than_its_order():
+    assert replace(RK4, order=3).order == 3

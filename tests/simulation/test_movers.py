@@ -1,0 +1,89 @@
+"""Movers: arms abreast, an arm alone and one after the other are moved by the same physics."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import flexman_gym as fm
+from flexman_gym.kernels import layout
+from flexman_gym.simulation.methods import METHODS
+from flexman_gym.simulation.movers import Abreast, OneByOne
+from flexman_gym.simulation.run import Run
+
+from oracles.affected import affected
+from oracles.chains import QUICK
+
+PERIOD, PARTS, ARMS = 2e-3, 2, 11  # s; short, as these arms may be as stiff as they like
+
+
+def moved(mover, states, drives):
+    """Rows, outputs and status of arms (b, 2 d) after a period."""
+    rows, outputs = np.hstack([states, np.zeros((len(states), 2))]), np.zeros((len(states), layout.OUTPUTS))
+    status = np.zeros(len(states), dtype=np.int64)
+    mover.move(drives, np.zeros(len(states)), rows, outputs, status)
+    return rows, outputs, status
+
+
+def states_of(sample, model):
+    """Arms that bend from nothing to beyond the series of the tangent operator, side by side."""
+    found = [np.concatenate(replace(sample, seed=sample.seed + arm).state()) for arm in range(ARMS)]
+    return np.array([state * scale for state, scale in zip(found, np.linspace(0.0, 1.0, ARMS), strict=True)])
+
+
+def drives_for(model, held, seed):
+    """Torques, tip forces and accelerations of the base; moderate accelerations of joints that are held."""
+    drives = np.random.default_rng(seed).uniform(-20.0, 20.0, (ARMS, model.n_joints + 6))
+    drives[:, list(held)] *= 0.05
+    return drives
+
+
+@QUICK
+@given(affected(), st.sampled_from(["ros2", "extrapolated_euler_3"]))
+def test_lanes_hold_the_bits_of_an_arm_alone(case, method):
+    """With rotors that spin, friction, disturbances and prescribed joints; where links do not shorten."""
+    sample, method = case.sample, METHODS[method]
+    states, drives = states_of(sample, case.model), drives_for(case.model, case.held, sample.seed)
+    abreast = moved(Abreast(case.constants, method, (PERIOD, PARTS), ARMS, 1), states, drives)
+    for arm in range(ARMS):
+        one = slice(arm, arm + 1)
+        alone = moved(Abreast(case.constants, method, (PERIOD, PARTS), 1, 1), states[one], drives[one])
+        run = Run(case.model, method, None, case.held)
+        single = moved(OneByOne([run], (PERIOD, PARTS)), states[one], drives[one])
+        for found, expected, other in zip(abreast, alone, single, strict=True):
+            if sample.stiffening:  # sums over stations run in another order
+                scale = 1.0 + np.abs(expected[0])
+                assert np.array_equal(found[arm], expected[0], equal_nan=True)
+                assert np.abs((found[arm] - other[0]) / scale).max() < 1e-6
+            else:
+                assert np.array_equal(found[arm], expected[0])
+                assert np.array_equal(found[arm], other[0])
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_threads_share_the_groups(threads):
+    model = fm.build_model(fm.catalog.paper_rrr(), modes=2)
+    states = 1e-3 * np.random.default_rng(0).normal(size=(273, 2 * model.n_dof))
+    drives = np.random.default_rng(1).uniform(-100.0, 100.0, (273, 9))
+    ros2 = METHODS["ros2"]
+    expected = moved(Abreast(model.constants, ros2, (0.02, 4), 273, 1), states, drives)
+    for found, wanted in zip(
+        moved(Abreast(model.constants, ros2, (0.02, 4), 273, threads), states, drives), expected, strict=True
+    ):
+        assert np.array_equal(found, wanted)
+
+
+def test_a_lane_that_diverges_disturbs_no_other():
+    model = fm.build_model(fm.catalog.paper_rrr(), modes=2)
+    states = 1e-3 * np.random.default_rng(0).normal(size=(9, 2 * model.n_dof))
+    drives = np.zeros((9, 9))
+    calm = moved(Abreast(model.constants, METHODS["ros2"], (0.02, 4), 9, 1), states, drives)
+    wild = states.copy()
+    wild[3, -1], wild[5, 0] = 1e200, np.nan
+    rows, outputs, status = moved(Abreast(model.constants, METHODS["ros2"], (0.02, 4), 9, 1), wild, drives)
+    others = np.isin(np.arange(9), (3, 5), invert=True)
+    assert status.tolist() == [layout.DIVERGED if arm in (3, 5) else layout.OK for arm in range(9)]
+    assert np.array_equal(rows[others], calm[0][others]) and np.array_equal(outputs[others], calm[1][others])
+    assert np.array_equal(rows[3, :-2], wild[3])  # it stays where it was

@@ -1,0 +1,299 @@
+"""Simulator: scenes end where the reference says, conserved quantities are conserved, and failures are said."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import flexman_gym as fm
+
+from oracles.dense import Chain
+from oracles.files import REFERENCE
+
+SCENES = ("paper_rr", "paper_fr", "paper_ff", "gravity_payload_ff", "pendulum_1")
+TOLERANCE = 1e-6  # m at the tip, rad at joints, of the largest energy; the references are within 3e-8 m
+# The reference scenes hold the printed area of link 1 and that of `one_link`, which no section can have.
+pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")
+
+
+@cache
+def scene(name):
+    """A reference scene."""
+    return fm.Scene.load(REFERENCE / f"{name}.json")
+
+
+@cache
+def reference(name):
+    """Rows of time, tip, joint angles, motor angles, energy of the independent model."""
+    return np.loadtxt(REFERENCE / f"{name}.csv", delimiter=",", skiprows=1)
+
+
+@cache
+def solution(name):
+    """The scene by the reference method, its own error far below TOLERANCE."""
+    return fm.simulate(scene(name), method="dop853", rtol=1e-6, atol=1e-8)
+
+
+def short(name="paper_ff", duration=0.1, **changes):
+    """A scene cut short or changed."""
+    return replace(scene(name), duration=duration, **changes)
+
+
+def rigid():
+    """A model with little to compute: the paper's arm without any flexibility."""
+    return fm.build_model(fm.catalog.paper_rrr(), flexible_links=False, flexible_joints=False)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_reference_scene_is_met(name):
+    found, expected, n = solution(name), reference(name), scene(name).arm.n_joints
+    assert found.status == "ok"
+    assert found.time == pytest.approx(expected[:, 0], abs=1e-12)
+    assert np.abs(found.tip - expected[:, 1:4]).max() < TOLERANCE
+    assert np.abs(found.joint_angles - expected[:, 4 : 4 + n]).max() < TOLERANCE
+    assert np.abs(found.motor_angles - expected[:, 4 + n : 4 + 2 * n]).max() < TOLERANCE
+    assert np.abs(found.energy - expected[:, -1]).max() < TOLERANCE * np.abs(expected[:, -1]).max()
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_work_is_change_of_energy_and_dissipation(name):
+    found = solution(name)
+    assert np.abs(found.energy_residual).max() < TOLERANCE * np.abs(found.energy).max()
+    assert (np.diff(found.dissipation) >= 0.0).all()
+    if name != "gravity_payload_ff":
+        assert (found.dissipation == 0.0).all()
+
+
+def test_the_rigid_paper_arm_without_rotors_is_where_three_codes_put_it():
+    """verification.md, t = 2 s, rotary inertia of the sections included."""
+    arm = fm.catalog.paper_rrr(rotor_inertia=0.0, joint_stiffness=None)
+    found = fm.simulate(replace(scene("paper_rr"), arm=arm), rtol=1e-9)
+    assert found.tip[-1] == pytest.approx((1.041793, 2.982679, -0.804536), abs=2e-6)
+
+
+def test_angular_momentum_about_the_first_axis_is_the_integral_of_its_torque():
+    """400 t: links as mass points of the oracle, and the first rotor; the other rotors take none (Eq. 23)."""
+    found, chain = solution("paper_ff"), Chain(scene("paper_ff").arm)
+    d, rotor = chain.n_dof, chain.arm.joints[0].rotor_inertia
+    momentum = []
+    for x, v in zip(found.states[:, :d], found.states[:, d:], strict=True):
+        momentum.append(chain.angular_momentum(x, v)[2] + rotor * v[chain.motor[0]])
+    assert momentum == pytest.approx(400.0 * found.time, abs=1e-6 * 800.0)
+
+
+def test_the_oracle_agrees_with_tip_and_energy_along_a_trajectory():
+    found, chain = solution("gravity_payload_ff"), Chain(scene("gravity_payload_ff").arm)
+    d = chain.n_dof
+    for row in range(0, len(found.time), 25):
+        x, v = found.states[row, :d], found.states[row, d:]
+        assert found.tip[row] == pytest.approx(chain.tip(x), abs=1e-12)
+        assert found.tip_velocity[row] == pytest.approx(chain.tip_velocity(x, v), abs=1e-11)
+        assert found.energy[row] == pytest.approx(sum(chain.energy(x, v)), rel=1e-10)
+
+
+def test_the_w_method_is_of_second_order_on_the_paper_scene():
+    """At steps of 0.5, 0.25 and 0.125 ms, which are far longer than the periods of its stiffest modes, 4 kHz."""
+    errors = []
+    for step in (5e-4, 2.5e-4, 1.25e-4):
+        tip = fm.simulate(short(duration=1.0), method="ros2", step=step).tip
+        errors.append(np.linalg.norm(tip[-1] - reference("paper_ff")[100, 1:4]))
+    assert errors[0] < 1e-3
+    assert np.log2(np.divide(errors[:-1], errors[1:])) == pytest.approx(2.0, abs=0.15)
+
+
+@pytest.mark.parametrize("step", [0.02, 0.01, 0.005])
+@pytest.mark.parametrize("name", ["paper_ff", "gravity_payload_ff"])
+def test_the_w_method_stays_finite_at_long_steps(name, step):
+    duration = 2.0 if name == "paper_ff" else 1.4
+    found = fm.simulate(short(name, duration), method="ros2", step=step)
+    assert found.status == "ok" and np.isfinite(found.states).all()
+    assert found.time[-1] == pytest.approx(duration)
+    assert found.evaluations == 2 * round(duration / step)
+
+
+def test_a_diverging_run_ends_at_once_and_holds_only_what_is_finite():
+    """Modes up to 4.4 kHz need RK4 steps below 2.8 / (2 pi 4400 Hz) = 0.1 ms."""
+    found = fm.simulate(scene("paper_ff"), method="rk4", step=2e-3)
+    assert found.status == "diverged"
+    assert found.evaluations < 1000 < 4 * scene("paper_ff").duration / 2e-3
+    for name in ("tip", "tip_velocity", "joint_angles", "energy", "states", "work", "dissipation", "deflection"):
+        values = getattr(found, name)
+        assert len(values) == len(found.time) and np.isfinite(values).all()
+    assert fm.simulate(short(duration=0.02), method="rk4", step=5e-5).status == "ok"
+
+
+def test_a_failed_adaptive_run_has_a_status():
+    """An acceleration that overflows is no motion of an arm, whatever the step."""
+    found = fm.simulate(short("paper_rr", torque=fm.ConstantTorque((1e300, 0.0, 0.0))))
+    assert found.status in ("diverged", "not converged")
+    assert len(found.time) == 1 and np.isfinite(found.states).all()
+
+
+@pytest.mark.parametrize(("method", "step"), [("ros2", 0.005), ("rk4", 5e-5), ("dop853", None)])
+def test_a_control_period_is_one_output_step_of_simulate_bit_for_bit(method, step):
+    long = short(duration=0.04, output_step=0.02)
+    expected = fm.simulate(long, method=method, step=step)
+    model = fm.build_model(long.arm)
+    simulator = fm.Simulator(model, method, step)
+    steps = 1 if step is None else 2  # simulate hands the step of an adaptive method on to the next output
+    for row in range(1, steps + 1):
+        assert simulator.step((400.0, 400.0, 400.0)) == "ok"
+        assert simulator.time == expected.time[row]
+        assert (simulator.state == expected.states[row]).all()
+        assert (simulator.tip == expected.tip[row]).all()
+        assert (simulator.tip_velocity == expected.tip_velocity[row]).all()
+        assert (simulator.deflection == expected.deflection[row]).all()
+        assert simulator.energy == expected.energy[row]
+        assert simulator.energy_residual == pytest.approx(expected.energy_residual[row], abs=1e-12)
+
+
+@pytest.mark.parametrize("method", ["ros2", "dop853"])
+def test_a_reset_reproduces_every_bit(method):
+    simulator = fm.Simulator(fm.build_model(fm.catalog.planar_2r(joint_stiffness=20.0), elements=1), method)
+    torques = np.random.default_rng(1).uniform(-1.0, 1.0, (5, 2))
+
+    def episode():
+        simulator.reset((0.1, -0.2), (0.3, 0.0))
+        for torque in torques:
+            simulator.step(torque)
+        return np.r_[simulator.state, simulator.tip, simulator.energy, simulator.energy_residual, simulator.time]
+
+    assert (episode() == episode()).all()
+
+
+def test_a_reset_takes_angles_and_rates_or_a_state():
+    simulator = fm.Simulator(rigid())
+    assert simulator.tip == pytest.approx((7.5, 0.0, 1.0)) and simulator.time == 0.0
+    simulator.reset((0.1, 0.2, 0.3), (1.0, 2.0, 3.0))
+    assert simulator.state.tolist() == [0.1, 0.2, 0.3, 1.0, 2.0, 3.0]
+    tip, energy = simulator.tip.copy(), simulator.energy
+    simulator.step((1.0, 1.0, 1.0))
+    assert simulator.time == simulator.control_period and simulator.energy != energy
+    simulator.reset(state=(0.1, 0.2, 0.3, 1.0, 2.0, 3.0))
+    assert (simulator.tip == tip).all() and simulator.energy == energy and simulator.energy_residual == 0.0
+    simulator.reset()
+    assert (simulator.state == 0.0).all() and simulator.time == 0.0
+
+
+def test_the_state_is_one_view_for_ever():
+    simulator = fm.Simulator(rigid())
+    state = simulator.state
+    simulator.step((1.0, 0.0, 0.0))
+    simulator.reset((0.5, 0.0, 0.0))
+    assert state is simulator.state and state[0] == 0.5
+
+
+@pytest.mark.parametrize("good_periods", [0, 1, 3])
+@pytest.mark.parametrize("method", ["rk4", "ros2"])
+def test_a_failed_step_keeps_the_last_good_period_until_a_reset(method, good_periods):
+    model = fm.build_model(fm.catalog.one_link(rotor_inertia=1.0), flexible_links=False)
+    simulator = fm.Simulator(model, method, step=0.005, control_period=0.02)
+    for _ in range(good_periods):
+        assert simulator.step([1.0]) == "ok"
+    before = [np.array(each) for each in (simulator.state, simulator.tip, simulator.energy, simulator.time)]
+    # A speed of 4e5 1/s after the first sub-step, 8e5 after the second, out of bounds (1e6) in the third.
+    assert simulator.step([8e7 * fm.mass_matrix(model, [0.0, 0.0])[0, 0]]) == simulator.status == "diverged"
+    after = [np.array(each) for each in (simulator.state, simulator.tip, simulator.energy, simulator.time)]
+    for old, new in zip(before, after, strict=True):
+        assert (old == new).all()
+    with pytest.raises(RuntimeError, match="reset"):
+        simulator.step([0.0])
+    simulator.reset()
+    assert simulator.step([0.0]) == "ok" and (simulator.state == 0.0).all()
+
+
+def test_deflection_is_seen_from_the_motors():
+    """Constant torque from rest, in the limit of small time: the motors run ahead, the tip stays behind."""
+    simulator = fm.Simulator(fm.build_model(fm.catalog.paper_rrr()), step=0.001)
+    simulator.step((0.0, 400.0, 0.0))
+    turned = 400.0 / 1.0 * 0.02**2 / 2  # rotor of 1 kg m^2
+    assert simulator.deflection[2] == pytest.approx(-7.5 * turned, rel=0.25)
+    assert simulator.elastic_energy > 0.0
+
+
+# Bad input
+
+
+def refused(call, field, allowed=""):
+    """Assert that a call is refused in one line that starts with the field and says what is allowed."""
+    with pytest.raises(ValueError) as error:
+        call()
+    line = str(error.value)
+    assert line.startswith(f"{field}: ") and "\n" not in line and len(line) < 300
+    assert " is not allowed; give " in line and allowed in line
+
+
+@pytest.mark.parametrize(
+    ("options", "field", "allowed"),
+    [
+        ({"method": "euler"}, "method", "dop853, ros2"),
+        ({"method": None}, "method", "rk4"),
+        ({"method": "rk4"}, "step", "takes fixed steps"),
+        ({"method": "implicit_midpoint"}, "step", "takes fixed steps"),
+        ({"method": "rk4", "step": 0.003}, "step", "divides"),
+        ({"method": "rk4", "step": 0.015}, "step", "multiple"),
+        ({"method": "rk4", "step": 0.03}, "step", "divides the duration"),
+        ({"step": -0.01}, "step", "> 0 (s)"),
+        ({"step": np.nan}, "step", "> 0 (s)"),
+        ({"step": "1 ms"}, "step", "> 0 (s)"),
+        ({"rtol": -1e-6}, "rtol", "> 0"),
+        ({"rtol": 0.0}, "rtol", "> 0"),
+        ({"atol": np.inf}, "atol", "> 0"),
+        ({"atol": None}, "atol", "> 0"),
+        ({"model": fm.build_model(fm.catalog.planar_2r())}, "model", "3 joints"),
+        ({"model": fm.catalog.paper_rrr()}, "model", "odel"),
+    ],
+)
+def test_simulate_refuses(options, field, allowed):
+    refused(lambda: fm.simulate(short(), **options), field, allowed)
+
+
+def test_simulate_takes_a_scene_only():
+    refused(lambda: fm.simulate(json.loads((REFERENCE / "paper_rr.json").read_text())), "scene", "a Scene")
+
+
+@pytest.mark.parametrize(
+    ("options", "field", "allowed"),
+    [
+        ({"model": fm.catalog.paper_rrr()}, "model", "build_model"),
+        ({"method": "auto"}, "method", "ros2"),
+        ({"method": "rk4", "step": None}, "step", "takes fixed steps"),
+        ({"step": 0.006}, "step", "divides the control period"),
+        ({"step": 0.04}, "step", "divides the control period"),
+        ({"step": 0.0}, "step", "> 0 (s)"),
+        ({"control_period": -0.02}, "control_period", "> 0 (s)"),
+        ({"control_period": np.nan}, "control_period", "> 0 (s)"),
+        ({"method": "dop853", "rtol": -1e-6}, "rtol", "> 0"),
+        ({"method": "dop853", "atol": "small"}, "atol", "> 0"),
+    ],
+)
+def test_a_simulator_refuses(options, field, allowed):
+    refused(lambda: fm.Simulator(**({"model": rigid()} | options)), field, allowed)
+
+
+@pytest.mark.parametrize(
+    "torque",
+    [(1.0, 2.0), 1.0, (1.0, 2.0, np.nan), (1.0, np.inf, 0.0), np.zeros((1, 3)), ("a", "b", "c"), None, [True] * 3],
+)
+def test_a_step_refuses_a_torque_and_stays_where_it_is(torque):
+    simulator = fm.Simulator(rigid())
+    refused(lambda: simulator.step(torque), "torque", "3 finite numbers (N m)")
+    assert simulator.time == 0.0 and simulator.status == "ok" and (simulator.state == 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        ({"joint_angles": (0.0, 0.0)}, "joint_angles"),
+        ({"joint_angles": (0.0, 0.0, np.nan)}, "joint_angles[2]"),
+        ({"joint_rates": 0.0}, "joint_rates"),
+        ({"joint_rates": (0.0, np.inf, 0.0)}, "joint_rates[1]"),
+        ({"state": np.zeros(5)}, "state"),
+        ({"state": [None] * 6}, "state[0]"),
+        ({"state": np.zeros(6), "joint_angles": np.zeros(3)}, "state"),
+    ],
+)
+def test_a_reset_refuses(options, field):
+    refused(lambda: fm.Simulator(rigid()).reset(**options), field)

@@ -1,0 +1,90 @@
+"""Benchmark: its quick grid fills every table, whatever the machine and the packages on it."""
+
+import math
+import sys
+from importlib.util import find_spec
+
+import pytest
+
+from flexman_gym.studies.benchmark import environments, evaluations
+from flexman_gym.studies.benchmark import page as page_of
+from flexman_gym.studies.benchmark.rows import Row
+from flexman_gym.studies.table import read_rows
+
+from oracles.files import command
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory):
+    """Rows and page of a quick run."""
+    folder = tmp_path_factory.mktemp("benchmark")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["benchmark.py", "--quick", "--folder", str(folder)])
+        command("benchmark").main()
+    return read_rows(folder / "benchmark.csv", Row), (folder / "benchmark.md").read_text()
+
+
+def test_every_row_has_its_cost_and_a_finite_ratio(quick):
+    rows, _ = quick
+    assert {row.table for row in rows} == set(page_of.TABLES)
+    for row in rows:
+        assert 0.0 < row.cpu < 100.0 and 0.0 < row.wall < 100.0, row.name
+        assert row.times_peer is None or 0.0 < row.times_peer < math.inf, row.name
+        assert (row.times_peer is None) == (row.peer == ""), row.name
+        assert row.share is None or 0.0 <= row.share <= 1.0, row.name
+
+
+def test_arms_and_threads_are_those_of_the_grid(quick):
+    found = [(row.arms, row.threads) for row in quick[0] if row.name == environments.VECTOR]
+    assert found == [(arms, 1) for arms in environments.QUICK.arms] + [
+        (arms, 2) for arms in environments.QUICK.arms if arms > 1
+    ]
+    assert (environments.PPO in {row.name for row in quick[0]}) == bool(find_spec("stable_baselines3"))
+
+
+def test_a_row_is_its_own_peer_once(quick):
+    peers = {row.peer for row in quick[0]} - {""}
+    for peer in peers:
+        (row,) = [row for row in quick[0] if row.name == peer]
+        assert row.peer != row.name or row.times_peer == 1.0
+
+
+def test_the_page_has_a_line_for_every_row_and_sentences_about_them(quick):
+    rows, page = quick
+    assert sum(line.startswith("| ") for line in page.splitlines()) == len(rows) + 2 * len(page_of.TABLES)
+    conclusions = page_of.conclusions(rows)
+    assert len(conclusions) >= 3 and all(f"- {text}" in page for text in conclusions)
+
+
+def test_peers_that_are_missing_are_named_and_left_out(monkeypatch, capsys):
+    for name in ("mujoco", "pinocchio", "flexman_gym.studies.benchmark.mujoco", "flexman_gym.studies.peers.pinocchio"):
+        monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.setattr(environments, "find_spec", lambda name: None)
+    rows = environments.rows(environments.Grid(arms=(1, 2), steps=2, singles=2, physics=(1, 1), rounds=1))
+    assert {row.peer for row in rows} == {""} and {row.times_peer for row in rows} == {None}
+    timers = evaluations.timers()
+    assert evaluations.ABA not in timers and evaluations.PLAIN in timers
+    found = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert found == ["Stable-Baselines3", "MuJoCo", "Pinocchio"]
+    assert page_of.conclusions(rows)
+
+
+def test_endurance_counts_its_episodes_and_fills_its_section_of_the_page(tmp_path, monkeypatch):
+    """The page keeps one such section, however often either is written."""
+    endurance = command("endurance")
+    monkeypatch.setattr(sys, "argv", ["endurance.py", "--steps", "4000", "--arms", "9", "--folder", str(tmp_path)])
+    monkeypatch.setattr(endurance, "ALLOWED", math.inf)  # so short a run still fills its memory
+    (tmp_path / page_of.PAGE).write_text(f"before\n{page_of.ENDURANCE}\nold\n")
+    endurance.main()
+    text = (tmp_path / page_of.PAGE).read_text()
+    assert text.startswith("before\n") and text.count(page_of.ENDURANCE) == 1 and "old" not in text
+    section = page_of.without_endurance(tmp_path / page_of.PAGE)[1]
+    rows = [Row("environments", name, 1, 1, 1.0, 1.0) for name in (environments.OURS, environments.VECTOR)]
+    page_of.publish(rows, "a machine", tmp_path)
+    assert page_of.without_endurance(tmp_path / page_of.PAGE)[1] == section
+
+
+def test_every_episode_of_an_endurance_run_is_counted_once():
+    count = command("endurance").endure(3000, 8, settled=1000)
+    assert count.steps >= 3000 and count.episodes == count.truncated + sum(count.failures.values()) > 0
+    assert count.diverged == 0 and min(count.memory) > 0.0

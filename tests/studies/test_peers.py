@@ -1,0 +1,165 @@
+"""Peers: the arms that other codes simulate are ours: mass, place of the tip, frequencies, motion."""
+
+import importlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+
+import flexman_gym as fm
+from flexman_gym.studies.peers.runs import with_rigid_joints
+from flexman_gym.studies.precision.measure import Row, cost_at
+from flexman_gym.studies.precision.page import peers_conclusion
+
+from oracles.files import command
+
+ARM, SCENE = fm.catalog.paper_rrr(), fm.catalog.paper_scene("ff")
+ROW = Row("paper_ff", "2 elements a link", "ros2", 1e-3, None, 0.02, 0.02, 1e3, 2e-3, 3e-2, "ok")
+
+
+@pytest.fixture(scope="module")
+def mujoco():
+    return pytest.importorskip("mujoco")
+
+
+@pytest.fixture(scope="module")
+def mujoco_peer(mujoco):
+    """The room of MuJoCo's models as a module."""
+    return importlib.import_module("flexman_gym.studies.peers.mujoco")
+
+
+@pytest.fixture(scope="module")
+def exudyn_peer():
+    """The room of Exudyn's model as a module."""
+    try:
+        return importlib.import_module("flexman_gym.studies.peers.exudyn")
+    except ModuleNotFoundError as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture(scope="module")
+def pinocchio_peer():
+    """The room of Pinocchio's model as a module."""
+    pytest.importorskip("pinocchio")
+    return importlib.import_module("flexman_gym.studies.peers.pinocchio")
+
+
+def short(arm, duration=0.2):
+    """The paper's scene with another arm and duration, s."""
+    n = len(arm.links)
+    model = fm.ModelChoice((True,) * n, (2,) * n)
+    initial = fm.Initial((0.0,) * n, (0.0,) * n)
+    torque = fm.ConstantTorque((400.0,) * n)
+    return replace(SCENE, arm=arm, model=model, initial=initial, torque=torque, duration=duration)
+
+
+def ours(scene, step=1e-4, **choice):
+    """The tip of our model in a scene, (T, 3) m."""
+    return fm.simulate(scene, fm.build_model(scene.arm, **choice), "implicit_midpoint", step=step).tip
+
+
+@pytest.mark.parametrize("pieces", [0, 1, 4])
+def test_mujoco_has_mass_and_tip_of_the_arm(mujoco, mujoco_peer, pieces):
+    model = mujoco.MjModel.from_xml_string(mujoco_peer.description(ARM, pieces, "Euler", 1e-3))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert model.body_mass.sum() == pytest.approx(sum(link.mass for link in ARM.links), rel=1e-9)
+    assert np.allclose(data.site("tip").xpos, (7.5, 0.0, 1.0), rtol=0.0, atol=1e-9)
+    assert model.nv == 3 * (2 + 3 * pieces)
+
+
+def test_lowest_frequencies_of_mujoco_are_those_of_our_model(mujoco, mujoco_peer):
+    model = mujoco.MjModel.from_xml_string(mujoco_peer.description(ARM, 16, "Euler", 1e-3))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    columns = np.eye(model.nv)
+    mass = np.zeros((model.nv, model.nv))
+    for column, out in zip(columns, mass, strict=True):
+        mujoco.mj_mulM(model, data, out, column)
+    stiffness = np.diag(np.reshape(model.jnt_stiffness, (model.njnt, -1))[:, 0])
+    found = np.sqrt(np.abs(eigh(stiffness, mass, eigvals_only=True))) / (2 * np.pi)
+    expected = fm.frequencies(fm.build_model(ARM, elements=3))
+    assert np.all(found[:3] < 1e-3) and np.all(expected[:3] < 1e-3)
+    assert np.allclose(found[3:12], expected[3:12], rtol=0.01)
+
+
+def test_a_step_of_mujoco_that_is_too_long_is_seen(mujoco_peer):
+    assert not mujoco_peer.run(SCENE, 4, "Euler", 1e-3).finite
+    with pytest.raises(ValueError, match=r"step: 0.003 is not allowed"):
+        mujoco_peer.run(SCENE, 4, "Euler", 3e-3)
+
+
+def test_a_short_run_of_mujoco_is_near_ours(mujoco_peer):
+    scene = short(ARM)
+    found = mujoco_peer.run(scene, 4, "RK4", 1e-4)
+    assert found.finite and found.cpu > 0.0
+    assert found.distance(ours(scene, step=1e-3)) < 2e-3
+
+
+def test_rigid_links_of_mujoco_move_as_ours(mujoco_peer):
+    found = mujoco_peer.run(SCENE, 0, "RK4", 1e-3)
+    expected = fm.simulate(SCENE, fm.build_model(ARM, flexible_links=False), "rk4", step=1e-3)
+    assert found.distance(expected.tip) < 1e-9
+
+
+@pytest.mark.parametrize("room", ["mujoco_peer", "pinocchio_peer"])
+def test_rigid_arms_move_as_ours(room, request):
+    peer = request.getfixturevalue(room)
+    rigid = with_rigid_joints(SCENE)
+    found = peer.run(rigid, 0, "RK4", 1e-3) if room == "mujoco_peer" else peer.run(rigid, 1e-3)
+    model = fm.build_model(ARM, flexible_links=False, flexible_joints=False)
+    assert found.distance(fm.simulate(SCENE, model, "rk4", step=1e-3).tip) < 1e-9
+
+
+def test_exudyn_moves_in_a_plane_as_we_do(exudyn_peer):
+    arm = fm.Arm(ARM.links[1:], ARM.joints[1:])
+    scene = short(arm, 0.5)
+    found = [exudyn_peer.run(scene, step, tolerance=1e-7).distance(ours(scene)) for step in (1e-3, 2.5e-4)]
+    assert found[0] < 5e-4 and found[1] < 3e-5
+
+
+def test_exudyn_moves_in_space_nearly_as_we_do(exudyn_peer):
+    found = exudyn_peer.run(SCENE, 1e-3, tolerance=1e-6)
+    tip = ours(SCENE, step=2.5e-4)
+    assert found.distance(tip) < 5e-3
+    assert np.linalg.norm(found.tip - tip, axis=1)[:51].max() < 5e-4
+    assert np.allclose(found.tip[0], (7.5, 0.0, 1.0), rtol=0.0, atol=1e-9) and found.cpu > 0.0
+
+
+def test_quick_settings_of_exudyn_cost_no_accuracy(exudyn_peer):
+    scene = short(ARM, 0.5)
+    quick, default = (exudyn_peer.run(scene, 1e-3, method) for method in exudyn_peer.STEPS)
+    assert quick.evaluations < 0.7 * default.evaluations
+    assert quick.distance(default.tip) < 0.2 * default.distance(exudyn_peer.run(scene, 2.5e-4).tip)
+
+
+def test_exudyn_refuses_what_it_does_not_model(exudyn_peer):
+    with pytest.raises(ValueError, match="payload"):
+        exudyn_peer.System(fm.catalog.paper_rrr(payload=fm.Payload(1.0)), (0.0,) * 3)
+
+
+def test_costs_between_runs_follow_a_power_law():
+    rows = [replace(ROW, time_error=error, cpu=cpu) for error, cpu in ((1e-2, 0.1), (1e-4, 1.0), (1e-6, 10.0))]
+    assert cost_at(rows, 1e-3) == pytest.approx(10**-0.5)
+    assert cost_at(rows, 1e-5) == pytest.approx(10**0.5)
+    assert cost_at(rows, 1e-1) is None and cost_at(rows, 1e-7) is None and cost_at([], 1e-3) is None
+
+
+def test_the_page_names_the_ratio_to_a_floating_frame():
+    peer = replace(ROW, model="Exudyn, floating frame", method="quickest settings")
+    peers = [replace(peer, time_error=error, cpu=cpu) for error, cpu in ((9e-3, 0.1), (1e-3, 0.9))]
+    coarse = [
+        replace(ROW, step=1.0, cpu=0.03),
+        replace(ROW, step=2.0, time_error=4e-3),
+        replace(ROW, step=4.0, cpu=0.01),
+    ]
+    text = peers_conclusion([ROW, *coarse], peers, ROW.model)[-1]
+    assert "300 ms; ours is 30 and 15 times cheaper. The goal is 150 times." in text
+
+
+def test_peers_that_are_missing_are_named(monkeypatch, capsys):
+    compare = command("compare_peers")
+    monkeypatch.setattr(compare.importlib, "import_module", lambda name: __import__("no_such_peer"))
+    assert compare.theirs(None) == []
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(compare.PEERS)

@@ -1,0 +1,295 @@
+"""Stability: predicted limits hold, and a gallery of failures, each beside the method or model that survives it."""
+
+import math
+import sys
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag, eigh
+
+import flexman_gym as fm
+from flexman_gym.model.beam import build_beam
+from flexman_gym.model.instant import stiffness_matrix
+from flexman_gym.model.modes import loaded_modes, outboard_inertias
+from flexman_gym.simulation.amplification import spectral_radius, stability_limit, vibration_factor
+from flexman_gym.studies.stability.cases import (
+    FREQUENCY,
+    IN_PERIODS,
+    KEPT,
+    LIMIT_STUDIES,
+    SPIN_STIFFENED,
+    SPRINGS,
+    damping_rows,
+    drift_rows,
+    limit_rows,
+    map_rows,
+    spin_case,
+)
+from flexman_gym.studies.stability.measure import (
+    EXPLICIT_METHODS,
+    FIXED,
+    Row,
+    grows,
+    growth_per_step,
+    measured_limit,
+    natural_modes,
+    predicted_limit,
+    select,
+    small_vibration,
+)
+from flexman_gym.studies.table import read_comment, read_rows, write_rows
+from flexman_gym.studies.verification.rows import machine_text
+
+from oracles.files import ROOT, command
+
+DOCS = ROOT / "docs"
+
+
+@cache
+def arm_model(modes=4, **options):
+    """The paper's arm."""
+    return fm.build_model(fm.catalog.paper_rrr(**options), 2, modes)
+
+
+@cache
+def damping(rotor_inertia, name, step):
+    """Rows of one method and step: by quantity and mode."""
+    return {(row.quantity, row.parameter): row for row in damping_rows(rotor_inertia, (name,), (step,))}
+
+
+# predictions
+
+
+def test_stability_limits_are_those_of_the_textbooks():
+    assert stability_limit(fm.METHODS["semi_implicit_euler"]) == pytest.approx(2.0)
+    assert stability_limit(fm.METHODS["rk4"]) == pytest.approx(math.sqrt(8.0))
+    assert stability_limit(fm.METHODS["ros2"]) == stability_limit(fm.METHODS["implicit_midpoint"]) == math.inf
+
+
+@pytest.mark.parametrize("name", FIXED)
+def test_the_vibration_factor_is_exact_to_the_order_of_the_method(name):
+    method = fm.METHODS[name]
+    errors = [abs(vibration_factor(method, angle) - np.exp(1j * angle)) for angle in (0.1, 0.05)]
+    if method.semi_implicit:  # a symplectic method of order 1 turns by an angle of order 2
+        assert errors[0] / errors[1] == pytest.approx(8.0, rel=0.05)
+    else:
+        assert math.log2(errors[0] / errors[1]) == pytest.approx(method.order + 1, abs=0.3)
+
+
+@pytest.mark.parametrize("study", LIMIT_STUDIES)
+def test_predicted_limits_are_right_to_5_percent(study):
+    rows = list(limit_rows(study, quick=True))
+    assert len(rows) >= 3
+    assert {row.verdict for row in rows} == {"ok"}
+
+
+def test_a_limit_outside_the_bracket_is_not_a_number():
+    model, method = arm_model(2), fm.METHODS["rk4"]
+    assert math.isnan(measured_limit(model, method, 3.0 * predicted_limit(model, method)))
+
+
+@pytest.mark.parametrize("name", ["ros2", "extrapolated_euler_3", "implicit_midpoint", "generalised_alpha"])
+def test_measured_damping_and_frequency_are_those_of_the_amplification_factor(name):
+    for row in damping(10.0, name, 0.005).values():
+        if row.quantity in (KEPT, FREQUENCY):
+            assert row.value == pytest.approx(row.expected, rel=1e-4), row
+
+
+# the gallery of failures
+
+
+@pytest.mark.parametrize("modes", [2, 4, None])
+@pytest.mark.parametrize("name", ["semi_implicit_euler", "rk4"])
+def test_an_explicit_method_past_its_limit_diverges_and_ros2_survives(name, modes):
+    model, method = arm_model(modes), fm.METHODS[name]
+    start, limit = small_vibration(model), predicted_limit(model, method)
+    assert not grows(model, method, 0.95 * limit, start)
+    assert grows(model, method, 1.05 * limit, start)
+    assert not grows(model, fm.METHODS["ros2"], 20.0 * limit, start)
+
+
+def extrapolated_midpoint(model, step, duration, start):
+    """Time (s) at which the linearly implicit midpoint rule with extrapolated speeds diverges; infinite if never."""
+    d, stiffness = model.n_dof, stiffness_matrix(model)
+    x, v = np.split(start, 2)
+    before = v
+    for i in range(round(duration / step)):
+        speed = 1.5 * v - 0.5 * before
+        middle = np.r_[x + 0.5 * step * speed, speed]
+        mass = fm.mass_matrix(model, middle)
+        force = mass @ fm.acceleration(model, middle, np.zeros(3)) + stiffness @ middle[:d]
+        rate = np.linalg.solve(mass + 0.25 * step**2 * stiffness, force - stiffness @ (x + 0.5 * step * v))
+        before, x, v = v, x + step * v + 0.5 * step**2 * rate, v + step * rate
+        if not np.abs(np.r_[x, v]).max() < 1e3:
+            return i * step
+    return math.inf
+
+
+def test_midpoint_with_extrapolated_speeds_diverges_and_damping_of_stiff_modes_survives():
+    """A-stable for vibrations alone, its stiff modes alternate in sign, and speed-dependent forces feed on that."""
+    model, step, duration = arm_model(4), 0.02, 6.0
+    start, d = small_vibration(model, [1, 2, 3], energy=5.0), model.n_dof
+    start[d : d + 3] = start[d + model.motor_columns] = (3.0, 3.0, -6.0)
+    assert extrapolated_midpoint(model, step, duration, start) < duration
+    for name in ("ros2", "implicit_midpoint"):
+        simulator = fm.Simulator(model, name, step, duration)
+        simulator.reset(state=start)
+        first = simulator.energy
+        assert simulator.step(np.zeros(3)) == "ok"
+        assert simulator.energy == pytest.approx(first, rel=0.05)
+
+
+def test_extrapolation_of_ros2_grows_where_ros2_does_not():
+    """Richardson's (4 R(z/2)^2 - R(z)) / 3 is of order 3 and no longer A-stable."""
+    model, ros2 = arm_model(2), fm.METHODS["ros2"]
+
+    def factor(angle):
+        return (4.0 * vibration_factor(ros2, angle / 2.0) ** 2 - vibration_factor(ros2, angle)) / 3.0
+
+    angles = np.arange(1, 2000) * 0.01
+    worst = max(angles, key=lambda angle: abs(factor(angle)))
+    assert abs(factor(worst)) > 1.05
+    step = worst / natural_modes(model)[0][-1]
+    whole, halves = (fm.Simulator(model, "ros2", step / parts, step) for parts in (1, 2))
+    start = small_vibration(model, [model.n_dof - 3])
+    state, count = start, 100
+    for _ in range(count):
+        for simulator in (whole, halves):
+            simulator.reset(state=state)
+            simulator.step(np.zeros(3))
+        state = (4.0 * halves.state - whole.state) / 3.0
+    grown = np.linalg.norm(state[model.n_dof :]) / np.linalg.norm(start[: model.n_dof])
+    assert grown > 1e2
+    assert not grows(model, ros2, step, start)
+
+
+def test_extrapolated_euler_grows_slowly_where_the_midpoint_rule_keeps_the_vibration():
+    model, steps, angle = arm_model(2), 5000, 0.642
+    step = angle / natural_modes(model)[0][-1]
+    ratios = {}
+    for name in ("extrapolated_euler_3", "implicit_midpoint", "ros2"):
+        simulator = fm.Simulator(model, name, step, steps * step)
+        simulator.reset(state=small_vibration(model, [model.n_dof - 3]))
+        first = simulator.energy
+        assert simulator.step(np.zeros(3)) == "ok"
+        ratios[name] = math.sqrt(simulator.energy / first)
+    radius = spectral_radius(fm.METHODS["extrapolated_euler_3"], angle)
+    assert radius == pytest.approx(1.0016, abs=5e-5)
+    assert ratios["extrapolated_euler_3"] == pytest.approx(radius**steps, rel=0.1) and radius**steps > 1e3
+    assert ratios["implicit_midpoint"] == pytest.approx(1.0, abs=1e-3)
+    damped = spectral_radius(fm.METHODS["ros2"], angle) ** steps
+    assert ratios["ros2"] == pytest.approx(damped, rel=0.1) and damped < 0.1  # no cure for one who wants that mode
+
+
+def test_strong_damping_eats_the_vibration_and_the_midpoint_rule_keeps_it():
+    assert damping(1.0, "ros2", 0.02)[KEPT, 2.0].value < 0.05
+    assert damping(1.0, "implicit_midpoint", 0.02)[KEPT, 2.0].value > 0.99
+    assert damping(1.0, "ros2", 0.001)[KEPT, 2.0].value > 0.99  # the same method keeps it at a short step
+
+
+def test_generalised_alpha_keeps_its_vibration_over_control_periods():
+    rows = damping(1.0, "generalised_alpha", 0.005)
+    assert rows[KEPT, 2.0].value > 0.998
+    assert rows[IN_PERIODS, 2.0].value == pytest.approx(rows[KEPT, 2.0].value, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["rk4", "ros2", "implicit_midpoint"])
+def test_a_linear_frame_fails_past_its_spin_limit_and_stiffening_survives(name):
+    limit = 2.0 * np.pi * fm.frequencies(spin_case(0.0, False).model, lock_joints=True)[0]
+
+    def deflection(rate, stiffening):
+        case = spin_case(rate, stiffening)
+        simulator = fm.Simulator(case.model, name, 0.0025, 0.02, prescribed=(0,))
+        simulator.reset(state=case.start)
+        done = all(simulator.step([0.0]) == "ok" for _ in range(100))
+        return float(np.linalg.norm(simulator.deflection[1:])) if done else math.inf
+
+    assert deflection(1.3 * limit, False) > 1.0
+    assert deflection(0.7 * limit, False) < 0.05
+    assert deflection(1.3 * limit, True) < 0.02
+
+
+def test_clamped_modes_without_torsion_miss_centimetres_and_loaded_modes_do_not():
+    """Four modes a link of the full model, 1 s of linear motion under 400 N m a joint."""
+    arm, full = fm.catalog.paper_rrr(), arm_model(None)
+    d, n = full.n_dof, full.n_joints
+    mass, stiffness = fm.mass_matrix(full, full.initial_state(np.zeros(n))), stiffness_matrix(full)
+    observed, push = fm.linearize(full).C[:, :d], np.zeros(d)
+    push[full.motor_columns] = 400.0
+    beams = tuple(build_beam(link, 2) for link in arm.links)
+    outboard = outboard_inertias(arm, beams)
+
+    def motion(kept):
+        """Tip displacement (3,) and the lowest frequency (Hz) within the span of these columns (d, k)."""
+        squares, shapes = eigh(kept.T @ stiffness @ kept, kept.T @ mass @ kept)
+        omegas = np.sqrt(squares[n:])
+        amounts = np.r_[np.full(n, 0.5), (1.0 - np.cos(omegas)) / squares[n:]]
+        return observed @ kept @ shapes @ (amounts * (shapes.T @ kept.T @ push)), omegas[0] / (2.0 * np.pi)
+
+    def basis(carried):
+        modes = [loaded_modes(beam, inertia)[1][:, :4] for beam, inertia in zip(beams, carried, strict=True)]
+        return block_diag(np.eye(2 * n), *modes)
+
+    tip, frequency = motion(np.eye(d))
+    bare_tip, bare_frequency = motion(basis(np.zeros_like(outboard)))
+    tip_of_loaded, loaded_frequency = motion(basis(outboard))
+    assert bare_frequency > 1.1 * frequency and loaded_frequency == pytest.approx(frequency, rel=1e-3)
+    assert np.linalg.norm(bare_tip - tip) > 0.02 and np.linalg.norm(tip_of_loaded - tip) < 0.002
+
+
+def test_a_tiny_rotor_on_a_stiff_spring_stops_an_explicit_method_and_ros2_is_right():
+    model, step = arm_model(2, rotor_inertia=1e-6), 0.00025
+    scene = replace(fm.catalog.paper_scene(), duration=0.2, output_step=0.02)
+    truth = fm.simulate(scene, model, "dop853", rtol=1e-8, atol=1e-10)
+    assert truth.status == "ok"
+    for name in EXPLICIT_METHODS:
+        assert fm.simulate(scene, model, name, step).status == "diverged"
+    run = fm.simulate(scene, model, "ros2", step)
+    assert run.status == "ok"
+    assert np.linalg.norm(run.tip - truth.tip, axis=1).max() < 1e-3
+
+
+# rows, charts and page
+
+
+def test_rows_survive_their_file(tmp_path):
+    rows = [
+        Row("a", 1.0, "rk4", 0.5, "b, m", 0.25, None, "ok"),
+        Row("a", 2.0, "rk4", 0.5, "b, m", 1.0, 2.0, "diverged"),
+    ]
+    write_rows(rows, tmp_path / "rows.csv", comment=machine_text())
+    comment, found = read_comment(tmp_path / "rows.csv"), read_rows(tmp_path / "rows.csv", Row)
+    assert found == rows and "numba" in comment
+
+
+def test_maps_show_failures_and_survivors():
+    rows = list(map_rows(SPRINGS, quick=True))
+    assert {row.verdict for row in rows} >= {"ok", "inaccurate", "diverged"}
+    assert {row.verdict for row in select(rows, method="rk4", parameter=1e6)} == {"diverged"}
+    assert "diverged" not in {row.verdict for row in select(rows, method="ros2")}
+    assert {row.verdict for row in select(map_rows(SPIN_STIFFENED, quick=True), method="ros2")} == {"ok"}
+
+
+def test_a_long_run_reports_its_energy():
+    rows = [row for row in drift_rows(1000) if row.method in ("rk4", "implicit_midpoint")]
+    assert {row.parameter for row in rows} == {100.0, 1000.0}
+    assert all(row.value < 1e-4 and row.verdict == "ok" for row in rows)
+
+
+def test_the_page_and_its_charts_are_those_of_the_rows(tmp_path):
+    pytest.importorskip("matplotlib")
+    rows = str(DOCS / "stability.csv")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["stability.py", "--rows", rows, "--folder", str(tmp_path)])
+        assert command("stability").main() == 0
+    assert (tmp_path / "stability.md").read_text(encoding="utf-8") == (DOCS / "stability.md").read_text(
+        encoding="utf-8"
+    )
+    pictures = {path.name for path in tmp_path.glob("*.png")}
+    assert pictures == {path.name for path in DOCS.glob("stability_*.png")} and len(pictures) == 8
+
+
+def test_the_growth_that_a_measurement_tolerates_is_small():
+    assert 0.0 < growth_per_step() < 2e-3
