@@ -39,18 +39,23 @@ numba.config.CACHE_DIR = _cache_folder()
 try:
     from flexman_gym.kernels import (
         arms,
+        compile,
         dynamics,
         elastic,
+        explicit,
         forces,
+        groups,
+        implicit,
         inverse,
         joints,
         kinematics,
         lanes,
         layout,
         linalg,
+        linearly_implicit,
         outputs,
         pace,
-        steppers,
+        stages,
         stiffening,
     )
 finally:
@@ -58,17 +63,22 @@ finally:
 
 __all__ = [
     "arms",
+    "compile",
     "dynamics",
     "elastic",
+    "explicit",
     "forces",
+    "groups",
+    "implicit",
     "inverse",
     "joints",
     "kinematics",
     "lanes",
     "layout",
     "linalg",
+    "linearly_implicit",
     "outputs",
     "pace",
-    "steppers",
+    "stages",
     "stiffening",
 ]

@@ -15,6 +15,7 @@ from numba.core import types
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
+from flexman_gym.kernels.compile import inner, released
 from flexman_gym.kernels.lanes import ARMS, NUMBER
 from flexman_gym.kernels.layout import (
     ARMS_ABREAST,
@@ -24,10 +25,10 @@ from flexman_gym.kernels.layout import (
     IntArray,
     Work,
 )
-from flexman_gym.kernels.linalg import copy, inner, released
+from flexman_gym.kernels.linalg import copy
+from flexman_gym.kernels.linearly_implicit import implicit_step
 from flexman_gym.kernels.outputs import observe
 from flexman_gym.kernels.pace import out_of_bounds
-from flexman_gym.kernels.steppers import implicit_step
 
 PER_ARM = frozenset(
     {
@@ -151,7 +152,7 @@ def proceed(constants, work, tableau, clock, state):
     """Moves state and ledger, an array of work space, under work.drive; then fills work.outputs."""
     d = len(state) // 2 - 1
     for n in range(clock.substeps):
-        implicit_step(constants, work, tableau, work.drive, (clock.time + n * clock.step, clock.step), state)
+        implicit_step(constants, work, tableau, None, (clock.time + n * clock.step, clock.step), state)
         copy(work.trial, state)
     observe(constants, work, state[:d], state[d : 2 * d], work.outputs)
 

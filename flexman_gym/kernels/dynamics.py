@@ -8,6 +8,7 @@ solves the linear system of an implicit step at the cost of an explicit one. No 
 An inertia is a triple: force by linear, force by angular and moment by angular acceleration.
 """
 
+from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.elastic import eliminate_elastic
 from flexman_gym.kernels.forces import applied_forces
 from flexman_gym.kernels.joints import eliminate_joint, free_joint, joint_acceleration, prescribed_power
@@ -24,8 +25,6 @@ from flexman_gym.kernels.linalg import (
     copy,
     cross,
     dot,
-    inner,
-    kernel,
     load,
     load_matrix,
     load_pair,

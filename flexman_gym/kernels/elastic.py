@@ -2,7 +2,9 @@
 
 import math
 
-from flexman_gym.kernels.lanes import choose_below, fused, group_size, load_lanes, store_lanes
+from flexman_gym.kernels.compile import inner
+from flexman_gym.kernels.groups import group_size, load_lanes, store_lanes
+from flexman_gym.kernels.lanes import choose_below, fused
 from flexman_gym.kernels.linalg import (
     ZERO,
     add,
@@ -11,7 +13,6 @@ from flexman_gym.kernels.linalg import (
     apply_back,
     apply_inertia,
     cross,
-    inner,
     load,
     load_pair,
     subtract_outer,

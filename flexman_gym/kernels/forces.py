@@ -2,6 +2,7 @@
 
 import math
 
+from flexman_gym.kernels.compile import inner
 from flexman_gym.kernels.lanes import choose_below, fused, vanishes
 from flexman_gym.kernels.layout import AMPLITUDE, FREQUENCY, OFFSET, PHASE, START, STOP
 from flexman_gym.kernels.linalg import (
@@ -10,10 +11,8 @@ from flexman_gym.kernels.linalg import (
     add_scaled,
     apply,
     apply_back,
-    copy,
     cross,
     dot,
-    inner,
     load,
     load_matrix,
     store,
@@ -22,17 +21,15 @@ from flexman_gym.kernels.linalg import (
 
 @inner
 def drive_at(table, time, out):
-    """out (n + 6,) = the drive of a table (6, n + 6) at the time (s); a drive (n + 6,) in its place is constant."""
-    if table.ndim == 1:
-        copy(table, out)
-        return
-    for i in range(len(out)):
-        out[i] = 0.0
-        if table[START, i] <= time < table[STOP, i]:
-            out[i] = table[OFFSET, i]
-            if table[AMPLITUDE, i] != 0.0:
-                angle = 2.0 * math.pi * table[FREQUENCY, i] * time + table[PHASE, i]
-                out[i] += table[AMPLITUDE, i] * math.sin(angle)
+    """out (n + 6,) = the drive of a table (6, n + 6) at the time (s); without one (None) out holds it, constant."""
+    if table is not None:
+        for i in range(len(out)):
+            out[i] = 0.0
+            if table[START, i] <= time < table[STOP, i]:
+                out[i] = table[OFFSET, i]
+                if table[AMPLITUDE, i] != 0.0:
+                    angle = 2.0 * math.pi * table[FREQUENCY, i] * time + table[PHASE, i]
+                    out[i] += table[AMPLITUDE, i] * math.sin(angle)
 
 
 @inner

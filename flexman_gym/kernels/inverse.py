@@ -1,5 +1,6 @@
 """Inverse dynamics of the chain: the generalised forces that accelerations demand, M v' + h (left side of Eq. 44)."""
 
+from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.dynamics import payload_force, tip_acceleration
 from flexman_gym.kernels.joints import rotor_push
 from flexman_gym.kernels.kinematics import positions, velocities
@@ -11,8 +12,6 @@ from flexman_gym.kernels.linalg import (
     apply_back,
     cross,
     dot,
-    inner,
-    kernel,
     load,
     load_matrix,
     load_pair,

@@ -6,6 +6,7 @@ and the frame feels what that demands. `total` below is the rotor with its impli
 leaves the three numbers `joint`, `mixed` and `frame` that joint and frame see.
 """
 
+from flexman_gym.kernels.compile import inner
 from flexman_gym.kernels.lanes import vanishes
 from flexman_gym.kernels.linalg import (
     ZERO,
@@ -14,7 +15,6 @@ from flexman_gym.kernels.linalg import (
     apply,
     apply_inertia,
     dot,
-    inner,
     load,
     load_matrix,
     load_pair,

@@ -2,6 +2,7 @@
 
 import math
 
+from flexman_gym.kernels.compile import inner
 from flexman_gym.kernels.lanes import fused, vanishes
 from flexman_gym.kernels.linalg import (
     IDENTITY,
@@ -13,7 +14,6 @@ from flexman_gym.kernels.linalg import (
     apply_back,
     cross,
     dot,
-    inner,
     load,
     load_matrix,
     load_pair,

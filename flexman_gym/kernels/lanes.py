@@ -51,7 +51,7 @@ class LanesModel(models.PrimitiveModel):
 
 
 @lower_cast(types.Float, Lanes)
-def _spread(context: Any, builder: Any, kind: Any, target: Any, value: Any) -> Any:
+def spread(context: Any, builder: Any, kind: Any, target: Any, value: Any) -> Any:
     """The group that repeats a number; a group, and a number where one is wanted, stay as they are."""
     if kind == target:
         return value
@@ -60,7 +60,7 @@ def _spread(context: Any, builder: Any, kind: Any, target: Any, value: Any) -> A
     return builder.shuffle_vector(one, undefined, ir.Constant(ir.VectorType(INDEX, target.width), [0] * target.width))
 
 
-def _joint(*kinds: Any) -> Any:
+def joint_kind(*kinds: Any) -> Any:
     """The type of what is calculated from these: the one group among numbers, None for other types."""
     groups = {kind for kind in kinds if isinstance(kind, Lanes)}
     if len(groups) > 1 or any(kind not in groups and kind != NUMBER for kind in kinds):
@@ -73,11 +73,11 @@ class LanesArithmetic(AbstractTemplate):
 
     def generic(self, args: Any, kws: Any) -> Any:
         """A group, if an argument is one and the others are numbers or of the same kind."""
-        kind = _joint(*args)
+        kind = joint_kind(*args)
         return signature(kind, *args) if isinstance(kind, Lanes) else None
 
 
-def _instruction(builder: Any, name: str, kind: Any, operands: Any) -> Any:
+def instruction_of(builder: Any, name: str, kind: Any, operands: Any) -> Any:
     """One of the compiler's own functions, of numbers or groups."""
     element, suffix = (kind.vector, f"v{kind.width}f64") if isinstance(kind, Lanes) else (ir.DoubleType(), "f64")
     function = ir.FunctionType(element, [element] * len(operands))
@@ -94,7 +94,7 @@ def _operator(symbol: Callable, instruction: str) -> None:
 
     def lower(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
         pairs = zip(kinds.args, values, strict=True)
-        operands = [_spread(context, builder, kind, kinds.return_type, value) for kind, value in pairs]
+        operands = [spread(context, builder, kind, kinds.return_type, value) for kind, value in pairs]
         return getattr(builder, instruction)(*operands)
 
     for operands in ((Lanes, Lanes), (Lanes, types.Float), (types.Float, Lanes)):
@@ -121,7 +121,7 @@ def _negative(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
 
 @lower_builtin(math.sqrt, Lanes)
 def _root(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
-    return _instruction(builder, "sqrt", kinds.return_type, values)
+    return instruction_of(builder, "sqrt", kinds.return_type, values)
 
 
 def _one_by_one(symbol: Callable) -> None:
@@ -144,12 +144,12 @@ for _single in (math.sin, math.cos, math.tanh):
 @intrinsic
 def fused(typing_context, a, b, c):
     """a b + c, rounded once; written out, as the compiler would fuse differently for one arm and for several."""
-    kind = _joint(a, b, c)
+    kind = joint_kind(a, b, c)
 
     def generate(context, builder, kinds, values):
         pairs = zip(kinds.args, values, strict=True)
-        operands = [_spread(context, builder, each, kind, value) for each, value in pairs]
-        return _instruction(builder, "fma", kind, operands)
+        operands = [spread(context, builder, each, kind, value) for each, value in pairs]
+        return instruction_of(builder, "fma", kind, operands)
 
     return kind(a, b, c), generate
 
@@ -167,7 +167,7 @@ def vanishes(typing_context, a):
     """Whether a number, or every lane of a group, is zero."""
 
     def generate(context, builder, kinds, values):
-        zero = _spread(context, builder, NUMBER, kinds.args[0], ir.Constant(ir.DoubleType(), 0.0))
+        zero = spread(context, builder, NUMBER, kinds.args[0], ir.Constant(ir.DoubleType(), 0.0))
         return _all(builder, kinds.args[0], builder.fcmp_ordered("==", values[0], zero))
 
     return types.boolean(a), generate
@@ -179,7 +179,7 @@ def below(typing_context, a, limit):
 
     def generate(context, builder, kinds, values):
         kind = kinds.args[0]
-        bound = _spread(context, builder, NUMBER, kind, values[1])
+        bound = spread(context, builder, NUMBER, kind, values[1])
         return _all(builder, kind, builder.fcmp_ordered("<", values[0], bound))
 
     return types.boolean(a, NUMBER), generate
@@ -188,139 +188,11 @@ def below(typing_context, a, limit):
 @intrinsic
 def choose_below(typing_context, a, limit, near, far):
     """Lane by lane, near where a is less than a limit, far where it is not."""
-    kind = _joint(a, near, far)
+    kind = joint_kind(a, near, far)
 
     def generate(context, builder, kinds, values):
         pairs = zip(kinds.args, values, strict=True)
-        a, bound, near, far = (_spread(context, builder, each, kind, value) for each, value in pairs)
+        a, bound, near, far = (spread(context, builder, each, kind, value) for each, value in pairs)
         return builder.select(builder.fcmp_ordered("<", a, bound), near, far)
 
     return kind(a, NUMBER, near, far), generate
-
-
-def _group(flat: Any) -> Any:
-    """What a place of a flat array of one arm's or several arms' numbers gives when groups are asked for."""
-    if isinstance(flat.dtype, Lanes) or not flat.mutable:
-        return flat.dtype
-    return NEIGHBOURS
-
-
-@intrinsic
-def group_size(typing_context, flat):
-    """How many neighbours of a flat array are one group."""
-    size = LANES if _group(flat) == NEIGHBOURS else 1
-
-    def generate(context, builder, kinds, values):
-        return context.get_constant(types.intp, size)
-
-    return types.intp(flat), generate
-
-
-def _place(context: Any, builder: Any, kinds: Any, flat: Any, i: Any) -> tuple[Any, int]:
-    """Where the group at place i is, and how it is aligned."""
-    data = builder.gep(context.make_array(kinds.args[0])(context, builder, flat).data, [i])
-    kind = _group(kinds.args[0])
-    if kind == NEIGHBOURS:
-        return builder.bitcast(data, kind.vector.as_pointer()), 8
-    return data, 8 * kind.width if isinstance(kind, Lanes) else 8
-
-
-@intrinsic
-def load_lanes(typing_context, flat, i):
-    """The group that starts at place i >= 0 of a flat array."""
-
-    def generate(context, builder, kinds, values):
-        place, alignment = _place(context, builder, kinds, *values)
-        return builder.load(place, align=alignment)
-
-    return _group(flat)(flat, types.intp), generate
-
-
-@intrinsic
-def pick_lanes(typing_context, flat, i, stride):
-    """The group of the numbers at place i >= 0 of a flat array and every stride from there on."""
-    kind = _group(flat)
-
-    def generate(context, builder, kinds, values):
-        data, place = context.make_array(kinds.args[0])(context, builder, values[0]).data, values[1]
-        if kind != NEIGHBOURS:
-            return builder.load(builder.gep(data, [place]))
-        group = ir.Constant(kind.vector, ir.Undefined)
-        for k in range(LANES):
-            group = builder.insert_element(group, builder.load(builder.gep(data, [place])), ir.Constant(INDEX, k))
-            place = builder.add(place, values[2])
-        return group
-
-    return kind(flat, types.intp, types.intp), generate
-
-
-@intrinsic
-def store_lanes(typing_context, flat, i, a):
-    """The group from place i >= 0 of a flat array on = a."""
-
-    def generate(context, builder, kinds, values):
-        place, alignment = _place(context, builder, kinds, *values[:2])
-        builder.store(_spread(context, builder, kinds.args[2], _group(flat), values[2]), place, align=alignment)
-        return context.get_dummy_value()
-
-    return types.void(flat, types.intp, a), generate
-
-
-@intrinsic
-def spread_lanes(typing_context, flat, i, stride, a):
-    """The numbers at place i >= 0 of a flat array and every stride from there on = those of the group a."""
-
-    def generate(context, builder, kinds, values):
-        data, place = context.make_array(kinds.args[0])(context, builder, values[0]).data, values[1]
-        group = _spread(context, builder, kinds.args[3], _group(flat), values[3])
-        if _group(flat) != NEIGHBOURS:
-            builder.store(group, builder.gep(data, [place]))
-            return context.get_dummy_value()
-        for k in range(LANES):
-            builder.store(builder.extract_element(group, ir.Constant(INDEX, k)), builder.gep(data, [place]))
-            place = builder.add(place, values[2])
-        return context.get_dummy_value()
-
-    return types.void(flat, types.intp, types.intp, a), generate
-
-
-@intrinsic
-def add_rows(typing_context, total, factors, rows, j, stride):
-    """total + the sum of the factors, a group, times as many groups of rows, from place j on every stride."""
-    kind = _joint(total, factors, _group(rows))
-
-    def generate(context, builder, kinds, values):
-        sum_, factors, array, place, step = values
-        sum_ = _spread(context, builder, kinds.args[0], kind, sum_)
-        if _group(rows) == NEIGHBOURS:
-            picked = [builder.extract_element(factors, ir.Constant(INDEX, k)) for k in range(LANES)]
-            picked = [_spread(context, builder, NUMBER, kind, each) for each in picked]
-        else:
-            picked = [_spread(context, builder, kinds.args[1], kind, factors)]
-        data = context.make_array(rows)(context, builder, array).data
-        for factor in picked:
-            pointer = builder.gep(data, [place])
-            if _group(rows) == NEIGHBOURS:
-                row = builder.load(builder.bitcast(pointer, kind.vector.as_pointer()), align=8)
-            else:
-                row = _spread(context, builder, _group(rows), kind, builder.load(pointer))
-            sum_ = _instruction(builder, "fma", kind, [factor, row, sum_])
-            place = builder.add(place, step)
-        return sum_
-
-    return kind(total, factors, rows, types.intp, types.intp), generate
-
-
-@intrinsic
-def sum_lanes(typing_context, a):
-    """The sum of a group of neighbours; what is no such group is its own sum."""
-    result = NUMBER if a == NEIGHBOURS else a
-
-    def generate(context, builder, kinds, values):
-        if a != NEIGHBOURS:
-            return values[0]
-        part = [builder.extract_element(values[0], ir.Constant(INDEX, k)) for k in range(LANES)]
-        halves = builder.fadd(part[0], part[2]), builder.fadd(part[1], part[3])
-        return builder.fadd(*halves)
-
-    return result(a), generate

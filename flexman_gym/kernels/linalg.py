@@ -5,17 +5,8 @@ Tuples live in registers; the compiler need not assume that a store into one arr
 
 import math
 
-import numba
-
+from flexman_gym.kernels.compile import inner
 from flexman_gym.kernels.lanes import below, choose_below, fused
-
-# Without Numba's runtime a kernel that allocates does not compile, and a call does not count references to every array
-# of a model, which took ten times as long as the arithmetic. Fast arithmetic is off, as it would give one arm other
-# last digits than several abreast; what it gains most, `fused` gains too.
-FLAGS = {"cache": True, "_nrt": False, "error_model": "numpy"}
-kernel = numba.njit(**FLAGS)  # what Python calls
-released = numba.njit(**FLAGS, nogil=True)  # what Python calls in several threads
-inner = numba.njit(**FLAGS, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)  # what other kernels call
 
 ZERO = (0.0, 0.0, 0.0)
 ZERO_MATRIX = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

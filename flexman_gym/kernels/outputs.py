@@ -2,6 +2,7 @@
 
 import math
 
+from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.kinematics import positions, velocities
 from flexman_gym.kernels.lanes import fused, vanishes
 from flexman_gym.kernels.linalg import (
@@ -12,8 +13,6 @@ from flexman_gym.kernels.linalg import (
     apply,
     cross,
     dot,
-    inner,
-    kernel,
     load,
     load_matrix,
     product,

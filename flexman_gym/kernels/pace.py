@@ -2,8 +2,8 @@
 
 import math
 
+from flexman_gym.kernels.compile import inner
 from flexman_gym.kernels.layout import LARGEST_STATE
-from flexman_gym.kernels.linalg import inner
 
 SAFETY, SMALLEST_FACTOR, LARGEST_FACTOR = 0.9, 0.2, 10.0  # step size control, Hairer, Norsett and Wanner I, II.4
 LEAST_PACE = 1e-14  # of the interval

@@ -8,9 +8,9 @@ percent of the length.
 The stations of a link, its tip first, fill whole groups of LANES; those that fill up the last group have no mass.
 """
 
-from flexman_gym.kernels.lanes import (
+from flexman_gym.kernels.compile import inner
+from flexman_gym.kernels.groups import (
     add_rows,
-    fused,
     group_size,
     load_lanes,
     pick_lanes,
@@ -18,7 +18,8 @@ from flexman_gym.kernels.lanes import (
     store_lanes,
     sum_lanes,
 )
-from flexman_gym.kernels.linalg import dot, inner, load
+from flexman_gym.kernels.lanes import fused
+from flexman_gym.kernels.linalg import dot, load
 
 
 @inner

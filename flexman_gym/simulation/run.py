@@ -6,7 +6,7 @@ import numpy as np
 
 from flexman_gym.arrays import Array
 from flexman_gym.checks import one_of, positive, refusal
-from flexman_gym.kernels import layout, outputs, steppers
+from flexman_gym.kernels import explicit, implicit, layout, linearly_implicit, outputs, stages
 from flexman_gym.kernels.layout import Clock, IntArray, Work, make_work
 from flexman_gym.model.model import Model
 from flexman_gym.scene.drive import drive_table
@@ -57,10 +57,10 @@ class Run:
             return self._by_scipy(drive, clock, state, rows, found)
         arguments = (self.constants, self.work, self._coefficients, drive, clock, state, rows, found)
         if self.method.kind == LINEARLY_IMPLICIT:
-            return steppers.run_linearly_implicit(*arguments)
+            return linearly_implicit.run_linearly_implicit(*arguments)
         if self.method.kind == IMPLICIT:
-            return steppers.run_implicit(*arguments)
-        return steppers.run_explicit(*arguments)
+            return implicit.run_implicit(*arguments)
+        return explicit.run_explicit(*arguments)
 
     def start(self, state: Array, row: Array, found: Array) -> None:
         """Records the state as it is, by a run of no steps, which also loads or compiles the kernels."""
@@ -77,7 +77,7 @@ class Run:
 
             def slope(time: float, values: Array) -> Array:
                 out = np.zeros(len(values))
-                steppers.derivative(self.constants, self.work, drive, time, values, out)
+                stages.derivative(self.constants, self.work, drive, time, values, out)
                 return out
 
             span = (clock.time, times[-1])

@@ -16,13 +16,13 @@ from flexman_gym.kernels import dynamics, inverse, layout, outputs
 ROOT = Path(fm.__file__).parent.parent
 SOURCES = ROOT / "flexman_gym" / "kernels"
 
-CALLEE = """from flexman_gym.kernels.linalg import kernel
+CALLEE = """from flexman_gym.kernels.compile import kernel
 @kernel
 def constant():
     return {value}
 """
 CALLER = """from flexman_gym.kernels.callee import constant
-from flexman_gym.kernels.linalg import kernel
+from flexman_gym.kernels.compile import kernel
 @kernel
 def doubled():
     return 2 * constant()
