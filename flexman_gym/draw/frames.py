@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array
 from flexman_gym.checks import refusal, vector, whole_number
-from flexman_gym.model.beam import NODE_COORDINATES, beam_shapes, find_element
+from flexman_gym.model.element import NODE_COORDINATES, beam_shapes, find_element
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.trajectory import Trajectory
 

@@ -11,8 +11,9 @@ from flexman_gym.fidelity.choose import Choice, assembled_modes, choose_model
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.catalog import paper_rrr
+from flexman_gym.scene.choice import ModelChoice
 from flexman_gym.scene.drive import SineTorque
-from flexman_gym.scene.scene import Initial, ModelChoice, Scene
+from flexman_gym.scene.scene import Initial, Scene
 from flexman_gym.simulation.methods import Method
 from flexman_gym.simulation.trajectory import ENERGY_ALARM
 

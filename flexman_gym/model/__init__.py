@@ -4,14 +4,15 @@ from flexman_gym.model.instant import (
     acceleration,
     frequencies,
     inverse_dynamics,
-    linearize,
     mass_matrix,
     tip_acceleration,
 )
+from flexman_gym.model.linear import LinearModel, linearize
 from flexman_gym.model.model import Model, build_model, scene_model
 from flexman_gym.model.strain import curvature, strain
 
 __all__ = [
+    "LinearModel",
     "Model",
     "acceleration",
     "build_model",

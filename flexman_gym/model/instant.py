@@ -1,7 +1,6 @@
-"""Dynamics at an instant: accelerations, forces, natural frequencies and the linear model of a model at a state."""
+"""Instant: accelerations, forces and natural frequencies of a model at a state."""
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -9,26 +8,12 @@ from flexman_gym.arrays import Array
 from flexman_gym.checks import refusal, vector
 from flexman_gym.kernels import dynamics, inverse, outputs
 from flexman_gym.kernels.layout import OUTPUTS, TIP_VELOCITY, make_work
-from flexman_gym.model.beam import NODE_COORDINATES
 from flexman_gym.model.model import Model
 
 # Central differences over one, two and three steps h, each with its weight in Richardson's extrapolation to h = 0: what
 # is left of a first derivative is h^6 / 140 times the seventh, of a second one h^6 / 560 times the eighth.
 RICHARDSON = ((1, 1.5), (2, -0.6), (3, 0.1))
-FIRST_STEP, SECOND_STEP = 0.005, 0.02  # rad, of first and second derivatives: truncation just below rounding
-
-
-class LinearModel(NamedTuple):
-    """x' = A x + B u, y = C x + D u for small departures from a state and its torques.
-
-    x (2 d,) = [coordinates, speeds] in the order of `kernels.layout`, u (n,) motor torques in N m, y (3,) the tip in
-    the base frame in m.
-    """
-
-    A: Array  # (2 d, 2 d)
-    B: Array  # (2 d, n)
-    C: Array  # (3, 2 d)
-    D: Array  # (3, n), zero
+SECOND_STEP = 0.02  # rad, of a second derivative: truncation just below rounding
 
 
 def acceleration(model: Model, state: Sequence[float] | Array, torque: Sequence[float] | Array) -> Array:
@@ -36,7 +21,7 @@ def acceleration(model: Model, state: Sequence[float] | Array, torque: Sequence[
 
     Raises ValueError for wrong shapes or values that are not finite.
     """
-    x, v = _split(model, state)
+    x, v = split_state(model, state)
     out = np.zeros(model.n_dof)
     drive = np.r_[vector("torque", torque, model.n_joints, "N m"), np.zeros(6)]  # without disturbances
     dynamics.accelerations(model.constants, make_work(model.constants), x, v, drive, out)
@@ -48,8 +33,8 @@ def mass_matrix(model: Model, state: Sequence[float] | Array) -> Array:
 
     Raises ValueError for a wrong shape or values that are not finite.
     """
-    x, _ = _split(model, state)
-    forces, rest = _inertial_forces(model, weightless=True), np.zeros(model.n_dof)
+    x, _ = split_state(model, state)
+    forces, rest = inertial_forces(model, weightless=True), np.zeros(model.n_dof)
     matrix = np.array([forces(x, rest, unit) for unit in np.eye(model.n_dof)])
     return (matrix + matrix.T) / 2
 
@@ -90,62 +75,6 @@ def frequencies(model: Model, joint_angles: Sequence[float] | None = None, lock_
     return np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi)
 
 
-def linearize(
-    model: Model,
-    joint_angles: Sequence[float] | Array | None = None,
-    state: Sequence[float] | Array | None = None,
-    torque: Sequence[float] | Array | None = None,
-) -> LinearModel:
-    """The linear model about the undeformed arm at rest at joint angles (n,) rad, or about a whole state (2 d,).
-
-    Angles and torques (n,) in N m are zero by default. Where the accelerations there do not vanish (gravity, speeds),
-    x departs from the motion that starts there, and A is the slope at its start. Coulomb friction enters with its slope
-    at the rates of the state, which is very steep at rest.
-
-    The balance inertial forces + damping v + stiffness q = torques is differentiated term by term, so that stiff
-    springs spoil nothing. Stiffness, damping, B and C are exact, the slope by speeds too (the forces are quadratic in
-    them), all up to rounding. The slope of the inertial forces by coordinates is taken by central differences,
-    extrapolated to order six, each coordinate in steps that move no section by more than 0.5 % of its link's length or
-    0.005 rad. Measured on random chains, bent and fast: it is right to 1e-12 of its largest entry; with the condition
-    of the mass matrix on top, A to 1e-10 of its largest (metres and radians weighed by their masses).
-
-    Raises ValueError for wrong shapes, values that are not finite, or a state and joint angles at once.
-    """
-    from scipy.linalg import cho_factor, cho_solve
-
-    if state is None:
-        state = model.initial_state(np.zeros(model.n_joints) if joint_angles is None else joint_angles)
-    elif joint_angles is not None:
-        raise refusal("state", "given with joint_angles", "one of the two")
-    applied = np.zeros(model.n_joints) if torque is None else torque
-    (x, v), caused, forces = _split(model, state), acceleration(model, state, applied), _inertial_forces(model)
-    d, n, size = model.n_dof, model.n_joints, _coordinate_sizes(model)
-
-    def by_coordinate(unit: Array) -> Array:
-        return _slope(lambda t: forces(x + t * unit, v, caused), FIRST_STEP)
-
-    def by_speed(unit: Array) -> Array:
-        return (forces(x, v + unit, caused) - forces(x, v - unit, caused)) / 2
-
-    demands = np.zeros((d, 2 * d + n))
-    demands[:, :d] = -stiffness_matrix(model) - np.transpose([by_coordinate(unit) for unit in np.diag(size)]) / size
-    demands[:, d : 2 * d] = -damping_matrix(model) - np.transpose([by_speed(unit) for unit in np.diag(size)]) / size
-    motors, constants = model.motor_columns, model.constants
-    steepness = constants.coulomb_friction / constants.coulomb_rate
-    demands[motors, d + motors] -= steepness / np.cosh(v[motors] / constants.coulomb_rate) ** 2
-    demands[model.motor_columns, 2 * d + np.arange(n)] = 1.0
-    mass = mass_matrix(model, state)
-    scale = np.sqrt(np.diag(mass))  # metres and radians of fine elements weigh alike
-    factor = cho_factor(mass / np.outer(scale, scale))
-    slopes = cho_solve(factor, demands / scale[:, None]) / scale[:, None]
-    return LinearModel(
-        A=np.block([[np.zeros((d, d)), np.eye(d)], [slopes[:, : 2 * d]]]),
-        B=np.vstack([np.zeros((d, n)), slopes[:, 2 * d :]]),
-        C=np.hstack([tip_jacobian(model, x), np.zeros((3, d))]),
-        D=np.zeros((3, n)),
-    )
-
-
 def tip_acceleration(model: Model, state: Sequence[float] | Array, torque: Sequence[float] | Array) -> Array:
     """Acceleration (3,) of the tip in the base frame, m/s^2, at a state (2 d,) under motor torques (n,) in N m.
 
@@ -154,7 +83,7 @@ def tip_acceleration(model: Model, state: Sequence[float] | Array, torque: Seque
 
     Raises ValueError for wrong shapes or values that are not finite.
     """
-    (x, v), rates = _split(model, state), acceleration(model, state, torque)
+    (x, v), rates = split_state(model, state), acceleration(model, state, torque)
     weightless = model.constants._replace(gravity=np.zeros(3))
     work = make_work(weightless)
     inverse.inertial_forces(weightless, work, x, v, rates, np.zeros(model.n_dof))
@@ -207,7 +136,7 @@ def inverse_dynamics(
             raise refusal(f"model.arm.joints[{i}].{name}", float(getattr(constants, name)[i]), "0 with flexible joints")
     if (sprung & (constants.carried_inertia > 0.0)).any():
         raise refusal("model.choice.spinning_rotors", True, "False where joints are flexible")
-    forces, spread = _inertial_forces(model), np.zeros((model.n_dof, n))
+    forces, spread = inertial_forces(model), np.zeros((model.n_dof, n))
     spread[np.arange(n), np.arange(n)] = 1.0  # rotors on springs stand still: their share is added below
 
     def link_torques(t: float) -> Array:
@@ -225,7 +154,7 @@ def inverse_dynamics(
     return torques
 
 
-def _split(model: Model, state: Sequence[float] | Array) -> tuple[Array, Array]:
+def split_state(model: Model, state: Sequence[float] | Array) -> tuple[Array, Array]:
     values = np.array(vector("state", state, 2 * model.n_dof))
     return values[: model.n_dof], values[model.n_dof :]
 
@@ -243,7 +172,7 @@ def _structure(model: Model, joints: Array, links: Array) -> Array:
     return matrix
 
 
-def _inertial_forces(model: Model, weightless: bool = False) -> Callable[[Array, Array, Array], Array]:
+def inertial_forces(model: Model, weightless: bool = False) -> Callable[[Array, Array, Array], Array]:
     """The forces (d,) that coordinates, speeds and accelerations (d,) demand, with gravity or without."""
     constants = model.constants._replace(gravity=np.zeros(3)) if weightless else model.constants
     work = make_work(constants)
@@ -256,16 +185,6 @@ def _inertial_forces(model: Model, weightless: bool = False) -> Callable[[Array,
     return forces
 
 
-def _coordinate_sizes(model: Model) -> Array:
-    """(d,) of each coordinate what turns a section by 1 rad or moves it by the length of its link."""
-    sizes = np.ones(model.n_dof)
-    for i, (link, basis) in enumerate(zip(model.arm.links, model.bases, strict=True)):
-        moved = np.abs(basis).reshape(len(basis) // NODE_COORDINATES, 2, 3, basis.shape[1])
-        largest = np.maximum(moved[:, 0] / link.length, moved[:, 1]).max(axis=(0, 1), initial=0.0)
-        sizes[model.elastic_columns(i)] = 1.0 / largest
-    return sizes
-
-
 def tip_jacobian(model: Model, x: Array) -> Array:
     """(3, d) tip velocity per unit speed."""
     rows = np.zeros((model.n_dof, OUTPUTS))
@@ -273,12 +192,6 @@ def tip_jacobian(model: Model, x: Array) -> Array:
     for row, unit in zip(rows, np.eye(model.n_dof), strict=True):
         outputs.observe(model.constants, work, x, unit, row)
     return rows[:, TIP_VELOCITY].T
-
-
-def _slope(function: Callable[[float], Array], h: float) -> Array:
-    """First derivative at 0."""
-    parts = [weight / (2 * k * h) * (function(k * h) - function(-k * h)) for k, weight in RICHARDSON]
-    return np.sum(parts, axis=0)
 
 
 def _bend(function: Callable[[float], Array], h: float) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 
 from flexman_gym.arrays import Array
 from flexman_gym.checks import finite, refusal, vector, whole_number
-from flexman_gym.model.beam import NODE_COORDINATES, find_element
+from flexman_gym.model.element import NODE_COORDINATES, find_element
 from flexman_gym.model.model import Model
 
 

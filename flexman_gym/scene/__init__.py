@@ -2,8 +2,9 @@
 
 from flexman_gym.scene import catalog
 from flexman_gym.scene.arm import Arm, Joint, Link, NonUniformLink, Payload
+from flexman_gym.scene.choice import ModelChoice
 from flexman_gym.scene.drive import ConstantTorque, Signal, SineTorque
-from flexman_gym.scene.scene import Initial, ModelChoice, Scene
+from flexman_gym.scene.scene import Initial, Scene
 
 __all__ = [
     "Arm",

@@ -131,6 +131,8 @@ class Joint:
     viscous_friction  N m s/rad, of the rotor in its bearings and gear (of the link where the joint is rigid)
     coulomb_friction  N m, of the same; it opposes the rate r of the rotor with coulomb_friction tanh(r / coulomb_rate)
     coulomb_rate      rad/s, where friction has reached three quarters of its full size
+    torque_limit      N m, the most that the motor gives; environments scale actions by it, a simulation applies what it
+                      is told. None where nobody has said it
 
     Raises ValueError when the axis is not of length 1 within 1e-9 (it is not normalised), when a number is negative or
     not finite, for a damper without a spring, and for a spring without a rotor (its coordinate would have no mass).
@@ -143,6 +145,7 @@ class Joint:
     viscous_friction: float = 0.0
     coulomb_friction: float = 0.0
     coulomb_rate: float = 0.01
+    torque_limit: float | None = None
 
     def __post_init__(self) -> None:
         store(
@@ -154,6 +157,8 @@ class Joint:
             coulomb_friction=non_negative("Joint.coulomb_friction", self.coulomb_friction, "N m"),
             coulomb_rate=positive("Joint.coulomb_rate", self.coulomb_rate, "rad/s"),
         )
+        if self.torque_limit is not None:
+            store(self, torque_limit=positive("Joint.torque_limit", self.torque_limit, "N m"))
         if self.stiffness is not None:
             store(self, stiffness=positive("Joint.stiffness", self.stiffness, "N m/rad; None for a rigid joint"))
             if self.rotor_inertia == 0.0:

@@ -8,8 +8,9 @@ from collections.abc import Sequence
 
 from flexman_gym.checks import one_of
 from flexman_gym.scene.arm import IDENTITY, Arm, Joint, Link, Payload
+from flexman_gym.scene.choice import ModelChoice
 from flexman_gym.scene.drive import ConstantTorque
-from flexman_gym.scene.scene import Initial, ModelChoice, Scene
+from flexman_gym.scene.scene import Initial, Scene
 
 _UP = ((0.0, 0.0, -1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))  # turns the x axis of a beam to +Z
 _LINK1_AREAS = {"printed": 0.028, "corrected": 0.0028}

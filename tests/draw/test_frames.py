@@ -9,8 +9,9 @@ from matplotlib.image import imread
 from flexman_gym.draw.frames import FramePainter, arm_frame, arm_lines, paper_figures
 from flexman_gym.model.model import build_model
 from flexman_gym.scene import catalog
+from flexman_gym.scene.choice import ModelChoice
 from flexman_gym.scene.drive import ConstantTorque
-from flexman_gym.scene.scene import Initial, ModelChoice, Scene
+from flexman_gym.scene.scene import Initial, Scene
 from flexman_gym.simulation.simulator import Simulator, simulate
 
 ARM = catalog.paper_rrr()

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import eigh
 
-from flexman_gym.model.beam import beam_shapes, beam_stiffness, build_beam, section_points, shape_integrals
+from flexman_gym.model.beam import build_beam, shape_integrals
+from flexman_gym.model.element import beam_shapes, beam_stiffness, section_points
 from flexman_gym.scene.arm import Link
 
 from oracles.chains import QUICK, random_link

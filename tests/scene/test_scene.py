@@ -14,8 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flexman_gym.scene.arm import IDENTITY, Arm, Joint, Link, NonUniformLink, Payload
+from flexman_gym.scene.choice import ModelChoice
 from flexman_gym.scene.drive import ConstantTorque, SineTorque
-from flexman_gym.scene.scene import Initial, ModelChoice, Scene
+from flexman_gym.scene.scene import Initial, Scene
 
 from oracles.files import REFERENCE
 

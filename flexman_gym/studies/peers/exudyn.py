@@ -26,7 +26,8 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 import flexman_gym as fm
-from flexman_gym.model.beam import Beam, build_beam, section_points
+from flexman_gym.model.beam import Beam, build_beam
+from flexman_gym.model.element import section_points
 from flexman_gym.studies.peers.runs import Array, PeerRun, Timer, output_count, row
 from flexman_gym.studies.precision.measure import Row, Study, Truth
 

@@ -1,0 +1,110 @@
+"""The element: one finite element of a link, its shapes, slopes and stiffness."""
+
+from bisect import bisect_right
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from flexman_gym.arrays import Array
+from flexman_gym.scene.arm import Link, NonUniformLink
+
+NODE_COORDINATES = 6  # u, v, w, phi_x, theta_y = -w', theta_z = v'
+GAUSS_POINTS = 4  # exact to degree 7; the mass of cubic Hermite shapes has degree 6
+
+
+class Element(NamedTuple):
+    """One finite element of a link, between two neighbouring nodes."""
+
+    section: Link  # the uniform link that it is a piece of
+    start: float  # m, place of its first node along the link
+    length: float  # m
+    nodes: slice  # its twelve node coordinates among those of the link, the clamped node 0 included
+
+
+def beam_elements(link: Link | NonUniformLink, elements: int) -> list[Element]:
+    """The finite elements of a link, base to tip: so many equal ones in each of its sections."""
+    result: list[Element] = []
+    start = 0.0
+    for section in link.sections:
+        length = section.length / elements
+        for i in range(elements):
+            first = NODE_COORDINATES * len(result)
+            result.append(Element(section, start + i * length, length, slice(first, first + 2 * NODE_COORDINATES)))
+        start += section.length
+    return result
+
+
+def find_element(elements: Sequence[Element], position: float) -> tuple[Element, float]:
+    """The element of a link at a position >= 0 (m), the outboard one at a node between two, and xi of 0 to 1 there."""
+    element = elements[bisect_right(elements, position, key=lambda element: element.start) - 1]
+    return element, (position - element.start) / element.length
+
+
+def beam_shapes(xi: float, length: float, y: float, z: float) -> Array:
+    """(3, 12) displacement of the point (xi * length, y, z) of one element per unit of its twelve node coordinates.
+
+    u(x, y, z) = [u - y v' - z w', v - z phi, w + y phi] with cubic Hermite v, w and linear u, phi; xi in [0, 1].
+    """
+    axial = (1 - xi, xi)
+    deflection, slope = _hermite(xi, length), _hermite_derivative(xi, length)
+    shapes = np.zeros((3, 2 * NODE_COORDINATES))
+    for node in range(2):
+        u, v, w, phi, theta_y, theta_z = range(NODE_COORDINATES * node, NODE_COORDINATES * (node + 1))
+        shapes[0, u] = axial[node]
+        shapes[1, phi], shapes[2, phi] = -z * axial[node], y * axial[node]
+        shapes[1, v], shapes[0, v] = deflection[2 * node], -y * slope[2 * node]
+        shapes[1, theta_z], shapes[0, theta_z] = deflection[2 * node + 1], -y * slope[2 * node + 1]
+        shapes[2, w], shapes[0, w] = deflection[2 * node], -z * slope[2 * node]
+        shapes[2, theta_y], shapes[0, theta_y] = -deflection[2 * node + 1], z * slope[2 * node + 1]
+    return shapes
+
+
+def beam_slopes(xi: float, length: float) -> Array:
+    """(2, 12) slopes v' and w' of the centreline of one element per unit of its twelve node coordinates."""
+    slope = np.array(_hermite_derivative(xi, length))
+    slopes = np.zeros((2, 2 * NODE_COORDINATES))
+    slopes[0, [1, 5, 7, 11]] = slope
+    slopes[1, [2, 4, 8, 10]] = slope * [1.0, -1.0, 1.0, -1.0]  # theta_y = -w'
+    return slopes
+
+
+def beam_stiffness(link: Link, length: float) -> Array:
+    """(12, 12) stiffness of one element of the given length: axial, St Venant torsion and bending in two planes."""
+    stiffness = np.zeros((2 * NODE_COORDINATES, 2 * NODE_COORDINATES))
+    bar = np.array([[1.0, -1.0], [-1.0, 1.0]]) / length
+    stiffness[np.ix_([0, 6], [0, 6])] = link.youngs_modulus * link.area * bar
+    stiffness[np.ix_([3, 9], [3, 9])] = link.shear_modulus * link.torsion_constant * bar
+    a, b, c, d = 12 / length**3, 6 / length**2, 4 / length, 2 / length
+    bending = np.array([[a, b, -a, b], [b, c, -b, d], [-a, -b, a, -b], [b, d, -b, c]])
+    stiffness[np.ix_([1, 5, 7, 11], [1, 5, 7, 11])] = link.youngs_modulus * link.second_moment_z * bending
+    mirror = np.array([1.0, -1.0, 1.0, -1.0])  # theta_y = -w'
+    stiffness[np.ix_([2, 4, 8, 10], [2, 4, 8, 10])] = (
+        link.youngs_modulus * link.second_moment_y * bending * np.outer(mirror, mirror)
+    )
+    return stiffness
+
+
+def section_points(link: Link) -> Array:
+    """(4, 2) y, z of four points of equal weight that have the section's area and both its second moments of area."""
+    y = np.sqrt(2 * link.second_moment_z / link.area)
+    z = np.sqrt(2 * link.second_moment_y / link.area)
+    return np.array([[y, 0], [-y, 0], [0, z], [0, -z]])
+
+
+def _hermite(xi: float, length: float) -> tuple[float, float, float, float]:
+    return (
+        1 - 3 * xi**2 + 2 * xi**3,
+        length * xi * (1 - xi) ** 2,
+        3 * xi**2 - 2 * xi**3,
+        length * xi**2 * (xi - 1),
+    )
+
+
+def _hermite_derivative(xi: float, length: float) -> tuple[float, float, float, float]:
+    return (
+        6 * xi * (xi - 1) / length,
+        (1 - xi) * (1 - 3 * xi),
+        6 * xi * (1 - xi) / length,
+        xi * (3 * xi - 2),
+    )

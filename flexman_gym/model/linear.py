@@ -1,0 +1,108 @@
+"""Linear: the linear model of an arm about a state."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from flexman_gym.arrays import Array
+from flexman_gym.checks import refusal
+from flexman_gym.model.element import NODE_COORDINATES
+from flexman_gym.model.instant import (
+    RICHARDSON,
+    acceleration,
+    damping_matrix,
+    inertial_forces,
+    mass_matrix,
+    split_state,
+    stiffness_matrix,
+    tip_jacobian,
+)
+from flexman_gym.model.model import Model
+
+FIRST_STEP = 0.005  # rad, of a first derivative: truncation just below rounding
+
+
+class LinearModel(NamedTuple):
+    """x' = A x + B u, y = C x + D u for small departures from a state and its torques.
+
+    x (2 d,) = [coordinates, speeds] in the order of `kernels.layout`, u (n,) motor torques in N m, y (3,) the tip in
+    the base frame in m.
+    """
+
+    A: Array  # (2 d, 2 d)
+    B: Array  # (2 d, n)
+    C: Array  # (3, 2 d)
+    D: Array  # (3, n), zero
+
+
+def linearize(
+    model: Model,
+    joint_angles: Sequence[float] | Array | None = None,
+    state: Sequence[float] | Array | None = None,
+    torque: Sequence[float] | Array | None = None,
+) -> LinearModel:
+    """The linear model about the undeformed arm at rest at joint angles (n,) rad, or about a whole state (2 d,).
+
+    Angles and torques (n,) in N m are zero by default. Where the accelerations there do not vanish (gravity, speeds),
+    x departs from the motion that starts there, and A is the slope at its start. Coulomb friction enters with its slope
+    at the rates of the state, which is very steep at rest.
+
+    The balance inertial forces + damping v + stiffness q = torques is differentiated term by term, so that stiff
+    springs spoil nothing. Stiffness, damping, B and C are exact, the slope by speeds too (the forces are quadratic in
+    them), all up to rounding. The slope of the inertial forces by coordinates is taken by central differences,
+    extrapolated to order six, each coordinate in steps that move no section by more than 0.5 % of its link's length or
+    0.005 rad. Measured on random chains, bent and fast: it is right to 1e-12 of its largest entry; with the condition
+    of the mass matrix on top, A to 1e-10 of its largest (metres and radians weighed by their masses).
+
+    Raises ValueError for wrong shapes, values that are not finite, or a state and joint angles at once.
+    """
+    from scipy.linalg import cho_factor, cho_solve
+
+    if state is None:
+        state = model.initial_state(np.zeros(model.n_joints) if joint_angles is None else joint_angles)
+    elif joint_angles is not None:
+        raise refusal("state", "given with joint_angles", "one of the two")
+    applied = np.zeros(model.n_joints) if torque is None else torque
+    (x, v), caused, forces = split_state(model, state), acceleration(model, state, applied), inertial_forces(model)
+    d, n, size = model.n_dof, model.n_joints, _coordinate_sizes(model)
+
+    def by_coordinate(unit: Array) -> Array:
+        return _slope(lambda t: forces(x + t * unit, v, caused), FIRST_STEP)
+
+    def by_speed(unit: Array) -> Array:
+        return (forces(x, v + unit, caused) - forces(x, v - unit, caused)) / 2
+
+    demands = np.zeros((d, 2 * d + n))
+    demands[:, :d] = -stiffness_matrix(model) - np.transpose([by_coordinate(unit) for unit in np.diag(size)]) / size
+    demands[:, d : 2 * d] = -damping_matrix(model) - np.transpose([by_speed(unit) for unit in np.diag(size)]) / size
+    motors, constants = model.motor_columns, model.constants
+    steepness = constants.coulomb_friction / constants.coulomb_rate
+    demands[motors, d + motors] -= steepness / np.cosh(v[motors] / constants.coulomb_rate) ** 2
+    demands[model.motor_columns, 2 * d + np.arange(n)] = 1.0
+    mass = mass_matrix(model, state)
+    scale = np.sqrt(np.diag(mass))  # metres and radians of fine elements weigh alike
+    factor = cho_factor(mass / np.outer(scale, scale))
+    slopes = cho_solve(factor, demands / scale[:, None]) / scale[:, None]
+    return LinearModel(
+        A=np.block([[np.zeros((d, d)), np.eye(d)], [slopes[:, : 2 * d]]]),
+        B=np.vstack([np.zeros((d, n)), slopes[:, 2 * d :]]),
+        C=np.hstack([tip_jacobian(model, x), np.zeros((3, d))]),
+        D=np.zeros((3, n)),
+    )
+
+
+def _coordinate_sizes(model: Model) -> Array:
+    """(d,) of each coordinate what turns a section by 1 rad or moves it by the length of its link."""
+    sizes = np.ones(model.n_dof)
+    for i, (link, basis) in enumerate(zip(model.arm.links, model.bases, strict=True)):
+        moved = np.abs(basis).reshape(len(basis) // NODE_COORDINATES, 2, 3, basis.shape[1])
+        largest = np.maximum(moved[:, 0] / link.length, moved[:, 1]).max(axis=(0, 1), initial=0.0)
+        sizes[model.elastic_columns(i)] = 1.0 / largest
+    return sizes
+
+
+def _slope(function: Callable[[float], Array], h: float) -> Array:
+    """First derivative at 0."""
+    parts = [weight / (2 * k * h) * (function(k * h) - function(-k * h)) for k, weight in RICHARDSON]
+    return np.sum(parts, axis=0)
