@@ -14,7 +14,7 @@ from flexman_gym.scene.catalog import paper_rrr
 from flexman_gym.scene.choice import ModelChoice
 from flexman_gym.scene.drive import SineTorque
 from flexman_gym.scene.scene import Initial, Scene
-from flexman_gym.simulation.methods import Method
+from flexman_gym.simulation.families import Method
 from flexman_gym.simulation.trajectory import ENERGY_ALARM
 
 CHOSEN = ("elements", "modes", "method", "step")  # by fidelity="auto"

@@ -15,7 +15,8 @@ from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.amplification import amplitude_kept, explicit_limit, spectral_radius
-from flexman_gym.simulation.methods import EXPLICIT, METHODS, Method
+from flexman_gym.simulation.families import EXPLICIT, Method
+from flexman_gym.simulation.methods import METHODS
 
 SAFETY = 0.8  # part of the tolerance that the chosen run may use
 MODEL_SHARES = (0.6, 0.25)  # parts of the tolerance that dropped coordinates may use: two models compete

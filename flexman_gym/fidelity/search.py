@@ -9,7 +9,8 @@ from flexman_gym.arrays import Array
 from flexman_gym.model.instant import mass_matrix, stiffness_matrix, tip_jacobian
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.scene import Scene
-from flexman_gym.simulation.methods import EXPLICIT, METHODS, REFERENCE, Method
+from flexman_gym.simulation.families import REFERENCE, Explicit, Method
+from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.simulator import simulate
 from flexman_gym.simulation.trajectory import Trajectory
 
@@ -133,7 +134,7 @@ class Search:
         screened = self.screened[candidate]
         ease = 1.0 if screened.method.kind == REFERENCE else 0.3  # without factors of matrices
         seconds = ease * screened.cost / max(screened.evaluations, 1)
-        return seconds * len(method.b) * self.scene.duration * (method.kind == EXPLICIT)
+        return seconds * len(method.b) * self.scene.duration if isinstance(method, Explicit) else 0.0
 
     def parts(self) -> dict[tuple[int, int], float]:
         """How far (m) each mode (link, number) moves the tip in the motion of the reference, ascending.

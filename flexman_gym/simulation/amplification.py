@@ -7,7 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array
-from flexman_gym.simulation.methods import EXPLICIT, IMPLICIT, Method, extrapolation_weights
+from flexman_gym.simulation.families import (
+    EXPLICIT,
+    Explicit,
+    Implicit,
+    LinearlyImplicit,
+    Method,
+    extrapolation_weights,
+)
 
 
 def amplification_factors(method: Method, angle: float) -> NDArray[np.complex128]:
@@ -20,22 +27,27 @@ def amplification_factors(method: Method, angle: float) -> NDArray[np.complex128
 
     Raises ValueError for a reference method, which has no fixed step.
     """
-    if method.adaptive:
+    if method.adaptive or not isinstance(method, Explicit | LinearlyImplicit | Implicit):
         raise ValueError(f"method: {method.name} chooses its steps; give one of fixed steps")
+    if isinstance(method, Implicit):
+        return _implicit_factors(method, angle)
+    if isinstance(method, LinearlyImplicit):
+        weights, matrix = extrapolation_weights(method.sequence), method.a + method.coupling
+        matrix = matrix + method.gamma * np.eye(len(method.b))
+        factors = (_stability(matrix, method.b, 1j * angle / parts) ** parts for parts in method.sequence)
+        return np.array([sum(weight * factor for weight, factor in zip(weights, factors, strict=True))])
     if method.semi_implicit:
         return _eigenvalues(np.array([[1.0 - angle**2, angle], [-angle, 1.0]]))
-    if method.kind == IMPLICIT:
-        return _implicit_factors(method, angle)
-    ones = np.ones(len(method.b))
-    matrix = method.a + method.coupling_matrix + method.gamma * np.eye(len(ones))
-    total = 0.0j
-    for parts, weight in zip(method.sequence, extrapolation_weights(method.sequence), strict=True):
-        z = 1j * angle / parts
-        total += weight * (1.0 + z * method.b @ np.linalg.solve(np.eye(len(ones)) - z * matrix, ones)) ** parts
-    return np.array([total])
+    return np.array([_stability(method.a, method.b, 1j * angle)])
 
 
-def _implicit_factors(method: Method, angle: float) -> NDArray[np.complex128]:
+def _stability(matrix: Array, b: Array, z: complex) -> complex:
+    """R(z): what a step of length 1 of a Runge-Kutta method makes of y' = z y."""
+    ones = np.ones(len(b))
+    return complex(1.0 + z * b @ np.linalg.solve(np.eye(len(b)) - z * matrix, ones))
+
+
+def _implicit_factors(method: Implicit, angle: float) -> NDArray[np.complex128]:
     if method.radius is None:
         return np.array([(1.0 + 0.5j * angle) / (1.0 - 0.5j * angle)])
     mass, force, beta, gamma = method.averages[:4]

@@ -9,7 +9,7 @@ from flexman_gym.arrays import Array
 from flexman_gym.checks import one_of, parts, positive, refusal, whole_number
 from flexman_gym.kernels import layout, outputs
 from flexman_gym.model.model import Model
-from flexman_gym.simulation.methods import LINEARLY_IMPLICIT, Method
+from flexman_gym.simulation.families import LinearlyImplicit, Method
 from flexman_gym.simulation.movers import Abreast, OneByOne
 from flexman_gym.simulation.run import Run, find_method, find_tolerance, prescribed_flags
 from flexman_gym.simulation.trajectory import turnover
@@ -66,7 +66,7 @@ class Batch:
         tolerance = find_tolerance(self.method, step, rtol, atol)
         period = self.control_period, self.substeps
         self._mover: OneByOne | Abreast
-        if self.method.kind == LINEARLY_IMPLICIT and tolerance is None:
+        if isinstance(self.method, LinearlyImplicit) and tolerance is None:
             constants = model.constants._replace(prescribed=prescribed_flags(n, joints))
             self._mover = Abreast(constants, self.method, period, count, threads)
         else:

@@ -19,7 +19,7 @@ from flexman_gym.kernels.arms import PER_ARM, addresses, arms_array
 from flexman_gym.kernels.lanes import ARMS, NUMBER
 from flexman_gym.kernels.layout import ARMS_ABREAST, Clock, Constants, IntArray, make_work
 from flexman_gym.scene.drive import drive_table
-from flexman_gym.simulation.methods import Method
+from flexman_gym.simulation.families import LinearlyImplicit
 from flexman_gym.simulation.run import Run
 
 SHARE = 8  # groups that are worth a thread: to wake one takes as long as to move two or three
@@ -61,7 +61,7 @@ class Abreast:
     """
 
     def __init__(
-        self, constants: Constants, method: Method, period: tuple[float, int], arms: int, threads: int
+        self, constants: Constants, method: LinearlyImplicit, period: tuple[float, int], arms: int, threads: int
     ) -> None:
         self._tableau = method.tableau
         self._clock, self._still = Clock(0.0, period[0] / period[1], period[1], 0.0, 0.0), Clock(0.0, 0.0, 0, 0.0, 0.0)

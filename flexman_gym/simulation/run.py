@@ -1,16 +1,24 @@
 """Run: a method bound to a model and its work space, as a call that moves a state through time."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 
 import numpy as np
 
 from flexman_gym.arrays import Array
 from flexman_gym.checks import one_of, positive, refusal
 from flexman_gym.kernels import explicit, implicit, layout, linearly_implicit, outputs, stages
-from flexman_gym.kernels.layout import Clock, IntArray, Work, make_work
+from flexman_gym.kernels.layout import Averages, Clock, IntArray, Tableau, Work, make_work
 from flexman_gym.model.model import Model
 from flexman_gym.scene.drive import drive_table
-from flexman_gym.simulation.methods import IMPLICIT, LINEARLY_IMPLICIT, METHODS, Method
+from flexman_gym.simulation.families import Explicit, Implicit, LinearlyImplicit, Method, Outside
+from flexman_gym.simulation.methods import METHODS
+
+# of each family that the kernels run
+KERNELS: dict[type, Callable[..., tuple[int, int, int]]] = {
+    Explicit: explicit.run_explicit,
+    LinearlyImplicit: linearly_implicit.run_linearly_implicit,
+    Implicit: implicit.run_implicit,
+}
 
 
 def find_method(method: object) -> Method:
@@ -47,20 +55,20 @@ class Run:
         self.method = method
         self.tolerance = tolerance or (0.0, 0.0)
         self._at_rest = drive_table([None] * (model.n_joints + 6))
-        self._coefficients = method.averages if method.kind == IMPLICIT else method.tableau
+        self._coefficients: Tableau | Averages | None = None
+        if isinstance(method, Implicit):
+            self._coefficients = method.averages
+        elif not isinstance(method, Outside):
+            self._coefficients = method.tableau
 
     def __call__(
         self, drive: Array, moment: tuple[float, float, int], state: Array, rows: Array, found: Array
     ) -> tuple[int, int, int]:
         clock = Clock(*moment, *self.tolerance)
-        if self.method.by_scipy:
+        if isinstance(self.method, Outside):
             return self._by_scipy(drive, clock, state, rows, found)
-        arguments = (self.constants, self.work, self._coefficients, drive, clock, state, rows, found)
-        if self.method.kind == LINEARLY_IMPLICIT:
-            return linearly_implicit.run_linearly_implicit(*arguments)
-        if self.method.kind == IMPLICIT:
-            return implicit.run_implicit(*arguments)
-        return explicit.run_explicit(*arguments)
+        kernel = KERNELS[type(self.method)]
+        return kernel(self.constants, self.work, self._coefficients, drive, clock, state, rows, found)
 
     def start(self, state: Array, row: Array, found: Array) -> None:
         """Records the state as it is, by a run of no steps, which also loads or compiles the kernels."""

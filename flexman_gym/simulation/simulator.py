@@ -12,7 +12,7 @@ from flexman_gym.kernels.layout import STATUS
 from flexman_gym.model.model import Model, scene_model
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.methods import Method
+from flexman_gym.simulation.families import Method
 from flexman_gym.simulation.run import Run, find_method, find_tolerance, prescribed_flags
 from flexman_gym.simulation.trajectory import Trajectory, trajectory
 

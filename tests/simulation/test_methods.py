@@ -8,7 +8,8 @@ import pytest
 from scipy.integrate import DOP853, RK45
 
 import flexman_gym as fm
-from flexman_gym.simulation.methods import EXPLICIT, IMPLICIT, LINEARLY_IMPLICIT, METHODS, REFERENCE, generalised_alpha
+from flexman_gym.simulation.families import EXPLICIT, KINDS, LINEARLY_IMPLICIT, Explicit, LinearlyImplicit
+from flexman_gym.simulation.methods import METHODS, generalised_alpha
 
 FIXED = [name for name, method in METHODS.items() if not method.adaptive]
 ADAPTIVE = [name for name, method in METHODS.items() if method.estimates]
@@ -79,8 +80,9 @@ def test_methods_are_named_and_have_a_source():
     assert {"semi_implicit_euler", "rk4", "dopri5", "dop853", "ros2", "implicit_midpoint", "radau"} <= set(METHODS)
     for name, method in METHODS.items():
         assert method.name == name and method.source
-        assert method.kind in (EXPLICIT, LINEARLY_IMPLICIT, IMPLICIT, REFERENCE)
-        assert method.tableau.abscissae[:-1] == pytest.approx(method.a.sum(axis=1))
+        assert method.kind in KINDS and (method.kind == "reference") == method.adaptive
+        if isinstance(method, Explicit | LinearlyImplicit):
+            assert method.tableau.abscissae[:-1] == pytest.approx(method.a.sum(axis=1))
 
 
 @pytest.mark.parametrize(("name", "theirs"), [("dopri5", RK45), ("dop853", DOP853)])
@@ -92,7 +94,7 @@ def test_coefficients_of_dormand_and_prince_are_those_of_scipy(name, theirs):
         assert mine == pytest.approx(np.array(other), rel=1e-15, abs=1e-16)
 
 
-@pytest.mark.parametrize("name", ADAPTIVE)
+@pytest.mark.parametrize("name", [name for name in ADAPTIVE if name != "radau"])
 def test_error_estimates_vanish_for_a_constant_slope(name):
     method = METHODS[name]
     if method.error.size:
@@ -103,7 +105,9 @@ def test_error_estimates_vanish_for_a_constant_slope(name):
 def stability(method, z):
     """R(z): what a step of length 1 makes of y' = z y, y = 1; the sequences of an extrapolation weighed."""
     ones = np.ones(len(method.b))
-    matrix = method.a + method.coupling_matrix + method.gamma * np.eye(len(ones))
+    matrix = method.a
+    if isinstance(method, LinearlyImplicit):
+        matrix = method.a + method.coupling + method.gamma * np.eye(len(ones))
 
     def once(part):
         return 1 + part * method.b @ np.linalg.solve(np.eye(len(ones)) - part * matrix, ones)
@@ -182,20 +186,15 @@ RK4, ROS2, DOP8, EULER = (METHODS[name] for name in ("rk4", "ros2", "dop853", "e
         (RK4, {"a": RK4.a[:3, :3]}),
         (RK4, {"b": changed(RK4.b, 0, np.nan)}),
         (RK4, {"a": changed(RK4.a, (1, 0), np.nan)}),
-        (RK4, {"kind": "symplectic"}),
-        (RK4, {"kind": IMPLICIT}),
-        (RK4, {"sequence": (1, 2)}),
-        (RK4, {"radius": 0.5}),
         (EULER, {"sequence": (1, 3, 2)}),
         (EULER, {"sequence": (1, 2)}),
         (EULER, {"b": np.array([0.9])}),
-        (RK4, {"kind": LINEARLY_IMPLICIT}),
-        (RK4, {"gamma": 0.5}),
         (ROS2, {"b": np.array([0.4, 0.6])}),
         (ROS2, {"gamma": 0.0}),
+        (ROS2, {"coupling": ROS2.coupling.T}),
+        (ROS2, {"sequence": (1, 2)}),
+        (EULER, {"sequence": (2,)}),
         (ROS2, {"gamma": 0.3}),
-        (ROS2, {"coupling": None}),
-        (ROS2, {"kind": EXPLICIT}),
         (DOP8, {"error": DOP8.error[:, :12]}),
         (DOP8, {"error": np.zeros((3, 13))}),
         (DOP8, {"a": changed(DOP8.a, (11, 0), DOP8.a[11, 0] + 1e-6)}),

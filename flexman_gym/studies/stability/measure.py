@@ -11,7 +11,8 @@ from flexman_gym.arrays import Array
 from flexman_gym.model.instant import frequencies, mass_matrix, stiffness_matrix
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.amplification import stability_limit
-from flexman_gym.simulation.methods import EXPLICIT, METHODS, Method
+from flexman_gym.simulation.families import EXPLICIT, Method
+from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.simulator import Simulator
 
 OK, INACCURATE, DIVERGED, NOT_CONVERGED = "ok", "inaccurate", "diverged", "not converged"

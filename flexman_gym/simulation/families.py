@@ -1,0 +1,237 @@
+"""Families: methods as data that checks itself, explicit, linearly implicit and implicit ones.
+
+Every method has a name (that `simulate` takes), an order of convergence in the step, a source of its coefficients, a
+`kind` ("explicit", "linearly implicit", "implicit" or "reference"), and says whether it is `adaptive` (always chooses
+its steps by rtol and atol) and whether it `estimates` its error (so that it can choose its steps).
+
+Conditions of order are those of Hairer, Norsett and Wanner (Solving ODEs I, II.1) and Hairer and Wanner (II, IV.7).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from flexman_gym.arrays import Array
+from flexman_gym.kernels.layout import SEQUENCES, STAGES, Averages, Tableau
+
+EXPLICIT, LINEARLY_IMPLICIT, IMPLICIT, REFERENCE = "explicit", "linearly implicit", "implicit", "reference"
+KINDS = (EXPLICIT, LINEARLY_IMPLICIT, IMPLICIT, REFERENCE)
+ROUNDING = 1e-12
+
+
+def _none() -> Array:
+    return np.zeros((0, 0))
+
+
+@dataclass(frozen=True, eq=False)
+class Explicit:
+    """A Runge-Kutta method with s stages: k_i = f(y + h sum_j a_ij k_j); a step adds h sum b_i k_i.
+
+    Attributes:
+        name, order, source: see the top of this file.
+        a: (s, s) strictly lower triangular.
+        b: (s,).
+        error: (e, s + 1) weights of e = 0, 1 or 2 error estimates; the last column weighs the slope after the step.
+        semi_implicit: places follow the speeds after the step instead of those before it.
+        adaptive: it is a reference, which always chooses its steps.
+
+    Raises:
+        ValueError: when the coefficients contradict each other or the order (checked to order 4).
+    """
+
+    name: str
+    order: int
+    source: str
+    a: Array
+    b: Array
+    error: Array = field(default_factory=_none)
+    semi_implicit: bool = False
+    adaptive: bool = False
+
+    def __post_init__(self) -> None:
+        _check_stages(self.name, self.a, self.b, self.error)
+        _check_order(self.name, self.order, self.conditions)
+
+    @property
+    def kind(self) -> str:
+        """Explicit, or a reference."""
+        return REFERENCE if self.adaptive else EXPLICIT
+
+    @property
+    def estimates(self) -> bool:
+        """Whether it knows its error."""
+        return bool(self.error.size)
+
+    @property
+    def conditions(self) -> list[tuple[int, str, float]]:
+        """Order, name and residual of the conditions of order 1 to 4."""
+        a, b, ones = self.a, self.b, np.ones(len(self.b))
+        c = a @ ones
+        residuals = {
+            (1, "sum b - 1"): b @ ones - 1,
+            (2, "b c - 1/2"): b @ c - 1 / 2,
+            (3, "b c^2 - 1/3"): b @ c**2 - 1 / 3,
+            (3, "b a c - 1/6"): b @ a @ c - 1 / 6,
+            (4, "b c^3 - 1/4"): b @ c**3 - 1 / 4,
+            (4, "b c a c - 1/8"): (b * c) @ a @ c - 1 / 8,
+            (4, "b a c^2 - 1/12"): b @ a @ c**2 - 1 / 12,
+            (4, "b a a c - 1/24"): b @ a @ a @ c - 1 / 24,
+        }
+        return [(order, name, float(residual)) for (order, name), residual in residuals.items()]
+
+    @property
+    def tableau(self) -> Tableau:
+        """The coefficients as the kernels read them."""
+        s = len(self.b)
+        error = self.error if self.error.size else np.zeros((0, s + 1))
+        exponent = 8 if len(error) == 2 else self.order
+        once, one = np.ones(1, dtype=np.int64), np.ones(1)
+        abscissae = np.append(self.a.sum(axis=1), 1.0)
+        rest = (self.semi_implicit, once, one, one - one)
+        return Tableau(self.a, self.b, np.zeros((s, s)), abscissae, error, 0.0, exponent, *rest)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearlyImplicit:
+    """A W-method with s stages and an approximate Jacobian A, or its extrapolation.
+
+    (1 - gamma h A) k_i = f(y + h sum_j a_ij k_j) + h A sum_{j<i} coupling_ij k_j; a step adds h sum b_i k_i.
+    Extrapolation of a method of order 1 takes it in each number of parts in `sequence` and eliminates as many powers of
+    the step as that allows.
+
+    Attributes:
+        name, order, source: see the top of this file.
+        a, coupling: (s, s) strictly lower triangular; the latter multiplies the Jacobian.
+        b: (s,).
+        gamma: the diagonal of what multiplies the Jacobian, > 0.
+        error: (e, s) weights of e = 0 or 1 error estimates.
+        sequence: ascending numbers of parts.
+
+    Raises:
+        ValueError: when the coefficients contradict each other or the order (checked to order 2, for every Jacobian;
+            each sequence of an extrapolation adds an order).
+    """
+
+    name: str
+    order: int
+    source: str
+    a: Array
+    b: Array
+    gamma: float
+    coupling: Array
+    error: Array = field(default_factory=_none)
+    sequence: tuple[int, ...] = (1,)
+    kind = LINEARLY_IMPLICIT
+    adaptive = False
+
+    def __post_init__(self) -> None:
+        s, parts = len(self.b), self.sequence
+        with_last_column = np.hstack([self.error, np.zeros((len(self.error), 1))]) if self.error.size else self.error
+        _check_stages(self.name, self.a, self.b, with_last_column)
+        if self.coupling.shape != (s, s) or np.triu(self.coupling).any() or not self.gamma > 0.0:
+            raise ValueError(f"{self.name}: coupling must be strictly lower triangular, {s} x {s}, and gamma positive")
+        single = len(parts) == 1
+        if list(parts) != sorted({*parts}) or min(parts) < 1 or len(parts) > SEQUENCES or (single and parts != (1,)):
+            raise ValueError(f"{self.name}: sequence must be 1, or up to {SEQUENCES} ascending numbers of parts")
+        if not single and s != 1:
+            raise ValueError(f"{self.name}: only a method of one stage is extrapolated")
+        _check_order(self.name, self.order, self.conditions)
+
+    @property
+    def estimates(self) -> bool:
+        """Whether it knows its error."""
+        return bool(self.error.size) or len(self.sequence) > 1
+
+    @property
+    def conditions(self) -> list[tuple[int, str, float]]:
+        """Order, name and residual of the conditions; they hold with `coupling` in place of `a` too."""
+        b, ones = self.b, np.ones(len(self.b))
+        first = (1, "sum b - 1", float(b @ ones - 1))
+        if len(self.sequence) > 1:
+            return [first, (1, "sequences - order", float(len(self.sequence) - self.order))]
+        second = (2, "b c - 1/2", float(b @ self.a @ ones - 1 / 2))
+        return [first, second, (2, "b Gamma 1", float(b @ (self.coupling @ ones + self.gamma)))]
+
+    @property
+    def tableau(self) -> Tableau:
+        """The coefficients as the kernels read them, in the transformed variables."""
+        s, parts = len(self.b), np.array(self.sequence, dtype=np.int64)
+        weights = extrapolation_weights(self.sequence)
+        lower = np.append(0.0, extrapolation_weights(self.sequence[1:])) if len(parts) > 1 else weights
+        inverse = np.linalg.inv(self.gamma * np.eye(s) + self.coupling)
+        error = (self.error if self.error.size else np.zeros((0, s))) @ inverse
+        c = np.eye(s) / self.gamma - inverse
+        abscissae = np.append(self.a.sum(axis=1), 1.0)
+        rest = (self.gamma, self.order, False, parts, weights, weights - lower)
+        return Tableau(self.a @ inverse, self.b @ inverse, c, abscissae, error, *rest)
+
+
+@dataclass(frozen=True, eq=False)
+class Implicit:
+    """The generalised-alpha method, or, without a radius, the midpoint rule, solved by Newton's method.
+
+    Attributes:
+        name, order, source: see the top of this file.
+        radius: spectral radius at infinite frequency, 1 without and 0 with the most numerical damping; None for the
+            midpoint rule.
+
+    Raises:
+        ValueError: for a radius that is not from 0 to 1.
+    """
+
+    name: str
+    order: int
+    source: str
+    radius: float | None = None
+    kind = IMPLICIT
+    adaptive = False
+    estimates = False
+
+    def __post_init__(self) -> None:
+        if self.radius is not None and not 0.0 <= self.radius <= 1.0:
+            raise ValueError(f"{self.name}: radius must be from 0 to 1")
+
+    @property
+    def averages(self) -> Averages:
+        """The coefficients as the kernels read them."""
+        if self.radius is None:
+            return Averages(0.0, 0.0, 0.0, 0.0, True)
+        mass, force = (2.0 * self.radius - 1.0) / (self.radius + 1.0), self.radius / (self.radius + 1.0)
+        gamma = 0.5 - mass + force
+        return Averages(mass, force, 0.25 * (gamma + 0.5) ** 2, gamma, False)
+
+
+@dataclass(frozen=True, eq=False)
+class Outside:
+    """A reference that SciPy's integrator of that name computes."""
+
+    name: str
+    order: int
+    source: str
+    kind = REFERENCE
+    adaptive = True
+    estimates = True
+
+
+Method = Explicit | LinearlyImplicit | Implicit | Outside
+
+
+def extrapolation_weights(sequence: Sequence[int]) -> Array:
+    """Weights that eliminate the powers 1, 2, ... of the step from results in these numbers of parts (Neville)."""
+    return np.array([math.prod(n / (n - m) for m in sequence if m != n) for n in sequence], dtype=float)
+
+
+def _check_stages(name: str, a: Array, b: Array, error: Array) -> None:
+    s = len(b)
+    if a.shape != (s, s) or np.triu(a).any() or not 0 < s < STAGES:
+        raise ValueError(f"{name}: a must be strictly lower triangular, {s} x {s}, with 0 < s < {STAGES}")
+    if error.size and error.shape not in ((1, s + 1), (2, s + 1)):
+        raise ValueError(f"{name}: error must be 1 or 2 rows of weights, one for each of {s} stages")
+
+
+def _check_order(name: str, order: int, conditions: list[tuple[int, str, float]]) -> None:
+    for least, condition, residual in conditions:
+        if least <= order and not abs(residual) <= ROUNDING:
+            raise ValueError(f"{name}: is not of order {order}: {condition} is off by {residual:.3g}")
