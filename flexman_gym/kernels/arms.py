@@ -23,6 +23,7 @@ from flexman_gym.kernels.layout import (
     Array,
     Constants,
     IntArray,
+    Own,
     Work,
 )
 from flexman_gym.kernels.linalg import copy
@@ -30,12 +31,7 @@ from flexman_gym.kernels.linearly_implicit import implicit_step
 from flexman_gym.kernels.outputs import observe
 from flexman_gym.kernels.pace import out_of_bounds
 
-PER_ARM = frozenset(
-    {
-        "payload_mass", "payload_inertia", "joint_stiffness", "joint_damping", "rotor_inertia", "carried_inertia",
-        "stiffness", "damping",
-    }
-)  # fmt: skip
+PER_ARM = frozenset(name for name, kind in Constants.__annotations__.items() if kind is Own)
 ALIGNMENT = 64  # bytes; of a group of eight numbers
 
 
@@ -66,7 +62,7 @@ def addresses(parts: NamedTuple, element: types.Type) -> IntArray:
 def _kind(parts: type, name: str, element: types.Type) -> types.Array:
     """The type of a field as the kernels see it; read-only are the constants that several arms share, see `lanes`."""
     annotation = parts.__annotations__[name]
-    dimensions = 2 if hasattr(annotation, "__metadata__") else 1
+    dimensions = 1 if annotation is Own or not hasattr(annotation, "__metadata__") else 2
     if annotation is IntArray:
         return types.Array(types.int64, dimensions, "C", readonly=True)
     if parts is Work or name in PER_ARM or element != ARMS:
@@ -76,7 +72,8 @@ def _kind(parts: type, name: str, element: types.Type) -> types.Array:
 
 def _columns(parts: type, name: str) -> int:
     """The number of columns of a field that has two axes, 0 where it depends on the model."""
-    return getattr(parts.__annotations__[name], "__metadata__", (0,))[0]
+    annotation = parts.__annotations__[name]
+    return 0 if annotation is Own else getattr(annotation, "__metadata__", (0,))[0]
 
 
 def _view(context: Any, builder: Any, kind: types.Array, address: tuple[Any, int], columns: int) -> Any:

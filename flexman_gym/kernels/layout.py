@@ -40,6 +40,7 @@ Rows = Annotated[NDArray[np.float64], 0]
 Vectors = Annotated[NDArray[np.float64], 3]
 Pairs = Annotated[NDArray[np.float64], 6]
 IntArray = NDArray[np.int64]
+Own = Annotated[NDArray[np.float64], "own"]  # one axis; each of several arms abreast has its own (see `arms`)
 
 OK, DIVERGED, NOT_CONVERGED = 0, 1, 2
 STATUS = ("ok", "diverged", "not converged")
@@ -70,10 +71,10 @@ class Constants(NamedTuple):
     gravity: Array  # (3,)
     mount: Array  # (9 n,) by rows: rotation between neighbouring beam frames at zero angle and no deflection
     axis: Vectors  # (n, 3) joint axis in the frame of the link that it turns
-    joint_stiffness: Array  # (n,)
-    joint_damping: Array  # (n,)
-    rotor_inertia: Array  # (n,)
-    carried_inertia: Array  # (n,) of rotors that spin with the link that carries them, 0 of the others (Eq. 23)
+    joint_stiffness: Own  # (n,)
+    joint_damping: Own  # (n,)
+    rotor_inertia: Own  # (n,)
+    carried_inertia: Own  # (n,) of rotors that spin with the link that carries them, 0 of the others (Eq. 23)
     viscous_friction: Array  # (n,)
     coulomb_friction: Array  # (n,)
     coulomb_rate: Array  # (n,)
@@ -99,8 +100,8 @@ class Constants(NamedTuple):
     turning: IntArray  # (n,) the first that does so without foreshortening; those before it move the tip along x alone
     # with LANES zeros behind, so that groups may reach past the last row
     elastic_mass: Array  # (q + LANES,) without the part of the stations
-    stiffness: Array  # (q + LANES,)
-    damping: Array  # (q + LANES,)
+    stiffness: Own  # (q + LANES,)
+    damping: Own  # (q + LANES,)
     # foreshortening of the centreline, u_x -= 1/2 q^T G q at the s_i stations of link i, tip first, in whole groups of
     # LANES; b numbers = s_i rows of station_width[i] for every link. Empty arrays without foreshortening
     station_start: IntArray  # (n + 1,)
@@ -122,9 +123,9 @@ class Constants(NamedTuple):
     bend_value: Array
     tip_translation: Vectors  # (k, 3)
     tip_rotation: Vectors  # (k, 3)
-    payload_mass: Array  # (1,)
+    payload_mass: Own  # (1,)
     payload_offset: Vectors  # (1, 3) of its centre of mass from the tip, in the frame of a next joint
-    payload_inertia: Array  # (9,) about its centre of mass, by rows
+    payload_inertia: Own  # (9,) about its centre of mass, by rows
     payload_mount: Array  # (9,) rotation from the beam frame of the last link to that frame without deflection
 
 

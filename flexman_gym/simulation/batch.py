@@ -11,6 +11,7 @@ from flexman_gym.kernels import layout, outputs
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.families import LinearlyImplicit, Method
 from flexman_gym.simulation.movers import Abreast, OneByOne
+from flexman_gym.simulation.parameters import PARAMETERS, nominal_parameters
 from flexman_gym.simulation.run import Run, find_method, find_tolerance, prescribed_flags
 from flexman_gym.simulation.trajectory import turnover
 
@@ -33,8 +34,7 @@ class Batch:
         status: (b,) int64 of the last step: OK, DIVERGED or NOT_CONVERGED of `kernels.layout`. An arm that failed keeps
             state and outputs of the end of its last good control period and rests until it is reset.
         energy_turnover: (b,) the largest since the reset of kinetic + elastic energy, of work and of dissipation, J.
-        nominal: payload_mass (kg), joint_stiffness (n,) N m/rad, joint_damping (n,) N m s/rad, rotor_inertia (n,)
-            kg m^2 of the model, and link_stiffness (n,) ones: what `vary` starts from.
+        nominal: what the model has of each physical parameter that `vary` can change, by name.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
@@ -77,15 +77,7 @@ class Batch:
         self.status = np.zeros(count, dtype=np.int64)
         self._periods = np.zeros(count)  # since the reset
         self.energy_turnover, self._start_energy = np.zeros(count), np.zeros(count)
-        constants = model.constants
-        self.nominal: dict[str, float | Array] = {
-            "payload_mass": float(constants.payload_mass[0]),
-            "joint_stiffness": constants.joint_stiffness.copy(),
-            "joint_damping": constants.joint_damping.copy(),
-            "rotor_inertia": constants.rotor_inertia.copy(),
-            "link_stiffness": np.ones(n),
-        }
-        self._parameters = {name: np.array([value] * count) for name, value in self.nominal.items()}
+        self.nominal = nominal_parameters(model)
         self.reset(np.arange(count), np.zeros((count, 2 * model.n_dof)))
 
     def reset(self, arms: np.ndarray, states: Array) -> None:
@@ -122,60 +114,22 @@ class Batch:
         """Gives the arms with the indices (r,) other physical parameters than the model's; nothing else of it changes.
 
         They act from the next step on, and the energies from the next reset on, which should follow at once. Elements
-        and modes stay those of the model, modal damping keeps its ratio.
+        and modes stay those of the model, modal damping keeps its ratio, a payload's inertia grows with its mass.
 
         Args:
             arms: indices.
-            parameters: payload_mass (r,) kg, with which the payload's inertia grows; joint_stiffness (r, n) N m/rad,
-                joint_damping (r, n) N m s/rad, rotor_inertia (r, n) kg m^2; link_stiffness (r, n), factors on the
-                elastic moduli of each link, which leave a rigid link as it is.
+            parameters: values (r, ...) by their name in `simulation.parameters.PARAMETERS`, in its units.
 
         Raises:
             ValueError: for another name or shape, numbers that are not finite, below zero, or zero where an arm needs
                 more, and values other than the model's for stiffness or damping of a rigid joint.
         """
-        checked = {name: self._parameter(name, value, len(arms)) for name, value in parameters.items()}
-        for name, values in checked.items():
-            self._parameters[name][arms] = values
-        for i in arms:
-            self._mover.vary(i, self._varied(i))
-
-    def _parameter(self, name: str, value: Array, count: int) -> Array:
-        """The values (count, ...) of a parameter, checked."""
-        nominal = np.asarray(self.nominal[one_of("parameters", name, self.nominal)])
-        values = np.asarray(value)
-        allowed = f"finite numbers >= 0, of shape {(count, *nominal.shape)}"
-        if values.shape != (count, *nominal.shape) or values.dtype.kind not in "fiu":
-            raise refusal(name, value, allowed)
-        if not (np.isfinite(values).all() and (values >= 0.0).all()):
-            raise refusal(name, value, allowed)
-        rigid = self.model.constants.motor < 0
-        if name in ("joint_stiffness", "joint_damping") and (values != nominal)[:, rigid].any():
-            raise refusal(name, value, f"{nominal[rigid].tolist()} for joints {np.flatnonzero(rigid).tolist()}: rigid")
-        needed = np.isin(name, ("joint_stiffness", "rotor_inertia")) & ~rigid | (name == "link_stiffness")
-        if name != "payload_mass" and (values == 0.0)[:, needed].any():
-            raise refusal(name, value, "numbers > 0 where a link or joint is flexible")
-        return values.astype(float)
-
-    def _varied(self, arm: int) -> dict[str, Array]:
-        """The constants of one arm that its parameters change."""
-        nominal, model = self.model.constants, self.model
-        own = {name: values[arm] for name, values in self._parameters.items()}
-        heavier = own["payload_mass"] / nominal.payload_mass[0] if nominal.payload_mass[0] > 0.0 else 0.0
-        factor = np.ones(len(nominal.stiffness))
-        sizes = np.diff(nominal.square_start)
-        factor[: nominal.square_start[-1]] = np.repeat(own["link_stiffness"], sizes)
-        stiffness = factor * nominal.stiffness
-        return {
-            "payload_mass": own["payload_mass"].reshape(1),
-            "payload_inertia": heavier * nominal.payload_inertia,
-            "joint_stiffness": own["joint_stiffness"].copy(),
-            "joint_damping": own["joint_damping"].copy(),
-            "rotor_inertia": own["rotor_inertia"].copy(),
-            "carried_inertia": own["rotor_inertia"] * model.choice.spinning_rotors,
-            "stiffness": stiffness,
-            "damping": model.arm.stiffness_proportional_damping * stiffness + np.sqrt(factor) * model.modal_damping,
-        }
+        model, count = self.model, len(arms)
+        rows = {name: PARAMETERS[one_of("parameters", name, PARAMETERS)] for name in parameters}
+        checked = {name: row.checked(name, parameters[name], model, count) for name, row in rows.items()}
+        for i, arm in enumerate(arms):
+            for name, row in rows.items():
+                self._mover.vary(arm, row.constants(model, checked[name][i]))
 
     @property
     def time(self) -> Array:

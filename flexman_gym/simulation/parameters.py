@@ -1,0 +1,123 @@
+"""Parameters: the one table of the physical parameters in which the arms of a batch may differ."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from flexman_gym.arrays import Array, Flags
+from flexman_gym.checks import refusal
+from flexman_gym.model.model import Model
+
+ARM, JOINT, LINK = "arm", "joint", "link"
+
+
+def _nowhere(model: Model) -> Flags:
+    return np.zeros(model.n_joints, dtype=bool)
+
+
+def _rigid(model: Model) -> Flags:
+    return model.constants.motor < 0
+
+
+def _flexible(model: Model) -> Flags:
+    return model.constants.motor >= 0
+
+
+def _everywhere(model: Model) -> Flags:
+    return np.ones(model.n_joints, dtype=bool)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A row of the table.
+
+    Attributes:
+        unit: of its values.
+        of: "arm" for one number, "joint" or "link" for one of each, (n,).
+        nominal: what a model has.
+        constants: the fields of `kernels.layout.Constants` that values change, with what they become. Each must be of
+            the type `Own` there.
+        factor: a randomisation draws factors on the nominal value instead of values.
+        fixed: (n,) where the value must stay nominal, as the model has no coordinate that it could act on.
+        needed: (n,) where it must not be 0.
+    """
+
+    unit: str
+    of: str
+    nominal: Callable[[Model], Array]
+    constants: Callable[[Model, Array], dict[str, Array]]
+    factor: bool = False
+    fixed: Callable[[Model], Flags] = _nowhere
+    needed: Callable[[Model], Flags] = _nowhere
+
+    def shape(self, joints: int) -> tuple[int, ...]:
+        """Of the values of one arm."""
+        return () if self.of == ARM else (joints,)
+
+    def checked(self, name: str, value: object, model: Model, count: int) -> Array:
+        """Values (count, ...) as floats.
+
+        Raises:
+            ValueError: for another shape, numbers that are not finite or negative, 0 where more is needed, and another
+                value than the model's where it is fixed.
+        """
+        values, shape, nominal = np.asarray(value), (count, *self.shape(model.n_joints)), self.nominal(model)
+        allowed = f"finite numbers >= 0, of shape {shape}"
+        if values.shape != shape or values.dtype.kind not in "fiu":
+            raise refusal(name, value, allowed)
+        if not (np.isfinite(values).all() and (values >= 0.0).all()):
+            raise refusal(name, value, allowed)
+        if self.of != ARM:
+            fixed, needed = self.fixed(model), self.needed(model)
+            if (values != nominal)[:, fixed].any():
+                rigid = np.flatnonzero(fixed).tolist()
+                raise refusal(name, value, f"{nominal[fixed].tolist()} for joints {rigid}: rigid")
+            if (values == 0.0)[:, needed].any():
+                raise refusal(name, value, "numbers > 0 where a link or joint is flexible")
+        return values.astype(float)
+
+
+def _payload(model: Model, mass: Array) -> dict[str, Array]:
+    nominal = model.constants
+    heavier = mass / nominal.payload_mass[0] if nominal.payload_mass[0] > 0.0 else 0.0
+    return {"payload_mass": mass.reshape(1), "payload_inertia": heavier * nominal.payload_inertia}
+
+
+def _rotors(model: Model, inertia: Array) -> dict[str, Array]:
+    return {"rotor_inertia": inertia, "carried_inertia": inertia * model.choice.spinning_rotors}
+
+
+def _links(model: Model, factors: Array) -> dict[str, Array]:
+    """Stiffness of each link times its factor; proportional damping follows it, modal damping keeps its ratio."""
+    nominal = model.constants
+    factor = np.ones(len(nominal.stiffness))
+    factor[: nominal.square_start[-1]] = np.repeat(factors, np.diff(nominal.square_start))
+    stiffness = factor * nominal.stiffness
+    damping = model.arm.stiffness_proportional_damping * stiffness + np.sqrt(factor) * model.modal_damping
+    return {"stiffness": stiffness, "damping": damping}
+
+
+PARAMETERS: dict[str, Parameter] = {
+    "payload_mass": Parameter("kg", ARM, lambda model: model.constants.payload_mass[0], _payload),
+    "joint_stiffness": Parameter(
+        "N m/rad", JOINT, lambda model: model.constants.joint_stiffness,
+        lambda model, values: {"joint_stiffness": values}, factor=True, fixed=_rigid, needed=_flexible,
+    ),
+    "joint_damping": Parameter(
+        "N m s/rad", JOINT, lambda model: model.constants.joint_damping,
+        lambda model, values: {"joint_damping": values}, fixed=_rigid,
+    ),
+    "rotor_inertia": Parameter(
+        "kg m^2", JOINT, lambda model: model.constants.rotor_inertia, _rotors, factor=True, needed=_flexible,
+    ),
+    "link_stiffness": Parameter(
+        "factor on the elastic moduli", LINK, lambda model: np.ones(model.n_joints), _links, factor=True,
+        needed=_everywhere,
+    ),
+}  # fmt: skip
+
+
+def nominal_parameters(model: Model) -> dict[str, Array]:
+    """What a model has of each parameter, copies."""
+    return {name: np.array(parameter.nominal(model)) for name, parameter in PARAMETERS.items()}
