@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import flexman_gym  # noqa: F401  registers the environments
-from flexman_agents.residual import default_pd
+from flexman_agents.residual import readings
 from flexman_agents.training import MODEL, STATISTICS, existing, load_settings, make_env
 
 Array = NDArray[np.float64]
@@ -53,8 +53,8 @@ def load_policy(name: str) -> tuple[gym.Env[Any, Any], Act]:
         return _trained(Path(name))
     env = gym.make("FlexRRR-v0")
     if name == "pd":
-        pd, slices = default_pd(env), env.unwrapped.sensors.slices  # type: ignore[attr-defined]
-        return env, lambda observation: pd.act(observation, slices)
+        pd = env.unwrapped.setup.pd  # type: ignore[attr-defined]
+        return env, lambda observation: pd.act(readings(env, observation))
     size = env.action_space.shape or ()
     if name == "zero":
         return env, lambda observation: np.zeros(size, dtype=np.float32)

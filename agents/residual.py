@@ -6,19 +6,10 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.control.pd import PD
 
-# The best by mean reward of 8 episodes of FlexRRR-v0 among 200 gains drawn at random and 60 around the best of those,
-# damping held below 950 N m s/rad: the sampled motor is unstable from 2 rotor inertia / period = 1000 on.
-GAINS: dict[str, Any] = {"stiffness": (497.0, 325.0, 328.0), "damping": (950.0, 950.0, 103.0)}
-
-
-def default_pd(env: Any) -> PD:
-    """The PD controller of FlexRRR-v0 for that environment; raises ValueError for an arm without three joints."""
-    joints = env.unwrapped.episodes.batch.model.n_joints
-    if joints != len(GAINS["stiffness"]):
-        raise ValueError(f"env: {joints} joints are not allowed; the PD gains are those of FlexRRR-v0, 3 joints")
-    return PD(**GAINS, torque_limit=env.unwrapped.torque_limit)
+def readings(env: Any, observation: NDArray[np.floating]) -> dict[str, NDArray[np.floating]]:
+    """What the sensors of an environment read, by name, from its observations (size,) or (b, size)."""
+    return {name: observation[..., place] for name, place in env.unwrapped.sensors.slices.items()}
 
 
 class _Adding:
@@ -28,13 +19,13 @@ class _Adding:
 
     def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
         """Starts an episode."""
-        self._pd, self._slices = default_pd(self.env), self.env.unwrapped.sensors.slices
+        self._pd = self.env.unwrapped.setup.pd
         self._observation, info = self.env.reset(**options)
         return self._observation, info
 
     def step(self, action: NDArray[np.floating]) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Applies the sum of both actions."""
-        total = np.clip(self._pd.act(self._observation, self._slices) + action, -1.0, 1.0)
+        total = np.clip(self._pd.act(readings(self.env, self._observation)) + action, -1.0, 1.0)
         self._observation, *outcome = self.env.step(total.astype(np.float32))
         return self._observation, *outcome
 

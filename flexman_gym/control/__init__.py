@@ -1,5 +1,6 @@
 """Control: controllers with one call signature."""
 
+from flexman_gym.control.controller import Controller
 from flexman_gym.control.pd import PD
 
-__all__ = ["PD"]
+__all__ = ["PD", "Controller"]

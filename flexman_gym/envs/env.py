@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.checks import one_of
 from flexman_gym.envs.episodes import Episodes, checked_actions
-from flexman_gym.envs.setup import Setup
+from flexman_gym.envs.setup import Setup, build
 from flexman_gym.kernels import layout
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.simulator import Simulator
@@ -95,16 +95,17 @@ class FlexManEnv(gym.Env[Observation, Observation]):
     ) -> None:
         self.render_mode = checked_mode(render_mode)
         setup = Setup(**settings)
-        self.simulator = Simulator(setup.model, setup.method, setup.step, setup.control_period)
+        model, method, step, self.choice = build(setup)
+        self.simulator = Simulator(model, method, step, setup.control_period)
+        self.setup, self.task, self.torque_limit = setup, setup.task, np.array(setup.torque_limit)
         self.episodes = Episodes(setup, self.simulator.batch)
-        self.task, self.torque_limit, self.choice = setup.task, setup.torque_limit, setup.choice
         self.sensors = self.episodes.sensors
         self.observation_space = observation_space(self.episodes)
-        self.action_space = action_space(self.episodes)
+        self.action_space = action_space(model)
         self.metadata = FlexManEnv.metadata | {"render_fps": round(1 / self.simulator.control_period)}
-        self._shape = (setup.model.n_joints,)
-        self._allowed = f"{setup.model.n_joints} numbers from -1 to 1"
-        self._painter = painter(render_mode, setup.model, render_size)
+        self._shape = (model.n_joints,)
+        self._allowed = f"{model.n_joints} numbers from -1 to 1"
+        self._painter = painter(render_mode, model, render_size)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -134,17 +135,16 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         if self._painter is None:
             gym.logger.warn('render() needs render_mode="rgb_array" in gym.make')
             return None
-        return self._painter.paint(self.simulator.state, self.episodes.targets[0])
+        return self._painter.paint(self.simulator.state, self.episodes.view.target[0])
 
     def _outcome(self) -> tuple[float, dict[str, Any]]:
         """Reward and info of the state that the arm is in."""
         episodes = self.episodes
-        reward, info = episodes.judge(*[figure.item() for figure in episodes.figures()])
+        view = episodes.view.alone()
+        reward, info = episodes.outcome(view)
         info["status"] = layout.STATUS[episodes.batch.status[0]]
         info["failure"] = episodes.failures.get(0, "")
-        info["tip"] = episodes.batch.outputs[0, layout.TIP].copy()
-        info["target"] = episodes.targets[0].copy()
-        info["posture"] = episodes.postures[0].copy()
+        info["tip"], info["target"], info["posture"] = view.tip.copy(), view.target.copy(), view.posture.copy()
         if episodes.effects is not None:
             info["drawn"] = episodes.effects.of(0)
         return reward, info
@@ -155,9 +155,9 @@ def observation_space(episodes: Episodes) -> spaces.Space[Any]:
     return spaces.Box(-episodes.bound, episodes.bound, dtype=np.float32)
 
 
-def action_space(episodes: Episodes) -> spaces.Space[Any]:
+def action_space(model: Model) -> spaces.Space[Any]:
     """The space of actions of one arm."""
-    return spaces.Box(-1.0, 1.0, (episodes.postures.shape[1],), dtype=np.float32)
+    return spaces.Box(-1.0, 1.0, (model.n_joints,), dtype=np.float32)
 
 
 def checked_mode(render_mode: str | None) -> str | None:

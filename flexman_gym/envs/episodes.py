@@ -6,97 +6,105 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array
+from flexman_gym.arrays import Array, IntArray
 from flexman_gym.checks import one_of, refusal, sequence, vector
 from flexman_gym.envs.effects import Effects
-from flexman_gym.envs.randomisation import TRUNCATION
-from flexman_gym.envs.sensors.full import FullState
+from flexman_gym.envs.limits import broken
+from flexman_gym.envs.sensors import Sensors
 from flexman_gym.envs.setup import Setup
+from flexman_gym.envs.signals import Stage
 from flexman_gym.kernels import layout
+from flexman_gym.kernels.outputs import beyond
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.parameters import PARAMETERS
+from flexman_gym.simulation.view import Number, View
 
 Observations = NDArray[np.float32]
-Arms = NDArray[np.int64]
-Figure = Any  # a number, of one arm, or an array (b,)
-OPTIONS = ("start", "posture", "parameters")
 
 
 class Episodes:
     """b arms with a task, sensors and limits. What it does to an arm depends on no other arm, bit for bit.
 
     Attributes:
-        batch, sensors: the arms and what is seen of them.
+        batch, view: the arms, and what they do in words.
+        task, sensors: what they are for, and what is seen of them.
         effects: of the randomisation, None without one.
         bound: (size,) float32 largest magnitude of each entry of an observation.
-        postures, targets: (b, n) rad and (b, 3) m, the goals.
         seen: (b, size) float32 observations; those of an arm that failed are the last ones within the bounds.
         failures: of the last step, arm -> what happened.
         over: (b,) whether an arm's episode is over, by a failure or because someone else said so.
     """
 
     def __init__(self, setup: Setup, batch: Batch) -> None:
-        self.batch, self.task = batch, setup.task
-        arms, joints = len(batch.rows), setup.model.n_joints
-        self.sensors = FullState(setup.model, setup.limits, arms)
-        noise: tuple[float, float] = (0.0, 0.0)
+        self.batch, self.task, self.view = batch, setup.task, View(batch)
+        arms, joints = len(batch.rows), batch.model.n_joints
+        self.sensors = Sensors([*setup.sensors, *setup.task.sensors], self.view, setup.limits)
+        self._limits = np.concatenate(list(setup.limits.bounds(self.view).values()))
+        self._torque_limits = np.tile(setup.torque_limit, (arms, 1))
         self.effects: Effects | None = None
+        growth = 0.0
         if setup.randomisation is not None:
-            noise = setup.randomisation.sensor_noise or noise
-            self.effects = Effects(setup.randomisation, batch, setup.limits, self.sensors.bound, setup.torque_limit)
-        self.bound = ((1.0 + TRUNCATION * noise[1]) * self.sensors.bound).astype(np.float32)
+            nominal, gap = np.array(setup.torque_limit), setup.randomisation.impulse_gap
+            stage = Stage(batch, setup.limits, self.sensors.bound, self._torque_limits, nominal, gap)
+            self.effects = Effects(setup.randomisation, stage)
+            growth = self.effects.growth
+        self.bound = ((1.0 + growth) * self.sensors.bound).astype(np.float32)
         self._energy_alarm = setup.energy_alarm
-        self.postures, self.targets = np.zeros((arms, joints)), np.zeros((arms, 3))
         self.seen = np.zeros((arms, len(self.bound)), dtype=np.float32)
         self.failures: dict[int, str] = {}
         self.over = np.ones(arms, dtype=bool)
-        self._failed, self._effort = np.zeros(arms, dtype=bool), np.zeros(arms)
-        self._torque_limits = np.full((arms, joints), setup.torque_limit)
         self._drive = np.zeros((arms, joints + 6))
         self._torques, self._forces = self._drive[:, :joints], self._drive[:, joints : joints + 3]
-        self._magnitude = np.zeros((arms, len(self.bound)))
+        self._beyond = np.zeros(arms, dtype=np.int64)
 
     def reset(
-        self, arms: Arms, randoms: Sequence[np.random.Generator], options: Mapping[str, Any] | None = None
+        self, arms: IntArray, randoms: Sequence[np.random.Generator], options: Mapping[str, Any] | None = None
     ) -> None:
         """Starts new episodes of the arms with the indices (r,), each drawn from its own generator.
 
-        Options may set "start" and "posture", (n,) rad for all arms or (b, n) for each, and "parameters" of the arms
-        from this episode on: a dict of what `Batch.vary` takes, for all arms or with a leading axis b.
+        Options may set what the task draws, such as "start" and "posture", for all arms or with a leading axis b, and
+        "parameters" of the arms from this episode on: a dict of what `Batch.vary` takes, in the same way.
 
         Raises:
             ValueError: one line with field, value and what is allowed; the episodes of these arms are then over.
         """
         self.over[arms] = True
-        drawn = [self.task.draw(random, self.postures.shape[1]) for random in randoms]
-        goals = {"start": np.array([each[0] for each in drawn]), "posture": np.array([each[1] for each in drawn])}
-        given = self._given(options)
+        drawn = [self.task.draw(random, self.view) for random in randoms]
+        plan = {name: np.array([each[name] for each in drawn]) for name in drawn[0]} if drawn else {}
+        given = self._given(options, plan)
         parameters = {name: values[arms] for name, values in given.pop("parameters", {}).items()}
         if self.effects is not None:
             parameters = self.effects.draw(arms, randoms, parameters)
-            if "torque_limit" in self.effects.drawn:
-                self._torque_limits[arms] = self.effects.drawn["torque_limit"][arms]
         if parameters:
             self.batch.vary(arms, **parameters)
-        goals |= {name: values[arms] for name, values in given.items()}
-        self.postures[arms] = goals["posture"]
-        self.targets[arms] = self.batch.rigid_tips(self._undeformed(goals["posture"]))
-        start = self._undeformed(goals["start"])
+        plan |= {name: values[arms] for name, values in given.items()}
+        self._set_goal(arms, plan)
+        start = self.batch.model.at_rest(plan["start"])
         if self.effects is not None:
             self.effects.bend(arms, start)
         self.batch.reset(arms, start)
+        self.view.effort[arms], self.view.failed[arms] = 0.0, False
         self._begin(arms, options)
 
-    def _begin(self, arms: Arms, options: object) -> None:
+    def _set_goal(self, arms: IntArray, plan: Mapping[str, Array]) -> None:
+        """Keeps the plans of new episodes and sets their goals."""
+        view = self.view
+        for name, values in plan.items():
+            if name not in view.plan:
+                view.plan[name] = np.zeros((len(self.over), *values.shape[1:]), dtype=values.dtype)
+            view.plan[name][arms] = values
+        view.target[arms], view.posture[arms] = self.task.goal(plan, np.zeros(len(arms)), view)
+
+    def _begin(self, arms: IntArray, options: object) -> None:
         """Reads the arms that have just been reset and lets their episodes begin."""
         self._read()
-        observations = self.sensors.observations
         for arm in arms:
-            if failure := self.sensors.broken(observations[arm]):
+            if failure := self._broken(arm):
                 raise refusal("options", options, f"a start and a posture within the limits ({failure})")
         self.failures = {arm: text for arm, text in self.failures.items() if arm not in arms}
-        seen = observations[arms]
-        self.seen[arms] = seen if self.effects is None else self.effects.disturb(seen, arms)
-        self._effort[arms], self._failed[arms], self.over[arms] = 0.0, False, False
+        seen = self.sensors.observations[arms]
+        self.seen[arms] = seen if self.effects is None else self.effects.observe(seen, arms)
+        self.over[arms] = False
 
     def step(self, actions: Array) -> None:
         """Moves all arms by one control period under actions (b, n), parts of the torque limits.
@@ -105,98 +113,101 @@ class Episodes:
         """
         arriving = actions
         if self.effects is not None:
-            arriving = self.effects.delay(actions)
+            arriving = self.effects.act(actions)
             self.effects.push(self._forces, self.over)
         np.multiply(arriving, self._torque_limits, out=self._torques)
         self.batch.step(self._drive)
-        self._effort = np.vecdot(actions, actions)
+        view = self.view
+        view.effort = np.vecdot(actions, actions) / actions.shape[1]
+        if self.task.moves:
+            view.target[:], view.posture[:] = self.task.goal(view.plan, self.batch.time, view)
         self._read()
-        if np.count_nonzero(self._failed):
-            self.failures, self._failed = {}, np.zeros_like(self._failed)
+        if np.count_nonzero(view.failed):
+            self.failures, view.failed = {}, np.zeros_like(view.failed)
         observations = self.sensors.observations
-        inside = np.abs(observations, out=self._magnitude) <= self.sensors.bound
-        seen = observations if self.effects is None else self.effects.disturb(observations)
-        if np.count_nonzero(inside) == inside.size and not np.count_nonzero(self.batch.status):
+        many = beyond(view.motion, self._limits, observations, self.sensors.bound, self._beyond)
+        seen = observations if self.effects is None else self.effects.observe(observations)
+        if not many and not np.count_nonzero(self.batch.status):
             self.seen[:] = seen
             return
-        self._fail(np.flatnonzero(~inside.all(axis=1) | (self.batch.status != layout.OK)))
-        good = ~self._failed
+        self._fail(np.flatnonzero(self._beyond | (self.batch.status != layout.OK)))
+        good = ~view.failed
         self.seen[good] = seen[good]
 
-    def _fail(self, arms: Arms) -> None:
+    def _fail(self, arms: IntArray) -> None:
         for arm in arms[~self.over[arms]].tolist():
             status = self.batch.status[arm]
-            broken = self.sensors.broken(self.sensors.observations[arm])
-            self.failures[arm] = f"the simulation {layout.STATUS[status]}" if status else broken
-        self._failed = np.zeros_like(self._failed)
-        self._failed[arms] = self.over[arms] = True
+            self.failures[arm] = f"the simulation {layout.STATUS[status]}" if status else self._broken(arm)
+        self.view.failed = np.zeros_like(self.view.failed)
+        self.view.failed[arms] = self.over[arms] = True
 
-    def figures(self) -> tuple[Array, ...]:
-        """What `judge` takes, (b,) each, of the state that the arms are in."""
-        batch, sensors = self.batch, self.sensors
-        links, joints = batch.outputs[:, layout.LINK_ENERGY], batch.outputs[:, layout.JOINT_ENERGY]
-        energies = (links, joints, batch.energy_residual, batch.energy_turnover)
-        return sensors.tip_error, sensors.tip_vibration, self._effort, self._failed, *energies
+    def _broken(self, arm: int) -> str:
+        """What of an arm is beyond its limits, or beyond what its sensors can say; "" where nothing is."""
+        view, sensors = self.view, self.sensors
+        failure = broken(view.motion[arm], self._limits, view.places, view.units)
+        return failure or broken(sensors.observations[arm], sensors.bound, sensors.slices, sensors.units)
 
-    def judge(
-        self, tip_error: Figure, tip_vibration: Figure, effort: Figure, failed: Figure, *energies: Figure
-    ) -> tuple[Figure, dict[str, Any]]:
-        """Reward and the part of the info that is numbers, from the figures of one arm or arrays (b,) of all."""
-        links, joints, residual, turnover = energies
-        terms = self.task.reward_terms(tip_error, tip_vibration, effort / self.postures.shape[1], failed)
+    def outcome(self, view: View) -> tuple[Number, dict[str, Any]]:
+        """Reward and the part of the info that is numbers, from the view of all arms or from that of the only one."""
+        terms, residual = self.task.reward_terms(view), view.energy_residual
         return sum(terms.values()), {
-            "tip_error": tip_error,
-            "tip_vibration": tip_vibration,
-            "elastic_energy": links + joints,
+            "tip_error": view.tip_error,
+            "tip_vibration": view.tip_vibration,
+            "elastic_energy": view.elastic_energy,
             "energy_residual": residual,
-            "energy_alarm": abs(residual) > self._energy_alarm * turnover,
+            "energy_alarm": abs(residual) > self._energy_alarm * view.energy_turnover,
             "reward_terms": terms,
+            **self.task.info(view),
         }
 
     def _read(self) -> None:
-        self.sensors.read(self.batch.rows, self.batch.outputs, self.postures, self.targets)
+        self.view.read()
+        self.sensors.read()
 
-    def _undeformed(self, angles: Array) -> Array:
-        """States (r, 2 d) at rest at joint angles (r, n)."""
-        model = self.batch.model
-        states = np.zeros((len(angles), 2 * model.n_dof))
-        states[:, : model.n_joints] = states[:, model.motor_columns] = angles
-        return states
-
-    def _given(self, options: Mapping[str, Any] | None) -> dict[str, Any]:
+    def _given(self, options: Mapping[str, Any] | None, plan: Mapping[str, Array]) -> dict[str, Any]:
         """The options with a leading axis for the arms."""
+        names = [*plan, "parameters"]
         if options is not None and not isinstance(options, dict):
-            raise refusal("options", options, f"a dict with {', '.join(OPTIONS[:-1])} or {OPTIONS[-1]}")
+            raise refusal("options", options, f"a dict with {', '.join(names[:-1])} or {names[-1]}")
         given: dict[str, Any] = {}
         for name, value in (options or {}).items():
             field = f"options[{name!r}]"
-            if one_of("options", name, OPTIONS) == "parameters":
+            if one_of("options", name, names) == "parameters":
                 given[name] = self._parameters(field, value)
             else:
-                given[name] = self._postures(field, value)
+                given[name] = self._each(field, value, plan[name].shape[1:])
         return given
 
-    def _postures(self, field: str, value: object) -> Array:
-        arms, joints = self.postures.shape
+    def _each(self, field: str, value: object, shape: tuple[int, ...]) -> Array:
+        """Numbers (b, ...) of all arms from those of one, shape (...), or of each."""
+        arms, unit = len(self.over), "rad" if shape == (self.batch.model.n_joints,) else ""
+        if len(shape) != 1:
+            return _numbers(field, value, (arms, *shape))
         entries = sequence(field, value, "numbers")
         if not entries or not isinstance(entries[0], list | tuple | np.ndarray):
-            return np.tile(vector(field, value, joints, "rad"), (arms, 1))
+            return np.tile(vector(field, value, shape[0], unit), (arms, 1))
         if len(entries) != arms:
-            raise refusal(field, value, f"{joints} numbers (rad), or a list of {arms} such lists, one for each arm")
-        return np.array([vector(f"{field}[{i}]", entry, joints, "rad") for i, entry in enumerate(entries)])
+            raise refusal(
+                field, value, f"{shape[0]} numbers ({unit}), or a list of {arms} such lists, one for each arm"
+            )
+        return np.array([vector(f"{field}[{i}]", entry, shape[0], unit) for i, entry in enumerate(entries)])
 
     def _parameters(self, field: str, value: object) -> dict[str, Array]:
-        nominal = self.batch.nominal
         if not isinstance(value, dict):
-            raise refusal(field, value, f"a dict with some of {', '.join(nominal)}")
+            raise refusal(field, value, f"a dict with some of {', '.join(PARAMETERS)}")
         given = {}
         for name, values in value.items():
-            shape = (len(self.postures), *np.shape(nominal[one_of(field, name, nominal)]))
-            try:
-                given[name] = np.broadcast_to(values, shape)
-            except ValueError:
-                raise refusal(f"{field}[{name!r}]", values, f"numbers of the shape {shape}, or {shape[1:]}") from None
+            shape = PARAMETERS[one_of(field, name, PARAMETERS)].shape(self.batch.model.n_joints)
+            given[name] = _numbers(f"{field}[{name!r}]", values, (len(self.over), *shape))
         return given
+
+
+def _numbers(field: str, value: object, shape: tuple[int, ...]) -> Array:
+    """Numbers of that shape, or of one arm, which all then have."""
+    try:
+        return np.broadcast_to(np.asarray(value), shape)
+    except ValueError:
+        raise refusal(field, value, f"numbers of the shape {shape}, or {shape[1:]}") from None
 
 
 def checked_actions(name: str, value: object, shape: tuple[int, ...], allowed: str) -> Array:

@@ -1,16 +1,18 @@
-"""Setup: what an environment is made of, checked, with the model that its fidelity asks for."""
+"""Setup: what an environment is made of, checked, and the model that its fidelity asks for."""
 
-from dataclasses import dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
 
 from flexman_gym.checks import one_of, positive, refusal, store
+from flexman_gym.control.pd import PD, torque_limits
+from flexman_gym.envs.catalog import DEFAULT, NAMED, Named
+from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.randomisation import Randomisation
-from flexman_gym.envs.sensors.full import Limits
-from flexman_gym.envs.tasks.slew import Slew
+from flexman_gym.envs.sensors import find_sensors
+from flexman_gym.envs.tasks import Task
 from flexman_gym.fidelity.choose import Choice, assembled_modes, choose_model
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.arm import Arm
-from flexman_gym.scene.catalog import paper_rrr
 from flexman_gym.scene.choice import ModelChoice
 from flexman_gym.scene.drive import SineTorque
 from flexman_gym.scene.scene import Initial, Scene
@@ -18,7 +20,7 @@ from flexman_gym.simulation.families import Method
 from flexman_gym.simulation.trajectory import ENERGY_ALARM
 
 CHOSEN = ("elements", "modes", "method", "step")  # by fidelity="auto"
-SLEW = 3.0  # s, of the motion for which fidelity="auto" chooses
+SLEW, SLEW_START = 3.0, 0.4  # s and rad, of the motion for which fidelity="auto" chooses
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,29 +28,32 @@ class Setup:
     """What an environment is made of; the keyword arguments of `gym.make` and `gym.make_vec`.
 
     Attributes:
-        arm: None takes the arm of FlexRRR-v0.
-        task: None takes `Slew()`.
-        limits: None takes `Limits()`.
-        torque_limit: N m, of each motor.
+        name: of a named environment, which gives what is None below.
+        arm: an Arm.
+        task: a Task, such as `Slew()`.
+        sensors: a name, a Sensor of one's own, or a tuple of either.
+        limits: a Limits.
+        torque_limit: N m, of the motors, one number or one for each joint; None takes what the joints of the arm say.
+            Stored as a tuple.
         control_period: s.
         fidelity: "default" or "auto"; the latter with a tolerance, and without the next four.
         tolerance: m, largest error of the tip in a slew.
-        elements, modes, method, step: see `build_model` and `Simulator`; "assembled" modes are those that `FlexManEnv`
-            describes.
+        elements, modes, method, step: see `build_model` and `Simulator`; "assembled" modes are those that
+            `assembled_modes` finds for vibrations below half the control frequency.
         energy_alarm: part of the energy turned over (the largest of kinetic + elastic energy, work and dissipation).
-        randomisation: a Randomisation, or a dict of its attributes; None for none.
-        model: made from the above.
-        choice: of fidelity="auto", else None.
+        randomisation: a Randomisation, or a dict of its arguments; None for none.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
     """
 
+    name: str = DEFAULT
     arm: Arm = None  # type: ignore[assignment]
-    task: Slew = None  # type: ignore[assignment]
+    task: Task = None  # type: ignore[assignment]
+    sensors: Any = None
     limits: Limits = None  # type: ignore[assignment]
-    torque_limit: float = 400.0
-    control_period: float = 0.02
+    torque_limit: Any = None
+    control_period: float = None  # type: ignore[assignment]
     fidelity: str = "default"
     tolerance: float | None = None
     elements: int | tuple[int, ...] = 2
@@ -57,72 +62,113 @@ class Setup:
     step: float = 0.005
     energy_alarm: float = ENERGY_ALARM
     randomisation: Randomisation | None = None
-    model: Model = field(init=False)
-    choice: Choice | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
-        parts: tuple[tuple[str, type, str, Any], ...] = (
-            ("arm", Arm, "an Arm", default_arm),
-            ("task", Slew, "a task, such as Slew()", Slew),
-            ("limits", Limits, "Limits", Limits),
+        named = NAMED[one_of("name", self.name, NAMED)]
+        for field, kind, allowed in (
+            ("arm", Arm, "an Arm"),
+            ("task", Task, "a Task: an object with sensors, moves, draw, goal, reward_terms and info, such as Slew()"),
+            ("limits", Limits, "Limits"),
+        ):
+            value = getattr(self, field)
+            if value is None:
+                value = named.arm() if field == "arm" else getattr(named, field)
+            elif not isinstance(value, kind) or isinstance(value, type):
+                raise refusal(field, value, allowed)
+            store(self, **{field: value})
+        period = named.control_period if self.control_period is None else self.control_period
+        store(
+            self,
+            sensors=find_sensors(named.sensors if self.sensors is None else self.sensors),
+            torque_limit=self._torque_limits(named),
+            control_period=positive("control_period", period, "s"),
+            energy_alarm=positive("energy_alarm", self.energy_alarm),
+            randomisation=_randomisation(self.randomisation),
         )
-        for name, kind, allowed, default in parts:
-            value = getattr(self, name)
-            if value is not None and not isinstance(value, kind):
-                raise refusal(name, value, allowed)
-            store(self, **{name: default() if value is None else value})
-        store(self, randomisation=_randomisation(self.randomisation))
-        store(self, torque_limit=positive("torque_limit", self.torque_limit, "N m"))
-        store(self, energy_alarm=positive("energy_alarm", self.energy_alarm))
-        store(self, control_period=positive("control_period", self.control_period, "s"))
-        if self._automatic():
-            choice = self._chosen()
-            store(self, choice=choice, model=choice.model, method=choice.method, step=choice.step)
-        else:
-            nyquist = 0.5 / self.control_period
-            modes = assembled_modes(self.arm, self.elements, nyquist) if isinstance(self.modes, str) else self.modes
-            store(self, model=build_model(self.arm, self.elements, modes))
+        self._check_fidelity()
 
-    def _automatic(self) -> bool:
-        """Whether the fidelity is to be chosen; refuses what contradicts that."""
+    def _torque_limits(self, named: Named) -> tuple[float, ...]:
+        """What is given, or what the joints say, or, for an arm of the same reach, what those of the named arm say."""
+        arm, own = self.arm, [joint.torque_limit for joint in self.arm.joints]
+        if self.torque_limit is not None:
+            return torque_limits("torque_limit", self.torque_limit, arm.n_joints)
+        if None in own and _size(arm) == _size(named.arm()):
+            own = [joint.torque_limit for joint in named.arm().joints]
+        if None in own:
+            allowed = "one number (N m), or one for each joint: the joints of this arm have no torque_limit"
+            raise refusal("torque_limit", None, allowed)
+        return torque_limits("torque_limit", own, arm.n_joints)
+
+    def _check_fidelity(self) -> None:
+        """Refuses what contradicts the choice of a fidelity."""
         if one_of("fidelity", self.fidelity, ("default", "auto")) == "default":
             if self.tolerance is not None:
                 raise refusal("tolerance", self.tolerance, 'None without fidelity="auto"')
             if isinstance(self.modes, str):
                 one_of("modes", self.modes, ("assembled",))
-            return False
+            return
         for each in fields(self):
             if each.name in CHOSEN and getattr(self, each.name) != each.default:
                 raise refusal(each.name, getattr(self, each.name), 'nothing: fidelity="auto" chooses it')
         positive("tolerance", self.tolerance, 'm, for fidelity="auto"')
-        return True
 
-    def _chosen(self) -> Choice:
-        """Fidelity for a slew of the task: sine torques of the limit from a posture in the middle of its range."""
-        n = self.arm.n_joints
-        start = [0.5 * self.task.start * (-1.0) ** i for i in range(n)]
-        steps = max(1, round(SLEW / self.control_period))
-        scene = Scene(
-            self.arm,
-            ModelChoice(flexible_links=True, elements=2),
-            SineTorque([self.torque_limit] * n, [0.5] * n, [0.0] * n),
-            Initial(start, [0.0] * n),
-            duration=steps * self.control_period,
-            output_step=self.control_period,
-        )
-        tolerance = positive("tolerance", self.tolerance, "m")
-        return choose_model(scene, tolerance, longest_step=self.control_period)
+    @property
+    def pd(self) -> PD:
+        """The PD controller that was tuned for the arm of the named environment.
+
+        Raises:
+            ValueError: for another arm, which has no gains.
+        """
+        named = NAMED[self.name]
+        if _size(self.arm) != _size(named.arm()):
+            raise refusal("arm", self.arm, f"the arm of {self.name}: its PD gains belong to that; give others to PD")
+        return PD(**named.pd, torque_limit=self.torque_limit)
+
+
+class Fidelity(NamedTuple):
+    """What a setup asks for: the model, how it is moved, and the Choice of fidelity="auto", else None."""
+
+    model: Model
+    method: str | Method
+    step: float
+    choice: Choice | None
+
+
+def build(setup: Setup) -> Fidelity:
+    """Builds the model of a setup, or lets `choose_model` choose it."""
+    if setup.fidelity == "auto":
+        choice = _chosen(setup)
+        return Fidelity(choice.model, choice.method, choice.step, choice)
+    modes = setup.modes
+    if isinstance(modes, str):
+        modes = assembled_modes(setup.arm, setup.elements, 0.5 / setup.control_period)
+    return Fidelity(build_model(setup.arm, setup.elements, modes), setup.method, setup.step, None)
+
+
+def _chosen(setup: Setup) -> Choice:
+    """Fidelity for a slew: sine torques of the limits from a posture in the middle of the range of the named task."""
+    n = setup.arm.n_joints
+    start = [SLEW_START * (-1.0) ** i for i in range(n)]
+    steps = max(1, round(SLEW / setup.control_period))
+    scene = Scene(
+        setup.arm,
+        ModelChoice(flexible_links=True, elements=2),
+        SineTorque(setup.torque_limit, [0.5] * n, [0.0] * n),
+        Initial(start, [0.0] * n),
+        duration=steps * setup.control_period,
+        output_step=setup.control_period,
+    )
+    tolerance = positive("tolerance", setup.tolerance, "m")
+    return choose_model(scene, tolerance, longest_step=setup.control_period)
+
+
+def _size(arm: Arm) -> tuple[float, ...]:
+    return tuple(link.length for link in arm.links)
 
 
 def _randomisation(value: object) -> Randomisation | None:
     if isinstance(value, dict):
-        names = [each.name for each in fields(Randomisation)]
-        return Randomisation(**{one_of("randomisation", name, names): ranges for name, ranges in value.items()})
+        return Randomisation(**value)
     if value is not None and not isinstance(value, Randomisation):
-        raise refusal("randomisation", value, "a Randomisation, or a dict of its attributes")
+        raise refusal("randomisation", value, "a Randomisation, or a dict of its arguments")
     return value
-
-
-def default_arm() -> Arm:
-    """The arm of FlexRRR-v0."""
-    return paper_rrr(rotor_inertia=10.0, modal_damping_ratio=0.005)

@@ -10,15 +10,14 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array
+from flexman_gym.arrays import Array, Flags, IntArray
 from flexman_gym.checks import refusal, whole_number
 from flexman_gym.envs.env import FlexManEnv, action_space, checked_mode, observation_space, painter
-from flexman_gym.envs.episodes import Arms, Episodes, Observations, checked_actions
-from flexman_gym.envs.setup import Setup
+from flexman_gym.envs.episodes import Episodes, Observations, checked_actions
+from flexman_gym.envs.setup import Setup, build
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import MOST_ARMS, Batch
 
-Flags = NDArray[np.bool_]
 Infos = dict[str, Any]
 LONGEST = 10**9  # steps of an episode
 
@@ -68,19 +67,20 @@ class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
         self.num_envs = whole_number("num_envs", num_envs, 1, MOST_ARMS)
         self.render_mode = checked_mode(render_mode)
         setup = Setup(**settings)
-        self._painter = painter(render_mode, setup.model, render_size)
+        model, method, step, self.choice = build(setup)
+        self._painter = painter(render_mode, model, render_size)
         period = setup.control_period
-        self.batch = Batch(setup.model, setup.method, setup.step, period, arms=num_envs, threads=threads)
+        self.batch = Batch(model, method, step, period, arms=num_envs, threads=threads)
+        self.setup, self.task, self.torque_limit = setup, setup.task, np.array(setup.torque_limit)
         self.episodes = Episodes(setup, self.batch)
-        self.task, self.torque_limit, self.choice = setup.task, setup.torque_limit, setup.choice
         self.sensors = self.episodes.sensors
         self.single_observation_space = observation_space(self.episodes)
-        self.single_action_space = action_space(self.episodes)
+        self.single_action_space = action_space(model)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode, "render_fps": round(1 / period)}
-        self._shape = (num_envs, setup.model.n_joints)
-        self._allowed = f"{num_envs} rows of {setup.model.n_joints} numbers from -1 to 1"
+        self._shape = (num_envs, model.n_joints)
+        self._allowed = f"{num_envs} rows of {model.n_joints} numbers from -1 to 1"
         self._randoms: list[np.random.Generator | None] = [None] * num_envs
         self._seeds = [-1] * num_envs
         self._ages = np.zeros(num_envs, dtype=np.int64)
@@ -136,7 +136,7 @@ class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
         if self._painter is None:
             logger.warn('render() needs render_mode="rgb_array" in gymnasium.make_vec')
             return None
-        arms = zip(self.batch.state, self.episodes.targets, strict=True)
+        arms = zip(self.batch.state, self.episodes.view.target, strict=True)
         return tuple(self._painter.paint(state, target) for state, target in arms)
 
     def _finish(self, ended: Flags, infos: Infos) -> Infos:
@@ -149,7 +149,7 @@ class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
         both = {"final_obs": final, "final_info": _masked(infos, ended)}
         return _masked(both, ended) | self._outcome()[1]
 
-    def _restart(self, arms: Arms, options: dict[str, Any] | None) -> None:
+    def _restart(self, arms: IntArray, options: dict[str, Any] | None) -> None:
         randoms = self.np_random
         self._ages[arms] = 0
         self.episodes.reset(arms, [randoms[arm] for arm in arms], options)
@@ -157,12 +157,13 @@ class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
     def _outcome(self) -> tuple[Array, Infos]:
         """Rewards and infos of the states that the arms are in."""
         episodes = self.episodes
-        rewards, infos = episodes.judge(*episodes.figures())
+        view = episodes.view
+        rewards, infos = episodes.outcome(view)
         status, failure = self._ok.copy(), self._no_failure.copy()
         for arm, text in episodes.failures.items():
             status[arm], failure[arm] = layout.STATUS[self.batch.status[arm]], text
-        infos |= {"status": status, "failure": failure, "tip": self.batch.outputs[:, layout.TIP].copy()}
-        infos |= {"target": episodes.targets.copy(), "posture": episodes.postures.copy()}
+        infos |= {"status": status, "failure": failure, "tip": view.tip.copy()}
+        infos |= {"target": view.target.copy(), "posture": view.posture.copy()}
         if episodes.effects is not None:
             infos["drawn"] = episodes.effects.drawn
         return rewards, _with_masks(infos, np.ones(self.num_envs, dtype=bool))

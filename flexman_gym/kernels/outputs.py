@@ -66,6 +66,23 @@ def combine(rows, start, source, value, out):
             out[b, j] = total
 
 
+@kernel
+def beyond(motion, limits, observations, bound, flags):
+    """flags (b,) = 1 for an arm of whose motion (b, m) a magnitude is beyond its limit (m,), or is no number, or of
+    whose observations (b, s) one is beyond its bound (s,), else 0; returns how many are 1."""
+    many = 0
+    for b in range(len(flags)):
+        flags[b] = 0
+        for j in range(len(limits)):
+            if not abs(motion[b, j]) <= limits[j]:
+                flags[b] = 1
+        for j in range(len(bound)):
+            if not abs(observations[b, j]) <= bound[j]:
+                flags[b] = 1
+        many += flags[b]
+    return many
+
+
 @inner
 def square_form(matrices, constants, i, rates, elastic):
     """q^T matrix q for the packed (k, k) matrix of link i and the elastic part of `rates` (d,)."""

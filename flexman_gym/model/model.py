@@ -85,6 +85,12 @@ class Model:
                 state[column + self.motor_columns] = checked
         return state
 
+    def at_rest(self, angles: Array) -> Array:
+        """States (r, 2 d) of the undeformed arm at rest at joint angles (r, n) rad; motors follow."""
+        states = np.zeros((len(angles), 2 * self.n_dof))
+        states[:, : self.n_joints] = states[:, self.motor_columns] = angles
+        return states
+
 
 def build_model(
     arm: Arm,

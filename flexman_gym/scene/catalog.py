@@ -28,6 +28,8 @@ def paper_rrr(
     joint_damping: float = 0.0,
     payload: Payload | None = None,
     gravity: Sequence[float] = (0.0, 0.0, 0.0),
+    *,
+    torque_limit: float | None = None,
     **damping: float,
 ) -> Arm:
     """Return the spatial RRR arm of the paper's Table 1.
@@ -38,6 +40,7 @@ def paper_rrr(
     joint_damping    N m s/rad of each joint, 0 in the paper
     payload          at the tip; none in the paper
     gravity          (3,) m/s^2; none in the paper scene, since its 400 N m could not hold the arm
+    torque_limit     N m of each joint; the paper has none
     damping          stiffness_proportional_damping (s) and modal_damping_ratio of the Arm, both 0 in the paper
 
     The printed area of link 1 is impossible with its printed polar moment, 1.66e-6 m^4: of all sections of one area a
@@ -57,7 +60,7 @@ def paper_rrr(
         _paper_link(3.5, 0.0008, 5.37e-7, 1.07e-6),
     )
     axes = ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (0.0, -1.0, 0.0))
-    joints = [Joint(axis, rotor_inertia, joint_stiffness, joint_damping) for axis in axes]
+    joints = [Joint(axis, rotor_inertia, joint_stiffness, joint_damping, torque_limit=torque_limit) for axis in axes]
     return Arm(links, joints, payload, gravity, **damping)
 
 

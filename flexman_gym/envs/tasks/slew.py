@@ -1,16 +1,19 @@
-"""Tasks: where an episode starts, what its goal is and what a step is worth."""
+"""Slew: the task to bring the tip to a target and to keep it still there."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
 from flexman_gym.arrays import Array
 from flexman_gym.checks import non_negative, positive, store
+from flexman_gym.envs.sensors.sensor import Sensor
+from flexman_gym.envs.tasks.task import Goal
+from flexman_gym.simulation.view import Number, View
 
-Number = Any  # a float or an array (b,): only arithmetic is done with it
-WIDTHS = (2.0, 0.4, 0.08)  # m, of the three bells that reward closeness
-CALM = 0.3  # m/s of tip vibration that halves the reward for calm
+WIDTHS = (2.0 / 8.5, 0.4 / 8.5, 0.08 / 8.5)  # of the reach: three bells that reward closeness
+CALM = 0.3 / 8.5  # reaches a second: tip vibration that halves the reward for calm
 
 
 @dataclass(frozen=True)
@@ -20,9 +23,10 @@ class Slew:
     An episode starts at rest, undeformed, at joint angles drawn uniformly from +-start. The target is where the tip of
     the undeformed arm would be at a posture drawn uniformly from +-slew around the start, so that it can be reached.
 
-    A step is worth the sum of these terms, which lies in [0, 1]:
-        tip_error      0.7 times the mean over three widths w (2, 0.4, 0.08 m) of 1 / (1 + (tip error / w)^2)
-        tip_vibration  0.2 / (1 + (tip vibration / 0.3 m/s)^2)
+    A step is worth the sum of these terms, which lies in [0, 1]; R is the reach of the arm, in brackets for 8.5 m:
+        tip_error      0.7 times the mean over the widths w of 1 / (1 + (tip error / w)^2); w is R times 0.24, 0.047 and
+                       0.0094 (2, 0.4 and 0.08 m)
+        tip_vibration  0.2 / (1 + (tip vibration / (0.035 R / s))^2)  (0.3 m/s)
         effort         0.1 (1 - mean of the squared actions)
         failure        -failure_penalty when the step ended the episode by a limit or a divergence
 
@@ -37,6 +41,8 @@ class Slew:
     start: float = 0.8
     slew: float = 0.8
     failure_penalty: float = 10.0
+    sensors: ClassVar[tuple[Sensor, ...]] = ()
+    moves: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         store(
@@ -46,21 +52,26 @@ class Slew:
             failure_penalty=non_negative("Slew.failure_penalty", self.failure_penalty),
         )
 
-    def draw(self, random: np.random.Generator, joints: int) -> tuple[Array, Array]:
-        """Start and goal postures (joints,) rad of one episode."""
-        start = random.uniform(-self.start, self.start, joints)
-        return start, start + random.uniform(-self.slew, self.slew, joints)
+    def draw(self, random: np.random.Generator, view: View) -> dict[str, Array]:
+        """Start and goal postures (n,) rad of one episode."""
+        start = random.uniform(-self.start, self.start, view.n_joints)
+        return {"start": start, "posture": start + random.uniform(-self.slew, self.slew, view.n_joints)}
 
-    def reward_terms(self, tip_error: Number, tip_vibration: Number, effort: Number, failed: Number) -> dict[str, Any]:
-        """Terms of the reward for a tip error (m), a tip vibration (m/s), the mean squared action and a failure.
+    def goal(self, plan: Mapping[str, Array], time: Array, view: View) -> Goal:
+        """The tip of the rigid arm at the goal posture."""
+        return Goal(view.rigid_tips(plan["posture"]), plan["posture"])
 
-        All are numbers, those of one arm, or all are arrays (b,), and so are the terms.
-        """
-        square = tip_error * tip_error
-        near = [width**2 / (width**2 + square) for width in WIDTHS]
+    def reward_terms(self, view: View) -> dict[str, Number]:
+        """Terms of the reward, see the class."""
+        square, vibration, calm = view.tip_error * view.tip_error, view.tip_vibration, (CALM * view.reach) ** 2
+        near = [width**2 / (width**2 + square) for width in (part * view.reach for part in WIDTHS)]
         return {
             "tip_error": 0.7 / 3.0 * (near[0] + near[1] + near[2]),
-            "tip_vibration": 0.2 * CALM**2 / (CALM**2 + tip_vibration * tip_vibration),
-            "effort": 0.1 * (1.0 - effort),
-            "failure": 0.0 - self.failure_penalty * failed,
+            "tip_vibration": 0.2 * calm / (calm + vibration * vibration),
+            "effort": 0.1 * (1.0 - view.effort),
+            "failure": 0.0 - self.failure_penalty * view.failed,
         }
+
+    def info(self, view: View) -> dict[str, Number]:
+        """Nothing beside what every environment says."""
+        return {}

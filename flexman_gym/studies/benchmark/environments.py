@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.envs.setup import Setup
+from flexman_gym.envs.setup import Setup, build
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.studies.benchmark.rows import ENVIRONMENTS, Array, Row, Timer, in_turns, timer
 
@@ -71,10 +71,11 @@ def vector(arms: int, threads: int, steps: int) -> Timer:
 
 def physics(setup: Setup, arms: int, periods: int) -> Timer:
     """Control periods of arms that begin at rest, under random torques."""
-    batch = Batch(setup.model, setup.method, setup.step, setup.control_period, arms=arms)
-    drives = np.zeros((periods, arms, setup.model.n_joints + 6))
-    torques = drives[..., : setup.model.n_joints]
-    torques[:] = setup.torque_limit * np.random.default_rng(0).uniform(-1.0, 1.0, torques.shape)
+    model, method, step, _ = build(setup)
+    batch = Batch(model, method, step, setup.control_period, arms=arms)
+    drives = np.zeros((periods, arms, setup.arm.n_joints + 6))
+    torques = drives[..., : setup.arm.n_joints]
+    torques[:] = np.array(setup.torque_limit) * np.random.default_rng(0).uniform(-1.0, 1.0, torques.shape)
     rest = batch.state.copy()
 
     def run() -> None:

@@ -22,7 +22,7 @@ class Arms:
         full = mujoco.mjtState.mjSTATE_FULLPHYSICS
         start = np.zeros(mujoco.mj_stateSize(self.model, full))
         mujoco.mj_getState(self.model, self._data, start, full)
-        self._start, self._torque_limit = np.tile(start, (arms, 1)), setup.torque_limit
+        self._start, self._torque_limit = np.tile(start, (arms, 1)), np.array(setup.torque_limit)
 
     def run(self, actions: Array) -> Array:
         """States (periods, b, size) after each control period from rest, under actions (periods, b, n)."""
@@ -50,7 +50,7 @@ class Arms:
 
 def longest_step(setup: Setup) -> int:
     """Parts of a control period, the fewest with which random torques move the tip as with many."""
-    actions = _actions(TRIAL, 1, setup.model.n_joints)
+    actions = _actions(TRIAL, 1, setup.arm.n_joints)
 
     def tips(parts: int) -> Array:
         arms = Arms(setup, 1, parts)
@@ -69,7 +69,7 @@ def longest_step(setup: Setup) -> int:
 
 def control_periods(setup: Setup, arms: int, periods: int, parts: int) -> Timer:
     """Control periods of arms that begin at rest, under random torques."""
-    side_by_side, actions = Arms(setup, arms, parts), _actions(periods, arms, setup.model.n_joints)
+    side_by_side, actions = Arms(setup, arms, parts), _actions(periods, arms, setup.arm.n_joints)
     assert not side_by_side.diverged(side_by_side.run(actions)), "the step is too long"
     return timer(lambda: side_by_side.run(actions), arms * periods)
 

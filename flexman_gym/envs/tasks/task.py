@@ -1,0 +1,63 @@
+"""Task: where an episode starts, where its goal is, what of the goal is observed and what a step is worth."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from flexman_gym.arrays import Array
+from flexman_gym.envs.sensors.sensor import Sensor
+from flexman_gym.simulation.view import Number, View
+
+
+class Goal(NamedTuple):
+    """Where arms should be: the target of the tip, (r, 3) m in the base frame, and the posture, (r, n) rad."""
+
+    target: Array
+    posture: Array
+
+
+@runtime_checkable
+class Task(Protocol):
+    """A task. A class with these members is one; it needs no base class.
+
+    A task keeps nothing of one arm: what describes an episode is in its plan. Lengths should be parts of `view.reach`,
+    so that a task suits arms of any size. What it says of an arm must not depend on the others, to the last bit.
+
+    Attributes:
+        sensors: what of the goal is observed beside the sensors of the environment; () for nothing.
+        moves: whether the goal changes during an episode; `goal` is then asked before every observation.
+    """
+
+    @property
+    def sensors(self) -> Sequence[Sensor]:
+        """See the class."""
+        ...
+
+    @property
+    def moves(self) -> bool:
+        """See the class."""
+        ...
+
+    def draw(self, random: np.random.Generator, view: View) -> dict[str, Array]:
+        """The plan of one episode: "start", joint angles (n,) rad, and whatever else `goal` needs.
+
+        `reset(options=...)` may set each entry, by its name, for all arms or with a leading axis for each.
+        """
+        ...
+
+    def goal(self, plan: Mapping[str, Array], time: Array, view: View) -> Goal:
+        """The goals of episodes with these plans, name -> (r, ...), at times (r,) s after their start."""
+        ...
+
+    def reward_terms(self, view: View) -> dict[str, Number]:
+        """What the step just made is worth, named terms whose sum is the reward.
+
+        The view is that of all arms, or that of an arm alone without the axis of the arms: use `...` and `axis=-1`, and
+        NumPy's functions.
+        """
+        ...
+
+    def info(self, view: View) -> dict[str, Number]:
+        """What goes to `info` beside what every environment says; {} for nothing."""
+        ...

@@ -1,0 +1,135 @@
+"""View: what the arms of a batch do, in words, as named arrays."""
+
+from typing import Any
+
+import numpy as np
+
+from flexman_gym.arrays import Array
+from flexman_gym.kernels import layout
+from flexman_gym.kernels.outputs import combine
+from flexman_gym.simulation.batch import Batch
+
+Number = Any  # (b,), or a number of an arm alone; only arithmetic and NumPy's functions are used on it
+
+
+class View:
+    """What b arms of n links do, and what their goal is. Arrays have the axis of the arms in front, (b, ...).
+
+    `alone()` has the same names without that axis, numbers where the figures are (b,): what is written with `...` and
+    `axis=-1` serves both. `read` brings everything up to date; those who set a goal write into `posture`, `target` and
+    `plan`, those who act into `effort` and `failed`.
+
+    Attributes:
+        n_joints, reach, lengths: n; the sum of the lengths of the links, m; each of them, (n,) m.
+        control_period: s.
+        motor_angles, motor_rates: (b, n) rad and rad/s; those of the joint where it is rigid.
+        joint_twists, joint_twist_rates: (b, n) rad and rad/s, motor angle - joint angle.
+        link_deflections, link_deflection_rates: (b, 2 n) m and m/s, tip of each link along y and z of its beam frame.
+        tip, tip_velocity: (b, 3) m and m/s, base frame.
+        deflection, deflection_rate: (b, 3) m and m/s, the tip relative to that of the rigid arm at the motor angles.
+        motion: (b, 8 n + 3) what a limit may be on, side by side: angles to deflection rates as above, tip_velocity.
+        places, units: name -> slice of `motion`, and unit.
+        posture: (b, n) rad, the goal of the motors.
+        target: (b, 3) m, the goal of the tip, base frame; target_error is target - tip.
+        plan: name -> (b, ...) what else describes the episode; a task's own.
+        tip_error: (b,) m, distance of tip and target.
+        tip_vibration: (b,) m/s, speed of the tip relative to that of the rigid arm at the motor angles and rates.
+        elastic_energy, energy_residual, energy_turnover: (b,) J, of links and joints; see `Batch`.
+        effort: (b,) mean of the squared actions, parts of the torque limits, of the last period.
+        failed: (b,) whether the last step ended the episode by a limit or a divergence.
+    """
+
+    def __init__(self, batch: Batch) -> None:
+        model, constants, arms = batch.model, batch.model.constants, len(batch.rows)
+        n, d = model.n_joints, model.n_dof
+        self._batch = batch
+        self._one: View | None = None
+        self.n_joints, self.control_period = n, batch.control_period
+        self.lengths, self.reach = constants.length, float(constants.length.sum())
+        bending = np.zeros((2 * d, 2 * n))
+        for i in range(n):
+            start, stop = constants.elastic_start[i : i + 2]
+            bending[model.elastic_columns(i), 2 * i : 2 * i + 2] = constants.tip_translation[start:stop, 1:]
+        angles = np.eye(2 * d)[:, model.motor_columns]
+        twist = angles - np.eye(2 * d)[:, :n]
+        parts = {
+            "motor_angles": (angles, "rad"),
+            "motor_rates": (np.roll(angles, d, axis=0), "rad/s"),
+            "joint_twists": (twist, "rad"),
+            "joint_twist_rates": (np.roll(twist, d, axis=0), "rad/s"),
+            "link_deflections": (bending, "m"),
+            "link_deflection_rates": (np.roll(bending, d, axis=0), "m/s"),
+        }
+        self.units = {name: unit for name, (_, unit) in parts.items()} | {"tip_velocity": "m/s"}
+        ends = np.cumsum([part.shape[1] for part, _ in parts.values()] + [3]).tolist()
+        self.places = {name: slice(first, end) for name, first, end in zip(self.units, [0, *ends], ends, strict=False)}
+        matrix = np.hstack([part for part, _ in parts.values()]).T  # most of it is zero
+        self._start = np.append(0, np.cumsum(np.count_nonzero(matrix, axis=1)))
+        self._source, self._value = np.nonzero(matrix)[1], matrix[matrix != 0.0]
+        self._allocate(arms)
+
+    def _allocate(self, arms: int) -> None:
+        """What `read` fills, and the names of its parts; outputs of the batch are views of its memory."""
+        n, outputs = self.n_joints, self._batch.outputs
+        self.motion = np.zeros((arms, self.places["tip_velocity"].stop))
+        parts = {name: self.motion[:, place] for name, place in self.places.items()}
+        self.motor_angles, self.motor_rates = parts["motor_angles"], parts["motor_rates"]
+        self.joint_twists, self.joint_twist_rates = parts["joint_twists"], parts["joint_twist_rates"]
+        self.link_deflections, self.link_deflection_rates = parts["link_deflections"], parts["link_deflection_rates"]
+        self._velocity = parts["tip_velocity"]
+        self.tip, self.tip_velocity = outputs[:, layout.TIP], outputs[:, layout.TIP_VELOCITY]
+        self.deflection, self.deflection_rate = outputs[:, layout.DEFLECTION], outputs[:, layout.DEFLECTION_RATE]
+        self.posture, self.target, self.plan = np.zeros((arms, n)), np.zeros((arms, 3)), dict[str, Array]()
+        self._vectors = np.zeros((arms, 2, 3))  # whose lengths are figures
+        self.target_error, self._shaking = self._vectors[:, 0], self._vectors[:, 1]
+        self.tip_error: Number = np.zeros(arms)
+        self.tip_vibration: Number = np.zeros(arms)
+        self.elastic_energy: Number = np.zeros(arms)
+        self.energy_residual: Number = np.zeros(arms)
+        self.energy_turnover: Number = np.zeros(arms)
+        self.effort: Number = np.zeros(arms)
+        self.failed: Number = np.zeros(arms, dtype=bool)
+
+    def read(self) -> None:
+        """Reads the state that the arms are in, for the goals that they have."""
+        batch = self._batch
+        combine(batch.rows, self._start, self._source, self._value, self.motion)
+        self._velocity[:] = self.tip_velocity
+        np.subtract(self.target, self.tip, out=self.target_error)
+        self._shaking[:] = self.deflection_rate
+        lengths = np.sqrt(np.vecdot(self._vectors, self._vectors))
+        self.tip_error, self.tip_vibration = lengths[:, 0], lengths[:, 1]
+        self.elastic_energy = batch.outputs[:, layout.LINK_ENERGY] + batch.outputs[:, layout.JOINT_ENERGY]
+        self.energy_residual, self.energy_turnover = batch.energy_residual, batch.energy_turnover
+
+    @property
+    def time(self) -> Number:
+        """(b,) s since the reset."""
+        time = self._batch.time
+        return time if self.motion.ndim > 1 else time.item()
+
+    def rigid_tips(self, postures: Array) -> Array:
+        """(r, 3) m: tips, base frame, of the rigid arm at joint angles (r, n) rad: where the arm of no load rests."""
+        return self._batch.rigid_tips(self._batch.model.at_rest(postures))
+
+    def alone(self) -> "View":
+        """The same of the only arm, without the axis of the arms; the same object every time, as it is now."""
+        one = self._one or self._make_alone()
+        if len(one.plan) != len(self.plan):
+            one.plan = {name: values[0, ...] for name, values in self.plan.items()}
+        one.tip_error, one.tip_vibration = self.tip_error.item(), self.tip_vibration.item()
+        one.elastic_energy, one.energy_residual = self.elastic_energy.item(), self.energy_residual.item()
+        one.energy_turnover, one.effort, one.failed = (
+            self.energy_turnover.item(), self.effort.item(), self.failed.item(),
+        )  # fmt: skip
+        return one
+
+    def _make_alone(self) -> "View":
+        """Its arrays are views of the memory of this one's."""
+        if len(self.motion) > 1:
+            raise ValueError(f"view: {len(self.motion)} arms are not allowed; give the view of one")
+        self._one = one = object.__new__(View)
+        for name, value in vars(self).items():
+            setattr(one, name, value[0] if isinstance(value, np.ndarray) and value.ndim > 1 else value)
+        one.plan = {}
+        return one
