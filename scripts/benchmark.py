@@ -1,28 +1,16 @@
 """Times environments, training, starts and evaluations beside peers: python scripts/benchmark.py --folder docs"""
 
 import argparse
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from flexman_gym.studies.benchmark import environments, evaluations, starts
 from flexman_gym.studies.benchmark.page import publish
 from flexman_gym.studies.benchmark.rows import Row
+from flexman_gym.studies.machine import machine_text
 from flexman_gym.studies.table import read_rows, write_rows
-from flexman_gym.studies.verification.rows import machine_text
 
 EVALUATION_ROUNDS, STARTS = 40, 5
 PEERS = ("gymnasium", "stable-baselines3", "torch", "mujoco", "pin")
-
-
-def versions() -> dict[str, str]:
-    """Those of the peers that are installed."""
-    found = {}
-    for name in PEERS:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found
 
 
 def main() -> None:
@@ -40,7 +28,7 @@ def main() -> None:
         rows += starts.rows(1 if options.quick else STARTS, cold=not options.quick)
         rows += evaluations.rows(2 if options.quick else EVALUATION_ROUNDS)
         write_rows(rows, file)
-    print(publish(read_rows(file, Row), machine_text(**versions()), options.folder))
+    print(publish(read_rows(file, Row), machine_text(PEERS), options.folder))
 
 
 if __name__ == "__main__":

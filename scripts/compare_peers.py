@@ -2,19 +2,18 @@
 
 import argparse
 import importlib
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
 import flexman_gym as fm
+from flexman_gym.studies.machine import machine_text
 from flexman_gym.studies.peers.runs import Timer
 from flexman_gym.studies.precision.cases import FINEST, LARGE_ROTATION, PLAIN, RIGID, RIGID_LINKS, models
 from flexman_gym.studies.precision.charts import peers_chart
 from flexman_gym.studies.precision.measure import Row, Study, Truth
 from flexman_gym.studies.precision.page import peers_conclusion
 from flexman_gym.studies.table import read_rows, write_rows
-from flexman_gym.studies.verification.rows import machine_text
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference" / LARGE_ROTATION
 ROUNDS = 3
@@ -79,7 +78,7 @@ def publish(rows: list[Row], floor: float, folder: Path) -> None:
     peers = [row for found in others.values() for row in found]
     mine = [row for row in rows if row not in peers]
     peers_chart(mine, peers, floor, "The paper's arm, everything flexible", folder / "work_precision_peers.png")
-    known = machine_text(**{PEERS[name]: version(PEERS[name]) for name, found in others.items() if found})
+    known = machine_text(PEERS[name] for name, found in others.items() if found)
     lines = ["# Beside other codes", "", NOTE.format(ROUNDS), "", "![error over cost](work_precision_peers.png)", ""]
     lines += [f"Computed with {known}, one core.", ""]
     lines += [f"- {text}" for text in peers_conclusion(mine, peers, PLAIN)]

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from time import perf_counter
 
+from flexman_gym.studies.machine import machine_text
 from flexman_gym.studies.stability.cases import (
     CASES,
     LIMIT_STUDIES,
@@ -20,7 +21,6 @@ from flexman_gym.studies.stability.cases import (
 from flexman_gym.studies.stability.measure import Row
 from flexman_gym.studies.stability.page import page, summary
 from flexman_gym.studies.table import read_comment, read_rows, write_rows
-from flexman_gym.studies.verification.rows import machine_text
 
 DIGITS = 9
 QUICK_METHODS, QUICK_STEPS = ("ros2", "implicit_midpoint"), (0.005, 0.02)

@@ -6,16 +6,11 @@ import warnings
 from pathlib import Path
 from time import perf_counter
 
-from flexman_gym.studies.verification.beams import CASES
-from flexman_gym.studies.verification.motions import motion_rows
-from flexman_gym.studies.verification.rows import Row, as_json, exit_code, markdown, table
+from flexman_gym.studies.verification.cases import rows
+from flexman_gym.studies.verification.page import as_json, page, table
+from flexman_gym.studies.verification.rows import exit_code
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference"
-
-
-def rows(reference: Path, quick: bool = False) -> list[Row]:
-    """All rows, or those that take little time; `reference` is the folder of the reference scenes and solutions."""
-    return [row for case in CASES for row in case()] + list(motion_rows(reference, quick))
 
 
 def main() -> int:
@@ -33,7 +28,7 @@ def main() -> int:
     found = rows(options.reference, options.quick)
     print(table(found))
     print(f"{perf_counter() - started:.0f} s")
-    for file, text in ((options.json, as_json), (options.markdown, markdown)):
+    for file, text in ((options.json, as_json), (options.markdown, page)):
         if file is not None:
             file.write_text(text(found), encoding="utf-8")
     return exit_code(found)

@@ -8,6 +8,7 @@ import pytest
 
 from flexman_gym.studies.benchmark import environments, evaluations
 from flexman_gym.studies.benchmark import page as page_of
+from flexman_gym.studies.benchmark.endurance import endure
 from flexman_gym.studies.benchmark.rows import Row
 from flexman_gym.studies.table import read_rows
 
@@ -85,6 +86,6 @@ def test_endurance_counts_its_episodes_and_fills_its_section_of_the_page(tmp_pat
 
 
 def test_every_episode_of_an_endurance_run_is_counted_once():
-    count = command("endurance").endure(3000, 8, settled=1000)
+    count = endure(3000, 8, settled=1000)
     assert count.steps >= 3000 and count.episodes == count.truncated + sum(count.failures.values()) > 0
     assert count.diverged == 0 and min(count.memory) > 0.0

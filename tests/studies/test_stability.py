@@ -14,6 +14,7 @@ from flexman_gym.model.beam import build_beam
 from flexman_gym.model.instant import stiffness_matrix
 from flexman_gym.model.modes import loaded_modes, outboard_inertias
 from flexman_gym.simulation.amplification import spectral_radius, stability_limit, vibration_factor
+from flexman_gym.studies.machine import machine_text
 from flexman_gym.studies.stability.cases import (
     FREQUENCY,
     IN_PERIODS,
@@ -40,7 +41,6 @@ from flexman_gym.studies.stability.measure import (
     small_vibration,
 )
 from flexman_gym.studies.table import read_comment, read_rows, write_rows
-from flexman_gym.studies.verification.rows import machine_text
 
 from oracles.files import ROOT, command
 

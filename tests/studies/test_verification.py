@@ -14,7 +14,8 @@ from flexman_gym.studies.verification.closed_forms import (
     joint_eigenvalues,
     rayleigh_eigenvalues,
 )
-from flexman_gym.studies.verification.rows import COLUMNS, Row, as_json, exit_code, markdown, printed, table
+from flexman_gym.studies.verification.page import as_json, page, table
+from flexman_gym.studies.verification.rows import COLUMNS, Row, exit_code, printed
 
 from oracles.files import ROOT, command
 
@@ -91,7 +92,7 @@ def test_nothing_computed_is_no_success():
 
 def test_page_and_file_hold_all_rows(rows):
     shown = [*rows, replace(ROW, tolerance=None), replace(ROW, computed=np.inf)]
-    lines = [line for line in markdown(shown).splitlines() if line.startswith("| ")]
+    lines = [line for line in page(shown).splitlines() if line.startswith("| ")]
     assert lines[0] == "| " + " | ".join(COLUMNS) + " |"
     assert len(lines) == 2 + len(shown)
     text = table(shown)
@@ -106,9 +107,9 @@ def test_page_and_file_hold_all_rows(rows):
 
 def test_the_page_in_docs_is_whole_and_has_no_failure(rows):
     lines = [line for line in (ROOT / "docs" / "verification.md").read_text(encoding="utf-8").splitlines()]
-    page = [line for line in lines if line.startswith("| ")][2:]
-    assert all(not line.endswith("| fail |") for line in page)
-    assert {row.case for row in rows} <= {line.split(" | ")[0].removeprefix("| ") for line in page}
+    table = [line for line in lines if line.startswith("| ")][2:]
+    assert all(not line.endswith("| fail |") for line in table)
+    assert {row.case for row in rows} <= {line.split(" | ")[0].removeprefix("| ") for line in table}
 
 
 # The closed forms themselves

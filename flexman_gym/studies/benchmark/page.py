@@ -7,10 +7,10 @@ from flexman_gym.studies.benchmark.environments import OURS, PHYSICS, PPO, REACH
 from flexman_gym.studies.benchmark.evaluations import NOTE
 from flexman_gym.studies.benchmark.rows import ENVIRONMENTS, EVALUATIONS, STARTS, Row
 from flexman_gym.studies.benchmark.starts import COLD, FIRST, IMPORT, MORE, WARM
-from flexman_gym.studies.verification.rows import table_line
+from flexman_gym.studies.markdown import bullets, markdown_table
 
 PAGE = "benchmark.md"
-ENDURANCE = "## Endurance"  # the last section, which scripts/endurance.py writes
+ENDURANCE = "## Endurance"  # the last section, which the room endurance writes
 STEPS_NOTE = f"""Steps of 20 ms under random actions drawn beforehand, with the resets of the episodes that end. All
 rows take turns in rounds; CPU time, of all threads together, is the median of them, time by the clock that of the
 quickest, as others on the machine disturb it. Ratios are those of CPU time, where there are two threads of the clock.
@@ -19,8 +19,39 @@ pieces without modal damping, all arms in one call a control period, at the long
 [peers.md](peers.md) says how accurate either is. Steps of training are those of `scripts/train.py` from a new policy
 on, in batches of 1024, with one thread for the networks; the share of the arms is that of the environment's `step`."""
 STARTS_NOTE = (
-    """In a new process, one part after the other; without kernels on disk once, with them the median of several."""
+    "In a new process, one part after the other; without kernels on disk once, with them the median of several."
 )
+HEAD = """# Benchmark
+
+`make benchmark` writes this page anew; the rows are in `benchmark.csv`.
+
+Computed with {machine}.
+"""
+
+# The conclusions. Speeds are in steps a second.
+CORE = "One core makes {single} steps a second of one arm, and {best} of {arms} arms in one environment."
+CORE_BESIDE_PEER = (
+    "One core makes {single} steps a second of one arm, and {best} of {arms} arms in one environment: "
+    "{single_times} and {best_times} times as many as of {peer}."
+)
+GAIN = "{times} with {arms} arms"
+THREADS = (
+    "By the clock two threads are as many times faster as one: {gains}; "
+    "the machine gave them {cores:.1f} cores at most."
+)
+PHYSICS_ALONE = (
+    "Physics alone, {arms} arms: {ours} against {theirs} control periods a second of {peer}, {times} times as many."
+)
+TRAINING = (
+    "PPO with {arms} arms learns from {speed} steps a second of CPU, a million in {minutes} minutes; "
+    "the arms take {share:.0%} of that."
+)
+START = "A new process imports the package in {after} s of CPU and has reset its first environment {first} s later."
+START_COLD = (
+    "A new process imports the package in {after} s of CPU and has reset its first environment {first} s later; "
+    "on a new machine kernels compile first, {cold} s."
+)
+LIMIT = "{name}: {times} times {peer}, {verdict} {most}."
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -68,18 +99,12 @@ TABLES: dict[str, tuple[str, str, tuple[str, ...], Callable[[Row], list[str]]]] 
 def _table(name: str, rows: Sequence[Row]) -> list[str]:
     title, note, heads, cells = TABLES[name]
     own = [row for row in rows if row.table == name]
-    lines = [table_line(heads), table_line("---" for _ in heads), *(table_line(cells(row)) for row in own)]
-    return [f"## {title}", "", note, "", *lines, ""]
+    return [f"## {title}", "", note, "", *markdown_table(heads, map(cells, own)), ""]
 
 
 def conclusions(rows: Sequence[Row]) -> list[str]:
     """Sentences about what the rows hold."""
-    texts = [*_of_arms(rows), *_of_physics(rows), *_of_training(rows), *_of_starts(rows)]
-    for row in rows:
-        if row.times_peer and row.at_most:
-            verdict = "within" if row.times_peer <= row.at_most else "more than"
-            texts.append(f"{row.name}: {number(row.times_peer)} times {row.peer}, {verdict} {number(row.at_most)}.")
-    return texts
+    return [*_of_arms(rows), *_of_physics(rows), *_of_training(rows), *_of_starts(rows), *_of_goals(rows)]
 
 
 def _named(rows: Sequence[Row], name: str) -> list[Row]:
@@ -90,18 +115,13 @@ def _of_arms(rows: Sequence[Row]) -> list[str]:
     vectors = _named(rows, VECTOR)
     alone = [row for row in vectors if row.threads == 1]
     best, (single,) = min(alone, key=lambda row: row.cpu), _named(rows, OURS)
-    text = f"One core makes {_speed(single.cpu)} steps a second of one arm"
-    text += f", and {_speed(best.cpu)} of {number(best.arms)} arms in one environment"
-    if best.times_peer and single.times_peer:
-        text += f": {number(single.times_peer)} and {number(best.times_peer)} times as many as of {REACHER}"
-    found = [text + "."]
-    gains, cores = [], 0.0
-    for row in vectors:
-        same = [each for each in alone if each.arms == row.arms and row.threads != 1]
-        gains += [f"{number(each.wall / row.wall)} with {number(row.arms)} arms" for each in same]
-        cores = max(cores, row.cpu / row.wall)
-    text = f"By the clock two threads are as many times faster as one: {', '.join(gains)}"
-    return [*found, f"{text}; the machine gave them {cores:.1f} cores at most."]
+    numbers = {"single": _speed(single.cpu), "best": _speed(best.cpu), "arms": number(best.arms)}
+    numbers |= {"single_times": number(single.times_peer), "best_times": number(best.times_peer), "peer": REACHER}
+    core = CORE_BESIDE_PEER if single.times_peer and best.times_peer else CORE
+    pairs = [(one, two) for two in vectors if two.threads != 1 for one in alone if one.arms == two.arms]
+    gains = [GAIN.format(times=number(one.wall / two.wall), arms=number(two.arms)) for one, two in pairs]
+    cores = max(row.cpu / row.wall for row in vectors)
+    return [core.format(**numbers), THREADS.format(gains=", ".join(gains), cores=cores)]
 
 
 def _of_physics(rows: Sequence[Row]) -> list[str]:
@@ -109,17 +129,19 @@ def _of_physics(rows: Sequence[Row]) -> list[str]:
     if len(physics) < 2:
         return []
     ours, theirs = physics
-    ratio, name = number(theirs.cpu / ours.cpu), theirs.name.removesuffix(f", {PHYSICS}")
-    speeds = f"{_speed(ours.cpu)} against {_speed(theirs.cpu)}"
-    return [
-        f"Physics alone, {number(ours.arms)} arms: {speeds} control periods a second of {name}, {ratio} times as many."
-    ]
+    numbers = {"arms": number(ours.arms), "ours": _speed(ours.cpu), "theirs": _speed(theirs.cpu)}
+    numbers |= {"peer": theirs.name.removesuffix(f", {PHYSICS}"), "times": number(theirs.cpu / ours.cpu)}
+    return [PHYSICS_ALONE.format(**numbers)]
 
 
 def _of_training(rows: Sequence[Row]) -> list[str]:
     return [
-        f"PPO with {number(row.arms)} arms learns from {_speed(row.cpu)} steps a second of CPU, a million in "
-        f"{number(row.cpu * 1e6 / 60, 2)} minutes; the arms take {row.share or 0.0:.0%} of that."
+        TRAINING.format(
+            arms=number(row.arms),
+            speed=_speed(row.cpu),
+            minutes=number(row.cpu * 1e6 / 60, 2),
+            share=row.share or 0.0,
+        )
         for row in _named(rows, PPO)
     ]
 
@@ -128,17 +150,24 @@ def _of_starts(rows: Sequence[Row]) -> list[str]:
     cpu = {row.name: row.cpu for row in rows if row.table == STARTS}
     if not cpu:
         return []
-    first, after = f"{FIRST}, {WARM}", f"{IMPORT}, {WARM}"
-    text = f"A new process imports the package in {number(cpu[after], 2)} s of CPU and has reset its first environment"
-    text += f" {number(cpu[first], 2)} s later"
-    cold = [cpu[f"{name}, {COLD}"] for name in (FIRST, MORE) if f"{name}, {COLD}" in cpu]
-    return [f"{text}; on a new machine kernels compile first, {number(sum(cold), 2)} s." if cold else f"{text}."]
+    cold = sum(cpu.get(f"{name}, {COLD}", 0.0) for name in (FIRST, MORE))
+    numbers = {"first": number(cpu[f"{FIRST}, {WARM}"], 2), "after": number(cpu[f"{IMPORT}, {WARM}"], 2)}
+    return [(START_COLD if cold else START).format(**numbers, cold=number(cold, 2))]
+
+
+def _of_goals(rows: Sequence[Row]) -> list[str]:
+    found = []
+    for row in rows:
+        if row.times_peer and row.at_most:
+            verdict = "within" if row.times_peer <= row.at_most else "more than"
+            numbers = {"times": number(row.times_peer), "most": number(row.at_most)}
+            found.append(LIMIT.format(name=row.name, peer=row.peer, verdict=verdict, **numbers))
+    return found
 
 
 def publish(rows: Sequence[Row], known: str, folder: Path) -> str:
     """Writes the page about the rows, computed with `known`, and returns it."""
-    lines = ["# Benchmark", "", "`make benchmark` writes this page anew; the rows are in `benchmark.csv`.", ""]
-    lines += [f"Computed with {known}.", "", *(f"- {text}" for text in conclusions(rows)), ""]
+    lines = [HEAD.format(machine=known), *bullets(conclusions(rows)), ""]
     for name in TABLES:
         lines += _table(name, rows)
     lines += without_endurance(folder / PAGE)[1]

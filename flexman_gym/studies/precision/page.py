@@ -5,9 +5,10 @@ from collections.abc import Sequence
 
 from flexman_gym.simulation.amplification import largest_growth
 from flexman_gym.simulation.methods import METHODS
+from flexman_gym.studies.machine import machine_text
+from flexman_gym.studies.markdown import markdown_table
 from flexman_gym.studies.precision.charts import METHOD_STYLES
 from flexman_gym.studies.precision.measure import Floor, Row, cheapest, cost_at, pareto_front, setbacks, settled
-from flexman_gym.studies.verification.rows import machine_text, table_line
 
 ERRORS = (1e-2, 1e-3, 1e-4, 1e-5)  # m
 GOAL = 3.0  # how many times cheaper than ros2 an extrapolation should be at 1e-4 m
@@ -55,12 +56,11 @@ def cost_table(rows: Sequence[Row], model: str) -> list[str]:
     """The cheapest run of each method that reaches each error, in CPU ms per simulated second."""
     errors = [f"{error:.0e} m" for error in ERRORS]
     lines = [f"CPU ms per simulated second of the cheapest run within a time error, {model}:", ""]
-    lines += [table_line(["method", *errors]), table_line(["---"] * (1 + len(errors)))]
+    cells = []
     for method in METHOD_STYLES:
         found = [cheapest(rows, model, method, error) for error in ERRORS]
-        lines.append(
-            table_line([method, *("-" if row is None else f"{1e3 * row.cpu:.3g} ({row.setting})" for row in found)])
-        )
+        cells.append([method, *("-" if row is None else f"{1e3 * row.cpu:.3g} ({row.setting})" for row in found)])
+    lines += markdown_table(["method", *errors], cells)
     ratios = {method: ratio(rows, model, method) for method in METHOD_STYLES if method.startswith("extrapolated")}
     texts = [f"{method} {_times(value)}" for method, value in ratios.items()]
     return [*lines, "", f"Cost of ros2 over that of an extrapolation at 1e-4 m: {', '.join(texts)}."]
@@ -75,13 +75,12 @@ def ratio(rows: Sequence[Row], model: str, method: str, error: float = 1e-4) -> 
 def front_table(rows: Sequence[Row], floor: float) -> list[str]:
     """The runs on the Pareto front of the total error; errors below the floor (m) are all the same."""
     points = [(row.cpu, math.inf if row.total_error is None else max(floor, row.total_error)) for row in rows]
-    lines = ["Pareto front of the total error:", ""]
-    lines += [table_line(["CPU ms per simulated second", "total error, mm", "model", "method", "setting"])]
-    lines += [table_line(["---"] * 5)]
+    heads = ["CPU ms per simulated second", "total error, mm", "model", "method", "setting"]
+    cells = []
     for row in (rows[i] for i in pareto_front(points)):
         numbers = [f"{1e3 * row.cpu:.3g}", f"{1e3 * (row.total_error or 0.0):.3g}"]
-        lines.append(table_line([*numbers, row.model, row.method, row.setting]))
-    return lines
+        cells.append([*numbers, row.model, row.method, row.setting])
+    return ["Pareto front of the total error:", "", *markdown_table(heads, cells)]
 
 
 def conclusion(rows: Sequence[Row], floors: Sequence[Floor]) -> list[str]:

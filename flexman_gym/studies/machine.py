@@ -1,0 +1,32 @@
+"""Machine: the processor and the versions of packages that computed a study."""
+
+import platform
+import re
+from collections.abc import Iterable
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+OURS = ("flexman_gym", "numba", "numpy", "scipy")
+
+
+def machine(more: Iterable[str] = ()) -> dict[str, str]:
+    """Processor, Python, and the versions of our packages and of more of them, of those that are installed."""
+    information = Path("/proc/cpuinfo")
+    found = re.search(r"model name\s*: (.*)", information.read_text() if information.exists() else "")
+    processor = found[1] if found else platform.processor() or platform.machine()
+    return {"processor": processor, "python": platform.python_version()} | _versions((*OURS, *more))
+
+
+def machine_text(more: Iterable[str] = ()) -> str:
+    """The same as names and values in a row."""
+    return ", ".join(f"{name} {value}" for name, value in machine(more).items())
+
+
+def _versions(names: Iterable[str]) -> dict[str, str]:
+    found = {}
+    for name in names:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found

@@ -1,0 +1,17 @@
+"""Markdown: tables and lists of the pages of the studies."""
+
+from collections.abc import Iterable, Sequence
+
+
+def markdown_table(heads: Sequence[object], rows: Iterable[Iterable[object]]) -> list[str]:
+    """The lines of a table with a head for each column."""
+    return [_line(heads), _line("---" for _ in heads), *map(_line, rows)]
+
+
+def bullets(texts: Iterable[str]) -> list[str]:
+    """The lines of a list."""
+    return [f"- {text}" for text in texts]
+
+
+def _line(cells: Iterable[object]) -> str:
+    return "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
