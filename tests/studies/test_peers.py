@@ -8,11 +8,10 @@ import pytest
 from scipy.linalg import eigh
 
 import flexman_gym as fm
+from flexman_gym.studies.peers import compare
+from flexman_gym.studies.peers.page import conclusions
 from flexman_gym.studies.peers.runs import with_rigid_joints
 from flexman_gym.studies.precision.measure import Row, cost_at
-from flexman_gym.studies.precision.page import peers_conclusion
-
-from oracles.files import command
 
 ARM, SCENE = fm.catalog.paper_rrr(), fm.catalog.paper_scene("ff")
 ROW = Row("paper_ff", "2 elements a link", "ros2", 1e-3, None, 0.02, 0.02, 1e3, 2e-3, 3e-2, "ok")
@@ -154,12 +153,11 @@ def test_the_page_names_the_ratio_to_a_floating_frame():
         replace(ROW, step=2.0, time_error=4e-3),
         replace(ROW, step=4.0, cpu=0.01),
     ]
-    text = peers_conclusion([ROW, *coarse], peers, ROW.model)[-1]
+    text = conclusions([ROW, *coarse], peers, ROW.model)[-1]
     assert "300 ms; ours is 30 and 15 times cheaper. The goal is 150 times." in text
 
 
 def test_peers_that_are_missing_are_named(monkeypatch, capsys):
-    compare = command("compare_peers")
     monkeypatch.setattr(compare.importlib, "import_module", lambda name: __import__("no_such_peer"))
     assert compare.theirs(None) == []
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(compare.PEERS)

@@ -15,40 +15,36 @@ from flexman_gym.scene import catalog
 from flexman_gym.simulation.amplification import largest_growth
 from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.simulator import simulate
+from flexman_gym.studies.peers.compare import CUT_MESH, CUT_MODES
+from flexman_gym.studies.precision import files
 from flexman_gym.studies.precision.cases import RIGID_LINKS, cases, choices, whirl_scene
 from flexman_gym.studies.precision.measure import Floor, Row, Truth, cheapest, pareto_front, setbacks
 from flexman_gym.studies.precision.page import page, pictures
 from flexman_gym.studies.table import read_rows, write_rows
 
-from oracles.files import ROOT, command
+from oracles.files import ROOT
 
 ROW = Row("a scene", "a model", "ros2", 0.01, None, 1.0, 1.0, 100.0, 1e-2, 1e-1, "ok")
 NUMBERS = st.floats(min_value=1e-6, max_value=1e6) | st.just(math.inf)
 
 
 @pytest.fixture(scope="module")
-def work_precision():
-    """The command as a module."""
-    return command("work_precision")
-
-
-@pytest.fixture(scope="module")
-def folder(work_precision, tmp_path_factory):
+def folder(tmp_path_factory):
     """The quick study, computed and published."""
     found = tmp_path_factory.mktemp("study")
-    work_precision.compute(quick=True, folder=found)
-    work_precision.publish(found)
+    files.compute(ROOT / "tests" / "reference", found, quick=True)
+    files.publish(found)
     return found
 
 
 @pytest.fixture(scope="module")
-def rows(work_precision, folder):
-    return read_rows(folder / work_precision.ROWS, Row)
+def rows(folder):
+    return read_rows(folder / files.ROWS, Row)
 
 
 @pytest.fixture(scope="module")
-def floors(work_precision, folder):
-    return read_rows(folder / work_precision.FLOORS, Floor)
+def floors(folder):
+    return read_rows(folder / files.FLOORS, Floor)
 
 
 def test_rows_are_complete(rows, floors):
@@ -86,8 +82,8 @@ def test_the_error_of_the_model_is_what_the_methods_do_not_explain(rows):
         assert all(abs(row.total_error - limit) <= 1.01 * row.time_error + 1e-6 for row in mine)
 
 
-def test_the_page_holds_pictures_and_conclusion(work_precision, folder, rows, floors):
-    text = (folder / work_precision.PAGE).read_text(encoding="utf-8")
+def test_the_page_holds_pictures_and_conclusion(folder, rows, floors):
+    text = (folder / files.PAGE).read_text(encoding="utf-8")
     assert text == page(rows, floors)
     assert "## Conclusion" in text and "ROS34PW2" in text and "numba" in text
     assert all(f"({name})" in text for name in pictures(rows[0].scene))
@@ -182,8 +178,8 @@ def test_amplification_is_that_of_one_step_of_an_oscillator(name):
 
 
 def test_the_modes_kept_beside_peers_move_the_tip_as_all_of_the_mesh_do():
-    peers, scene = command("compare_peers"), catalog.paper_scene("ff")
-    built = [build_model(scene.arm, peers.CUT_MESH, modes, stiffening=True) for modes in (peers.CUT_MODES, None)]
+    scene = catalog.paper_scene("ff")
+    built = [build_model(scene.arm, CUT_MESH, modes, stiffening=True) for modes in (CUT_MODES, None)]
     assert built[0].n_elastic == 20 and built[1].n_elastic == 42
     cut, every = (simulate(scene, model, "implicit_midpoint", step=1e-3).tip for model in built)
     assert np.linalg.norm(cut - every, axis=1).max() == pytest.approx(1.0e-3, abs=0.1e-3)

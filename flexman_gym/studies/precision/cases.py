@@ -11,7 +11,9 @@ from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene import catalog
 from flexman_gym.scene.drive import ConstantTorque
 from flexman_gym.scene.scene import Initial, Scene
+from flexman_gym.simulation.methods import EXPLICIT, IMPLICIT, LINEARLY_IMPLICIT, METHODS
 from flexman_gym.simulation.simulator import simulate
+from flexman_gym.studies.methods import fixed_step_methods
 from flexman_gym.studies.precision.measure import OK, Row, Study, Truth, converged
 
 MODAL, PLAIN, SHORTENED = "4 modes a link", "2 elements a link", "2 elements a link, foreshortening"
@@ -21,26 +23,12 @@ PATIENCE = 1.0  # s of computing, after which a method gets no finer setting
 LARGE_ROTATION = "paper_ff_large_rotation.csv"
 
 _MS = 1e-3
-_IMPLICIT = tuple(step * _MS for step in (10, 5, 2.5, 1, 0.5, 0.25))
-_EXPLICIT = tuple(step * _MS for step in (2, 1, 0.5, 0.25, 0.2, 0.1, 0.05, 0.025))
-STEPS: dict[str, tuple[float, ...]] = {
-    "semi_implicit_euler": (*_EXPLICIT, 0.0125 * _MS),
-    "rk4": _EXPLICIT,
-    "dopri5": _EXPLICIT,
-    "ros2": (20 * _MS, *_IMPLICIT, 0.1 * _MS, 0.05 * _MS),
-    "extrapolated_euler_3": (20 * _MS, *_IMPLICIT),
-    "extrapolated_euler_4": (20 * _MS, *_IMPLICIT),
-    "extrapolated_euler_5": (20 * _MS, *_IMPLICIT),
-    "implicit_midpoint": (20 * _MS, *_IMPLICIT, 0.1 * _MS),
-    "generalised_alpha": (20 * _MS, *_IMPLICIT, 0.1 * _MS),
-}
-TOLERANCES: dict[str, tuple[float, ...]] = {
-    "dopri5": (1e-2, 1e-3, 1e-4, 1e-5),
-    "ros2": (1e-2, 1e-3),
-    "extrapolated_euler_3": (1e-2, 1e-3),
-    "extrapolated_euler_4": (1e-2, 1e-3),
-    "extrapolated_euler_5": (1e-2, 1e-3),
-}
+_LONG = tuple(step * _MS for step in (20, 10, 5, 2.5, 1, 0.5, 0.25))
+_SHORT = tuple(step * _MS for step in (2, 1, 0.5, 0.25, 0.2, 0.1, 0.05, 0.025))
+# By the kind of a method. Reference methods judge the others and have none.
+STEPS = {EXPLICIT: _SHORT, LINEARLY_IMPLICIT: _LONG, IMPLICIT: (*_LONG, 0.1 * _MS)}
+FINER_STEPS = {"semi_implicit_euler": (0.0125 * _MS,), "ros2": (0.1 * _MS, 0.05 * _MS)}  # of those of low order
+TOLERANCES = {EXPLICIT: (1e-2, 1e-3, 1e-4, 1e-5), LINEARLY_IMPLICIT: (1e-2, 1e-3), IMPLICIT: (1e-2, 1e-3)}
 FEW_STEPS = {"extrapolated_euler_5": (20 * _MS, 10 * _MS, 5 * _MS), "implicit_midpoint": (5 * _MS, 2.5 * _MS)}
 RIGID_STEPS = {"rk4": (20 * _MS, 10 * _MS, 5 * _MS, 2 * _MS)}
 
@@ -119,16 +107,29 @@ def study(case: Case, reference: Path) -> Study:
     return Study(case.name, case.scene, built, total_truth(case, built, reference), solutions, case.title)
 
 
+def steps_of(name: str) -> tuple[float, ...]:
+    """Steps (s) of a method of fixed steps: those of its kind, and finer ones for some."""
+    return STEPS[METHODS[name].kind] + FINER_STEPS.get(name, ())
+
+
+def tolerances_of(name: str) -> tuple[float, ...]:
+    """Relative tolerances of such a method, none when it does not know its error."""
+    method = METHODS[name]
+    return TOLERANCES[method.kind] if method.estimates else ()
+
+
 def grid(found: Study, timed: tuple[str, ...]) -> Iterator[Row]:
     """All methods and steps on the models whose time error is studied, a few of them on the others."""
+    names = fixed_step_methods()
+    every = {name: steps_of(name) for name in names}
     for model in found.models:
         rigid = model in (RIGID, RIGID_LINKS)
-        ladders = STEPS if model in timed else RIGID_STEPS if rigid else FEW_STEPS
+        ladders = every if model in timed else RIGID_STEPS if rigid else FEW_STEPS
         for method, steps in ladders.items():
             usable = [step for step in steps if _fits(found.scene, step)]
             yield from found.ladder(model, method, usable, PATIENCE)
-        for method, tolerances in TOLERANCES.items() if model in timed else ():
-            yield from found.ladder(model, method, tolerances, PATIENCE, adaptive=True)
+        for method in names if model in timed else ():
+            yield from found.ladder(model, method, tolerances_of(method), PATIENCE, adaptive=True)
 
 
 def _fits(scene: Scene, step: float) -> bool:

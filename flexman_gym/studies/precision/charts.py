@@ -1,29 +1,25 @@
-"""Charts: error of the tip over cost, from rows of a study of work and precision."""
+"""Precision charts: error of the tip over cost, from rows of a study of work and precision."""
 
-import math
-from collections.abc import Iterable, Sequence
-from itertools import cycle
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from flexman_gym.draw.frames import BLUE, DARK, GREEN, LIGHT, MIDDLE, ORANGE, RED, SKY, new_figure
-from flexman_gym.studies.precision.measure import OK, Row, pareto_front
+from flexman_gym.draw.frames import BLUE, DARK, MIDDLE, ORANGE, RED, SKY
+from flexman_gym.studies.looks import looks
+from flexman_gym.studies.methods import methods_of
+from flexman_gym.studies.precision.axes import (
+    TOTAL_ERROR,
+    TRUTHS,
+    draw_floor,
+    draw_front,
+    draw_runs,
+    finish,
+    new_panels,
+    shown_error,
+)
+from flexman_gym.studies.precision.measure import Row
 
-COST = "CPU seconds per simulated second"
-PURPLE, BLACK, TEAL, PINE = "#CC79A7", "#000000", "#66C2A5", "#004D3A"
 GAIN = 0.9  # a run on the front is named when its error is less than this part of that of the one named before
-# method: colour, marker; those who cannot tell the colours apart have the markers
-METHOD_STYLES = {
-    "semi_implicit_euler": (ORANGE, "v"),
-    "rk4": (BLUE, "o"),
-    "dopri5": (SKY, "D"),
-    "ros2": (RED, "s"),
-    "extrapolated_euler_3": (TEAL, "^"),
-    "extrapolated_euler_4": (GREEN, "<"),
-    "extrapolated_euler_5": (PINE, ">"),
-    "implicit_midpoint": (PURPLE, "P"),
-    "generalised_alpha": (BLACK, "X"),
-}
 MODEL_STYLES = {
     "rigid links": (MIDDLE, "o"),
     "modes": (ORANGE, "^"),
@@ -31,7 +27,6 @@ MODEL_STYLES = {
     "elements": (SKY, "s"),
     "elements, foreshortening": (BLUE, "s"),
 }
-LARGEST_ERROR = 30.0  # m; the arm is smaller, so what is above says no more than that
 
 
 def family(model: str) -> str:
@@ -44,123 +39,45 @@ def family(model: str) -> str:
 
 def time_error_chart(rows: Sequence[Row], floors: dict[str, float], title: str, path: Path) -> None:
     """Time error over cost, a panel for each model in `floors` (its truth's own error, m), a line for each method."""
-    figure, panels = _panels(len(floors), title)
+    figure, panels = new_panels(len(floors), title)
+    known = looks()
     for axes, (model, floor) in zip(panels, floors.items(), strict=True):
         chosen = [row for row in rows if row.model == model and row.time_error is not None]
-        for method, (colour, marker) in METHOD_STYLES.items():
+        for method in methods_of(chosen):
+            colour, marker = known[method]
             for adaptive in (False, True):
                 line = [row for row in chosen if row.method == method and (row.rtol is not None) == adaptive]
                 label = f"{method}, adaptive" if adaptive else method
                 look = {"color": colour, "marker": marker, "markerfacecolor": "white" if adaptive else colour}
-                _line(axes, line, "time_error", label, look | {"linestyle": ":" if adaptive else "-"})
-        _front(axes, chosen, "time_error")
-        _floor(axes, floor, "error of the truth itself")
+                draw_runs(axes, line, "time_error", label, look | {"linestyle": ":" if adaptive else "-"})
+        draw_front(axes, chosen, "time_error")
+        draw_floor(axes, floor, "error of the truth itself")
         axes.set_title(model, fontsize=11)
     panels[0].set_ylabel("time error: largest distance of the tip\nfrom the converged solution of the same model (m)")
-    _finish(figure, panels, path)
+    finish(figure, panels, path)
 
 
 def total_error_chart(rows: Sequence[Row], floor: float, title: str, path: Path) -> None:
     """Total error over cost, one dot a run, coloured by the kind of model; the Pareto front names its models."""
-    figure, panels = _panels(1, title, 7.0)
-    (axes,) = panels
+    figure, (axes,) = new_panels(1, title, 7.0)
     for name, (colour, marker) in MODEL_STYLES.items():
         line = [row for row in rows if family(row.model) == name]
-        _line(axes, line, "total_error", name, {"color": colour, "marker": marker, "linestyle": ""})
-    front = _front(axes, rows, "total_error", floor)
-    _floor(axes, floor, "how well finest models agree")
+        draw_runs(axes, line, "total_error", name, {"color": colour, "marker": marker, "linestyle": ""})
+    front = draw_front(axes, rows, "total_error", floor)
+    draw_floor(axes, floor, TRUTHS)
     _name(axes, front)
-    axes.set_ylabel("total error: largest distance of the tip from the truth (m)")
-    _finish(figure, panels, path)
-
-
-def peers_chart(rows: Sequence[Row], peers: Sequence[Row], floor: float, title: str, path: Path) -> None:
-    """Total error over cost of our runs and of those of other codes: a colour for each model, a marker for a method."""
-    figure, panels = _panels(1, title, 6.4)
-    (axes,) = panels
-    _line(axes, rows, "total_error", "flexman_gym", {"color": BLUE, "marker": "s", "linestyle": ""})
-    colours = _looks((row.model for row in peers), (ORANGE, RED, PURPLE, GREEN, SKY, BLACK, MIDDLE))
-    markers = _looks((row.method for row in peers), "ov^D<PX>")
-    for model, method in dict.fromkeys((row.model, row.method) for row in peers):
-        found = [row for row in peers if (row.model, row.method) == (model, method)]
-        look = {"color": colours[model], "marker": markers[method], "markersize": 7.0}
-        _line(axes, found, "total_error", f"{model}, {method}", look)
-    _front(axes, [*rows, *peers], "total_error", floor)
-    _floor(axes, floor, "how well finest models agree")
-    axes.set_ylabel("total error: largest distance of the tip from the truth (m)")
-    _finish(figure, panels, path)
-
-
-def _looks(names: Iterable[str], values: Sequence[str]) -> dict[str, str]:
-    """A value for each name, in turn and from the start again when there are more names."""
-    return dict(zip(dict.fromkeys(names), cycle(values), strict=False))
-
-
-def _panels(count: int, title: str, height: float = 5.4) -> tuple[Any, list[Any]]:
-    figure = new_figure((5.6 + 4.4 * count, height), 110.0, layout="constrained")
-    panels = list(figure.subplots(1, count, sharey=True, squeeze=False)[0])
-    figure.suptitle(title, fontsize=13)
-    for axes in panels:
-        axes.set(xscale="log", yscale="log", xlabel=COST)
-        axes.tick_params(which="minor", labelbottom=False)
-        axes.grid(color=LIGHT, linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
-    return figure, panels
-
-
-def _error(row: Row, column: str) -> float:
-    """The error, or infinity where there is none to show."""
-    value = getattr(row, column)
-    return math.inf if value is None or row.status != OK or value > LARGEST_ERROR else float(value)
-
-
-def _line(axes: Any, rows: Sequence[Row], column: str, label: str, look: dict[str, Any]) -> None:
-    """Runs of one kind; those that failed are small crosses at the upper edge."""
-    good = [row for row in rows if math.isfinite(_error(row, column)) and _error(row, column) > 0.0]
-    if good:
-        values = [row.cpu for row in good], [_error(row, column) for row in good]
-        axes.plot(*values, **{"markersize": 5.0, "linewidth": 1.1, "label": label} | look)
-    failed = [row.cpu for row in rows if getattr(row, column) is not None and not math.isfinite(_error(row, column))]
-    if failed:
-        upper = axes.get_xaxis_transform()
-        axes.plot(failed, [0.985] * len(failed), "x", color=look["color"], markersize=6.0, transform=upper)
-
-
-def _front(axes: Any, rows: Sequence[Row], column: str, floor: float = 0.0) -> list[Row]:
-    """A broad pale line along the best runs, which it returns; errors below the floor (m) are all the same."""
-    front = [rows[i] for i in pareto_front([(row.cpu, max(floor, _error(row, column))) for row in rows])]
-    values = [row.cpu for row in front], [_error(row, column) for row in front]
-    look = {"color": "#b9bec7", "linewidth": 7.0, "alpha": 0.6, "zorder": 0, "solid_joinstyle": "round"}
-    axes.plot(*values, drawstyle="steps-post", label="Pareto front", **look)
-    return front
-
-
-def _floor(axes: Any, floor: float, label: str) -> None:
-    axes.axhline(floor, color=DARK, linewidth=1.0, linestyle="--", label=label, zorder=1)
+    axes.set_ylabel(TOTAL_ERROR)
+    finish(figure, [axes], path)
 
 
 def _name(axes: Any, front: Sequence[Row]) -> None:
     """Numbers the runs on the front that gain much; the legend says what they are."""
     changes: list[Row] = []
     for row in front:
-        if not changes or _error(row, "total_error") < GAIN * _error(changes[-1], "total_error"):
+        if not changes or shown_error(row, "total_error") < GAIN * shown_error(changes[-1], "total_error"):
             changes.append(row)
     for number, row in enumerate(changes, start=1):
         place = {"xytext": (-5, -5), "textcoords": "offset points", "ha": "right", "va": "top"}
         axes.annotate(str(number), (row.cpu, row.total_error), fontsize=9, color=DARK, **place)
         text = f"{row.model},\n{row.method}, {row.setting}"
         axes.plot([], [], linestyle="", marker=f"${number}$", color=DARK, label=text)
-
-
-def _finish(figure: Any, panels: Sequence[Any], path: Path) -> None:
-    """One legend for all panels, outside; a cross in it says what failed. Each axis shows at least a decade."""
-    panels[-1].plot([], [], "x", color=MIDDLE, label="failed, at the upper edge")
-    for axes in panels:
-        low, high = axes.get_xlim()
-        axes.set_xlim(10.0 ** math.floor(math.log10(low)), 10.0 ** math.ceil(math.log10(high)))
-    entries: dict[str, Any] = {}
-    for axes in panels:
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            entries.setdefault(label, handle)
-    figure.legend(entries.values(), entries.keys(), loc="outside right center", frameon=False, fontsize=8)
-    figure.savefig(path)
