@@ -3,40 +3,16 @@
 import argparse
 import sys
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
 from time import perf_counter
 
 from flexman_gym.studies.machine import machine_text
-from flexman_gym.studies.stability.cases import (
-    CASES,
-    LIMIT_STUDIES,
-    amplification_rows,
-    damping_rows,
-    drift_rows,
-    limit_rows,
-    map_rows,
-    spin_limit_row,
-)
 from flexman_gym.studies.stability.measure import Row
 from flexman_gym.studies.stability.page import page, summary
+from flexman_gym.studies.stability.rows import all_rows
 from flexman_gym.studies.table import read_comment, read_rows, write_rows
 
 DIGITS = 9
-QUICK_METHODS, QUICK_STEPS = ("ros2", "implicit_midpoint"), (0.005, 0.02)
-
-
-def rows(quick: bool = False) -> Iterator[Row]:
-    """All rows, or a small grid of them."""
-    yield from amplification_rows()
-    for study in LIMIT_STUDIES:
-        yield from limit_rows(study, quick)
-    yield spin_limit_row()
-    for study in CASES:
-        yield from map_rows(study, quick)
-    for rotor_inertia in (1.0, 10.0):
-        yield from damping_rows(rotor_inertia, QUICK_METHODS, QUICK_STEPS) if quick else damping_rows(rotor_inertia)
-    yield from drift_rows(10_000) if quick else drift_rows()
 
 
 def main() -> int:
@@ -51,7 +27,7 @@ def main() -> int:
         parser.error("--folder: the page needs all rows; leave --quick out")
     warnings.filterwarnings("ignore", "Link.second_moment_y", UserWarning)  # of the paper's printed area of link 1
     started = perf_counter()
-    found = read_rows(options.rows, Row) if options.rows else list(rows(options.quick))
+    found = read_rows(options.rows, Row) if options.rows else list(all_rows(options.quick))
     print(summary(found))
     print(f"{perf_counter() - started:.0f} s")
     if options.csv:

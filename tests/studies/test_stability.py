@@ -15,22 +15,13 @@ from flexman_gym.model.instant import stiffness_matrix
 from flexman_gym.model.modes import loaded_modes, outboard_inertias
 from flexman_gym.simulation.amplification import spectral_radius, stability_limit, vibration_factor
 from flexman_gym.studies.machine import machine_text
-from flexman_gym.studies.stability.cases import (
-    FREQUENCY,
-    IN_PERIODS,
-    KEPT,
-    LIMIT_STUDIES,
-    SPIN_STIFFENED,
-    SPRINGS,
-    damping_rows,
-    drift_rows,
-    limit_rows,
-    map_rows,
-    spin_case,
-)
+from flexman_gym.studies.methods import explicit_methods, fixed_step_methods
+from flexman_gym.studies.stability.cases import SPIN_STIFFENED, SPRINGS, spin_case
+from flexman_gym.studies.stability.damping import FREQUENCY, IN_PERIODS, KEPT, damping_rows
+from flexman_gym.studies.stability.drift import drift_rows
+from flexman_gym.studies.stability.limits import LIMIT_STUDIES, limit_rows
+from flexman_gym.studies.stability.maps import map_rows
 from flexman_gym.studies.stability.measure import (
-    EXPLICIT_METHODS,
-    FIXED,
     Row,
     grows,
     growth_per_step,
@@ -68,7 +59,7 @@ def test_stability_limits_are_those_of_the_textbooks():
     assert stability_limit(fm.METHODS["ros2"]) == stability_limit(fm.METHODS["implicit_midpoint"]) == math.inf
 
 
-@pytest.mark.parametrize("name", FIXED)
+@pytest.mark.parametrize("name", fixed_step_methods())
 def test_the_vibration_factor_is_exact_to_the_order_of_the_method(name):
     method = fm.METHODS[name]
     errors = [abs(vibration_factor(method, angle) - np.exp(1j * angle)) for angle in (0.1, 0.05)]
@@ -244,7 +235,7 @@ def test_a_tiny_rotor_on_a_stiff_spring_stops_an_explicit_method_and_ros2_is_rig
     scene = replace(fm.catalog.paper_scene(), duration=0.2, output_step=0.02)
     truth = fm.simulate(scene, model, "dop853", rtol=1e-8, atol=1e-10)
     assert truth.status == "ok"
-    for name in EXPLICIT_METHODS:
+    for name in explicit_methods():
         assert fm.simulate(scene, model, name, step).status == "diverged"
     run = fm.simulate(scene, model, "ros2", step)
     assert run.status == "ok"

@@ -1,40 +1,23 @@
 """Stability charts: maps, limits, numerical damping and long runs as PNG files, drawn from rows in Matplotlib."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from flexman_gym.draw.frames import BLUE, DARK, GREEN, LIGHT, MIDDLE, ORANGE, RED, SKY, YELLOW, new_figure
+from flexman_gym.draw.frames import DARK, LIGHT, MIDDLE, RED, SKY, YELLOW, new_figure
 from flexman_gym.simulation.methods import METHODS
-from flexman_gym.studies.stability.cases import (
-    CASES,
-    DAMPING,
-    DRIFT,
-    ERROR,
-    FULL_MODES,
-    KEPT,
-    LIMIT,
-    LIMIT_STUDIES,
-    MODES,
-    PAYLOAD,
-    SPIN,
-    SPIN_STIFFENED,
-    SPRINGS,
-    THRESHOLD,
-)
-from flexman_gym.studies.stability.measure import (
-    DIVERGED,
-    EXPLICIT_METHODS,
-    FIXED,
-    INACCURATE,
-    NOT_CONVERGED,
-    OK,
-    Row,
-    select,
-)
+from flexman_gym.studies.looks import looks
+from flexman_gym.studies.methods import methods_of
+from flexman_gym.studies.stability.cases import CASES, FULL_MODES, MODES, PAYLOAD, SPIN, SPIN_STIFFENED, SPRINGS
+from flexman_gym.studies.stability.damping import DAMPING, KEPT
+from flexman_gym.studies.stability.drift import DRIFT
+from flexman_gym.studies.stability.limits import LIMIT, LIMIT_STUDIES
+from flexman_gym.studies.stability.maps import ERROR, THRESHOLD
+from flexman_gym.studies.stability.measure import DIVERGED, INACCURATE, NOT_CONVERGED, OK, Row, select
 
+COLUMNS = 3  # of panels of a map
 CROSS = "\u00d7"
 COLOURS = {OK: SKY, INACCURATE: YELLOW, DIVERGED: RED, NOT_CONVERGED: MIDDLE}
 MARKS = {OK: "", INACCURATE: "~", DIVERGED: CROSS, NOT_CONVERGED: "?"}
@@ -52,9 +35,12 @@ TITLES = {
     SPIN: "One link spun at a constant rate for 1 s, bent by 1 cm: linear frame, without stiffening",
     SPIN_STIFFENED: "One link spun at a constant rate for 1 s, bent by 1 cm: with stiffening",
 }
-LINES = dict(
-    zip(FIXED, zip((BLUE, ORANGE, GREEN, RED, SKY, SKY, SKY, DARK, MIDDLE), "os^Dv<>*X", strict=True), strict=True)
-)
+VERDICTS = {
+    OK: f"tip within {1e3 * THRESHOLD:g} mm",
+    INACCURATE: f"~ tip more than {1e3 * THRESHOLD:g} mm off",
+    DIVERGED: f"{CROSS} diverged",
+    NOT_CONVERGED: "? iteration not converged",
+}
 
 
 def picture(study: str) -> str:
@@ -67,9 +53,8 @@ def draw(rows: Sequence[Row], folder: Path) -> list[Path]:
 
     Raises ImportError without Matplotlib.
     """
-    charts = {study: _map for study in CASES} | {LIMIT: _limits, DAMPING: _damping, DRIFT: _drift}
     paths = []
-    for study, chart in charts.items():
+    for study, chart in CHARTS.items():
         path = folder / picture(study.split(",")[0])
         chart(study, rows).savefig(path)
         paths.append(path)
@@ -81,9 +66,15 @@ def _map(study: str, rows: Sequence[Row]) -> Any:
     cells = select(rows, study=study, quantity=ERROR)
     parameters = sorted({row.parameter for row in cells})
     steps = sorted({row.step for row in cells})
-    figure = new_figure((12.0, 10.5), 110.0, layout="constrained")
-    panels = figure.subplots(3, 3, sharex=True, sharey=True)
-    for axes, name in zip(panels.flat, FIXED, strict=True):
+    names = methods_of(cells)
+    lines = -(-len(names) // COLUMNS)
+    figure = new_figure((12.0, 3.5 * lines), 110.0, layout="constrained")
+    panels = list(figure.subplots(lines, COLUMNS, sharex=True, sharey=True, squeeze=False).flat)
+    for axes in panels[len(names) :]:
+        axes.set_visible(False)
+    for axes in panels[max(0, len(names) - COLUMNS) : len(names)]:  # nothing stands below them
+        axes.tick_params(labelbottom=True)
+    for axes, name in zip(panels, names, strict=False):
         for row in select(cells, method=name):
             x, y = parameters.index(row.parameter), steps.index(row.step)
             axes.add_patch(_cell(x, y, COLOURS[row.verdict]))
@@ -96,7 +87,8 @@ def _map(study: str, rows: Sequence[Row]) -> Any:
         axes.set(xlim=(-0.5, len(parameters) - 0.5), ylim=(-0.5, len(steps) - 0.5))
         axes.set_xticks(range(len(parameters)), [_tick(study, value) for value in parameters], fontsize=8)
         axes.set_yticks(range(len(steps)), [f"{1e3 * step:.3g}" for step in steps], fontsize=8)
-    panels[2, 1].set_xlabel(LABELS[study], fontsize=12)
+    middle = panels[1 : len(names) : COLUMNS] or panels
+    middle[-1].set_xlabel(LABELS[study], fontsize=12)
     figure.supylabel("step (ms)")
     figure.suptitle(TITLES[study], fontsize=13)
     figure.legend(handles=_keys(study), loc="outside lower center", ncols=6, frameon=False)
@@ -114,9 +106,7 @@ def _keys(study: str) -> list[Any]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    texts = {OK: f"tip within {1e3 * THRESHOLD:g} mm", INACCURATE: f"~ tip more than {1e3 * THRESHOLD:g} mm off",
-             DIVERGED: f"{CROSS} diverged", NOT_CONVERGED: "? iteration not converged"}  # fmt: skip
-    keys: list[Any] = [Patch(facecolor=COLOURS[verdict], label=text) for verdict, text in texts.items()]
+    keys: list[Any] = [Patch(facecolor=COLOURS[verdict], label=text) for verdict, text in VERDICTS.items()]
     if study in LIMIT_STUDIES:
         keys.append(Line2D([], [], color=DARK, linewidth=2.2, label="predicted limit"))
         keys.append(Line2D([], [], marker="o", color="white", markeredgecolor=DARK, label="measured limit"))
@@ -131,14 +121,15 @@ def _tick(study: str, value: float) -> str:
 
 def _limits(_: str, rows: Sequence[Row]) -> Any:
     """Largest stable step over what each study varies: lines predicted, markers measured."""
+    known = looks()
     figure = new_figure((12.0, 4.6), 110.0, layout="constrained")
     for axes, study in zip(figure.subplots(1, 3, sharey=True), LIMIT_STUDIES, strict=True):
         found = select(rows, study=study, quantity=LIMIT)
         places = sorted({row.parameter for row in found})
-        for name in EXPLICIT_METHODS:
+        for name in methods_of(found):
             own = select(found, method=name)
             x = [places.index(row.parameter) for row in own]
-            colour, marker = LINES[name]
+            colour, marker = known[name]
             axes.semilogy(x, [1e3 * (row.expected or np.nan) for row in own], color=colour, label=f"{name}, predicted")
             axes.semilogy(x, [1e3 * row.value for row in own], marker, color=colour, label="measured")
         axes.set_xticks(range(len(places)), [_tick(study, value) for value in places])
@@ -157,21 +148,22 @@ def _damping(_: str, rows: Sequence[Row]) -> Any:
     from matplotlib.colors import LinearSegmentedColormap
 
     shades = LinearSegmentedColormap.from_list("kept", [YELLOW, "#ffffff", SKY])
-    figure = new_figure((16.0, 8.6), 100.0, layout="constrained")
+    names = methods_of(select(rows, quantity=KEPT))
+    figure = new_figure((16.0, 2.3 + 0.7 * len(names)), 100.0, layout="constrained")
     panels = figure.subplots(2, 3, sharex=True, sharey=True)
     for line, inertia in zip(panels, ("1", "10"), strict=True):
         for axes, mode in zip(line, (1.0, 2.0, 3.0), strict=True):
             found = select(rows, study=f"{DAMPING} {inertia}", parameter=mode, quantity=KEPT)
             steps = sorted({row.step for row in found})
             for row in found:
-                x, y = steps.index(row.step), FIXED.index(row.method)
+                x, y = steps.index(row.step), names.index(row.method)
                 shade: Any = LIGHT if np.isnan(row.value) else shades(np.clip(0.5 * row.value, 0.0, 1.0))
                 axes.add_patch(_cell(x, y, shade))
                 axes.text(x, y, _share(row), ha="center", va="center", fontsize=9, color=DARK)
             axes.set_title(f"rotors {inertia} kg m², mode {mode:g}", fontsize=11)
             axes.set_xticks(range(len(steps)), [f"{1e3 * step:g}" for step in steps])
-            axes.set_yticks(range(len(FIXED)), FIXED)
-            axes.set(xlim=(-0.5, len(steps) - 0.5), ylim=(len(FIXED) - 0.5, -0.5))
+            axes.set_yticks(range(len(names)), names)
+            axes.set(xlim=(-0.5, len(steps) - 0.5), ylim=(len(names) - 0.5, -0.5))
     figure.supxlabel("step (ms)")
     figure.suptitle(
         f"Amplitude (%) left after 10 s of an undamped vibration, in truth 100; {CROSS}: the run diverged", fontsize=13
@@ -196,9 +188,10 @@ def _drift(_: str, rows: Sequence[Row]) -> Any:
     """The largest energy error over the number of steps."""
     figure = new_figure((8.5, 5.4), 110.0, layout="constrained")
     axes = figure.subplots()
-    for name in FIXED:
-        own = select(rows, study=DRIFT, method=name)
-        colour, marker = LINES[name]
+    found, known = select(rows, study=DRIFT), looks()
+    for name in methods_of(found):
+        own = select(found, method=name)
+        colour, marker = known[name]
         axes.loglog([row.parameter for row in own], [row.value for row in own], marker + "-", color=colour, label=name)
     axes.set(xlabel="steps of 1 ms", ylabel="largest energy error so far (relative)")
     axes.set_title("Energy of the free, undamped arm in a long run (lines that end early failed)")
@@ -210,3 +203,7 @@ def _drift(_: str, rows: Sequence[Row]) -> Any:
 def _frame(axes: Any) -> None:
     axes.grid(color=LIGHT, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
+
+
+CHARTS: dict[str, Callable[[str, Sequence[Row]], Any]] = {study: _map for study in CASES}
+CHARTS |= {LIMIT: _limits, DAMPING: _damping, DRIFT: _drift}

@@ -11,19 +11,17 @@ from flexman_gym.arrays import Array
 from flexman_gym.model.instant import frequencies, mass_matrix, stiffness_matrix
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.amplification import stability_limit
-from flexman_gym.simulation.families import EXPLICIT, Method
-from flexman_gym.simulation.methods import METHODS
+from flexman_gym.simulation.families import Method
 from flexman_gym.simulation.simulator import Simulator
 
 OK, INACCURATE, DIVERGED, NOT_CONVERGED = "ok", "inaccurate", "diverged", "not converged"
 VERDICTS = (OK, INACCURATE, DIVERGED, NOT_CONVERGED)
-FIXED = tuple(name for name, method in METHODS.items() if not method.adaptive)
-EXPLICIT_METHODS = tuple(name for name in FIXED if METHODS[name].kind == EXPLICIT)
 MODE_ENERGY = 1e-8  # J in each mode of a small vibration: a motion of micrometres, at which the arm is linear
 
 STEPS, PERIODS = 100, 20  # of a run that decides whether a step is stable: 2000 steps
 GROWTH = 10.0  # of its energy from the first half to the second, from which on it is not
 BOUNDLESS = 1e4  # times the first energy: growth, too, that ended early in a motion of another kind
+INVENTED = 10.0  # times the energy that the true motion turns over, or of the start: a run that gains it diverged
 LIMIT_TOLERANCE = 0.05  # of a predicted limit
 BISECTIONS = 9  # to a thousandth of the limit
 
