@@ -1,0 +1,95 @@
+"""Fidelity, measure: the choices of `choose_model` beside the cheapest plain runs, as rows."""
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+import flexman_gym as fm
+from flexman_gym.arrays import Array
+
+TOLERANCES = (1e-1, 1e-2, 1e-3)  # m
+GRID_MODES = (2, 4, 6, 9, None)  # of each link; None keeps all
+GRID_METHODS = ("ros2", "extrapolated_euler_4", "rk4", "generalised_alpha")
+GRID_PARTS = (0.1, 0.25, 0.5, 1, 2, 4, 8, 16, 32, 64)  # steps in an output step
+FINE_ENOUGH = 0.2  # of the smallest tolerance: a plain run of that error gets no finer step
+PATIENCE = 0.5  # s of computing, after which it gets none either
+SHORT, REPEATS = 0.02, 5  # s; shorter plain runs, and all choices, are timed so many times
+
+
+@dataclass(frozen=True)
+class Row:
+    """One choice. Costs are seconds of the processor for the whole motion.
+
+    Attributes:
+        scene: the arm and its motion.
+        tolerance: m, what was asked for.
+        error: m, largest distance of the tip from that of the finest model.
+        estimate: m, what the choice says its error is.
+        ratio: of the estimate to the error.
+        coordinates: number of coordinates of the chosen model.
+        method: chosen.
+        step: s, chosen.
+        cost: of the chosen run, the best of five.
+        grid: cost of the cheapest plain run that meets the tolerance; infinite when none does.
+        dearer: ratio of the two costs.
+    """
+
+    scene: str
+    tolerance: float
+    error: float
+    estimate: float
+    ratio: float
+    coordinates: float
+    method: str
+    step: float
+    cost: float
+    grid: float
+    dearer: float
+
+
+def rows(name: str, scene: fm.Scene) -> Iterator[Row]:
+    """The choices for a scene, one for each tolerance."""
+    tips = fm.simulate(scene, _model(scene, None, True), "dop853", rtol=1e-8, atol=1e-11).tip
+    plain = plain_runs(scene, tips)
+    for tolerance in TOLERANCES:
+        choice = fm.choose_model(scene, tolerance)
+        chosen = choice.model, choice.method, choice.step
+        error = run(scene, *chosen, tips)[0]
+        cost = min(run(scene, *chosen, tips)[1] for _ in range(REPEATS))
+        grid = min((cost for error, cost in plain if error <= tolerance), default=np.inf)
+        errors = error, choice.estimated_error, choice.estimated_error / max(error, 1e-14)
+        yield Row(name, tolerance, *errors, choice.model.n_dof, *chosen[1:], cost, grid, cost / grid)
+
+
+def plain_runs(scene: fm.Scene, tips: Array) -> Sequence[tuple[float, float]]:
+    """Errors and costs of plain choices: the lowest modes of each link, with or without foreshortening."""
+    found = []
+    for modes, stiffening, method in product(GRID_MODES, (False, True), GRID_METHODS):
+        model = _model(scene, modes, stiffening)
+        for parts in GRID_PARTS:
+            chosen = scene, model, method, scene.output_step / parts, tips
+            error, cost = run(*chosen)
+            if cost < SHORT:
+                cost = min(cost, *(run(*chosen)[1] for _ in range(REPEATS - 1)))
+            found.append((error, cost))
+            if error < FINE_ENOUGH * min(TOLERANCES) or cost > PATIENCE:
+                break
+    return found
+
+
+def run(scene: fm.Scene, model: fm.Model, method: str, step: float, tips: Array) -> tuple[float, float]:
+    """Error at the tip (m), infinite for a run that failed, and cost (s of computing)."""
+    started = time.process_time()
+    found = fm.simulate(scene, model, method, step)
+    cost = time.process_time() - started
+    if found.status != "ok":
+        return np.inf, cost
+    stride = (len(tips) - 1) // max(1, len(found.tip) - 1)
+    return float(np.linalg.norm(found.tip - tips[::stride], axis=1).max()), cost
+
+
+def _model(scene: fm.Scene, modes: int | None, stiffening: bool) -> fm.Model:
+    return fm.build_model(scene.arm, **(vars(scene.model) | {"modes": modes, "stiffening": stiffening}))
