@@ -3,7 +3,8 @@
 from collections.abc import Iterable
 from typing import Protocol
 
-from flexman_gym.simulation.methods import EXPLICIT, METHODS
+from flexman_gym.simulation.families import EXPLICIT
+from flexman_gym.simulation.methods import METHODS
 
 
 class MethodRow(Protocol):

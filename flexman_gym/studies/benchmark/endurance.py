@@ -38,13 +38,14 @@ Neither an observation nor a reward was anything but a finite number."""
 class Count:
     """What a run counts.
 
-    steps, episodes  of all arms; the step that only resets an arm is none
-    truncated        episodes that reached their time limit
-    failures         what ended the others, by kind
-    diverged         steps whose status was not "ok"
-    alarms           steps with an energy alarm
-    memory           MB of the process, after SETTLED steps and at the end
-    cpu              seconds of the processor
+    Attributes:
+        steps, episodes: of all arms; the step that only resets an arm is none.
+        truncated: episodes that reached their time limit.
+        failures: what ended the others, by kind.
+        diverged: steps whose status was not "ok".
+        alarms: steps with an energy alarm.
+        memory: MB of the process, after SETTLED steps and at the end.
+        cpu: seconds of the processor.
     """
 
     steps: int = 0

@@ -7,10 +7,11 @@ from typing import NamedTuple
 import gymnasium as gym
 import numpy as np
 
+from flexman_gym.arrays import Array
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.setup import Setup, build
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.studies.benchmark.rows import ENVIRONMENTS, Array, Row, Timer, in_turns, timer
+from flexman_gym.studies.benchmark.rows import ENVIRONMENTS, Row, Timer, in_turns, timer
 
 REACHER, PENDULUM, OURS = "Reacher-v5", "Pendulum-v1", "FlexRRR-v0"
 VECTOR, PHYSICS = f"{OURS}, vector environment", "control period, physics only"
@@ -31,13 +32,14 @@ class Entry(NamedTuple):
 class Grid:
     """What is timed.
 
-    arms      numbers of them in a vector environment
-    steps     of a vector environment in a round; 500 hold one end of each episode
-    singles   steps of a single environment in a round
-    training  arms and rollouts of PPO in a round
-    physics   arms and control periods in a round where only the physics is timed
-    parts     of a control period that are one step of MuJoCo; None looks for the fewest that are stable
-    rounds    of all rows in turns
+    Attributes:
+        arms: numbers of them in a vector environment.
+        steps: of a vector environment in a round; 500 hold one end of each episode.
+        singles: steps of a single environment in a round.
+        training: arms and rollouts of PPO in a round.
+        physics: arms and control periods in a round where only the physics is timed.
+        parts: of a control period that are one step of MuJoCo; None looks for the fewest that are stable.
+        rounds: of all rows in turns.
     """
 
     arms: tuple[int, ...] = (1, 16, 64, 256, 1024)

@@ -4,8 +4,9 @@ import mujoco  # type: ignore[import-not-found, import-untyped, unused-ignore]
 import numpy as np
 from mujoco import rollout
 
+from flexman_gym.arrays import Array
 from flexman_gym.envs.setup import Setup
-from flexman_gym.studies.benchmark.rows import Array, Timer, timer
+from flexman_gym.studies.benchmark.rows import Timer, timer
 from flexman_gym.studies.peers.mujoco import SANE, description
 
 PIECES, FINEST, TRIAL = 4, 1024, 100  # of a link; parts of a control period and control periods of the search

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from flexman_gym.arrays import Array
+
 EVALUATIONS, ENVIRONMENTS, STARTS = "evaluations", "environments", "starts"
 
 
@@ -27,15 +27,16 @@ Timer = Callable[[], Cost]
 class Row:
     """A row of the benchmark.
 
-    table         to which it belongs
-    name          what is timed
-    arms, threads numbers of them, None where that says nothing
-    cpu, wall     seconds, medians over the rounds; wall of environments that of the quickest round
-    peer          name of the row that it is compared with, "" for none
-    times_peer    of evaluations the cost, of environments the speed, as a multiple of the peer's: median over the
-                  rounds by CPU time; for a row of several threads by the clock
-    at_most       what times_peer should be at most
-    share         part of the CPU time that is spent in the environment's steps
+    Attributes:
+        table: to which it belongs.
+        name: what is timed.
+        arms, threads: numbers of them, None where that says nothing.
+        cpu, wall: seconds, medians over the rounds; wall of environments that of the quickest round.
+        peer: name of the row that it is compared with, "" for none.
+        times_peer: of evaluations the cost, of environments the speed, as a multiple of the peer's: median over the
+            rounds by CPU time; for a row of several threads by the clock.
+        at_most: what times_peer should be at most.
+        share: part of the CPU time that is spent in the environment's steps.
     """
 
     table: str

@@ -26,9 +26,10 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 import flexman_gym as fm
+from flexman_gym.arrays import Array
 from flexman_gym.model.beam import Beam, build_beam
 from flexman_gym.model.element import section_points
-from flexman_gym.studies.peers.runs import Array, PeerRun, Timer, output_count, row
+from flexman_gym.studies.peers.runs import PeerRun, Timer, output_count, row
 from flexman_gym.studies.precision.measure import Row, Study, Truth
 
 sys.exudynFast = True  # type: ignore[attr-defined]  # the build without range checks, which a first import chooses

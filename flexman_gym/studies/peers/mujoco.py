@@ -18,7 +18,8 @@ import mujoco  # type: ignore[import-not-found, unused-ignore]
 import numpy as np
 
 import flexman_gym as fm
-from flexman_gym.studies.peers.runs import Array, PeerRun, Timer, output_count, row, with_rigid_joints
+from flexman_gym.arrays import Array
+from flexman_gym.studies.peers.runs import PeerRun, Timer, output_count, row, with_rigid_joints
 from flexman_gym.studies.precision.measure import OK, Row, Study
 
 SANE = 0.5  # m, of an error that still is a simulation of a flexible arm

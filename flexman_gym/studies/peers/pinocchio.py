@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 import flexman_gym as fm
-from flexman_gym.studies.peers.runs import Array, PeerRun, Timer, output_count, row
+from flexman_gym.arrays import Array
+from flexman_gym.studies.peers.runs import PeerRun, Timer, output_count, row
 from flexman_gym.studies.precision.measure import Study
 
 pin: Any = importlib.import_module("pinocchio")  # which has no types

@@ -5,12 +5,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 import flexman_gym as fm
+from flexman_gym.arrays import Array
 from flexman_gym.studies.precision.measure import OK, Row, Study, Truth
 
-Array = NDArray[np.float64]
 Timer = Callable[[], Row]
 
 
@@ -18,11 +17,12 @@ Timer = Callable[[], Row]
 class PeerRun:
     """What a peer computed and what it cost.
 
-    model, method  its names
-    step           s
-    tip            (T, 3) m at the output times of the scene; NaN from where it failed
-    cpu, wall      seconds of the processor and of a clock, per simulated second
-    evaluations    of its equations of motion, per simulated second
+    Attributes:
+        model, method: its names.
+        step: s.
+        tip: (T, 3) m at the output times of the scene; NaN from where it failed.
+        cpu, wall: seconds of the processor and of a clock, per simulated second.
+        evaluations: of its equations of motion, per simulated second.
     """
 
     model: str
@@ -54,7 +54,8 @@ def row(study: Study, done: PeerRun, solution: Truth | None = None, sane: float 
 def output_count(scene: fm.Scene, step: float) -> tuple[int, int]:
     """How many outputs a scene has after its start, and how many steps (s) lie between two of them.
 
-    Raises ValueError for a step that does not divide the output step.
+    Raises:
+        ValueError: for a step that does not divide the output step.
     """
     substeps = round(scene.output_step / step)
     if abs(substeps * step - scene.output_step) > 1e-9 * scene.output_step:

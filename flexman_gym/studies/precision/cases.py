@@ -11,7 +11,8 @@ from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene import catalog
 from flexman_gym.scene.drive import ConstantTorque
 from flexman_gym.scene.scene import Initial, Scene
-from flexman_gym.simulation.methods import EXPLICIT, IMPLICIT, LINEARLY_IMPLICIT, METHODS
+from flexman_gym.simulation.families import EXPLICIT, IMPLICIT, LINEARLY_IMPLICIT
+from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.simulator import simulate
 from flexman_gym.studies.methods import fixed_step_methods
 from flexman_gym.studies.precision.measure import OK, Row, Study, Truth, converged
@@ -35,7 +36,15 @@ RIGID_STEPS = {"rk4": (20 * _MS, 10 * _MS, 5 * _MS, 2 * _MS)}
 
 @dataclass(frozen=True)
 class Case:
-    """A scene of the study: its name, how to make it, the models whose time error is studied, a truth of its own."""
+    """A scene of the study.
+
+    Attributes:
+        name: of the scene.
+        title: what it is.
+        scene: itself.
+        timed: names of the models whose time error is studied.
+        reference: file of an independent solution; None where our finest model is the truth.
+    """
 
     name: str
     title: str

@@ -22,15 +22,16 @@ LEAST_SECONDS, MOST_REPEATS = 0.25, 5  # a short run is repeated until it has ta
 class Row:
     """One run.
 
-    scene, model, method  their names
-    step                  s of a fixed step; None where the method chose its steps
-    rtol                  relative tolerance of such a method, None for a fixed step; its atol is a thousandth of it
-    cpu, wall             seconds of the processor and of a clock, per simulated second; the best of a few repeats
-    evaluations           of the accelerations, per simulated second
-    time_error            m, largest distance of the tip over the run from the converged solution of the same model;
-                          None where that was not computed, infinite for a run that failed
-    total_error           m, the same from the truth of the scene, which knows no model
-    status                "ok", "diverged" or "not converged"
+    Attributes:
+        scene, model, method: their names.
+        step: s of a fixed step; None where the method chose its steps.
+        rtol: relative tolerance of such a method, None for a fixed step; its atol is a thousandth of it.
+        cpu, wall: seconds of the processor and of a clock, per simulated second; the best of a few repeats.
+        evaluations: of the accelerations, per simulated second.
+        time_error: m, largest distance of the tip over the run from the converged solution of the same model; None
+            where that was not computed, infinite for a run that failed.
+        total_error: m, the same from the truth of the scene, which knows no model.
+        status: "ok", "diverged" or "not converged".
     """
 
     scene: str
@@ -55,10 +56,11 @@ class Row:
 class Floor:
     """The error of a truth, below which no run can be judged.
 
-    scene, title  name of the scene and what it is
-    model         whose converged solution it is; empty for the truth of the scene
-    floor         m
-    source        of the truth
+    Attributes:
+        scene, title: name of the scene and what it is.
+        model: whose converged solution it is; empty for the truth of the scene.
+        floor: m.
+        source: of the truth.
     """
 
     scene: str
@@ -70,7 +72,13 @@ class Floor:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """Tip (T, 3) m at equal intervals from the start to the end of a scene, and an estimate of its own error, m."""
+    """What the tip of a scene does.
+
+    Attributes:
+        tip: (T, 3) m at equal intervals from the start to the end of the scene.
+        floor: m, an estimate of its own error.
+        source: who says so.
+    """
 
     tip: Array
     floor: float
@@ -91,7 +99,8 @@ class Truth:
 def converged(scene: Scene, model: Model) -> Truth:
     """The solution of a model by the reference method; its error is that of a run at a looser tolerance.
 
-    Raises RuntimeError when one of the runs fails.
+    Raises:
+        RuntimeError: when one of the runs fails.
     """
     tight, loose = (simulate(scene, model, "dop853", rtol=rtol, atol=1e-3 * rtol) for rtol in (TIGHT, LOOSE))
     if {tight.status, loose.status} != {OK}:
@@ -102,7 +111,16 @@ def converged(scene: Scene, model: Model) -> Truth:
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """A scene with its truth, and models by name, with the converged solutions of some of them."""
+    """A scene and what is known about it.
+
+    Attributes:
+        name: of the scene.
+        scene: itself.
+        models: by name.
+        truth: what the tip truly does.
+        solutions: converged ones of some of the models, by their names.
+        title: what the scene is.
+    """
 
     name: str
     scene: Scene
@@ -184,9 +202,12 @@ def cost_at(rows: Sequence[Row], error: float) -> float | None:
 def settled(rows: Sequence[Row], error: float, column: str = "total_error") -> list[Row]:
     """The runs that come within an error (m) together with every finer step of their model and method.
 
-    column  "total_error" or "time_error"
-
     They owe nothing to errors of model and method that happen to cancel at one step.
+
+    Args:
+        rows: runs.
+        error: m.
+        column: "total_error" or "time_error".
     """
     return [
         row

@@ -22,13 +22,14 @@ FULL_MODES = 12  # of a link with two elements
 class Case:
     """One column of a map: a model and the motion that every method has to follow.
 
-    study, parameter  as in Row
-    model             what moves
-    truth             what the tip should do: the same model, or a better one
-    start             (2 d,) first state
-    torque            (n,) N m
-    prescribed        joints whose rates stay as they start
-    periods           of 0.02 s
+    Attributes:
+        study, parameter: as in Row.
+        model: what moves.
+        truth: what the tip should do: the same model, or a better one.
+        start: (2 d,) first state.
+        torque: (n,) N m.
+        prescribed: joints whose rates stay as they start.
+        periods: of 0.02 s.
     """
 
     study: str

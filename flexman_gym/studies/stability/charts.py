@@ -51,7 +51,8 @@ def picture(study: str) -> str:
 def draw(rows: Sequence[Row], folder: Path) -> list[Path]:
     """Draws every chart of these rows into a folder; returns the paths.
 
-    Raises ImportError without Matplotlib.
+    Raises:
+        ImportError: without Matplotlib.
     """
     paths = []
     for study, chart in CHARTS.items():

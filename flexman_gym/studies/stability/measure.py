@@ -30,14 +30,15 @@ BISECTIONS = 9  # to a thousandth of the limit
 class Row:
     """One measurement.
 
-    study      what it belongs to
-    parameter  what the study varies, in the unit of its chart
-    method     a name from METHODS
-    step       s
-    quantity   what was measured, with its unit
-    value      the number
-    expected   what the theory predicts; None where it predicts nothing
-    verdict    "ok", "inaccurate", "diverged" or "not converged"
+    Attributes:
+        study: what it belongs to.
+        parameter: what the study varies, in the unit of its chart.
+        method: a name from METHODS.
+        step: s.
+        quantity: what was measured, with its unit.
+        value: the number.
+        expected: what the theory predicts; None where it predicts nothing.
+        verdict: "ok", "inaccurate", "diverged" or "not converged".
     """
 
     study: str

@@ -1,16 +1,15 @@
 """Closed forms: natural frequencies of uniform Euler-Bernoulli beams and bars, from their characteristic equations.
 
-Nothing but NumPy and SciPy is used here, so that a closed form shares no error with the simulator that it checks.
+Nothing but NumPy and SciPy computes here, so that a closed form shares no error with the simulator that it checks.
 """
 
 from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-Array = NDArray[np.float64]
+from flexman_gym.arrays import Array
 
 
 def beam_eigenvalues(count: int, tip_mass_ratio: float = 0.0) -> Array:

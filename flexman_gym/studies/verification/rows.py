@@ -11,11 +11,12 @@ PASS, FAIL, SHOWN = "pass", "fail", "shown"
 class Row:
     """One number that is known from elsewhere, and what this package computes.
 
-    case       what the number is, with its unit
-    source     who says what is expected
-    expected   the number
-    computed   by this package
-    tolerance  the largest error that passes; None for a row that is shown and not judged
+    Attributes:
+        case: what the number is, with its unit.
+        source: who says what is expected.
+        expected: the number.
+        computed: by this package.
+        tolerance: the largest error that passes; None for a row that is shown and not judged.
     """
 
     case: str
