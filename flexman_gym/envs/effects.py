@@ -35,7 +35,9 @@ class Effects:
 
     def __init__(self, randomisation: Randomisation, stage: Stage) -> None:
         self._batch, self._ranges = stage.batch, randomisation.ranges
-        model, arms = stage.batch.model, len(stage.batch.rows)
+        model, arms, period = stage.batch.model, len(stage.batch.rows), stage.batch.control_period
+        if stage.impulse_gap < period:
+            raise refusal("Randomisation.impulse_gap", stage.impulse_gap, f"at least the control period, {period} s")
         self._signals: dict[str, Any] = {}
         shapes: dict[str, tuple[int, ...]] = {}
         for name, span in self._ranges.items():

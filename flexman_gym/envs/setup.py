@@ -67,7 +67,7 @@ class Setup:
         named = NAMED[one_of("name", self.name, NAMED)]
         for field, kind, allowed in (
             ("arm", Arm, "an Arm"),
-            ("task", Task, "a Task: an object with sensors, moves, draw, goal, reward_terms and info, such as Slew()"),
+            ("task", Task, "a task: an object with sensors, moves, draw, goal, reward_terms and info, such as Slew()"),
             ("limits", Limits, "Limits"),
         ):
             value = getattr(self, field)

@@ -212,8 +212,6 @@ class TipImpulse:
 
     def __init__(self, stage: Stage, span: Range) -> None:
         self._period, self._gap_time, self._span = stage.batch.control_period, stage.impulse_gap, span
-        if self._gap_time < self._period:
-            raise refusal("Randomisation.impulse_gap", self._gap_time, f"at least the control period, {self._period} s")
         arms = len(stage.batch.rows)
         self._inner: list[Any] = [None] * arms
         self._wait = np.zeros(arms, dtype=np.int64)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from flexman_gym.arrays import Array
+from flexman_gym.arrays import Array, Flags
 from flexman_gym.checks import refusal, vector
 from flexman_gym.kernels import dynamics, inverse, outputs
 from flexman_gym.kernels.layout import OUTPUTS, TIP_VELOCITY, make_work
@@ -123,19 +123,8 @@ def inverse_dynamics(
     for order, (name, values) in enumerate(zip(names, given, strict=True)):
         if order < 3 or model.n_motors > 0 or values is not None:
             motion[order] = vector(name, values, n, "rad" if order == 0 else f"rad/s^{order}".removesuffix("^1"))
-    if model.n_elastic > 0:
-        allowed = "False: bending links have no motion of joints that decides the torques"
-        raise refusal("model.choice.flexible_links", model.choice.flexible_links, allowed)
     sprung = constants.motor >= 0
-    for i in np.flatnonzero(sprung & (constants.joint_damping > 0.0)):
-        raise refusal(
-            f"model.arm.joints[{i}].damping", float(constants.joint_damping[i]), "0 where joints are flexible"
-        )
-    for name in ("viscous_friction", "coulomb_friction"):
-        for i in np.flatnonzero(sprung & (getattr(constants, name) > 0.0)):
-            raise refusal(f"model.arm.joints[{i}].{name}", float(getattr(constants, name)[i]), "0 with flexible joints")
-    if (sprung & (constants.carried_inertia > 0.0)).any():
-        raise refusal("model.choice.spinning_rotors", True, "False where joints are flexible")
+    _check_invertible(model, sprung)
     forces, spread = inertial_forces(model), np.zeros((model.n_dof, n))
     spread[np.arange(n), np.arange(n)] = 1.0  # rotors on springs stand still: their share is added below
 
@@ -152,6 +141,21 @@ def inverse_dynamics(
     runs_ahead = _bend(link_torques, SECOND_STEP / max(quickest, 1e-3))[sprung] / constants.joint_stiffness[sprung]
     torques[sprung] += constants.rotor_inertia[sprung] * (motion[2, sprung] + runs_ahead)
     return torques
+
+
+def _check_invertible(model: Model, sprung: Flags) -> None:
+    """Refuses what leaves the motion of the joints without torques of its own; `sprung` (n,) joints are flexible."""
+    constants = model.constants
+    if model.n_elastic > 0:
+        allowed = "False: bending links have no motion of joints that decides the torques"
+        raise refusal("model.choice.flexible_links", model.choice.flexible_links, allowed)
+    for field in ("joint_damping", "viscous_friction", "coulomb_friction"):
+        values = getattr(constants, field)
+        for i in np.flatnonzero(sprung & (values > 0.0)):
+            name = field.removeprefix("joint_")
+            raise refusal(f"model.arm.joints[{i}].{name}", float(values[i]), "0 where joints are flexible")
+    if (sprung & (constants.carried_inertia > 0.0)).any():
+        raise refusal("model.choice.spinning_rotors", True, "False where joints are flexible")
 
 
 def split_state(model: Model, state: Sequence[float] | Array) -> tuple[Array, Array]:

@@ -64,7 +64,22 @@ def linearize(
     elif joint_angles is not None:
         raise refusal("state", "given with joint_angles", "one of the two")
     applied = np.zeros(model.n_joints) if torque is None else torque
-    (x, v), caused, forces = split_state(model, state), acceleration(model, state, applied), inertial_forces(model)
+    demands, d, n = _demands(model, state, applied), model.n_dof, model.n_joints
+    mass = mass_matrix(model, state)
+    scale = np.sqrt(np.diag(mass))  # metres and radians of fine elements weigh alike
+    factor = cho_factor(mass / np.outer(scale, scale))
+    slopes = cho_solve(factor, demands / scale[:, None]) / scale[:, None]
+    return LinearModel(
+        A=np.block([[np.zeros((d, d)), np.eye(d)], [slopes[:, : 2 * d]]]),
+        B=np.vstack([np.zeros((d, n)), slopes[:, 2 * d :]]),
+        C=np.hstack([tip_jacobian(model, split_state(model, state)[0]), np.zeros((3, d))]),
+        D=np.zeros((3, n)),
+    )
+
+
+def _demands(model: Model, state: Sequence[float] | Array, torque: Sequence[float] | Array) -> Array:
+    """(d, 2 d + n) slopes, by coordinates, speeds and torques, of the forces that accelerate the arm."""
+    (x, v), caused, forces = split_state(model, state), acceleration(model, state, torque), inertial_forces(model)
     d, n, size = model.n_dof, model.n_joints, _coordinate_sizes(model)
 
     def by_coordinate(unit: Array) -> Array:
@@ -80,16 +95,7 @@ def linearize(
     steepness = constants.coulomb_friction / constants.coulomb_rate
     demands[motors, d + motors] -= steepness / np.cosh(v[motors] / constants.coulomb_rate) ** 2
     demands[model.motor_columns, 2 * d + np.arange(n)] = 1.0
-    mass = mass_matrix(model, state)
-    scale = np.sqrt(np.diag(mass))  # metres and radians of fine elements weigh alike
-    factor = cho_factor(mass / np.outer(scale, scale))
-    slopes = cho_solve(factor, demands / scale[:, None]) / scale[:, None]
-    return LinearModel(
-        A=np.block([[np.zeros((d, d)), np.eye(d)], [slopes[:, : 2 * d]]]),
-        B=np.vstack([np.zeros((d, n)), slopes[:, 2 * d :]]),
-        C=np.hstack([tip_jacobian(model, x), np.zeros((3, d))]),
-        D=np.zeros((3, n)),
-    )
+    return demands
 
 
 def _coordinate_sizes(model: Model) -> Array:

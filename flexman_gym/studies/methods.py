@@ -38,4 +38,4 @@ def methods_of(rows: Iterable[MethodRow]) -> list[str]:
 
 def extrapolations_of(rows: Iterable[MethodRow]) -> list[str]:
     """Those of them that extrapolate another method."""
-    return [name for name in methods_of(rows) if len(METHODS[name].sequence) > 1]
+    return [name for name in methods_of(rows) if len(getattr(METHODS[name], "sequence", ())) > 1]

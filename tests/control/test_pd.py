@@ -7,19 +7,28 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import flexman_gym  # noqa: F401  registers the environments
-from flexman_gym.control.pd import PD
+from flexman_gym.control import PD, Controller
+from flexman_gym.envs.sensors import SENSORS
 
-SLICES = {"posture_errors": slice(0, 2), "motor_rates": slice(2, 4)}
 numbers = st.floats(-10, 10)
 
 
 @given(st.tuples(numbers, numbers, numbers, numbers))
 def test_pd_is_linear_until_the_motors_saturate(values):
-    observation = np.array(values)
-    expected = np.array([100.0, 200.0]) * observation[:2] - np.array([10.0, 20.0]) * observation[2:]
-    action = PD((100.0, 200.0), (10.0, 20.0), 400.0).act(observation, SLICES)
-    assert action.dtype == np.float32
-    np.testing.assert_allclose(action, np.clip(expected / 400.0, -1.0, 1.0), rtol=1e-6, atol=1e-7)
+    readings = {"posture_errors": np.array(values[:2]), "motor_rates": np.array(values[2:])}
+    expected = np.array([100.0, 200.0]) * readings["posture_errors"] - np.array([10.0, 20.0]) * readings["motor_rates"]
+    for limit in (400.0, (400.0, 100.0)):
+        pd = PD((100.0, 200.0), (10.0, 20.0), limit)
+        action = pd.act(readings)
+        assert action.dtype == np.float32
+        np.testing.assert_allclose(action, np.clip(expected / np.array(limit), -1.0, 1.0), rtol=1e-6, atol=1e-7)
+        many = pd.act({name: np.array([value, -value, value]) for name, value in readings.items()})
+        np.testing.assert_array_equal(many, [action, -action, action])
+
+
+def test_pd_is_a_controller_and_reads_sensors_that_there_are():
+    pd = PD((1.0,), (1.0,), 1.0)
+    assert isinstance(pd, Controller) and set(pd.sensors) <= set(SENSORS)
 
 
 def test_pd_takes_energy_out_of_a_swinging_arm_that_is_already_at_its_posture():
@@ -31,7 +40,8 @@ def test_pd_takes_energy_out_of_a_swinging_arm_that_is_already_at_its_posture():
         observation, *_ = env.step(np.array([0.5, -0.5, 0.5], dtype=np.float32))
     disturbed = env.simulator.energy
     for _ in range(200):
-        observation, *_ = env.step(pd.act(observation, env.sensors.slices))
+        readings = {name: observation[place] for name, place in env.sensors.slices.items()}
+        observation, *_ = env.step(pd.act(readings))
     assert env.simulator.energy < 0.5 * disturbed
 
 
@@ -42,6 +52,7 @@ def test_pd_takes_energy_out_of_a_swinging_arm_that_is_already_at_its_posture():
         (((1.0,), (float("nan"),), 400.0), "PD.damping[0]: nan is not allowed; give a finite number"),
         (((1.0,), (1.0, 2.0), 400.0), "PD.damping: (1.0, 2.0) is not allowed; give 1 numbers"),
         (((1.0,), (1.0,), 0.0), "PD.torque_limit: 0.0 is not allowed; give a finite number > 0"),
+        (((1.0,), (1.0,), (1.0, 2.0)), "PD.torque_limit: (1.0, 2.0) is not allowed; give 1 numbers (N m)"),
     ],
 )
 def test_bad_gains_are_named(arguments, field):

@@ -9,8 +9,11 @@ from scipy.spatial.transform import Rotation
 
 import flexman_gym as fm
 from flexman_gym.draw.frames import arm_lines
-from flexman_gym.envs.sensors.full import FullState
+from flexman_gym.envs.limits import broken
+from flexman_gym.envs.sensors import FullState, Sensors
+from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.simulator import Simulator
+from flexman_gym.simulation.view import View
 
 ARM = fm.catalog.paper_rrr()
 REACH = sum(link.length for link in ARM.links)
@@ -23,11 +26,23 @@ def moving(model, size=0.05, seed=1):
     return simulator
 
 
+def sensors_of(batch, limits=fm.Limits()):  # noqa: B008
+    """The full state of a batch, and its view."""
+    view = View(batch)
+    return Sensors([FullState()], view, limits), view
+
+
+def sensors_for(limits=fm.Limits(), **choice):  # noqa: B008
+    """The full state of one arm with a model of that choice."""
+    return sensors_of(Batch(fm.build_model(ARM, **choice)), limits)[0]
+
+
 def observe(simulator, posture=(0.0, 0.0, 0.0), target=(0.0, 0.0, 0.0)):
     """Slices of the observation of one arm, by name."""
-    sensors = FullState(simulator.model, fm.Limits())
-    state, outputs = simulator.state[None], simulator.outputs[None]
-    sensors.read(state, outputs, np.array([posture]), np.array([target]))
+    sensors, view = sensors_of(simulator.batch)
+    view.posture[:], view.target[:] = posture, target
+    view.read()
+    sensors.read()
     return {name: sensors.observations[0, part] for name, part in sensors.slices.items()}
 
 
@@ -40,7 +55,7 @@ def beam_frames(angles):
 
 
 def test_slices_follow_each_other_and_each_has_unit_and_bound():
-    sensors = FullState(fm.build_model(ARM, modes=2), fm.Limits())
+    sensors = sensors_for(modes=2)
     parts = list(sensors.slices.values())
     assert parts[0].start == 0 and parts[-1].stop == len(sensors.bound)
     assert all(before.stop == after.start for before, after in pairwise(parts))
@@ -106,9 +121,8 @@ def test_rates_are_the_slopes_of_what_they_are_rates_of(modes):
 @pytest.mark.parametrize("elements", [1, 2])
 @pytest.mark.parametrize("modes", [0, 2, None])
 def test_size_and_bounds_do_not_depend_on_the_fidelity(elements, modes, flexibility):
-    limits = fm.Limits()
-    reference = FullState(fm.build_model(ARM), limits)
-    sensors = FullState(fm.build_model(ARM, elements, modes, flexibility), limits)
+    reference = sensors_for()
+    sensors = sensors_for(elements=elements, modes=modes, flexible_links=flexibility)
     assert sensors.slices == reference.slices
     assert np.array_equal(sensors.bound, reference.bound)
 
@@ -116,29 +130,35 @@ def test_size_and_bounds_do_not_depend_on_the_fidelity(elements, modes, flexibil
 def test_a_batch_reads_what_its_rows_read():
     model = fm.build_model(ARM, modes=4)
     arms = [moving(model, seed=seed) for seed in range(5)]
-    rng = np.random.default_rng(0)
-    postures, targets, sensors = rng.normal(size=(5, 3)), rng.normal(size=(5, 3)), FullState(model, fm.Limits(), 5)
-    states, outputs = np.array([arm.state for arm in arms]), np.array([arm.outputs for arm in arms])
-    sensors.read(states, outputs, postures, targets)
+    rng, batch = np.random.default_rng(0), Batch(model, arms=5)
+    postures, targets, (sensors, view) = rng.normal(size=(5, 3)), rng.normal(size=(5, 3)), sensors_of(batch)
+    batch.reset(np.arange(5), np.array([arm.state for arm in arms]))
+    view.posture[:], view.target[:] = postures, targets
+    view.read()
+    sensors.read()
     for arm, posture, target, row in zip(arms, postures, targets, sensors.observations, strict=True):
         assert np.array_equal(np.concatenate(list(observe(arm, posture, target).values())), row)
 
 
 def test_an_observation_on_its_bound_is_inside_and_the_next_number_is_not():
-    sensors = FullState(fm.build_model(ARM, modes=2), fm.Limits())
-    assert sensors.broken(sensors.bound) == sensors.broken(-sensors.bound) == ""
+    sensors = sensors_for(modes=2)
+
+    def said(values):
+        return broken(values, sensors.bound, sensors.slices, sensors.units)
+
+    assert said(sensors.bound) == said(-sensors.bound) == ""
     for name, part in sensors.slices.items():
         for i in range(part.start, part.stop):
             for value in (np.nextafter(sensors.bound[i], np.inf), -2 * sensors.bound[i], np.inf, np.nan):
                 observation = np.zeros(len(sensors.bound))
                 observation[i] = value
-                said = sensors.broken(observation)
-                assert said.startswith(f"{name} ") and sensors.units[name] in said
+                text = said(observation)
+                assert text.startswith(f"{name} ") and sensors.units[name] in text
 
 
 def test_bounds_are_the_limits():
     limits = fm.Limits(angle=1.0, rate=2.0, twist=3.0, deflection=0.5, deflection_rate=5.0, tip_speed=6.0)
-    sensors = FullState(fm.build_model(ARM, modes=2), limits)
+    sensors = sensors_for(limits, modes=2)
     for name, expected in {
         "motor_angles": 1.0,
         "motor_rates": 2.0,

@@ -12,11 +12,13 @@ from hypothesis import strategies as st
 import flexman_gym as fm
 from flexman_gym.draw.frames import arm_lines
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.envs.randomisation import EFFECTS
+from flexman_gym.envs.signals import SIGNALS
 from flexman_gym.envs.vector_env import FlexManVectorEnv
+from flexman_gym.simulation.parameters import PARAMETERS
 
 from oracles.episodes import EVERYTHING, actions
 
+EFFECTS = (*PARAMETERS, *SIGNALS)
 RANGES = {name: EVERYTHING[name] for name in EFFECTS}
 QUICK = settings(deadline=None, derandomize=True, max_examples=15)
 STILL = {"start": [0.3, 0.4, -0.5], "posture": [0.3, 0.4, -0.5]}

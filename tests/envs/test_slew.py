@@ -1,5 +1,7 @@
 """Tasks: a step is worth the sum of bounded terms, and more for a closer and calmer tip and for less effort."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,9 +15,11 @@ LENGTHS = st.floats(0.0, 100.0)
 ACTIONS = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3)
 
 
-def terms(tip_error=0.0, tip_vibration=0.0, action=(0.0, 0.0, 0.0), failed=False, task=Slew()):  # noqa: B008
+def terms(tip_error=0.0, tip_vibration=0.0, action=(0.0, 0.0, 0.0), failed=False, task=Slew(), reach=8.5):  # noqa: B008
     """Terms of one step."""
-    return task.reward_terms(tip_error, tip_vibration, np.mean(np.square(action)), failed)
+    effort = np.mean(np.square(action), axis=-1)
+    seen = {"tip_error": tip_error, "tip_vibration": tip_vibration, "effort": effort, "failed": failed}
+    return task.reward_terms(SimpleNamespace(**seen, reach=reach))
 
 
 def worth(*arguments, **named):
@@ -65,7 +69,7 @@ def test_a_batch_is_worth_what_its_rows_are():
     rng = np.random.default_rng(0)
     errors, vibrations, actions = rng.uniform(0, 3, 8), rng.uniform(0, 2, 8), rng.uniform(-1, 1, (8, 3))
     failed = rng.random(8) < 0.5
-    batch = Slew().reward_terms(errors, vibrations, np.mean(actions**2, axis=1), failed)
+    batch = terms(errors, vibrations, actions, failed)
     for i in range(8):
         alone = terms(errors[i], vibrations[i], actions[i], failed[i])
         assert {name: float(value[i]) for name, value in batch.items()} == alone
@@ -73,7 +77,8 @@ def test_a_batch_is_worth_what_its_rows_are():
 
 def test_start_and_posture_are_drawn_uniformly_from_what_the_task_says():
     task, rng = Slew(start=0.5, slew=0.25), np.random.default_rng(0)
-    starts, postures = np.swapaxes([task.draw(rng, 4) for _ in range(2000)], 0, 1)
+    plans = [task.draw(rng, SimpleNamespace(n_joints=4)) for _ in range(2000)]
+    starts, postures = (np.array([plan[name] for plan in plans]) for name in ("start", "posture"))
     for drawn, width in ((starts, 0.5), (postures - starts, 0.25)):
         assert drawn.shape == (2000, 4)
         assert width * 0.99 < np.abs(drawn).max() <= width + 1e-15
@@ -83,8 +88,16 @@ def test_start_and_posture_are_drawn_uniformly_from_what_the_task_says():
 
 
 def test_a_task_may_start_from_the_same_place_every_time():
-    start, posture = Slew(start=0.0).draw(np.random.default_rng(0), 3)
-    assert (start == 0.0).all() and posture.any()
+    plan = Slew(start=0.0).draw(np.random.default_rng(0), SimpleNamespace(n_joints=3))
+    assert (plan["start"] == 0.0).all() and plan["posture"].any()
+
+
+@QUICK
+@given(LENGTHS, LENGTHS, st.floats(0.1, 100.0))
+def test_an_arm_of_another_size_is_judged_by_parts_of_its_reach(tip_error, tip_vibration, size):
+    """Lengths and speeds that grow with the arm are worth the same."""
+    found = terms(size * tip_error, size * tip_vibration, reach=size * 8.5)
+    assert found == pytest.approx(terms(tip_error, tip_vibration), rel=1e-9)
 
 
 @pytest.mark.parametrize(

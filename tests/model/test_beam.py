@@ -13,7 +13,8 @@ from flexman_gym.model.element import beam_shapes, beam_stiffness, section_point
 from flexman_gym.scene.arm import Link
 
 from oracles.chains import QUICK, random_link
-from oracles.dense import beam_eigenvalues, beam_points
+from oracles.dense import beam_points
+from oracles.ritz import beam_eigenvalues
 
 EXACT = 1e-9  # relative; the stiffness of three elements has a condition number of 1e6
 

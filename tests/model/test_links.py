@@ -13,10 +13,10 @@ from flexman_gym.draw.frames import arm_lines
 from flexman_gym.model.beam import build_beam
 from flexman_gym.model.instant import stiffness_matrix
 from flexman_gym.scene.arm import IDENTITY
-from flexman_gym.studies.verification.closed_forms import beam_eigenvalues, stepped_eigenvalues
 from flexman_gym.studies.verification.links import stepped_link
 
 from oracles.chains import QUICK, random_link, samples
+from oracles.ritz import beam_eigenvalues
 
 HUB = fm.Joint((0.0, 0.0, 1.0))
 
@@ -89,26 +89,13 @@ def test_a_load_at_the_tip_bends_twists_and_stretches_every_section_exactly(seed
 
 @pytest.mark.parametrize(("place", "ratio"), [(0.5, 0.5), (0.3, 0.7), (0.7, 1.8)])
 def test_frequencies_of_a_stepped_cantilever_converge_with_fourth_order(place, ratio):
-    exact, errors = stepped_eigenvalues(2, place, ratio**3, ratio), []
+    segments = ((place, 1.0, 1.0), (1.0 - place, ratio**3, ratio))
+    exact, errors = beam_eigenvalues(2, segments=segments), []
     for elements in (4, 8):
         stiffness, mass = bending(build_beam(stepped_link(place, ratio), elements, rotary_inertia=False))
         errors.append(np.sqrt(eigh(stiffness, mass, eigvals_only=True)[:2]) / exact - 1.0)
     assert (errors[1] > 0.0).all()
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.15)
-
-
-@pytest.mark.parametrize("place", [0.01, 0.4, 0.99])
-def test_a_step_of_nothing_is_no_step(place):
-    assert stepped_eigenvalues(5, place, 1.0, 1.0) == pytest.approx(beam_eigenvalues(5), rel=1e-11)
-
-
-def test_limits_of_the_stepped_cantilever():
-    """With a weightless end it is the root alone, a cantilever; on a stiff heavy root the end alone, another one."""
-    place = 0.6
-    weightless = stepped_eigenvalues(1, place, 1.0, 1e-9)
-    assert weightless == pytest.approx(beam_eigenvalues(1) / place**2, rel=1e-6)
-    rigid = 1e-9  # EI and rho A of the end over those of the root: their ratio, and so its lambda, stays
-    assert stepped_eigenvalues(1, 0.05, rigid, rigid) == pytest.approx(beam_eigenvalues(1) / 0.95**2, rel=1e-6)
 
 
 def wedge(count, width=0.1, root=0.2, tip=0.05):

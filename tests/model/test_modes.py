@@ -12,7 +12,8 @@ from flexman_gym.model.beam import build_beam
 from flexman_gym.model.modes import loaded_modes, outboard_inertias, zero_pose_rotations
 
 from oracles.chains import QUICK, samples, slender_link
-from oracles.dense import Chain, beam_eigenvalues, skew
+from oracles.dense import Chain, skew
+from oracles.ritz import beam_eigenvalues
 
 
 def beams_of(sample):

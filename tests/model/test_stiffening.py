@@ -1,6 +1,5 @@
 """Stiffening: foreshortening against reference solutions, and its identities on random chains."""
 
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -11,9 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.studies.verification.closed_forms import beam_eigenvalues as beam_eigenvalues
-from flexman_gym.studies.verification.closed_forms import hub_eigenvalues as hub_eigenvalues
-
 from oracles.beam import beam_points as beam_points
 from oracles.beam import payload_points, rotation, shortened, tangent
 from oracles.beam import skew as skew

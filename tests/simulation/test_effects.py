@@ -1,6 +1,5 @@
 """Effects: spinning rotors, friction, forces on the tip, a moving base and driven joints against the dense oracle."""
 
-
 from dataclasses import replace
 
 import numpy as np
