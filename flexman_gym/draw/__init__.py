@@ -1,5 +1,6 @@
 """Pictures: frames of an arm and the paper's figures, in Matplotlib, which is imported when something is drawn."""
 
-from flexman_gym.draw.frames import FramePainter, arm_frame, arm_lines, paper_figures
+from flexman_gym.draw.figures import paper_figures
+from flexman_gym.draw.frames import FramePainter, arm_frame, arm_lines
 
 __all__ = ["FramePainter", "arm_frame", "arm_lines", "paper_figures"]

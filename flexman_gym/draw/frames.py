@@ -1,8 +1,7 @@
-"""Pictures: frames of an arm and charts, in Matplotlib, which is imported only when something is drawn."""
+"""Frames: an arm at one state after another, painted in Matplotlib, which is imported when something is drawn."""
 
 from collections.abc import Sequence
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,14 +9,9 @@ from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array
 from flexman_gym.checks import refusal, vector, whole_number
+from flexman_gym.draw.style import DARK, LIGHT, LINK_COLOURS, MIDDLE, RED, new_figure
 from flexman_gym.model.element import NODE_COORDINATES, beam_shapes, find_element
 from flexman_gym.model.model import Model
-from flexman_gym.simulation.trajectory import Trajectory
-
-# Colours that people who cannot tell red from green can tell apart (Okabe and Ito).
-BLUE, ORANGE, GREEN, SKY, YELLOW, RED = "#0072B2", "#E69F00", "#009E73", "#56B4E9", "#F0E442", "#D55E00"
-LINK_COLOURS = (BLUE, ORANGE, GREEN, SKY, YELLOW, RED)
-DARK, MIDDLE, LIGHT = "#222222", "#8a8f98", "#d5d8dd"
 
 AZIMUTH, ELEVATION = np.radians(-62.0), np.radians(24.0)  # of the camera, seen from the base; +X points to the right
 DISTANCE = 5.0  # from the camera to the base, in reaches of the arm
@@ -196,76 +190,6 @@ def arm_frame(
     return FramePainter(model, size).paint(state, target)
 
 
-def paper_figures(
-    rigid: Trajectory, flexible_links: Trajectory, flexible_both: Trajectory, folder: str | Path
-) -> list[Path]:
-    """Draws Figures 6 to 11 of the paper, each as a PNG, and `paper_figures.png` with all of them; returns their paths.
-
-    The arguments are the solutions of the paper's cases "rr", "fr" and "ff" at the same output times; one that ended
-    early is drawn as far as it goes, and its label says so. The folder is created where it does not exist.
-
-    Raises ImportError without Matplotlib and ValueError for other output times or another number of joints than 3.
-    """
-    cases = {"flexible links, rigid joints": flexible_links, "flexible links and joints": flexible_both}
-    for name, trajectory in (("flexible_links", flexible_links), ("flexible_both", flexible_both)):
-        rows = min(len(rigid.time), len(trajectory.time))
-        if not np.allclose(trajectory.time[:rows], rigid.time[:rows], rtol=0.0, atol=1e-9):
-            raise refusal(f"{name}.time", trajectory.time[:3], "the output times of the rigid case")
-        joints = rigid.joint_angles.shape[1], trajectory.joint_angles.shape[1]
-        if joints != (3, 3):
-            raise refusal(f"{name}.joint_angles", joints, "3 joints, in the rigid case and in this one")
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"figure_{number:02d}.png" for number in range(6, 12)]
-    for column, path in enumerate(paths):
-        figure = new_figure((6.4, 4.0), 120.0, layout="constrained")
-        axes = figure.add_subplot()
-        _difference(axes, column, rigid, cases)
-        axes.set_title(f"{axes.get_title()}, under 400 N m at every joint")
-        axes.set(xlabel="time (s)", ylabel=f"difference to the rigid arm ({_unit(column)})")
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False)
-        figure.savefig(path)
-    return [*paths, _all_figures(rigid, cases, folder / "paper_figures.png")]
-
-
-def _all_figures(rigid: Trajectory, cases: dict[str, Trajectory], path: Path) -> Path:
-    figure = new_figure((10.5, 6.0), 120.0, layout="constrained")
-    grid = figure.subplots(2, 3, sharex=True, sharey="row")
-    for column, axes in enumerate(grid.flat):
-        _difference(axes, column, rigid, cases)
-    for row in range(2):
-        grid[row, 0].set_ylabel(f"difference to the rigid arm ({_unit(3 * row)})")
-    for axes in grid[1]:
-        axes.set_xlabel("time (s)")
-    figure.suptitle("How far the flexible arm departs from the rigid one under 400 N m at every joint", fontsize=13)
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=11)
-    figure.savefig(path)
-    return path
-
-
-def _difference(axes: Any, column: int, rigid: Trajectory, cases: dict[str, Trajectory]) -> None:
-    """Draws column 0 to 2 (tip x, y, z) or 3 to 5 (joint angles) of each case minus the rigid one over time."""
-    axes.axhline(0.0, color=MIDDLE, linewidth=0.8)
-    for (label, case), colour, style in zip(cases.items(), (BLUE, RED), ("-", "--"), strict=True):
-        rows = min(len(rigid.time), len(case.time))
-        ended = "" if case.status == "ok" else f" ({case.status} after {case.time[-1]:g} s)"
-        difference = _column(case, column)[:rows] - _column(rigid, column)[:rows]
-        axes.plot(case.time[:rows], difference, style, color=colour, linewidth=1.6, label=label + ended)
-    name = f"tip, {'xyz'[column]}" if column < 3 else rf"joint angle $\theta_{column - 2}$"
-    axes.set_title(f"Figure {6 + column}: {name}", fontsize=11)
-    axes.set_xlim(rigid.time[0], rigid.time[-1])
-    axes.grid(color=LIGHT, linewidth=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
-
-
-def _column(trajectory: Trajectory, column: int) -> Array:
-    return np.hstack([trajectory.tip, trajectory.joint_angles])[:, column]
-
-
-def _unit(column: int) -> str:
-    return "m" if column < 3 else "rad"
-
-
 def _camera() -> Array:
     """(3, 3) rows: right, up and towards the camera, in the base frame."""
     across, along = np.cos(ELEVATION), np.sin(ELEVATION)
@@ -278,15 +202,3 @@ def _round_number(value: float) -> float:
     """The least of 1, 2, 5, 10, ... times a power of ten that is not below a value > 0."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(next(power * step for step in (1, 2, 5, 10) if power * step >= value))
-
-
-def new_figure(inches: tuple[float, float], dpi: float, **options: Any) -> Any:
-    """A Matplotlib figure on its own canvas: no window, and nothing of pyplot's global state."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ImportError("pictures need Matplotlib: pip install 'flexman_gym[render]'") from error
-    figure = Figure(figsize=inches, dpi=dpi, **options)
-    FigureCanvasAgg(figure)
-    return figure

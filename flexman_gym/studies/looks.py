@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from flexman_gym.draw.frames import BLUE, GREEN, ORANGE, RED, SKY
+from flexman_gym.draw.style import BLUE, GREEN, ORANGE, RED, SKY
 from flexman_gym.simulation.methods import METHODS
 
 PURPLE, BLACK, TEAL, PINE = "#CC79A7", "#000000", "#66C2A5", "#004D3A"

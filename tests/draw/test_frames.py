@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from flexman_gym.draw.frames import FramePainter, arm_frame, arm_lines, paper_figures
+from flexman_gym.draw.figures import paper_figures
+from flexman_gym.draw.frames import FramePainter, arm_frame, arm_lines
 from flexman_gym.model.model import build_model
 from flexman_gym.scene import catalog
 from flexman_gym.scene.choice import ModelChoice

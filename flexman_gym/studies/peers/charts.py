@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from itertools import cycle
 from pathlib import Path
 
-from flexman_gym.draw.frames import BLUE, GREEN, MIDDLE, ORANGE, RED, SKY
+from flexman_gym.draw.style import BLUE, GREEN, MIDDLE, ORANGE, RED, SKY
 from flexman_gym.studies.looks import BLACK, PURPLE
 from flexman_gym.studies.precision.axes import (
     TOTAL_ERROR,

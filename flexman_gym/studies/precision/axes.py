@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from flexman_gym.draw.frames import DARK, LIGHT, MIDDLE, new_figure
+from flexman_gym.draw.style import DARK, LIGHT, MIDDLE, new_figure
 from flexman_gym.studies.precision.measure import OK, Row, pareto_front
 
 COST = "CPU seconds per simulated second"

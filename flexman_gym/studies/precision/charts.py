@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from flexman_gym.draw.frames import BLUE, DARK, MIDDLE, ORANGE, RED, SKY
+from flexman_gym.draw.style import BLUE, DARK, MIDDLE, ORANGE, RED, SKY
 from flexman_gym.studies.looks import looks
 from flexman_gym.studies.methods import methods_of
 from flexman_gym.studies.precision.axes import (

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.draw.frames import DARK, LIGHT, MIDDLE, RED, SKY, YELLOW, new_figure
+from flexman_gym.draw.style import DARK, LIGHT, MIDDLE, RED, SKY, YELLOW, new_figure
 from flexman_gym.simulation.methods import METHODS
 from flexman_gym.studies.looks import looks
 from flexman_gym.studies.methods import methods_of

@@ -1,0 +1,20 @@
+"""Style: the colours of all pictures, and figures without a window."""
+
+from typing import Any
+
+# Colours that people who cannot tell red from green can tell apart (Okabe and Ito).
+BLUE, ORANGE, GREEN, SKY, YELLOW, RED = "#0072B2", "#E69F00", "#009E73", "#56B4E9", "#F0E442", "#D55E00"
+LINK_COLOURS = (BLUE, ORANGE, GREEN, SKY, YELLOW, RED)
+DARK, MIDDLE, LIGHT = "#222222", "#8a8f98", "#d5d8dd"
+
+
+def new_figure(inches: tuple[float, float], dpi: float, **options: Any) -> Any:
+    """A Matplotlib figure on its own canvas: no window, and nothing of pyplot's global state."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise ImportError("pictures need Matplotlib: pip install 'flexman_gym[render]'") from error
+    figure = Figure(figsize=inches, dpi=dpi, **options)
+    FigureCanvasAgg(figure)
+    return figure
