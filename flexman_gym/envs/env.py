@@ -8,7 +8,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from flexman_gym.checks import one_of
-from flexman_gym.envs.episodes import Episodes, checked_actions
+from flexman_gym.envs.actions import action_space, checked_actions
+from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.setup import Setup, build
 from flexman_gym.kernels import layout
 from flexman_gym.model.model import Model
@@ -153,11 +154,6 @@ class FlexManEnv(gym.Env[Observation, Observation]):
 def observation_space(episodes: Episodes) -> spaces.Space[Any]:
     """The space of observations of one arm."""
     return spaces.Box(-episodes.bound, episodes.bound, dtype=np.float32)
-
-
-def action_space(model: Model) -> spaces.Space[Any]:
-    """The space of actions of one arm."""
-    return spaces.Box(-1.0, 1.0, (model.n_joints,), dtype=np.float32)
 
 
 def checked_mode(render_mode: str | None) -> str | None:

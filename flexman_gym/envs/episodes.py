@@ -8,14 +8,16 @@ from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array, IntArray
 from flexman_gym.checks import one_of, refusal, sequence, vector
-from flexman_gym.envs.effects import Effects
+from flexman_gym.envs.actions import Motors
+from flexman_gym.envs.effects import Stage
+from flexman_gym.envs.effects.effects import Effects
 from flexman_gym.envs.limits import broken
 from flexman_gym.envs.sensors import Sensors
 from flexman_gym.envs.setup import Setup
-from flexman_gym.envs.signals import Stage
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.outputs import beyond
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.energy import alarm
 from flexman_gym.simulation.parameters import PARAMETERS
 from flexman_gym.simulation.view import Number, View
 
@@ -37,15 +39,15 @@ class Episodes:
 
     def __init__(self, setup: Setup, batch: Batch) -> None:
         self.batch, self.task, self.view = batch, setup.task, View(batch)
-        arms, joints = len(batch.rows), batch.model.n_joints
+        arms = len(batch.rows)
         self.sensors = Sensors([*setup.sensors, *setup.task.sensors], self.view, setup.limits)
         self._limits = np.concatenate(list(setup.limits.bounds(self.view).values()))
-        self._torque_limits = np.tile(setup.torque_limit, (arms, 1))
+        self.motors = Motors(setup.torque_limit, arms)
         self.effects: Effects | None = None
         growth = 0.0
         if setup.randomisation is not None:
             nominal, gap = np.array(setup.torque_limit), setup.randomisation.impulse_gap
-            stage = Stage(batch, setup.limits, self.sensors.bound, self._torque_limits, nominal, gap)
+            stage = Stage(batch, setup.limits, self.sensors.bound, self.motors.limits, nominal, gap)
             self.effects = Effects(setup.randomisation, stage)
             growth = self.effects.growth
         self.bound = ((1.0 + growth) * self.sensors.bound).astype(np.float32)
@@ -53,8 +55,6 @@ class Episodes:
         self.seen = np.zeros((arms, len(self.bound)), dtype=np.float32)
         self.failures: dict[int, str] = {}
         self.over = np.ones(arms, dtype=bool)
-        self._drive = np.zeros((arms, joints + 6))
-        self._torques, self._forces = self._drive[:, :joints], self._drive[:, joints : joints + 3]
         self._beyond = np.zeros(arms, dtype=np.int64)
 
     def reset(
@@ -114,9 +114,8 @@ class Episodes:
         arriving = actions
         if self.effects is not None:
             arriving = self.effects.act(actions)
-            self.effects.push(self._forces, self.over)
-        np.multiply(arriving, self._torque_limits, out=self._torques)
-        self.batch.step(self._drive)
+            self.effects.push(self.motors.forces, self.over)
+        self.batch.step(self.motors.drive(arriving))
         view = self.view
         view.effort = np.vecdot(actions, actions) / actions.shape[1]
         if self.task.moves:
@@ -155,7 +154,7 @@ class Episodes:
             "tip_vibration": view.tip_vibration,
             "elastic_energy": view.elastic_energy,
             "energy_residual": residual,
-            "energy_alarm": abs(residual) > self._energy_alarm * view.energy_turnover,
+            "energy_alarm": alarm(residual, view.energy_turnover, self._energy_alarm),
             "reward_terms": terms,
             **self.task.info(view),
         }
@@ -208,13 +207,3 @@ def _numbers(field: str, value: object, shape: tuple[int, ...]) -> Array:
         return np.broadcast_to(np.asarray(value), shape)
     except ValueError:
         raise refusal(field, value, f"numbers of the shape {shape}, or {shape[1:]}") from None
-
-
-def checked_actions(name: str, value: object, shape: tuple[int, ...], allowed: str) -> Array:
-    """The actions as an array of floats; raises ValueError for another shape and for numbers outside -1 to 1."""
-    values = np.asarray(value)
-    if values.shape == shape and values.dtype.kind in "fiu":
-        actions = values.astype(np.float64)
-        if np.count_nonzero(np.abs(actions) <= 1.0) == actions.size:
-            return actions
-    raise refusal(name, value, allowed)

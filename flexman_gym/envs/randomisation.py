@@ -3,7 +3,7 @@
 from typing import Any
 
 from flexman_gym.checks import non_negative, one_of, positive, refusal, vector
-from flexman_gym.envs.signals import SIGNALS, Range
+from flexman_gym.envs.effects import SIGNALS, Range
 from flexman_gym.simulation.parameters import PARAMETERS
 
 
@@ -18,7 +18,7 @@ class Randomisation:
         impulse_gap: mean time between two impulses, s; at least a control period.
         ranges: of the physical parameters in `simulation.parameters.PARAMETERS`, in their units, or factors > 0 on the
             nominal values, one of each joint or link: payload_mass (kg), joint_stiffness, rotor_inertia and
-            link_stiffness (factors), joint_damping (N m s/rad). And of the effects in `envs.signals.SIGNALS`, whose
+            link_stiffness (factors), joint_damping (N m s/rad). And of the effects in `envs.effects.SIGNALS`, whose
             docstrings say more: torque_limit (factors), sensor_noise (parts of the bounds), delay (whole control
             periods), initial_vibration (m) and tip_impulse (N s).
 

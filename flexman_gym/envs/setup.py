@@ -16,8 +16,8 @@ from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.choice import ModelChoice
 from flexman_gym.scene.drive import SineTorque
 from flexman_gym.scene.scene import Initial, Scene
+from flexman_gym.simulation.energy import ENERGY_ALARM
 from flexman_gym.simulation.families import Method
-from flexman_gym.simulation.trajectory import ENERGY_ALARM
 
 CHOSEN = ("elements", "modes", "method", "step")  # by fidelity="auto"
 SLEW, SLEW_START = 3.0, 0.4  # s and rad, of the motion for which fidelity="auto" chooses

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array, Flags, IntArray
 from flexman_gym.checks import refusal, whole_number
-from flexman_gym.envs.env import FlexManEnv, action_space, checked_mode, observation_space, painter
-from flexman_gym.envs.episodes import Episodes, Observations, checked_actions
+from flexman_gym.envs.actions import action_space, checked_actions
+from flexman_gym.envs.env import FlexManEnv, checked_mode, observation_space, painter
+from flexman_gym.envs.episodes import Episodes, Observations
 from flexman_gym.envs.setup import Setup, build
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import MOST_ARMS, Batch

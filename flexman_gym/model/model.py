@@ -9,9 +9,9 @@ from flexman_gym.arrays import Array
 from flexman_gym.checks import refusal, vector
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import LANES
-from flexman_gym.model.beam import Beam, build_beam
+from flexman_gym.model.beam import build_beam
 from flexman_gym.model.element import Element, beam_elements
-from flexman_gym.model.modes import loaded_modes, modal_damping, outboard_inertias
+from flexman_gym.model.modes import kept_modes, modal_damping, outboard_inertias
 from flexman_gym.model.packing import packed, packed_constants
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.choice import MOST_ELEMENTS, ModelChoice
@@ -134,7 +134,7 @@ def build_model(
     outboard = outboard_inertias(arm, beams)
     bases, dampings, reduced = [], [], []
     for i, beam in enumerate(beams):
-        basis = _basis(beam, outboard[i], kept[i] if flexible[i] else None, f"modes[{i}]")
+        basis = kept_modes(beam, outboard[i], kept[i] if flexible[i] else None, f"modes[{i}]")
         bases.append(basis)
         dampings.append(basis.T @ modal_damping(beam, outboard[i], arm.modal_damping_ratio) @ basis)
         reduced.append(beam.reduced(basis))
@@ -154,14 +154,3 @@ def _each(name: str, value: object, n: int) -> tuple:
     if len(value) != n:
         raise refusal(name, value, f"one value, or {n}, one per link")
     return value
-
-
-def _basis(beam: Beam, outboard: Array, modes: int | tuple[int, ...] | None, field: str) -> Array:
-    size = len(beam.stiffness)
-    if modes is None:
-        return np.eye(size)
-    if isinstance(modes, int) and modes > size:
-        raise refusal(field, modes, f"at most {size}, the elastic coordinates of this link's elements")
-    if isinstance(modes, tuple) and modes[-1] >= size:
-        raise refusal(field, modes, f"mode numbers below {size}, the elastic coordinates of this link's elements")
-    return loaded_modes(beam, outboard)[1][:, range(modes) if isinstance(modes, int) else modes]

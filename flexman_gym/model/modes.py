@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from flexman_gym.arrays import Array
+from flexman_gym.checks import refusal
 from flexman_gym.model.beam import Beam
 from flexman_gym.scene.arm import Arm
 
@@ -64,6 +65,22 @@ def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
     # rounding must not decide which of two equal ones comes first
     order = np.argsort([float(f"{frequency:.9g}") for frequency in frequencies], kind="stable")
     return frequencies[order], shapes[:, order]
+
+
+def kept_modes(beam: Beam, outboard: Array, modes: int | tuple[int, ...] | None, field: str) -> Array:
+    """(size, k) node coordinates per unit of the coordinates that are kept of a link: its loaded modes, or all (None).
+
+    Raises:
+        ValueError: for more modes than there are, named by the field.
+    """
+    size = len(beam.stiffness)
+    if modes is None:
+        return np.eye(size)
+    if isinstance(modes, int) and modes > size:
+        raise refusal(field, modes, f"at most {size}, the elastic coordinates of this link's elements")
+    if isinstance(modes, tuple) and modes[-1] >= size:
+        raise refusal(field, modes, f"mode numbers below {size}, the elastic coordinates of this link's elements")
+    return loaded_modes(beam, outboard)[1][:, range(modes) if isinstance(modes, int) else modes]
 
 
 def uncoupled(*matrices: Array) -> list[np.ndarray]:

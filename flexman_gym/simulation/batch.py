@@ -9,11 +9,11 @@ from flexman_gym.arrays import Array
 from flexman_gym.checks import one_of, parts, positive, refusal, whole_number
 from flexman_gym.kernels import layout, outputs
 from flexman_gym.model.model import Model
+from flexman_gym.simulation.energy import turnover
 from flexman_gym.simulation.families import LinearlyImplicit, Method
 from flexman_gym.simulation.movers import Abreast, OneByOne
 from flexman_gym.simulation.parameters import PARAMETERS, nominal_parameters
 from flexman_gym.simulation.run import Run, find_method, find_tolerance, prescribed_flags
-from flexman_gym.simulation.trajectory import turnover
 
 MOST_ARMS, MOST_THREADS = 65536, 256
 ENERGY = np.isin(np.arange(layout.OUTPUTS), range(layout.KINETIC, layout.OUTPUTS)).astype(float)

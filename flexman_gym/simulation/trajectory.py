@@ -8,8 +8,7 @@ from flexman_gym.arrays import Array
 from flexman_gym.checks import positive
 from flexman_gym.kernels import layout
 from flexman_gym.model.model import Model
-
-ENERGY_ALARM = 0.01  # of the energy turned over
+from flexman_gym.simulation.energy import ENERGY_ALARM, alarm, turnover
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,14 +61,8 @@ class Trajectory:
 
         Raises ValueError for a level that is not a number > 0.
         """
-        limit = positive("level", level) * self.energy_turnover[-1]
-        late = np.flatnonzero(np.abs(self.energy_residual) > limit)
+        late = np.flatnonzero(alarm(self.energy_residual, self.energy_turnover[-1], positive("level", level)))
         return float(self.time[late[0]]) if late.size else None
-
-
-def turnover(moving_energy: Array | float, work: Array | float, dissipation: Array | float) -> Array:
-    """The largest of the three, in absolute value: the scale of an error of the energy, J."""
-    return np.maximum(np.maximum(moving_energy, np.abs(work)), np.abs(dissipation))
 
 
 def trajectory(

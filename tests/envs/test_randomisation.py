@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 import flexman_gym as fm
 from flexman_gym.draw.frames import arm_lines
+from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.envs.signals import SIGNALS
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.simulation.parameters import PARAMETERS
 

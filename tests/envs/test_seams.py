@@ -9,8 +9,8 @@ import flexman_gym as fm
 from flexman_gym.control import Controller
 from flexman_gym.envs import FlexManEnv, FlexManVectorEnv
 from flexman_gym.envs.catalog import NAMED, Named
+from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.sensors import Entry
-from flexman_gym.envs.signals import SIGNALS
 from flexman_gym.envs.tasks import Goal
 
 from oracles.episodes import actions

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array, Flags, IntArray
 from flexman_gym.checks import refusal
+from flexman_gym.envs.effects import SIGNALS, Stage
 from flexman_gym.envs.randomisation import Randomisation
-from flexman_gym.envs.signals import SIGNALS, Stage
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.parameters import LINK, PARAMETERS
 

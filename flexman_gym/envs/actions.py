@@ -1,0 +1,46 @@
+"""Actions: what an agent may ask of the motors, and the torques that it becomes."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from flexman_gym.arrays import Array
+from flexman_gym.checks import refusal
+from flexman_gym.model.model import Model
+
+
+def action_space(model: Model) -> spaces.Space[Any]:
+    """The space of actions of one arm."""
+    return spaces.Box(-1.0, 1.0, (model.n_joints,), dtype=np.float32)
+
+
+def checked_actions(name: str, value: object, shape: tuple[int, ...], allowed: str) -> Array:
+    """The actions as an array of floats; raises ValueError for another shape and for numbers outside -1 to 1."""
+    values = np.asarray(value)
+    if values.shape == shape and values.dtype.kind in "fiu":
+        actions = values.astype(np.float64)
+        if np.count_nonzero(np.abs(actions) <= 1.0) == actions.size:
+            return actions
+    raise refusal(name, value, allowed)
+
+
+class Motors:
+    """The motors of b arms of n joints, and what else drives the arms.
+
+    Attributes:
+        limits: (b, n) N m, the torque limits, which effects may change.
+        forces: (b, 3) N, on the tips in the base frame.
+    """
+
+    def __init__(self, limits: Sequence[float], arms: int) -> None:
+        joints = len(limits)
+        self.limits = np.tile(limits, (arms, 1))
+        self._drive = np.zeros((arms, joints + 6))
+        self._torques, self.forces = self._drive[:, :joints], self._drive[:, joints : joints + 3]
+
+    def drive(self, actions: Array) -> Array:
+        """The drive (b, n + 6) of `Batch.step`: torques of actions (b, n), parts of the limits, and the forces."""
+        np.multiply(actions, self.limits, out=self._torques)
+        return self._drive

@@ -1,0 +1,20 @@
+"""Effects: what a randomisation does to arms and to what passes between them and an agent, a room each."""
+
+from typing import Any
+
+from flexman_gym.envs.effects.delay import Delay
+from flexman_gym.envs.effects.effect import Effect, Range, Stage
+from flexman_gym.envs.effects.initial_vibration import InitialVibration
+from flexman_gym.envs.effects.sensor_noise import SensorNoise
+from flexman_gym.envs.effects.tip_impulse import TipImpulse
+from flexman_gym.envs.effects.torque_limit import TorqueLimit
+
+SIGNALS: dict[str, Any] = {
+    "torque_limit": TorqueLimit,
+    "sensor_noise": SensorNoise,
+    "delay": Delay,
+    "initial_vibration": InitialVibration,
+    "tip_impulse": TipImpulse,
+}
+
+__all__ = ["SIGNALS", "Effect", "Range", "Stage"]
