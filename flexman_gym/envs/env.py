@@ -28,8 +28,8 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         rotors have 10 kg m^2: with the 1 kg m^2 of the paper's scene no motor controller at 50 Hz can damp it.
 
     Actions
-        Box(-1, 1, (n,)): motor torques as parts of `torque_limit` (400 N m), constant during a control period of 20 ms.
-        An action outside the box is refused.
+        Box(-1, 1, (n,)): motor torques as parts of the torque limits (400 N m each), constant during a control period
+        of 20 ms. An action outside the box is refused.
 
     Observations
         Box (36,) float32; `env.unwrapped.sensors` has the same as `slices`, `units` and `bound`:
@@ -43,18 +43,18 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         link_deflection_rates  18-23    m/s    15
         posture_errors         24-26    rad    8         goal posture - motor angles
         target_error           27-29    m      17        target - tip, base frame
-        target_nearness        30-32    1      1         target_error / (0.1 m + its length)
+        target_nearness        30-32    1      1         target_error / (0.1 m + its length), 0.1 m for 8.5 m of reach
         tip_velocity           33-35    m/s    40        base frame
 
     Reward
-        In [0, 1] a step, less a penalty for a failure: `tasks.Slew` has the terms, `info["reward_terms"]` their values.
+        In [0, 1] a step, less a penalty for a failure: `Slew` has the terms, `info["reward_terms"]` their values.
 
     Start and end
         `reset(seed=...)` draws start and target; `reset(options={"start": angles, "posture": angles})` sets them, and
         "parameters", a dict, sets physical parameters of the arm from this episode on (see `Batch.vary`). An episode is
-        truncated after 10 s (500 steps). It terminates with the failure penalty when an observed quantity
-        leaves its bound or the simulation diverges; `info["failure"]` says which. The observation is then the last one
-        within the bounds, so that every observation lies in the space.
+        truncated after 10 s (500 steps). It terminates with the failure penalty when the arm leaves its limits, a
+        number that is observed its bound, or the simulation diverges; `info["failure"]` says which. The observation is
+        then the last one within the bounds, so that every observation lies in the space.
 
     Info
         tip_error (m), tip_vibration (m/s, speed of the tip relative to the rigid arm at the motor angles),
@@ -65,20 +65,15 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         (see `Effects`).
 
     Fidelity
-        By default two elements a link, of whose loaded modes those are kept that carry more than 2 % of the elastic
-        energy of a vibration of the arm below half the control frequency (`fidelity.assembled_modes`): 16 for the arm
-        above, (0-4, 6), (0-5, 8) and (0-2), with "ros2" at 5 ms. At zero angles and with one joint turned by a
-        quarter, the first five vibrations then have the full model's frequencies within 0.8 %; with the 4 lowest modes
-        of each link the first is 23 % off where joint 3 is turned, as mode 8 of link 2 is missing. ros2 leaves 99.9 %
-        of the amplitude of the first two vibrations (3.4 Hz) after 10 s. Under random torques up to 400 N m, changed
-        every half second for 2.5 s, from three random postures, the tip is at most 38, 2 and 15 mm from that of all
-        coordinates with foreshortening (4 lowest modes: 172, 113, 253 mm, 19 % cheaper). Shorter steps give 24, 4 and
-        16 mm; method="extrapolated_euler_5", step=0.02 gives 23, 4 and 16 mm for 1.3 times the cost, but lets
-        vibrations near 14 Hz of an undamped arm grow.
+        By default two elements a link with the 16 of 36 loaded modes that matter below half the control frequency, and
+        "ros2" at 5 ms; `docs/accuracy.md` says how far the tip is from that of all coordinates.
 
         fidelity="auto" with a tolerance (m) lets `choose_model` choose modes, method and step for a slew of 3 s with
-        sine torques (0.5 Hz, `torque_limit`) from a posture within the task's range; the choice is at
+        sine torques (0.5 Hz, `torque_limit`) from a bent posture; the choice is at
         `env.unwrapped.choice`. The tolerance holds for that motion, more or less for others like it.
+
+    Version history
+        v0: first version.
 
     Args:
         render_mode: None or "rgb_array".

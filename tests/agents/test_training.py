@@ -190,7 +190,7 @@ def test_arms_are_single_environments_side_by_side(residual, normalised):
 
 def test_arms_tell_what_they_share_and_refuse_what_they_do_not_have():
     arms, _ = arms_and_singles(2)
-    assert arms.get_attr("torque_limit") == [400.0, 400.0] and arms.get_attr("torque_limit", [1]) == [400.0]
+    assert arms.get_attr("max_episode_steps") == [20, 20] and arms.get_attr("max_episode_steps", [1]) == [20]
     assert arms.env_is_wrapped(gym.Wrapper) == [False, False] and not arms.has_attr("nothing")
     assert arms.seed(3) == [3, 4]
     with pytest.raises(ValueError, match=r"^set_attr: 'task' is not allowed; give arguments to the environment as"):
