@@ -2,7 +2,7 @@
 
 from gymnasium.envs.registration import register
 
-from flexman_gym.envs import Limits, Randomisation, Slew
+from flexman_gym.envs import NAMED, Limits, Randomisation, Slew
 from flexman_gym.fidelity import Choice, choose_model
 from flexman_gym.model import (
     Model,
@@ -10,9 +10,11 @@ from flexman_gym.model import (
     build_model,
     curvature,
     frequencies,
+    holding_torques,
     inverse_dynamics,
     linearize,
     mass_matrix,
+    rest_state,
     strain,
     tip_acceleration,
 )
@@ -59,17 +61,20 @@ __all__ = [
     "curvature",
     "frequencies",
     "generalised_alpha",
+    "holding_torques",
     "inverse_dynamics",
     "linearize",
     "mass_matrix",
+    "rest_state",
     "simulate",
     "strain",
     "tip_acceleration",
 ]
 
-register(
-    id="FlexRRR-v0",
-    entry_point="flexman_gym.envs:FlexManEnv",
-    vector_entry_point="flexman_gym.envs:FlexManVectorEnv",
-    max_episode_steps=500,
-)
+for _name in NAMED:
+    register(
+        id=_name,
+        entry_point="flexman_gym.envs:FlexManEnv",
+        vector_entry_point="flexman_gym.envs:FlexManVectorEnv",
+        kwargs={"name": _name},
+    )

@@ -1,53 +1,67 @@
 """PD: proportional-derivative control of the motors."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array, IntArray
-from flexman_gym.checks import non_negative, positive, store, vector
+from flexman_gym.checks import non_negative, positive, vector
+from flexman_gym.model.model import Model
+from flexman_gym.model.statics import holding_torques
 
 
-@dataclass(frozen=True)
 class PD:
     """Proportional-derivative control of the motors: torque = stiffness (posture - angle) - damping rate, saturated.
 
     It measures the motors only, as an industrial arm does; collocated, so stable for any gains in continuous time.
 
-    Attributes:
+    Args:
         stiffness: (n,) N m/rad.
         damping: (n,) N m s/rad. Sampled with the period T it must stay below about 2 rotor_inertia / T.
         torque_limit: N m, where the motors saturate; one number or one for each joint.
+        gravity_model: of the arm whose holding torques at the goal posture are added from each reset on; None for none.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
     """
 
-    stiffness: Sequence[float]
-    damping: Sequence[float]
-    torque_limit: float | Sequence[float]
-    sensors: ClassVar[tuple[str, ...]] = ("full",)
+    sensors: tuple[str, ...] = ("full",)
 
-    def __post_init__(self) -> None:
-        stiffness = vector("PD.stiffness", self.stiffness, unit="N m/rad")
-        damping = vector("PD.damping", self.damping, len(stiffness), "N m s/rad")
-        for name, gains in (("stiffness", stiffness), ("damping", damping)):
-            for i, gain in enumerate(gains):
+    def __init__(
+        self,
+        stiffness: Sequence[float],
+        damping: Sequence[float],
+        torque_limit: float | Sequence[float],
+        gravity_model: Model | None = None,
+    ) -> None:
+        checked = vector("PD.stiffness", stiffness, unit="N m/rad")
+        n = len(checked)
+        self.stiffness, self.damping = np.array(checked), np.array(vector("PD.damping", damping, n, "N m s/rad"))
+        for name in ("stiffness", "damping"):
+            for i, gain in enumerate(getattr(self, name).tolist()):
                 non_negative(f"PD.{name}[{i}]", gain)
-        limit = torque_limits("PD.torque_limit", self.torque_limit, len(stiffness))
-        store(self, stiffness=stiffness, damping=damping, torque_limit=limit)
+        self.torque_limit = np.array(torque_limits("PD.torque_limit", torque_limit, n))
+        self.gravity_model = gravity_model
+        self._holding = np.zeros((1, n))  # torques of each arm
 
     def reset(self, arms: IntArray, start: Array, posture: Array) -> None:
-        """Nothing: it keeps nothing of an episode."""
+        """Takes the torques that hold the arms at their goal postures (r, n) rad."""
+        if self.gravity_model is None:
+            return
+        more = int(arms.max(initial=-1)) + 1 - len(self._holding)
+        if more > 0:
+            self._holding = np.vstack([self._holding, np.zeros((more, self._holding.shape[1]))])
+        for arm, angles in zip(arms, posture, strict=True):
+            self._holding[arm] = holding_torques(self.gravity_model, angles)
 
     def act(self, readings: Mapping[str, NDArray[np.floating]]) -> NDArray[np.float32]:
         """Action (n,), or (b, n), for posture_errors and motor_rates."""
         error, rate = readings["posture_errors"], readings["motor_rates"]
-        torque = np.array(self.stiffness) * error - np.array(self.damping) * rate
-        return np.clip(torque / np.array(self.torque_limit), -1.0, 1.0).astype(np.float32)
+        torque = self.stiffness * error - self.damping * rate
+        if self.gravity_model is not None:
+            torque = torque + (self._holding if error.ndim > 1 else self._holding[0])
+        return np.clip(torque / self.torque_limit, -1.0, 1.0).astype(np.float32)
 
 
 def torque_limits(name: str, value: object, joints: int) -> tuple[float, ...]:

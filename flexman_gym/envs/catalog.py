@@ -7,7 +7,7 @@ from typing import Any
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.tasks import Slew, Task
 from flexman_gym.scene.arm import Arm
-from flexman_gym.scene.catalog import paper_rrr
+from flexman_gym.scene.catalog import one_joint, paper_rrr, vertical_2r
 
 
 @dataclass(frozen=True)
@@ -41,5 +41,19 @@ NAMED: dict[str, Named] = {
     # Gains: the best by mean reward of 8 episodes among 200 drawn at random and 60 around the best of those, damping
     # held below 950 N m s/rad: the sampled motor is unstable from 2 rotor inertia / period = 1000 on.
     "FlexRRR-v0": Named(flex_rrr, {"stiffness": (497.0, 325.0, 328.0), "damping": (950.0, 950.0, 103.0)}),
+    # Gains of these two: `python scripts/tune.py ID`.
+    "FlexPlanar-v0": Named(
+        vertical_2r,
+        {"stiffness": (18.7, 13.9), "damping": (4.52, 3.0)},
+        task=Slew(reward="distance"),
+        limits=Limits(rate=20.0, twist=0.5, deflection_rate=20.0, tip_speed=20.0),
+        control_period=0.01,
+    ),
+    "FlexOne-v0": Named(
+        one_joint,
+        {"stiffness": (1.27,), "damping": (0.514,)},
+        task=Slew(start=1.0, slew=1.5, reward="distance"),
+        limits=Limits(rate=20.0, twist=0.5, deflection_rate=20.0, tip_speed=20.0),
+    ),
 }
 DEFAULT = "FlexRRR-v0"

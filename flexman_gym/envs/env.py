@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from flexman_gym.checks import one_of
 from flexman_gym.envs.actions import action_space, checked_actions
 from flexman_gym.envs.episodes import Episodes
-from flexman_gym.envs.setup import Setup, build
+from flexman_gym.envs.setup import build, setup_of
 from flexman_gym.kernels import layout
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.simulator import Simulator
@@ -90,7 +90,7 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         self, *, render_mode: str | None = None, render_size: tuple[int, int] = (480, 360), **settings: Any
     ) -> None:
         self.render_mode = checked_mode(render_mode)
-        setup = Setup(**settings)
+        setup = setup_of(settings, ("render_mode", "render_size"))
         model, method, step, self.choice = build(setup)
         self.simulator = Simulator(model, method, step, setup.control_period)
         self.setup, self.task, self.torque_limit = setup, setup.task, np.array(setup.torque_limit)
@@ -112,7 +112,7 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         return self.episodes.seen[0].copy(), self._outcome()[1]
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Applies motor torques for one control period.
+        """Applies motor torques for one control period, or for as many as `hold` says.
 
         Raises:
             ValueError: for an action of another shape or outside the action space.
@@ -122,9 +122,11 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         if episodes.over[0]:
             raise RuntimeError("the episode is over: reset the environment first")
         values = checked_actions("action", action, self._shape, self._allowed)
-        episodes.step(values[None])
+        mean = episodes.step(values[None])
         reward, info = self._outcome()
-        return episodes.seen[0].copy(), reward, bool(episodes.failures), False, info
+        if mean is not None:
+            reward = mean.item()
+        return episodes.seen[0].copy(), reward, bool(episodes.failures), bool(episodes.truncated[0]), info
 
     def render(self) -> NDArray[np.uint8] | None:
         """A frame (height, width, 3) uint8 of the deformed arm and the target."""

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array, IntArray
+from flexman_gym.arrays import Array, Flags, IntArray
 from flexman_gym.checks import one_of, refusal, sequence, vector
 from flexman_gym.envs.actions import Motors
 from flexman_gym.envs.effects import Stage
 from flexman_gym.envs.effects.effects import Effects
 from flexman_gym.envs.limits import broken
-from flexman_gym.envs.sensors import Sensors
+from flexman_gym.envs.sensors import Sensors, find_sensors
 from flexman_gym.envs.setup import Setup
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.outputs import beyond
@@ -34,7 +34,10 @@ class Episodes:
         bound: (size,) float32 largest magnitude of each entry of an observation.
         seen: (b, size) float32 observations; those of an arm that failed are the last ones within the bounds.
         failures: of the last step, arm -> what happened.
-        over: (b,) whether an arm's episode is over, by a failure or because someone else said so.
+        over, truncated: (b,) whether an arm's episode is over, by a failure or because it has lasted `longest` control
+            periods; and whether by the latter.
+        base: the controller that acts beside the agent, None without one.
+        hold: control periods for which the agent's part of an action is kept.
     """
 
     def __init__(self, setup: Setup, batch: Batch) -> None:
@@ -52,10 +55,14 @@ class Episodes:
             growth = self.effects.growth
         self.bound = ((1.0 + growth) * self.sensors.bound).astype(np.float32)
         self._energy_alarm = setup.energy_alarm
+        self.base = setup.base_controller(batch.model)
+        base_sensors = find_sensors(self.base.sensors) if self.base else ()
+        self._base_sensors = Sensors(base_sensors, self.view, setup.limits)
+        self.hold, self.longest = setup.hold, setup.longest
         self.seen = np.zeros((arms, len(self.bound)), dtype=np.float32)
         self.failures: dict[int, str] = {}
-        self.over = np.ones(arms, dtype=bool)
-        self._beyond = np.zeros(arms, dtype=np.int64)
+        self.over, self.truncated = np.ones(arms, dtype=bool), np.zeros(arms, dtype=bool)
+        self._ages, self._beyond = np.zeros(arms, dtype=np.int64), np.zeros(arms, dtype=np.int64)
 
     def reset(
         self, arms: IntArray, randoms: Sequence[np.random.Generator], options: Mapping[str, Any] | None = None
@@ -79,12 +86,15 @@ class Episodes:
             self.batch.vary(arms, **parameters)
         plan |= {name: values[arms] for name, values in given.items()}
         self._set_goal(arms, plan)
-        start = self.batch.model.at_rest(plan["start"])
+        start = self.view.rest_states(plan["start"])
         if self.effects is not None:
             self.effects.bend(arms, start)
         self.batch.reset(arms, start)
         self.view.effort[arms], self.view.failed[arms] = 0.0, False
+        self._ages[arms], self.truncated[arms] = 0, False
         self._begin(arms, options)
+        if self.base:
+            self.base.reset(arms, plan["start"], self.view.posture[arms])
 
     def _set_goal(self, arms: IntArray, plan: Mapping[str, Array]) -> None:
         """Keeps the plans of new episodes and sets their goals."""
@@ -106,38 +116,75 @@ class Episodes:
         self.seen[arms] = seen if self.effects is None else self.effects.observe(seen, arms)
         self.over[arms] = False
 
-    def step(self, actions: Array) -> None:
-        """Moves all arms by one control period under actions (b, n), parts of the torque limits.
+    def step(self, actions: Array) -> Number | None:
+        """Moves all arms by `hold` control periods under actions (b, n), parts of the torque limits.
 
-        An arm whose episode is over has no outcome worth reading before it is reset.
+        An arm whose episode ends on the way stays as it was then. One whose episode was over has no outcome worth
+        reading before it is reset. Returns the mean reward (b,) of the periods that an arm moved in; None where an
+        action is kept for one period only, whose reward is that of the outcome.
         """
+        if self.hold == 1:
+            self._period(actions, None)
+            return None
+        playing, total, count = ~self.over, np.zeros(len(actions)), np.zeros(len(actions))
+        everyone = not self.over.any()
+        for _ in range(self.hold):
+            self._period(actions, None if everyone else playing)
+            rewards = self.rewards(self.view)
+            total[playing] += rewards[playing]
+            count += playing
+            playing, everyone = ~self.over, everyone and not np.count_nonzero(self.over)
+            if not np.count_nonzero(playing):
+                break
+        return total / np.maximum(count, 1.0)
+
+    def _period(self, actions: Array, playing: Flags | None) -> None:
+        """Moves the arms that are playing, None for all, by one control period."""
+        if self.base:
+            actions = np.clip(self._base_actions() + actions, -1.0, 1.0)
         arriving = actions
         if self.effects is not None:
             arriving = self.effects.act(actions)
             self.effects.push(self.motors.forces, self.over)
-        self.batch.step(self.motors.drive(arriving))
-        view = self.view
-        view.effort = np.vecdot(actions, actions) / actions.shape[1]
+        self.batch.step(self.motors.drive(arriving), playing)
+        self._ages += 1 if playing is None else playing
+        view, effort = self.view, np.vecdot(actions, actions) / actions.shape[1]
+        view.effort = effort if playing is None else np.where(playing, effort, view.effort)
         if self.task.moves:
             view.target[:], view.posture[:] = self.task.goal(view.plan, self.batch.time, view)
         self._read()
-        if np.count_nonzero(view.failed):
+        self._judge(playing)
+
+    def _judge(self, playing: Flags | None) -> None:
+        """Ends the episodes of arms that have left their limits or lasted long enough; keeps what is seen of all."""
+        view = self.view
+        if playing is None and np.count_nonzero(view.failed):
             self.failures, view.failed = {}, np.zeros_like(view.failed)
         observations = self.sensors.observations
         many = beyond(view.motion, self._limits, observations, self.sensors.bound, self._beyond)
         seen = observations if self.effects is None else self.effects.observe(observations)
-        if not many and not np.count_nonzero(self.batch.status):
+        if not many and playing is None and not np.count_nonzero(self.batch.status):
             self.seen[:] = seen
-            return
-        self._fail(np.flatnonzero(self._beyond | (self.batch.status != layout.OK)))
-        good = ~view.failed
-        self.seen[good] = seen[good]
+        else:
+            ended = self._beyond | (self.batch.status != layout.OK)
+            self._fail(np.flatnonzero(ended if playing is None else ended & playing))
+            good = ~view.failed if playing is None else playing & ~view.failed
+            self.seen[good] = seen[good]
+        self.truncated = self._ages >= self.longest
+        if np.count_nonzero(self.truncated):
+            self.over |= self.truncated
+
+    def _base_actions(self) -> Array:
+        """What the base controller does, (b, n)."""
+        self._base_sensors.read()
+        readings = self._base_sensors.readings
+        return np.asarray(self.base.act(readings), dtype=np.float64) if self.base else np.zeros(0)
 
     def _fail(self, arms: IntArray) -> None:
         for arm in arms[~self.over[arms]].tolist():
             status = self.batch.status[arm]
             self.failures[arm] = f"the simulation {layout.STATUS[status]}" if status else self._broken(arm)
-        self.view.failed = np.zeros_like(self.view.failed)
+        self.view.failed = self.view.failed.copy()
         self.view.failed[arms] = self.over[arms] = True
 
     def _broken(self, arm: int) -> str:
@@ -145,6 +192,10 @@ class Episodes:
         view, sensors = self.view, self.sensors
         failure = broken(view.motion[arm], self._limits, view.places, view.units)
         return failure or broken(sensors.observations[arm], sensors.bound, sensors.slices, sensors.units)
+
+    def rewards(self, view: View) -> Number:
+        """Rewards of the control period just over."""
+        return sum(self.task.reward_terms(view).values())
 
     def outcome(self, view: View) -> tuple[Number, dict[str, Any]]:
         """Reward and the part of the info that is numbers, from the view of all arms or from that of the only one."""

@@ -1,9 +1,12 @@
 """Setup: what an environment is made of, checked, and the model that its fidelity asks for."""
 
+from collections.abc import Collection
 from dataclasses import dataclass, fields
+from difflib import get_close_matches
 from typing import Any, NamedTuple
 
-from flexman_gym.checks import one_of, positive, refusal, store
+from flexman_gym.checks import one_of, positive, refusal, store, whole_number
+from flexman_gym.control.controller import Controller
 from flexman_gym.control.pd import PD, torque_limits
 from flexman_gym.envs.catalog import DEFAULT, NAMED, Named
 from flexman_gym.envs.limits import Limits
@@ -19,7 +22,9 @@ from flexman_gym.scene.scene import Initial, Scene
 from flexman_gym.simulation.energy import ENERGY_ALARM
 from flexman_gym.simulation.families import Method
 
-CHOSEN = ("elements", "modes", "method", "step")  # by fidelity="auto"
+CHOSEN = ("elements", "modes", "method", "step", "stiffening")  # by fidelity="auto"
+BASES = ("pd",)
+LONGEST_HOLD, MOST_PERIODS = 1000, 10**9
 SLEW, SLEW_START = 3.0, 0.4  # s and rad, of the motion for which fidelity="auto" chooses
 
 
@@ -36,8 +41,14 @@ class Setup:
         torque_limit: N m, of the motors, one number or one for each joint; None takes what the joints of the arm say.
             Stored as a tuple.
         control_period: s.
+        horizon: s, after which an episode is truncated.
+        base: what acts beside the agent in every control period: "pd" for the PD controller that was tuned for the arm
+            of the named environment, or a Controller of one's own; None for nothing. The sum of both saturates.
+        hold: control periods for which the agent's part of an action is kept. A step then takes so many: its reward is
+            the mean of theirs, its info that of the last; an episode that ends on the way ends there.
         fidelity: "default" or "auto"; the latter with a tolerance, and without the next four.
         tolerance: m, largest error of the tip in a slew.
+        stiffening, spinning_rotors, rotary_inertia: switches of `build_model`.
         elements, modes, method, step: see `build_model` and `Simulator`; "assembled" modes are those that
             `assembled_modes` finds for vibrations below half the control frequency.
         energy_alarm: part of the energy turned over (the largest of kinetic + elastic energy, work and dissipation).
@@ -54,12 +65,18 @@ class Setup:
     limits: Limits = None  # type: ignore[assignment]
     torque_limit: Any = None
     control_period: float = None  # type: ignore[assignment]
+    horizon: float = None  # type: ignore[assignment]
+    base: Controller | str | None = None
+    hold: int = 1
     fidelity: str = "default"
     tolerance: float | None = None
     elements: int | tuple[int, ...] = 2
     modes: int | tuple[int | tuple[int, ...], ...] | str | None = "assembled"
     method: str | Method = "ros2"
     step: float = 0.005
+    stiffening: bool = False
+    spinning_rotors: bool = False
+    rotary_inertia: bool = True
     energy_alarm: float = ENERGY_ALARM
     randomisation: Randomisation | None = None
 
@@ -85,6 +102,15 @@ class Setup:
             energy_alarm=positive("energy_alarm", self.energy_alarm),
             randomisation=_randomisation(self.randomisation),
         )
+        horizon = named.horizon if self.horizon is None else self.horizon
+        store(self, horizon=positive("horizon", horizon, "s"), hold=whole_number("hold", self.hold, 1, LONGEST_HOLD))
+        if not 0.5 <= self.horizon / self.control_period <= MOST_PERIODS:
+            raise refusal("horizon", horizon, f"1 to {MOST_PERIODS} control periods of {self.control_period} s")
+        if isinstance(self.base, str):
+            one_of("base", self.base, BASES)
+        elif self.base is not None and (not isinstance(self.base, Controller) or isinstance(self.base, type)):
+            allowed = f"None, one of {', '.join(BASES)}, or a Controller: an object with sensors, reset and act"
+            raise refusal("base", self.base, allowed)
         self._check_fidelity()
 
     def _torque_limits(self, named: Named) -> tuple[float, ...]:
@@ -113,16 +139,25 @@ class Setup:
         positive("tolerance", self.tolerance, 'm, for fidelity="auto"')
 
     @property
-    def pd(self) -> PD:
-        """The PD controller that was tuned for the arm of the named environment.
+    def longest(self) -> int:
+        """Control periods after which an episode is truncated."""
+        return max(1, round(self.horizon / self.control_period))
+
+    def pd(self, model: Model) -> PD:
+        """The PD controller that was tuned for the arm of the named environment; with gravity it holds that arm.
 
         Raises:
             ValueError: for another arm, which has no gains.
         """
         named = NAMED[self.name]
         if _size(self.arm) != _size(named.arm()):
-            raise refusal("arm", self.arm, f"the arm of {self.name}: its PD gains belong to that; give others to PD")
-        return PD(**named.pd, torque_limit=self.torque_limit)
+            allowed = f"one of the links of {self.name}: its PD gains belong to them; give others to PD"
+            raise refusal("arm", f"{self.arm.n_joints} links", allowed)
+        return PD(**named.pd, torque_limit=self.torque_limit, gravity_model=model if any(self.arm.gravity) else None)
+
+    def base_controller(self, model: Model) -> Controller | None:
+        """What acts beside the agent, for the model of the environment."""
+        return self.pd(model) if self.base == "pd" else self.base  # type: ignore[return-value]
 
 
 class Fidelity(NamedTuple):
@@ -142,7 +177,23 @@ def build(setup: Setup) -> Fidelity:
     modes = setup.modes
     if isinstance(modes, str):
         modes = assembled_modes(setup.arm, setup.elements, 0.5 / setup.control_period)
-    return Fidelity(build_model(setup.arm, setup.elements, modes), setup.method, setup.step, None)
+    switches = {name: getattr(setup, name) for name in ("stiffening", "spinning_rotors", "rotary_inertia")}
+    model = build_model(setup.arm, setup.elements, modes, **switches)
+    return Fidelity(model, setup.method, setup.step, None)
+
+
+def setup_of(settings: dict[str, Any], others: Collection[str] = ()) -> Setup:
+    """The setup of keyword arguments; `others` are those that an environment has beside them.
+
+    Raises:
+        ValueError: for an unknown keyword, with the nearest known one.
+    """
+    known = [*(each.name for each in fields(Setup)), *others]
+    for name, value in settings.items():
+        if name not in known:
+            near = get_close_matches(name, known, 1, 0.0)[0]
+            raise refusal(name, value, f"a known setting: the nearest is {near}; all: {', '.join(sorted(known))}")
+    return Setup(**settings)
 
 
 def _chosen(setup: Setup) -> Choice:
@@ -152,7 +203,7 @@ def _chosen(setup: Setup) -> Choice:
     steps = max(1, round(SLEW / setup.control_period))
     scene = Scene(
         setup.arm,
-        ModelChoice(flexible_links=True, elements=2),
+        ModelChoice(True, 2, spinning_rotors=setup.spinning_rotors, rotary_inertia=setup.rotary_inertia),
         SineTorque(setup.torque_limit, [0.5] * n, [0.0] * n),
         Initial(start, [0.0] * n),
         duration=steps * setup.control_period,

@@ -15,12 +15,13 @@ from flexman_gym.checks import refusal, whole_number
 from flexman_gym.envs.actions import action_space, checked_actions
 from flexman_gym.envs.env import FlexManEnv, checked_mode, observation_space, painter
 from flexman_gym.envs.episodes import Episodes, Observations
-from flexman_gym.envs.setup import Setup, build
+from flexman_gym.envs.setup import build, setup_of
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import MOST_ARMS, Batch
 
 Infos = dict[str, Any]
 LONGEST = 10**9  # steps of an episode
+OWN = ("num_envs", "threads", "max_episode_steps", "autoreset_mode", "render_mode", "render_size")
 
 
 class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
@@ -37,7 +38,7 @@ class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
     Args:
         num_envs: number of arms.
         threads: that move them, at most one for 64 arms; a second one pays from about 256 arms on.
-        max_episode_steps: after which an episode is truncated.
+        max_episode_steps: steps after which an episode is truncated; None takes the `horizon`.
         autoreset_mode: an AutoresetMode of Gymnasium, or its value.
         render_mode, render_size: see `FlexManEnv`; a frame of each arm.
         settings: the attributes of `Setup`.
@@ -53,7 +54,7 @@ class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
         num_envs: int = 1,
         *,
         threads: int = 1,
-        max_episode_steps: int = 500,
+        max_episode_steps: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
         render_size: tuple[int, int] = (480, 360),
@@ -64,16 +65,18 @@ class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
         if chosen not in modes:
             raise refusal("autoreset_mode", autoreset_mode, f"an AutoresetMode or one of {', '.join(modes)}")
         self.autoreset_mode = modes[chosen]
-        self.max_episode_steps = whole_number("max_episode_steps", max_episode_steps, 1, LONGEST)
         self.num_envs = whole_number("num_envs", num_envs, 1, MOST_ARMS)
         self.render_mode = checked_mode(render_mode)
-        setup = Setup(**settings)
+        setup = setup_of(settings, OWN)
         model, method, step, self.choice = build(setup)
         self._painter = painter(render_mode, model, render_size)
         period = setup.control_period
         self.batch = Batch(model, method, step, period, arms=num_envs, threads=threads)
         self.setup, self.task, self.torque_limit = setup, setup.task, np.array(setup.torque_limit)
         self.episodes = Episodes(setup, self.batch)
+        if max_episode_steps is not None:
+            self.episodes.longest = setup.hold * whole_number("max_episode_steps", max_episode_steps, 1, LONGEST)
+        self.max_episode_steps = -(-self.episodes.longest // setup.hold)
         self.sensors = self.episodes.sensors
         self.single_observation_space = observation_space(self.episodes)
         self.single_action_space = action_space(model)
@@ -84,7 +87,6 @@ class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
         self._allowed = f"{num_envs} rows of {model.n_joints} numbers from -1 to 1"
         self._randoms: list[np.random.Generator | None] = [None] * num_envs
         self._seeds = [-1] * num_envs
-        self._ages = np.zeros(num_envs, dtype=np.int64)
         self._ok, self._no_failure = (np.full(num_envs, text, dtype=object) for text in (layout.STATUS[0], ""))
 
     def reset(
@@ -105,7 +107,7 @@ class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
         return self.episodes.seen.copy(), infos if mask is None else _masked(infos, mask)
 
     def step(self, actions: NDArray[Any]) -> tuple[Observations, Array, Flags, Flags, Infos]:
-        """Applies motor torques (num_envs, n) for one control period, and resets as the autoreset mode says.
+        """Applies actions (num_envs, n) for `hold` control periods, and resets as the autoreset mode says.
 
         Raises:
             ValueError: for actions of another shape or outside the action space.
@@ -116,18 +118,18 @@ class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
         late = np.flatnonzero(over) if np.count_nonzero(over) else None
         if late is not None and (self.autoreset_mode != AutoresetMode.NEXT_STEP or None in self._randoms):
             raise RuntimeError(f"the episodes of arms {late.tolist()} are over: reset them first")
-        episodes.step(values)
-        self._ages += 1
+        mean = episodes.step(values)
         if late is not None:
             self._restart(late, None)
         rewards, infos = self._outcome()
+        if mean is not None:
+            rewards = mean
         if late is not None:
             rewards[late] = 0.0
-        truncations = self._ages >= self.max_episode_steps
+        truncations = episodes.truncated.copy()
         terminations = np.zeros(self.num_envs, dtype=bool)
         if episodes.failures or np.count_nonzero(truncations):
             terminations[list(episodes.failures)] = True
-            over |= truncations
             if self.autoreset_mode == AutoresetMode.SAME_STEP:
                 infos = self._finish(over.copy(), infos)
         return episodes.seen.copy(), rewards, terminations, truncations, infos
@@ -152,7 +154,6 @@ class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
 
     def _restart(self, arms: IntArray, options: dict[str, Any] | None) -> None:
         randoms = self.np_random
-        self._ages[arms] = 0
         self.episodes.reset(arms, [randoms[arm] for arm in arms], options)
 
     def _outcome(self) -> tuple[Array, Infos]:

@@ -9,6 +9,7 @@ from flexman_gym.model.instant import (
 )
 from flexman_gym.model.linear import LinearModel, linearize
 from flexman_gym.model.model import Model, build_model, scene_model
+from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.model.strain import curvature, strain
 
 __all__ = [
@@ -18,9 +19,11 @@ __all__ = [
     "build_model",
     "curvature",
     "frequencies",
+    "holding_torques",
     "inverse_dynamics",
     "linearize",
     "mass_matrix",
+    "rest_state",
     "scene_model",
     "strain",
     "tip_acceleration",

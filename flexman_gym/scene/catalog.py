@@ -13,6 +13,7 @@ from flexman_gym.scene.drive import ConstantTorque
 from flexman_gym.scene.scene import Initial, Scene
 
 _UP = ((0.0, 0.0, -1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))  # turns the x axis of a beam to +Z
+TOOL, LIGHT_TOOL = Payload(0.1), Payload(0.05)
 _LINK1_AREAS = {"printed": 0.028, "corrected": 0.0028}
 _PAPER_CASES = {  # case: (flexible links, flexible joints)
     "rr": (False, False),
@@ -129,19 +130,56 @@ def planar_2r(
     Strain).
     Raises ValueError for what Joint and Arm refuse.
     """
-    height, thickness = 0.040, 0.003
-    link = Link(
-        length=0.5,
-        area=height * thickness,
-        second_moment_y=thickness * height**3 / 12.0,
-        second_moment_z=height * thickness**3 / 12.0,
-        torsion_constant=height * thickness**3 * (1.0 - 0.63 * thickness / height) / 3.0,
-        youngs_modulus=70e9,
-        shear_modulus=26e9,
-        density=2700.0,
-    )
+    link = _strip(0.5, thickness=0.003, height=0.040)
     joint = Joint((0.0, 0.0, 1.0), rotor_inertia, joint_stiffness)
     return Arm([link, link], [joint, joint], payload, gravity, **damping)
+
+
+def vertical_2r(payload: Payload | None = TOOL, gravity: Sequence[float] = (0.0, 0.0, -9.81), **damping: float) -> Arm:
+    """Return two aluminium strips of 0.5 m that move in the vertical x-z plane, on elastic joints, with their motors.
+
+    payload, gravity, damping  of the Arm, as in `paper_rrr`; by default 0.1 kg and the earth's
+
+    An example of our own, not a published arm: strips 40 mm wide and 5 mm thick that bend in the plane of motion,
+    joints of 100 and 60 N m/rad, motors of 12 and 4 N m. Outstretched and at rest, the tip sags by some 7 cm.
+    Raises ValueError for what Arm refuses.
+    """
+    width, thickness = 0.040, 0.005
+    link = _strip(0.5, thickness=thickness, width=width)
+    axis = (0.0, -1.0, 0.0)  # positive angles raise the arm
+    joints = [
+        Joint(axis, rotor_inertia=0.1, stiffness=100.0, damping=0.05, torque_limit=12.0),
+        Joint(axis, rotor_inertia=0.04, stiffness=60.0, damping=0.02, torque_limit=4.0),
+    ]
+    return Arm([link, link], joints, payload, gravity, **({"modal_damping_ratio": 0.005} | damping))
+
+
+def one_joint(
+    payload: Payload | None = LIGHT_TOOL, gravity: Sequence[float] = (0.0, 0.0, 0.0), **damping: float
+) -> Arm:
+    """Return an aluminium strip of 0.8 m on one elastic joint, which turns it in a horizontal plane about +Z.
+
+    payload, gravity, damping  of the Arm, as in `paper_rrr`; by default 0.05 kg and none
+
+    The textbook case, with numbers of our own: a strip 30 mm high and 2 mm thick, a joint of 20 N m/rad, a motor of
+    0.5 N m and 0.01 kg m^2.
+    Raises ValueError for what Arm refuses.
+    """
+    link = _strip(0.8, thickness=0.002, height=0.030)
+    joint = Joint((0.0, 0.0, 1.0), rotor_inertia=0.01, stiffness=20.0, damping=0.005, torque_limit=0.5)
+    return Arm([link], [joint], payload, gravity, **({"modal_damping_ratio": 0.005} | damping))
+
+
+def _strip(length: float, thickness: float, width: float = 0.0, height: float = 0.0) -> Link:
+    """Return an aluminium strip, thin along z where it has a width along y, thin along y where it has a height along z.
+
+    Its torsion constant is that of a thin rectangle, h t^3 (1 - 0.63 t/h) / 3 (Roark's Formulas for Stress and Strain).
+    """
+    broad = width or height
+    stiff, soft = thickness * broad**3 / 12.0, broad * thickness**3 / 12.0
+    about_y, about_z = (soft, stiff) if width else (stiff, soft)
+    torsion = broad * thickness**3 * (1.0 - 0.63 * thickness / broad) / 3.0
+    return Link(length, broad * thickness, about_y, about_z, torsion, 70e9, 26e9, 2700.0)
 
 
 def paper_scene(case: str = "ff") -> Scene:

@@ -5,7 +5,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from flexman_gym.arrays import Array
+from flexman_gym.arrays import Array, Flags
 from flexman_gym.checks import one_of, parts, positive, refusal, whole_number
 from flexman_gym.kernels import layout, outputs
 from flexman_gym.model.model import Model
@@ -16,6 +16,7 @@ from flexman_gym.simulation.parameters import PARAMETERS, nominal_parameters
 from flexman_gym.simulation.run import Run, find_method, find_tolerance, prescribed_flags
 
 MOST_ARMS, MOST_THREADS = 65536, 256
+RESTING = -1  # a status that only movers see
 ENERGY = np.isin(np.arange(layout.OUTPUTS), range(layout.KINETIC, layout.OUTPUTS)).astype(float)
 MOVING_ENERGY = np.isin(np.arange(layout.OUTPUTS), range(layout.KINETIC, layout.GRAVITATIONAL)).astype(float)
 
@@ -89,14 +90,20 @@ class Batch:
         self._start_energy[arms] = self._energy()[arms]
         self.energy_turnover[arms] = self._turned_over()[arms]
 
-    def step(self, drive: Array) -> None:
+    def step(self, drive: Array, moving: Flags | None = None) -> None:
         """Moves all arms that have not failed by one control period, during which their drive (b, n + 6) is constant.
 
         The drive holds torques (accelerations where the motion is prescribed), tip force and base acceleration as
-        `kernels.layout` has it; it is not checked.
+        `kernels.layout` has it; it is not checked. Arms that are not `moving` (b,) rest; None moves all.
         """
-        self._mover.move(drive, self._periods, self.rows, self.outputs, self.status)
-        self._periods += self.status == layout.OK
+        if moving is None:
+            self._mover.move(drive, self._periods, self.rows, self.outputs, self.status)
+            self._periods += self.status == layout.OK
+        else:
+            status = np.where(moving, self.status, RESTING)
+            self._mover.move(drive, self._periods, self.rows, self.outputs, status)
+            self.status[moving] = status[moving]
+            self._periods += status == layout.OK
         np.maximum(self.energy_turnover, self._turned_over(), out=self.energy_turnover)
 
     def rigid_tips(self, states: Array) -> Array:

@@ -7,6 +7,7 @@ import numpy as np
 from flexman_gym.arrays import Array
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.outputs import combine
+from flexman_gym.model.statics import rest_state, rest_tips
 from flexman_gym.simulation.batch import Batch
 
 Number = Any  # (b,), or a number of an arm alone; only arithmetic and NumPy's functions are used on it
@@ -108,9 +109,19 @@ class View:
         time = self._batch.time
         return time if self.motion.ndim > 1 else time.item()
 
-    def rigid_tips(self, postures: Array) -> Array:
-        """(r, 3) m: tips, base frame, of the rigid arm at joint angles (r, n) rad: where the arm of no load rests."""
-        return self._batch.rigid_tips(self._batch.model.at_rest(postures))
+    def rest_states(self, postures: Array) -> Array:
+        """(r, 2 d) states of the model's arm at rest with its motors at angles (r, n) rad, bent by its weight alone."""
+        model = self._batch.model
+        if not model.constants.gravity.any():
+            return model.at_rest(postures)
+        return np.array([rest_state(model, angles) for angles in postures]).reshape(len(postures), -1)
+
+    def rest_tips(self, postures: Array) -> Array:
+        """(r, 3) m: tips, base frame, of that arm; without gravity those of the rigid arm."""
+        model = self._batch.model
+        if not model.constants.gravity.any():
+            return self._batch.rigid_tips(model.at_rest(postures))
+        return rest_tips(model, postures)
 
     def alone(self) -> "View":
         """The same of the only arm, without the axis of the arms; the same object every time, as it is now."""

@@ -44,6 +44,7 @@ class Sensors:
         slices, units: name -> slice of the observation, and unit.
         bound: (size,) largest magnitude of each number.
         observations: (b, size) of the last reading, which the next one overwrites.
+        readings: name -> (b, ...) its part of that entry.
 
     Raises:
         ValueError: for something else than sensors, and for two entries of one name.
@@ -66,6 +67,7 @@ class Sensors:
             self._parts.append((part, slice(first, end)))
         self.bound: Array = np.concatenate(bounds)
         self.observations = np.zeros((len(view.motion), end))
+        self.readings = {name: self.observations[:, place] for name, place in self.slices.items()}
         self._view, self._outs = view, [(part, self.observations[:, place]) for part, place in self._parts]
 
     def read(self) -> None:

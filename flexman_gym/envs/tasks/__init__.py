@@ -3,4 +3,6 @@
 from flexman_gym.envs.tasks.slew import Slew
 from flexman_gym.envs.tasks.task import Goal, Task
 
-__all__ = ["Goal", "Slew", "Task"]
+TASKS: dict[str, type[Slew]] = {"slew": Slew}
+
+__all__ = ["TASKS", "Goal", "Slew", "Task"]

@@ -7,12 +7,13 @@ from typing import ClassVar
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import non_negative, positive, store
+from flexman_gym.checks import non_negative, one_of, positive, store
 from flexman_gym.envs.sensors.sensor import Sensor
 from flexman_gym.envs.tasks.task import Goal
 from flexman_gym.simulation.view import Number, View
 
 WIDTHS = (2.0 / 8.5, 0.4 / 8.5, 0.08 / 8.5)  # of the reach: three bells that reward closeness
+NEAR, FAR, LOOK_AHEAD = 1.0 / 425.0, 1.0 / 1.7, 0.1  # of the reach, and s, of the reward by distance
 CALM = 0.3 / 8.5  # reaches a second: tip vibration that halves the reward for calm
 
 
@@ -30,8 +31,14 @@ class Slew:
         effort         0.1 (1 - mean of the squared actions)
         failure        -failure_penalty when the step ended the episode by a limit or a divergence
 
+    With reward="distance" the terms tip_error and tip_vibration and effort give way to one with slope at every scale,
+    of the tip error e and the speed v of the tip:
+        distance       1 - ln(1 + (e^2 + (0.1 s v)^2) / n^2) / ln(1 + (f / n)^2), n = R / 425 (20 mm), f = R / 1.7 (5 m)
+    It is 1 at rest on the target, 0 at a distance f and below zero beyond.
+
     Attributes:
         start, slew: rad.
+        reward: "bells" or "distance".
         failure_penalty: reward lost by a failure, >= 0.
 
     Raises:
@@ -41,6 +48,7 @@ class Slew:
     start: float = 0.8
     slew: float = 0.8
     failure_penalty: float = 10.0
+    reward: str = "bells"
     sensors: ClassVar[tuple[Sensor, ...]] = ()
     moves: ClassVar[bool] = False
 
@@ -50,6 +58,7 @@ class Slew:
             start=non_negative("Slew.start", self.start, "rad"),
             slew=positive("Slew.slew", self.slew, "rad"),
             failure_penalty=non_negative("Slew.failure_penalty", self.failure_penalty),
+            reward=one_of("Slew.reward", self.reward, ("bells", "distance")),
         )
 
     def draw(self, random: np.random.Generator, view: View) -> dict[str, Array]:
@@ -59,18 +68,27 @@ class Slew:
 
     def goal(self, plan: Mapping[str, Array], time: Array, view: View) -> Goal:
         """The tip of the rigid arm at the goal posture."""
-        return Goal(view.rigid_tips(plan["posture"]), plan["posture"])
+        return Goal(view.rest_tips(plan["posture"]), plan["posture"])
 
     def reward_terms(self, view: View) -> dict[str, Number]:
         """Terms of the reward, see the class."""
+        failure = 0.0 - self.failure_penalty * view.failed
+        if self.reward == "distance":
+            return {"distance": self._distance(view), "failure": failure}
         square, vibration, calm = view.tip_error * view.tip_error, view.tip_vibration, (CALM * view.reach) ** 2
         near = [width**2 / (width**2 + square) for width in (part * view.reach for part in WIDTHS)]
         return {
             "tip_error": 0.7 / 3.0 * (near[0] + near[1] + near[2]),
             "tip_vibration": 0.2 * calm / (calm + vibration * vibration),
             "effort": 0.1 * (1.0 - view.effort),
-            "failure": 0.0 - self.failure_penalty * view.failed,
+            "failure": failure,
         }
+
+    def _distance(self, view: View) -> Number:
+        near, far = NEAR * view.reach, FAR * view.reach
+        moving = LOOK_AHEAD * view.tip_velocity
+        square = view.tip_error * view.tip_error + np.vecdot(moving, moving)
+        return 1.0 - np.log1p(square / near**2) / np.log1p((far / near) ** 2)
 
     def info(self, view: View) -> dict[str, Number]:
         """Nothing beside what every environment says."""

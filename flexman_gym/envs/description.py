@@ -1,0 +1,193 @@
+"""Description: an environment as plain data, from a file, the command line or a run, and back."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, Self
+
+import yaml
+
+from flexman_gym.checks import one_of, refusal, text
+from flexman_gym.envs.catalog import DEFAULT, NAMED
+from flexman_gym.envs.limits import Limits
+from flexman_gym.envs.randomisation import Randomisation
+from flexman_gym.envs.sensors import SENSORS
+from flexman_gym.envs.setup import Setup, setup_of
+from flexman_gym.envs.tasks import TASKS
+from flexman_gym.scene import catalog, file
+from flexman_gym.scene.arm import Arm, Payload
+from flexman_gym.scene.plain import arm_of, plain
+
+ARMS = ("paper_rrr", "planar_2r", "one_link", "vertical_2r", "one_joint")  # functions of the catalog
+SUFFIXES = (".json", ".yaml", ".yml")
+
+
+@dataclass(frozen=True)
+class Description:
+    """An environment as plain data: texts, numbers, booleans, lists and mappings.
+
+    Attributes:
+        id: of a named environment.
+        settings: keyword arguments of `gym.make`, plain. An arm is the name of a function of the catalog, a mapping
+            with its name at "catalog" and its arguments, the path of a file with an arm or a scene, or a mapping as in
+            a scene file. A task is its name, or a mapping with its name at "kind" and its arguments; limits and
+            randomisation are mappings.
+        folder: against which paths of files are meant.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed.
+    """
+
+    id: str = DEFAULT
+    settings: Mapping[str, Any] | None = None
+    folder: Path = Path()
+
+    def __post_init__(self) -> None:
+        one_of("id", self.id, NAMED)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Reads a .json, .yaml or .yml file: a mapping with "id" and settings.
+
+        Raises:
+            FileNotFoundError: when there is none.
+            ValueError: one line with file, field, value and what is allowed.
+        """
+        try:
+            return cls.from_dict(file.read(Path(path)), Path(path).parent)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
+
+    @classmethod
+    def from_dict(cls, data: object, folder: Path = Path()) -> Self:
+        """The description in a mapping with "id" and settings, every one of which is checked."""
+        if not isinstance(data, dict):
+            raise refusal("environment", data, "a mapping with id and settings")
+        settings = {name: value for name, value in data.items() if name != "id"}
+        found = cls(data.get("id", DEFAULT), settings, folder)
+        found.setup()
+        return found
+
+    def setup(self) -> Setup:
+        """The setup that it describes."""
+        return setup_of({"name": self.id, **self.keywords()})
+
+    def keywords(self) -> dict[str, Any]:
+        """Keyword arguments of `gym.make` and `gym.make_vec`."""
+        makers = {
+            "arm": lambda value: read_arm(value, self.folder),
+            "task": _task,
+            "limits": lambda value: Limits(**_mapping("limits", value, [each.name for each in fields(Limits)])),
+            "modes": _tuples, "elements": _tuples,
+        }  # fmt: skip
+        settings = dict(self.settings or {})
+        return {name: makers[name](value) if name in makers else value for name, value in settings.items()}
+
+    def whole(self) -> dict[str, Any]:
+        """The mapping from which `from_dict` gives the same environment anywhere: with the whole arm, without files."""
+        settings = dict(self.settings or {})
+        return {"id": self.id, **settings, "arm": plain(self.setup().arm)}
+
+    def changed(self, changes: Sequence[str]) -> Self:
+        """The same with changes "name=value", values as in YAML; names with dots lead into mappings, and into the arm.
+
+        Raises:
+            ValueError: one line with the change and what is allowed.
+        """
+        data: dict[str, Any] = {"id": self.id, **(self.settings or {})}
+        for change in changes:
+            path, equals, written = change.partition("=")
+            if not equals or not all(part.isidentifier() for part in path.split(".")):
+                raise refusal("--set", change, "name=value, such as control_period=0.01 or arm.payload.mass=0.5")
+            try:
+                value = yaml.safe_load(written)
+            except yaml.YAMLError:
+                raise refusal("--set", change, "a value that is a number, a text, [a, list] or {a: mapping}") from None
+            first, *rest = path.split(".")
+            if first == "arm" and rest:
+                arm = read_arm(data["arm"], self.folder) if "arm" in data else NAMED[self.id].arm()
+                data["arm"] = plain(arm)
+            _put(data, path.split("."), value)
+        return type(self).from_dict(data, self.folder)
+
+
+def described(setup: Setup) -> dict[str, Any]:
+    """The mapping of a setup that was made with objects.
+
+    Raises:
+        ValueError: for a task, sensors or a controller of one's own, which no file can hold.
+    """
+    data: dict[str, Any] = {"id": setup.name}
+    for each in fields(Setup):
+        value = getattr(setup, each.name)
+        if each.name != "name" and value is not None and value != each.default:
+            data[each.name] = _plain(each.name, value)
+    return data
+
+
+def read_arm(value: object, folder: Path = Path()) -> Arm:
+    """The arm that a name, a path, or a mapping describes; see `Description`."""
+    if isinstance(value, str) and value.endswith(SUFFIXES):
+        data = file.read(folder / value)
+        return arm_of(data.get("arm", data) if isinstance(data, dict) and "links" not in data else data)
+    if isinstance(value, str) or (isinstance(value, dict) and "catalog" in value):
+        arguments = {} if isinstance(value, str) else {name: each for name, each in value.items() if name != "catalog"}
+        name = value if isinstance(value, str) else value["catalog"]
+        if isinstance(arguments.get("payload"), dict):
+            arguments["payload"] = Payload(**arguments["payload"])
+        try:
+            arm: Arm = getattr(catalog, one_of("arm", name, ARMS))(**arguments)
+        except TypeError as error:
+            raise ValueError(f"arm: {str(error).split('() ')[-1]} of {name}") from None
+        return arm
+    return arm_of(value)
+
+
+def _task(value: object) -> Any:
+    entries = {"kind": value} if isinstance(value, str) else value
+    if not isinstance(entries, dict) or "kind" not in entries:
+        raise refusal("task", value, f"one of {', '.join(TASKS)}, or a mapping with that at kind")
+    kind = TASKS[one_of("task", text("task.kind", entries["kind"]), TASKS)]
+    names = [each.name for each in fields(kind)]
+    return kind(**_mapping("task", {name: each for name, each in entries.items() if name != "kind"}, names))
+
+
+def _mapping(field: str, value: object, names: Sequence[str]) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise refusal(field, value, f"a mapping with some of {', '.join(names)}")
+    for name in value:
+        one_of(field, name, names)
+    return value
+
+
+def _tuples(value: object) -> object:
+    """Lists as tuples, all the way down."""
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+def _put(data: dict[str, Any], path: list[str], value: object) -> None:
+    """Writes a value into a mapping of mappings; what is nothing yet becomes a mapping."""
+    for part in path[:-1]:
+        inner = data.get(part)
+        data[part] = data = dict(inner) if isinstance(inner, dict) else {}
+    data[path[-1]] = value
+
+
+def _plain(name: str, value: Any) -> Any:
+    """A setting as plain data."""
+    if isinstance(value, Arm):
+        return plain(value)
+    if isinstance(value, Limits):
+        return asdict(value)
+    if isinstance(value, Randomisation):
+        return value.ranges | {"impulse_gap": value.impulse_gap}
+    if name == "task" and type(value) in TASKS.values():
+        kind = next(key for key, each in TASKS.items() if each is type(value))
+        return {"kind": kind, **asdict(value)}
+    if name == "sensors":
+        known = {id(sensor): key for key, sensor in SENSORS.items()}
+        if all(id(part) in known for part in value):
+            return [known[id(part)] for part in value]
+    elif isinstance(value, bool | int | float | str | tuple | list):
+        return value
+    raise refusal(name, value, "something with a name: an object of one's own cannot be kept in a file")
