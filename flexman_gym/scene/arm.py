@@ -18,7 +18,7 @@ from flexman_gym.checks import (
     vector,
 )
 
-MOST_SECTIONS = 64  # of a link; a model has as many finite elements of it at most
+MOST_SECTIONS = 64  # of a link, as a model has at most so many finite elements of it
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 _LINK_UNITS = {
@@ -37,19 +37,22 @@ _LINK_UNITS = {
 class Link:
     """A straight uniform beam along the x axis of its own frame, from its joint to its tip.
 
-    length            m
-    area              m^2, of the cross-section
-    second_moment_y   m^4, int z^2 dA: resists bending in the x-z plane
-    second_moment_z   m^4, int y^2 dA: resists bending in the x-y plane
-    torsion_constant  m^4, J in G J: resists twist (for a round section the polar moment)
-    youngs_modulus    Pa
-    shear_modulus     Pa
-    density           kg/m^3
-    orientation       (3, 3) rotation whose columns are the beam's axes in the joint's frame; stored as rows of floats
+    It warns (UserWarning) when second_moment_y + second_moment_z is less than area^2 / (2 pi). No section can have so
+    little: of all sections of one area a solid disc has the least polar moment.
 
-    Raises ValueError when a number is not finite and > 0, or when `orientation` is not a rotation within 1e-9. Warns
-    (UserWarning) when second_moment_y + second_moment_z is less than area^2 / (2 pi), which no section can have: of all
-    sections of one area a solid disc has the least polar moment.
+    Attributes:
+        length: m.
+        area: of the cross-section, m^2.
+        second_moment_y: int z^2 dA, m^4; it resists bending in the x-z plane.
+        second_moment_z: int y^2 dA, m^4; it resists bending in the x-y plane.
+        torsion_constant: J in G J, m^4; it resists twist. For a round section it is the polar moment.
+        youngs_modulus: Pa.
+        shear_modulus: Pa.
+        density: kg/m^3.
+        orientation: (3, 3) rotation whose columns are the beam's axes in the joint's frame; stored as rows of floats.
+
+    Raises:
+        ValueError: for a number that is not finite and > 0, and for an orientation that is not a rotation within 1e-9.
     """
 
     length: float
@@ -71,29 +74,33 @@ class Link:
                 f"Link.second_moment_y + second_moment_z: {polar:.6g} is less than any section of the area "
                 f"{self.area:.6g} m^2 has; the least is {least:.6g} (m^4), area^2 / (2 pi) of a solid disc",
                 UserWarning,
-                stacklevel=3,  # who creates the Link; between are __init__ and this
+                stacklevel=3,  # the caller of Link(...): between are __init__ and this method
             )
 
     @property
     def mass(self) -> float:
-        """Mass of the link in kg."""
+        """Mass of the link, kg."""
         return self.density * self.area * self.length
 
     @property
     def sections(self) -> tuple["Link", ...]:
-        """The link itself, its only section."""
+        """The link itself, as its only section."""
         return (self,)
 
 
 @dataclass(frozen=True)
 class NonUniformLink:
-    """A straight beam of uniform pieces end to end, stepped or, with many of them, tapered; centroids on one line.
+    """A straight beam of uniform sections end to end, with their centroids on one line.
 
-    sections     1 to 64 of Link, base to tip, each with its length, section and material; stored as a tuple
-    orientation  (3, 3) as of a Link; the sections have none of their own, theirs is the identity
+    Sections of different size make a stepped beam; many short ones approximate a tapered beam.
 
-    Raises ValueError when `sections` holds something else or a link with an orientation, and when `orientation` is not
-    a rotation within 1e-9.
+    Attributes:
+        sections: 1 to 64 of Link, base to tip, each with its own length, cross-section and material; stored as a tuple.
+        orientation: (3, 3) rotation, as of a Link. The orientation of each section must be the identity.
+
+    Raises:
+        ValueError: for sections that are not links, a section with an orientation, and an orientation that is not a
+            rotation within 1e-9.
     """
 
     sections: Sequence[Link]
@@ -111,12 +118,12 @@ class NonUniformLink:
 
     @property
     def length(self) -> float:
-        """Length of the link in m, the sum of its sections'."""
+        """Length of the link, the sum of the lengths of its sections, m."""
         return sum(section.length for section in self.sections)
 
     @property
     def mass(self) -> float:
-        """Mass of the link in kg."""
+        """Mass of the link, kg."""
         return sum(section.mass for section in self.sections)
 
 
@@ -124,18 +131,22 @@ class NonUniformLink:
 class Joint:
     """A revolute joint: a rotor that turns the link behind it directly, or through a spring and a damper (Eq. 23).
 
-    axis              (3,) unit vector in the frame of the previous link's tip (the base frame for the first joint)
-    rotor_inertia     kg m^2, about the axis, on the link's side of any gear
-    stiffness         N m/rad, of the spring between rotor and link; None for a rigid joint
-    damping           N m s/rad, of the damper parallel to that spring
-    viscous_friction  N m s/rad, of the rotor in its bearings and gear (of the link where the joint is rigid)
-    coulomb_friction  N m, of the same; it opposes the rate r of the rotor with coulomb_friction tanh(r / coulomb_rate)
-    coulomb_rate      rad/s, where friction has reached three quarters of its full size
-    torque_limit      N m, the most that the motor gives; environments scale actions by it, a simulation applies what it
-                      is told. None where nobody has said it
+    Attributes:
+        axis: (3,) unit vector in the frame of the previous link's tip; for the first joint, in the base frame. It is
+            not normalised.
+        rotor_inertia: about the axis, on the link's side of any gear, kg m^2.
+        stiffness: of the spring between rotor and link, N m/rad; None for a rigid joint.
+        damping: of the damper parallel to that spring, N m s/rad.
+        viscous_friction: of the rotor in its bearings and gear, N m s/rad; of the link where the joint is rigid.
+        coulomb_friction: of the rotor in its bearings and gear, N m. It opposes the rate r of the rotor with the torque
+            coulomb_friction tanh(r / coulomb_rate).
+        coulomb_rate: rate at which the Coulomb friction has reached three quarters of its full size, rad/s.
+        torque_limit: the most that the motor gives, N m; None where it is unknown. Environments scale actions by it; a
+            simulation applies any torque that it is given.
 
-    Raises ValueError when the axis is not of length 1 within 1e-9 (it is not normalised), when a number is negative or
-    not finite, for a damper without a spring, and for a spring without a rotor (its coordinate would have no mass).
+    Raises:
+        ValueError: for an axis whose length is not 1 within 1e-9, for a number that is negative or not finite, for a
+            damper without a spring, and for a spring without a rotor (its coordinate would have no mass).
     """
 
     axis: Sequence[float]
@@ -170,16 +181,18 @@ class Joint:
 
 @dataclass(frozen=True)
 class Payload:
-    """A point mass at the tip of the last link.
+    """A point mass or a rigid body at the tip of the last link.
 
-    mass     kg
-    inertia  (3, 3) kg m^2 about the centre of mass; None for a point
-    offset   (3,) m from the tip to the centre of mass; None for the tip itself
+    Inertia and offset are in the frame that a next joint would have: parallel to the base frame at zero angles.
 
-    Both are in the frame that a next joint would have: parallel to the base frame at zero angles.
+    Attributes:
+        mass: kg.
+        inertia: (3, 3) about the centre of mass, kg m^2; None for a point mass.
+        offset: (3,) from the tip to the centre of mass, m; None for a centre of mass at the tip.
 
-    Raises ValueError when the mass is negative or not finite, when a payload without mass has inertia or offset, and
-    when no rigid body has the inertia.
+    Raises:
+        ValueError: for a mass that is negative or not finite, for an inertia or an offset without a mass, and for an
+            inertia that no rigid body has.
     """
 
     mass: float
@@ -200,15 +213,17 @@ class Payload:
 class Arm:
     """A serial arm on a fixed base: joint i turns link i, joint i + 1 sits on the tip of link i.
 
-    links                           n of Link or NonUniformLink, base to tip; stored as a tuple
-    joints                          n of Joint; stored as a tuple
-    payload                         Payload at the last tip; one of no mass is stored as None, the same arm
-    gravity                         (3,) m/s^2, acceleration in the base frame
-    stiffness_proportional_damping  s, beta in C = beta K of every link
-    modal_damping_ratio             damping ratio of every mode of a link, 0 <= ratio < 1
+    Attributes:
+        links: n of Link or NonUniformLink, base to tip; stored as a tuple.
+        joints: n of Joint; stored as a tuple.
+        payload: Payload at the last tip. A payload without mass is stored as None, as it is the same arm.
+        gravity: (3,) acceleration of gravity in the base frame, m/s^2.
+        stiffness_proportional_damping: beta in C = beta K of every link, s.
+        modal_damping_ratio: damping ratio of every mode of a link, 0 <= ratio < 1.
 
-    Raises ValueError when there is no link, when links and joints differ in number or hold something else, when gravity
-    is not three finite numbers, and when a damping is outside its range.
+    Raises:
+        ValueError: when there is no link, when links and joints differ in number or hold something else, when gravity
+            is not three finite numbers, and when a damping is outside its range.
     """
 
     links: Sequence[Link | NonUniformLink]
@@ -247,7 +262,7 @@ class Arm:
 
 
 def _chain(name: str, value: object, *kinds: type) -> tuple[Any, ...]:
-    """Return a list of at least one item, each of one of the `kinds`, as a tuple."""
+    """Gives a list of at least one item, each of one of the `kinds`, as a tuple."""
     names = " or ".join(kind.__name__ for kind in kinds)
     items = sequence(name, value, f"at least one {names}")
     if not items:

@@ -33,26 +33,28 @@ def paper_rrr(
     torque_limit: float | None = None,
     **damping: float,
 ) -> Arm:
-    """Return the spatial RRR arm of the paper's Table 1.
+    """Builds the spatial RRR arm of the paper's Table 1.
 
-    link1_area       "printed" 0.028 m^2, or "corrected" 0.0028 m^2
-    rotor_inertia    kg m^2 of each joint; the paper gives none, 1.0 is our choice
-    joint_stiffness  N m/rad of each joint, 5000 in the paper; None for rigid joints
-    joint_damping    N m s/rad of each joint, 0 in the paper
-    payload          at the tip; none in the paper
-    gravity          (3,) m/s^2; none in the paper scene, since its 400 N m could not hold the arm
-    torque_limit     N m of each joint; the paper has none
-    damping          stiffness_proportional_damping (s) and modal_damping_ratio of the Arm, both 0 in the paper
+    The printed area of link 1, 0.028 m^2, is impossible with its printed polar moment, 1.66e-6 m^4. Of all sections of
+    one area A a solid disc has the least polar moment, A^2 / (2 pi), here 1.25e-4 m^4. The corrected area, 0.0028 m^2,
+    fits: the least moment is then 1.25e-6 m^4. The printed area is the default because the paper's figures and the
+    reference trajectories use it. It is built without the warning that a Link gives of such a section.
 
-    The printed area of link 1 is impossible with its printed polar moment, 1.66e-6 m^4: of all sections of one area a
-    solid disc has the least polar moment, A^2 / (2 pi), and that is 1.25e-4 m^4 for 0.028 m^2. For 0.0028 m^2 it is
-    1.25e-6 m^4, which fits. The printed area is the default because the paper's figures and the reference trajectories
-    use it; it is built without the warning that a Link gives of such a section.
-
-    The paper shows axes and pose in a figure only; here, at zero angles, link 1 stands along +Z and links 2 and 3 lie
+    The paper shows axes and pose in a figure only. Here, at zero angles, link 1 stands along +Z, and links 2 and 3 lie
     along +X. The axes are +Z, -Y, -Y, so that positive angles of joints 2 and 3 raise the arm.
 
-    Raises ValueError for another `link1_area`, and for what Joint and Arm refuse.
+    Args:
+        link1_area: "printed", 0.028 m^2, or "corrected", 0.0028 m^2.
+        rotor_inertia: of each joint, kg m^2; the paper gives none, 1.0 is our choice.
+        joint_stiffness: of each joint, N m/rad, 5000 in the paper; None for rigid joints.
+        joint_damping: of each joint, N m s/rad, 0 in the paper.
+        payload: at the tip; none in the paper.
+        gravity: (3,) m/s^2; none in the paper's scene, as its 400 N m could not hold the arm.
+        torque_limit: of each joint, N m; the paper has none.
+        damping: stiffness_proportional_damping (s) and modal_damping_ratio of the Arm, both 0 in the paper.
+
+    Raises:
+        ValueError: for another `link1_area`, and for arguments that Joint or Arm refuses.
     """
     area = _LINK1_AREAS[one_of("link1_area", link1_area, _LINK1_AREAS)]
     links = (
@@ -72,9 +74,9 @@ def _paper_link(
     polar_moment: float,
     orientation: Sequence[Sequence[float]] = IDENTITY,
 ) -> Link:
-    """Return a link of one column of Table 1: m, m^2, m^4, m^4."""
+    """Builds a link from one column of Table 1, in m, m^2, m^4 and m^4."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of the printed area of link 1
+        warnings.simplefilter("ignore", UserWarning)  # about the printed area of link 1
         return Link(
             length,
             area,
@@ -96,18 +98,21 @@ def one_link(
     gravity: Sequence[float] = (0.0, 0.0, 0.0),
     **damping: float,
 ) -> Arm:
-    """Return a slender aluminium link of 2 m on a hub, along +X at a zero angle.
+    """Builds a slender aluminium link of 2 m on a hub, along +X at a zero angle.
 
-    axis, rotor_inertia, joint_stiffness  of the hub's Joint; by default a rigid joint about +Z without a rotor
-    payload, gravity, damping             of the Arm, as in `paper_rrr`
+    It is an example of our own, not a published arm. Its two bending stiffnesses differ (I_y = 3.25 I_z). No section of
+    4e-4 m^2 has its two second moments of area. Their sum, 1.7e-8 m^4, is less than the torsion constant and than the
+    2.55e-8 m^4 of a solid disc. The numbers stay because a reference trajectory uses them.
 
-    An example of our own, not a published arm. Its two bending stiffnesses differ (I_y = 3.25 I_z). No section of
-    4e-4 m^2 has its moments: their sum, 1.7e-8 m^4, is less than the 2.55e-8 m^4 of a solid disc and than the torsion
-    constant. The numbers stay because a reference trajectory uses them.
-    Raises ValueError for what Joint and Arm refuse.
+    Args:
+        axis, rotor_inertia, joint_stiffness: of the hub's Joint; by default a rigid joint about +Z without a rotor.
+        payload, gravity, damping: of the Arm, as in `paper_rrr`.
+
+    Raises:
+        ValueError: for arguments that Joint or Arm refuses.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of that section
+        warnings.simplefilter("ignore", UserWarning)  # about the section of the link
         link = Link(2.0, 4e-4, 1.3e-8, 4e-9, 2.2e-8, youngs_modulus=70e9, shear_modulus=26e9, density=2700.0)
     return Arm([link], [Joint(axis, rotor_inertia, joint_stiffness)], payload, gravity, **damping)
 
@@ -119,16 +124,19 @@ def planar_2r(
     gravity: Sequence[float] = (0.0, 0.0, 0.0),
     **damping: float,
 ) -> Arm:
-    """Return two aluminium strips of 0.5 m in a horizontal plane: axes +Z, both links along +X at zero angles.
+    """Builds two aluminium strips of 0.5 m in a horizontal plane: axes +Z, both links along +X at zero angles.
 
-    rotor_inertia              kg m^2 of each joint
-    joint_stiffness            N m/rad of each joint; None for rigid joints
-    payload, gravity, damping  of the Arm, as in `paper_rrr`
+    It is an example of our own, not a published arm. The strips, 40 mm high and 3 mm thick, bend in the plane of
+    motion. Their torsion constant is that of a thin rectangle, h t^3 (1 - 0.63 t/h) / 3 (Roark's Formulas for Stress
+    and Strain).
 
-    An example of our own, not a published arm. The strips, 40 mm high and 3 mm thick, bend in the plane of motion.
-    Their torsion constant is that of a thin rectangle, h t^3 (1 - 0.63 t/h) / 3 (Roark's Formulas for Stress and
-    Strain).
-    Raises ValueError for what Joint and Arm refuse.
+    Args:
+        rotor_inertia: of each joint, kg m^2.
+        joint_stiffness: of each joint, N m/rad; None for rigid joints.
+        payload, gravity, damping: of the Arm, as in `paper_rrr`.
+
+    Raises:
+        ValueError: for arguments that Joint or Arm refuses.
     """
     link = _strip(0.5, thickness=0.003, height=0.040)
     joint = Joint((0.0, 0.0, 1.0), rotor_inertia, joint_stiffness)
@@ -183,13 +191,16 @@ def _strip(length: float, thickness: float, width: float = 0.0, height: float = 
 
 
 def paper_scene(case: str = "ff") -> Scene:
-    """Return a scene of the paper: `paper_rrr` from rest at zero angles under 400 N m at each joint, for 2 s.
+    """Builds a scene of the paper: `paper_rrr` from rest at zero angles under 400 N m at each joint, for 2 s.
 
-    case  "rr" rigid links and joints, "fr" flexible links and rigid joints, "ff" flexible links and joints;
-          two elements a link, as in the paper
+    It has two elements a link, as in the paper. The paper leaves pose and duration to its figures; the scene has our
+    reading of them. The output step of 0.01 s is our choice too.
 
-    The paper leaves pose and duration to its figures; those here are our reading, and so is the output every 0.01 s.
-    Raises ValueError for another `case`.
+    Args:
+        case: "rr" rigid links and joints, "fr" flexible links and rigid joints, "ff" flexible links and joints.
+
+    Raises:
+        ValueError: for another `case`.
     """
     flexible_links, flexible_joints = _PAPER_CASES[one_of("case", case, _PAPER_CASES)]
     return Scene(

@@ -15,22 +15,27 @@ MOST_ELEMENTS = 64
 class ModelChoice:
     """How finely the arm of a scene is modelled; one value for all links or a tuple of one value per link.
 
-    flexible_links   bool; a rigid link has no elastic coordinate
-    elements         finite elements of a Link, or of each section of a NonUniformLink; 1 to 64, in a link as a whole
-                     too. A link has 6 * elements * number of sections coordinates
-    modes            modes kept of a link: how many, those of the lowest frequencies, 0 to its number of coordinates (at
-                     most 384), or, in a tuple for all links, a tuple of their numbers, ascending, the lowest being 0:
-                     (4, (0, 1, 3), 0) keeps four modes, modes 0, 1 and 3, and none; None keeps every coordinate
-    flexible_joints  False makes every joint rigid, whatever its stiffness
-    stiffening       foreshortening (geometric stiffening) of the links
-    spinning_rotors  a rotor spins as a body in the frame that carries its joint; False neglects that frame's rotation,
-                     as the paper does (Eq. 23). Only its inertia about the axis counts. It moves the tip of the paper's
-                     arm by 103 mm (everything flexible) and 78 mm (rigid joints) within 2 s
-    rotary_inertia   False is the classic Euler-Bernoulli beam: the sections of a link resist no rotation about their
-                     transverse axes (Rayleigh's term), in rigid and in elastic motion, only that about the beam axis.
-                     It moves the tip of the paper's arm by 7.2 mm (rigid) and 6.9 mm (everything flexible) within 2 s
+    Within 2 s, spinning rotors move the tip of the paper's arm by 103 mm with everything flexible and by 78 mm with
+    rigid joints. Rotary inertia moves it by 7.2 mm with everything rigid and by 6.9 mm with everything flexible.
 
-    Raises ValueError for another type or a number outside its range.
+    Attributes:
+        flexible_links: whether links bend; a rigid link has no elastic coordinate.
+        elements: finite elements of a Link, or of each section of a NonUniformLink, 1 to 64; a link as a whole has at
+            most 64. A link has 6 * elements * number of sections coordinates.
+        modes: modes kept of a link; None keeps every coordinate. A number keeps so many of the lowest frequencies, 0 to
+            the number of coordinates (at most 384). In a tuple for all links, a tuple gives the ascending numbers of
+            the modes, the lowest being 0: (4, (0, 1, 3), 0) keeps four modes of the first link, modes 0, 1 and 3 of the
+            second and none of the third.
+        flexible_joints: False makes every joint rigid, whatever its stiffness.
+        stiffening: foreshortening (geometric stiffening) of the links.
+        spinning_rotors: a rotor spins as a body in the frame that carries its joint; only its inertia about the axis
+            counts. False neglects the rotation of that frame, as the paper does (Eq. 23).
+        rotary_inertia: the sections of a link resist rotation about their transverse axes (Rayleigh's term). False is
+            the classic Euler-Bernoulli beam: in rigid and in elastic motion its sections resist rotation about the beam
+            axis only.
+
+    Raises:
+        ValueError: for another type or a number outside its range.
     """
 
     flexible_links: bool | tuple[bool, ...]
@@ -56,7 +61,7 @@ class ModelChoice:
 
 
 def _one_or_each(name: str, value: object, check: Callable[..., Any], *limits: int) -> Any:
-    """Check one value for all links, or a list with one for each link."""
+    """Checks one value for all links, or a list with one for each link."""
     if not isinstance(value, list | tuple | np.ndarray):
         return check(name, value, *limits)
     entries = sequence(name, value)
@@ -66,7 +71,7 @@ def _one_or_each(name: str, value: object, check: Callable[..., Any], *limits: i
 
 
 def _modes(name: str, value: object, most: int) -> int | tuple[int, ...]:
-    """Check how many modes of a link are kept, or which."""
+    """Checks a number of modes, or their numbers."""
     if not isinstance(value, list | tuple | np.ndarray):
         return whole_number(name, value, 0, most)
     numbers = tuple(whole_number(f"{name}[{i}]", entry, 0, most - 1) for i, entry in enumerate(sequence(name, value)))

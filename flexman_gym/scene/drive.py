@@ -1,4 +1,4 @@
-"""Drive: what moves an arm from outside, motor torques, prescribed motions and disturbances, as functions of time."""
+"""Drive: motor torques, prescribed motions and disturbances as functions of time."""
 
 import math
 from collections.abc import Sequence
@@ -13,15 +13,17 @@ from flexman_gym.checks import finite, non_negative, refusal, sequence, store, v
 
 @dataclass(frozen=True)
 class Signal:
-    """offset + amplitude sin(2 pi frequency_hz t + phase) while start <= t < stop, and 0 outside.
+    """A sine with an offset: offset + amplitude sin(2 pi frequency_hz t + phase) for start <= t < stop, and 0 outside.
 
-    offset, amplitude  in the unit of what it drives
-    frequency_hz       Hz, >= 0
-    phase              rad
-    start              s, >= 0
-    stop               s, > start; None for a signal without end
+    Attributes:
+        offset, amplitude: in the unit of the driven quantity.
+        frequency_hz: Hz, >= 0.
+        phase: rad.
+        start: s, >= 0.
+        stop: s, > start; None for a signal without end.
 
-    Raises ValueError when a number is not finite or outside its range.
+    Raises:
+        ValueError: for a number that is not finite or outside its range.
     """
 
     offset: float = 0.0
@@ -42,16 +44,20 @@ class Signal:
                 raise refusal("Signal.stop", self.stop, f"a time after the start {self.start} (s), or None")
 
     def column(self) -> NDArray[np.float64]:
-        """Return its column (6,) in the table of a drive, see `kernels.layout`."""
+        """Gives its column (6,) in the table of a drive, see `kernels.layout`."""
         stop = math.inf if self.stop is None else self.stop
         return np.array([self.offset, self.amplitude, self.frequency_hz, self.phase, self.start, stop])
 
 
 @dataclass(frozen=True)
 class ConstantTorque:
-    """Torques that do not change: `value` (n,) in N m, on the motors (on the links where joints are rigid).
+    """Torques that do not change, on the motors (on the links where joints are rigid).
 
-    Raises ValueError when `value` is not a list of finite numbers.
+    Attributes:
+        value: (n,) N m.
+
+    Raises:
+        ValueError: for a value that is not a list of finite numbers.
     """
 
     kind: ClassVar[str] = "constant"
@@ -61,11 +67,11 @@ class ConstantTorque:
         store(self, value=vector("ConstantTorque.value", self.value, unit="N m"))
 
     def signals(self) -> list[Signal]:
-        """Return the torque of each motor, (n,)."""
+        """Gives the torque of each motor as a Signal, n of them."""
         return [Signal(value) for value in self.value]
 
     def at(self, time: float) -> NDArray[np.float64]:
-        """Return the torques (n,) in N m at `time` in s."""
+        """Gives the torques (n,) in N m at a time in s."""
         return np.array(self.value)
 
 
@@ -73,11 +79,14 @@ class ConstantTorque:
 class SineTorque:
     """Torques amplitude sin(2 pi frequency_hz t + phase), on the motors (on the links where joints are rigid).
 
-    amplitude     (n,) N m
-    frequency_hz  (n,) Hz, >= 0
-    phase         (n,) rad
+    Attributes:
+        amplitude: (n,) N m.
+        frequency_hz: (n,) Hz, >= 0.
+        phase: (n,) rad.
 
-    Raises ValueError when one is not a list of finite numbers, or when they differ in length.
+    Raises:
+        ValueError: for an attribute that is not a list of finite numbers, for lists of different length, and for a
+            negative frequency.
     """
 
     kind: ClassVar[str] = "sine"
@@ -94,16 +103,25 @@ class SineTorque:
         store(self, amplitude=amplitude, frequency_hz=frequency_hz, phase=phase)
 
     def signals(self) -> list[Signal]:
-        """Return the torque of each motor, (n,)."""
+        """Gives the torque of each motor as a Signal, n of them."""
         return [Signal(0.0, *numbers) for numbers in zip(self.amplitude, self.frequency_hz, self.phase, strict=True)]
 
     def at(self, time: float) -> NDArray[np.float64]:
-        """Return the torques (n,) in N m at `time` in s."""
+        """Gives the torques (n,) in N m at a time in s."""
         return self.amplitude * np.sin(2.0 * np.pi * time * np.array(self.frequency_hz) + self.phase)
 
 
 def signals(name: str, value: object, units: str) -> tuple[Signal, ...] | None:
-    """Return three signals, of the components of a vector in the base frame, or None; raise ValueError otherwise."""
+    """Checks the three signals of the components of a vector in the base frame, or None.
+
+    Args:
+        name: of the field, for the error.
+        value: None, or three of Signal along x, y and z; they come back as a tuple.
+        units: of the vector, for the error.
+
+    Raises:
+        ValueError: for any other value.
+    """
     if value is None:
         return None
     allowed = f"None or three of Signal, along x, y and z ({units})"
@@ -114,5 +132,5 @@ def signals(name: str, value: object, units: str) -> tuple[Signal, ...] | None:
 
 
 def drive_table(drives: Sequence[Signal | None]) -> NDArray[np.float64]:
-    """Return the table (6, n + 6) of a drive from its n + 6 signals, None for one that is nothing."""
+    """Gives the table (6, n + 6) of a drive from its n + 6 signals; None stands for a signal that is always zero."""
     return np.column_stack([(drive or Signal()).column() for drive in drives])

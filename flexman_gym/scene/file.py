@@ -48,10 +48,12 @@ _Loader.add_constructor("tag:yaml.org,2002:map", lambda loader, node: _Mapping(l
 
 
 def read(path: Path) -> Any:
-    """Return what the .json, .yaml or .yml file at `path` holds.
+    """Reads a .json, .yaml or .yml file.
 
-    Raises FileNotFoundError when there is none, and ValueError with one line for a file that is not a plain file of at
-    most 1 MB with another suffix, is not UTF-8 or broken, repeats a key or is nested too deeply to be a scene.
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: for another suffix, for a file that is not a plain file of at most 1 MB or not UTF-8, for broken
+            text, for a repeated key, and for a nesting too deep for a scene; one line says which.
     """
     suffix = _suffix(path)
     if not path.exists():
@@ -72,7 +74,11 @@ def read(path: Path) -> Any:
 
 
 def write(path: Path, data: Any) -> None:
-    """Write dicts, lists, texts, numbers, booleans and None to `path`; raises ValueError for an unknown suffix."""
+    """Writes dicts, lists, texts, numbers, booleans and None to a file.
+
+    Raises:
+        ValueError: for an unknown suffix.
+    """
     if _suffix(path) == ".json":
         text = json.dumps(data, indent=1) + "\n"
     else:
@@ -85,7 +91,7 @@ def _suffix(path: Path) -> str:
 
 
 def _parse(text: str, suffix: str) -> Any:
-    """Return the file's content with `_Mapping` for every mapping."""
+    """Gives the content of the file, with `_Mapping` for every mapping."""
     try:
         if suffix == ".json":
             return json.loads(text, object_pairs_hook=_Mapping)
@@ -98,7 +104,7 @@ def _parse(text: str, suffix: str) -> Any:
 
 
 def _tree(path: str, data: Any) -> Any:
-    """Return `data` with dicts for its mappings; `path` is the name of the field that holds it."""
+    """Gives `data` with dicts for its mappings; `path` is the name of the field that holds it."""
     if isinstance(data, _Mapping):
         tree: dict[str, Any] = {}
         for key, value in data:

@@ -10,8 +10,8 @@ from flexman_gym.scene.drive import ConstantTorque, Signal, SineTorque
 
 Part = TypeVar("Part")
 
-# Keys that a scene file may leave out; they are written where they differ from the default. A payload or note may be
-# left out as well, and is always written.
+# Keys that a scene file may leave out; they are written where they differ from the default. A payload or a note may
+# be left out as well, but is always written.
 OPTIONAL: dict[str, tuple[str, ...]] = {
     "Arm": ("modal_damping_ratio",),
     "Payload": ("inertia", "offset"),
@@ -23,7 +23,11 @@ OPTIONAL: dict[str, tuple[str, ...]] = {
 
 
 def arm_of(data: object) -> Arm:
-    """Return the arm that a mapping describes; errors name the field (`arm.links[1].length`)."""
+    """Builds the arm that a mapping describes.
+
+    Raises:
+        ValueError: for entries that are not allowed; it names the field (`arm.links[1].length`).
+    """
     entries = entries_of(Arm, "arm", data)
     for name, part in (("links", _link), ("joints", partial(part_of, Joint))):
         items = sequence(f"arm.{name}", entries[name], "mappings")
@@ -34,7 +38,7 @@ def arm_of(data: object) -> Arm:
 
 
 def _link(path: str, data: object) -> Link | NonUniformLink:
-    """A mapping with the keys of a Link, or one with `sections` that have those keys but no orientation."""
+    """Builds a Link from a mapping, or a NonUniformLink from one with `sections`, which have no orientation."""
     if not isinstance(data, dict) or "sections" not in data:
         return part_of(Link, path, data)
     entries = entries_of(NonUniformLink, path, data)
@@ -46,7 +50,11 @@ def _link(path: str, data: object) -> Link | NonUniformLink:
 
 
 def torque_of(data: object) -> ConstantTorque | SineTorque:
-    """Return the torque that a mapping with a `kind` describes."""
+    """Builds the torque that a mapping with a `kind` describes.
+
+    Raises:
+        ValueError: for entries that are not allowed; it names the field (`torque.value`).
+    """
     if not isinstance(data, dict):
         raise refusal("torque", data, "a mapping with the key kind")
     kinds: dict[str, type[ConstantTorque | SineTorque]] = {kind.kind: kind for kind in (ConstantTorque, SineTorque)}
@@ -55,12 +63,31 @@ def torque_of(data: object) -> ConstantTorque | SineTorque:
 
 
 def part_of(kind: type[Part], path: str, data: object) -> Part:
-    """Create a `kind` from the mapping of its fields at a path of the file."""
+    """Builds a `kind` from the mapping of its fields.
+
+    Args:
+        kind: a dataclass.
+        path: the name of the field of the file that holds the mapping.
+        data: the mapping.
+
+    Raises:
+        ValueError: for entries that are not allowed; it names the field.
+    """
     return built(kind, path, entries_of(kind, path, data))
 
 
 def entries_of(kind: Any, path: str, data: object, *left_out: str) -> dict[str, Any]:
-    """Return a copy of the mapping `data` when its keys are the fields of the dataclass `kind` but those left out."""
+    """Gives a copy of a mapping after a check of its keys.
+
+    Args:
+        kind: the dataclass whose fields the keys must be.
+        path: the name of the field of the file that holds the mapping.
+        data: the mapping.
+        left_out: names of fields that must not be keys.
+
+    Raises:
+        ValueError: for something else than a mapping, for other keys and for missing ones; it names the field.
+    """
     names = [field.name for field in fields(kind) if field.name not in left_out]
     if not isinstance(data, dict):
         raise refusal(path or "scene", data, "a mapping with the keys " + ", ".join(names))
@@ -75,7 +102,11 @@ def entries_of(kind: Any, path: str, data: object, *left_out: str) -> dict[str, 
 
 
 def built(kind: type[Part], path: str, entries: dict[str, Any]) -> Part:
-    """Create a `kind`, and name fields in its error as the file does: arm.links[1].length for Link.length."""
+    """Builds a `kind` from its entries; an error names the field as the file does.
+
+    Raises:
+        ValueError: for entries that `kind` refuses; it names arm.links[1].length, for example, in place of Link.length.
+    """
     try:
         return kind(**entries)
     except ValueError as error:
@@ -83,7 +114,7 @@ def built(kind: type[Part], path: str, entries: dict[str, Any]) -> Part:
 
 
 def plain(value: Any) -> Any:
-    """Return dataclasses as dicts and tuples as lists, all the way down."""
+    """Gives dataclasses as dicts and tuples as lists, all the way down."""
     if isinstance(value, tuple):
         return [plain(entry) for entry in value]
     if not is_dataclass(value):

@@ -27,12 +27,14 @@ MOST_OUTPUT_STEPS = 10_000_000
 
 @dataclass(frozen=True)
 class Initial:
-    """The state at t = 0: the motors start at the links' angles and rates, undeformed links at rest in their frames.
+    """The state at t = 0: motors at the angles and rates of the joints, links undeformed and at rest in their frames.
 
-    joint_angles  (n,) rad
-    joint_rates   (n,) rad/s
+    Attributes:
+        joint_angles: (n,) rad.
+        joint_rates: (n,) rad/s.
 
-    Raises ValueError when one is not a list of finite numbers, or when they differ in length.
+    Raises:
+        ValueError: for an attribute that is not a list of finite numbers, and for lists of different length.
     """
 
     joint_angles: Sequence[float]
@@ -46,17 +48,27 @@ class Initial:
 
 @dataclass(frozen=True)
 class Scene:
-    """One run: everything a simulation needs except its method.
+    """One run: everything that a simulation needs except its method.
 
-    duration, output_step  s; the duration is a whole number of output steps (to 1e-9 of itself), at most 10 million
-    note                   free text for the reader
-    prescribed             (n,) the acceleration of a motor (of a joint where it is rigid) whose motion is given, a
-                           Signal in rad/s^2, and None for a motor that its torque drives; None where that holds for all
-    tip_force              three Signals in N, the force on the tip of the last link in the base frame; None without
-    base_acceleration      three Signals in m/s^2, the base moving as a whole, in the base frame; None without
+    Attributes:
+        arm: the arm.
+        model: how finely the arm is modelled.
+        torque: of the motors.
+        initial: the state at t = 0.
+        duration: s.
+        output_step: time between outputs, s. The duration is a whole number of output steps (to 1e-9 of itself), at
+            most 10 million.
+        note: free text for the reader.
+        prescribed: (n,) a Signal in rad/s^2 for a motor whose motion is given (a joint where it is rigid), the
+            acceleration; None for a motor that its torque drives. None in place of the list where torques drive all
+            motors.
+        tip_force: three Signals in N, the force on the tip of the last link in the base frame; None without one.
+        base_acceleration: three Signals in m/s^2, the acceleration of the base as a whole in the base frame; None
+            without one.
 
-    Raises ValueError when a part has the wrong type or does not fit the number of joints of the arm, and for a torque
-    on a motor whose motion is prescribed.
+    Raises:
+        ValueError: for a part that has the wrong type or does not fit the number of joints of the arm, and for a torque
+            on a motor whose motion is prescribed.
     """
 
     arm: Arm
@@ -90,7 +102,7 @@ class Scene:
             raise refusal("Scene.output_step", self.output_step, allowed)
 
     def _check_part(self, part: str, *kinds: type) -> None:
-        """Refuse a part of another kind, or one whose tuples do not hold one entry for each joint."""
+        """Refuses a part of another kind, or one whose tuples do not hold one entry for each joint."""
         value = getattr(self, part)
         if not isinstance(value, kinds):
             raise refusal(f"Scene.{part}", value, " or ".join(kind.__name__ for kind in kinds))
@@ -101,7 +113,7 @@ class Scene:
                 raise refusal(f"Scene.{part}.{name}", entry, f"{self.arm.n_joints} values, one for each joint")
 
     def _checked_motion(self) -> tuple[Signal | None, ...] | None:
-        """The prescribed motions, refused with a torque on the same motor."""
+        """Checks the prescribed motions; it refuses a motion and a torque on the same motor."""
         if self.prescribed is None:
             return None
         name, count = "Scene.prescribed", self.arm.n_joints
@@ -116,22 +128,24 @@ class Scene:
 
     @property
     def drive(self) -> NDArray[np.float64]:
-        """The table of the drive (6, n + 6) as the kernels read it, see `kernels.layout`."""
+        """Table of the drive (6, n + 6) as the kernels read it, see `kernels.layout`."""
         motions, none = self.prescribed or [None] * self.arm.n_joints, [None] * 3
         motors = [motion or torque for motion, torque in zip(motions, self.torque.signals(), strict=True)]
         return drive_table([*motors, *(self.tip_force or none), *(self.base_acceleration or none)])
 
     @property
     def output_times(self) -> NDArray[np.float64]:
-        """Times of the output, (duration / output_step + 1,) in s, from 0 to the duration."""
+        """Times of the output (duration / output_step + 1,), from 0 to the duration, s."""
         return np.linspace(0.0, self.duration, round(self.duration / self.output_step) + 1)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a scene from a .json, .yaml or .yml file.
+        """Reads a scene from a .json, .yaml or .yml file.
 
-        Raises FileNotFoundError when there is no such file, and ValueError with one line that names the file, the field
-        (`arm.links[1].length`), the value and what is allowed, for whatever else is wrong with it.
+        Raises:
+            FileNotFoundError: when there is no such file.
+            ValueError: for anything else that is wrong with it; one line names the file, the field
+                (`arm.links[1].length`), the value and what is allowed.
         """
         try:
             return cls.from_dict(scene_file.read(Path(path)))
@@ -139,17 +153,19 @@ class Scene:
             raise ValueError(f"{path}: {error}") from None
 
     def save(self, path: str | Path) -> None:
-        """Write the scene to a .json, .yaml or .yml file, from which `load` gives an equal one.
+        """Writes the scene to a .json, .yaml or .yml file, from which `load` gives an equal one.
 
-        Raises ValueError for another suffix.
+        Raises:
+            ValueError: for another suffix.
         """
         scene_file.write(Path(path), self.to_dict())
 
     @classmethod
     def from_dict(cls, data: object) -> Self:
-        """Return the scene that a scene file's mapping describes.
+        """Builds the scene that the mapping of a scene file describes.
 
-        Raises ValueError with one line that names the field (`arm.links[1].length`), the value and what is allowed.
+        Raises:
+            ValueError: one line that names the field (`arm.links[1].length`), the value and what is allowed.
         """
         entries = entries_of(Scene, "", data)
         entries["arm"] = arm_of(entries["arm"])
@@ -163,7 +179,7 @@ class Scene:
         return built(cls, "", entries)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the scene as a scene file's mapping of dicts, lists, numbers and texts."""
+        """Gives the scene as the mapping of a scene file, of dicts, lists, numbers and texts."""
         data: dict[str, Any] = plain(self)
         if self.arm.payload is None:
             data["arm"]["payload"] = {"mass": 0.0}
