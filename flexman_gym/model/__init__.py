@@ -1,4 +1,4 @@
-"""Model: an arm turned into numbers, and what they say at an instant."""
+"""Model: an arm turned into numbers, and its dynamics at an instant."""
 
 from flexman_gym.model.instant import (
     acceleration,

@@ -1,11 +1,11 @@
-"""The beam: finite elements of one link and the integrals that its dynamics needs.
+"""Beam: the finite elements of one link and the integrals that its dynamics needs.
 
-A link is a straight Euler-Bernoulli beam along its own x axis, clamped to the floating frame at x = 0. Its mass is
-represented by mass points, four Gauss points an element times four section points; they integrate the polynomials of
-these elements exactly, so the sums below equal the volume integrals of Eq. 13 and 14.
+A link is a straight Euler-Bernoulli beam along its own x axis, clamped to the floating frame at x = 0. Mass points
+represent its mass: an element has four Gauss points, and each Gauss point has four section points. They integrate the
+polynomials of these elements exactly, so the sums below equal the volume integrals of Eq. 13 and 14.
 
-Without rotary inertia the mass points lie on the centreline, and sections beside them resist nothing but rotation about
-the beam axis: their energy is that of the rotation rate w_x + phi' of a frame with angular velocity w.
+Without rotary inertia the mass points lie on the centreline. The sections around them then resist rotation about the
+beam axis only. In a frame with angular velocity w their energy is that of the rotation rate w_x + phi'.
 """
 
 from collections.abc import Sequence
@@ -29,20 +29,22 @@ from flexman_gym.scene.arm import Link, NonUniformLink
 
 @dataclass(frozen=True)
 class Beam:
-    """Discretised link with k elastic coordinates (k = 0 for a rigid link), in the link's beam frame.
+    """A discretised link with k elastic coordinates in the beam frame of the link; k = 0 for a rigid link.
 
     Attributes:
-        masses: (p,) kg, mass of each mass point.
-        positions: (p, 3) m, undeformed position of each mass point.
-        shapes: (p, 3, k), displacement of each mass point per unit coordinate (S of Eq. 3).
-        stiffness: (k, k), elastic stiffness (K of Eq. 18).
-        tip_translation, tip_rotation: (3, k), displacement and rotation vector of the tip section (S^jt, S^jr).
-        shortening: (s, k, k), G at each station: the foreshortening of the centreline from 0 to there is 1/2 q^T G q.
-        stations: (s, 2) kg and m, mass and place of the stations on the centreline, first the tip, without mass.
-        station_shapes: (s, 3, k) displacement of the centreline at the stations.
-        polar: (t,) kg m^2, inertia about the beam axis of sections that resist no other rotation; empty with rotary
+        masses: (p,) mass of each mass point, kg.
+        positions: (p, 3) undeformed position of each mass point, m.
+        shapes: (p, 3, k) displacement of each mass point per unit coordinate (S of Eq. 3).
+        stiffness: (k, k) elastic stiffness (K of Eq. 18).
+        tip_translation, tip_rotation: (3, k) displacement and rotation vector of the tip section per unit coordinate
+            (S^jt, S^jr).
+        shortening: (s, k, k) G at each station; the foreshortening of the centreline from 0 to the station is 1/2 q^T G
+            q.
+        stations: (s, 2) mass (kg) and place (m) of each station on the centreline; the first is the tip, without mass.
+        station_shapes: (s, 3, k) displacement of the centreline at the stations per unit coordinate.
+        polar: (t,) inertia about the beam axis of sections that resist no other rotation, kg m^2; empty with rotary
             inertia, which the mass points hold.
-        twist: (t, k), rotation of these sections about the beam axis per unit coordinate.
+        twist: (t, k) rotation of these sections about the beam axis per unit coordinate.
     """
 
     masses: Array
@@ -59,12 +61,16 @@ class Beam:
 
     @property
     def mass_matrix(self) -> Array:
-        """(k, k) elastic mass matrix, sum of m S^T S over the mass points (lower right block of Eq. 13)."""
+        """Elastic mass matrix (k, k), the sum of m S^T S over the mass points (lower right block of Eq. 13)."""
         spinning = (self.twist.T * self.polar) @ self.twist
         return np.einsum("p,pia,pib->ab", self.masses, self.shapes, self.shapes) + spinning
 
     def reduced(self, basis: Array) -> "Beam":
-        """The same beam in the coordinates p with q = basis @ p; basis: (k, m)."""
+        """Gives the same beam in the coordinates p with q = basis @ p.
+
+        Args:
+            basis: (k, m).
+        """
         return replace(
             self,
             shapes=self.shapes @ basis,
@@ -79,10 +85,11 @@ class Beam:
 
 @dataclass(frozen=True)
 class ShapeIntegrals:
-    """Mass integrals of a beam with k elastic coordinates; r0 is the undeformed position, S_a shape vector a.
+    """Mass integrals of a beam with k elastic coordinates; r0 is the undeformed position, S_a is shape vector a.
 
-    Sections that resist rotation about the beam axis alone take part as the (fictitious) second moments of mass that
-    give them the right inertia: j about x, nothing about y and z, and j_a about x for the rate of coordinate a.
+    Some sections resist rotation about the beam axis alone, with the inertia j. They enter as fictitious second moments
+    of mass that give this inertia about x and none about y and z. For the rate of coordinate a they give the inertia
+    j_a about x.
 
     Attributes:
         mass: sum m, kg.
@@ -90,7 +97,7 @@ class ShapeIntegrals:
         first_moment_shape: (k, 3) sum m S_a.
         second_moment: (3, 3) sum m r0 r0^T.
         position_shape: (k, 3, 3) sum m r0 S_a^T.
-        shape_shape: (k, k, 3, 3) sum m S_b S_a^T, first index b.
+        shape_shape: (k, k, 3, 3) sum m S_b S_a^T; the first index is b.
         elastic: (k, k) sum m S_a . S_b.
     """
 
@@ -106,8 +113,13 @@ class ShapeIntegrals:
 def build_beam(link: Link | NonUniformLink, elements: int, flexible: bool = True, rotary_inertia: bool = True) -> Beam:
     """Assembles a link from equal elements in each section, with node 0 clamped to the floating frame.
 
-    k = 6 * elements * number of sections, or 0 if rigid. The coordinates are ordered node by node from the first free
-    node to the tip. Without rotary inertia the sections resist rotation about the beam axis only.
+    The coordinates are ordered node by node from the first free node to the tip.
+
+    Args:
+        link: the link.
+        elements: in each section of the link; k = 6 * elements * number of sections.
+        flexible: False makes the link rigid, with k = 0.
+        rotary_inertia: False lets the sections resist rotation about the beam axis only.
     """
     pieces = beam_elements(link, elements)
     size = NODE_COORDINATES * (len(pieces) + 1)
@@ -135,7 +147,7 @@ def build_beam(link: Link | NonUniformLink, elements: int, flexible: bool = True
 
 
 def _mass_points(elements: Sequence[Element], size: int, rotary_inertia: bool) -> tuple[Array, Array, Array]:
-    """Masses (p,), positions (p, 3) and shapes (p, 3, size) of the mass points."""
+    """Gives masses (p,), positions (p, 3) and shapes (p, 3, size) of the mass points."""
     abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
     masses, positions, shapes = [], [], []
     for section, start, length, nodes in elements:
@@ -151,7 +163,7 @@ def _mass_points(elements: Sequence[Element], size: int, rotary_inertia: bool) -
 
 
 def _spinning_sections(elements: Sequence[Element], size: int) -> tuple[Array, Array]:
-    """Polar inertias (t,) in kg m^2 and twists (t, size) of sections at the Gauss points of the elements."""
+    """Gives polar inertias (t,) in kg m^2 and twists (t, size) of sections at the Gauss points of the elements."""
     abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
     count = len(elements) * GAUSS_POINTS
     polar, twist = np.zeros(count), np.zeros((count, size))
@@ -164,7 +176,7 @@ def _spinning_sections(elements: Sequence[Element], size: int) -> tuple[Array, A
 
 
 def shape_integrals(beam: Beam) -> ShapeIntegrals:
-    """The constant integrals from which mass matrix and quadratic velocity terms (Eq. 13, 14) follow at any state."""
+    """Gives the constant integrals of mass matrix and quadratic velocity terms at any state (Eq. 13, 14)."""
     m, r0, s = beam.masses, beam.positions, beam.shapes
     position_shape = np.einsum("p,pi,pja->aij", m, r0, s)
     half = beam.polar @ beam.twist / 2

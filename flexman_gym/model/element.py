@@ -1,4 +1,4 @@
-"""The element: one finite element of a link, its shapes, slopes and stiffness."""
+"""Element: one finite element of a link, its shapes, slopes and stiffness."""
 
 from bisect import bisect_right
 from collections.abc import Sequence
@@ -14,16 +14,28 @@ GAUSS_POINTS = 4  # exact to degree 7; the mass of cubic Hermite shapes has degr
 
 
 class Element(NamedTuple):
-    """One finite element of a link, between two neighbouring nodes."""
+    """One finite element of a link, between two neighbouring nodes.
 
-    section: Link  # the uniform link that it is a piece of
-    start: float  # m, place of its first node along the link
-    length: float  # m
-    nodes: slice  # its twelve node coordinates among those of the link, the clamped node 0 included
+    Attributes:
+        section: the uniform Link that the element is a part of.
+        start: place of its first node along the link, m.
+        length: m.
+        nodes: its twelve node coordinates among those of the link, the clamped node 0 included.
+    """
+
+    section: Link
+    start: float
+    length: float
+    nodes: slice
 
 
 def beam_elements(link: Link | NonUniformLink, elements: int) -> list[Element]:
-    """The finite elements of a link, base to tip: so many equal ones in each of its sections."""
+    """Gives the finite elements of a link, base to tip.
+
+    Args:
+        link: the link.
+        elements: how many equal elements each section of the link has.
+    """
     result: list[Element] = []
     start = 0.0
     for section in link.sections:
@@ -36,15 +48,25 @@ def beam_elements(link: Link | NonUniformLink, elements: int) -> list[Element]:
 
 
 def find_element(elements: Sequence[Element], position: float) -> tuple[Element, float]:
-    """The element of a link at a position >= 0 (m), the outboard one at a node between two, and xi of 0 to 1 there."""
+    """Gives the element of a link at a position, and the place xi in it from 0 to 1.
+
+    Args:
+        elements: of the link, base to tip.
+        position: along the link, >= 0, m. At a node between two elements the outboard one is taken.
+    """
     element = elements[bisect_right(elements, position, key=lambda element: element.start) - 1]
     return element, (position - element.start) / element.length
 
 
 def beam_shapes(xi: float, length: float, y: float, z: float) -> Array:
-    """(3, 12) displacement of the point (xi * length, y, z) of one element per unit of its twelve node coordinates.
+    """Gives the displacement (3, 12) of a point of an element per unit of its twelve node coordinates.
 
-    u(x, y, z) = [u - y v' - z w', v - z phi, w + y phi] with cubic Hermite v, w and linear u, phi; xi in [0, 1].
+    The displacement is u(x, y, z) = [u - y v' - z w', v - z phi, w + y phi] with cubic Hermite v, w and linear u, phi.
+
+    Args:
+        xi: place along the element, from 0 to 1.
+        length: of the element, m.
+        y, z: place in the section, m.
     """
     axial = (1 - xi, xi)
     deflection, slope = _hermite(xi, length), _hermite_derivative(xi, length)
@@ -61,7 +83,12 @@ def beam_shapes(xi: float, length: float, y: float, z: float) -> Array:
 
 
 def beam_slopes(xi: float, length: float) -> Array:
-    """(2, 12) slopes v' and w' of the centreline of one element per unit of its twelve node coordinates."""
+    """Gives the slopes v' and w' (2, 12) of the centreline of an element per unit of its twelve node coordinates.
+
+    Args:
+        xi: place along the element, from 0 to 1.
+        length: of the element, m.
+    """
     slope = np.array(_hermite_derivative(xi, length))
     slopes = np.zeros((2, 2 * NODE_COORDINATES))
     slopes[0, [1, 5, 7, 11]] = slope
@@ -70,7 +97,12 @@ def beam_slopes(xi: float, length: float) -> Array:
 
 
 def beam_stiffness(link: Link, length: float) -> Array:
-    """(12, 12) stiffness of one element of the given length: axial, St Venant torsion and bending in two planes."""
+    """Gives the stiffness (12, 12) of an element: axial, St Venant torsion and bending in two planes.
+
+    Args:
+        link: the uniform link that the element is a part of.
+        length: of the element, m.
+    """
     stiffness = np.zeros((2 * NODE_COORDINATES, 2 * NODE_COORDINATES))
     bar = np.array([[1.0, -1.0], [-1.0, 1.0]]) / length
     stiffness[np.ix_([0, 6], [0, 6])] = link.youngs_modulus * link.area * bar
@@ -86,7 +118,7 @@ def beam_stiffness(link: Link, length: float) -> Array:
 
 
 def section_points(link: Link) -> Array:
-    """(4, 2) y, z of four points of equal weight that have the section's area and both its second moments of area."""
+    """Gives y, z (4, 2) of four points of equal weight with the area and both second moments of area of a section."""
     y = np.sqrt(2 * link.second_moment_z / link.area)
     z = np.sqrt(2 * link.second_moment_y / link.area)
     return np.array([[y, 0], [-y, 0], [0, z], [0, -z]])

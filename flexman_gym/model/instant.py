@@ -10,16 +10,22 @@ from flexman_gym.kernels import dynamics, inverse, outputs
 from flexman_gym.kernels.layout import OUTPUTS, TIP_VELOCITY, make_work
 from flexman_gym.model.model import Model
 
-# Central differences over one, two and three steps h, each with its weight in Richardson's extrapolation to h = 0: what
-# is left of a first derivative is h^6 / 140 times the seventh, of a second one h^6 / 560 times the eighth.
+# Central differences over one, two and three steps h, each with its weight in Richardson's extrapolation to h = 0. The
+# error of a first derivative is h^6 / 140 times the seventh one, of a second derivative h^6 / 560 times the eighth one.
 RICHARDSON = ((1, 1.5), (2, -0.6), (3, 0.1))
-SECOND_STEP = 0.02  # rad, of a second derivative: truncation just below rounding
+SECOND_STEP = 0.02  # rad, for a second derivative: its truncation is just below rounding
 
 
 def acceleration(model: Model, state: Sequence[float] | Array, torque: Sequence[float] | Array) -> Array:
-    """Generalised accelerations (d,) at a state (2 d,) under motor torques (n,) in N m (Eq. 45 with Eq. 23).
+    """Gives the generalised accelerations (d,) (Eq. 45 with Eq. 23).
 
-    Raises ValueError for wrong shapes or values that are not finite.
+    Args:
+        model: the model.
+        state: (2 d,).
+        torque: (n,) of the motors, N m.
+
+    Raises:
+        ValueError: for wrong shapes or values that are not finite.
     """
     x, v = split_state(model, state)
     out = np.zeros(model.n_dof)
@@ -29,9 +35,10 @@ def acceleration(model: Model, state: Sequence[float] | Array, torque: Sequence[
 
 
 def mass_matrix(model: Model, state: Sequence[float] | Array) -> Array:
-    """Generalised mass matrix (d, d) at a state (2 d,), rotors included (Eq. 46 with Eq. 23).
+    """Gives the generalised mass matrix (d, d) at a state (2 d,), rotors included (Eq. 46 with Eq. 23).
 
-    Raises ValueError for a wrong shape or values that are not finite.
+    Raises:
+        ValueError: for a wrong shape or values that are not finite.
     """
     x, _ = split_state(model, state)
     forces, rest = inertial_forces(model, weightless=True), np.zeros(model.n_dof)
@@ -40,24 +47,29 @@ def mass_matrix(model: Model, state: Sequence[float] | Array) -> Array:
 
 
 def stiffness_matrix(model: Model) -> Array:
-    """Stiffness (d, d) of links and joint springs."""
+    """Gives the stiffness matrix (d, d) of links and joint springs."""
     return _structure(model, model.constants.joint_stiffness, model.constants.stiffness)
 
 
 def damping_matrix(model: Model) -> Array:
-    """Damping (d, d) of links, joint dampers and viscous friction."""
+    """Gives the damping matrix (d, d) of links, joint dampers and viscous friction."""
     matrix = _structure(model, model.constants.joint_damping, model.constants.damping)
     matrix[model.motor_columns, model.motor_columns] += model.constants.viscous_friction
     return matrix
 
 
 def frequencies(model: Model, joint_angles: Sequence[float] | None = None, lock_joints: bool = False) -> Array:
-    """Undamped natural frequencies in Hz, ascending, of the unloaded arm at rest at joint angles (n,), zero by default.
+    """Gives the undamped natural frequencies of the unloaded arm at rest, ascending, Hz; gravity is left out.
 
-    Free, there are d of them, the first n zero: the arm can turn about its joints. With `lock_joints` the motors (the
-    joints where rigid) are clamped and the other d - n frequencies remain. Gravity is left out.
+    Args:
+        model: the model.
+        joint_angles: (n,) rad, zero by default.
+        lock_joints: False leaves the motors free. There are then d frequencies; the first n are zero, as the arm can
+            turn about its joints. True clamps the motors (the joints where they are rigid); the other d - n frequencies
+            remain.
 
-    Raises ValueError for wrong joint angles.
+    Raises:
+        ValueError: for wrong joint angles.
     """
     angles = np.zeros(model.n_joints) if joint_angles is None else joint_angles
     mass = mass_matrix(model, model.initial_state(angles))
@@ -76,12 +88,18 @@ def frequencies(model: Model, joint_angles: Sequence[float] | None = None, lock_
 
 
 def tip_acceleration(model: Model, state: Sequence[float] | Array, torque: Sequence[float] | Array) -> Array:
-    """Acceleration (3,) of the tip in the base frame, m/s^2, at a state (2 d,) under motor torques (n,) in N m.
+    """Gives the acceleration (3,) of the tip in the base frame, m/s^2.
 
-    It is the second derivative of the tip's position (Eq. 32, 33), exact up to rounding; an accelerometer on the tip
+    It is the second derivative of the tip's position (Eq. 32, 33), exact up to rounding. An accelerometer on the tip
     would show it less gravity.
 
-    Raises ValueError for wrong shapes or values that are not finite.
+    Args:
+        model: the model.
+        state: (2 d,).
+        torque: (n,) of the motors, N m.
+
+    Raises:
+        ValueError: for wrong shapes or values that are not finite.
     """
     (x, v), rates = split_state(model, state), acceleration(model, state, torque)
     weightless = model.constants._replace(gravity=np.zeros(3))
@@ -104,17 +122,22 @@ def inverse_dynamics(
     joint_jerks: Sequence[float] | Array | None = None,
     joint_snaps: Sequence[float] | Array | None = None,
 ) -> Array:
-    """Motor torques (n,) in N m that give an arm of rigid links a motion of its joints (link side), (n,) each.
+    """Gives the motor torques (n,) in N m for a motion of the joints (link side) of an arm of rigid links.
 
-    Rigid joints need the motion up to rad/s^2 only, rotors included, exact up to rounding. With flexible joints (Spong,
-    Modeling and control of elastic joint robots, 1987) the motors run ahead by the torque on the links over the
-    stiffness, so that their acceleration takes its second derivative, and that the jerks (rad/s^3) and snaps (rad/s^4).
-    It is differenced along the motion, extrapolated to order six; measured on random chains, the torques are right to
-    1e-10 of the largest.
+    With rigid joints the torques, rotors included, are exact up to rounding. With flexible joints each motor runs ahead
+    by the torque on the links over the stiffness (Spong, Modeling and control of elastic joint robots, 1987). Its
+    acceleration takes the second derivative of this torque, hence jerks and snaps. The derivative is a difference along
+    the motion, extrapolated to order six. On random chains the torques are right to 1e-10 of the largest one.
 
-    Raises ValueError for wrong shapes, values that are not finite, missing jerks or snaps, a flexible link, and for a
-    flexible joint with a damper (the motor angle is then the solution of a differential equation), with friction of its
-    motor or with a spinning rotor.
+    Args:
+        model: the model.
+        joint_angles, joint_rates, joint_accelerations: (n,) rad, rad/s and rad/s^2.
+        joint_jerks, joint_snaps: (n,) rad/s^3 and rad/s^4; flexible joints need them.
+
+    Raises:
+        ValueError: for wrong shapes, values that are not finite, missing jerks or snaps, and a flexible link; for a
+            flexible joint with a damper (the motor angle would solve a differential equation), with friction of its
+            motor or with a spinning rotor.
     """
     n, constants = model.n_joints, model.constants
     motion = np.zeros((5, n))
@@ -126,7 +149,7 @@ def inverse_dynamics(
     sprung = constants.motor >= 0
     _check_invertible(model, sprung)
     forces, spread = inertial_forces(model), np.zeros((model.n_dof, n))
-    spread[np.arange(n), np.arange(n)] = 1.0  # rotors on springs stand still: their share is added below
+    spread[np.arange(n), np.arange(n)] = 1.0  # rotors on springs stand still: their torques are added below
 
     def link_torques(t: float) -> Array:
         powers = t ** np.arange(5) / np.array([1.0, 1.0, 2.0, 6.0, 24.0])
@@ -144,7 +167,7 @@ def inverse_dynamics(
 
 
 def _check_invertible(model: Model, sprung: Flags) -> None:
-    """Refuses what leaves the motion of the joints without torques of its own; `sprung` (n,) joints are flexible."""
+    """Refuses a model whose joint motion alone does not decide the torques; `sprung` (n,) joints are flexible."""
     constants = model.constants
     if model.n_elastic > 0:
         allowed = "False: bending links have no motion of joints that decides the torques"
@@ -159,12 +182,17 @@ def _check_invertible(model: Model, sprung: Flags) -> None:
 
 
 def split_state(model: Model, state: Sequence[float] | Array) -> tuple[Array, Array]:
+    """Gives coordinates (d,) and speeds (d,) of a state (2 d,).
+
+    Raises:
+        ValueError: for a wrong shape or values that are not finite.
+    """
     values = np.array(vector("state", state, 2 * model.n_dof))
     return values[: model.n_dof], values[model.n_dof :]
 
 
 def _structure(model: Model, joints: Array, links: Array) -> Array:
-    """Matrix (d, d) of what acts between motors and joints, (n,), and in the links, packed blocks."""
+    """Gives the matrix (d, d) of terms between motors and joints, (n,), and of terms in the links, packed blocks."""
     starts = model.constants.square_start
     matrix = np.zeros((model.n_dof, model.n_dof))
     for i, motor in enumerate(model.constants.motor):
@@ -177,7 +205,12 @@ def _structure(model: Model, joints: Array, links: Array) -> Array:
 
 
 def inertial_forces(model: Model, weightless: bool = False) -> Callable[[Array, Array, Array], Array]:
-    """The forces (d,) that coordinates, speeds and accelerations (d,) demand, with gravity or without."""
+    """Gives a function of coordinates, speeds and accelerations (d,) whose value is the forces (d,) that they demand.
+
+    Args:
+        model: the model.
+        weightless: whether gravity is left out.
+    """
     constants = model.constants._replace(gravity=np.zeros(3)) if weightless else model.constants
     work = make_work(constants)
 
@@ -190,7 +223,7 @@ def inertial_forces(model: Model, weightless: bool = False) -> Callable[[Array, 
 
 
 def tip_jacobian(model: Model, x: Array) -> Array:
-    """(3, d) tip velocity per unit speed."""
+    """Gives the tip velocity per unit speed, (3, d), at coordinates (d,)."""
     rows = np.zeros((model.n_dof, OUTPUTS))
     work = make_work(model.constants)
     for row, unit in zip(rows, np.eye(model.n_dof), strict=True):
@@ -199,7 +232,7 @@ def tip_jacobian(model: Model, x: Array) -> Array:
 
 
 def _bend(function: Callable[[float], Array], h: float) -> Array:
-    """Second derivative at 0."""
+    """Gives the second derivative at 0."""
     middle = 2.0 * function(0.0)
     parts = [weight / (k * h) ** 2 * (function(k * h) - middle + function(-k * h)) for k, weight in RICHARDSON]
     return np.sum(parts, axis=0)

@@ -20,20 +20,26 @@ from flexman_gym.model.instant import (
 )
 from flexman_gym.model.model import Model
 
-FIRST_STEP = 0.005  # rad, of a first derivative: truncation just below rounding
+FIRST_STEP = 0.005  # rad, for a first derivative: its truncation is just below rounding
 
 
 class LinearModel(NamedTuple):
-    """x' = A x + B u, y = C x + D u for small departures from a state and its torques.
+    """The linear model x' = A x + B u, y = C x + D u for small departures from a state and its torques.
 
-    x (2 d,) = [coordinates, speeds] in the order of `kernels.layout`, u (n,) motor torques in N m, y (3,) the tip in
-    the base frame in m.
+    The state x (2 d,) holds coordinates and speeds in the order of `kernels.layout`. The input u (n,) holds motor
+    torques in N m. The output y (3,) is the tip in the base frame in m.
+
+    Attributes:
+        A: (2 d, 2 d).
+        B: (2 d, n).
+        C: (3, 2 d).
+        D: (3, n), zero.
     """
 
-    A: Array  # (2 d, 2 d)
-    B: Array  # (2 d, n)
-    C: Array  # (3, 2 d)
-    D: Array  # (3, n), zero
+    A: Array
+    B: Array
+    C: Array
+    D: Array
 
 
 def linearize(
@@ -42,20 +48,29 @@ def linearize(
     state: Sequence[float] | Array | None = None,
     torque: Sequence[float] | Array | None = None,
 ) -> LinearModel:
-    """The linear model about the undeformed arm at rest at joint angles (n,) rad, or about a whole state (2 d,).
+    """Gives the linear model about the undeformed arm at rest, or about a whole state.
 
-    Angles and torques (n,) in N m are zero by default. Where the accelerations there do not vanish (gravity, speeds),
-    x departs from the motion that starts there, and A is the slope at its start. Coulomb friction enters with its slope
-    at the rates of the state, which is very steep at rest.
+    Where the accelerations at the state do not vanish (gravity, speeds), x departs from the motion that starts there,
+    and A is the slope at its start. Coulomb friction enters with its slope at the rates of the state, which is very
+    steep at rest.
 
     The balance inertial forces + damping v + stiffness q = torques is differentiated term by term, so that stiff
-    springs spoil nothing. Stiffness, damping, B and C are exact, the slope by speeds too (the forces are quadratic in
-    them), all up to rounding. The slope of the inertial forces by coordinates is taken by central differences,
-    extrapolated to order six, each coordinate in steps that move no section by more than 0.5 % of its link's length or
-    0.005 rad. Measured on random chains, bent and fast: it is right to 1e-12 of its largest entry; with the condition
-    of the mass matrix on top, A to 1e-10 of its largest (metres and radians weighed by their masses).
+    springs spoil nothing. Stiffness, damping, B and C are exact up to rounding. The slope by speeds is exact too, as
+    the forces are quadratic in them.
 
-    Raises ValueError for wrong shapes, values that are not finite, or a state and joint angles at once.
+    The slope of the inertial forces by coordinates is taken by central differences, extrapolated to order six. No step
+    moves a section by more than 0.5 % of its link's length or 0.005 rad. On random chains, bent and fast, its measured
+    error is 1e-12 of its largest entry. With the condition of the mass matrix on top, the error of A is 1e-10 of its
+    largest entry (metres and radians weighed by their masses).
+
+    Args:
+        model: the model.
+        joint_angles: (n,) rad, zero by default.
+        state: (2 d,), in place of joint angles.
+        torque: (n,) of the motors, N m, zero by default.
+
+    Raises:
+        ValueError: for wrong shapes, values that are not finite, or a state and joint angles at once.
     """
     from scipy.linalg import cho_factor, cho_solve
 
@@ -78,7 +93,7 @@ def linearize(
 
 
 def _demands(model: Model, state: Sequence[float] | Array, torque: Sequence[float] | Array) -> Array:
-    """(d, 2 d + n) slopes, by coordinates, speeds and torques, of the forces that accelerate the arm."""
+    """Gives slopes (d, 2 d + n), by coordinates, speeds and torques, of the forces that accelerate the arm."""
     (x, v), caused, forces = split_state(model, state), acceleration(model, state, torque), inertial_forces(model)
     d, n, size = model.n_dof, model.n_joints, _coordinate_sizes(model)
 
@@ -99,7 +114,7 @@ def _demands(model: Model, state: Sequence[float] | Array, torque: Sequence[floa
 
 
 def _coordinate_sizes(model: Model) -> Array:
-    """(d,) of each coordinate what turns a section by 1 rad or moves it by the length of its link."""
+    """Gives the size (d,) of each coordinate that turns a section by 1 rad or moves it by the length of its link."""
     sizes = np.ones(model.n_dof)
     for i, (link, basis) in enumerate(zip(model.arm.links, model.bases, strict=True)):
         moved = np.abs(basis).reshape(len(basis) // NODE_COORDINATES, 2, 3, basis.shape[1])
@@ -109,6 +124,6 @@ def _coordinate_sizes(model: Model) -> Array:
 
 
 def _slope(function: Callable[[float], Array], h: float) -> Array:
-    """First derivative at 0."""
+    """Gives the first derivative at 0."""
     parts = [weight / (2 * k * h) * (function(k * h) - function(-k * h)) for k, weight in RICHARDSON]
     return np.sum(parts, axis=0)

@@ -1,4 +1,4 @@
-"""The model: an arm turned into the constants that the kernels read."""
+"""Model: an arm turned into the constants that the kernels read."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,15 +20,16 @@ from flexman_gym.scene.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A discretised arm; what `build_model` returns.
+    """A discretised arm, as `build_model` returns it.
 
     Attributes:
-        arm: the arm it was built from.
+        arm: the arm from which it was built.
         choice: elements, modes and flexibilities, as they were asked for.
         constants: arrays that the kernels read; shapes and units in `kernels.layout.Constants`.
-        bases: (6 * elements * sections, k_i) of each link, the node coordinates per unit of its elastic coordinates; of
-            a rigid link (0, 0).
-        modal_damping: the part of `constants.damping` that comes from the modal damping ratio, packed like it.
+        bases: (6 * elements * sections, k_i) of each link, the node coordinates per unit of its elastic coordinates;
+            (0, 0) of a rigid link.
+        modal_damping: the part of `constants.damping` that comes from the modal damping ratio, packed like
+            `constants.damping`.
     """
 
     arm: Arm
@@ -59,23 +60,31 @@ class Model:
 
     @property
     def motor_columns(self) -> np.ndarray:
-        """(n,) index in x of each motor angle; that of the joint angle where the joint is rigid."""
+        """Index (n,) in x of each motor angle; where the joint is rigid, of the joint angle."""
         return np.where(self.constants.motor >= 0, self.constants.motor, np.arange(self.n_joints))
 
     def elastic_columns(self, link: int) -> slice:
-        """Columns of x that hold the elastic coordinates of a link (counted from 0)."""
+        """Gives the columns of x that hold the elastic coordinates of a link (counted from 0)."""
         first = self.n_joints + self.n_motors
         start, stop = self.constants.elastic_start[link : link + 2]
         return slice(first + int(start), first + int(stop))
 
     def elements(self, link: int) -> list[Element]:
-        """Finite elements of a link (counted from 0), base to tip."""
+        """Gives the finite elements of a link (counted from 0), base to tip."""
         return beam_elements(self.arm.links[link], _each("elements", self.choice.elements, self.n_joints)[link])
 
     def initial_state(
         self, joint_angles: Sequence[float] | Array, joint_rates: Sequence[float] | Array | None = None
     ) -> Array:
-        """State (2 d,) of the undeformed arm at joint angles (n,) rad and rates (n,) rad/s; motors follow."""
+        """Gives the state (2 d,) of the undeformed arm, with the motors at the angles and rates of the joints.
+
+        Args:
+            joint_angles: (n,) rad.
+            joint_rates: (n,) rad/s, zero by default.
+
+        Raises:
+            ValueError: for wrong shapes or values that are not finite.
+        """
         state = np.zeros(2 * self.n_dof)
         starts = ((0, "joint_angles", joint_angles, "rad"), (self.n_dof, "joint_rates", joint_rates, "rad/s"))
         for column, name, values, unit in starts:
@@ -86,7 +95,7 @@ class Model:
         return state
 
     def at_rest(self, angles: Array) -> Array:
-        """States (r, 2 d) of the undeformed arm at rest at joint angles (r, n) rad; motors follow."""
+        """Gives states (r, 2 d) of the undeformed arm at rest, with motors and joints at angles (r, n) rad."""
         states = np.zeros((len(angles), 2 * self.n_dof))
         states[:, : self.n_joints] = states[:, self.motor_columns] = angles
         return states
@@ -107,14 +116,15 @@ def build_model(
 
     Args:
         arm: the arm.
-        elements: finite elements of a Link, or of each section of a NonUniformLink; one value or one per link, and no
-            more than 64 elements of a link in all. A link has 6 * elements * number of sections coordinates.
-        modes: loaded component modes kept of a flexible link, at most its number of coordinates; None keeps them all.
-            One value or one per link: how many, of the lowest frequencies, or a tuple of their numbers, counted from 0.
+        elements: finite elements of a Link, or of each section of a NonUniformLink; one value or one per link. A link
+            has at most 64 elements in all, and 6 * elements * number of sections coordinates.
+        modes: loaded component modes kept of a flexible link, at most its number of coordinates; one value or one per
+            link. A number keeps so many of the lowest frequencies, a tuple keeps modes by their numbers, counted from
+            0. None keeps them all.
         flexible_links: False makes a link rigid.
         flexible_joints: False locks the springs of all joints; their rotor inertia stays.
-        stiffening: foreshortening of bent links (geometric stiffening), needed where links spin about as fast as they
-            bend, or bend far.
+        stiffening: foreshortening of bent links (geometric stiffening). Links need it that spin about as fast as they
+            bend, or that bend far.
         spinning_rotors, rotary_inertia: see `ModelChoice`.
 
     Raises:
@@ -143,12 +153,12 @@ def build_model(
 
 
 def scene_model(scene: Scene) -> Model:
-    """The model that a scene asks for."""
+    """Builds the model that a scene asks for."""
     return build_model(scene.arm, **vars(scene.model))
 
 
 def _each(name: str, value: object, n: int) -> tuple:
-    """One value per link from one for all or one for each."""
+    """Gives one value per link from one value for all or one for each."""
     if not isinstance(value, tuple):
         return (value,) * n
     if len(value) != n:

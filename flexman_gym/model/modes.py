@@ -1,6 +1,6 @@
-"""Reduction: component modes of a link that carries the rest of the arm.
+"""Modes: the component modes of a link that carries the rest of the arm.
 
-Modes of the bare clamped link, sorted by frequency, are a trap: they rank torsion far behind bending although torsion
+Modes of the bare clamped link, sorted by frequency, are a trap: they rank torsion far behind bending, although torsion
 carries everything outboard. Loaded modes see the inertia of the outboard arm, straight and rigid, at the link's tip.
 """
 
@@ -13,17 +13,23 @@ from flexman_gym.checks import refusal
 from flexman_gym.model.beam import Beam
 from flexman_gym.scene.arm import Arm
 
-VANISHING = 1e-12  # of the geometric mean of two diagonal entries: a coupling below is rounding
+VANISHING = 1e-12  # of the geometric mean of two diagonal entries: a smaller coupling is rounding
 
 
 def zero_pose_rotations(arm: Arm) -> Array:
-    """(n, 3, 3) rotation of each beam frame relative to the one before it (the base for the first) at zero angles."""
+    """Gives the rotation (n, 3, 3) of each beam frame relative to the one before it at zero angles.
+
+    The first rotation is relative to the base.
+    """
     orientations = [np.eye(3)] + [np.array(link.orientation) for link in arm.links]
     return np.array([before.T @ after for before, after in pairwise(orientations)])
 
 
 def outboard_inertias(arm: Arm, beams: tuple[Beam, ...]) -> Array:
-    """(n, 6, 6) rigid inertia that each link's tip carries at zero angles, in its beam frame, linear part first."""
+    """Gives the rigid inertia (n, 6, 6) at each link's tip at zero angles, in its beam frame, linear part first.
+
+    It is the inertia of the payload and of all links behind the tip.
+    """
     inertia = np.zeros((6, 6))
     if arm.payload is not None:
         mount = np.array(arm.links[-1].orientation).T
@@ -46,13 +52,20 @@ def outboard_inertias(arm: Arm, beams: tuple[Beam, ...]) -> Array:
 
 
 def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
-    """Angular frequencies (k,) rad/s, ascending, and shapes (k, k), columns, of a clamped link that carries an inertia.
+    """Gives the modes of a clamped link that carries an inertia at its tip.
 
-    The shapes are normalised to unit modal mass including the outboard inertia (6, 6). Coordinates that nothing couples
-    are solved apart: the bending of a round link has two modes of the same frequency, in any two planes, and is given
-    those along y and z, whose integrals vanish more often.
+    Coordinates that nothing couples are solved apart. The bending of a round link has two modes of the same frequency,
+    in any two planes. Solved apart, they lie along y and z, whose integrals vanish more often.
+
+    Args:
+        beam: the link, with k elastic coordinates.
+        outboard: (6, 6) inertia that its tip carries.
+
+    Returns:
+        Angular frequencies (k,) in rad/s, ascending, and shapes (k, k) as columns. The shapes are normalised to unit
+            modal mass including the outboard inertia.
     """
-    from scipy.linalg import eigh  # takes long to import, and not every use of the package needs it
+    from scipy.linalg import eigh  # its import takes long, and not every use of the package needs it
 
     tip = np.vstack([beam.tip_translation, beam.tip_rotation])
     mass, stiffness = beam.mass_matrix + tip.T @ outboard @ tip, beam.stiffness
@@ -62,7 +75,7 @@ def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
         squares, shapes[group, columns] = eigh(stiffness[block], mass[block])
         frequencies[columns] = np.sqrt(squares)
         found += len(group)
-    # rounding must not decide which of two equal ones comes first
+    # rounding must not decide which of two equal frequencies comes first
     order = np.argsort([float(f"{frequency:.9g}") for frequency in frequencies], kind="stable")
     return frequencies[order], shapes[:, order]
 
@@ -84,7 +97,7 @@ def kept_modes(beam: Beam, outboard: Array, modes: int | tuple[int, ...] | None,
 
 
 def uncoupled(*matrices: Array) -> list[np.ndarray]:
-    """Groups of coordinates that symmetric positive definite matrices (k, k) do not couple, rounding left out."""
+    """Gives groups of coordinates that symmetric positive definite matrices (k, k) do not couple beyond rounding."""
     joined = np.zeros(matrices[0].shape, dtype=bool)
     for matrix in matrices:
         size = np.sqrt(np.diag(matrix))
@@ -96,7 +109,13 @@ def uncoupled(*matrices: Array) -> list[np.ndarray]:
 
 
 def modal_damping(beam: Beam, outboard: Array, ratio: float) -> Array:
-    """(k, k) damping matrix of a link that gives each of its loaded modes the same damping ratio."""
+    """Gives the damping matrix (k, k) of a link in which each of its loaded modes has the same damping ratio.
+
+    Args:
+        beam: the link.
+        outboard: (6, 6) inertia that its tip carries.
+        ratio: of damping.
+    """
     if len(beam.stiffness) == 0:
         return np.zeros((0, 0))
     frequencies, shapes = loaded_modes(beam, outboard)
@@ -106,7 +125,7 @@ def modal_damping(beam: Beam, outboard: Array, ratio: float) -> Array:
 
 
 def _carry(offset: Array) -> Array:
-    """(6, 6) motion of a point at an offset from the motion of the origin: v + w x offset, w."""
+    """Gives the motion (6, 6) of a point at an offset from the motion of the origin: v + w x offset, w."""
     x, y, z = offset
     motion = np.eye(6)
     motion[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]

@@ -16,6 +16,7 @@ VANISHING = 1e-14  # a mass integral this small beside the masses of its two coo
 
 
 def packed_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: ModelChoice) -> layout.Constants:
+    """Packs an arm, its reduced beams and its modal damping into the constants that the kernels read."""
     payload = arm.payload or Payload(0.0)
     sizes = np.array([len(beam.stiffness) for beam in beams], dtype=np.int64)
     widths = LANES * ((sizes + 6 + LANES - 1) // LANES)
@@ -24,7 +25,7 @@ def packed_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: Mo
     shape = _sparse([part.shape_shape for part in parts], 9, parts)
     cross = _sparse([_axial(part.shape_shape) for part in parts], 3, parts)
 
-    end = np.zeros(LANES)  # for whole groups at the end
+    end = np.zeros(LANES)  # so that groups of lanes may reach past the last row
     both = list(zip(parts, beams, strict=True))
     stiffness = packed([*[beam.stiffness for beam in beams], end], 1)
     return layout.Constants(
@@ -64,13 +65,13 @@ def packed_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: Mo
 
 
 def packed(blocks: list[Array], width: int) -> Array:
-    """Blocks one after the other, (rows, width), or (rows,) for a width of 1."""
+    """Packs blocks one after the other, (rows, width), or (rows,) for a width of 1."""
     rows = np.concatenate([np.asarray(block, dtype=float).reshape(-1, width) for block in blocks])
     return np.ascontiguousarray(rows[:, 0] if width == 1 else rows)
 
 
 def _joints(arm: Arm, choice: ModelChoice) -> dict[str, np.ndarray]:
-    """The fields of `layout.Constants` that belong to joints and their rotors."""
+    """Gives the fields of `layout.Constants` that belong to joints and their rotors."""
     springs = [joint.stiffness is not None and choice.flexible_joints for joint in arm.joints]
     motors = arm.n_joints + np.cumsum(springs) - 1
     names = ("rotor_inertia", "viscous_friction", "coulomb_friction", "coulomb_rate")
@@ -93,7 +94,7 @@ class _Sparse(NamedTuple):
 
 
 def _sparse(blocks: list[Array], width: int, parts: list[ShapeIntegrals]) -> _Sparse:
-    """Blocks (k, k, ...) with `width` numbers behind each pair of coordinates."""
+    """Packs blocks (k, k, ...) with `width` numbers behind each pair of coordinates."""
     offset, counts, sources, values = 0, [np.zeros(1, dtype=np.int64)], [], []
     for block, part in zip(blocks, parts, strict=True):
         k = len(part.elastic)
@@ -112,7 +113,7 @@ def _sparse(blocks: list[Array], width: int, parts: list[ShapeIntegrals]) -> _Sp
 
 
 def _stations(beams: tuple[Beam, ...], stiffening: bool) -> dict[str, np.ndarray]:
-    """The fields of `layout.Constants` for foreshortening."""
+    """Gives the fields of `layout.Constants` for foreshortening."""
     sizes = np.array([len(beam.stiffness) for beam in beams])
     widths = LANES * -(-sizes // LANES)
     counts = np.array([LANES * -(-len(beam.stations) // LANES) for beam in beams]) * (sizes > 0) * stiffening
@@ -137,7 +138,7 @@ def _stations(beams: tuple[Beam, ...], stiffening: bool) -> dict[str, np.ndarray
 
 
 def _rows(name: str, blocks: list[tuple[Array, Array]], offsets: np.ndarray) -> dict[str, np.ndarray]:
-    """Fields start, row, source and value of blocks (rows, k, s), one per link, with their sizes to compare with."""
+    """Gives the fields start, row, source and value of blocks (rows, k, s) with their sizes, one per link."""
     counts, starts = [], []
     sources, values = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
     for (block, size), offset in zip(blocks, offsets, strict=False):
@@ -155,18 +156,18 @@ def _rows(name: str, blocks: list[tuple[Array, Array]], offsets: np.ndarray) -> 
 
 
 def _starts(counts: np.ndarray) -> np.ndarray:
-    """(n + 1,) where each of n parts starts in an array of all of them, and its end."""
+    """Gives the place (n + 1,) where each of n parts starts in an array of all of them, and the end of the last."""
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
 def _axial_mass(beam: Beam, stiffening: bool) -> Array:
-    """Part of the elastic mass matrix (k, k) that the kernels add themselves, as it changes with foreshortening."""
+    """Gives the part (k, k) of the elastic mass matrix that changes with foreshortening; the kernels add it."""
     axial = beam.station_shapes[:, 0]
     return np.einsum("s,sa,sb->ab", beam.stations[:, 0], axial, axial) * stiffening
 
 
 def _carrying(beams: tuple[Beam, ...], stiffening: bool) -> np.ndarray:
-    """(n,) index of the first elastic coordinate of each link that moves its tip, counted over all links."""
+    """Gives the index (n,) of the first elastic coordinate of each link that moves its tip, counted over all links."""
     offset, first = 0, []
     for beam in beams:
         moves = np.abs(np.vstack([beam.tip_translation, beam.tip_rotation])).max(axis=0, initial=0.0) > 0.0
@@ -177,6 +178,6 @@ def _carrying(beams: tuple[Beam, ...], stiffening: bool) -> np.ndarray:
 
 
 def _axial(tensors: Array) -> Array:
-    """(..., 3) sum of a x b from (..., 3, 3) sums of a b^T."""
+    """Gives the sum (..., 3) of a x b from sums (..., 3, 3) of a b^T."""
     turned = tensors - np.swapaxes(tensors, -1, -2)
     return np.stack([turned[..., 1, 2], turned[..., 2, 0], turned[..., 0, 1]], axis=-1)

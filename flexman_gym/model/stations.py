@@ -7,20 +7,29 @@ import numpy as np
 from flexman_gym.arrays import Array
 from flexman_gym.model.element import GAUSS_POINTS, Element, beam_shapes, beam_slopes
 
-GROUP = 4  # the tip and the stations of a link, for foreshortening, fill groups of this many
+GROUP = 4  # for foreshortening, the tip and the stations of a link fill groups of this size
 
 
 def beam_stations(elements: Sequence[Element], size: int) -> tuple[Array, Array, Array]:
-    """G at each station (s, size, size), stations (s, 2) and their shapes (s, 3, size), the first at the tip.
+    """Gives G at each station, the stations and their shapes; the first station is the tip.
 
-    The other s - 1 >= elements + 1 stand for the polynomials nearest to the motion of the centreline: each, at a Gauss
-    point of the link, is the mean with that point's Lagrange polynomial as weight. Products of such polynomials have
-    the exact integral, and what stations leave of a mass matrix is a sum of squares, so it stays positive.
-    G at a point is the integral of v'^T v' + w'^T w' from the base to there, by Gauss points that make it exact.
+    The other s - 1 >= elements + 1 stations stand for the polynomials nearest to the motion of the centreline. Each
+    lies at a Gauss point of the link. It is the mean of the motion with the Lagrange polynomial of this point as
+    weight. Products of such polynomials have the exact integral. The mass matrix less the part of the stations is a sum
+    of squares, so it stays positive.
+
+    G at a point is the integral of v'^T v' + w'^T w' from the base to the point. It is exact, by enough Gauss points.
+
+    Args:
+        elements: of the link, base to tip.
+        size: number of node coordinates of the link, the clamped node included.
+
+    Returns:
+        G (s, size, size), stations (s, 2) with mass (kg) and place (m), and shapes (s, 3, size).
     """
     count = GROUP * -(-(len(elements) + 2) // GROUP) - 1
     abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
-    fine, parts = np.polynomial.legendre.leggauss((count + 7) // 2)  # exact to degree 5 of G times that of the weight
+    fine, parts = np.polynomial.legendre.leggauss((count + 7) // 2)  # exact for G, of degree 5, times the weight
     points = np.concatenate([start + length * (1 + fine) / 2 for _, start, length, _ in elements])
     shares = np.concatenate([parts / 2 * length * each.density * each.area for each, _, length, _ in elements])
     places, masses = _gauss_rule(points, shares, count)
@@ -44,9 +53,10 @@ def beam_stations(elements: Sequence[Element], size: int) -> tuple[Array, Array,
 
 
 def _gauss_rule(places: Array, masses: Array, count: int) -> tuple[Array, Array]:
-    """Places and masses (count,) that integrate polynomials to degree 2 count - 1 over many masses at their places.
+    """Gives places and masses (count,) that integrate polynomials to degree 2 count - 1 over many masses.
 
-    From the three-term recurrence of their orthogonal polynomials (Golub and Welsch, Math. Comp. 23, 1969).
+    The rule follows from the three-term recurrence of the orthogonal polynomials (Golub and Welsch, Math. Comp. 23,
+    1969).
     """
     diagonal, beside = np.zeros(count), np.zeros(count)
     before, now = np.zeros(len(places)), np.ones(len(places)) / np.sqrt(masses.sum())
@@ -60,7 +70,7 @@ def _gauss_rule(places: Array, masses: Array, count: int) -> tuple[Array, Array]
 
 
 def _lagrange(places: Array, points: Array) -> Array:
-    """(s, p) polynomials that are one at one of the places (s,) and zero at the others, at the points (p,)."""
+    """Gives polynomials (s, p) that are one at one of the places (s,) and zero at the others, at the points (p,)."""
     others = ~np.eye(len(places), dtype=bool)
     return np.array(
         [

@@ -1,4 +1,4 @@
-"""Strain: how far a link is bent, twisted and stretched at a place along it."""
+"""Strain: bending, twist and stretch of a link at a place along it."""
 
 from collections.abc import Sequence
 
@@ -11,19 +11,20 @@ from flexman_gym.model.model import Model
 
 
 def curvature(model: Model, state: Sequence[float] | Array, link: int, position: float) -> Array:
-    """(3,) twist rate phi', curvature about y, -w'', and about z, v'', of a link, rad/m, in its beam frame.
+    """Gives twist rate phi', curvature about y, -w'', and about z, v'', of a link, (3,) rad/m, in its beam frame.
+
+    They are derivatives of the finite elements, linear along each element and exact under forces and moments at nodes.
+    A rigid link has none.
 
     Args:
         model: the model.
         state: (2 d,).
         link: counted from 0.
-        position: along the link, 0 at its joint to its length at its tip, m.
+        position: along the link, from 0 at its joint to its length at its tip, m. At a node between two elements, and
+            so between two sections, the outboard element is taken.
 
-    They are the derivatives of the finite elements, linear along each element and exact under forces and moments at
-    nodes; at a node between two elements, so between two sections, that of the outboard one is taken. A rigid link has
-    none.
-
-    Raises ValueError for wrong shapes, values that are not finite, and a link or position that is not there.
+    Raises:
+        ValueError: for wrong shapes, values that are not finite, and a link or position that does not exist.
     """
     return _deformation(model, state, link, position)[1:]
 
@@ -31,16 +32,23 @@ def curvature(model: Model, state: Sequence[float] | Array, link: int, position:
 def strain(
     model: Model, state: Sequence[float] | Array, link: int, position: float, y: float = 0.0, z: float = 0.0
 ) -> float:
-    """Axial strain u' - y v'' - z w'' at the point y, z (m) of a link's section: what a strain gauge there measures.
+    """Gives the axial strain u' - y v'' - z w'' at a point of a link's section, as a strain gauge there measures it.
 
-    Arguments and errors as in `curvature`. Foreshortening is no strain: the centreline keeps its length.
+    Foreshortening is no strain: the centreline keeps its length.
+
+    Args:
+        model, state, link, position: as in `curvature`.
+        y, z: place in the section, m.
+
+    Raises:
+        ValueError: as in `curvature`.
     """
     stretch, _, about_y, about_z = _deformation(model, state, link, position)
     return float(stretch - finite("y", y, "m") * about_z + finite("z", z, "m") * about_y)
 
 
 def _deformation(model: Model, state: Sequence[float] | Array, link: int, position: float) -> Array:
-    """(4,) u', phi', -w'', v'' at a position of a link."""
+    """Gives u', phi', -w'' and v'' (4,) at a position of a link."""
     x = np.array(vector("state", state, 2 * model.n_dof))
     i = whole_number("link", link, 0, model.n_joints - 1)
     length, basis = model.arm.links[i].length, model.bases[i]
@@ -55,7 +63,7 @@ def _deformation(model: Model, state: Sequence[float] | Array, link: int, positi
 
 
 def _derivatives(xi: float, length: float) -> Array:
-    """(4, 12) u', phi', theta_y' = -w'' and theta_z' = v'' per unit of the node coordinates of one element."""
+    """Gives u', phi', theta_y' = -w'' and theta_z' = v'' (4, 12) of an element per unit of its node coordinates."""
     u, v, w, phi, theta_y, theta_z = range(NODE_COORDINATES)
     rows = np.zeros((4, 2, NODE_COORDINATES))
     rows[0, :, u] = rows[1, :, phi] = np.array([-1.0, 1.0]) / length
