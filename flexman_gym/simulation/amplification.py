@@ -1,4 +1,7 @@
-"""Amplification: what one step of a method makes of a free undamped vibration, from its coefficients."""
+"""Amplification: the factors by which one step of a method multiplies a free undamped vibration.
+
+They follow from the coefficients of the method.
+"""
 
 import math
 from functools import cache
@@ -18,14 +21,18 @@ from flexman_gym.simulation.families import (
 
 
 def amplification_factors(method: Method, angle: float) -> NDArray[np.complex128]:
-    """Complex factors by which a step of a method multiplies the parts of an undamped vibration.
+    """Gives the complex factors by which a step of a method multiplies the parts of an undamped vibration.
 
-    angle  omega h, the angle (rad) by which the exact vibration turns in a step
+    Runge-Kutta and linearly implicit methods have one factor (with its conjugate), the stability function R(i omega h).
+    The semi-implicit Euler method has two and the generalised-alpha method three, the eigenvalues of their
+    amplification matrix.
 
-    Runge-Kutta and linearly implicit methods have one (with its conjugate), the stability function R(i omega h); the
-    semi-implicit Euler method two and the generalised-alpha method three, eigenvalues of their amplification matrix.
+    Args:
+        method: the method.
+        angle: omega h, the angle by which the exact vibration turns in a step, rad.
 
-    Raises ValueError for a reference method, which has no fixed step.
+    Raises:
+        ValueError: for a reference method, which has no fixed step.
     """
     if method.adaptive or not isinstance(method, Explicit | LinearlyImplicit | Implicit):
         raise ValueError(f"method: {method.name} chooses its steps; give one of fixed steps")
@@ -42,7 +49,7 @@ def amplification_factors(method: Method, angle: float) -> NDArray[np.complex128
 
 
 def _stability(matrix: Array, b: Array, z: complex) -> complex:
-    """R(z): what a step of length 1 of a Runge-Kutta method makes of y' = z y."""
+    """Gives R(z), the factor of a step of length 1 of a Runge-Kutta method for y' = z y."""
     ones = np.ones(len(b))
     return complex(1.0 + z * b @ np.linalg.solve(np.eye(len(b)) - z * matrix, ones))
 
@@ -52,7 +59,7 @@ def _implicit_factors(method: Implicit, angle: float) -> NDArray[np.complex128]:
         return np.array([(1.0 + 0.5j * angle) / (1.0 - 0.5j * angle)])
     mass, force, beta, gamma = method.averages[:4]
     square = angle**2
-    # of q, h v and h^2 a: (1 - mass) a1 + mass a = -omega^2 ((1 - force) q1 + force q), with Newmark's q1 and v1
+    # For q, h v and h^2 a: (1 - mass) a1 + mass a = -omega^2 ((1 - force) q1 + force q), with Newmark's q1 and v1.
     after = [[1.0, 0.0, -beta], [0.0, 1.0, -gamma], [(1.0 - force) * square, 0.0, 1.0 - mass]]
     before = [[1.0, 1.0, 0.5 - beta], [0.0, 1.0, 1.0 - gamma], [-force * square, 0.0, -mass]]
     return _eigenvalues(np.linalg.solve(np.array(after), np.array(before)))
@@ -63,12 +70,12 @@ def _eigenvalues(matrix: Array) -> NDArray[np.complex128]:
 
 
 def spectral_radius(method: Method, angle: float) -> float:
-    """The largest factor by which a step multiplies an undamped vibration that turns by an angle (rad) in it."""
+    """Gives the largest magnitude of the factors of a step in which the vibration turns by an angle (rad)."""
     return float(np.abs(amplification_factors(method, angle)).max())
 
 
 def vibration_factor(method: Method, angle: float) -> complex:
-    """The factor that stands for the vibration itself: the one next to the exact factor exp(i omega h)."""
+    """Gives the factor of the vibration itself, the one next to the exact factor exp(i omega h)."""
     factors = amplification_factors(method, angle)
     factors = np.concatenate([factors, factors.conj()])
     return complex(factors[np.abs(factors - np.exp(1j * angle)).argmin()])
@@ -76,9 +83,9 @@ def vibration_factor(method: Method, angle: float) -> complex:
 
 @cache
 def stability_limit(method: Method, growth: float = 0.0) -> float:
-    """The largest omega h (rad) up to which no step multiplies an undamped vibration by more than 1 + growth.
+    """Gives the largest omega h (rad) up to which no step multiplies an undamped vibration by more than 1 + growth.
 
-    Infinite for a method that passes at every omega h up to 1e4. Rounding of 1e-12 counts as no growth.
+    It is infinite for a method that passes at every omega h up to 1e4. Rounding of 1e-12 counts as no growth.
     """
     grid = np.concatenate([np.arange(1, 10_000) * 1e-3, np.geomspace(10.0, 1e4, 300)])
     most = 1.0 + growth + 1e-12
@@ -93,17 +100,24 @@ def stability_limit(method: Method, growth: float = 0.0) -> float:
 
 
 def explicit_limit(method: Method) -> float:
-    """The same for an explicit method, with a growth of 1e-6 a step allowed; infinite for every other one."""
+    """Gives the stability limit (rad) of an explicit method for a growth of 1e-6 a step, infinity for others."""
     return stability_limit(method, 1e-6) if method.kind == EXPLICIT else math.inf
 
 
 def largest_growth(method: Method) -> tuple[float, float]:
-    """The largest factor by which a step multiplies an undamped vibration, and the omega h (rad) where it does."""
+    """Gives the largest factor by which a step multiplies an undamped vibration, and its omega h (rad)."""
     angles = np.geomspace(1e-3, 1e3, 1501)
     factors = [spectral_radius(method, angle) for angle in angles]
     return max(factors), float(angles[np.argmax(factors)])
 
 
 def amplitude_kept(method: Method, step: float, frequency: float, duration: float = 10.0) -> float:
-    """Part of the amplitude of an undamped vibration (Hz) that a method with a step (s) leaves after a duration (s)."""
+    """Gives the part of the amplitude of an undamped vibration that a method leaves.
+
+    Args:
+        method: the method.
+        step: s.
+        frequency: of the vibration, Hz.
+        duration: s.
+    """
     return float(spectral_radius(method, 2.0 * np.pi * frequency * step) ** (duration / step))

@@ -22,20 +22,22 @@ MOVING_ENERGY = np.isin(np.arange(layout.OUTPUTS), range(layout.KINETIC, layout.
 
 
 class Batch:
-    """b arms of one model that are moved by one control period at a time, each from its own state, by its own drive.
+    """Arms of one model that are moved by one control period at a time, each from its own state, by its own drive.
 
-    The arms share all constants of the model but those that `vary` sets. An arm moves as it would alone, bit for bit.
+    There are b arms. They share all constants of the model except those that `vary` sets. An arm moves as it would
+    alone, bit for bit.
 
     Attributes:
         model, method: the model and the Method.
         control_period: s.
         substeps: steps in a control period.
-        rows: (b, 2 d + 2) state and ledger of each arm, see `kernels.layout`; `state`, (b, 2 d), is a view.
+        rows: (b, 2 d + 2) state and ledger of each arm, see `kernels.layout`.
+        state: (b, 2 d) a view of `rows`.
         outputs: (b, OUTPUTS) tip, deflection and energies at that state; columns in `kernels.layout`.
         status: (b,) int64 of the last step: OK, DIVERGED or NOT_CONVERGED of `kernels.layout`. An arm that failed keeps
             state and outputs of the end of its last good control period and rests until it is reset.
         energy_turnover: (b,) the largest since the reset of kinetic + elastic energy, of work and of dissipation, J.
-        nominal: what the model has of each physical parameter that `vary` can change, by name.
+        nominal: the model's value of each physical parameter that `vary` can change, by name.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
@@ -76,7 +78,7 @@ class Batch:
         self.state = self.rows[:, :-2]
         self.outputs = np.zeros((count, layout.OUTPUTS))
         self.status = np.zeros(count, dtype=np.int64)
-        self._periods = np.zeros(count)  # since the reset
+        self._periods = np.zeros(count)  # control periods since the reset
         self.energy_turnover, self._start_energy = np.zeros(count), np.zeros(count)
         self.nominal = nominal_parameters(model)
         self.reset(np.arange(count), np.zeros((count, 2 * model.n_dof)))
@@ -107,7 +109,7 @@ class Batch:
         np.maximum(self.energy_turnover, self._turned_over(), out=self.energy_turnover)
 
     def rigid_tips(self, states: Array) -> Array:
-        """(r, 3) m: tips, in the base frame, of the rigid arm at the motor angles of states (r, 2 d)."""
+        """Gives the tips (r, 3) in the base frame, m, of the rigid arm at the motor angles of states (r, 2 d)."""
         tips = np.empty((len(states), 3))
         outputs.rigid_tips(self.model.constants, states, tips)
         return tips
@@ -118,18 +120,19 @@ class Batch:
         )
 
     def vary(self, arms: np.ndarray, **parameters: Array) -> None:
-        """Gives the arms with the indices (r,) other physical parameters than the model's; nothing else of it changes.
+        """Gives the arms with the indices (r,) physical parameters of their own in place of the model's.
 
-        They act from the next step on, and the energies from the next reset on, which should follow at once. Elements
-        and modes stay those of the model, modal damping keeps its ratio, a payload's inertia grows with its mass.
+        They act from the next step on. The energies follow from the next reset on, which should come at once. Elements
+        and modes stay those of the model, modal damping keeps its ratio, and the inertia of a payload grows with its
+        mass.
 
         Args:
-            arms: indices.
+            arms: indices (r,).
             parameters: values (r, ...) by their name in `simulation.parameters.PARAMETERS`, in its units.
 
         Raises:
-            ValueError: for another name or shape, numbers that are not finite, below zero, or zero where an arm needs
-                more, and values other than the model's for stiffness or damping of a rigid joint.
+            ValueError: for another name or shape, for numbers that are not finite or below zero, for zero where the arm
+                needs more, and for stiffness or damping of a rigid joint other than the model's.
         """
         model, count = self.model, len(arms)
         rows = {name: PARAMETERS[one_of("parameters", name, PARAMETERS)] for name in parameters}
@@ -140,16 +143,16 @@ class Batch:
 
     @property
     def time(self) -> Array:
-        """(b,) seconds since the reset."""
+        """Seconds since the reset (b,)."""
         return self._periods * self.control_period
 
     @property
     def energy_residual(self) -> Array:
-        """(b,) work - dissipation - change of energy since the reset, J; see `Trajectory`."""
+        """Work - dissipation - change of energy since the reset (b,), J; see `Trajectory`."""
         return self.rows[:, -2] - self.rows[:, -1] - (self._energy() - self._start_energy)
 
     def _energy(self) -> Array:
-        return np.vecdot(self.outputs, ENERGY)  # arm by arm, so that its bits do not depend on how many there are
+        return np.vecdot(self.outputs, ENERGY)  # arm by arm, so that its bits do not depend on the number of arms
 
     def _turned_over(self) -> Array:
         return turnover(np.vecdot(self.outputs, MOVING_ENERGY), self.rows[:, -2], self.rows[:, -1])

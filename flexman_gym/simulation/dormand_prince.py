@@ -1,7 +1,7 @@
-"""Coefficients of the explicit Runge-Kutta pairs of Dormand and Prince: order 5 of 1980, order 8 as DOP853 has it.
+"""Dormand-Prince: coefficients of their explicit Runge-Kutta pairs, order 5 (1980) and order 8 (DOP853).
 
-They are written out so that nobody waits for SciPy, which has the same numbers, to be imported. Hairer, Norsett and
-Wanner, Solving ODEs I, II.5 and II.10 with the appendix. Rows of a leave out the zeros at their end.
+Source: Hairer, Norsett and Wanner, Solving ODEs I, II.5 and II.10 with the appendix. SciPy has the same numbers, but
+its import takes long. Rows of a leave out the zeros at their end.
 """
 
 A5 = (
@@ -34,7 +34,7 @@ A8 = (
 )  # fmt: skip
 B8 = (0.054293734116568765, 0.0, 0.0, 0.0, 0.0, 4.450312892752409, 1.8915178993145003, -5.801203960010585,
       0.3111643669578199, -0.1521609496625161, 0.20136540080403034, 0.04471061572777259)  # fmt: skip
-# differences from solutions of orders 5 and 3; the weights of the latter are others at three stages
+# Differences from solutions of orders 5 and 3; the latter has weights other than 0 at three stages only.
 ERROR8_5 = (0.01312004499419488, 0.0, 0.0, 0.0, 0.0, -1.2251564463762044, -0.4957589496572502, 1.6643771824549864,
             -0.35032884874997366, 0.3341791187130175, 0.08192320648511571, -0.022355307863886294, 0.0)  # fmt: skip
 ERROR8_3 = (-0.18980075407240762, *B8[1:8], -0.4226823213237919, *B8[9:11], 0.02265179219836082, 0.0)

@@ -1,8 +1,8 @@
-"""Families: methods as data that checks itself, explicit, linearly implicit and implicit ones.
+"""Families: explicit, linearly implicit and implicit methods as data that checks itself.
 
-Every method has a name (that `simulate` takes), an order of convergence in the step, a source of its coefficients, a
-`kind` ("explicit", "linearly implicit", "implicit" or "reference"), and says whether it is `adaptive` (always chooses
-its steps by rtol and atol) and whether it `estimates` its error (so that it can choose its steps).
+Every method has a name (for `simulate`), an order of convergence in the step, a source of its coefficients and a `kind`
+("explicit", "linearly implicit", "implicit" or "reference"). It says whether it is `adaptive`: it always chooses its
+steps by rtol and atol. It says whether it `estimates` its error, so that it can choose its steps.
 
 Conditions of order are those of Hairer, Norsett and Wanner (Solving ODEs I, II.1) and Hairer and Wanner (II, IV.7).
 """
@@ -34,8 +34,8 @@ class Explicit:
         a: (s, s) strictly lower triangular.
         b: (s,).
         error: (e, s + 1) weights of e = 0, 1 or 2 error estimates; the last column weighs the slope after the step.
-        semi_implicit: places follow the speeds after the step instead of those before it.
-        adaptive: it is a reference, which always chooses its steps.
+        semi_implicit: whether positions follow the speeds after the step instead of those before it.
+        adaptive: whether it is a reference, which always chooses its steps.
 
     Raises:
         ValueError: when the coefficients contradict each other or the order (checked to order 4).
@@ -56,7 +56,7 @@ class Explicit:
 
     @property
     def kind(self) -> str:
-        """Explicit, or a reference."""
+        """Kind: explicit, or reference."""
         return REFERENCE if self.adaptive else EXPLICIT
 
     @property
@@ -97,21 +97,22 @@ class Explicit:
 class LinearlyImplicit:
     """A W-method with s stages and an approximate Jacobian A, or its extrapolation.
 
-    (1 - gamma h A) k_i = f(y + h sum_j a_ij k_j) + h A sum_{j<i} coupling_ij k_j; a step adds h sum b_i k_i.
-    Extrapolation of a method of order 1 takes it in each number of parts in `sequence` and eliminates as many powers of
-    the step as that allows.
+    (1 - gamma h A) k_i = f(y + h sum_j a_ij k_j) + h A sum_{j<i} coupling_ij k_j; a step adds h sum b_i k_i. An
+    extrapolation takes a step of a method of order 1 in each number of parts in `sequence`. It then eliminates as many
+    powers of the step as the number of these results allows.
 
     Attributes:
         name, order, source: see the top of this file.
-        a, coupling: (s, s) strictly lower triangular; the latter multiplies the Jacobian.
+        a: (s, s) strictly lower triangular.
         b: (s,).
-        gamma: the diagonal of what multiplies the Jacobian, > 0.
+        gamma: the diagonal factor of the Jacobian, > 0.
+        coupling: (s, s) strictly lower triangular factors of the Jacobian.
         error: (e, s) weights of e = 0 or 1 error estimates.
         sequence: ascending numbers of parts.
 
     Raises:
-        ValueError: when the coefficients contradict each other or the order (checked to order 2, for every Jacobian;
-            each sequence of an extrapolation adds an order).
+        ValueError: when the coefficients contradict each other or the order. Order is checked to 2, for every Jacobian;
+            each sequence of an extrapolation adds an order.
     """
 
     name: str
@@ -174,7 +175,7 @@ class Implicit:
 
     Attributes:
         name, order, source: see the top of this file.
-        radius: spectral radius at infinite frequency, 1 without and 0 with the most numerical damping; None for the
+        radius: spectral radius at infinite frequency, from 1 (no numerical damping) to 0 (the most); None for the
             midpoint rule.
 
     Raises:
@@ -205,7 +206,11 @@ class Implicit:
 
 @dataclass(frozen=True, eq=False)
 class Outside:
-    """A reference that SciPy's integrator of that name computes."""
+    """A reference that SciPy's integrator of the same name computes.
+
+    Attributes:
+        name, order, source: see the top of this file.
+    """
 
     name: str
     order: int
@@ -219,7 +224,13 @@ Method = Explicit | LinearlyImplicit | Implicit | Outside
 
 
 def extrapolation_weights(sequence: Sequence[int]) -> Array:
-    """Weights that eliminate the powers 1, 2, ... of the step from results in these numbers of parts (Neville)."""
+    """Gives the weights of an extrapolation (Neville).
+
+    They eliminate the powers 1, 2, ... of the step from its results.
+
+    Args:
+        sequence: ascending numbers of parts of the step, one for each result.
+    """
     return np.array([math.prod(n / (n - m) for m in sequence if m != n) for n in sequence], dtype=float)
 
 

@@ -1,4 +1,4 @@
-"""Methods: the integrators that there are, by name."""
+"""Methods: all integration methods, by name."""
 
 import math
 from collections.abc import Sequence
@@ -11,7 +11,11 @@ from flexman_gym.simulation.families import Explicit, Implicit, LinearlyImplicit
 
 
 def generalised_alpha(radius: float) -> Implicit:
-    """The generalised-alpha method with a spectral radius at infinite frequency from 0 to 1."""
+    """Builds the generalised-alpha method with a spectral radius at infinite frequency from 0 to 1.
+
+    Raises:
+        ValueError: for a radius that is not from 0 to 1.
+    """
     source = "Chung and Hulbert 1993; Arnold and Bruls 2007, Multibody System Dynamics 18, 185"
     return Implicit("generalised_alpha", 2, source, radius)
 
@@ -47,7 +51,7 @@ def _linearly_implicit() -> tuple[LinearlyImplicit, ...]:
         b=np.array([0.5, 0.5]),
         gamma=gamma,
         coupling=_lower(2, [[-2 * gamma]]),
-        error=np.array([[-0.5, 0.5]]),  # against the first stage alone
+        error=np.array([[-0.5, 0.5]]),  # difference from the first stage alone
     )
     source = "Deuflhard 1985, SIAM Review 27, 505; Hairer and Wanner, Solving ODEs II, IV.9"
     one, zero = np.ones(1), np.zeros((1, 1))

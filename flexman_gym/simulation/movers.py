@@ -1,8 +1,8 @@
-"""Movers: how the arms of a batch are moved, one by one by any method or several abreast by linearly implicit ones.
+"""Movers: the arms of a batch moved one by one by any method, or several abreast by linearly implicit methods.
 
-A mover has `vary(arm, constants)`, which gives an arm constants of its own; `observe(arms, rows, outputs)`, which reads
-the outputs off the rows of some arms; and `move(drives, periods, rows, outputs, status)`, which moves the arms whose
-status is OK by one control period, `periods` (b,) after their start, and sets the status of those that fail.
+A mover has three methods. `vary(arm, constants)` gives an arm constants of its own. `observe(arms, rows, outputs)`
+reads the outputs off the rows of some arms. `move(drives, periods, rows, outputs, status)` moves the arms whose status
+is OK by one control period, `periods` (b,) after their start, and sets the status of arms that fail.
 """
 
 import os
@@ -22,11 +22,11 @@ from flexman_gym.scene.drive import drive_table
 from flexman_gym.simulation.families import LinearlyImplicit
 from flexman_gym.simulation.run import Run
 
-SHARE = 8  # groups that are worth a thread: to wake one takes as long as to move two or three
+SHARE = 8  # groups that are worth a thread: to wake a thread takes as long as to move two or three groups
 
 
 class OneByOne:
-    """Arms moved by a `Run` each."""
+    """A mover with one `Run` for each arm."""
 
     def __init__(self, runs: list[Run], period: tuple[float, int]) -> None:
         self._runs = runs
@@ -55,7 +55,7 @@ class OneByOne:
 
 
 class Abreast:
-    """Arms moved by fixed steps of a linearly implicit method, ARMS_ABREAST of them in one pass of the kernels.
+    """A mover by fixed steps of a linearly implicit method, ARMS_ABREAST arms in one pass of the kernels.
 
     A single arm without foreshortening is moved alone, which takes less time and gives the same bits.
     """
@@ -124,14 +124,14 @@ class Abreast:
             each.result()
 
     def _threads(self) -> ThreadPoolExecutor:
-        """The threads beside the calling one; a forked process has none of its parent's."""
+        """Gives the threads beside the calling one; a forked process has none of its parent's."""
         if self._pool is None or self._process != os.getpid():
             self._pool, self._process = ThreadPoolExecutor(len(self._shares) - 1), os.getpid()
         return self._pool
 
 
 def _for_arms(constants: Constants) -> Constants:
-    """The constants of ARMS_ABREAST arms, all alike."""
+    """Gives the constants of ARMS_ABREAST arms, all alike."""
     own: dict[str, Any] = {name: arms_array(getattr(constants, name).shape) for name in PER_ARM}
     for name, values in own.items():
         values[:] = getattr(constants, name)[..., None]

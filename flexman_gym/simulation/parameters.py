@@ -30,17 +30,17 @@ def _everywhere(model: Model) -> Flags:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A row of the table.
+    """A row of the table: one physical parameter.
 
     Attributes:
         unit: of its values.
-        of: "arm" for one number, "joint" or "link" for one of each, (n,).
-        nominal: what a model has.
-        constants: the fields of `kernels.layout.Constants` that values change, with what they become. Each must be of
-            the type `Own` there.
-        factor: a randomisation draws factors on the nominal value instead of values.
-        fixed: (n,) where the value must stay nominal, as the model has no coordinate that it could act on.
-        needed: (n,) where it must not be 0.
+        of: "arm" for one number, "joint" or "link" for one number of each, (n,).
+        nominal: gives the value of a model.
+        constants: gives the changed fields of `kernels.layout.Constants` for given values. Each must be of the type
+            `Own` there.
+        factor: whether a randomisation draws factors on the nominal value instead of values.
+        fixed: gives (n,) where the value must stay nominal, as the model has no coordinate on which it could act.
+        needed: gives (n,) where the value must not be 0.
     """
 
     unit: str
@@ -52,15 +52,21 @@ class Parameter:
     needed: Callable[[Model], Flags] = _nowhere
 
     def shape(self, joints: int) -> tuple[int, ...]:
-        """Of the values of one arm."""
+        """Gives the shape of the values of one arm."""
         return () if self.of == ARM else (joints,)
 
     def checked(self, name: str, value: object, model: Model, count: int) -> Array:
-        """Values (count, ...) as floats.
+        """Gives the values (count, ...) as floats, after checks.
+
+        Args:
+            name: of the parameter, for the error.
+            value: (count, ...).
+            model: the model.
+            count: number of arms.
 
         Raises:
-            ValueError: for another shape, numbers that are not finite or negative, 0 where more is needed, and another
-                value than the model's where it is fixed.
+            ValueError: for another shape, for numbers that are not finite or negative, for 0 where more is needed, and
+                for another value than the model's where it is fixed.
         """
         values, shape, nominal = np.asarray(value), (count, *self.shape(model.n_joints)), self.nominal(model)
         allowed = f"finite numbers >= 0, of shape {shape}"
@@ -89,7 +95,7 @@ def _rotors(model: Model, inertia: Array) -> dict[str, Array]:
 
 
 def _links(model: Model, factors: Array) -> dict[str, Array]:
-    """Stiffness of each link times its factor; proportional damping follows it, modal damping keeps its ratio."""
+    """Scales the stiffness of each link; proportional damping follows it, modal damping keeps its ratio."""
     nominal = model.constants
     factor = np.ones(len(nominal.stiffness))
     factor[: nominal.square_start[-1]] = np.repeat(factors, np.diff(nominal.square_start))
@@ -119,5 +125,5 @@ PARAMETERS: dict[str, Parameter] = {
 
 
 def nominal_parameters(model: Model) -> dict[str, Array]:
-    """What a model has of each parameter, copies."""
+    """Gives a copy of the model's value of each parameter, by name."""
     return {name: np.array(parameter.nominal(model)) for name, parameter in PARAMETERS.items()}

@@ -13,7 +13,7 @@ from flexman_gym.scene.drive import drive_table
 from flexman_gym.simulation.families import Explicit, Implicit, LinearlyImplicit, Method, Outside
 from flexman_gym.simulation.methods import METHODS
 
-# of each family that the kernels run
+# The kernel of each family; SciPy runs the others.
 KERNELS: dict[type, Callable[..., tuple[int, int, int]]] = {
     Explicit: explicit.run_explicit,
     LinearlyImplicit: linearly_implicit.run_linearly_implicit,
@@ -22,12 +22,25 @@ KERNELS: dict[type, Callable[..., tuple[int, int, int]]] = {
 
 
 def find_method(method: object) -> Method:
-    """The method of that name, or itself; raises ValueError with the names there are."""
+    """Gives the method of a name, or the method itself.
+
+    Raises:
+        ValueError: for another name; it lists the names.
+    """
     return method if isinstance(method, Method) else METHODS[one_of("method", method, METHODS)]
 
 
 def find_tolerance(method: Method, step: float | None, rtol: float, atol: float) -> tuple[float, float] | None:
-    """The tolerance of a method that chooses its steps, None for one that is held to a fixed step."""
+    """Gives rtol and atol of a method that chooses its steps, or None for a method with fixed steps.
+
+    Args:
+        method: the method.
+        step: s; None lets the method choose.
+        rtol, atol: relative and absolute local error.
+
+    Raises:
+        ValueError: for a tolerance that is not > 0, and for no step where the method takes fixed steps.
+    """
     given = positive("rtol", rtol), positive("atol", atol)
     if step is None and not method.estimates:
         raise refusal("step", None, f"a number > 0 (s): {method.name} takes fixed steps")
@@ -35,16 +48,22 @@ def find_tolerance(method: Method, step: float | None, rtol: float, atol: float)
 
 
 def prescribed_flags(joints: int, prescribed: Collection[int]) -> IntArray:
-    """(joints,) 1 where the motion of a joint's motor is prescribed, 0 elsewhere."""
+    """Gives 1 where the motion of a joint's motor is prescribed and 0 elsewhere, (joints,)."""
     return np.isin(np.arange(joints), list(prescribed)).astype(np.int64)
 
 
 class Run:
-    """A method bound to a model; `tolerance` (rtol, atol) lets it choose its steps, None holds it to the clock's.
+    """A method bound to a model, as a call that advances a state in place and fills rows and outputs.
 
-    A call with the drive's table (6, n + 6), a clock without tolerance, a state with its ledger (2 d + 2,), rows
-    (r, 2 d + 2) and outputs (r, OUTPUTS) advances the state in place and fills the rows. It returns the status, the
-    rows that are valid and the number of evaluations.
+    The arguments of a call are the table of the drive (6, n + 6), time, step and substeps, a state with its ledger (2 d
+    + 2,), rows (r, 2 d + 2) and outputs (r, OUTPUTS). It returns the status, the number of valid rows and the number of
+    evaluations.
+
+    Attributes:
+        constants: of the model, with the prescribed motions.
+        work: the work space of the kernels.
+        method: the method.
+        tolerance: (rtol, atol) by which the method chooses its steps; zeros hold it to the given step.
     """
 
     def __init__(
@@ -76,8 +95,8 @@ class Run:
         self(self._at_rest, (0.0, 0.0, 0), state, row[None], found[None])
 
     def _by_scipy(self, drive: Array, clock: Clock, state: Array, rows: Array, found: Array) -> tuple[int, int, int]:
-        """The same by SciPy's implicit Runge-Kutta method of Radau, which differentiates the slopes numerically."""
-        from scipy.integrate import solve_ivp  # takes long to import, for a method that few use
+        """Advances the state by SciPy's Radau method, which differentiates the slopes numerically."""
+        from scipy.integrate import solve_ivp  # its import takes long, and few use this method
 
         d, times = len(state) // 2 - 1, clock.time + clock.step * clock.substeps * np.arange(1.0, len(rows) + 1.0)
         valid, evaluations = len(rows), 0

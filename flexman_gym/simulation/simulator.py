@@ -1,4 +1,4 @@
-"""The simulator: a model moved through time, as a whole scene or one control period after another."""
+"""Simulator: a model moved through time, as a whole scene or one control period after another."""
 
 import time as clock
 from collections.abc import Collection, Sequence
@@ -29,12 +29,12 @@ def simulate(
 
     Args:
         scene: arm, torque, initial state, duration.
-        model: None takes what the scene says.
-        method: a Method or a name from `METHODS`; "auto" takes "ros2" where a step is given and the reference "dop853"
-            where not.
-        step: s. It divides the output step of the scene or is a multiple of it; in the latter case there is an output
-            after every step. None lets a method that estimates its error choose its steps; a reference always does, and
-            takes the step as its first guess.
+        model: None takes the model that the scene asks for.
+        method: a Method or a name from `METHODS`. "auto" takes "ros2" with a step and the reference "dop853" without
+            one.
+        step: s. It divides the output step of the scene or is a multiple of it; a multiple gives an output after every
+            step. None lets a method that estimates its error choose its steps. A reference always chooses its steps;
+            the given step is its first guess.
         rtol, atol: relative and absolute local error, of a method that chooses its steps.
 
     Raises:
@@ -71,13 +71,13 @@ class Simulator:
 
     Attributes:
         batch: the Batch of this one arm.
-        model, method, control_period, substeps: its.
+        model, method, control_period, substeps: as of the batch.
         state: (2 d,) coordinates and speeds, a view that `step` updates; order in `kernels.layout`.
         outputs: (OUTPUTS,) tip, deflection and energies at that state; columns in `kernels.layout`.
-        time: s since the reset.
+        time: since the reset, s.
         energy_turnover: the largest since the reset of kinetic + elastic energy, of work and of dissipation, J.
-        status: of the last step, "ok", "diverged" or "not converged". After a failure state and outputs are those at
-            the end of the last good control period, and only a reset leads on.
+        status: of the last step, "ok", "diverged" or "not converged". After a failure, state and outputs stay as at the
+            end of the last good control period, until a reset.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
@@ -106,12 +106,15 @@ class Simulator:
         joint_rates: Sequence[float] | Array | None = None,
         state: Sequence[float] | Array | None = None,
     ) -> None:
-        """Starts anew at time 0, undeformed at joint angles (n,) rad and rates (n,) rad/s, or at a whole state (2 d,).
+        """Starts anew at time 0, undeformed at joint angles and rates, or at a whole state.
 
-        Angles and rates are zero by default; a state excludes them.
+        Args:
+            joint_angles: (n,) rad, zero by default.
+            joint_rates: (n,) rad/s, zero by default.
+            state: (2 d,), in place of angles and rates.
 
         Raises:
-            ValueError: wrong shape, a value that is not finite, or both ways at once.
+            ValueError: for a wrong shape, a value that is not finite, or angles and a state at once.
         """
         if state is not None:
             if joint_angles is not None or joint_rates is not None:
@@ -137,10 +140,12 @@ class Simulator:
             tip_force: (3,) on the tip of the last link, base frame, N; None for none.
             base_acceleration: (3,) of the base, base frame, m/s^2; None for none.
 
-        Returns the status.
+        Returns:
+            The status.
 
         Raises:
-            ValueError: wrong shape, a value that is not finite, or a torque on a joint whose motion is prescribed.
+            ValueError: for a wrong shape, a value that is not finite, or a torque on a joint whose motion is
+                prescribed.
             RuntimeError: after a failed step, until the next reset.
         """
         if self.status != STATUS[layout.OK]:
@@ -169,7 +174,7 @@ class Simulator:
 
     @property
     def status(self) -> str:
-        """Of the last step: "ok", "diverged" or "not converged"."""
+        """Status of the last step: "ok", "diverged" or "not converged"."""
         return STATUS[self.batch.status[0]]
 
     @property
@@ -184,22 +189,22 @@ class Simulator:
 
     @property
     def tip(self) -> Array:
-        """(3,) tip position in the base frame, m."""
+        """Tip position in the base frame (3,), m."""
         return self.outputs[layout.TIP]
 
     @property
     def tip_velocity(self) -> Array:
-        """(3,) tip velocity in the base frame, m/s."""
+        """Tip velocity in the base frame (3,), m/s."""
         return self.outputs[layout.TIP_VELOCITY]
 
     @property
     def deflection(self) -> Array:
-        """(3,) tip relative to the tip of the rigid arm at the motor angles, m."""
+        """Tip relative to the tip of the rigid arm at the motor angles (3,), m."""
         return self.outputs[layout.DEFLECTION]
 
     @property
     def deflection_rate(self) -> Array:
-        """(3,) tip velocity relative to that of the rigid arm at the motor angles and rates, m/s."""
+        """Tip velocity relative to that of the rigid arm at the motor angles and rates (3,), m/s."""
         return self.outputs[layout.DEFLECTION_RATE]
 
     @property
@@ -219,7 +224,7 @@ class Simulator:
 
 
 def _numbers(name: str, value: Sequence[float] | Array, count: int, unit: str) -> Array:
-    """The value as an array of finite numbers."""
+    """Gives the value as an array of finite numbers."""
     values = np.asarray(value)
     if values.shape != (count,) or values.dtype.kind not in "fiu" or not np.isfinite(values).all():
         raise refusal(name, value, f"{count} finite numbers ({unit})")
@@ -227,7 +232,7 @@ def _numbers(name: str, value: Sequence[float] | Array, count: int, unit: str) -
 
 
 def _output_interval(method: Method, step: float | None, output_step: float) -> tuple[float, int]:
-    """Time between outputs and the number of steps in it."""
+    """Gives the time between outputs and the number of steps in it."""
     if step is None:
         return output_step, 1
     allowed = "a number of seconds that divides, or is a multiple of, the output step"

@@ -13,21 +13,23 @@ from flexman_gym.simulation.energy import ENERGY_ALARM, alarm, turnover
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """The solution of a scene at T output times; after a divergence only the times before it. SI units, radians.
+    """The solution of a scene at T output times; after a divergence only the times before it.
+
+    All quantities are in SI units and radians.
 
     Attributes:
         time: (T,) s.
         tip, tip_velocity: (T, 3) in the base frame.
         joint_angles, motor_angles: (T, n) link side and motor side; equal where a joint is rigid.
-        energy: (T,) kinetic + elastic (links and joints) + gravitational, the last zero at the base origin; J.
+        energy: (T,) kinetic + elastic (links and joints) + gravitational energy, the last zero at the base origin, J.
         moving_energy: (T,) its kinetic and elastic part, J.
-        work, dissipation: (T,) work of motors, tip force and base acceleration since the start, and energy lost in
-            dampers and friction, J. Energies are those relative to the base.
+        work: (T,) of motors, tip force and base acceleration since the start, J.
+        dissipation: (T,) energy lost in dampers and friction since the start, J. Energies are relative to the base.
         states: (T, 2 d); the order is that of `kernels.layout`.
         deflection: (T, 3) tip relative to the tip of the rigid arm at the motor angles.
         status: "ok", "diverged" or "not converged".
-        evaluations: of the accelerations.
-        wall_seconds: spent in the integrator, without compilation.
+        evaluations: number of evaluations of the accelerations.
+        wall_seconds: time in the integrator, without compilation.
     """
 
     time: Array
@@ -47,19 +49,23 @@ class Trajectory:
 
     @property
     def energy_residual(self) -> Array:
-        """(T,) work - dissipation - change of energy, J: what the integrator invented or lost."""
+        """Energy that the integrator invented or lost: work - dissipation - change of energy (T,), J."""
         return self.work - self.dissipation - (self.energy - self.energy[0])
 
     @property
     def energy_turnover(self) -> Array:
-        """(T,) the largest so far of kinetic + elastic energy, of work and of dissipation, J."""
+        """The largest so far of kinetic + elastic energy, of work and of dissipation (T,), J."""
         parts = turnover(self.moving_energy, self.work, self.dissipation)
         return np.maximum.accumulate(parts)
 
     def energy_alarm(self, level: float = ENERGY_ALARM) -> float | None:
-        """The first time (s) at which the residual exceeds `level` times the energy turned over until the end, or None.
+        """Gives the first time (s) at which the energy residual is too large, or None.
 
-        Raises ValueError for a level that is not a number > 0.
+        Args:
+            level: the part of the energy turned over until the end that the residual may reach.
+
+        Raises:
+            ValueError: for a level that is not a number > 0.
         """
         late = np.flatnonzero(alarm(self.energy_residual, self.energy_turnover[-1], positive("level", level)))
         return float(self.time[late[0]]) if late.size else None
@@ -68,7 +74,15 @@ class Trajectory:
 def trajectory(
     model: Model, interval: float, states: Array, outputs: Array, outcome: tuple[str, int, float]
 ) -> Trajectory:
-    """From rows of states with their ledger (T, 2 d + 2) and of outputs (T, OUTPUTS) at equal intervals (s)."""
+    """Builds a trajectory from rows at equal intervals.
+
+    Args:
+        model: the model.
+        interval: between rows, s.
+        states: (T, 2 d + 2) with their ledger.
+        outputs: (T, OUTPUTS).
+        outcome: status, evaluations and seconds in the integrator.
+    """
     size = 2 * model.n_dof
     return Trajectory(
         time=interval * np.arange(len(states), dtype=np.float64),

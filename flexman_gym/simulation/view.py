@@ -1,4 +1,4 @@
-"""View: what the arms of a batch do, in words, as named arrays."""
+"""View: the motion and the goals of the arms of a batch as named arrays."""
 
 from typing import Any
 
@@ -10,33 +10,39 @@ from flexman_gym.kernels.outputs import combine
 from flexman_gym.model.statics import rest_state, rest_tips
 from flexman_gym.simulation.batch import Batch
 
-Number = Any  # (b,), or a number of an arm alone; only arithmetic and NumPy's functions are used on it
+Number = Any  # (b,), or a number of a single arm; only arithmetic and NumPy's functions are used on it
 
 
 class View:
-    """What b arms of n links do, and what their goal is. Arrays have the axis of the arms in front, (b, ...).
+    """Motion and goals of b arms of n links. Arrays have the axis of the arms in front, (b, ...).
 
-    `alone()` has the same names without that axis, numbers where the figures are (b,): what is written with `...` and
-    `axis=-1` serves both. `read` brings everything up to date; those who set a goal write into `posture`, `target` and
-    `plan`, those who act into `effort` and `failed`.
+    `alone()` has the same names without that axis, and numbers in place of (b,). Code with `...` and `axis=-1` serves
+    both. `read` brings everything up to date. Code that sets a goal writes into `posture`, `target` and `plan`; code
+    that acts writes into `effort` and `failed`.
 
     Attributes:
-        n_joints, reach, lengths: n; the sum of the lengths of the links, m; each of them, (n,) m.
+        n_joints: n.
+        reach: the sum of the lengths of the links, m.
+        lengths: (n,) of the links, m.
         control_period: s.
-        motor_angles, motor_rates: (b, n) rad and rad/s; those of the joint where it is rigid.
-        joint_twists, joint_twist_rates: (b, n) rad and rad/s, motor angle - joint angle.
-        link_deflections, link_deflection_rates: (b, 2 n) m and m/s, tip of each link along y and z of its beam frame.
-        tip, tip_velocity: (b, 3) m and m/s, base frame.
-        deflection, deflection_rate: (b, 3) m and m/s, the tip relative to that of the rigid arm at the motor angles.
-        motion: (b, 8 n + 3) what a limit may be on, side by side: angles to deflection rates as above, tip_velocity.
+        motor_angles, motor_rates: (b, n) rad and rad/s; of the joint where it is rigid.
+        joint_twists, joint_twist_rates: (b, n) motor angle - joint angle, rad, and its rate, rad/s.
+        link_deflections, link_deflection_rates: (b, 2 n) of the tip of each link along y and z of its beam frame, m and
+            m/s.
+        tip, tip_velocity: (b, 3) in the base frame, m and m/s.
+        deflection, deflection_rate: (b, 3) of the tip relative to that of the rigid arm at the motor angles, m and m/s.
+        motion: (b, 8 n + 3) all quantities that may have a limit, side by side: the above from motor_angles to
+            link_deflection_rates, then tip_velocity.
         places, units: name -> slice of `motion`, and unit.
-        posture: (b, n) rad, the goal of the motors.
-        target: (b, 3) m, the goal of the tip, base frame; target_error is target - tip.
-        plan: name -> (b, ...) what else describes the episode; a task's own.
-        tip_error: (b,) m, distance of tip and target.
-        tip_vibration: (b,) m/s, speed of the tip relative to that of the rigid arm at the motor angles and rates.
-        elastic_energy, energy_residual, energy_turnover: (b,) J, of links and joints; see `Batch`.
-        effort: (b,) mean of the squared actions, parts of the torque limits, of the last period.
+        posture: (b, n) the goal of the motors, rad.
+        target: (b, 3) the goal of the tip in the base frame, m.
+        target_error: (b, 3) target - tip, m.
+        plan: name -> (b, ...) further arrays that describe the episode; each task has its own.
+        tip_error: (b,) distance of tip and target, m.
+        tip_vibration: (b,) speed of the tip relative to that of the rigid arm at the motor angles and rates, m/s.
+        elastic_energy: (b,) of links and joints, J.
+        energy_residual, energy_turnover: (b,) J, see `Batch`.
+        effort: (b,) mean of the squared actions (parts of the torque limits) of the last period.
         failed: (b,) whether the last step ended the episode by a limit or a divergence.
     """
 
@@ -70,7 +76,7 @@ class View:
         self._allocate(arms)
 
     def _allocate(self, arms: int) -> None:
-        """What `read` fills, and the names of its parts; outputs of the batch are views of its memory."""
+        """Makes the arrays that `read` fills, and names their parts; outputs of the batch are views of its memory."""
         n, outputs = self.n_joints, self._batch.outputs
         self.motion = np.zeros((arms, self.places["tip_velocity"].stop))
         parts = {name: self.motion[:, place] for name, place in self.places.items()}
@@ -81,7 +87,7 @@ class View:
         self.tip, self.tip_velocity = outputs[:, layout.TIP], outputs[:, layout.TIP_VELOCITY]
         self.deflection, self.deflection_rate = outputs[:, layout.DEFLECTION], outputs[:, layout.DEFLECTION_RATE]
         self.posture, self.target, self.plan = np.zeros((arms, n)), np.zeros((arms, 3)), dict[str, Array]()
-        self._vectors = np.zeros((arms, 2, 3))  # whose lengths are figures
+        self._vectors = np.zeros((arms, 2, 3))  # their lengths are tip_error and tip_vibration
         self.target_error, self._shaking = self._vectors[:, 0], self._vectors[:, 1]
         self.tip_error: Number = np.zeros(arms)
         self.tip_vibration: Number = np.zeros(arms)
@@ -92,7 +98,7 @@ class View:
         self.failed: Number = np.zeros(arms, dtype=bool)
 
     def read(self) -> None:
-        """Reads the state that the arms are in, for the goals that they have."""
+        """Reads the present states of the arms, for their present goals."""
         batch = self._batch
         combine(batch.rows, self._start, self._source, self._value, self.motion)
         self._velocity[:] = self.tip_velocity
@@ -105,7 +111,7 @@ class View:
 
     @property
     def time(self) -> Number:
-        """(b,) s since the reset."""
+        """Time since the reset (b,), s."""
         time = self._batch.time
         return time if self.motion.ndim > 1 else time.item()
 
@@ -124,7 +130,11 @@ class View:
         return rest_tips(model, postures)
 
     def alone(self) -> "View":
-        """The same of the only arm, without the axis of the arms; the same object every time, as it is now."""
+        """Gives the present view of the only arm, without the axis of the arms; it is the same object every time.
+
+        Raises:
+            ValueError: for more than one arm.
+        """
         one = self._one or self._make_alone()
         if len(one.plan) != len(self.plan):
             one.plan = {name: values[0, ...] for name, values in self.plan.items()}
@@ -136,7 +146,7 @@ class View:
         return one
 
     def _make_alone(self) -> "View":
-        """Its arrays are views of the memory of this one's."""
+        """Makes the view of the only arm; its arrays share the memory of this view."""
         if len(self.motion) > 1:
             raise ValueError(f"view: {len(self.motion)} arms are not allowed; give the view of one")
         self._one = one = object.__new__(View)
