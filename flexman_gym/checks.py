@@ -1,4 +1,8 @@
-"""Checks: each takes a field's name and value and returns the value in its stored form, or raises one clear line."""
+"""Checks: each takes a field's name and value and gives the value in its stored form, or raises one clear line.
+
+The name of the field, `name`, opens the line of a ValueError. Each check raises it for any value that its first line
+does not allow.
+"""
 
 import math
 import numbers
@@ -8,11 +12,11 @@ from typing import Any
 import numpy as np
 
 UNIT_TOLERANCE = 1e-9  # how far a unit vector or a rotation may be from exact
-WHOLE = 1e-9  # how far a ratio of two times may be from a whole number, relatively
+WHOLE = 1e-9  # how far a ratio of two times may be from a whole number, relative to itself
 
 
 def shown(value: object) -> str:
-    """Return `value` as at most 80 characters on one line, whatever it is."""
+    """Gives a value as at most 80 characters on one line, whatever it is."""
     try:
         text = " ".join(repr(value).split())
     except (ValueError, RecursionError):  # an integer of thousands of digits, a list nested without end
@@ -21,12 +25,12 @@ def shown(value: object) -> str:
 
 
 def refusal(name: str, value: object, allowed: str) -> ValueError:
-    """Return the error that says field `name` may not be `value` and what is `allowed`, on one line."""
+    """Builds the error that says on one line that the field `name` may not be `value`, and what is `allowed`."""
     return ValueError(f"{name}: {shown(value)} is not allowed; give {allowed}")
 
 
 def _real(value: object) -> float:
-    """Return a real number as float, and NaN for everything that is not one (a bool, a string, an overflow)."""
+    """Gives a real number as float, and NaN for everything else (a bool, a string, an overflow)."""
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
         return math.nan
     try:
@@ -36,7 +40,11 @@ def _real(value: object) -> float:
 
 
 def finite(name: str, value: object, unit: str = "") -> float:
-    """Return `value` as a finite float; raise ValueError for anything else."""
+    """Gives a value as a finite float.
+
+    Raises:
+        ValueError: for anything else.
+    """
     number = _real(value)
     if not math.isfinite(number):
         raise refusal(name, value, "a finite number" + _in(unit))
@@ -44,7 +52,11 @@ def finite(name: str, value: object, unit: str = "") -> float:
 
 
 def positive(name: str, value: object, unit: str = "") -> float:
-    """Return `value` as a finite float > 0; raise ValueError for anything else."""
+    """Gives a value as a finite float > 0.
+
+    Raises:
+        ValueError: for anything else.
+    """
     number = _real(value)
     if not 0.0 < number < math.inf:
         raise refusal(name, value, "a finite number > 0" + _in(unit))
@@ -52,7 +64,11 @@ def positive(name: str, value: object, unit: str = "") -> float:
 
 
 def non_negative(name: str, value: object, unit: str = "") -> float:
-    """Return `value` as a finite float >= 0; raise ValueError for anything else."""
+    """Gives a value as a finite float >= 0.
+
+    Raises:
+        ValueError: for anything else.
+    """
     number = _real(value)
     if not 0.0 <= number < math.inf:
         raise refusal(name, value, "a finite number >= 0" + _in(unit))
@@ -60,14 +76,22 @@ def non_negative(name: str, value: object, unit: str = "") -> float:
 
 
 def whole_number(name: str, value: object, low: int, high: int) -> int:
-    """Return `value` as an int from `low` to `high`; raise ValueError for anything else, 2.0 and True included."""
+    """Gives a value as an int from `low` to `high`.
+
+    Raises:
+        ValueError: for anything else, 2.0 and True included.
+    """
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or not low <= int(value) <= high:
         raise refusal(name, value, f"a whole number from {low} to {high}")
     return int(value)
 
 
 def parts(name: str, part: float, total: float, allowed: str) -> int:
-    """Return how often the time `part` (s) goes into `total` (s); raise ValueError when that is no whole number."""
+    """Gives the whole number of times that the time `part` (s) goes into `total` (s).
+
+    Raises:
+        ValueError: where that is no whole number; it says what is `allowed`.
+    """
     ratio = total / positive(name, part, "s")
     count = round(ratio)
     if count < 1 or abs(ratio - count) > WHOLE * ratio:
@@ -76,28 +100,44 @@ def parts(name: str, part: float, total: float, allowed: str) -> int:
 
 
 def flag(name: str, value: object) -> bool:
-    """Return `value` as a bool; raise ValueError for anything else, 0 and 1 included."""
+    """Gives a value as a bool.
+
+    Raises:
+        ValueError: for anything else, 0 and 1 included.
+    """
     if not isinstance(value, bool | np.bool_):
         raise refusal(name, value, "true or false")
     return bool(value)
 
 
 def text(name: str, value: object) -> str:
-    """Return `value` when it is a string; raise ValueError for anything else."""
+    """Gives a value that is a string.
+
+    Raises:
+        ValueError: for anything else.
+    """
     if not isinstance(value, str):
         raise refusal(name, value, "a text")
     return value
 
 
 def one_of(name: str, value: object, allowed: Collection[str]) -> str:
-    """Return `value` when it is one of the `allowed` strings; raise ValueError for anything else."""
+    """Gives a value that is one of the `allowed` strings.
+
+    Raises:
+        ValueError: for anything else.
+    """
     if not isinstance(value, str) or value not in allowed:
         raise refusal(name, value, "one of " + ", ".join(allowed))
     return value
 
 
 def sequence(name: str, value: object, items: str = "values") -> Sequence[Any]:
-    """Return `value` when it is a list, a tuple or an array; raise ValueError for anything else."""
+    """Gives a value that is a list, a tuple or an array; an array comes back as a list.
+
+    Raises:
+        ValueError: for anything else; it says which `items` the list has.
+    """
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if not isinstance(value, list | tuple):
@@ -106,7 +146,11 @@ def sequence(name: str, value: object, items: str = "values") -> Sequence[Any]:
 
 
 def vector(name: str, value: object, length: int | None = None, unit: str = "") -> tuple[float, ...]:
-    """Return an array-like of finite numbers as a tuple of floats, (length,); raise ValueError for anything else."""
+    """Gives an array-like of finite numbers as a tuple of floats, (length,).
+
+    Raises:
+        ValueError: for anything else.
+    """
     entries = sequence(name, value, "numbers")
     if not entries or (length is not None and len(entries) != length):
         raise refusal(name, value, f"{length or 'at least 1'} numbers" + _in(unit))
@@ -114,7 +158,11 @@ def vector(name: str, value: object, length: int | None = None, unit: str = "") 
 
 
 def unit_vector(name: str, value: object) -> tuple[float, ...]:
-    """Return a (3,) vector of length 1 within 1e-9 as a tuple of floats, not normalised; raise ValueError otherwise."""
+    """Gives a (3,) vector of length 1 within 1e-9 as a tuple of floats; it is not normalised.
+
+    Raises:
+        ValueError: for anything else.
+    """
     entries = vector(name, value, 3)
     length = math.hypot(*entries)
     if not abs(length - 1.0) <= UNIT_TOLERANCE:
@@ -123,7 +171,11 @@ def unit_vector(name: str, value: object) -> tuple[float, ...]:
 
 
 def rotation(name: str, value: object) -> tuple[tuple[float, ...], ...]:
-    """Return a (3, 3) proper rotation, orthonormal within 1e-9, as a tuple of rows; raise ValueError otherwise."""
+    """Gives a (3, 3) proper rotation, orthonormal within 1e-9, as a tuple of rows.
+
+    Raises:
+        ValueError: for anything else.
+    """
     rows = sequence(name, value, "3 rows of 3 numbers")
     if len(rows) != 3:
         raise refusal(name, value, "3 rows of 3 numbers")
@@ -138,9 +190,12 @@ def rotation(name: str, value: object) -> tuple[tuple[float, ...], ...]:
 
 
 def inertia_matrix(name: str, value: object) -> tuple[tuple[float, ...], ...]:
-    """Return the (3, 3) inertia of a rigid body in kg m^2 as a tuple of rows; raise ValueError otherwise.
+    """Gives the (3, 3) inertia of a rigid body in kg m^2 as a tuple of rows.
 
-    It is symmetric, its principal moments are not negative and none exceeds the sum of the other two.
+    It is symmetric, its principal moments are not negative, and none exceeds the sum of the other two.
+
+    Raises:
+        ValueError: for anything else.
     """
     allowed = "a symmetric inertia (kg m^2) whose principal moments are >= 0, none above the sum of the others"
     rows = sequence(name, value, "3 rows of 3 numbers")
@@ -158,7 +213,7 @@ def inertia_matrix(name: str, value: object) -> tuple[tuple[float, ...], ...]:
 
 
 def store(instance: object, **values: object) -> None:
-    """Write checked `values` over the fields of a frozen dataclass that is being created."""
+    """Writes checked values over the fields of a frozen dataclass that is being created."""
     for name, value in values.items():
         object.__setattr__(instance, name, value)
 

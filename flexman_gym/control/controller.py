@@ -11,11 +11,11 @@ from flexman_gym.arrays import Array, IntArray
 
 @runtime_checkable
 class Controller(Protocol):
-    """What acts on b arms of n joints. A class with these members is one; it needs no base class.
+    """The protocol of everything that acts on b arms of n joints. A class with these members needs no base class.
 
-    It is built from a model, which may be wrong on purpose, and never from an environment. What it does to an arm must
-    not depend on the others, to the last bit: products go row by row (`np.vecdot`, elementwise), as those of BLAS have
-    other last digits for other numbers of arms.
+    A controller is built from a model, which may be wrong on purpose, and never from an environment. Its action on an
+    arm must not depend on the other arms, to the last bit. Products therefore go row by row (`np.vecdot`, elementwise):
+    those of BLAS have other last digits for other numbers of arms.
 
     Attributes:
         sensors: names of the sensors that it reads.
@@ -23,16 +23,23 @@ class Controller(Protocol):
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """See the class."""
+        """Names of the sensors that it reads."""
         ...
 
     def reset(self, arms: IntArray, start: Array, posture: Array) -> None:
-        """New episodes of the arms with the indices (r,), from joint angles (r, n) rad to goal postures (r, n) rad."""
+        """Starts new episodes.
+
+        Args:
+            arms: indices (r,) of the arms that start.
+            start: (r, n) joint angles at the start, rad.
+            posture: (r, n) joint angles of the goal, rad.
+        """
         ...
 
     def act(self, readings: Mapping[str, NDArray[np.floating]]) -> NDArray[np.floating]:
-        """Actions (b, n), parts of the torque limits from -1 to 1, for what the sensors read: name -> (b, size).
+        """Gives the actions (b, n), parts of the torque limits from -1 to 1.
 
-        Readings without the axis of the arms, (size,), give the action (n,) of one.
+        Args:
+            readings: (b, size) of each sensor, by its name. Readings of a single arm, (size,), give its action (n,).
         """
         ...

@@ -14,7 +14,8 @@ from flexman_gym.model.statics import holding_torques
 class PD:
     """Proportional-derivative control of the motors: torque = stiffness (posture - angle) - damping rate, saturated.
 
-    It measures the motors only, as an industrial arm does; collocated, so stable for any gains in continuous time.
+    It measures the motors only, as an industrial arm does. Sensors and motors are collocated, so in continuous time it
+    is stable for any gains.
 
     Args:
         stiffness: (n,) N m/rad.
@@ -56,7 +57,7 @@ class PD:
             self._holding[arm] = holding_torques(self.gravity_model, angles)
 
     def act(self, readings: Mapping[str, NDArray[np.floating]]) -> NDArray[np.float32]:
-        """Action (n,), or (b, n), for posture_errors and motor_rates."""
+        """Gives the action (n,), or (b, n), for posture_errors and motor_rates."""
         error, rate = readings["posture_errors"], readings["motor_rates"]
         torque = self.stiffness * error - self.damping * rate
         if self.gravity_model is not None:
@@ -65,7 +66,16 @@ class PD:
 
 
 def torque_limits(name: str, value: object, joints: int) -> tuple[float, ...]:
-    """One limit > 0 (N m) for each joint, from one number for all or one for each; raises ValueError otherwise."""
+    """Gives one limit for each joint, N m.
+
+    Args:
+        name: of the field, for the error.
+        value: one number for all joints, or one for each.
+        joints: number of joints.
+
+    Raises:
+        ValueError: for another number of limits, or a limit that is not a finite number > 0.
+    """
     if not isinstance(value, list | tuple | np.ndarray):
         return (positive(name, value, "N m"),) * joints
     limits = vector(name, value, joints, "N m")

@@ -14,12 +14,21 @@ from flexman_gym.simulation.trajectory import Trajectory
 def paper_figures(
     rigid: Trajectory, flexible_links: Trajectory, flexible_both: Trajectory, folder: str | Path
 ) -> list[Path]:
-    """Draws Figures 6 to 11 of the paper, each as a PNG, and `paper_figures.png` with all of them; returns their paths.
+    """Draws Figures 6 to 11 of the paper, each as a PNG, and all of them in `paper_figures.png`.
 
-    The arguments are the solutions of the paper's cases "rr", "fr" and "ff" at the same output times; one that ended
-    early is drawn as far as it goes, and its label says so. The folder is created where it does not exist.
+    A solution that ended early is drawn to its end, and its label says so.
 
-    Raises ImportError without Matplotlib and ValueError for other output times or another number of joints than 3.
+    Args:
+        rigid, flexible_links, flexible_both: solutions of the paper's cases "rr", "fr" and "ff" at the same output
+            times.
+        folder: for the files; it is created where it does not exist.
+
+    Returns:
+        The paths of the files.
+
+    Raises:
+        ImportError: without Matplotlib.
+        ValueError: for other output times or another number of joints than 3.
     """
     cases = {"flexible links, rigid joints": flexible_links, "flexible links and joints": flexible_both}
     for name, trajectory in (("flexible_links", flexible_links), ("flexible_both", flexible_both)):

@@ -1,4 +1,7 @@
-"""Frames: an arm at one state after another, painted in Matplotlib, which is imported when something is drawn."""
+"""Frames: pictures of an arm at one state after another, painted in Matplotlib.
+
+Matplotlib is imported when something is drawn.
+"""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -15,18 +18,25 @@ from flexman_gym.model.model import Model
 
 AZIMUTH, ELEVATION = np.radians(-62.0), np.radians(24.0)  # of the camera, seen from the base; +X points to the right
 DISTANCE = 5.0  # from the camera to the base, in reaches of the arm
-# What the picture holds, in reaches of the arm and seen from the base: the ground and an arm that points straight up.
+# Bounds of the picture, in reaches of the arm and seen from the base: it holds the ground and an arm that points up.
 SIDE, BOTTOM, TOP = 1.04, -0.58, 1.03
 POINTS = 16  # of the line of a link
 LARGEST_PICTURE = 10_000  # pixels a side
 
 
 def arm_lines(model: Model, state: Sequence[float] | Array, points: int = POINTS) -> Array:
-    """Deformed centreline of every link at a state (2 d,), from joint to tip: (n, points, 3) m in the base frame.
+    """Gives the deformed centreline of every link, from joint to tip, as points (n, points, 3) in the base frame, m.
 
-    Between the nodes of an element the line has the shapes of the element, cubic for bending; with foreshortening its
+    Between the nodes of an element the line has the shapes of the element, cubic for bending. With foreshortening its
     ends are exact.
-    Raises ValueError for a wrong shape, values that are not finite or fewer than 2 points.
+
+    Args:
+        model: the arm.
+        state: (2 d,).
+        points: number of points of each line, at least 2.
+
+    Raises:
+        ValueError: for a wrong shape, values that are not finite or fewer than 2 points.
     """
     x = np.array(vector("state", state, 2 * model.n_dof))
     constants = model.constants
@@ -47,11 +57,11 @@ def arm_lines(model: Model, state: Sequence[float] | Array, points: int = POINTS
 
 
 def _shortened(model: Model, link: int, elastic: Array, line: Array) -> Array:
-    """(points,) foreshortening along a line (points, 3): exact at the tip, between by the slopes of the polyline."""
+    """Gives the foreshortening (points,) along a line (points, 3), exact at the tip, else by its slopes."""
     constants = model.constants
     columns, stations = (slice(*field[link : link + 2]) for field in (constants.elastic_start, constants.station_start))
     entries = np.arange(*constants.bend_start[[columns.start, columns.stop]])
-    # of the tip, which is the first station
+    # the first station is the tip
     values = constants.bend_value[constants.bend_row[link] + entries * (stations.stop - stations.start)]
     rows = np.repeat(elastic, np.diff(constants.bend_start[columns.start : columns.stop + 1]))
     tip = 0.5 * (values * rows) @ elastic[constants.bend_source[entries] - columns.start]
@@ -61,7 +71,7 @@ def _shortened(model: Model, link: int, elastic: Array, line: Array) -> Array:
 
 @lru_cache(maxsize=16)
 def _centreline_shapes(model: Model, points: int) -> tuple[Array, ...]:
-    """(points, 3, k_i) of each link: displacement of evenly spaced points of its centreline per unit coordinate."""
+    """Gives the displacement (points, 3, k_i) of even points of each link's centreline per unit coordinate."""
     result = []
     for i, (basis, length) in enumerate(zip(model.bases, model.constants.length, strict=True)):
         elements = model.elements(i) if basis.shape[1] else []
@@ -84,13 +94,16 @@ class FramePainter:
     """Paints an arm at one state after another, always from the same camera and at the same scale.
 
     A frame shows the deformed links in colours, joints as dots, the tip, the rigid arm at the motor angles as a thin
-    line, the shadow of the arm on the ground and, where one is given, the target. The ground is a disc as wide as the
-    reach; the picture holds all of it and the arm above it, but of an arm that points down it may lose the tip.
+    line, the shadow of the arm on the ground and the target, if any. The ground is a disc as wide as the reach. The
+    picture holds all of it and the arm above it; it may lose the tip of an arm that points down.
 
-    model  the arm
-    size   (width, height) in pixels
+    Args:
+        model: the arm.
+        size: width and height in pixels.
 
-    Raises ImportError without Matplotlib and ValueError for a size that is not two whole numbers.
+    Raises:
+        ImportError: without Matplotlib.
+        ValueError: for a size that is not two whole numbers.
     """
 
     def __init__(self, model: Model, size: tuple[int, int] = (480, 360)) -> None:
@@ -113,9 +126,17 @@ class FramePainter:
         self._artists()
 
     def paint(self, state: Sequence[float] | Array, target: Sequence[float] | Array | None = None) -> NDArray[np.uint8]:
-        """Picture (height, width, 3) of the arm at a state (2 d,) and of a target (3,) m in the base frame.
+        """Paints the arm at a state.
 
-        Raises ValueError for a wrong shape or values that are not finite.
+        Args:
+            state: (2 d,).
+            target: (3,) in the base frame, m; None without one.
+
+        Returns:
+            The picture (height, width, 3).
+
+        Raises:
+            ValueError: for a wrong shape or values that are not finite.
         """
         lines = arm_lines(self.model, state)
         motors = np.asarray(state, dtype=float)[self.model.motor_columns]
@@ -142,13 +163,13 @@ class FramePainter:
         artist.set_data(*self._project(places).T)
 
     def _project(self, places: Array) -> Array:
-        """(p, 2) picture coordinates, in metres at the base, of places (p, 3) in the base frame."""
+        """Gives picture coordinates (p, 2), in metres at the base, of places (p, 3) in the base frame."""
         seen = places @ self._camera.T
         distance = DISTANCE * self.reach
         return seen[:, :2] * (distance / (distance - seen[:, 2:]))
 
     def _ground(self) -> None:
-        """A disc as wide as the reach, with circles at round distances and the axes X and Y."""
+        """Draws a disc as wide as the reach, with circles at round distances and the axes X and Y."""
         turn = np.linspace(0.0, 2 * np.pi, 97)
         circle = np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=1)
         spacing = _round_number(self.reach / 5)
@@ -163,7 +184,7 @@ class FramePainter:
         self._axes.text(0.02, 0.02, note, color=MIDDLE, fontsize=7, transform=self._axes.transAxes)
 
     def _artists(self) -> None:
-        """Everything that moves, without places yet."""
+        """Makes everything that moves, without places yet."""
 
         def line(**style: Any) -> Any:
             return self._axes.plot([], [], **{"solid_capstyle": "round", "solid_joinstyle": "round"} | style)[0]
@@ -186,12 +207,21 @@ def arm_frame(
     target: Sequence[float] | Array | None = None,
     size: tuple[int, int] = (480, 360),
 ) -> NDArray[np.uint8]:
-    """One picture (height, width, 3) of an arm; for many of them keep a FramePainter, which describes the arguments."""
+    """Paints one picture (height, width, 3) of an arm; for many pictures keep a FramePainter.
+
+    Args:
+        model, size: as of a FramePainter.
+        state, target: as of `FramePainter.paint`.
+
+    Raises:
+        ImportError: without Matplotlib.
+        ValueError: as of FramePainter and its `paint`.
+    """
     return FramePainter(model, size).paint(state, target)
 
 
 def _camera() -> Array:
-    """(3, 3) rows: right, up and towards the camera, in the base frame."""
+    """Gives the directions right, up and towards the camera in the base frame, the rows of (3, 3)."""
     across, along = np.cos(ELEVATION), np.sin(ELEVATION)
     towards = np.array([across * np.cos(AZIMUTH), across * np.sin(AZIMUTH), along])
     right = np.array([-np.sin(AZIMUTH), np.cos(AZIMUTH), 0.0])
@@ -199,6 +229,6 @@ def _camera() -> Array:
 
 
 def _round_number(value: float) -> float:
-    """The least of 1, 2, 5, 10, ... times a power of ten that is not below a value > 0."""
+    """Gives the least of 1, 2, 5, 10, ... times a power of ten that is not below a value > 0."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(next(power * step for step in (1, 2, 5, 10) if power * step >= value))

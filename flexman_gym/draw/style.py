@@ -9,7 +9,16 @@ DARK, MIDDLE, LIGHT = "#222222", "#8a8f98", "#d5d8dd"
 
 
 def new_figure(inches: tuple[float, float], dpi: float, **options: Any) -> Any:
-    """A Matplotlib figure on its own canvas: no window, and nothing of pyplot's global state."""
+    """Makes a Matplotlib figure on its own canvas: no window, and nothing of pyplot's global state.
+
+    Args:
+        inches: width and height.
+        dpi: pixels per inch.
+        options: of Matplotlib's Figure.
+
+    Raises:
+        ImportError: without Matplotlib.
+    """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure

@@ -1,4 +1,4 @@
-"""Fidelity: the smallest model, the method and the longest step that meet a tolerance at the tip in a scene."""
+"""Choose: the smallest model, the method and the longest step that meet a tolerance at the tip in a scene."""
 
 import time as clock
 from collections.abc import Iterator
@@ -19,25 +19,25 @@ from flexman_gym.simulation.families import EXPLICIT, Method
 from flexman_gym.simulation.methods import METHODS
 
 SAFETY = 0.8  # part of the tolerance that the chosen run may use
-MODEL_SHARES = (0.6, 0.25)  # parts of the tolerance that dropped coordinates may use: two models compete
+MODEL_SHARES = (0.6, 0.25)  # parts of the tolerance that dropped coordinates may use; each gives a model
 TRIED = ("extrapolated_euler_5", "extrapolated_euler_4", "extrapolated_euler_3", "ros2", "rk4", "dopri5",
          "implicit_midpoint", "generalised_alpha")  # fmt: skip
 MULTIPLES = (10, 8, 5, 4, 3, 2)  # of the output step
 PARTS = (1, 2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 25, 32, 40, 50, 64, 80, 100, 128, 160, 200, 256, 320, 400, 512, 1024)
-MOST_GROWTH = 100.0  # of any mode by the method within the scene, from amplitudes that are next to nothing
+MOST_GROWTH = 100.0  # of any mode by the method within the scene; the amplitudes are next to nothing at first
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """What `choose_model` chose.
+    """The model, method and step that `choose_model` chose.
 
     Attributes:
         model: the model, for `simulate`.
         method: a name from `METHODS`.
         step: s.
-        estimated_error: m, largest distance of the tip from that of the reference at the outputs of the run, plus the
-            error of the reference.
-        dropped: a text for each thing that was left out, with what it does.
+        estimated_error: largest distance of the tip from the reference at the outputs of the run, plus the error of the
+            reference, m.
+        dropped: a text for each part of the model that was left out, with its effect.
         report: a text about frequencies, step, numerical damping and the cost of the choice.
     """
 
@@ -50,21 +50,28 @@ class Choice:
 
 
 def choose_model(scene: Scene, tolerance: float, longest_step: float | None = None) -> Choice:
-    """Chooses the cheapest model, method and step whose tip stays within a tolerance (m) of the reference.
+    """Chooses the cheapest model, method and step whose tip stays within a tolerance of the reference.
 
-    The reference is the scene's arm with its elements, every coordinate of what the scene has flexible, foreshortening,
-    and a converged integration; the error of its elements is not part of it. Candidates leave out foreshortening, the
-    springs of all joints and the component modes that move the tip least in the reference's own motion (the bend of a
-    mode times what it moves the tip), and are run on the scene itself: every error is measured. Step by step the
-    tolerance holds at the outputs of the run, which are those of the scene or, for a longer step, after each step; what
-    cubic interpolation (positions and velocities) gives between those holds it too.
+    The reference is a converged run of the scene's arm with its elements, every coordinate of its flexible parts and
+    foreshortening. The error of its elements is not part of it.
 
-    Steps longer than `longest_step` (s) are not tried; None tries up to ten output steps.
+    Candidates leave out foreshortening, the springs of all joints, and the component modes that move the tip least in
+    the motion of the reference. A mode moves the tip by its bend times the motion of the tip per unit of bend. Each
+    candidate is run on the scene itself, so every error is measured.
 
-    A choice costs some hundred runs of the scene; the same scene and tolerance give the same object again at once.
+    The tolerance holds at the outputs of the run: at the outputs of the scene or, with a longer step, after each step.
+    Between them it holds for cubic interpolation of positions and velocities.
+
+    A choice costs some hundred runs of the scene. The same scene and tolerance give the same object again at once.
+
+    Args:
+        scene: the scene.
+        tolerance: of the tip, m.
+        longest_step: s; longer steps are not tried. None tries up to ten output steps.
 
     Raises:
-        ValueError: for another scene or tolerance, and where nothing meets the tolerance, with what was reached.
+        ValueError: for another scene or tolerance, and where nothing meets the tolerance, with the error that was
+            reached.
     """
     if not isinstance(scene, Scene):
         raise refusal("scene", scene, "a Scene")
@@ -75,11 +82,17 @@ def choose_model(scene: Scene, tolerance: float, longest_step: float | None = No
 def assembled_modes(
     arm: Arm, elements: int | tuple[int, ...] = 2, highest: float = 25.0, share: float = 0.02
 ) -> tuple[int | tuple[int, ...], ...]:
-    """The loaded modes of each link, for `build_model`, that carry a share of an assembled arm's slow vibrations.
+    """Gives the loaded modes of each link, for `build_model`, that carry a share of an assembled arm's slow vibrations.
 
-    A mode is kept that has more than `share` of the elastic energy of a vibration (motors free, undamped) below
-    `highest` (Hz), of the lowest three in any case, at zero joint angles or with a joint turned by 0.8 or 1.6 rad. It
-    takes no simulation, and says nothing about an error: `choose_model` does.
+    A mode is kept when it has more than `share` of the elastic energy of a slow vibration (motors free, undamped). Slow
+    are vibrations below `highest`, and the lowest three in any case. They are taken at zero joint angles and with each
+    joint turned by 0.8 or 1.6 rad. This takes no simulation and gives no error, as `choose_model` does.
+
+    Args:
+        arm: the arm.
+        elements: one value or one per link, as in `build_model`.
+        highest: frequency, Hz.
+        share: of the elastic energy of a vibration.
     """
     from scipy.linalg import eigh
 
@@ -125,7 +138,7 @@ def _choose(scene: Scene, tolerance: float, longest: float) -> Choice:
 
 
 def _candidates(search: Search, parts: dict[tuple[int, int], float]) -> list[Candidate]:
-    """Models that meet their share of the tolerance, the one with the fewest coordinates first."""
+    """Gives models that meet their share of the tolerance, the one with the fewest coordinates first."""
     found, stiffest = {search.full}, search.stiffest()
     for springs in {search.full.springs, False}:
         for stiffening in {False, search.full.stiffening}:
@@ -155,8 +168,7 @@ def _candidates(search: Search, parts: dict[tuple[int, int], float]) -> list[Can
 
 
 def _steps(search: Search, candidate: Candidate, longest: float) -> Iterator[Trial]:
-    """Runs of a candidate by each method, with shorter and shorter steps until one meets the tolerance or costs more
-    than what already does."""
+    """Runs a candidate by each method, with shorter steps until a run is good, or costs more than a good one."""
     modes = frequencies(search.model(candidate), search.scene.initial.joint_angles)
     aim = SAFETY * search.tolerance - search.error
     for method in (METHODS[name] for name in TRIED):
@@ -170,26 +182,26 @@ def _steps(search: Search, candidate: Candidate, longest: float) -> Iterator[Tri
             if trial.error <= aim:
                 search.best = min(search.best, trial.cost)
                 break
-            # The order of the method tells which step may do; the error of one far too long tells nothing.
+            # The order of the method tells which step may be good; the error of a step far too long tells nothing.
             shrink = 0.5 if not trial.error < 1.0 else max(0.2, (aim / trial.error) ** (1.0 / method.order))
             place += max(1, sum(step > 1.15 * shrink * trial.step for step in steps[place:]))
 
 
 def _stays(method: Method, step: float, modes: Array, duration: float) -> bool:
-    """Whether a method with a step (s) lets no vibration (Hz) grow much within a duration (s)."""
+    """Tells whether a method with a step (s) lets no vibration (Hz) grow much within a duration (s)."""
     angles = 2.0 * np.pi * step * modes
     return all(duration / step * np.log(spectral_radius(method, angle)) <= np.log(MOST_GROWTH) for angle in angles)
 
 
 def _ladder(scene: Scene) -> list[float]:
-    """Steps that `simulate` can take, descending."""
+    """Gives the steps that `simulate` can take, descending."""
     rows = len(scene.output_times) - 1
     longer = [scene.output_step * multiple for multiple in MULTIPLES if rows % multiple == 0]
     return longer + [scene.output_step / parts for parts in PARTS]
 
 
 def _dropped(search: Search, candidate: Candidate, parts: dict[tuple[int, int], float]) -> tuple[str, ...]:
-    """A text for everything that a candidate leaves out."""
+    """Writes a text for everything that a candidate leaves out."""
     full, texts = search.full, []
     if full.stiffening and not candidate.stiffening:
         error = search.screen(full._replace(stiffening=False))
@@ -203,7 +215,7 @@ def _dropped(search: Search, candidate: Candidate, parts: dict[tuple[int, int], 
         gone = [mode for mode in kept if mode not in candidate.modes[i]]
         if gone:
             most = max(parts[i, mode] for mode in gone)
-            lowest = np.sqrt(squares[model.elastic_columns(i)][gone[0]]) / (2.0 * np.pi)  # of unit modal mass
+            lowest = np.sqrt(squares[model.elastic_columns(i)][gone[0]]) / (2.0 * np.pi)  # its modal mass is 1
             numbers = "all" if gone == list(kept) else ", ".join(map(str, gone))
             texts.append(
                 f"link {i + 1}, loaded modes {numbers} of {len(kept)} (from {lowest:.4g} Hz): none moves the tip by"
@@ -215,7 +227,7 @@ def _dropped(search: Search, candidate: Candidate, parts: dict[tuple[int, int], 
 
 
 def _report(search: Search, best: Trial, trials: list[Trial], seconds: float) -> str:
-    """Frequencies, step, numerical damping and cost in words."""
+    """Writes frequencies, step, numerical damping and cost in words."""
     scene, model, full = search.scene, search.model(best.candidate), search.model(search.full)
     own, all_ = (frequencies(each, scene.initial.joint_angles)[model.n_joints :] for each in (model, full))
     lines = [f"{model.n_dof} of {full.n_dof} coordinates, {best.method.name} with {best.step:.4g} s"]

@@ -1,4 +1,4 @@
-"""Fidelity search: candidates for a scene, each measured against a converged run of its finest model."""
+"""Search: candidates for a scene, each measured against a converged run of its finest model."""
 
 import time as clock
 from typing import NamedTuple
@@ -16,7 +16,7 @@ from flexman_gym.simulation.trajectory import Trajectory
 
 SHARP = 0.05  # of the tolerance, the most by which the reference may be off
 # Method, steps in an output step and rtol of finer and finer references. Stiff modes do not limit the first two
-# methods, but the first lets some of them grow.
+# methods, but the first method lets some of them grow.
 REFERENCES = (
     *((METHODS["extrapolated_euler_5"], parts, 1e-6) for parts in (1, 2)),
     *((METHODS["ros2"], parts, 1e-6) for parts in (16, 64)),
@@ -25,21 +25,36 @@ REFERENCES = (
 
 
 class Candidate(NamedTuple):
-    """What a model keeps: numbers of the loaded modes of each link, springs in joints, foreshortening."""
+    """The parts that a model keeps.
+
+    Attributes:
+        modes: numbers of the loaded modes of each link.
+        springs: whether joints have their springs.
+        stiffening: whether links have foreshortening.
+    """
 
     modes: tuple[tuple[int, ...], ...]
     springs: bool
     stiffening: bool
 
     def build(self, scene: Scene) -> Model:
-        """Its model; where the lowest modes are kept they are given by their number."""
+        """Builds its model for a scene."""
         modes = tuple(given_modes(kept) for kept in self.modes)
         switches = vars(scene.model) | {"flexible_joints": self.springs, "stiffening": self.stiffening, "modes": modes}
         return build_model(scene.arm, **switches)
 
 
 class Trial(NamedTuple):
-    """A run of a candidate: its error at the tip (m), inf where it failed, and its cost (s of computing)."""
+    """A run of a candidate.
+
+    Attributes:
+        candidate: the candidate.
+        method: the method.
+        step: s; 0 where the method chose its steps.
+        error: at the tip, m; inf where the run failed.
+        cost: time of computing, s.
+        evaluations: number of evaluations of the accelerations.
+    """
 
     candidate: Candidate
     method: Method
@@ -50,7 +65,19 @@ class Trial(NamedTuple):
 
 
 class Search:
-    """The reference of a scene, and what candidates were measured against it."""
+    """The reference of a scene, and the candidates that were measured against it.
+
+    Attributes:
+        scene: the scene.
+        tolerance: of the tip, m.
+        models: the models that were built.
+        screened: the runs that `screen` made.
+        full: the candidate that keeps everything.
+        tips: positions of the tip by finer and finer references, (T, 3) each, m.
+        reference: the finest reference that did not fail.
+        error: of the reference, m.
+        best: cost of the cheapest run that met the tolerance, s.
+    """
 
     def __init__(self, scene: Scene, tolerance: float) -> None:
         self.scene, self.tolerance = scene, tolerance
@@ -80,29 +107,29 @@ class Search:
 
     @property
     def screening(self) -> tuple[Method, float | None]:
-        """The longest step of the first method of references that is right on the scene with all coordinates."""
+        """The first reference that is right on the scene with all coordinates: its method and step (s)."""
         for (method, parts, _), tip in zip(REFERENCES, self.tips, strict=False):
             if _distance(tip, self.tips[-1]) <= 2 * SHARP * self.tolerance:
                 return method, self.scene.output_step / parts if parts else None
         return METHODS["dop853"], None
 
     def sharpen(self, error: float) -> None:
-        """A finer reference, so that its own error is small beside an error (m) measured against it."""
+        """Goes to finer references until their own error is small beside an error (m) measured against them."""
         if self.error > 0.25 * error:
             self._converge(0.25 * error)
 
     def model(self, candidate: Candidate) -> Model:
-        """The model of a candidate, built once."""
+        """Gives the model of a candidate, built once."""
         if candidate not in self.models:
             self.models[candidate] = candidate.build(self.scene)
         return self.models[candidate]
 
     def run(self, candidate: Candidate, method: Method, step: float | None) -> Trajectory:
-        """The scene with a candidate."""
+        """Simulates the scene with a candidate."""
         return simulate(self.scene, self.model(candidate), method, step)
 
     def trial(self, candidate: Candidate, method: Method, step: float | None) -> Trial:
-        """The same with its error and cost."""
+        """Simulates the scene with a candidate and measures error and cost."""
         self.model(candidate)
         started = clock.process_time()
         run = self.run(candidate, method, step)
@@ -110,7 +137,7 @@ class Search:
         return Trial(candidate, method, step or 0.0, self.tip_error(run), cost, run.evaluations)
 
     def tip_error(self, run: Trajectory) -> float:
-        """Error (m) of a run at its outputs; inf for one that failed or that goes astray between its outputs."""
+        """Gives the error (m) of a run at its outputs; inf for a run that failed or goes astray between its outputs."""
         times, reference = self.scene.output_times, self.tips[-1]
         if run.status != "ok" or not np.isclose(run.time[-1], times[-1], rtol=1e-6):
             return np.inf
@@ -123,23 +150,24 @@ class Search:
         return error
 
     def screen(self, candidate: Candidate) -> float:
-        """Error (m) of a candidate that is integrated well."""
+        """Gives the error (m) of a candidate that is integrated well; its run is made once."""
         if candidate not in self.screened:
             self.screened[candidate] = self.trial(candidate, *self.screening)
         return self.screened[candidate].error
 
     def guess(self, candidate: Candidate, method: Method) -> float:
-        """About the cost of the scene times the step of an explicit method; 0 for others, whose steps are long."""
+        """Guesses the cost of the scene times the step of an explicit method; 0 for others, whose steps are long."""
         self.screen(candidate)
         screened = self.screened[candidate]
-        ease = 1.0 if screened.method.kind == REFERENCE else 0.3  # without factors of matrices
+        ease = 1.0 if screened.method.kind == REFERENCE else 0.3  # an explicit method factorises no matrix
         seconds = ease * screened.cost / max(screened.evaluations, 1)
         return seconds * len(method.b) * self.scene.duration if isinstance(method, Explicit) else 0.0
 
     def parts(self) -> dict[tuple[int, int], float]:
-        """How far (m) each mode (link, number) moves the tip in the motion of the reference, ascending.
+        """Gives how far (m) each mode (link, number) moves the tip in the motion of the reference, ascending.
 
-        A mode that bends turns the free joints the other way, as momentum is kept; its motion is that with the turn.
+        A mode that bends turns the free joints the other way, as momentum is kept. The motion of the tip includes this
+        turn.
         """
         model, states = self.model(self.full), self.reference.states
         turns = np.eye(model.n_dof)[:, : model.n_joints]
@@ -158,7 +186,10 @@ class Search:
         return dict(sorted(parts.items(), key=lambda item: item[1]))
 
     def stiffest(self) -> list[tuple[int, int]]:
-        """Modes (link, number), each the one that takes the most part in the highest system mode of those after it."""
+        """Gives the modes (link, number) in an order that lowers the highest frequency of the arm fast.
+
+        Each is the mode with the largest part in the highest vibration of the arm without the modes before it.
+        """
         from scipy.linalg import eigh
 
         model = self.model(self.full)
@@ -175,7 +206,13 @@ class Search:
         return order
 
     def reduced(self, start: Candidate, budget: float, order: list[tuple[int, int]]) -> Candidate:
-        """Leaves out as many modes, in that order, as a budget (m) allows, and some of the next where it allows."""
+        """Leaves out as many modes, in a given order, as a budget allows, and some of the next ones where it can.
+
+        Args:
+            start: the candidate that loses modes.
+            budget: largest error at the tip, m.
+            order: modes (link, number).
+        """
 
         def without(gone: list[tuple[int, int]]) -> Candidate:
             modes = [tuple(j for j in kept if (i, j) not in gone) for i, kept in enumerate(start.modes)]
@@ -193,7 +230,7 @@ class Search:
 
 
 def given_modes(numbers: tuple[int, ...]) -> int | tuple[int, ...]:
-    """Modes of a link as `build_model` takes them: where they are the lowest ones, how many."""
+    """Gives the modes of a link as `build_model` takes them: the lowest ones as their number, others as a tuple."""
     return len(numbers) if numbers == tuple(range(len(numbers))) else numbers
 
 
