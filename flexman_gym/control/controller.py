@@ -15,7 +15,7 @@ class Controller(Protocol):
 
     A controller is built from a model, which may be wrong on purpose, and never from an environment. Its action on an
     arm must not depend on the other arms, to the last bit. Products therefore go row by row (`np.vecdot`, elementwise):
-    those of BLAS have other last digits for other numbers of arms.
+    products of BLAS have other last digits for other numbers of arms.
 
     Attributes:
         sensors: names of the sensors that it reads.

@@ -5,7 +5,7 @@ represent its mass: an element has four Gauss points, and each Gauss point has f
 polynomials of these elements exactly, so the sums below equal the volume integrals of Eq. 13 and 14.
 
 Without rotary inertia the mass points lie on the centreline. The sections around them then resist rotation about the
-beam axis only. In a frame with angular velocity w their energy is that of the rotation rate w_x + phi'.
+beam axis only. In a frame with angular velocity w they turn about this axis at the rate w_x + phi'.
 """
 
 from collections.abc import Sequence

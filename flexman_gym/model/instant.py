@@ -11,7 +11,7 @@ from flexman_gym.kernels.layout import OUTPUTS, TIP_VELOCITY, make_work
 from flexman_gym.model.model import Model
 
 # Central differences over one, two and three steps h, each with its weight in Richardson's extrapolation to h = 0. The
-# error of a first derivative is h^6 / 140 times the seventh one, of a second derivative h^6 / 560 times the eighth one.
+# error of a first derivative is h^6 / 140 times the seventh derivative, of a second one h^6 / 560 times the eighth.
 RICHARDSON = ((1, 1.5), (2, -0.6), (3, 0.1))
 SECOND_STEP = 0.02  # rad, for a second derivative: its truncation is just below rounding
 

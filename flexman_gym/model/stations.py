@@ -53,11 +53,8 @@ def beam_stations(elements: Sequence[Element], size: int) -> tuple[Array, Array,
 
 
 def _gauss_rule(places: Array, masses: Array, count: int) -> tuple[Array, Array]:
-    """Gives places and masses (count,) that integrate polynomials to degree 2 count - 1 over many masses.
-
-    The rule follows from the three-term recurrence of the orthogonal polynomials (Golub and Welsch, Math. Comp. 23,
-    1969).
-    """
+    """Gives places and masses (count,) that integrate polynomials to degree 2 count - 1 over many masses."""
+    # from the three-term recurrence of the orthogonal polynomials (Golub and Welsch, Math. Comp. 23, 1969)
     diagonal, beside = np.zeros(count), np.zeros(count)
     before, now = np.zeros(len(places)), np.ones(len(places)) / np.sqrt(masses.sum())
     for i in range(count):

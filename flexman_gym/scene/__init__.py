@@ -1,4 +1,4 @@
-"""Scene: what a person describes, an arm and how it is driven, and the files that keep it."""
+"""Scene: an arm and its drive, as a person describes them, and the files that keep them."""
 
 from flexman_gym.scene import catalog
 from flexman_gym.scene.arm import Arm, Joint, Link, NonUniformLink, Payload

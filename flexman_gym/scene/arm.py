@@ -1,4 +1,4 @@
-"""Arm: what a person describes, a serial chain of links and revolute joints with a payload, in SI units."""
+"""Arm: a serial chain of links and revolute joints with a payload, as a person describes it, in SI units."""
 
 import math
 import warnings

@@ -4,7 +4,7 @@ Every method has a name (for `simulate`), an order of convergence in the step, a
 ("explicit", "linearly implicit", "implicit" or "reference"). It says whether it is `adaptive`: it always chooses its
 steps by rtol and atol. It says whether it `estimates` its error, so that it can choose its steps.
 
-Conditions of order are those of Hairer, Norsett and Wanner (Solving ODEs I, II.1) and Hairer and Wanner (II, IV.7).
+Source of the conditions of order: Hairer, Norsett and Wanner (Solving ODEs I, II.1), Hairer and Wanner (II, IV.7).
 """
 
 import math
