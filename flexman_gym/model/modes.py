@@ -81,10 +81,16 @@ def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
 
 
 def kept_modes(beam: Beam, outboard: Array, modes: int | tuple[int, ...] | None, field: str) -> Array:
-    """(size, k) node coordinates per unit of the coordinates that are kept of a link: its loaded modes, or all (None).
+    """Gives the node coordinates (size, k) of a link per unit of each coordinate that is kept.
+
+    Args:
+        beam: the link.
+        outboard: (6, 6) inertia that its tip carries.
+        modes: loaded modes that are kept, by number or as a tuple of numbers; None keeps every coordinate.
+        field: the name that an error gives to `modes`.
 
     Raises:
-        ValueError: for more modes than there are, named by the field.
+        ValueError: for more modes than there are.
     """
     size = len(beam.stiffness)
     if modes is None:

@@ -10,10 +10,15 @@ ENERGY_ALARM = 0.01  # of the energy turned over
 
 
 def turnover(moving_energy: Array | float, work: Array | float, dissipation: Array | float) -> Array:
-    """The largest of the three, in absolute value: the scale of an error of the energy, J."""
+    """Gives the largest magnitude of the three energies, the scale of an error of the energy, J."""
     return np.maximum(np.maximum(moving_energy, np.abs(work)), np.abs(dissipation))
 
 
 def alarm(residual: Any, turned_over: Any, level: float = ENERGY_ALARM) -> Any:
-    """Whether a residual of the energy is more than a part of the energy turned over; numbers or arrays."""
+    """Tells whether a residual of the energy is more than a part of the energy turned over.
+
+    Args:
+        residual, turned_over: numbers or arrays, J.
+        level: the part.
+    """
     return abs(residual) > level * turned_over
