@@ -14,7 +14,11 @@ ROOT = PACKAGE.parent
 FOLDERS = ("scene", "model", "simulation", "fidelity", "draw", "control", "studies", "agents")
 
 SECTIONS = {"Attributes:", "Args:", "Returns:", "Raises:", "Yields:"}
-FREE_HEADINGS = {"FlexManEnv": {"Arm", "Actions", "Observations", "Reward", "Start and end", "Info", "Fidelity"}}
+FREE_HEADINGS = {
+    "FlexManEnv": {
+        "Arm", "Actions", "Observations", "Reward", "Start and end", "Info", "Fidelity", "Version history",
+    },
+}  # fmt: skip
 HEADING = re.compile(r"[A-Z][a-z]+( [a-z]+){0,2}:?")
 # A name and a text; a table of more columns is allowed.
 TWO_COLUMNS = re.compile(r" *[\w.`]+(, [\w.`]+)* {2,}\S+( \S+)*")
