@@ -1,137 +1,169 @@
-"""Evaluation: episodes of a policy, and what they are worth, in figures and one table."""
+"""Evaluation: episodes of policies on one environment, and what they are worth, in figures and one table."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from io import StringIO
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
 
-import flexman_gym  # noqa: F401  registers the environments
-from flexman_agents.residual import readings
-from flexman_agents.training import MODEL, STATISTICS, existing, load_settings, make_env
-
-Array = NDArray[np.float64]
-Act = Callable[[NDArray[np.float32]], NDArray[np.float32]]
-
-BASELINES = ("pd", "zero", "random")
-SETTLED = 0.05  # m of tip error
-LAST_SECONDS = 3.0  # of an episode, in which the vibration that is left is measured
+from flexman_agents.policies import INTERFACE, Policy
+from flexman_gym.arrays import Array
+from flexman_gym.checks import refusal
+from flexman_gym.envs.description import Description
+from flexman_gym.metrics import BAND, effort, final_error, median_interval, peak_to_peak, stabilisation_time
 
 
 @dataclass(frozen=True)
 class Episode:
-    """Figures of one episode; an episode that failed has no residual vibration and never settles.
+    """Figures of one episode; one that failed never settles and vibrates without end.
 
     Attributes:
-        total_reward: sum of the rewards.
-        tip_error: m, median over the last second.
+        reward: sum of the rewards of its control periods.
+        stabilisation_time: s, after which the tip stays within the band of the target; infinite if it does not.
         vibration: m, largest peak-to-peak motion of the tip along an axis in the last 3 s.
-        settling_time: s after which the tip stays within 50 mm of the target; infinite if it does not.
+        error: m, median over the last second.
+        effort: mean square of what the motors were asked for, parts of their limits.
         failure: "" or what ended the episode.
     """
 
-    total_reward: float
-    tip_error: float
+    reward: float
+    stabilisation_time: float
     vibration: float
-    settling_time: float
+    error: float
+    effort: float
     failure: str
 
 
-def load_policy(name: str) -> tuple[gym.Env[Any, Any], Act]:
-    """The environment and the acting function of a policy.
+@dataclass(frozen=True, eq=False)
+class Record:
+    """What happened in an episode, T control periods: tips (T + 1, 3) m, errors (T + 1,) m, actions (T, n)."""
 
-    Args:
-        name: "pd", "zero", "random", or the folder of a training run.
+    tips: Array
+    errors: Array
+    actions: Array
+    rewards: Array
+    failure: str
+
+
+def run_episodes(policy: Policy, environment: Description, seeds: Sequence[int]) -> tuple[list[Record], float]:
+    """Runs an episode from each seed, side by side; gives what happened and the control period (s).
+
+    The environment takes the policy's sensors and base; its actions are held here, so that every period is recorded.
+    """
+    keywords = environment.keywords() | {key: value for key, value in policy.interface.items() if key != "hold"}
+    venv = gym.make_vec(environment.id, len(seeds), "vector_entry_point", **keywords)
+    episodes, hold = venv.unwrapped.episodes, policy.interface.get("hold", 1)  # type: ignore[attr-defined]
+    view, period, size = episodes.view, episodes.view.control_period, (venv.action_space.shape or ())
+    observations, infos = venv.reset(seed=list(seeds))  # type: ignore[arg-type]
+    rows: dict[str, list[Array]] = {name: [] for name in ("tips", "errors", "actions", "rewards")}
+    rows["tips"].append(infos["tip"])
+    rows["errors"].append(infos["tip_error"])
+    ends, failures = np.full(len(seeds), episodes.longest), [""] * len(seeds)
+    for step in range(episodes.longest):
+        if step % hold == 0:
+            chosen = policy.act(observations, size).astype(np.float32)
+        observations, rewards, terminated, _, infos = venv.step(chosen)
+        happened = infos["tip"], infos["tip_error"], view.action.copy(), rewards
+        for values, now in zip(rows.values(), happened, strict=True):
+            values.append(now)
+        for arm in np.flatnonzero(terminated & (ends == episodes.longest)):
+            ends[arm], failures[arm] = step + 1, infos["failure"][arm]
+        if (ends <= step).all():
+            break
+    venv.close()
+    columns = {name: np.array(values) for name, values in rows.items()}
+    return [_record(columns, arm, int(ends[arm]), text) for arm, text in enumerate(failures)], period
+
+
+def _record(columns: Mapping[str, Array], arm: int, end: int, failure: str) -> Record:
+    """What happened to an arm until its episode ended; tips and errors begin before the first period."""
+    own = {name: values[: end + (name in ("tips", "errors")), arm] for name, values in columns.items()}
+    return Record(**own, failure=failure)
+
+
+def figures(record: Record, period: float, band: float) -> Episode:
+    """Gives the figures of an episode for a band (m) around the target."""
+    settled, vibration = np.inf, np.inf
+    if not record.failure:
+        settled = stabilisation_time(record.errors, band, period)
+        vibration = peak_to_peak(record.tips, period)
+    error, asked = final_error(record.errors, period), effort(record.actions)
+    return Episode(float(record.rewards.sum()), settled, vibration, error, asked, record.failure)
+
+
+def evaluate(policy: Policy, environment: Description, seeds: Sequence[int]) -> list[Episode]:
+    """Gives the figures of an episode from each seed; the same episodes for every policy."""
+    records, period = run_episodes(policy, environment, seeds)
+    arm = environment.setup().arm
+    band = BAND * sum(link.length for link in arm.links)
+    return [figures(record, period, band) for record in records]
+
+
+def common_environment(policies: Sequence[Policy], named: Description | None) -> Description:
+    """Gives the environment on which all policies are evaluated: the named one, or that of the trained ones.
 
     Raises:
-        FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
+        ValueError: for policies that were trained on different ones, when none is named.
     """
-    if name not in BASELINES:
-        return _trained(Path(name))
-    env = gym.make("FlexRRR-v0")
-    if name == "pd":
-        pd = env.unwrapped.setup.pd  # type: ignore[attr-defined]
-        return env, lambda observation: pd.act(readings(env, observation))
-    size = env.action_space.shape or ()
-    if name == "zero":
-        return env, lambda observation: np.zeros(size, dtype=np.float32)
-    random = np.random.default_rng(0)
-    return env, lambda observation: random.uniform(-1.0, 1.0, size).astype(np.float32)
+    if named is not None:
+        settings = {key: value for key, value in (named.settings or {}).items() if key not in INTERFACE}
+        return Description(named.id, settings, named.folder)
+    trained = [policy for policy in policies if policy.environment is not None]
+    wholes = [policy.environment.whole() for policy in trained if policy.environment is not None]
+    if not trained or trained[0].environment is None:
+        return Description()
+    for policy, whole in zip(trained, wholes, strict=True):
+        if whole != wholes[0]:
+            allowed = f"policies of one environment, or name one with --env: {trained[0].name} knows another"
+            raise refusal("policy", policy.name, allowed)
+    return trained[0].environment
 
 
-def _trained(folder: Path) -> tuple[gym.Env[Any, Any], Act]:
-    if not folder.is_dir():
-        names = ", ".join(BASELINES)
-        raise FileNotFoundError(f"policy: {folder} is not allowed; give the folder of a training run, or {names}")
-    settings = load_settings(folder)
-    model_path, statistics_path = existing(folder / MODEL), existing(folder / STATISTICS)
-    import torch  # a second to import, which the baselines need not wait for
-    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
-
-    from flexman_agents.training import ALGORITHMS
-
-    torch.set_num_threads(1)
-    model = ALGORITHMS[settings.algo].load(model_path, device="cpu")
-    statistics = VecNormalize.load(str(statistics_path), DummyVecEnv([lambda: make_env(settings)]))
-
-    def act(observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        action, _ = model.predict(statistics.normalize_obs(observation), deterministic=True)
-        return np.asarray(action, dtype=np.float32)
-
-    return make_env(settings), act
+def summary(episodes: Sequence[Episode]) -> dict[str, Any]:
+    """Gives the figures of many episodes: shares, and medians with bootstrap intervals."""
+    settled = np.array([episode.stabilisation_time for episode in episodes])
+    return {
+        "reward": float(np.mean([episode.reward for episode in episodes])),
+        "settled": float(np.mean(np.isfinite(settled))),
+        "stabilisation_time": median_interval(settled),
+        "vibration": median_interval(np.array([episode.vibration for episode in episodes])),
+        "error": median_interval(np.array([episode.error for episode in episodes])),
+        "effort": float(np.mean([episode.effort for episode in episodes])),
+        "failed": float(np.mean([episode.failure != "" for episode in episodes])),
+    }
 
 
-def run_episode(env: gym.Env[Any, Any], act: Act, seed: int) -> Episode:
-    """One episode from a seed."""
-    observation, info = env.reset(seed=seed)
-    tips, errors, total, over = [info["tip"]], [info["tip_error"]], 0.0, False
-    while not over:
-        observation, reward, terminated, truncated, info = env.step(act(observation))
-        total += float(reward)
-        tips.append(info["tip"])
-        errors.append(info["tip_error"])
-        over = terminated or truncated
-    period = env.unwrapped.simulator.control_period  # type: ignore[attr-defined]
-    return episode_figures(total, np.array(tips), np.array(errors), period, info["failure"])
+def table(results: Mapping[str, Sequence[Episode]], environment: Description) -> str:
+    """Draws a table with a row for each policy; its head says on which environment all of them were run."""
+    reach = sum(link.length for link in environment.setup().arm.links)
+    changes = ", ".join(sorted(name for name in environment.settings or {})) or "as it is"
+    count = len(next(iter(results.values())))
+    title = f"{count} episodes of {environment.id} ({changes}), the same for all"
+    drawn = Table(title=title, title_justify="left", caption_justify="left", box=None, pad_edge=False)
+    drawn.add_column("policy")
+    band = f"in {_length(BAND * reach)}"
+    for head in ("reward", band, "stabilised, s", "p-p, mm", "error, mm", "effort", "failed"):
+        drawn.add_column(head, justify="right", no_wrap=True)
+    for name, episodes in results.items():
+        found = summary(episodes)
+        lengths = [_interval(found[key], 1e3) for key in ("vibration", "error")]
+        time = _interval(found["stabilisation_time"], 1.0)
+        shares = f"{found['settled']:.0%}", f"{found['failed']:.0%}"
+        drawn.add_row(name, f"{found['reward']:.1f}", shares[0], time, *lengths, f"{found['effort']:.3f}", shares[1])
+    drawn.caption = "medians with 95 % bootstrap intervals; reward and effort are means"
+    text = StringIO()
+    Console(width=160, file=text).print(drawn)
+    return "\n".join(line.rstrip() for line in text.getvalue().rstrip().splitlines())
 
 
-def episode_figures(total: float, tips: Array, errors: Array, period: float, failure: str) -> Episode:
-    """Figures from tip positions (T, 3) m and tip errors (T,) m sampled with a period in s."""
-    if failure:
-        return Episode(total, float(errors[-1]), float("nan"), float("inf"), failure)
-    outside = np.nonzero(errors > SETTLED)[0]
-    settled_at = 0 if len(outside) == 0 else int(outside[-1]) + 1
-    last = tips[-round(LAST_SECONDS / period) :]
-    return Episode(
-        total_reward=total,
-        tip_error=float(np.median(errors[-round(1.0 / period) :])),
-        vibration=float((last.max(axis=0) - last.min(axis=0)).max()),
-        settling_time=settled_at * period if settled_at < len(errors) else float("inf"),
-        failure="",
-    )
+def _length(metres: float) -> str:
+    return f"{1e3 * metres:.3g} mm"
 
 
-def evaluate(name: str, episodes: int, seed: int) -> list[Episode]:
-    """Episodes of a policy with the seeds seed, seed + 1, ...; the same for every policy."""
-    env, act = load_policy(name)
-    return [run_episode(env, act, seed + i) for i in range(episodes)]
-
-
-def table(results: Mapping[str, Iterable[Episode]]) -> str:
-    """One line a policy: medians over its episodes, share that settled, share that failed."""
-    head = f"{'policy':<12}{'mean reward':>12}{'tip error':>12}{'vibration':>12}{'settled':>10}{'failed':>9}"
-    unit = f"{'':<12}{'of 500':>12}{'median m':>12}{'median m':>12}{'in 50 mm':>10}{'':>9}"
-    lines = [head, unit]
-    for name, result in results.items():
-        episodes = list(result)
-        good = [episode.vibration for episode in episodes if not episode.failure]
-        vibration = f"{np.median(good):.3f}" if good else "-"
-        settled = np.mean([np.isfinite(episode.settling_time) for episode in episodes])
-        failed = np.mean([episode.failure != "" for episode in episodes])
-        reward = np.mean([episode.total_reward for episode in episodes])
-        error = np.median([episode.tip_error for episode in episodes])
-        lines.append(f"{name:<12}{reward:>12.1f}{error:>12.3f}{vibration:>12}{settled:>10.0%}{failed:>9.0%}")
-    return "\n".join(lines)
+def _interval(values: tuple[float, float, float], scale: float) -> str:
+    middle, low, high = (f"{scale * value:.3g}" if np.isfinite(value) else "-" for value in values)
+    return f"{middle} ({low}-{high})"

@@ -1,4 +1,4 @@
-"""The main job: the three cases of the paper with figures, a training on FlexRRR-v0, one table of policies."""
+"""The main job: the three cases of the paper with figures, a training on FlexRRR-v0, a table and a picture of policies."""
 
 import shutil
 import time
@@ -8,10 +8,14 @@ import numpy as np
 from matplotlib.image import imsave
 
 import flexman_gym as fm
-from flexman_agents.evaluation import evaluate, table
-from flexman_agents.training import Settings, train
+from flexman_agents.evaluation import common_environment, evaluate, run_episodes, table
+from flexman_agents.pictures import draw_episodes
+from flexman_agents.policies import find_policy
+from flexman_agents.recipes import find_recipe
+from flexman_agents.seeds import TEST
+from flexman_agents.training import train
 from flexman_gym import draw
-from flexman_gym.model.model import scene_model
+from flexman_gym.model import scene_model
 
 OUT = Path("out")
 METHOD, RTOL = "dop853", 1e-7
@@ -20,22 +24,18 @@ CASES = {
     "fr": "flexible links, rigid joints",
     "ff": "flexible links, flexible joints",
 }
-TRAINING = Settings(algo="ppo", steps=1_000_000, residual=True)
-EPISODES, FIRST_SEED = 20, 1000
+RECIPE = "ppo_on_pd_minute"
 
 
 def main() -> None:
     started = time.perf_counter()
     print("1. The paper's scene: 2 s under 400 N m at each joint, by the adaptive reference method.")
-    print("   The first run also compiles the kernels, which takes a minute.")
     draw_cases(simulate_cases())
-    print("2. Training: PPO, a million steps, adding to a PD controller of the motors.")
+    print(f"2. Training: the recipe {RECIPE}, PPO that adds to a PD controller of the motors.")
     shutil.rmtree(OUT / "ppo", ignore_errors=True)
-    train(TRAINING, OUT / "ppo")
-    print(f"3. Evaluation: {EPISODES} episodes of FlexRRR-v0 each, the same for all.")
-    policies = {"PPO on PD": str(OUT / "ppo"), "PD": "pd", "zero": "zero", "random": "random"}
-    results = {name: evaluate(policy, EPISODES, FIRST_SEED) for name, policy in policies.items()}
-    print(table(results))
+    train(find_recipe(RECIPE), OUT / "ppo")
+    print(f"3. Evaluation: {len(TEST)} test episodes of FlexRRR-v0 each, the same for all.")
+    compare()
     print(f"Done in {time.perf_counter() - started:.0f} s.")
 
 
@@ -60,6 +60,18 @@ def draw_cases(trajectories: dict[str, fm.Trajectory]) -> None:
     imsave(OUT / "arm.png", draw.arm_frame(model, trajectory.states[row], size=(960, 720)))
     print(f"   Figures 6 to 11 are in {OUT}/, together in {paths[-1]}.")
     print(f"   {OUT}/arm.png shows the arm at {trajectory.time[row]:.2f} s, its links bent most, its joints rigid.")
+
+
+def compare() -> None:
+    """Prints the figures of all policies, and draws the first test episode of each."""
+    policies = {"PPO on PD": find_policy(str(OUT / "ppo"))}
+    policies |= {name: find_policy(name) for name in ("lqr-tracking", "lqr", "pd", "zero")}
+    environment = common_environment(list(policies.values()), None)
+    print(table({name: evaluate(policy, environment, TEST) for name, policy in policies.items()}, environment))
+    runs = {name: run_episodes(policy, environment, TEST[:1]) for name, policy in policies.items()}
+    records = {name: records[0] for name, (records, _) in runs.items()}
+    draw_episodes(records, runs["pd"][1], OUT / "episode.png")
+    print(f"   {OUT}/episode.png shows the first of them: tip error over time, and the torques.")
 
 
 if __name__ == "__main__":

@@ -3,24 +3,37 @@
 import argparse
 import sys
 
-from flexman_agents.evaluation import BASELINES, evaluate, table
+from flexman_agents.evaluation import common_environment, evaluate, table
+from flexman_agents.policies import BASELINES, find_policy
+from flexman_agents.seeds import TEST
+from flexman_gym.envs import NAMED
+from flexman_gym.envs.description import Description
 
 
 def main() -> int:
     """Reads the command line and prints one table; returns the exit code."""
-    parser = argparse.ArgumentParser(description="Evaluate policies on the same episodes of FlexRRR-v0.")
+    parser = argparse.ArgumentParser(description="Evaluate policies on the same episodes of one environment.")
     parser.add_argument("policy", nargs="+", help=f"folder of a training run, or {', '.join(BASELINES)}")
-    parser.add_argument("--episodes", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=1000, help="of the first episode; the next have the next seeds")
+    parser.add_argument("--episodes", type=int, default=len(TEST))
+    parser.add_argument("--seed", type=int, default=TEST.start, help="of the first episode; the next follow")
+    parser.add_argument("--env", help=f"a file that describes an environment, or one of {', '.join(sorted(NAMED))}; "
+                        "without it that of the runs")  # fmt: skip
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the environment")
     options = parser.parse_args()
     if options.episodes < 1:
         parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
     try:
-        results = {name: evaluate(name, options.episodes, options.seed) for name in options.policy}
-    except (ValueError, FileNotFoundError) as error:
+        policies = {name: find_policy(name) for name in options.policy}
+        named = None
+        if options.env:
+            named = Description(options.env) if options.env in NAMED else Description.load(options.env)
+        environment = common_environment(list(policies.values()), named).changed(options.set)
+        seeds = range(options.seed, options.seed + options.episodes)
+        results = {name: evaluate(policy, environment, seeds) for name, policy in policies.items()}
+    except (ValueError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
-    print(table(results))
+    print(table(results, environment))
     return 0
 
 

@@ -1,39 +1,74 @@
-"""Trains a policy: python scripts/train.py --algo ppo --steps 1000000 --folder runs/first"""
+"""Trains a policy: python scripts/train.py ppo_on_pd --folder runs/first"""
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
-from flexman_agents.training import ALGORITHMS, Settings, resume, train
+from flexman_agents.recipes import NAMES, find_recipe
+from flexman_agents.settings import ALGORITHMS, Settings
+from flexman_agents.training import resume, train
+from flexman_gym.envs import NAMED
+from flexman_gym.envs.description import Description
 
 
 def main() -> int:
     """Reads the command line and trains; returns the exit code."""
-    parser = argparse.ArgumentParser(description="Train PPO or SAC on a flexible arm; the run is kept in a folder.")
-    parser.add_argument("--algo", choices=sorted(ALGORITHMS), default="ppo")
-    parser.add_argument("--env", default="FlexRRR-v0")
-    parser.add_argument("--steps", type=int, default=1_000_000, help="environment steps; more steps with --resume")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--envs", type=int, help="arms side by side; 64 for PPO, 16 for SAC")
-    parser.add_argument("--residual", action="store_true", help="the policy adds to a PD controller")
-    parser.add_argument("--folder", type=Path, default=Path("runs/latest"))
-    parser.add_argument("--resume", action="store_true", help="go on with the run in the folder, with its settings")
-    parser.add_argument("--checkpoint-every", type=int, default=100_000, help="environment steps; 0: only at the end")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
-    options = parser.parse_args()
+    options = parser().parse_args()
     try:
         if options.resume:
-            resume(options.folder, options.steps, options.checkpoint_every, not options.quiet)
+            steps = options.steps or 1_000_000
+            resume(options.folder, steps, options.checkpoint_every, not options.quiet, options.device)
+            folders = [options.folder]
         else:
-            settings = Settings(
-                options.algo, options.env, options.steps, options.seed, options.envs, residual=options.residual
-            )
-            train(settings, options.folder, options.checkpoint_every, not options.quiet)
-    except (ValueError, FileNotFoundError) as error:
+            folders = start(options)
+    except (ValueError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
-    print(f"The run is in {options.folder}; see it with: python scripts/evaluate.py {options.folder}")
+    for folder in folders:
+        print(f"The run is in {folder}; see it with: python scripts/evaluate.py {folder} pd")
     return 0
+
+
+def parser() -> argparse.ArgumentParser:
+    """What the command line takes."""
+    found = argparse.ArgumentParser(description="Train PPO or SAC on a flexible arm; the run is kept in a folder.")
+    found.add_argument("recipe", nargs="?", help=f"a file of settings, or one of {', '.join(NAMES)}")
+    found.add_argument("--algo", choices=ALGORITHMS, help="instead of the recipe's; ppo without one")
+    found.add_argument("--env", help=f"a file that describes an environment, or one of {', '.join(sorted(NAMED))}")
+    found.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the environment")
+    found.add_argument("--steps", type=int, help="actions of all arms together; more of them with --resume")
+    found.add_argument("--seed", type=int, help="of the first run")
+    found.add_argument("--seeds", type=int, default=1, help="so many runs, each with the next seed, a folder each")
+    found.add_argument("--envs", type=int, help="arms side by side")
+    found.add_argument("--folder", type=Path, default=Path("runs/latest"))
+    found.add_argument("--resume", action="store_true", help="go on with the run in the folder, with its settings")
+    found.add_argument("--checkpoint-every", type=int, default=100_000, help="steps; 0: only at the end")
+    found.add_argument("--judge-every", type=int, default=0, help="steps between evaluations on the way; 0: none")
+    found.add_argument("--device", default="cpu", help="of the networks, as PyTorch names it")
+    found.add_argument("--quiet", action="store_true", help="no progress bar")
+    return found
+
+
+def start(options: argparse.Namespace) -> list[Path]:
+    """Trains the runs that the command line asks for; returns their folders."""
+    settings = find_recipe(options.recipe) if options.recipe else Settings()
+    named = {name: getattr(options, name) for name in ("algo", "steps", "seed", "envs")}
+    named = {name: value for name, value in named.items() if value is not None}
+    if options.algo and options.algo != settings.algo:
+        settings = Settings(algo=options.algo, environment=dict(settings.environment), seed=settings.seed)
+    described = settings.description
+    if options.env:
+        described = Description(options.env) if options.env in NAMED else Description.load(options.env)
+    described = described.changed(options.set)
+    settings = replace(settings, environment=described.whole(), **named)
+    folders = []
+    for i in range(options.seeds):
+        folder = options.folder if options.seeds == 1 else options.folder / f"seed-{settings.seed + i}"
+        own, every = settings.with_seed(settings.seed + i), (options.checkpoint_every, options.judge_every)
+        train(own, folder, every[0], not options.quiet, options.device, every[1])
+        folders.append(folder)
+    return folders
 
 
 if __name__ == "__main__":

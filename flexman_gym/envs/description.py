@@ -185,9 +185,9 @@ def _plain(name: str, value: Any) -> Any:
         kind = next(key for key, each in TASKS.items() if each is type(value))
         return {"kind": kind, **asdict(value)}
     if name == "sensors":
-        known = {id(sensor): key for key, sensor in SENSORS.items()}
-        if all(id(part) in known for part in value):
-            return [known[id(part)] for part in value]
+        known = {kind: key for key, kind in SENSORS.items()}
+        if all(type(part) in known for part in value):
+            return [known[type(part)] for part in value]
     elif isinstance(value, bool | int | float | str | tuple | list):
         return value
     raise refusal(name, value, "something with a name: an object of one's own cannot be kept in a file")

@@ -90,7 +90,7 @@ class Episodes:
         if self.effects is not None:
             self.effects.bend(arms, start)
         self.batch.reset(arms, start)
-        self.view.effort[arms], self.view.failed[arms] = 0.0, False
+        self.view.effort[arms], self.view.failed[arms], self.view.action[arms] = 0.0, False, 0.0
         self._ages[arms], self.truncated[arms] = 0, False
         self._begin(arms, options)
         if self.base:
@@ -149,7 +149,11 @@ class Episodes:
         self.batch.step(self.motors.drive(arriving), playing)
         self._ages += 1 if playing is None else playing
         view, effort = self.view, np.vecdot(actions, actions) / actions.shape[1]
-        view.effort = effort if playing is None else np.where(playing, effort, view.effort)
+        if playing is None:
+            view.effort, view.action[:] = effort, actions
+        else:
+            view.effort = np.where(playing, effort, view.effort)
+            view.action[playing] = actions[playing]
         if self.task.moves:
             view.target[:], view.posture[:] = self.task.goal(view.plan, self.batch.time, view)
         self._read()

@@ -144,13 +144,16 @@ def planar_2r(
 
 
 def vertical_2r(payload: Payload | None = TOOL, gravity: Sequence[float] = (0.0, 0.0, -9.81), **damping: float) -> Arm:
-    """Return two aluminium strips of 0.5 m that move in the vertical x-z plane, on elastic joints, with their motors.
+    """Builds two aluminium strips of 0.5 m that move in the vertical x-z plane, on elastic joints, with their motors.
 
-    payload, gravity, damping  of the Arm, as in `paper_rrr`; by default 0.1 kg and the earth's
+    Args:
+        payload, gravity, damping: of the Arm, as in `paper_rrr`; by default 0.1 kg and the earth's.
+
+    Raises:
+        ValueError: for what Arm refuses.
 
     An example of our own, not a published arm: strips 40 mm wide and 5 mm thick that bend in the plane of motion,
     joints of 100 and 60 N m/rad, motors of 12 and 4 N m. Outstretched and at rest, the tip sags by some 7 cm.
-    Raises ValueError for what Arm refuses.
     """
     width, thickness = 0.040, 0.005
     link = _strip(0.5, thickness=thickness, width=width)
@@ -165,13 +168,16 @@ def vertical_2r(payload: Payload | None = TOOL, gravity: Sequence[float] = (0.0,
 def one_joint(
     payload: Payload | None = LIGHT_TOOL, gravity: Sequence[float] = (0.0, 0.0, 0.0), **damping: float
 ) -> Arm:
-    """Return an aluminium strip of 0.8 m on one elastic joint, which turns it in a horizontal plane about +Z.
+    """Builds an aluminium strip of 0.8 m on one elastic joint, which turns it in a horizontal plane about +Z.
 
-    payload, gravity, damping  of the Arm, as in `paper_rrr`; by default 0.05 kg and none
+    Args:
+        payload, gravity, damping: of the Arm, as in `paper_rrr`; by default 0.05 kg and none.
+
+    Raises:
+        ValueError: for what Arm refuses.
 
     The textbook case, with numbers of our own: a strip 30 mm high and 2 mm thick, a joint of 20 N m/rad, a motor of
     0.5 N m and 0.01 kg m^2.
-    Raises ValueError for what Arm refuses.
     """
     link = _strip(0.8, thickness=0.002, height=0.030)
     joint = Joint((0.0, 0.0, 1.0), rotor_inertia=0.01, stiffness=20.0, damping=0.005, torque_limit=0.5)

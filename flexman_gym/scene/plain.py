@@ -1,5 +1,6 @@
 """Plain: arms, drives and choices as dicts, lists, numbers and texts, and back."""
 
+import warnings
 from dataclasses import fields, is_dataclass
 from functools import partial
 from typing import Any, TypeVar
@@ -9,6 +10,10 @@ from flexman_gym.scene.arm import Arm, Joint, Link, NonUniformLink, Payload
 from flexman_gym.scene.drive import ConstantTorque, Signal, SineTorque
 
 Part = TypeVar("Part")
+
+# Sections of arms in the catalog that no section can have; each says why there, and a file of it need not warn again.
+SECTION = ("area", "second_moment_y", "second_moment_z")
+KNOWN_SECTIONS = ((0.028, 8.33e-7, 8.33e-7), (4e-4, 1.3e-8, 4e-9))
 
 # Keys that a scene file may leave out; they are written where they differ from the default. A payload or a note may
 # be left out as well, but is always written.
@@ -108,7 +113,10 @@ def built(kind: type[Part], path: str, entries: dict[str, Any]) -> Part:
         ValueError: for entries that `kind` refuses; it names arm.links[1].length, for example, in place of Link.length.
     """
     try:
-        return kind(**entries)
+        with warnings.catch_warnings():
+            if tuple(entries.get(name) for name in SECTION) in KNOWN_SECTIONS:
+                warnings.simplefilter("ignore", UserWarning)
+            return kind(**entries)
     except ValueError as error:
         raise ValueError((path + str(error).removeprefix(kind.__name__)).removeprefix(".")) from None
 

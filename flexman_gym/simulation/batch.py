@@ -93,10 +93,12 @@ class Batch:
         self.energy_turnover[arms] = self._turned_over()[arms]
 
     def step(self, drive: Array, moving: Flags | None = None) -> None:
-        """Moves all arms that have not failed by one control period, during which their drive (b, n + 6) is constant.
+        """Moves all arms that have not failed by one control period, during which their drive is constant.
 
-        The drive holds torques (accelerations where the motion is prescribed), tip force and base acceleration as
-        `kernels.layout` has it; it is not checked. Arms that are not `moving` (b,) rest; None moves all.
+        Args:
+            drive: (b, n + 6) torques (accelerations where the motion is prescribed), tip force and base acceleration as
+                in `kernels.layout`; it is not checked.
+            moving: (b,) arms that are moved, the others rest; None moves all.
         """
         if moving is None:
             self._mover.move(drive, self._periods, self.rows, self.outputs, self.status)

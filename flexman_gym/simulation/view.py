@@ -42,6 +42,7 @@ class View:
         tip_vibration: (b,) speed of the tip relative to that of the rigid arm at the motor angles and rates, m/s.
         elastic_energy: (b,) of links and joints, J.
         energy_residual, energy_turnover: (b,) J, see `Batch`.
+        action: (b, n) what the motors were asked for in the last period, parts of the torque limits.
         effort: (b,) mean of the squared actions (parts of the torque limits) of the last period.
         failed: (b,) whether the last step ended the episode by a limit or a divergence.
     """
@@ -95,6 +96,7 @@ class View:
         self.energy_residual: Number = np.zeros(arms)
         self.energy_turnover: Number = np.zeros(arms)
         self.effort: Number = np.zeros(arms)
+        self.action = np.zeros((arms, n))
         self.failed: Number = np.zeros(arms, dtype=bool)
 
     def read(self) -> None:
@@ -116,14 +118,14 @@ class View:
         return time if self.motion.ndim > 1 else time.item()
 
     def rest_states(self, postures: Array) -> Array:
-        """(r, 2 d) states of the model's arm at rest with its motors at angles (r, n) rad, bent by its weight alone."""
+        """Gives the states (r, 2 d) of the arm at rest, motors at angles (r, n) rad, bent by its weight alone."""
         model = self._batch.model
         if not model.constants.gravity.any():
             return model.at_rest(postures)
         return np.array([rest_state(model, angles) for angles in postures]).reshape(len(postures), -1)
 
     def rest_tips(self, postures: Array) -> Array:
-        """(r, 3) m: tips, base frame, of that arm; without gravity those of the rigid arm."""
+        """Gives the tips (r, 3) of that arm in the base frame, m; without gravity those of the rigid arm."""
         model = self._batch.model
         if not model.constants.gravity.any():
             return self._batch.rigid_tips(model.at_rest(postures))

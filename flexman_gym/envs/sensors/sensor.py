@@ -25,7 +25,8 @@ class Sensor(Protocol):
     """An instrument. A class with these two methods is one; it needs no base class.
 
     It reads the view and nothing else, and keeps nothing of one arm: what it reads of an arm must not depend on the
-    others, to the last bit (no matrix products over the arms).
+    others, to the last bit (no matrix products over the arms). One object serves one environment, whose `entries` are
+    asked first.
     """
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:

@@ -1,0 +1,91 @@
+"""Callbacks: what happens on the way of a training, its exploration, its judgement and its curves."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger, configure
+
+from flexman_agents.evaluation import evaluate, summary
+from flexman_agents.policies import INTERFACE, Act, Policy
+from flexman_agents.seeds import SELECTION
+from flexman_agents.settings import Schedule, Settings
+from flexman_gym.envs.description import Description
+
+WORSE = 0.2  # share of settled episodes that may be lost before a warning
+
+
+def writers(folder: Path) -> Logger:
+    """Opens progress.csv and TensorBoard events in a folder."""
+    return configure(str(folder), ["csv", "tensorboard"])
+
+
+class Exploration(BaseCallback):
+    """Sets the logarithm of PPO's standard deviation by a schedule instead of learning it."""
+
+    def __init__(self, schedule: Schedule, steps: int) -> None:
+        super().__init__()
+        self._schedule, self._steps = schedule, steps
+
+    def _on_training_start(self) -> None:
+        self.model.policy.log_std.requires_grad_(False)
+
+    def _on_rollout_start(self) -> None:
+        value = self._schedule.at(min(1.0, self.num_timesteps / self._steps))
+        with torch.no_grad():
+            self.model.policy.log_std.fill_(value)  # type: ignore[operator]
+
+    def _on_step(self) -> bool:
+        return True
+
+
+class Saves(BaseCallback):
+    """Saves the run."""
+
+    def __init__(self, save: Callable[[], bool]) -> None:
+        super().__init__()
+        self._save = save
+
+    def _on_step(self) -> bool:
+        return self._save()
+
+
+class Judge(BaseCallback):
+    """Evaluates the policy without noise on selection seeds, records its figures and keeps the best one.
+
+    The best settles most often within the band; among equals the one with the smaller median error. A line on stderr
+    says so when a policy has become much worse than the best.
+    """
+
+    def __init__(self, settings: Settings, act: Act, every: int, keep: Callable[[], bool]) -> None:
+        super().__init__()
+        described = settings.description
+        own = dict(described.settings or {})
+        interface = {key: own.pop(key) for key in INTERFACE if key in own}
+        self._environment, self._policy = Description(described.id, own), Policy("training", act, interface)
+        self._every, self._keep, self._next = every, keep, every
+        self._best = (-1.0, 0.0)
+        self._warned = False
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_end(self) -> None:
+        if self.num_timesteps < self._next:
+            return
+        self._next = self.num_timesteps + self._every
+        found = summary(evaluate(self._policy, self._environment, SELECTION))
+        names = {"stabilisation_time": "stabilisation_time_s", "vibration": "vibration_m", "error": "error_m"}
+        for key, name in names.items():
+            self.logger.record(f"selection/{name}", found[key][0])
+        for key in ("reward", "settled", "failed"):
+            self.logger.record(f"selection/{key}", found[key])
+        score = (found["settled"], -found["error"][0])
+        if score > self._best:
+            self._best, self._warned = score, False
+            self._keep()
+        elif score[0] < self._best[0] - WORSE and not self._warned:
+            self._warned = True
+            share = f"{score[0]:.0%} settle instead of {self._best[0]:.0%}"
+            print(f"after {self.num_timesteps} steps the policy is worse than before: {share}; the best one is kept")

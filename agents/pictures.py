@@ -1,0 +1,46 @@
+"""Pictures: an episode of several policies, the error of the tip on a logarithmic scale, and the torques."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from flexman_agents.evaluation import Record
+from flexman_gym.draw.style import BLUE, DARK, GREEN, LIGHT, MIDDLE, ORANGE, RED, SKY, new_figure
+
+COLOURS = (BLUE, RED, ORANGE, GREEN, SKY, MIDDLE)
+LEAST = 1e-5  # m, what the picture shows at least
+
+
+def draw_episodes(records: Mapping[str, Record], period: float, path: Path, band: float = 0.02) -> None:
+    """Draws one episode of each policy.
+
+    Args:
+        records: name of a policy -> its episode.
+        period: between two samples, s.
+        path: of the PNG file.
+        band: m around the target, drawn as a line.
+
+    Raises:
+        ImportError: without Matplotlib.
+    """
+    joints = next(iter(records.values())).actions.shape[1]
+    figure = new_figure((10.0, 3.6 + 1.3 * joints), 110.0, layout="constrained")
+    axes = figure.subplots(1 + joints, 1, sharex=True, height_ratios=[3.0, *[1.0] * joints])
+    for (name, record), colour in zip(records.items(), COLOURS, strict=False):
+        times = period * np.arange(len(record.errors))
+        axes[0].semilogy(times, np.maximum(record.errors, LEAST), color=colour, linewidth=1.5, label=name)
+        for joint in range(joints):
+            axes[1 + joint].step(times[1:], record.actions[:, joint], color=colour, linewidth=1.0, where="pre")
+    axes[0].axhline(band, color=DARK, linewidth=0.8, linestyle="--")
+    axes[0].text(0.1, 1.15 * band, f"{1e3 * band:.3g} mm", fontsize=8, color=DARK)
+    axes[0].set_ylabel("distance of the tip from its target (m)")
+    axes[0].legend(frameon=False, ncols=3, fontsize=9, loc="upper right")
+    for joint in range(joints):
+        axes[1 + joint].set(ylabel=f"motor {joint + 1}", ylim=(-1.08, 1.08))
+    axes[-1].set_xlabel("time (s); torques as parts of their limits")
+    for each in axes:
+        each.grid(color=LIGHT, linewidth=0.6)
+        each.spines[["top", "right"]].set_visible(False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)

@@ -1,0 +1,21 @@
+"""Recipes: settings of training runs that are known to work, plain files in the folder of that name."""
+
+from pathlib import Path
+
+from flexman_agents.settings import Settings
+
+FOLDER = Path(__file__).parent / "recipes"
+NAMES = sorted(path.stem for path in FOLDER.glob("*.yaml"))
+
+
+def find_recipe(name: str) -> Settings:
+    """Gives the settings of a recipe by its name, or of a file of one's own.
+
+    Raises:
+        FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
+    """
+    if name in NAMES:
+        return Settings.recipe(FOLDER / f"{name}.yaml")
+    if not Path(name).is_file():
+        raise FileNotFoundError(f"recipe: {name} is not allowed; give a file, or one of {', '.join(NAMES)}")
+    return Settings.recipe(name)

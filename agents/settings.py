@@ -1,0 +1,168 @@
+"""Settings: all that a training run needs to be repeated, as plain data in a file."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, Self
+
+from flexman_gym.checks import flag, one_of, positive, refusal, store, whole_number
+from flexman_gym.envs.description import Description
+from flexman_gym.scene import file
+
+ALGORITHMS = ("ppo", "sac")
+ENVS = {"ppo": 64, "sac": 16}
+MOST_ENVS, MOST_STEPS, MOST_SEED = 4096, 10**10, 2**31
+SCHEDULED = ("learning_rate", "log_std")
+HYPERPARAMETERS: dict[str, dict[str, Any]] = {
+    # one batch a large part of the rollout: with small ones the optimiser, not the simulator, takes the time
+    "ppo": {"n_steps": 128, "batch_size": 1024, "n_epochs": 5, "gamma": 0.999, "gae_lambda": 0.99},
+    "sac": {"batch_size": 256, "gamma": 0.99, "learning_starts": 2000},
+}
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """A number that changes with training: linearly from one value to another, then constant.
+
+    Attributes:
+        start, end: the values.
+        until: part of the training after which the value stays.
+
+    Raises:
+        ValueError: for something else than numbers, and an `until` outside 0 to 1.
+    """
+
+    start: float
+    end: float
+    until: float = 1.0
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise refusal(f"schedule.{each.name}", value, "a number")
+        if not 0.0 < self.until <= 1.0:
+            raise refusal("schedule.until", self.until, "a part of the training > 0, at most 1")
+
+    def at(self, progress: float) -> float:
+        """Gives the value when a part of the training, 0 to 1, is done."""
+        return self.start + (self.end - self.start) * min(1.0, progress / self.until)
+
+    def __call__(self, remaining: float) -> float:
+        """Gives the value for the part of the training that remains, as Stable-Baselines3 asks."""
+        return self.at(1.0 - remaining)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a training run needs to be repeated.
+
+    Attributes:
+        algo: "ppo" or "sac".
+        environment: a mapping as `Description` reads it; with base and hold, what the agent adds to and for how long
+            its actions are kept.
+        steps: actions of all arms together; with hold=5 each takes five control periods.
+        seed: of environments, exploration and weights; see `seeds`.
+        envs: arms side by side; None takes 64 for PPO and 16 for SAC.
+        hyperparameters: of the algorithm, as Stable-Baselines3 names them; net_arch and log_std_init go to the policy.
+        schedules: "learning_rate" and "log_std" (of PPO's exploration, which is then not learned), name -> mapping with
+            start, end and until.
+        normalise_reward: divide rewards by a running standard deviation of the return; observations always are
+            normalised.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed.
+    """
+
+    algo: str = "ppo"
+    environment: Mapping[str, Any] = field(default_factory=dict)
+    steps: int = 1_000_000
+    seed: int = 0
+    envs: int = None  # type: ignore[assignment]
+    hyperparameters: Mapping[str, Any] = field(default_factory=dict)
+    schedules: Mapping[str, Any] = field(default_factory=dict)
+    normalise_reward: bool = True
+
+    def __post_init__(self) -> None:
+        store(self, algo=one_of("algo", self.algo, ALGORITHMS))
+        for name in ("environment", "hyperparameters", "schedules"):
+            if not isinstance(getattr(self, name), dict):
+                raise refusal(name, getattr(self, name), "a mapping")
+        for name in self.schedules:
+            if one_of("schedules", name, SCHEDULED) == "log_std" and self.algo != "ppo":
+                raise refusal("schedules.log_std", self.algo, "it with ppo only: sac learns its exploration")
+            self.schedule(name)
+        if "learning_rate" in self.hyperparameters:
+            positive("hyperparameters.learning_rate", self.hyperparameters["learning_rate"])
+        store(
+            self,
+            environment=self.description.whole(),
+            steps=whole_number("steps", self.steps, 1, MOST_STEPS),
+            seed=whole_number("seed", self.seed, 0, MOST_SEED),
+            envs=whole_number("envs", ENVS[self.algo] if self.envs is None else self.envs, 1, MOST_ENVS),
+            normalise_reward=flag("normalise_reward", self.normalise_reward),
+        )
+
+    @property
+    def description(self) -> Description:
+        """The environment."""
+        return Description.from_dict(dict(self.environment))
+
+    def schedule(self, name: str) -> Schedule | None:
+        """Gives a schedule, None where there is none."""
+        data = self.schedules.get(name)
+        if data is None:
+            return None
+        if not isinstance(data, dict) or not {"start", "end"} <= data.keys() <= {"start", "end", "until"}:
+            raise refusal(f"schedules.{name}", data, "a mapping with start, end and, if wanted, until")
+        return Schedule(**data)
+
+    @classmethod
+    def from_dict(cls, data: object, field: str = "settings") -> Self:
+        """Gives the settings in a mapping, each of which is checked."""
+        names = [each.name for each in fields(cls)]
+        if not isinstance(data, dict):
+            raise refusal(field, data, "a mapping with some of " + ", ".join(names))
+        for name in data:
+            one_of(field, name, names)
+        return cls(**data)
+
+    @classmethod
+    def recipe(cls, path: str | Path) -> Self:
+        """Reads a recipe: a file (.yaml, .yml or .json) with a mapping of settings.
+
+        Raises:
+            FileNotFoundError: when there is none.
+            ValueError: one line with file, field, value and what is allowed.
+        """
+        try:
+            data = file.read(Path(path))
+            if isinstance(data, dict) and isinstance(data.get("environment"), dict):
+                described = Description.from_dict(data["environment"], Path(path).parent)
+                data["environment"] = described.whole()
+            return cls.from_dict(data)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
+
+    @classmethod
+    def from_json(cls, path: Path, text: str) -> Self:
+        """Gives the settings that a run has kept.
+
+        Raises:
+            ValueError: one line with the file and what is wrong.
+        """
+        try:
+            record = json.loads(text)
+            return cls.from_dict({name: record[name] for name in (each.name for each in fields(cls))})
+        except (KeyError, TypeError, ValueError, RecursionError) as error:
+            said = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise ValueError(f"{path}: {said}; give the settings of a training run") from None
+
+    def plain(self) -> dict[str, Any]:
+        """Gives all of them as a mapping for JSON."""
+        return asdict(self)
+
+    def with_seed(self, seed: int) -> Self:
+        """Gives the same with another seed."""
+        return replace(self, seed=seed)
