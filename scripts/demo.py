@@ -1,4 +1,4 @@
-"""The main job: the three cases of the paper with figures, a training on FlexRRR-v0, a table and a picture of policies."""
+"""The main job: the three cases of the paper with figures, a training on FlexRRR-v0, a table and a picture."""
 
 import shutil
 import time

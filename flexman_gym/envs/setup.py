@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from flexman_gym.checks import one_of, positive, refusal, store, whole_number
 from flexman_gym.control.controller import Controller
+from flexman_gym.control.lqr import LQR, TrackingLQR
 from flexman_gym.control.pd import PD, torque_limits
 from flexman_gym.envs.catalog import DEFAULT, NAMED, Named
 from flexman_gym.envs.limits import Limits
@@ -23,7 +24,7 @@ from flexman_gym.simulation.energy import ENERGY_ALARM
 from flexman_gym.simulation.families import Method
 
 CHOSEN = ("elements", "modes", "method", "step", "stiffening")  # by fidelity="auto"
-BASES = ("pd",)
+BASES = ("pd", "lqr", "lqr-tracking")
 LONGEST_HOLD, MOST_PERIODS = 1000, 10**9
 SLEW, SLEW_START = 3.0, 0.4  # s and rad, of the motion for which fidelity="auto" chooses
 
@@ -43,7 +44,8 @@ class Setup:
         control_period: s.
         horizon: s, after which an episode is truncated.
         base: what acts beside the agent in every control period: "pd" for the PD controller that was tuned for the arm
-            of the named environment, or a Controller of one's own; None for nothing. The sum of both saturates.
+            of the named environment, "lqr" or "lqr-tracking" for the optimal ones that know the true state, or a
+            Controller of one's own; None for nothing. The sum of both saturates.
         hold: control periods for which the agent's part of an action is kept. A step then takes so many: its reward is
             the mean of theirs, its info that of the last; an episode that ends on the way ends there.
         fidelity: "default" or "auto"; the latter with a tolerance, and without the next four.
@@ -157,7 +159,12 @@ class Setup:
 
     def base_controller(self, model: Model) -> Controller | None:
         """What acts beside the agent, for the model of the environment."""
-        return self.pd(model) if self.base == "pd" else self.base  # type: ignore[return-value]
+        if self.base == "pd":
+            return self.pd(model)
+        if isinstance(self.base, str):
+            kind = {"lqr": LQR, "lqr-tracking": TrackingLQR}[self.base]
+            return kind(model, self.torque_limit, self.control_period)
+        return self.base
 
 
 class Fidelity(NamedTuple):

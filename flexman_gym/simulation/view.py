@@ -25,6 +25,7 @@ class View:
         reach: the sum of the lengths of the links, m.
         lengths: (n,) of the links, m.
         control_period: s.
+        state: (b, 2 d) coordinates and speeds of the model, in the order of `kernels.layout`.
         motor_angles, motor_rates: (b, n) rad and rad/s; of the joint where it is rigid.
         joint_twists, joint_twist_rates: (b, n) motor angle - joint angle, rad, and its rate, rad/s.
         link_deflections, link_deflection_rates: (b, 2 n) of the tip of each link along y and z of its beam frame, m and
@@ -85,6 +86,7 @@ class View:
         self.joint_twists, self.joint_twist_rates = parts["joint_twists"], parts["joint_twist_rates"]
         self.link_deflections, self.link_deflection_rates = parts["link_deflections"], parts["link_deflection_rates"]
         self._velocity = parts["tip_velocity"]
+        self.state = self._batch.state
         self.tip, self.tip_velocity = outputs[:, layout.TIP], outputs[:, layout.TIP_VELOCITY]
         self.deflection, self.deflection_rate = outputs[:, layout.DEFLECTION], outputs[:, layout.DEFLECTION_RATE]
         self.posture, self.target, self.plan = np.zeros((arms, n)), np.zeros((arms, 3)), dict[str, Array]()

@@ -4,8 +4,9 @@ from flexman_gym.checks import one_of
 from flexman_gym.envs.sensors.fine import Fine
 from flexman_gym.envs.sensors.full import FullState
 from flexman_gym.envs.sensors.sensor import Entry, Sensor, Sensors
+from flexman_gym.envs.sensors.state import State
 
-SENSORS: dict[str, type[Sensor]] = {"full": FullState, "fine": Fine}
+SENSORS: dict[str, type[Sensor]] = {"full": FullState, "fine": Fine, "state": State}
 
 
 def find_sensors(value: object) -> tuple[object, ...]:
@@ -14,4 +15,4 @@ def find_sensors(value: object) -> tuple[object, ...]:
     return tuple(SENSORS[one_of("sensors", part, SENSORS)]() if isinstance(part, str) else part for part in parts)
 
 
-__all__ = ["SENSORS", "Entry", "Fine", "FullState", "Sensor", "Sensors", "find_sensors"]
+__all__ = ["SENSORS", "Entry", "Fine", "FullState", "Sensor", "Sensors", "State", "find_sensors"]
