@@ -27,7 +27,7 @@ class PD:
         ValueError: one line with field, value and what is allowed.
     """
 
-    sensors: tuple[str, ...] = ("full",)
+    sensors: tuple[str, ...] = ("servo",)
 
     def __init__(
         self,

@@ -62,6 +62,7 @@ class Episodes:
         self.seen = np.zeros((arms, len(self.bound)), dtype=np.float32)
         self.failures: dict[int, str] = {}
         self.over, self.truncated = np.ones(arms, dtype=bool), np.zeros(arms, dtype=bool)
+        self._unseen, self._unbounded = np.zeros((arms, 0)), np.zeros(0)
         self._ages, self._beyond = np.zeros(arms, dtype=np.int64), np.zeros(arms, dtype=np.int64)
 
     def reset(
@@ -125,17 +126,20 @@ class Episodes:
         """
         if self.hold == 1:
             self._period(actions, None)
+            self._judge(None, last=True)
+            self._see()
             return None
         playing, total, count = ~self.over, np.zeros(len(actions)), np.zeros(len(actions))
-        everyone = not self.over.any()
-        for _ in range(self.hold):
-            self._period(actions, None if everyone else playing)
-            rewards = self.rewards(self.view)
-            total[playing] += rewards[playing]
+        for period in range(self.hold):
+            self._period(actions, None if playing.all() else playing)
+            self._judge(None if playing.all() else playing, last=period == self.hold - 1)
+            total[playing] += self.rewards(self.view)[playing]
             count += playing
-            playing, everyone = ~self.over, everyone and not np.count_nonzero(self.over)
+            playing = ~self.over
             if not np.count_nonzero(playing):
                 break
+        self.sensors.read()
+        self._see()
         return total / np.maximum(count, 1.0)
 
     def _period(self, actions: Array, playing: Flags | None) -> None:
@@ -156,27 +160,37 @@ class Episodes:
             view.action[playing] = actions[playing]
         if self.task.moves:
             view.target[:], view.posture[:] = self.task.goal(view.plan, self.batch.time, view)
-        self._read()
-        self._judge(playing)
+        view.read()
 
-    def _judge(self, playing: Flags | None) -> None:
-        """Ends the episodes of arms that have left their limits or lasted long enough; keeps what is seen of all."""
+    def _judge(self, playing: Flags | None, last: bool) -> None:
+        """Ends the episodes of arms that have left their limits or lasted long enough.
+
+        After the last period of an action it reads the sensors too, whose numbers have bounds of their own.
+        """
         view = self.view
         if playing is None and np.count_nonzero(view.failed):
             self.failures, view.failed = {}, np.zeros_like(view.failed)
-        observations = self.sensors.observations
-        many = beyond(view.motion, self._limits, observations, self.sensors.bound, self._beyond)
-        seen = observations if self.effects is None else self.effects.observe(observations)
-        if not many and playing is None and not np.count_nonzero(self.batch.status):
-            self.seen[:] = seen
-        else:
+        observations, bound = self._unseen, self._unbounded
+        if last:
+            self.sensors.read()
+            observations, bound = self.sensors.observations, self.sensors.bound
+        many = beyond(view.motion, self._limits, observations, bound, self._beyond)
+        if many or np.count_nonzero(self.batch.status):
             ended = self._beyond | (self.batch.status != layout.OK)
             self._fail(np.flatnonzero(ended if playing is None else ended & playing))
-            good = ~view.failed if playing is None else playing & ~view.failed
-            self.seen[good] = seen[good]
         self.truncated = self._ages >= self.longest
         if np.count_nonzero(self.truncated):
             self.over |= self.truncated
+
+    def _see(self) -> None:
+        """Keeps what is seen now of the arms that have not failed."""
+        observations = self.sensors.observations
+        seen = observations if self.effects is None else self.effects.observe(observations)
+        if not np.count_nonzero(self.view.failed):
+            self.seen[:] = seen
+        else:
+            good = ~self.view.failed
+            self.seen[good] = seen[good]
 
     def _base_actions(self) -> Array:
         """What the base controller does, (b, n)."""
