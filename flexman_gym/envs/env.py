@@ -22,6 +22,12 @@ ONLY = np.zeros(1, dtype=np.int64)  # the index of the arm
 class FlexManEnv(gym.Env[Observation, Observation]):
     """A flexible arm slews its tip to a target and settles there: `gym.make("FlexRRR-v0")`.
 
+    Named environments
+        FlexRRR-v0     the paper's spatial arm of 8.5 m, three links, 50 Hz; described below
+        FlexPlanar-v0  two strips, 1 m together, that lift 0.1 kg in a vertical plane under gravity, 100 Hz
+        FlexOne-v0     the textbook case: one strip of 0.8 m on one elastic joint, in a horizontal plane, 50 Hz
+        `envs.catalog.NAMED` has what each is made of. The latter two are rewarded by distance (see `Slew`).
+
     Arm
         The paper's three-link arm of 8.5 m, flexible links and joints (K 5000 N m/rad), no gravity, 0.5 % modal damping
         in the links, none in the joints (`arm=catalog.paper_rrr(rotor_inertia=10)` gives the paper's undamped arm). Its
@@ -51,8 +57,9 @@ class FlexManEnv(gym.Env[Observation, Observation]):
 
     Start and end
         `reset(seed=...)` draws start and target; `reset(options={"start": angles, "posture": angles})` sets them, and
-        "parameters", a dict, sets physical parameters of the arm from this episode on (see `Batch.vary`). An episode is
-        truncated after 10 s (500 steps). It terminates with the failure penalty when the arm leaves its limits, a
+        "parameters", a dict, sets physical parameters of the arm from this episode on (see `Batch.vary`). An arm starts
+        at rest; under gravity it is bent by its weight, and the target is where it rests at the goal posture. An episode
+        is truncated after its `horizon`, 10 s. It terminates with the failure penalty when the arm leaves its limits, a
         number that is observed its bound, or the simulation diverges; `info["failure"]` says which. The observation is
         then the last one within the bounds, so that every observation lies in the space.
 

@@ -111,7 +111,8 @@ class Episodes:
         self._read()
         for arm in arms:
             if failure := self._broken(arm):
-                raise refusal("options", options, f"a start and a posture within the limits ({failure})")
+                field, value = ("options", options) if options else ("task", self.task)
+                raise refusal(field, value, f"a start and a goal within the limits ({failure})")
         self.failures = {arm: text for arm, text in self.failures.items() if arm not in arms}
         seen = self.sensors.observations[arms]
         self.seen[arms] = seen if self.effects is None else self.effects.observe(seen, arms)
