@@ -58,10 +58,11 @@ class FlexManEnv(gym.Env[Observation, Observation]):
     Start and end
         `reset(seed=...)` draws start and target; `reset(options={"start": angles, "posture": angles})` sets them, and
         "parameters", a dict, sets physical parameters of the arm from this episode on (see `Batch.vary`). An arm starts
-        at rest; under gravity it is bent by its weight, and the target is where it rests at the goal posture. An episode
-        is truncated after its `horizon`, 10 s. It terminates with the failure penalty when the arm leaves its limits, a
-        number that is observed its bound, or the simulation diverges; `info["failure"]` says which. The observation is
-        then the last one within the bounds, so that every observation lies in the space.
+        at rest. Under gravity its weight bends it, and the target is where it rests at the goal posture.
+
+        An episode is truncated after its `horizon`, 10 s. It terminates with the failure penalty when the arm leaves
+        its limits, a number that is observed its bound, or the simulation diverges; `info["failure"]` says which. The
+        observation is then the last one within the bounds, so that every observation lies in the space.
 
     Info
         tip_error (m), tip_vibration (m/s, speed of the tip relative to the rigid arm at the motor angles),
