@@ -21,7 +21,7 @@ from flexman_gym.simulation.methods import METHODS
 SAFETY = 0.8  # part of the tolerance that the chosen run may use
 MODEL_SHARES = (0.6, 0.25)  # parts of the tolerance that dropped coordinates may use; each gives a model
 TRIED = ("extrapolated_euler_5", "extrapolated_euler_4", "extrapolated_euler_3", "ros2", "rk4", "dopri5",
-         "implicit_midpoint", "generalised_alpha")  # fmt: skip
+         "implicit_midpoint_2", "implicit_midpoint_3", "generalised_alpha")  # fmt: skip
 MULTIPLES = (10, 8, 5, 4, 3, 2)  # of the output step
 PARTS = (1, 2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 25, 32, 40, 50, 64, 80, 100, 128, 160, 200, 256, 320, 400, 512, 1024)
 MOST_GROWTH = 100.0  # of any mode by the method within the scene; the amplitudes are next to nothing at first

@@ -28,6 +28,7 @@ from flexman_gym.kernels.layout import (
 )
 from flexman_gym.kernels.linalg import copy
 from flexman_gym.kernels.linearly_implicit import implicit_step
+from flexman_gym.kernels.midpoint import midpoint_step
 from flexman_gym.kernels.outputs import observe
 from flexman_gym.kernels.pace import out_of_bounds
 
@@ -145,18 +146,25 @@ def _lane(context: Any, builder: Any, kinds: Any, flat: Any, i: Any, k: Any) -> 
 
 
 @inner
-def proceed(constants, work, tableau, clock, state):
-    """Moves state and ledger, an array of work space, under work.drive; then fills work.outputs."""
+def proceed(constants, work, tableau, sweeps, clock, state):
+    """Moves state and ledger, an array of work space, under work.drive; then fills work.outputs.
+
+    By a linearly implicit method, or, without a tableau (None), by sweeps of the midpoint rule.
+    """
     d = len(state) // 2 - 1
     for n in range(clock.substeps):
-        implicit_step(constants, work, tableau, None, (clock.time + n * clock.step, clock.step), state)
+        moment = clock.time + n * clock.step, clock.step
+        if tableau is None:
+            midpoint_step(constants, work, sweeps, None, moment, state)
+        else:
+            implicit_step(constants, work, tableau, None, moment, state)
         copy(work.trial, state)
     observe(constants, work, state[:d], state[d : 2 * d], work.outputs)
 
 
 @released
-def advance_arms(tables, work_table, tableau, drives, clock, rows, found, moving):
-    """Moves arms by steps of a linearly implicit method under constant drives (b, n + 6).
+def advance_arms(tables, work_table, tableau, sweeps, drives, clock, rows, found, moving):
+    """Moves arms by steps of a linearly implicit method, or sweeps without one, under constant drives (b, n + 6).
 
     `tables` (groups, fields, 3) are the addresses of the constants of each group of ARMS_ABREAST arms. Overwrites rows
     (b, 2 d + 2), state and ledger, and outputs `found` (b, OUTPUTS) of the arms that are `moving` (b,) and do not
@@ -175,7 +183,7 @@ def advance_arms(tables, work_table, tableau, drives, clock, rows, found, moving
                 store_lane_number(state, j, k, rows[arm, j])
             for j in range(len(work.drive)):
                 store_lane_number(work.drive, j, k, drives[arm, j])
-        proceed(constants_of_arms(tables[group]), work, tableau, clock, state)
+        proceed(constants_of_arms(tables[group]), work, tableau, sweeps, clock, state)
         for arm in range(first, end):
             moving[arm] = moving[arm] and lane_in_bounds(state, arm - first)
             if moving[arm]:
@@ -186,12 +194,12 @@ def advance_arms(tables, work_table, tableau, drives, clock, rows, found, moving
 
 
 @released
-def advance_one(table, work_table, tableau, drives, clock, rows, found, moving):
+def advance_one(table, work_table, tableau, sweeps, drives, clock, rows, found, moving):
     """The same for a single arm."""
     work = work_of_one(work_table)
     copy(rows[0], work.row)
     copy(drives[0], work.drive)
-    proceed(constants_of_one(table), work, tableau, clock, work.row)
+    proceed(constants_of_one(table), work, tableau, sweeps, clock, work.row)
     moving[0] = moving[0] and not out_of_bounds(work.row)
     if moving[0]:
         copy(work.row, rows[0])

@@ -39,6 +39,14 @@ def applied_forces(constants, work, x, v):
     Sets work.field and work.tip_force. Needs `velocities`; returns the power supplied (without that of prescribed
     motions) and the power lost (W).
     """
+    supplied, lost = motor_forces(constants, work, v)
+    lost += structural_forces(constants, work, x, v)
+    return supplied + disturb(constants, work, v), lost
+
+
+@inner
+def motor_forces(constants, work, v):
+    """work.force (d,) = the torques of work.drive less friction; returns the power supplied and the power lost (W)."""
     supplied, lost = 0.0, 0.0
     for j in range(len(work.force)):
         work.force[j] = 0.0
@@ -51,8 +59,7 @@ def applied_forces(constants, work, x, v):
         work.force[m] = torque - friction
         supplied += torque * v[m]
         lost += friction * v[m]
-    lost += structural_forces(constants, work, x, v)
-    return supplied + disturb(constants, work, v), lost
+    return supplied, lost
 
 
 @inner

@@ -83,7 +83,7 @@ def free_joint(constants, work, i, total, bias):
 def joint_acceleration(constants, work, i, frame, out):
     """Acceleration of joint i, returned too, and of its motor, for that of the frame without the joint's share.
 
-    work.motor_torque[i] is the torque that a prescribed motion takes, where the shift is zero.
+    work.motor_torque[i] is the torque that a prescribed motion takes, with spring and friction after the shift.
     """
     linear, angular = load_pair(work.joint_column, i)
     m, torque = constants.motor[i], work.joint_force[i] - dot(linear, frame[0]) - dot(angular, frame[1])
@@ -98,7 +98,8 @@ def joint_acceleration(constants, work, i, frame, out):
     carried = constants.carried_inertia[i] * dot(load(constants.axis, i), frame[1])
     if constants.prescribed[i]:
         out[m] = work.drive[i]
-        work.motor_torque[i] = constants.rotor_inertia[i] * out[m] + carried - work.force[m]
+        reaction = work.spring[i] * (out[m] - value)
+        work.motor_torque[i] = work.motor_inertia[i] * out[m] + carried - work.force[m] + reaction
     else:
         out[m] = (work.force[m] + work.spring[i] * value - carried) / work.motor_inertia[i]
     return value

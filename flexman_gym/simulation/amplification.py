@@ -16,6 +16,7 @@ from flexman_gym.simulation.families import (
     Implicit,
     LinearlyImplicit,
     Method,
+    Midpoint,
     extrapolation_weights,
 )
 
@@ -34,9 +35,9 @@ def amplification_factors(method: Method, angle: float) -> NDArray[np.complex128
     Raises:
         ValueError: for a reference method, which has no fixed step.
     """
-    if method.adaptive or not isinstance(method, Explicit | LinearlyImplicit | Implicit):
+    if method.adaptive or not isinstance(method, Explicit | LinearlyImplicit | Implicit | Midpoint):
         raise ValueError(f"method: {method.name} chooses its steps; give one of fixed steps")
-    if isinstance(method, Implicit):
+    if isinstance(method, Implicit | Midpoint):
         return _implicit_factors(method, angle)
     if isinstance(method, LinearlyImplicit):
         weights, matrix = extrapolation_weights(method.sequence), method.a + method.coupling
@@ -54,8 +55,8 @@ def _stability(matrix: Array, b: Array, z: complex) -> complex:
     return complex(1.0 + z * b @ np.linalg.solve(np.eye(len(b)) - z * matrix, ones))
 
 
-def _implicit_factors(method: Implicit, angle: float) -> NDArray[np.complex128]:
-    if method.radius is None:
+def _implicit_factors(method: Implicit | Midpoint, angle: float) -> NDArray[np.complex128]:
+    if isinstance(method, Midpoint) or method.radius is None:  # one sweep is exact where all is linear
         return np.array([(1.0 + 0.5j * angle) / (1.0 - 0.5j * angle)])
     mass, force, beta, gamma = method.averages[:4]
     square = angle**2

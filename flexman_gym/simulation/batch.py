@@ -10,7 +10,7 @@ from flexman_gym.checks import one_of, parts, positive, refusal, whole_number
 from flexman_gym.kernels import layout, outputs
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.energy import turnover
-from flexman_gym.simulation.families import LinearlyImplicit, Method
+from flexman_gym.simulation.families import LinearlyImplicit, Method, Midpoint
 from flexman_gym.simulation.movers import Abreast, OneByOne
 from flexman_gym.simulation.parameters import PARAMETERS, nominal_parameters
 from flexman_gym.simulation.run import Run, find_method, find_tolerance, prescribed_flags
@@ -69,7 +69,7 @@ class Batch:
         tolerance = find_tolerance(self.method, step, rtol, atol)
         period = self.control_period, self.substeps
         self._mover: OneByOne | Abreast
-        if isinstance(self.method, LinearlyImplicit) and tolerance is None:
+        if isinstance(self.method, LinearlyImplicit | Midpoint) and tolerance is None:
             constants = model.constants._replace(prescribed=prescribed_flags(n, joints))
             self._mover = Abreast(constants, self.method, period, count, threads)
         else:

@@ -205,6 +205,36 @@ class Implicit:
 
 
 @dataclass(frozen=True, eq=False)
+class Midpoint:
+    """The implicit midpoint rule by a fixed number of Newton's iterations a step, without a test of convergence.
+
+    Their approximate Jacobian is that of a linearly implicit method, and so are cost and failures. One iteration solves
+    a free linear vibration; the others are for what the Jacobian leaves out.
+
+    Attributes:
+        name, order, source: see the top of this file.
+        sweeps: iterations, each an evaluation.
+
+    Raises:
+        ValueError: for sweeps < 1, or too few for the order: each gains one, up to 2.
+    """
+
+    name: str
+    order: int
+    source: str
+    sweeps: int
+    kind = LINEARLY_IMPLICIT
+    adaptive = False
+    estimates = False
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.order <= min(self.sweeps, 2):
+            raise ValueError(
+                f"{self.name}: is not of order {self.order}: each of {self.sweeps} sweeps gains one, up to 2"
+            )
+
+
+@dataclass(frozen=True, eq=False)
 class Outside:
     """A reference that SciPy's integrator of the same name computes.
 
@@ -220,7 +250,7 @@ class Outside:
     estimates = True
 
 
-Method = Explicit | LinearlyImplicit | Implicit | Outside
+Method = Explicit | LinearlyImplicit | Implicit | Midpoint | Outside
 
 
 def extrapolation_weights(sequence: Sequence[int]) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 
 from flexman_gym.arrays import Array
 from flexman_gym.simulation.dormand_prince import A5, A8, B5, B8, ERROR5, ERROR8_3, ERROR8_5
-from flexman_gym.simulation.families import Explicit, Implicit, LinearlyImplicit, Method, Outside
+from flexman_gym.simulation.families import Explicit, Implicit, LinearlyImplicit, Method, Midpoint, Outside
 
 
 def generalised_alpha(radius: float) -> Implicit:
@@ -62,9 +62,11 @@ def _linearly_implicit() -> tuple[LinearlyImplicit, ...]:
 
 
 def _implicit() -> tuple[Method, ...]:
-    midpoint = Implicit("implicit_midpoint", 2, "Hairer, Lubich and Wanner, Geometric Numerical Integration, II.1")
+    source = "Hairer, Lubich and Wanner, Geometric Numerical Integration, II.1"
+    midpoint = Implicit("implicit_midpoint", 2, source)
+    sweeps = (Midpoint(f"implicit_midpoint_{n}", 2, f"{source}; Newton's iterations: VIII.6", n) for n in (2, 3))
     radau = Outside("radau", 5, "Hairer and Wanner, Solving ODEs II, IV.8; the integrator of SciPy")
-    return midpoint, generalised_alpha(0.9), radau
+    return midpoint, *sweeps, generalised_alpha(0.9), radau
 
 
 METHODS: dict[str, Method] = {method.name: method for method in (*_explicit(), *_linearly_implicit(), *_implicit())}

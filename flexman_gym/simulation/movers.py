@@ -17,9 +17,9 @@ from flexman_gym.kernels import arms as kernels
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.arms import PER_ARM, addresses, arms_array
 from flexman_gym.kernels.lanes import ARMS, NUMBER
-from flexman_gym.kernels.layout import ARMS_ABREAST, Clock, Constants, IntArray, make_work
+from flexman_gym.kernels.layout import ARMS_ABREAST, Clock, Constants, IntArray, Tableau, make_work
 from flexman_gym.scene.drive import drive_table
-from flexman_gym.simulation.families import LinearlyImplicit
+from flexman_gym.simulation.families import LinearlyImplicit, Midpoint
 from flexman_gym.simulation.run import Run
 
 SHARE = 8  # groups that are worth a thread: to wake a thread takes as long as to move two or three groups
@@ -61,9 +61,15 @@ class Abreast:
     """
 
     def __init__(
-        self, constants: Constants, method: LinearlyImplicit, period: tuple[float, int], arms: int, threads: int
+        self,
+        constants: Constants,
+        method: LinearlyImplicit | Midpoint,
+        period: tuple[float, int],
+        arms: int,
+        threads: int,
     ) -> None:
-        self._tableau = method.tableau
+        self._method: tuple[Tableau | None, int]  # tableau, or sweeps without one
+        self._method = (None, method.sweeps) if isinstance(method, Midpoint) else (method.tableau, 0)
         self._clock, self._still = Clock(0.0, period[0] / period[1], period[1], 0.0, 0.0), Clock(0.0, 0.0, 0, 0.0, 0.0)
         self._alone = arms == 1 and len(constants.station_mass) == 0
         groups = -(-arms // ARMS_ABREAST)
@@ -106,7 +112,7 @@ class Abreast:
     def _advance(self, drives: Array, clock: Clock, rows: Array, outputs: Array) -> None:
         if self._alone:
             kernels.advance_one(
-                self._tables[0], self._work_tables[0], self._tableau, drives, clock, rows, outputs, self._moving
+                self._tables[0], self._work_tables[0], *self._method, drives, clock, rows, outputs, self._moving
             )
             return
 
@@ -114,7 +120,7 @@ class Abreast:
             groups = self._shares[thread]
             arms = slice(groups.start * ARMS_ABREAST, groups.stop * ARMS_ABREAST)
             kernels.advance_arms(
-                self._tables[groups], self._work_tables[thread], self._tableau,
+                self._tables[groups], self._work_tables[thread], *self._method,
                 drives[arms], clock, rows[arms], outputs[arms], self._moving[arms],
             )  # fmt: skip
 

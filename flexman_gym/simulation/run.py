@@ -6,11 +6,11 @@ import numpy as np
 
 from flexman_gym.arrays import Array
 from flexman_gym.checks import one_of, positive, refusal
-from flexman_gym.kernels import explicit, implicit, layout, linearly_implicit, outputs, stages
+from flexman_gym.kernels import explicit, implicit, layout, linearly_implicit, midpoint, outputs, stages
 from flexman_gym.kernels.layout import Averages, Clock, IntArray, Tableau, Work, make_work
 from flexman_gym.model.model import Model
 from flexman_gym.scene.drive import drive_table
-from flexman_gym.simulation.families import Explicit, Implicit, LinearlyImplicit, Method, Outside
+from flexman_gym.simulation.families import Explicit, Implicit, LinearlyImplicit, Method, Midpoint, Outside
 from flexman_gym.simulation.methods import METHODS
 
 # The kernel of each family; SciPy runs the others.
@@ -18,6 +18,7 @@ KERNELS: dict[type, Callable[..., tuple[int, int, int]]] = {
     Explicit: explicit.run_explicit,
     LinearlyImplicit: linearly_implicit.run_linearly_implicit,
     Implicit: implicit.run_implicit,
+    Midpoint: midpoint.run_midpoint,
 }
 
 
@@ -74,9 +75,11 @@ class Run:
         self.method = method
         self.tolerance = tolerance or (0.0, 0.0)
         self._at_rest = drive_table([None] * (model.n_joints + 6))
-        self._coefficients: Tableau | Averages | None = None
+        self._coefficients: Tableau | Averages | int | None = None
         if isinstance(method, Implicit):
             self._coefficients = method.averages
+        elif isinstance(method, Midpoint):
+            self._coefficients = method.sweeps
         elif not isinstance(method, Outside):
             self._coefficients = method.tableau
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import DOP853, RK45
 
 import flexman_gym as fm
-from flexman_gym.simulation.families import EXPLICIT, KINDS, LINEARLY_IMPLICIT, Explicit, LinearlyImplicit
+from flexman_gym.simulation.families import KINDS, Explicit, LinearlyImplicit, Midpoint
 from flexman_gym.simulation.methods import METHODS, generalised_alpha
 
 FIXED = [name for name, method in METHODS.items() if not method.adaptive]
@@ -116,7 +116,7 @@ def stability(method, z):
     return sum(w * once(z / n) ** n for w, n in zip(tableau.weights, tableau.sequence, strict=True))
 
 
-@pytest.mark.parametrize("name", [name for name in FIXED if METHODS[name].kind == LINEARLY_IMPLICIT])
+@pytest.mark.parametrize("name", [name for name in FIXED if isinstance(METHODS[name], LinearlyImplicit)])
 def test_a_linearly_implicit_method_damps_infinitely_stiff_modes(name):
     """R goes to 0 as z goes to -infinity; ros2 is L-stable, extrapolation grows a mode of h w near 1 a little."""
     method = METHODS[name]
@@ -127,11 +127,28 @@ def test_a_linearly_implicit_method_damps_infinitely_stiff_modes(name):
     assert method.gamma > 0.0
 
 
-@pytest.mark.parametrize("name", [name for name in FIXED if METHODS[name].kind in (EXPLICIT, LINEARLY_IMPLICIT)])
+@pytest.mark.parametrize("name", [name for name in FIXED if isinstance(METHODS[name], Explicit | LinearlyImplicit)])
 def test_the_stability_function_agrees_with_the_exponential_to_the_order(name):
     method = METHODS[name]
     errors = [abs(stability(method, z) - np.exp(z)) for z in (-0.04 + 0.08j, -0.02 + 0.04j)]
     assert np.log2(errors[0] / errors[1]) > method.order + 0.8
+
+
+def test_an_order_takes_as_many_sweeps_of_the_midpoint_rule():
+    once = Midpoint("once", 1, "one of Newton's iterations", 1)
+    orders = observed_orders(error(once, step=DURATION / steps) for steps in STEPS)
+    assert orders[-1] == pytest.approx(1.0, abs=0.15)
+    for order, sweeps in ((2, 1), (3, 4), (1, 0)):
+        with pytest.raises(ValueError, match=f"^wrong: is not of order {order}"):
+            Midpoint("wrong", order, "", sweeps)
+
+
+def test_sweeps_lead_to_the_midpoint_rule():
+    step = DURATION / 32
+    converged = fm.simulate(scene(), method="implicit_midpoint", step=step).states[-1]
+    methods = (METHODS["implicit_midpoint_2"], METHODS["implicit_midpoint_3"], Midpoint("five", 2, "", 5))
+    left = [np.linalg.norm(fm.simulate(scene(), method=each, step=step).states[-1] - converged) for each in methods]
+    assert left[1] < 0.3 * left[0] and left[2] < 0.03 * left[1]
 
 
 @pytest.mark.parametrize("radius", [0.0, 0.5, 0.9, 1.0])

@@ -41,7 +41,7 @@ def drives_for(model, held, seed):
 
 
 @QUICK
-@given(affected(), st.sampled_from(["ros2", "extrapolated_euler_3"]))
+@given(affected(), st.sampled_from(["ros2", "extrapolated_euler_3", "implicit_midpoint_2"]))
 def test_lanes_hold_the_bits_of_an_arm_alone(case, method):
     """With rotors that spin, friction, disturbances and prescribed joints; where links do not shorten."""
     sample, method = case.sample, METHODS[method]
@@ -62,27 +62,29 @@ def test_lanes_hold_the_bits_of_an_arm_alone(case, method):
                 assert np.array_equal(found[arm], other[0])
 
 
+@pytest.mark.parametrize("method", ["ros2", "implicit_midpoint_3"])
 @pytest.mark.parametrize("threads", [1, 2, 5])
-def test_threads_share_the_groups(threads):
+def test_threads_share_the_groups(threads, method):
     model = fm.build_model(fm.catalog.paper_rrr(), modes=2)
     states = 1e-3 * np.random.default_rng(0).normal(size=(273, 2 * model.n_dof))
     drives = np.random.default_rng(1).uniform(-100.0, 100.0, (273, 9))
-    ros2 = METHODS["ros2"]
-    expected = moved(Abreast(model.constants, ros2, (0.02, 4), 273, 1), states, drives)
+    method = METHODS[method]
+    expected = moved(Abreast(model.constants, method, (0.02, 4), 273, 1), states, drives)
     for found, wanted in zip(
-        moved(Abreast(model.constants, ros2, (0.02, 4), 273, threads), states, drives), expected, strict=True
+        moved(Abreast(model.constants, method, (0.02, 4), 273, threads), states, drives), expected, strict=True
     ):
         assert np.array_equal(found, wanted)
 
 
-def test_a_lane_that_diverges_disturbs_no_other():
+@pytest.mark.parametrize("method", ["ros2", "implicit_midpoint_3"])
+def test_a_lane_that_diverges_disturbs_no_other(method):
     model = fm.build_model(fm.catalog.paper_rrr(), modes=2)
     states = 1e-3 * np.random.default_rng(0).normal(size=(9, 2 * model.n_dof))
     drives = np.zeros((9, 9))
-    calm = moved(Abreast(model.constants, METHODS["ros2"], (0.02, 4), 9, 1), states, drives)
+    calm = moved(Abreast(model.constants, METHODS[method], (0.02, 4), 9, 1), states, drives)
     wild = states.copy()
     wild[3, -1], wild[5, 0] = 1e200, np.nan
-    rows, outputs, status = moved(Abreast(model.constants, METHODS["ros2"], (0.02, 4), 9, 1), wild, drives)
+    rows, outputs, status = moved(Abreast(model.constants, METHODS[method], (0.02, 4), 9, 1), wild, drives)
     others = np.isin(np.arange(9), (3, 5), invert=True)
     assert status.tolist() == [layout.DIVERGED if arm in (3, 5) else layout.OK for arm in range(9)]
     assert np.array_equal(rows[others], calm[0][others]) and np.array_equal(outputs[others], calm[1][others])

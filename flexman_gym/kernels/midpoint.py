@@ -1,0 +1,93 @@
+"""The implicit midpoint rule in sweeps: a fixed number of Newton's iterations a step, without a test of convergence.
+
+Runs are as in `explicit`.
+"""
+
+from flexman_gym.kernels.compile import inner, kernel
+from flexman_gym.kernels.dynamics import factorise, solve
+from flexman_gym.kernels.forces import (
+    applied_forces,
+    disturb,
+    drive_at,
+    friction_shift,
+    friction_slopes,
+    motor_forces,
+    structural_forces,
+)
+from flexman_gym.kernels.joints import prescribed_power
+from flexman_gym.kernels.kinematics import positions, velocities
+from flexman_gym.kernels.layout import DIVERGED, OK
+from flexman_gym.kernels.linalg import copy
+from flexman_gym.kernels.outputs import observe
+from flexman_gym.kernels.pace import out_of_bounds
+
+
+@kernel
+def run_midpoint(constants, work, sweeps, table, clock, state, rows, outputs):
+    """Fixed steps of the midpoint rule, each of a number of sweeps."""
+    d, evaluations = len(state) // 2 - 1, 0
+    for r in range(len(rows)):
+        for n in range(clock.substeps):
+            time = clock.time + (r * clock.substeps + n) * clock.step
+            midpoint_step(constants, work, sweeps, table, (time, clock.step), state)
+            evaluations += sweeps
+            if out_of_bounds(work.trial):
+                return DIVERGED, r, evaluations
+            copy(work.trial, state)
+        copy(state, rows[r])
+        observe(constants, work, state[:d], state[d : 2 * d], outputs[r])
+    return OK, len(rows), evaluations
+
+
+@inner
+def midpoint_step(constants, work, sweeps, table, moment, state):
+    """work.trial = what follows the state and its ledger; moment = (time, step).
+
+    With g = step / 2 the accelerations w in the middle solve M w = F(x, v) at v = v0 + g w and x = x0 + g v. A sweep
+    takes M and F at the latest x and v, but springs and dampers at the w that it solves for, as a linearly implicit
+    step does. The first one starts from w = 0: a step keeps nothing of those before it, so that a jump of the drive or
+    a new start needs no care. Accelerations of the step before would be no better guess for a vibration that turns by
+    more than a radian in a step, and are a hundred times too large for the stiffest.
+    """
+    d, (time, step) = len(state) // 2 - 1, moment
+    g, w, x, v = 0.5 * step, work.rates, work.trial[:d], work.trial[d : 2 * d]
+    drive_at(table, time + g, work.drive)
+    for k in range(d):
+        work.stage_state[k], work.stage_state[d + k] = state[k] + g * state[d + k], state[d + k]
+        w[k] = 0.0
+    advance_midpoint(work, g, x, v)
+    for _ in range(sweeps):
+        sweep(constants, work, g, x, v)
+        advance_midpoint(work, g, x, v)
+    # the ledger counts the power at the x and v that the step really takes, not at those of the last sweep
+    power = prescribed_power(constants, work, v)
+    supplied, lost = applied_forces(constants, work, x, v)
+    work.trial[2 * d] = state[2 * d] + step * (supplied + power)
+    work.trial[2 * d + 1] = state[2 * d + 1] + step * lost
+    for k in range(d):
+        x[k], v[k] = state[k] + step * v[k], state[d + k] + step * w[k]
+
+
+@inner
+def advance_midpoint(work, g, x, v):
+    """x and v (d,) = the middle of the step for the accelerations work.rates; work.shift[:d] = what v lacks without."""
+    d = len(x)
+    for k in range(d):
+        gained = g * work.rates[k]
+        x[k], v[k] = work.stage_state[k] + g * gained, work.stage_state[d + k] + gained
+        work.shift[k] = -gained
+
+
+@inner
+def sweep(constants, work, g, x, v):
+    """work.rates = the accelerations in the middle of the step, from its latest x and v (d,)."""
+    d = len(x)
+    positions(constants, work, x)
+    velocities(constants, work, v)
+    motor_forces(constants, work, v)
+    friction_slopes(constants, work, v)
+    friction_shift(constants, work, work.shift[:d])
+    structural_forces(constants, work, work.stage_state[:d], work.stage_state[d : 2 * d])
+    disturb(constants, work, v)
+    factorise(constants, work, (g, g * g))
+    solve(constants, work, work.rates)
