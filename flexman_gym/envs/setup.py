@@ -1,5 +1,6 @@
 """Setup: what an environment is made of, checked, and the model that its fidelity asks for."""
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
@@ -25,6 +26,7 @@ from flexman_gym.simulation.families import Method
 
 CHOSEN = ("elements", "modes", "method", "step", "stiffening")  # by fidelity="auto"
 BASES = ("pd", "lqr", "lqr-tracking")
+LONGEST_STEP = 0.02 / 3.0  # s, of the default method
 LONGEST_HOLD, MOST_PERIODS = 1000, 10**9
 SLEW, SLEW_START = 3.0, 0.4  # s and rad, of the motion for which fidelity="auto" chooses
 
@@ -51,7 +53,8 @@ class Setup:
         fidelity: "default" or "auto"; the latter with a tolerance, and without the next four.
         tolerance: m, largest error of the tip in a slew.
         stiffening, spinning_rotors, rotary_inertia: switches of `build_model`.
-        elements, modes, method, step: see `build_model` and `Simulator`; "assembled" modes are those that
+        elements, modes, method, step: see `build_model` and `Simulator`; a step of None takes the longest that divides
+            the control period and is at most 20/3 ms; "assembled" modes are those that
             `assembled_modes` finds for vibrations below half the control frequency.
         energy_alarm: part of the energy turned over (the largest of kinetic + elastic energy, work and dissipation).
         randomisation: a Randomisation, or a dict of its arguments; None for none.
@@ -74,8 +77,8 @@ class Setup:
     tolerance: float | None = None
     elements: int | tuple[int, ...] = 2
     modes: int | tuple[int | tuple[int, ...], ...] | str | None = "assembled"
-    method: str | Method = "ros2"
-    step: float = 0.005
+    method: str | Method = "implicit_midpoint_3"
+    step: float | None = None
     stiffening: bool = False
     spinning_rotors: bool = False
     rotary_inertia: bool = True
@@ -167,6 +170,11 @@ class Setup:
         return self.base
 
 
+def default_step(control_period: float) -> float:
+    """Gives the longest step (s) up to LONGEST_STEP that divides a control period (s)."""
+    return control_period / math.ceil(control_period / LONGEST_STEP - 1e-9)
+
+
 class Fidelity(NamedTuple):
     """What a setup asks for: the model, how it is moved, and the Choice of fidelity="auto", else None."""
 
@@ -186,7 +194,8 @@ def build(setup: Setup) -> Fidelity:
         modes = assembled_modes(setup.arm, setup.elements, 0.5 / setup.control_period)
     switches = {name: getattr(setup, name) for name in ("stiffening", "spinning_rotors", "rotary_inertia")}
     model = build_model(setup.arm, setup.elements, modes, **switches)
-    return Fidelity(model, setup.method, setup.step, None)
+    step = default_step(setup.control_period) if setup.step is None else setup.step
+    return Fidelity(model, setup.method, step, None)
 
 
 def setup_of(settings: dict[str, Any], others: Collection[str] = ()) -> Setup:
