@@ -31,10 +31,11 @@ FLOORS = {
     "agents": "flexman_gym envs control simulation arrays checks",
     "studies": "flexman_gym agents envs draw fidelity simulation model scene kernels arrays checks",
     "scripts": "flexman_gym agents studies envs draw fidelity simulation model scene arrays checks",
+    "__main__": "flexman_gym agents studies envs draw fidelity simulation model scene kernels arrays checks",
 }
 PUBLIC = "envs control draw fidelity simulation model scene"  # what flexman_gym/__init__.py gathers
 INSIDE_KERNELS = {"numba", "llvmlite", "numpy", "math", "operator", "typing", "collections"}
-CACHE_ROOM = {"hashlib", "os", "tempfile", "pathlib"}  # kernels/__init__.py names the folder of the binaries
+CACHE_ROOM = {"hashlib", "os", "sys", "tempfile", "pathlib"}  # kernels/__init__.py names the folder of the binaries
 HEAVY = {"torch", "stable_baselines3", "matplotlib", "pyvista", "ray"}
 
 FILES = sorted(path for folder in (PACKAGE, ROOT / "agents", ROOT / "scripts") for path in folder.rglob("*.py"))

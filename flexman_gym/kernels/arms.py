@@ -31,6 +31,7 @@ from flexman_gym.kernels.linearly_implicit import implicit_step
 from flexman_gym.kernels.midpoint import midpoint_step
 from flexman_gym.kernels.outputs import observe
 from flexman_gym.kernels.pace import out_of_bounds
+from flexman_gym.kernels.parts import Parts, gathered
 
 PER_ARM = frozenset(name for name, kind in Constants.__annotations__.items() if kind is Own)
 ALIGNMENT = 64  # bytes; of a group of eight numbers
@@ -100,7 +101,7 @@ def _reader(parts: type, element: types.Type) -> Any:
     """A function for kernels that makes a `Constants` or `Work` of its table of addresses."""
     kinds = [_kind(parts, name, element) for name in parts._fields]  # type: ignore[attr-defined]
     columns = [_columns(parts, name) for name in parts._fields]  # type: ignore[attr-defined]
-    whole = types.NamedTuple(kinds, parts)  # type: ignore[attr-defined]
+    whole = Parts(kinds, parts)
 
     @intrinsic
     def read(typing_context, table):
@@ -108,7 +109,7 @@ def _reader(parts: type, element: types.Type) -> Any:
             data = context.make_array(signature.args[0])(context, builder, values[0]).data
             places = zip(kinds, columns, strict=True)
             fields = [_view(context, builder, kind, (data, row), width) for row, (kind, width) in enumerate(places)]
-            return context.make_tuple(builder, whole, fields)
+            return gathered(context, builder, whole, fields)
 
         return whole(table), generate
 

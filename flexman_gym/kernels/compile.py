@@ -1,11 +1,66 @@
-"""Compile: the decorators of the kernels and the flags that all of them share."""
+"""Compile: the decorators of the kernels, the flags that all of them share, and how inner kernels are compiled.
+
+Numba optimises every function with all that it calls, and makes machine code of it. A kernel that others take in whole
+needs neither: it is optimised where it ends up, once. Two fifths of the time to compile were spent on that.
+"""
+
+from typing import Any
 
 import numba
+from numba import _dynfunc
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+from numba.core.compiler_machinery import register_pass
+from numba.core.typed_passes import NativeLowering
+
+
+class Ingredient(JITCodeLibrary):
+    """The code of an inner kernel, for the kernels that call it to link: of its own there is nothing to run."""
+
+    def _optimize_final_module(self) -> None:
+        """Left to the caller; what Numba does function by function has been done, without it arms move slower."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalized = True
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class IngredientLowering(NativeLowering):
+    """Makes an `Ingredient` of a typed function."""
+
+    _name = "ingredient_lowering"
+
+    def run_pass(self, state: Any) -> bool:
+        """Numba's pass without machine code; a function without an address stands for the kernel where it is called."""
+        state.library = library = Ingredient(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.flags.no_compile = True
+        super().run_pass(state)
+        lowered = state.cr
+        about = lowered.fndesc
+        name = _dynfunc.make_function(about.lookup_module(), about.qualname, "", 0, lowered.env, (library,))
+        state.targetctx.insert_user_function(name, about, [library])
+        state.cr = lowered._replace(cfunc=name)
+        return True
+
+
+class InnerCompiler(Compiler):
+    """Numba's compiler, but for the last step."""
+
+    def define_pipelines(self) -> list[Any]:
+        """Its passes with another lowering."""
+        (passes,) = super().define_pipelines()
+        passes.add_pass_after(IngredientLowering, NativeLowering)
+        passes.passes = [each for each in passes.passes if each[0] is not NativeLowering]
+        passes.finalize()
+        return [passes]
+
 
 # Without Numba's runtime a kernel that allocates does not compile, and a call does not count references to every array
 # of a model, which took ten times as long as the arithmetic. Fast arithmetic is off, as it would give one arm other
 # last digits than several abreast; what it gains most, `fused` gains too.
-FLAGS = {"cache": True, "_nrt": False, "error_model": "numpy"}
-kernel = numba.njit(**FLAGS)  # what Python calls
-released = numba.njit(**FLAGS, nogil=True)  # what Python calls in several threads
-inner = numba.njit(**FLAGS, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)  # what other kernels call
+FLAGS: dict[str, Any] = {"_nrt": False, "error_model": "numpy"}
+kernel = numba.njit(**FLAGS, cache=True)  # what Python calls
+released = numba.njit(**FLAGS, cache=True, nogil=True)  # what Python calls in several threads
+inner = numba.njit(  # what other kernels call; they cannot be called from Python
+    **FLAGS, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=InnerCompiler
+)
