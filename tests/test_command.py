@@ -1,0 +1,80 @@
+"""Command line, and the words while kernels compile."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import flexman_gym
+
+ROOT = Path(flexman_gym.__file__).parents[1]
+WORDS = "flexman_gym compiles its kernels"
+SMALL = """import numpy as np
+from flexman_gym.kernels.outputs import beyond, combine
+combine(np.ones((1, 1)), np.array([0, 1]), np.array([0]), np.ones(1), np.ones((1, 1)))
+beyond(np.ones((1, 1)), np.ones(1), np.ones((1, 1)), np.ones(1), np.zeros(1, dtype=np.int64))
+"""
+OTHER = """import numba, flexman_gym
+@numba.njit
+def one():
+    return 1
+one()
+"""
+
+
+def run(*arguments, cache=None, **settings):
+    """A Python process of its own, with the kernels of `cache` or else of this process."""
+    names = {key: value for key, value in os.environ.items() if key != "FLEXMAN_QUIET"}
+    environment = names | {"PYTHONPATH": str(ROOT)} | settings | ({"NUMBA_CACHE_DIR": str(cache)} if cache else {})
+    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, env=environment, timeout=600)
+
+
+def test_the_words_come_once_and_not_when_kernels_are_on_disk(tmp_path):
+    first, again = run("-c", SMALL, cache=tmp_path), run("-c", SMALL, cache=tmp_path)
+    assert first.stderr.count(WORDS) == 1 and len(first.stderr.splitlines()) == 1
+    assert str(tmp_path) in first.stderr
+    assert again.stderr == ""
+    assert first.returncode == again.returncode == 0 and first.stdout == again.stdout == ""
+
+
+def test_a_setting_silences_the_words(tmp_path):
+    assert run("-c", SMALL, cache=tmp_path, FLEXMAN_QUIET="1").stderr == ""
+
+
+def test_kernels_of_others_compile_without_words(tmp_path):
+    assert run("-c", OTHER, cache=tmp_path).stderr == ""
+
+
+def test_compile_says_what_it_does():
+    done = run("-m", "flexman_gym", "compile")
+    assert done.returncode == 0, done.stderr
+    assert all(words in done.stdout for words in ("one arm alone: ", "arms abreast: ", "ready after"))
+    assert done.stderr == ""
+
+
+def test_check_says_versions_kernels_and_steps():
+    run("-m", "flexman_gym", "compile", "one")
+    done = run("-m", "flexman_gym", "check")
+    assert done.returncode == 0, done.stderr
+    found = dict(line.split(": ", 1) for line in done.stdout.splitlines())
+    assert {
+        "python",
+        "flexman_gym",
+        "numba",
+        "numpy",
+        "scipy",
+        "gymnasium",
+        "processor",
+        "cache folder",
+    } <= found.keys()
+    assert found["kernels of one arm alone"] == "compiled"
+    assert found["vector registers"].endswith(" bits") and found["steps of FlexRRR-v0"].endswith(" a second")
+
+
+@pytest.mark.parametrize("wrong", [[], ["fly"], ["compile", "two"]])
+def test_a_wrong_command_is_refused(wrong):
+    done = run("-m", "flexman_gym", *wrong)
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].startswith("flexman")
