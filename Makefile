@@ -17,6 +17,7 @@ charts: .venv/installed
 	.venv/bin/python scripts/work_precision.py --folder docs
 	.venv/bin/python scripts/compare_peers.py --folder docs
 	.venv/bin/python scripts/stability.py --folder docs
+	.venv/bin/python scripts/ring_down.py --folder docs
 	.venv/bin/python scripts/fidelity.py
 
 benchmark: export OMP_NUM_THREADS = 1

@@ -28,7 +28,7 @@ class InitialVibration:
         most = stage.limits.deflection * model.constants.length[self._flexible].min()
         if span[1] > most:
             raise refusal(field, span, f"at most {most:.4g} (m), the limit of the deflection of a link")
-        self._shapes = [_bent(model, link) for link in range(model.n_joints)]
+        self._shapes = [bent_shape(model, link) for link in range(model.n_joints)]
         self._drawn = np.zeros((0, *self.shape))
 
     @staticmethod
@@ -53,7 +53,7 @@ class InitialVibration:
                 states[row, self._model.elastic_columns(link)] = shape @ tip
 
 
-def _bent(model: Model, link: int) -> Array:
+def bent_shape(model: Model, link: int) -> Array:
     """(k_i, 2) coordinates of a link per metre that a force on its tip deflects it along y and z."""
     constants = model.constants
     start, stop = constants.elastic_start[link : link + 2]

@@ -1,0 +1,127 @@
+"""Ring-down, measure: energy and tip of methods beside those of converged runs, as rows."""
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from flexman_gym.arrays import Array
+from flexman_gym.kernels import layout
+from flexman_gym.kernels.layout import IntArray
+from flexman_gym.model.model import Model
+from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.families import EXPLICIT
+from flexman_gym.simulation.methods import METHODS
+from flexman_gym.studies.methods import fixed_step_methods
+from flexman_gym.studies.ringdown.cases import PERIOD, SLEW, UNDAMPED, Cases, cases, default_model
+
+PARTS, FINE_PARTS = (1, 2, 3, 4, 8, 16), (20, 40, 80)  # steps in a control period; the latter of explicit methods
+REFERENCE, RTOL = "dop853", 1e-8
+FLOOR = 0.02  # of the energy at the start: what is left of less is not asked for more digits
+KINDS = ("release", "impulse", SLEW, UNDAMPED)
+
+
+@dataclass(frozen=True)
+class Row:
+    """Arms of one kind by one method and step.
+
+    Attributes:
+        kind: what the arms do; see `cases`.
+        code: whose arm it is.
+        method: of integration.
+        step: s.
+        cpu: seconds of the processor for a simulated second of one arm.
+        energy_median, energy_90, energy_99: percentiles of the energy error, relative to the energy that should be left
+            or 2 % of that at the start; infinite where an arm failed.
+        tip_median, tip_90, tip_95, tip_99: percentiles of the distance of the tip from the converged one at the end, m.
+        kept: median of the energy left at the end, as a part of that at the start.
+        failed: part of the arms that failed.
+    """
+
+    kind: str
+    code: str
+    method: str
+    step: float
+    cpu: float
+    energy_median: float
+    energy_90: float
+    energy_99: float
+    tip_median: float
+    tip_90: float
+    tip_95: float
+    tip_99: float
+    kept: float
+    failed: float
+
+
+class Outcome(NamedTuple):
+    """Tips (b, 3) m and energies (b,) J at the end, the largest energies of start and first period, status, seconds."""
+
+    tip: Array
+    energy: Array
+    first: Array
+    status: IntArray
+    seconds: float
+
+
+def moving_energy(batch: Batch) -> Array:
+    """Gives kinetic and elastic energy (b,) J."""
+    return batch.outputs[:, layout.KINETIC : layout.GRAVITATIONAL].sum(axis=1)
+
+
+def outcome(model: Model, each: Cases, method: str, step: float | None) -> Outcome:
+    """Moves arms by a method with a step (s), or by an adaptive one (None)."""
+    batch = Batch(model, method, step, PERIOD, RTOL, 1e-2 * RTOL, arms=len(each.states))
+    batch.reset(np.arange(len(each.states)), each.states)
+    first, started = moving_energy(batch), time.process_time()
+    for period, drive in enumerate(each.drives):
+        batch.step(drive)
+        if period == 0:
+            first = np.maximum(first, moving_energy(batch))
+    seconds = time.process_time() - started
+    tips = batch.outputs[:, layout.TIP].copy()
+    return Outcome(tips, moving_energy(batch), first, batch.status.copy(), seconds)
+
+
+def settings(method: str) -> Sequence[int]:
+    """Gives the numbers of steps in a control period that a method is tried with."""
+    return FINE_PARTS if METHODS[method].kind == EXPLICIT else PARTS
+
+
+def rows(kind: str, count: int, few: int) -> Iterator[Row]:
+    """Measures every method of fixed steps: those that move arms abreast on `count` arms, the others on a `few`."""
+    model, each = default_model(kind == UNDAMPED), cases(kind, count)
+    truth = outcome(model, each, REFERENCE, None)
+    if (truth.status != layout.OK).any():
+        raise RuntimeError(f"{kind}: the reference fails")
+    for method in fixed_step_methods():
+        many = count if METHODS[method].kind == "linearly implicit" else few
+        own = Cases(each.states[:many], each.drives[:, :many])
+        for parts in settings(method):
+            yield row(kind, method, PERIOD / parts, outcome(model, own, method, PERIOD / parts), truth)
+
+
+def row(kind: str, method: str, step: float, found: Outcome, truth: Outcome) -> Row:
+    """Compares arms with the first of the converged ones."""
+    b = len(found.tip)
+    failed = found.status != layout.OK
+    scale = np.maximum(truth.energy[:b], FLOOR * truth.first[:b])
+    energy = np.where(failed, np.inf, np.abs(found.energy - truth.energy[:b]) / scale)
+    tip = np.where(failed, np.inf, np.linalg.norm(found.tip - truth.tip[:b], axis=1))
+    shares = [percentile(energy, q) for q in (50, 90, 99)] + [percentile(tip, q) for q in (50, 90, 95, 99)]
+    kept = float(np.median(np.where(failed, np.nan, found.energy / np.maximum(found.first, 1e-12))))
+    return Row(kind, "flexman_gym", method, step, cost(found, kind, b), *shares, kept, float(failed.mean()))
+
+
+def cost(found: Outcome, kind: str, arms: int) -> float:
+    """Gives CPU seconds for a simulated second of one arm."""
+    from flexman_gym.studies.ringdown.cases import DURATION
+
+    return found.seconds / (arms * DURATION[kind])
+
+
+def percentile(values: Array, q: float) -> float:
+    """Gives a percentile that is one of the values, as some may be infinite."""
+    return float(np.percentile(values, q, method="lower"))

@@ -1,0 +1,47 @@
+"""Measures what methods leave of a released vibration: python scripts/ring_down.py --folder docs"""
+
+import argparse
+from pathlib import Path
+
+from flexman_gym.envs.setup import Setup, build
+from flexman_gym.studies.machine import machine_text
+from flexman_gym.studies.ringdown.cases import DURATION
+from flexman_gym.studies.ringdown.charts import draw
+from flexman_gym.studies.ringdown.measure import Row, rows
+from flexman_gym.studies.ringdown.page import page
+from flexman_gym.studies.table import read_comment, read_rows, write_rows
+
+ARMS, FEW, THEIRS = 128, 12, 6  # of methods in lanes, of others, and of MuJoCo
+
+
+def compute(quick: bool) -> list[Row]:
+    """Measures all kinds, or a few arms."""
+    arms, few, theirs = (9, 2, 1) if quick else (ARMS, FEW, THEIRS)
+    found = [row for kind in DURATION for row in rows(kind, arms, few)]
+    try:
+        from flexman_gym.studies.ringdown import mujoco
+    except ImportError:
+        print("MuJoCo is missing, so it is left out: pip install 'flexman_gym[peers]'")
+        return found
+    return [*found, *(() if quick else mujoco.rows(theirs))]
+
+
+def main() -> None:
+    """Reads the command line, measures, and writes rows, a picture and a page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="a few arms")
+    parser.add_argument("--redraw", action="store_true", help="only draw and write about the rows of an earlier run")
+    parser.add_argument("--folder", type=Path, default=Path("out"), help="where rows, picture and page go")
+    options = parser.parse_args()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    file = options.folder / "ring_down.csv"
+    if not options.redraw:
+        write_rows(compute(options.quick), file, comment=machine_text())
+    chosen, found = build(Setup()), read_rows(file, Row)
+    default = str(chosen.method), chosen.step
+    draw(found, options.folder, default)
+    (options.folder / "ring_down.md").write_text(page(found, read_comment(file), default), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
