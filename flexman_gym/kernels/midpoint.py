@@ -46,8 +46,8 @@ def midpoint_step(constants, work, sweeps, table, moment, state):
     With g = step / 2 the accelerations w in the middle solve M w = F(x, v) at v = v0 + g w and x = x0 + g v. A sweep
     takes M and F at the latest x and v, but springs and dampers at the w that it solves for, as a linearly implicit
     step does. The first one starts from w = 0: a step keeps nothing of those before it, so that a jump of the drive or
-    a new start needs no care. Accelerations of the step before would be no better guess for a vibration that turns by
-    more than a radian in a step, and are a hundred times too large for the stiffest.
+    a new start needs no care. Accelerations of the step before bring the tip at most a third nearer after a release:
+    they are a good guess in slow modes, but none in those that turn by more than a radian in a step.
     """
     d, (time, step) = len(state) // 2 - 1, moment
     g, w, x, v = 0.5 * step, work.rates, work.trial[:d], work.trial[d : 2 * d]
