@@ -1,6 +1,9 @@
 """Trajectory: the solution of a scene at its output times, with the audit of its energy."""
 
+import csv
+from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -57,6 +60,38 @@ class Trajectory:
         """The largest so far of kinetic + elastic energy, of work and of dissipation (T,), J."""
         parts = turnover(self.moving_energy, self.work, self.dissipation)
         return np.maximum.accumulate(parts)
+
+    def columns(self) -> dict[str, Array]:
+        """Gives all but the states: columns (T,) by name and unit, such as "tip_x (m)"; joints count from 1."""
+        joints = range(1, self.joint_angles.shape[1] + 1)
+        groups: tuple[tuple[str, str, Iterable[object], Array], ...] = (
+            ("tip", "m", "xyz", self.tip),
+            ("tip_velocity", "m/s", "xyz", self.tip_velocity),
+            ("deflection", "m", "xyz", self.deflection),
+            ("joint_angle", "rad", joints, self.joint_angles),
+            ("motor_angle", "rad", joints, self.motor_angles),
+        )
+        found = {"time (s)": self.time}
+        for name, unit, ends, values in groups:
+            for end, column in zip(ends, values.T, strict=True):
+                found[f"{name}_{end} ({unit})"] = column
+        for name in ("energy", "moving_energy", "work", "dissipation", "energy_residual"):
+            found[f"{name} (J)"] = getattr(self, name)
+        return found
+
+    def to_csv(self, path: str | Path) -> None:
+        """Writes `columns` to a file: a line of names and units, then a line for each output time.
+
+        Numbers have all their digits, so that reading them gives the same numbers.
+
+        Raises:
+            OSError: where the file cannot be written.
+        """
+        columns = self.columns()
+        with Path(path).open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(columns)
+            writer.writerows(np.column_stack(list(columns.values())).tolist())
 
     def energy_alarm(self, level: float = ENERGY_ALARM) -> float | None:
         """Gives the first time (s) at which the energy residual is too large, or None.

@@ -10,7 +10,9 @@ from flexman_gym.scene.arm import Payload
 from flexman_gym.scene.catalog import one_link, paper_rrr, paper_scene, planar_2r
 from flexman_gym.scene.scene import Scene
 
-from oracles.files import REFERENCE
+from oracles.files import REFERENCE, ROOT
+
+PAPER_SCENE = ROOT / "docs" / "examples" / "paper_ff.yaml"
 
 # The reference scenes hold the printed area of link 1 and that of `one_link`, which no section can have.
 pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")
@@ -45,6 +47,23 @@ def test_the_catalogue_warns_of_nothing():
     one_link(), planar_2r()
     for case in ("rr", "fr", "ff"):
         assert paper_scene(case).arm == paper_rrr()
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("suffix", ["json", "yaml"])
+def test_a_saved_arm_of_the_catalogue_loads_without_a_warning(suffix, tmp_path):
+    scenes = [paper_scene(), Scene.load(REFERENCE / "pendulum_1.json"), Scene.load(PAPER_SCENE)]
+    for scene in scenes:
+        scene.save(tmp_path / f"scene.{suffix}")
+        assert Scene.load(tmp_path / f"scene.{suffix}") == scene
+    assert scenes[2] == scenes[0], "docs/examples has another scene than the catalogue"
+
+
+def test_a_section_in_a_file_that_is_nearly_the_catalogues_is_warned_of(tmp_path):
+    data = paper_scene().to_dict()
+    data["arm"]["links"][0]["area"] = 0.029
+    with pytest.warns(UserWarning, match=r"^Link\.second_moment_y \+ second_moment_z: "):
+        Scene.from_dict(data)
 
 
 def test_only_the_corrected_area_of_link_1_fits_its_polar_moment():

@@ -1,5 +1,6 @@
-"""Trajectory: the audit of energy rings where an integrator invents or loses it, and stays silent where it does not."""
+"""Trajectory: the audit of energy rings where an integrator invents or loses it, and only there; a file keeps it."""
 
+import csv
 from dataclasses import replace
 
 import numpy as np
@@ -53,3 +54,20 @@ def test_the_environment_raises_it_too():
         residual, turnover = infos[-1]["energy_residual"], env.simulator.energy_turnover
         assert alarms[step][-1] == (abs(residual) > level * turnover)
     assert not any(alarms[0.005]) and any(alarms[0.02])
+
+
+def test_a_csv_file_gives_every_number_back_under_its_name_and_unit(tmp_path):
+    found = fm.simulate(replace(SCENE, duration=0.1))
+    found.to_csv(tmp_path / "run.csv")
+    with (tmp_path / "run.csv").open(newline="") as file:
+        head, *lines = csv.reader(file)
+    table = dict(zip(head, np.array(lines, dtype=float).T, strict=True))
+    assert head[:4] == ["time (s)", "tip_x (m)", "tip_y (m)", "tip_z (m)"] and len(table) == len(head) == 21
+    assert np.array_equal(table["time (s)"], found.time)
+    assert np.array_equal(table["tip_velocity_z (m/s)"], found.tip_velocity[:, 2])
+    assert np.array_equal(table["deflection_y (m)"], found.deflection[:, 1])
+    for joint in range(3):
+        assert np.array_equal(table[f"joint_angle_{joint + 1} (rad)"], found.joint_angles[:, joint])
+        assert np.array_equal(table[f"motor_angle_{joint + 1} (rad)"], found.motor_angles[:, joint])
+    for name in ("energy", "moving_energy", "work", "dissipation", "energy_residual"):
+        assert np.array_equal(table[f"{name} (J)"], getattr(found, name))
