@@ -1,0 +1,129 @@
+"""Statics: an arm rests where nothing accelerates, and a beam sags as published formulas say."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import flexman_gym as fm
+from flexman_gym.envs.setup import setup_of
+from flexman_gym.kernels import layout, outputs
+from flexman_gym.model.statics import rest_tips
+
+from oracles.chains import QUICK, Sample, random_joint, random_link, samples
+from oracles.refusals import refusal
+
+WEIGHT = 9.81
+
+
+def cantilever(load, elements=3, gravity=(0.0, -WEIGHT, 0.0), stiffness=None):
+    """A beam along +X on a locked motor, with a point mass (kg) at its end, that sags in its plane."""
+    link = fm.Link(1.5, 4e-4, 1e-7, 5e-9, 2e-8, youngs_modulus=70e9, shear_modulus=26e9, density=2700.0)
+    joint = fm.Joint((0.0, 0.0, 1.0), 0.1, stiffness)
+    return fm.build_model(fm.Arm([link], [joint], fm.Payload(load) if load else None, gravity), elements)
+
+
+def observed(model, state):
+    """The output row of the kernels at a state."""
+    row = np.zeros(layout.OUTPUTS)
+    x, v = np.split(state, 2)
+    outputs.observe(model.constants, layout.make_work(model.constants), x, v, row)
+    return row
+
+
+@settings(QUICK, max_examples=25)
+@given(samples(most_links=3, stiffening=None), st.integers(0, 100))
+def test_nothing_accelerates_at_rest_under_the_holding_torques(sample, seed):
+    """By the dense equations of the oracle; a fifth of the earth's gravity, which all of these springs can hold."""
+    rng = np.random.default_rng(seed)
+    sample = Sample(replace(sample.arm, gravity=rng.uniform(-2.0, 2.0, 3)), *list(vars(sample).values())[1:8])
+    model, n = sample.model, len(sample.arm.links)
+    angles = rng.uniform(-3.0, 3.0, n)
+    state, torques = fm.rest_state(model, angles), fm.holding_torques(model, angles)
+    x, v = np.split(state, 2)
+    assert np.array_equal(state[model.motor_columns], angles) and not v.any()
+    mass = sample.chain.mass_matrix(x)
+    scale = np.sqrt(np.diag(mass))
+    found = mass @ sample.chain.acceleration(x, v, torques) / scale
+    falling = mass @ sample.chain.acceleration(model.initial_state(angles)[: model.n_dof], v, np.zeros(n)) / scale
+    assert np.abs(found).max() <= 1e-8 * np.abs(falling).max()
+
+
+@pytest.mark.parametrize(("load", "elements"), [(0.0, 1), (0.3, 1), (0.1, 2), (0.4, 4)])
+def test_a_cantilever_sags_by_the_formulas_of_its_load_and_of_its_own_weight(load, elements):
+    """P L^3 / 3 EI + w L^4 / 8 EI, exact at the nodes of beam elements; its clamp holds P L + w L^2 / 2."""
+    model = cantilever(load, elements)
+    link = model.arm.links[0]
+    length, rigidity = link.length, link.youngs_modulus * link.second_moment_z
+    weight, spread = load * WEIGHT, link.density * link.area * WEIGHT
+    sag = weight * length**3 / (3 * rigidity) + spread * length**4 / (8 * rigidity)
+    tip = observed(model, fm.rest_state(model, [0.0]))[layout.TIP]
+    assert tip == pytest.approx([length, -sag, 0.0], rel=1e-3, abs=1e-9)
+    moment = weight * length + spread * length**2 / 2
+    assert fm.holding_torques(model, [0.0]) == pytest.approx([moment], rel=1e-3)
+
+
+def test_a_small_sag_is_the_formula_to_nine_digits():
+    """A thousandth of a thousandth of the weight, so that nothing of second order is left."""
+    model = cantilever(0.3, gravity=(0.0, -1e-6 * WEIGHT, 0.0))
+    link = model.arm.links[0]
+    rigidity, length = link.youngs_modulus * link.second_moment_z, link.length
+    sag = 0.3 * length**3 / (3 * rigidity) + link.density * link.area * length**4 / (8 * rigidity)
+    expected = -1e-6 * WEIGHT * sag
+    assert observed(model, fm.rest_state(model, [0.0]))[layout.TIP][1] == pytest.approx(expected, rel=1e-9)
+
+
+@given(st.floats(-3.0, 3.0), st.floats(50.0, 5000.0))
+def test_a_spring_gives_way_until_it_holds_the_weight(angle, stiffness):
+    """A rigid link on a spring: stiffness (motor - joint) = m g l / 2 cos(joint); the motor holds the same moment."""
+    model = fm.build_model(cantilever(0.0, stiffness=stiffness).arm, 1, flexible_links=False)
+    joint = fm.rest_state(model, [angle])[0]
+    link = model.arm.links[0]
+    moment = link.mass * WEIGHT * link.length / 2 * np.cos(joint)
+    assert stiffness * (angle - joint) == pytest.approx(moment, abs=1e-9)
+    assert fm.holding_torques(model, [angle]) == pytest.approx([moment], abs=1e-9)
+
+
+@settings(QUICK, max_examples=15)
+@given(samples(most_links=4), st.integers(0, 100))
+def test_without_gravity_an_arm_rests_undeformed_and_needs_no_torques(sample, seed):
+    model = Sample(replace(sample.arm, gravity=(0.0,) * 3), *list(vars(sample).values())[1:8]).model
+    angles = np.random.default_rng(seed).uniform(-3.0, 3.0, model.n_joints)
+    state = fm.rest_state(model, angles)
+    assert np.array_equal(state, model.initial_state(angles))
+    assert not state[model.n_joints + model.n_motors :].any()
+    assert np.abs(fm.holding_torques(model, angles)).max() <= 1e-10  # springs of 1e4 N m/rad between equal angles
+
+
+def test_a_vertical_column_bends_nowhere():
+    model = cantilever(0.3, gravity=(0.0, -WEIGHT, 0.0))
+    tip = observed(model, fm.rest_state(model, [np.pi / 2]))[layout.TIP]
+    assert tip[0] == pytest.approx(0.0, abs=1e-9) and tip[1] == pytest.approx(1.5, abs=1e-5)
+    assert fm.holding_torques(model, [np.pi / 2]) == pytest.approx([0.0], abs=1e-9)
+
+
+def test_tips_at_rest_are_those_of_the_states_at_rest():
+    model = cantilever(0.2, stiffness=500.0)
+    postures = np.array([[-1.0], [0.0], [0.7]])
+    expected = [observed(model, fm.rest_state(model, posture))[layout.TIP] for posture in postures]
+    assert np.array_equal(rest_tips(model, postures), expected)
+
+
+def test_the_vertical_arm_sags_by_some_seven_centimetres():
+    """As its docstring says."""
+    model = fm.build_model(fm.catalog.vertical_2r())
+    assert rest_tips(model, np.zeros((1, 2)))[0][2] == pytest.approx(-0.07, abs=0.015)
+    limits = setup_of({"name": "FlexPlanar-v0"}).torque_limit
+    assert (np.abs(fm.holding_torques(model, [0.0, 0.0])) < 0.7 * np.array(limits)).all()
+
+
+def test_wrong_angles_and_arms_that_are_too_soft_are_refused_in_one_line():
+    model = cantilever(0.3)
+    assert refusal(fm.rest_state, model, [0.0, 1.0]).startswith("motor_angles: [0.0, 1.0] is not allowed; give 1 numb")
+    assert refusal(fm.holding_torques, model, [np.nan]).startswith("motor_angles[0]: nan is not allowed; give a finite")
+    rng = np.random.default_rng(0)
+    soft = fm.Arm([random_link(rng)], [replace(random_joint(rng, True), stiffness=1.0)], gravity=(0.0, 0.0, -9.81))
+    line = refusal(fm.rest_state, fm.build_model(soft, 1), [0.3])
+    assert line == "motor_angles: [0.3] is not allowed; give an arm that its springs can hold under its weight"
