@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 import flexman_gym  # noqa: F401  registers the environments
 from flexman_gym.control import PD, Controller
 from flexman_gym.envs.sensors import SENSORS
+from flexman_gym.model import holding_torques
 
 numbers = st.floats(-10, 10)
 
@@ -43,6 +44,22 @@ def test_pd_takes_energy_out_of_a_swinging_arm_that_is_already_at_its_posture():
         readings = {name: observation[place] for name, place in env.sensors.slices.items()}
         observation, *_ = env.step(pd.act(readings))
     assert env.simulator.energy < 0.5 * disturbed
+
+
+def test_pd_with_gravity_holds_an_arm_at_rest_where_it_is():
+    """What it adds is what holds the goal posture, of each arm its own; without it the arm sinks."""
+    arms = gym.make_vec("FlexPlanar-v0", 3, "vector_entry_point", base="pd", autoreset_mode="Disabled").unwrapped
+    postures = np.array([[0.0, 0.0], [0.5, -0.8], [-0.7, 0.3]])
+    arms.reset(seed=0, options={"start": postures, "posture": postures})
+    for _ in range(100):
+        *_, infos = arms.step(np.zeros((3, 2)))
+    assert (infos["tip_error"] < 1e-6).all()  # actions are single precision
+    held = np.array([holding_torques(arms.batch.model, posture) for posture in postures])
+    assert arms.episodes.view.action == pytest.approx(held / arms.torque_limit, abs=1e-6)
+    arms.episodes.base.gravity_model = None
+    for _ in range(100):
+        *_, infos = arms.step(np.zeros((3, 2)))
+    assert (infos["tip_error"] > 0.05).all()
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,131 @@
+"""LQR: stable about its goal, exact at rest, within the limits, and the same for an arm alone and among many."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import flexman_gym as fm
+from flexman_gym.control import LQR, Controller, TrackingLQR
+from flexman_gym.control.discrete import Weights, zero_order_hold
+from flexman_gym.envs.catalog import NAMED
+from flexman_gym.envs.sensors import SENSORS
+from flexman_gym.envs.setup import build, setup_of
+
+from oracles.refusals import refusal
+
+ALL = np.arange(3)
+
+
+def designed(kind, name="FlexPlanar-v0"):
+    """A controller of the arm of a named environment."""
+    setup = setup_of({"name": name})
+    return kind(build(setup).model, setup.torque_limit, setup.control_period)
+
+
+def postures(controller, count, seed=0):
+    """Starts and goals (count, n) rad."""
+    return np.random.default_rng(seed).uniform(-0.8, 0.8, (2, count, controller.model.n_joints))
+
+
+@pytest.mark.parametrize("name", sorted(NAMED))
+def test_the_sampled_closed_loop_is_stable_at_any_posture(name):
+    lqr = designed(LQR, name)
+    for posture in postures(lqr, 2)[0]:
+        state, held = fm.rest_state(lqr.model, posture), fm.holding_torques(lqr.model, posture)
+        transition, inputs = zero_order_hold(fm.linearize(lqr.model, state=state, torque=held), lqr.period)
+        open_loop, closed = (
+            np.abs(np.linalg.eigvals(transition - inputs @ gain)).max()
+            for gain in (np.zeros((len(held), len(state))), lqr.gain(posture))
+        )
+        assert closed < 0.9999 and open_loop > 0.9999
+
+
+@pytest.mark.parametrize("kind", [LQR, TrackingLQR])
+def test_an_arm_at_rest_on_its_goal_is_held_and_nothing_else(kind):
+    controller = designed(kind)
+    goals = postures(controller, 3)[1]
+    controller.reset(ALL, goals, goals)
+    states = np.array([fm.rest_state(controller.model, goal) for goal in goals])
+    held = np.array([fm.holding_torques(controller.model, goal) for goal in goals])
+    for _ in range(3):
+        assert controller.act({"state": states}) == pytest.approx(held / controller.limits, abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", [LQR, TrackingLQR])
+def test_an_arm_among_many_gets_what_an_arm_alone_gets_to_the_bit(kind):
+    many, rng = designed(kind), np.random.default_rng(3)
+    starts, goals = postures(many, 3)
+    many.reset(ALL, starts, goals)
+    singles = [designed(kind) for _ in ALL]
+    for single, start, goal in zip(singles, starts, goals, strict=True):
+        single.reset(np.array([0]), start[None], goal[None])
+    for _ in range(5):
+        states = 0.1 * rng.standard_normal((3, 2 * many.model.n_dof))
+        actions = many.act({"state": states})
+        for action, single, state in zip(actions, singles, states, strict=True):
+            assert np.array_equal(single.act({"state": state}), action)
+        assert (np.abs(actions) <= 1.0).all() and actions.shape == (3, 2)
+
+
+@pytest.mark.parametrize("kind", [LQR, TrackingLQR])
+def test_a_new_episode_of_one_arm_changes_nothing_for_the_others(kind):
+    one, other = designed(kind), designed(kind)
+    starts, goals = postures(one, 3)
+    for each in (one, other):
+        each.reset(ALL, starts, goals)
+    states = np.array([fm.rest_state(one.model, start) for start in starts])
+    for _ in range(4):
+        assert np.array_equal(one.torques(states), other.torques(states))
+    one.reset(np.array([1]), goals[1:2], starts[1:2])
+    again, before = one.torques(states), other.torques(states)
+    assert np.array_equal(again[[0, 2]], before[[0, 2]]) and (again[1] != before[1]).any()
+    fresh = designed(kind)
+    fresh.reset(np.array([0]), goals[1:2], starts[1:2])
+    assert np.array_equal(fresh.torques(states[1:2])[0], again[1]), "it begins at the beginning"
+
+
+def test_on_its_plan_the_tracking_one_only_feeds_forward():
+    """Following the planned states to the digit it gives the planned torques, then those that hold."""
+    controller = designed(TrackingLQR)
+    starts, goals = postures(controller, 1)
+    controller.reset(np.array([0]), starts, goals)
+    states, torques, gains = controller._plans[0]
+    assert len(torques) == len(states) and len(gains) == 3
+    for state, torque in zip(states, torques, strict=True):
+        assert np.array_equal(controller.act({"state": state}), torque / controller.limits)
+    assert torques[-1] == pytest.approx(fm.holding_torques(controller.model, goals[0]))
+
+
+@pytest.mark.parametrize("name", sorted(NAMED))
+def test_the_tracking_one_stops_the_arm_where_it_should_be(name):
+    """Alone, in an environment that lasts 6 s: what is left is far below a thousandth of the reach."""
+    env = gym.make(name, base="lqr-tracking", horizon=6.0).unwrapped
+    _, info = env.reset(seed=9000)
+    first, zero, ended = info["tip_error"], np.zeros(env.action_space.shape), False
+    while not ended:
+        _, _, failed, ended, info = env.step(zero)
+        assert not failed
+    assert info["tip_error"] < 1e-4 * env.episodes.view.reach < 0.01 * first
+    assert info["tip_vibration"] < 1e-4 * env.episodes.view.reach
+
+
+def test_they_are_controllers_that_read_the_state():
+    for kind in (LQR, TrackingLQR):
+        assert isinstance(designed(kind, "FlexOne-v0"), Controller) and set(kind.sensors) <= set(SENSORS)
+
+
+def test_weights_are_parts_of_the_reach():
+    """The same weights in metres, given by hand."""
+    model, limits = build(setup_of({})).model, (400.0,) * 3
+    posture = np.array([0.1, 0.2, -0.3])
+    assert np.array_equal(
+        LQR(model, limits, 0.02).gain(posture), LQR(model, limits, 0.02, Weights(0.2, 1.0, 0.5)).gain(posture)
+    )
+
+
+def test_bad_arguments_are_refused_in_one_line():
+    model = build(setup_of({"name": "FlexOne-v0"})).model
+    assert refusal(LQR, "arm", 1.0, 0.02) == "model: 'arm' is not allowed; give a Model, from build_model"
+    assert refusal(LQR, model, -1.0, 0.02).startswith("torque_limit: -1.0 is not allowed; give a finite number > 0")
+    assert refusal(TrackingLQR, model, (1.0, 2.0), 0.02).startswith("torque_limit: (1.0, 2.0) is not allowed; give 1")
+    assert refusal(LQR, model, 1.0, 0).startswith("period: 0 is not allowed; give a finite number > 0 (s)")
