@@ -13,6 +13,7 @@ from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 
 from oracles.episodes import EVERYTHING, actions
+from oracles.equality import same
 
 MODES = tuple(AutoresetMode)
 SHORT = {"max_episode_steps": 30, "limits": fm.Limits(rate=2.5)}  # episodes that end either way
@@ -22,22 +23,6 @@ def pair(arms, mode=AutoresetMode.NEXT_STEP, **settings):
     """The vector environment and Gymnasium's of as many single ones."""
     ours = gym.make_vec("FlexRRR-v0", arms, "vector_entry_point", autoreset_mode=mode, **settings)
     return ours, gym.make_vec("FlexRRR-v0", arms, "sync", vector_kwargs={"autoreset_mode": mode}, **settings)
-
-
-def same(found, expected, name=""):
-    """Asserts the same keys, types, shapes and bits."""
-    assert type(found) is type(expected), name
-    if isinstance(found, dict):
-        assert found.keys() == expected.keys(), name
-        for key in found:
-            same(found[key], expected[key], f"{name} {key}")
-        return
-    assert found.dtype == expected.dtype and found.shape == expected.shape, name
-    if found.dtype == object:
-        for one, other in zip(found, expected, strict=True):
-            assert type(one) is type(other) and np.array_equal(one, other), name
-    else:
-        assert np.array_equal(found, expected), name
 
 
 @pytest.mark.parametrize(

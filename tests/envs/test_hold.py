@@ -1,0 +1,228 @@
+"""Hold and base: an agent's part that is kept for some control periods, and a controller that acts in each of them."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+import flexman_gym as fm
+from flexman_gym.control import PD
+from flexman_gym.envs.env import FlexManEnv
+from flexman_gym.envs.sensors import FullState
+
+from oracles.episodes import EVERYTHING, actions
+from oracles.equality import same
+from oracles.refusals import refusal
+
+MODES = tuple(AutoresetMode)
+TIGHT = fm.Limits(rate=2.5)
+
+
+def told(result):
+    """Observation, terminated, truncated and info: all but the reward, which is a mean."""
+    return result[0], *result[2:]
+
+
+def equal(one, other):
+    """Asserts that two results are the same to the bit."""
+    for found, expected in zip(one, other, strict=True):
+        if isinstance(found, dict):
+            assert found.keys() == expected.keys()
+            equal(found.values(), expected.values())
+        else:
+            assert np.array_equal(found, expected)
+
+
+class Recorder:
+    """A base controller that keeps what it was given and asks for the same of all arms."""
+
+    sensors = ("full",)
+
+    def __init__(self, asked=0.0, sensors=("full",)):
+        self.asked, self.sensors, self.readings, self.resets = asked, sensors, [], []
+
+    def reset(self, arms, start, posture):
+        self.resets.append((arms.copy(), start.copy(), posture.copy()))
+
+    def act(self, readings):
+        self.readings.append({name: value.copy() for name, value in readings.items()})
+        return np.full((len(next(iter(readings.values()))), 3), self.asked)
+
+
+@pytest.mark.parametrize("base", [None, "pd"])
+@pytest.mark.parametrize("randomisation", [None, EVERYTHING], ids=["plain", "randomised"])
+@pytest.mark.parametrize("hold", [2, 5])
+def test_a_held_action_is_the_same_action_so_many_times(hold, base, randomisation):
+    """Reward is the mean of the periods played, all else that of the last; episodes end when they end."""
+    settings = {"limits": TIGHT, "base": base, "randomisation": randomisation, "horizon": 0.6}
+    held, each = FlexManEnv(hold=hold, **settings), FlexManEnv(**settings)
+    equal(held.reset(seed=7), each.reset(seed=7))
+    ends = {"failed": 0, "failed on the way": 0, "truncated": 0}
+    for action in actions(1, 150):
+        result, rewards = held.step(action[0]), []
+        while len(rewards) < hold:
+            last = each.step(action[0])
+            rewards.append(last[1])
+            if last[2] or last[3]:
+                break
+        assert result[1] == pytest.approx(np.mean(rewards), rel=1e-12)
+        equal(told(result), told(last))
+        ends["failed"] += last[2]
+        ends["failed on the way"] += last[2] and len(rewards) < hold
+        ends["truncated"] += last[3]
+        if last[2] or last[3]:
+            equal(held.reset(), each.reset())
+    assert all(ends.values()), ends
+
+
+@pytest.mark.parametrize(
+    ("hold", "mode", "settings"),
+    [
+        *((3, mode, {"base": "pd"}) for mode in MODES),
+        *((5, mode, {"base": "pd", "randomisation": EVERYTHING}) for mode in MODES),
+        (1, MODES[0], {"base": "pd", "randomisation": EVERYTHING}),
+        (1, MODES[1], {"base": "pd"}),
+        (5, MODES[0], {"sensors": ("full", "fine"), "task": fm.Slew(reward="distance")}),
+        (5, MODES[2], {}),
+    ],
+    ids=lambda value: "-".join(value) if isinstance(value, dict) else str(value),
+)
+def test_it_is_many_single_environments_bit_for_bit(hold, mode, settings):
+    settings = {"hold": hold, "limits": TIGHT, "horizon": 0.5, **settings}
+    ours = gym.make_vec("FlexRRR-v0", 3, "vector_entry_point", autoreset_mode=mode, **settings)
+    theirs = gym.make_vec("FlexRRR-v0", 3, "sync", vector_kwargs={"autoreset_mode": mode}, **settings)
+    for found, expected in zip(ours.reset(seed=5), theirs.reset(seed=5), strict=True):
+        same(found, expected, "reset")
+    terminated = truncated = 0
+    for step, action in enumerate(actions(3, 200)):
+        result = ours.step(action)
+        for found, expected in zip(result, theirs.step(action), strict=True):
+            same(found, expected, f"step {step}")
+        terminated, truncated = terminated + result[2].sum(), truncated + result[3].sum()
+        ended = result[2] | result[3]
+        if mode == AutoresetMode.DISABLED and ended.any():
+            both = (env.reset(options={"reset_mask": ended.copy()}) for env in (ours, theirs))
+            for found, expected in zip(*both, strict=True):
+                same(found, expected, f"{step} reset")
+    assert terminated and truncated, "both ways to end were seen"
+
+
+@pytest.mark.parametrize("name", ["FlexRRR-v0", "FlexPlanar-v0", "FlexOne-v0"])
+@pytest.mark.parametrize("base", ["pd", "lqr", "lqr-tracking"])
+def test_every_base_gives_the_same_bits_to_one_arm_and_to_many(base, name):
+    settings = {"base": base, "hold": 2, "horizon": 0.08 if name == "FlexPlanar-v0" else 0.16}  # 4 steps
+    arms = gym.make_vec(name, 2, "vector_entry_point", autoreset_mode="SameStep", **settings)
+    singles = gym.make_vec(name, 2, "sync", vector_kwargs={"autoreset_mode": AutoresetMode.SAME_STEP}, **settings)
+    for found, expected in zip(arms.reset(seed=2), singles.reset(seed=2), strict=True):
+        same(found, expected, "reset")
+    random, ends = np.random.default_rng(0), 0
+    for step in range(7):
+        action = random.uniform(-0.3, 0.3, arms.action_space.shape).astype(np.float32)
+        result = arms.step(action)
+        for found, expected in zip(result, singles.step(action), strict=True):
+            same(found, expected, f"step {step}")
+        ends += np.sum(result[2] | result[3])
+    assert ends >= 2, "new episodes of the base were seen"
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_held_action_never_reaches_the_next_episode(mode):
+    """Episodes of 0.1 s, steps of three periods: the second step has two; then the arm is as reset and at rest."""
+    env = gym.make_vec(
+        "FlexRRR-v0", 2, "vector_entry_point", hold=3, horizon=0.1, autoreset_mode=mode, base=(base := Recorder())
+    ).unwrapped
+    rates = env.sensors.slices["motor_rates"]
+    env.reset(seed=0)
+    full = np.ones((2, 3), dtype=np.float32)
+    env.step(full)
+    seen, _, _, truncated, infos = env.step(full)
+    assert truncated.all() and len(base.readings) == 5, "a base acts in each period that is played"
+    if mode == AutoresetMode.SAME_STEP:
+        assert (np.stack(infos["final_obs"])[:, rates] > 0).all()
+    if mode == AutoresetMode.DISABLED:
+        seen, _ = env.reset(options={"reset_mask": truncated})
+    if mode == AutoresetMode.NEXT_STEP:
+        seen, rewards, *_ = env.step(full)
+        assert not rewards.any()
+    assert not seen[:, rates].any() and env.batch.time.tolist() == [0.0, 0.0]
+    assert not env.episodes.view.action.any() and len(base.resets) == 2
+    *_, infos = env.step(np.zeros((2, 3)))
+    assert (infos["reward_terms"]["effort"] == 0.1).all(), "no torque was asked for since the reset"
+
+
+def test_a_horizon_that_is_no_multiple_of_the_hold_ends_the_episode_when_it_is_over():
+    env = FlexManEnv(hold=4, horizon=0.2)
+    env.reset(seed=0)
+    ends = [env.step(np.zeros(3))[3] for _ in range(3)]
+    assert ends == [False, False, True] and env.simulator.time == pytest.approx(0.2)
+    arms = gym.make_vec("FlexRRR-v0", 1, "vector_entry_point", hold=4, horizon=0.2)
+    assert arms.unwrapped.max_episode_steps == 3
+
+
+# The base
+
+
+@pytest.mark.parametrize("sensors", ["fine", ("full", "fine"), (FullState(),)])
+def test_a_base_gets_the_sensors_that_it_names_whatever_the_agent_sees(sensors):
+    bases = [Recorder(sensors=("full",)), Recorder(sensors=("full",))]
+    envs = [FlexManEnv(base=bases[0]), FlexManEnv(base=bases[1], sensors=sensors)]
+    for env in envs:
+        env.reset(seed=1)
+        for action in actions(1, 5):
+            env.step(action[0])
+    for one, other in zip(bases[0].readings, bases[1].readings, strict=True):
+        assert one.keys() == other.keys() == set(envs[0].sensors.slices)
+        assert all(np.array_equal(one[name], other[name]) for name in one)
+
+
+def test_a_base_sees_the_truth_of_the_moment_and_learns_of_every_episode():
+    base = Recorder()
+    env = FlexManEnv(base=base, hold=2, randomisation={"sensor_noise": (0.01, 0.01)})
+    _, info = env.reset(seed=1)
+    ((arms, start, posture),) = base.resets
+    assert arms.tolist() == [0] and np.array_equal(posture[0], info["posture"])
+    assert np.array_equal(start[0], env.episodes.view.plan["start"][0])
+    env.step(np.ones(3))
+    assert np.array_equal(base.readings[0]["motor_angles"][0], start[0]), "no noise"
+    assert (base.readings[1]["motor_rates"] > 0).all(), "the second period starts where the first ended"
+
+
+@pytest.mark.parametrize(("asked", "given", "sum_"), [(0.8, 0.8, 1.0), (-0.7, -0.6, -1.0), (0.5, -0.25, 0.25)])
+def test_base_and_action_add_up_and_saturate(asked, given, sum_):
+    together, alone = FlexManEnv(base=Recorder(asked)), FlexManEnv()
+    for env in (together, alone):
+        env.reset(seed=3)
+    for _ in range(10):
+        equal(together.step(np.full(3, given)), alone.step(np.full(3, sum_)))
+    assert together.episodes.view.action.tolist() == [[sum_] * 3]
+
+
+def test_a_base_by_name_is_the_controller_itself():
+    """With a zero action, the same bits as its own object as a base; the effort is what both ask for."""
+    named, own = FlexManEnv(base="pd"), FlexManEnv()
+    pd = own.setup.pd(own.simulator.model)
+    own = FlexManEnv(base=pd)
+    assert isinstance(named.episodes.base, PD)
+    for env in (named, own):
+        env.reset(seed=3)
+    for _ in range(20):
+        one = named.step(np.zeros(3))
+        equal(one, own.step(np.zeros(3)))
+        effort = np.mean(named.episodes.view.action**2)
+        assert one[4]["reward_terms"]["effort"] == pytest.approx(0.1 * (1 - effort))
+
+
+@pytest.mark.parametrize(
+    ("settings", "line"),
+    [
+        ({"hold": 0}, "hold: 0 is not allowed; give a whole number from 1 to 1000"),
+        ({"hold": 2.5}, "hold: 2.5 is not allowed; give a whole number from 1 to 1000"),
+        ({"base": "lqg"}, "base: 'lqg' is not allowed; give one of pd, lqr, lqr-tracking"),
+        ({"base": PD}, "base: <class 'flexman_gym.control.pd.PD'> is not allowed; give None, one of pd, lqr, lqr-trac"),
+        ({"base": 3}, "base: 3 is not allowed; give None, one of pd, lqr, lqr-tracking, or a Controller: an object"),
+        ({"base": "pd", "arm": fm.catalog.one_joint()}, "arm: '1 links' is not allowed; give one of the links of"),
+        ({"base": Recorder(sensors=("nose",))}, "sensors: 'nose' is not allowed; give one of full, fine, state"),
+    ],
+)
+def test_bad_ones_are_refused_in_one_line(settings, line):
+    assert refusal(lambda: FlexManEnv(**settings)).startswith(line)
