@@ -1,0 +1,146 @@
+"""Settings: from mappings, files and the record of a run; what is wrong is named in one line."""
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from flexman_agents.recipes import FOLDER, NAMES, find_recipe
+from flexman_agents.seeds import SELECTION, TEST, TRAINING, training_seed
+from flexman_agents.settings import ENVS, MOST_ENVS, MOST_SEED, Schedule, Settings
+from flexman_gym.envs.catalog import flex_rrr
+from flexman_gym.scene import file
+
+from oracles.refusals import refusal
+
+ENVIRONMENT = {"id": "FlexPlanar-v0", "base": "pd", "hold": 5, "sensors": ["full", "fine"], "horizon": 1.0}
+RECIPE = {
+    "algo": "sac", "environment": ENVIRONMENT, "steps": 64, "seed": 7, "envs": 2,
+    "hyperparameters": {"gamma": 0.98}, "schedules": {"learning_rate": {"start": 1e-3, "end": 0.0}},
+    "normalise_reward": False,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", [".yaml", ".yml", ".json"])
+def test_settings_come_from_a_file_and_back_from_the_record_of_a_run(tmp_path, suffix):
+    path = tmp_path / f"recipe{suffix}"
+    file.write(path, RECIPE)
+    settings = find_recipe(str(path))
+    assert settings == Settings(**RECIPE) == Settings.recipe(path)
+    kept = json.dumps(settings.plain() | {"versions": {}})
+    assert Settings.from_json(path, kept) == settings
+    assert settings.environment["arm"]["payload"]["mass"] == 0.1, "the whole arm is kept"
+    setup = settings.description.setup()
+    assert (setup.hold, setup.base, len(setup.sensors), setup.horizon) == (5, "pd", 2, 1.0)
+
+
+def test_an_arm_in_a_file_is_found_beside_the_recipe_and_kept_without_it(tmp_path):
+    file.write(tmp_path / "arm.yaml", Settings(**RECIPE).plain()["environment"]["arm"] | {"payload": {"mass": 0.25}})
+    file.write(tmp_path / "recipe.yaml", RECIPE | {"environment": {"id": "FlexPlanar-v0", "arm": "arm.yaml"}})
+    settings = Settings.recipe(tmp_path / "recipe.yaml")
+    (tmp_path / "arm.yaml").unlink()
+    assert settings.description.setup().arm.payload.mass == 0.25
+
+
+def test_what_is_left_out_is_the_default():
+    settings = Settings()
+    assert (settings.algo, settings.steps, settings.seed, settings.normalise_reward) == ("ppo", 1_000_000, 0, True)
+    assert settings.envs == ENVS["ppo"] and Settings(algo="sac").envs == ENVS["sac"]
+    assert settings.description.id == "FlexRRR-v0" and settings.description.setup().arm == flex_rrr()
+
+
+def test_another_seed_changes_nothing_else():
+    settings = Settings(**RECIPE)
+    other = settings.with_seed(8)
+    assert other.seed == 8 and other.with_seed(7) == settings != other
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_recipe_can_be_read_and_trained(name):
+    settings = find_recipe(name)
+    assert settings == Settings.recipe(FOLDER / f"{name}.yaml")
+    assert settings.steps > 0 and settings.description.setup()
+
+
+# What is wrong
+
+
+@pytest.mark.parametrize(
+    ("keywords", "line"),
+    [
+        ({"algo": "dqn"}, "algo: 'dqn' is not allowed; give one of ppo, sac"),
+        ({"environment": {"id": "CartPole-v1"}}, "id: 'CartPole-v1' is not allowed; give one of FlexRRR-v0, Flex"),
+        ({"environment": "FlexRRR-v0"}, "environment: 'FlexRRR-v0' is not allowed; give a mapping"),
+        ({"environment": {"holds": 5}}, "holds: 5 is not allowed; give a known setting: the nearest is hold;"),
+        ({"environment": {"hold": 0}}, "hold: 0 is not allowed; give a whole number from 1 to 1000"),
+        ({"steps": 0}, "steps: 0 is not allowed; give a whole number from 1"),
+        ({"seed": -1}, "seed: -1 is not allowed; give a whole number from 0"),
+        ({"envs": 2.5}, "envs: 2.5 is not allowed; give a whole number from 1"),
+        ({"normalise_reward": 1}, "normalise_reward: 1 is not allowed; give true or false"),
+        ({"hyperparameters": [1]}, "hyperparameters: [1] is not allowed; give a mapping"),
+        ({"hyperparameters": {"learning_rate": 0}}, "hyperparameters.learning_rate: 0 is not allowed; give a finite"),
+        ({"schedules": {"gamma": {}}}, "schedules: 'gamma' is not allowed; give one of learning_rate, log_std"),
+        ({"schedules": {"log_std": 3}}, "schedules.log_std: 3 is not allowed; give a mapping with start, end and"),
+        ({"schedules": {"log_std": {"start": 1}}}, "schedules.log_std: {'start': 1} is not allowed; give a mapping"),
+        ({"algo": "sac", "schedules": {"log_std": {"start": -1, "end": -4}}}, "schedules.log_std: 'sac' is not all"),
+    ],
+)
+def test_bad_settings_are_named_in_one_line(keywords, line):
+    assert refusal(lambda: Settings(**keywords)).startswith(line)
+
+
+def test_a_bad_recipe_names_its_file_and_the_field(tmp_path):
+    path = tmp_path / "recipe.yaml"
+    for data, line in (
+        ({"algo": "ddpg"}, "algo: 'ddpg' is not"),
+        ({"step": 3}, "settings: 'step' is not"),
+        (3, "sett"),
+    ):
+        file.write(path, data)
+        assert refusal(Settings.recipe, path).startswith(f"{path}: {line}")
+    with pytest.raises(FileNotFoundError, match=r"^recipe: nothing is not allowed; give a file, or one of ppo_on_pd"):
+        find_recipe("nothing")
+
+
+@pytest.mark.parametrize("text", ["", "3", "{}", "[1]", '{"algo": "ppo"}', "[" * 10_000])
+def test_a_broken_record_names_its_file(tmp_path, text):
+    line = refusal(Settings.from_json, tmp_path / "settings.json", text)
+    assert line.startswith(f"{tmp_path / 'settings.json'}: ") and line.endswith("; give the settings of a training run")
+
+
+# Schedules
+
+
+@given(st.floats(-5, 5), st.floats(-5, 5), st.floats(0.01, 1.0), st.floats(0.0, 1.0))
+def test_a_schedule_is_linear_and_then_stays(start, end, until, progress):
+    schedule = Schedule(start, end, until)
+    expected = end if progress >= until else start + (end - start) * progress / until
+    assert schedule.at(progress) == pytest.approx(expected, abs=1e-9)
+    assert schedule(1.0 - progress) == pytest.approx(expected, abs=1e-6 + 1e-12 * abs(end - start) / until)
+    assert (schedule.at(0.0), schedule.at(1.0)) == (start, pytest.approx(end, abs=1e-9))
+
+
+@pytest.mark.parametrize(
+    ("values", "line"),
+    [
+        (("a", 1.0), "schedule.start: 'a' is not allowed; give a"),
+        ((1.0, None), "schedule.end: None is not allowed; give a"),
+        ((1.0, 1.0, 0.0), "schedule.until: 0.0 is not allowed; give a part of the training > 0, at most 1"),
+        ((1.0, 1.0, 1.5), "schedule.until: 1.5 is not allowed; give a part of the training > 0, at most 1"),
+    ],
+)
+def test_bad_schedules_are_named(values, line):
+    assert refusal(Schedule, *values).startswith(line)
+
+
+# Seeds
+
+
+@given(st.integers(0, MOST_SEED), st.integers(0, MOST_SEED), st.integers(0, MOST_ENVS - 1))
+def test_seeds_of_training_selection_and_test_are_disjoint(run, other, arm):
+    """Also those of the arms of two runs."""
+    first = training_seed(run) + arm
+    assert first not in SELECTION and first not in TEST and set(SELECTION).isdisjoint(TEST)
+    assert run == other or abs(training_seed(other) - training_seed(run)) >= MOST_ENVS
+    assert max(TEST.stop, SELECTION.stop) < TRAINING and len(TEST) == len(SELECTION) == 100
