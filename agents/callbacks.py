@@ -1,5 +1,6 @@
 """Callbacks: what happens on the way of a training, its exploration, its judgement and its curves."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -88,4 +89,5 @@ class Judge(BaseCallback):
         elif score[0] < self._best[0] - WORSE and not self._warned:
             self._warned = True
             share = f"{score[0]:.0%} settle instead of {self._best[0]:.0%}"
-            print(f"after {self.num_timesteps} steps the policy is worse than before: {share}; the best one is kept")
+            said = f"after {self.num_timesteps} steps the policy is worse than before: {share}; the best one is kept"
+            print(said, file=sys.stderr)
