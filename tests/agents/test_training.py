@@ -1,0 +1,197 @@
+"""Training: a run is repeatable, keeps what it is, can go on, shows its curves and keeps its best policy."""
+
+import csv
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from flexman_agents import callbacks
+from flexman_agents.callbacks import Judge
+from flexman_agents.evaluation import Episode
+from flexman_agents.policies import find_policy
+from flexman_agents.settings import Settings
+from flexman_agents.training import (
+    BEST,
+    MODEL,
+    REPLAY,
+    SETTINGS,
+    STATISTICS,
+    hyperparameters,
+    load_policy,
+    load_settings,
+    resume,
+    train,
+)  # fmt: skip
+
+from oracles.refusals import refusal
+
+PD = {"id": "FlexOne-v0", "base": "pd", "hold": 5, "sensors": ["full", "fine"], "horizon": 1.0}
+SHORT = Settings(
+    environment=PD, steps=512, envs=2, seed=3, hyperparameters={"net_arch": [16]},
+    schedules={"learning_rate": {"start": 1e-3, "end": 0.0}, "log_std": {"start": -1.0, "end": -4.0, "until": 0.8}},
+)  # fmt: skip
+SIZE = 18 + 14  # numbers that a FlexOne agent sees with both sensors
+
+
+def acts(folder):
+    """What the policy of a run does with some observations."""
+    observations = np.linspace(-0.5, 0.5, 3 * SIZE).reshape(3, SIZE).astype(np.float32)
+    return load_policy(folder)[1](observations, (3, 1))
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A PPO run of two rollouts on the PD controller, judged once on three episodes: its folder and its model."""
+    folder = tmp_path_factory.mktemp("runs") / "ppo"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(callbacks, "SELECTION", range(5000, 5003))
+        return folder, train(SHORT, folder, progress=False, judge_every=512)
+
+
+def test_a_run_keeps_model_statistics_settings_versions_and_the_whole_arm(trained):
+    folder, _ = trained
+    assert {MODEL, STATISTICS, SETTINGS, BEST, "progress.csv"} <= {path.name for path in folder.iterdir()}
+    record = json.loads((folder / SETTINGS).read_text())
+    assert record["seed"] == 3 and {"numba", "torch", "flexman_gym", "python"} <= record["versions"].keys()
+    assert record["environment"]["arm"]["links"][0]["length"] == 0.8
+    assert load_settings(folder) == SHORT
+
+
+def test_the_same_seed_trains_the_same_policy_and_another_seed_another(trained, tmp_path):
+    """Judged or not."""
+    for seed in (3, 4):
+        train(SHORT.with_seed(seed), tmp_path / str(seed), progress=False)
+    assert np.array_equal(acts(trained[0]), acts(tmp_path / "3"))
+    assert (acts(tmp_path / "4") != acts(tmp_path / "3")).any()
+
+
+def test_schedules_reach_the_optimiser_and_the_exploration(trained):
+    """Two rollouts of 256 steps: the second has the deviation of half of the training; the last rate is the end."""
+    _, model = trained
+    assert model.policy.log_std.tolist() == pytest.approx([-1.0 - 3.0 * 0.5 / 0.8])
+    assert not model.policy.log_std.requires_grad
+    assert model.policy.optimizer.param_groups[0]["lr"] == 0.0 and model.lr_schedule(0.25) == pytest.approx(2.5e-4)
+
+
+def test_curves_are_in_a_csv_and_in_events(trained):
+    folder, _ = trained
+    assert list(folder.glob("events.out.tfevents.*"))
+    with (folder / "progress.csv").open() as lines:
+        rows = list(csv.DictReader(lines))
+    assert [int(row["time/total_timesteps"]) for row in rows] == [256, 512]
+    judged = {name for name in rows[0] if name.startswith("selection/")}
+    assert judged == {f"selection/{name}" for name in (
+        "settled", "stabilisation_time_s", "vibration_m", "error_m", "reward", "failed")}  # fmt: skip
+    assert all(rows[-1][name] for name in judged)
+    assert "rollout/ep_rew_mean" in rows[0]
+
+
+def test_a_resumed_run_counts_on_and_changes_the_policy(trained, tmp_path):
+    folder = tmp_path / "run"
+    train(replace(SHORT, schedules={}), folder, progress=False)
+    before = acts(folder)
+    assert resume(folder, 256, progress=False).num_timesteps == 768
+    assert np.abs(acts(folder) - before).max() > 0
+
+
+def test_checkpoints_are_written_on_the_way(tmp_path, monkeypatch):
+    saved = []
+    monkeypatch.setattr("flexman_agents.training.save", lambda model, folder: saved.append(model.num_timesteps) or True)
+    train(SHORT, tmp_path / "run", checkpoint_every=128, progress=False)
+    assert saved == [128, 256, 384, 512, 512]
+
+
+def test_sac_trains_and_goes_on_with_its_memory(tmp_path):
+    settings = Settings("sac", PD, 64, envs=2, hyperparameters={"learning_starts": 16, "batch_size": 8})
+    train(settings, tmp_path / "sac", progress=False)
+    assert (tmp_path / "sac" / REPLAY).is_file()
+    assert resume(tmp_path / "sac", 64, progress=False).replay_buffer.pos == 64  # of two arms each
+    assert np.abs(acts(tmp_path / "sac")).max() <= 1.0
+
+
+def test_the_best_policy_is_the_one_that_acts(trained, tmp_path):
+    folder, _ = trained
+    other = tmp_path / "run"
+    train(SHORT.with_seed(9), other, progress=False)
+    newest = acts(other)
+    (other / BEST).mkdir()
+    for name in (MODEL, STATISTICS):
+        (other / BEST / name).write_bytes((folder / name).read_bytes())
+    assert np.array_equal(acts(other), acts(folder)) and (acts(other) != newest).any()
+
+
+def test_hyperparameters_are_those_of_the_settings_before_the_defaults():
+    chosen = hyperparameters(replace(SHORT, hyperparameters={"gamma": 0.9, "activation": "relu", "n_steps": 10}))
+    assert chosen["gamma"] == 0.9 and chosen["gae_lambda"] == 0.99 and chosen["n_steps"] == 10
+    assert chosen["batch_size"] == 20, "not more than two arms give in ten steps"
+    assert chosen["policy_kwargs"]["activation_fn"].__name__ == "ReLU"
+    assert chosen["policy_kwargs"]["net_arch"] == [128, 128] and "activation" not in chosen
+
+
+# What is refused
+
+
+def test_a_folder_is_not_trained_over(trained):
+    assert refusal(train, SHORT, trained[0]) == (
+        f"folder: {trained[0]} is not allowed; give a new one, or resume the run in it"
+    )
+
+
+def test_missing_and_broken_runs_give_one_line(trained, tmp_path):
+    with pytest.raises(FileNotFoundError, match="is not allowed; give the folder of a training run, or one of pd, lqr"):
+        find_policy(str(tmp_path / "nothing"))
+    with pytest.raises(FileNotFoundError, match=f"{SETTINGS}: no such file; give a folder"):
+        find_policy(str(tmp_path))
+    (tmp_path / SETTINGS).write_text("{}")
+    with pytest.raises(ValueError, match="give the settings of a training run"):
+        find_policy(str(tmp_path))
+    (tmp_path / SETTINGS).write_text((trained[0] / SETTINGS).read_text())
+    with pytest.raises(FileNotFoundError, match=f"{MODEL}: no such file"):
+        find_policy(str(tmp_path))
+    with pytest.raises(FileNotFoundError, match=f"{SETTINGS}: no such file"):
+        resume(tmp_path / "nothing", 64)
+
+
+# The judge
+
+
+def judge_with(monkeypatch, outcomes):
+    """A judge of a policy whose shares of settled episodes and errors are given, one pair at every 100 steps."""
+    kept, logged, results = [], [], iter(outcomes)
+
+    def evaluate(policy, environment, seeds):
+        share, error = next(results)
+        assert policy.interface == {"base": "pd", "hold": 5, "sensors": ["full", "fine"]} and seeds == range(5000, 5100)
+        assert environment.id == "FlexOne-v0" and not {"base", "hold", "sensors"} & environment.settings.keys()
+        times = [1.0] * round(100 * share) + [np.inf] * round(100 * (1 - share))
+        return [Episode(0.0, time, 0.0, error, 0.0, "") for time in times]
+
+    monkeypatch.setattr(callbacks, "evaluate", evaluate)
+    judge = Judge(SHORT, None, 100, lambda: kept.append(judge.num_timesteps))
+    judge.model = SimpleNamespace(logger=SimpleNamespace(record=lambda name, value: logged.append((name, value))))
+    for step in range(50, 50 * (2 * len(outcomes) + 1), 50):
+        judge.num_timesteps = step
+        judge._on_rollout_end()
+    return kept, logged
+
+
+def test_the_judge_keeps_the_best_and_among_equals_the_closer_one(monkeypatch):
+    outcomes = [(0.5, 1.0), (0.4, 0.1), (0.5, 0.9), (0.5, 0.95), (0.9, 2.0), (0.9, 2.0)]
+    kept, logged = judge_with(monkeypatch, outcomes)
+    assert kept == [100, 300, 500]
+    assert [value for name, value in logged if name == "selection/settled"] == [share for share, _ in outcomes]
+    assert [value for name, value in logged if name == "selection/error_m"] == [error for _, error in outcomes]
+
+
+def test_the_judge_warns_once_when_a_policy_has_become_much_worse(monkeypatch, capsys):
+    judge_with(monkeypatch, [(0.9, 1.0), (0.75, 1.0), (0.6, 1.0), (0.5, 1.0), (1.0, 1.0), (0.1, 1.0)])
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.splitlines() == [
+        "after 300 steps the policy is worse than before: 60% settle instead of 90%; the best one is kept",
+        "after 600 steps the policy is worse than before: 10% settle instead of 100%; the best one is kept",
+    ]
