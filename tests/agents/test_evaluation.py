@@ -1,0 +1,155 @@
+"""Evaluation: the same episodes for all, on the environment that a policy was trained on, in one table."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+import flexman_gym  # noqa: F401  registers the environments
+from flexman_agents.evaluation import (
+    Episode,
+    Record,
+    common_environment,
+    evaluate,
+    figures,
+    run_episodes,
+    summary,
+    table,
+)  # fmt: skip
+from flexman_agents.policies import BASELINES, Policy, find_policy
+from flexman_agents.settings import Settings
+from flexman_agents.training import train
+from flexman_gym.envs.description import Description
+from flexman_gym.metrics import BAND
+
+from oracles.refusals import refusal
+
+ARM = {"catalog": "vertical_2r", "payload": {"mass": 0.3}}
+TRAINED = {"id": "FlexPlanar-v0", "arm": ARM, "horizon": 1.5, "base": "pd", "hold": 5, "sensors": ["full", "fine"]}
+ONE = Description("FlexOne-v0", {"horizon": 1.5})
+SEEDS = range(9000, 9003)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A run on a planar arm that carries three times as much as the named one."""
+    folder = tmp_path_factory.mktemp("runs") / "planar"
+    settings = Settings(environment=TRAINED, steps=256, envs=2, hyperparameters={"net_arch": [8]})
+    train(settings, folder, progress=False)
+    return folder
+
+
+def test_a_policy_is_evaluated_on_the_environment_that_it_was_trained_on(run):
+    policy = find_policy(str(run))
+    environment = common_environment([policy, find_policy("pd")], None)
+    setup = environment.setup()
+    assert (environment.id, setup.arm.payload.mass, setup.horizon) == ("FlexPlanar-v0", 0.3, 1.5)
+    assert policy.interface == {"base": "pd", "hold": 5, "sensors": ["full", "fine"]}, "which go with the policy"
+    assert setup.base is None and setup.hold == 1
+    records, period = run_episodes(policy, environment, SEEDS)
+    assert period == 0.01 and all(len(record.actions) == 150 for record in records)
+    for record, held in zip(records, run_episodes(find_policy("pd"), environment, SEEDS)[0], strict=True):
+        assert np.array_equal(record.tips[0], held.tips[0]), "the same episodes for both"
+        assert (record.actions[1:] != held.actions[1:]).any(), "the agent does something beside its base"
+
+
+def test_a_policy_acts_as_in_an_environment_with_its_own_hold_and_base(run):
+    """What is recorded period by period is what happens in the environment of the training."""
+    policy = find_policy(str(run))
+    (record,), _ = run_episodes(policy, common_environment([policy], None), [9001])
+    described = Description.from_dict(TRAINED)
+    env = gym.make(described.id, **described.keywords())
+    seen, info = env.reset(seed=9001)
+    errors, rewards = [info["tip_error"]], []
+    for _ in range(30):
+        seen, reward, _, ended, info = env.step(policy.act(seen[None], (1, 2))[0])
+        errors.append(info["tip_error"])
+        rewards.append(reward)
+    assert ended and np.array_equal(record.errors[::5], errors)
+    assert record.rewards.reshape(-1, 5).mean(axis=1) == pytest.approx(rewards, rel=1e-12)
+
+
+def test_baselines_run_on_the_environment_that_is_named():
+    described = Description("FlexPlanar-v0", {"arm": ARM, "horizon": 1.5, "base": "lqr", "hold": 3, "sensors": "fine"})
+    environment = common_environment([find_policy("pd"), find_policy("zero")], described)
+    assert environment.settings == {"arm": ARM, "horizon": 1.5}, "base, hold and sensors belong to what acts"
+    results = {name: evaluate(find_policy(name), environment, SEEDS) for name in BASELINES}
+    rewards = {name: np.mean([episode.reward for episode in episodes]) for name, episodes in results.items()}
+    assert rewards["lqr-tracking"] > rewards["pd"] > max(rewards["zero"], rewards["random"])
+    assert evaluate(find_policy("zero"), environment, SEEDS) == results["zero"]
+    assert common_environment([find_policy("pd")], None) == Description()
+
+
+def test_rows_on_different_environments_are_refused_and_a_named_one_settles_it(run):
+    one = find_policy(str(run))
+    other = Policy("other", one.act, one.interface, Description("FlexPlanar-v0"))
+    line = refusal(common_environment, [one, find_policy("pd"), other], None)
+    assert line == (
+        "policy: 'other' is not allowed; give policies of one environment, or name one with --env: planar knows another"
+    )
+    assert common_environment([one, other], ONE) == ONE
+    same = Policy("same", one.act, {"hold": 1}, one.environment)
+    assert common_environment([one, same], None) == one.environment, "another hold is not another environment"
+
+
+def test_an_episode_that_fails_ends_there_and_the_arms_beside_it_go_on():
+    """One arm gets full torque, the others none."""
+
+    def act(observations, shape):
+        return np.array([[1.0]] + [[0.0]] * (shape[0] - 1))
+
+    environment = Description("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
+    (failed, *others), period = run_episodes(Policy("push", act), environment, SEEDS)
+    assert "rate" in failed.failure and len(failed.actions) < 75
+    assert len(failed.tips) == len(failed.errors) == len(failed.actions) + 1 == len(failed.rewards) + 1
+    alone = run_episodes(Policy("push", act), environment, [9000])[0][0]
+    assert np.array_equal(alone.tips, failed.tips) and alone.failure == failed.failure
+    for record in others:
+        assert record.failure == "" and len(record.actions) == 75 and not record.actions.any()
+    assert figures(failed, period, 1.0).stabilisation_time == figures(failed, period, 1.0).vibration == np.inf
+
+
+def test_figures_are_those_of_the_metrics():
+    time = 0.02 * np.arange(501)
+    tips = np.zeros((501, 3))
+    tips[:, 1] = 0.03 * np.cos(2 * np.pi * time)  # whole periods in 3 s
+    errors = np.where(time < 3.99, 1.0, 0.01)
+    found = figures(Record(tips, errors, np.full((500, 3), 0.5), np.full(500, 0.5), ""), 0.02, 0.02)
+    assert (found.reward, found.error, found.effort, found.failure) == (250.0, 0.01, 0.25, "")
+    assert found.stabilisation_time == pytest.approx(4.0) and found.vibration == pytest.approx(0.06, rel=1e-9)
+
+
+# The table
+
+
+def rows(names, count=3, settled=True):
+    """A table of policies that do the same."""
+    episode = Episode(123.4, 2.5 if settled else np.inf, 0.0012, 0.0034, 0.25, "")
+    return table({name: [episode] * count for name in names}, ONE).splitlines()
+
+
+@pytest.mark.parametrize("name", ["pd", "a name of more than twelve letters", "runs/" + 40 * "x", 300 * "long "])
+def test_names_of_any_length_do_not_shift_the_table(name):
+    title, head, *lines, caption = rows([name, "zero"])
+    figured = [line for line in lines if "123.4" in line]
+    assert len(figured) == 2 and max(map(len, [title, head, *lines, caption])) <= 160
+    for word in ("reward", "stabilised, s", "p-p, mm", "failed"):
+        end = head.index(word) + len(word)
+        assert all(line[end - 1] != " " and line[end : end + 1] in ("", " ") for line in figured), word
+    assert "".join(lines).replace(" ", "").count("x") == name.count("x")
+
+
+def test_the_head_says_on_which_environment_all_rows_were_run():
+    title, head, *_ = rows(["pd"])
+    assert title == "3 episodes of FlexOne-v0 (horizon), the same for all"
+    assert f"in {1e3 * BAND * 0.8:.3g} mm" in head, "the band is a part of the reach"
+    assert "(as it is)" in table({"pd": [Episode(0, 1, 1, 1, 1, "")]}, Description())
+
+
+def test_what_has_not_settled_is_a_dash_and_shares_are_parts_of_all():
+    assert "- (---)" in rows(["pd"], settled=False)[2]
+    times = [1.0, np.inf, 3.0, np.inf]
+    found = summary([Episode(1.0, time, time, 1.0, 0.5, "" if time < 2 else "rate") for time in times])
+    assert (found["settled"], found["failed"], found["reward"], found["effort"]) == (0.5, 0.75, 1.0, 0.5)
+    assert found["stabilisation_time"][0] == np.inf and found["error"] == (1.0, 1.0, 1.0)
