@@ -1,0 +1,113 @@
+"""Command lines: train, evaluate and tune do what they say, and say what is wrong in one line."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from flexman_agents import tuning
+from flexman_agents.training import SETTINGS, load_settings
+from flexman_gym.envs import NAMED
+from flexman_gym.scene import file
+
+from oracles.files import command
+
+SMALL = ["--steps", "256", "--envs", "2", "--quiet"]
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Calls a script with arguments; gives its exit code, what it printed and what it complained."""
+
+    def call(script, *arguments):
+        monkeypatch.setattr(sys, "argv", [script, *map(str, arguments)])
+        code = command(script).main()
+        said = capsys.readouterr()
+        return code, said.out, said.err
+
+    return call
+
+
+def test_an_environment_file_and_changes_reach_the_run_and_its_evaluation(run, tmp_path):
+    """Train on a file with a change, evaluate beside baselines; another change on the command line goes further."""
+    file.write(tmp_path / "own.yaml", {"id": "FlexOne-v0", "horizon": 1.5, "base": "pd", "hold": 5})
+    folder = tmp_path / "run"
+    code, out, _ = run("train", "--env", tmp_path / "own.yaml", "--set", "arm.payload.mass=0.2", "--seed", 4, *SMALL,
+                       "--folder", folder)  # fmt: skip
+    settings = load_settings(folder)
+    setup = settings.description.setup()
+    assert code == 0 and f"The run is in {folder}" in out
+    assert (settings.seed, settings.steps, settings.envs, settings.algo) == (4, 256, 2, "ppo")
+    assert (setup.arm.payload.mass, setup.base, setup.hold, setup.name) == (0.2, "pd", 5, "FlexOne-v0")
+    code, out, err = run("evaluate", folder, "pd", "zero", "--episodes", 2)
+    assert code == 0 and err == "" and out.startswith("2 episodes of FlexOne-v0 (arm, horizon), the same for all")
+    assert [line.split()[0] for line in out.splitlines()[2:-1]] == [str(folder), "pd", "zero"]
+    other = run("evaluate", folder, "pd", "--episodes", 2, "--set", "horizon=1.2")[1]
+    assert other.splitlines()[2:] != out.splitlines()[2:]
+
+
+def test_several_seeds_are_several_runs(run, tmp_path):
+    code, _, _ = run("train", "--env", "FlexOne-v0", "--set", "horizon=1.0", "--seeds", 2, "--seed", 5, *SMALL,
+                     "--folder", tmp_path)  # fmt: skip
+    assert code == 0
+    assert [json.loads((tmp_path / f"seed-{i}" / SETTINGS).read_text())["seed"] for i in (5, 6)] == [5, 6]
+
+
+def test_a_recipe_is_a_start_and_options_go_before_it(run, tmp_path):
+    file.write(tmp_path / "own.json", {"environment": {"id": "FlexOne-v0", "horizon": 1.0}, "steps": 10**6, "seed": 8})
+    run("train", tmp_path / "own.json", *SMALL, "--folder", tmp_path / "run")
+    settings = load_settings(tmp_path / "run")
+    assert (settings.steps, settings.seed, settings.description.setup().horizon) == (256, 8, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("script", "arguments", "line"),
+    [
+        ("evaluate", ["no_such_run"], "policy: no_such_run is not allowed; give the folder of a training run, or one"),
+        ("evaluate", ["pd", "--env", "nowhere.yaml"], "nowhere.yaml: there is no such file"),
+        ("evaluate", ["pd", "--set", "horizon"], "--set: 'horizon' is not allowed; give name=value, such as"),
+        ("evaluate", ["pd", "--set", "horizont=3"], "horizont: 3 is not allowed; give a known setting: the nearest is"),
+        ("train", ["--steps", "0"], "steps: 0 is not allowed; give a whole number from 1"),
+        ("train", ["no_recipe"], "recipe: no_recipe is not allowed; give a file, or one of ppo_on_pd_minute"),
+        ("train", ["--set", "hold=0"], "hold: 0 is not allowed; give a whole number from 1 to 1000"),
+        ("train", ["--set", "base=lqg"], "base: 'lqg' is not allowed; give one of pd, lqr, lqr-tracking"),
+        ("train", ["--resume"], "no_folder/settings.json: no such file; give a folder that a training run has written"),
+    ],
+)
+def test_what_is_wrong_is_one_line_and_leaves_no_folder(run, tmp_path, monkeypatch, script, arguments, line):
+    monkeypatch.chdir(tmp_path)
+    arguments = [*arguments, "--folder", "no_folder"] if script == "train" else arguments
+    code, out, err = run(script, *arguments)
+    assert (code, out) == (2, "") and err.startswith(line) and len(err.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_tuning_finds_gains_that_beat_most_and_finds_them_again(monkeypatch):
+    """The best of a few: among the candidates, within their ranges, and the same every time."""
+    seen, rewards = [], tuning._rewards
+
+    def watched(name, gains, episodes):
+        found = rewards(name, gains, episodes)
+        seen.append((gains, found))
+        return found
+
+    monkeypatch.setattr(tuning, "_rewards", watched)
+    first, again = (tuning.tune("FlexOne-v0", first=6, around=4, episodes=2, seed=1) for _ in range(2))
+    assert first == again
+    gains, found = (np.concatenate([part[i] for part in seen[:2]]) for i in (0, 1))
+    assert first.reward == found.max() and np.array_equal(gains[found.argmax()], [*first.stiffness, *first.damping])
+    limit, most = 0.5, 0.95 * 2 * 0.01 / NAMED["FlexOne-v0"].control_period
+    low, high = np.array([0.02 * limit, 0.02 * most]), np.array([5 * limit, most])
+    assert (gains >= low * (1 - 1e-9)).all() and (gains <= high * (1 + 1e-9)).all()
+
+
+def test_the_gains_in_the_catalog_are_better_than_gains_nearby_at_random():
+    """Mean reward of 8 episodes, of all candidates at once, as the search measures it."""
+    pd = NAMED["FlexOne-v0"].pd
+    own = np.array([[*pd["stiffness"], *pd["damping"]]])
+    others = own * np.random.default_rng(0).uniform(0.4, 1.6, (12, 2))
+    found = tuning._rewards("FlexOne-v0", np.vstack([own, others]), 8)
+    assert found.argmax() == 0 or found[0] > 0.99 * found.max()
