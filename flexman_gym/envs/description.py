@@ -5,8 +5,6 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Self
 
-import yaml
-
 from flexman_gym.checks import one_of, refusal, text
 from flexman_gym.envs.catalog import DEFAULT, NAMED
 from flexman_gym.envs.limits import Limits
@@ -16,9 +14,10 @@ from flexman_gym.envs.setup import Setup, setup_of
 from flexman_gym.envs.tasks import TASKS
 from flexman_gym.scene import catalog, file
 from flexman_gym.scene.arm import Arm, Payload
-from flexman_gym.scene.plain import arm_of, plain
+from flexman_gym.scene.plain import arm_of, part_of, plain
 
 ARMS = ("paper_rrr", "planar_2r", "one_link", "vertical_2r", "one_joint")  # functions of the catalog
+WHOLE = ("arm", "task", "limits")  # what a named environment has before a change leads into it
 SUFFIXES = (".json", ".yaml", ".yml")
 
 
@@ -63,6 +62,8 @@ class Description:
         """The description in a mapping with "id" and settings, every one of which is checked."""
         if not isinstance(data, dict):
             raise refusal("environment", data, "a mapping with id and settings")
+        if "name" in data:
+            raise refusal("name", data["name"], "it as id")
         settings = {name: value for name, value in data.items() if name != "id"}
         found = cls(data.get("id", DEFAULT), settings, folder)
         found.setup()
@@ -89,7 +90,9 @@ class Description:
         return {"id": self.id, **settings, "arm": plain(self.setup().arm)}
 
     def changed(self, changes: Sequence[str]) -> Self:
-        """The same with changes "name=value", values as in YAML; names with dots lead into mappings, and into the arm.
+        """The same with changes "name=value", values as in a file; names with dots lead into mappings and the arm.
+
+        What they lead into and do not name stays what it is, or what the named environment has.
 
         Raises:
             ValueError: one line with the change and what is allowed.
@@ -100,15 +103,21 @@ class Description:
             if not equals or not all(part.isidentifier() for part in path.split(".")):
                 raise refusal("--set", change, "name=value, such as control_period=0.01 or arm.payload.mass=0.5")
             try:
-                value = yaml.safe_load(written)
-            except yaml.YAMLError:
+                value = file.parse(written)
+            except (ValueError, RecursionError):
                 raise refusal("--set", change, "a value that is a number, a text, [a, list] or {a: mapping}") from None
             first, *rest = path.split(".")
-            if first == "arm" and rest:
-                arm = read_arm(data["arm"], self.folder) if "arm" in data else NAMED[self.id].arm()
-                data["arm"] = plain(arm)
+            if rest and first in WHOLE:
+                data[first] = _plain(first, self._value(first, data))
             _put(data, path.split("."), value)
         return type(self).from_dict(data, self.folder)
+
+    def _value(self, name: str, data: Mapping[str, Any]) -> Any:
+        """The arm, task or limits of a mapping that may not be whole yet."""
+        named = NAMED[one_of("id", data["id"], NAMED)]
+        if name not in data:
+            return named.arm() if name == "arm" else getattr(named, name)
+        return Description(data["id"], {name: data[name]}, self.folder).keywords()[name]
 
 
 def described(setup: Setup) -> dict[str, Any]:
@@ -120,7 +129,7 @@ def described(setup: Setup) -> dict[str, Any]:
     data: dict[str, Any] = {"id": setup.name}
     for each in fields(Setup):
         value = getattr(setup, each.name)
-        if each.name != "name" and value is not None and value != each.default:
+        if each.name != "name" and value != each.default:
             data[each.name] = _plain(each.name, value)
     return data
 
@@ -134,7 +143,7 @@ def read_arm(value: object, folder: Path = Path()) -> Arm:
         arguments = {} if isinstance(value, str) else {name: each for name, each in value.items() if name != "catalog"}
         name = value if isinstance(value, str) else value["catalog"]
         if isinstance(arguments.get("payload"), dict):
-            arguments["payload"] = Payload(**arguments["payload"])
+            arguments["payload"] = part_of(Payload, "arm.payload", arguments["payload"])
         try:
             arm: Arm = getattr(catalog, one_of("arm", name, ARMS))(**arguments)
         except TypeError as error:
@@ -188,6 +197,6 @@ def _plain(name: str, value: Any) -> Any:
         known = {kind: key for key, kind in SENSORS.items()}
         if all(type(part) in known for part in value):
             return [known[type(part)] for part in value]
-    elif isinstance(value, bool | int | float | str | tuple | list):
+    elif value is None or isinstance(value, bool | int | float | str | tuple | list):
         return value
     raise refusal(name, value, "something with a name: an object of one's own cannot be kept in a file")

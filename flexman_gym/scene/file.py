@@ -73,6 +73,16 @@ def read(path: Path) -> Any:
         raise ValueError("lists or mappings are nested too deeply; give a scene") from None
 
 
+def parse(text: str) -> Any:
+    """Gives what a text of YAML holds, by the same strict reading.
+
+    Raises:
+        ValueError: for broken text; one line says why.
+        RecursionError: for a nesting without end.
+    """
+    return _tree("", _parse(text, ".yaml"))
+
+
 def write(path: Path, data: Any) -> None:
     """Writes dicts, lists, texts, numbers, booleans and None to a file.
 
