@@ -1,0 +1,225 @@
+"""Description: an environment as plain data, from files, mappings and changes, and the same episode everywhere."""
+
+import json
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import flexman_gym as fm
+from flexman_gym.envs import NAMED
+from flexman_gym.envs.description import Description, described, read_arm
+from flexman_gym.envs.setup import Setup
+from flexman_gym.scene import file
+from flexman_gym.scene.plain import plain
+
+from oracles.chains import QUICK
+from oracles.refusals import refusal
+
+OWN = {
+    "id": "FlexPlanar-v0", "arm": {"catalog": "vertical_2r", "payload": {"mass": 0.25}}, "horizon": 0.3, "hold": 2,
+    "base": "pd", "sensors": ["full", "fine"], "task": {"kind": "slew", "reward": "distance", "start": 0.4},
+    "limits": {"rate": 15.0}, "randomisation": {"delay": [0, 2], "sensor_noise": [0.0, 0.01]}, "modes": [2, 1],
+}  # fmt: skip
+ranges = st.tuples(st.floats(0.1, 1.0), st.floats(1.0, 2.0)).map(list)
+PARTS = {
+    "task": st.just("slew") | st.fixed_dictionaries(
+        {"kind": st.just("slew")},
+        optional={"start": st.floats(0.0, 1.0), "reward": st.sampled_from(["bells", "distance"])},
+    ),
+    "sensors": st.sampled_from(["full", "fine", ["full", "fine"], ["state"]]),
+    "limits": st.fixed_dictionaries({}, optional={"rate": st.floats(1.0, 20.0), "twist": st.floats(0.1, 1.0)}),
+    "torque_limit": st.floats(0.1, 100.0),
+    "control_period": st.sampled_from([0.01, 0.02, 0.05]),
+    "horizon": st.floats(0.1, 20.0),
+    "base": st.sampled_from(["pd", "lqr", "lqr-tracking"]),
+    "hold": st.integers(1, 9),
+    "elements": st.integers(1, 3),
+    "modes": st.integers(0, 3) | st.none() | st.just("assembled"),
+    "method": st.sampled_from(["ros2", "rk4"]),
+    "stiffening": st.booleans(),
+    "randomisation": st.fixed_dictionaries(
+        {}, optional={"payload_mass": ranges, "delay": st.just([0, 3]), "impulse_gap": st.just(1.0)}
+    ),
+}  # fmt: skip
+
+
+def like(setup):
+    """What two setups have in common where they mean the same: sensors by their kind, all else by its value."""
+    values = {name: value for name, value in vars(setup).items() if name not in ("sensors", "modes", "elements")}
+    return values, [type(sensor) for sensor in setup.sensors]
+
+
+# There and back
+
+
+@settings(QUICK, max_examples=60)
+@given(st.sampled_from(sorted(NAMED)), st.fixed_dictionaries({}, optional=PARTS))
+def test_the_whole_of_a_description_describes_the_same_environment(name, parts):
+    """Through JSON, too; and so does the mapping that is made from the setup itself."""
+    first = Description.from_dict({"id": name, **parts})
+    setup = first.setup()
+    for whole in (first.whole(), described(setup)):
+        again = Description.from_dict(json.loads(json.dumps(whole)))
+        assert like(again.setup()) == like(setup)
+        assert again.setup().modes == setup.modes and again.setup().elements == setup.elements
+        assert again.whole() == Description.from_dict(again.whole()).whole()
+    assert first.whole()["arm"] == plain(setup.arm)
+
+
+@pytest.mark.parametrize("suffix", [".yaml", ".json"])
+def test_a_file_is_a_mapping_and_its_whole_needs_no_other_file(tmp_path, suffix):
+    arm = fm.catalog.vertical_2r(fm.Payload(0.33))
+    file.write(tmp_path / "arm.yaml", plain(arm))
+    file.write(tmp_path / f"own{suffix}", OWN | {"arm": "arm.yaml"})
+    found = Description.load(tmp_path / f"own{suffix}")
+    assert found.setup().arm == arm and found.id == "FlexPlanar-v0"
+    whole = found.whole()
+    (tmp_path / "arm.yaml").unlink()
+    assert like(Description.from_dict(whole).setup()) == like(Description.from_dict(OWN | {"arm": plain(arm)}).setup())
+
+
+def test_an_arm_is_a_name_a_mapping_a_file_of_an_arm_or_of_a_scene(tmp_path):
+    arm = fm.catalog.paper_rrr()
+    file.write(tmp_path / "arm.yaml", plain(arm))
+    fm.catalog.paper_scene("ff").save(tmp_path / "scene.json")
+    for value in ("paper_rrr", {"catalog": "paper_rrr"}, plain(arm), "arm.yaml", "scene.json"):
+        assert read_arm(value, tmp_path) == arm, value
+    heavy = {"catalog": "paper_rrr", "payload": {"mass": 3.0}, "rotor_inertia": 10.0}
+    assert read_arm(heavy) == fm.catalog.paper_rrr(payload=fm.Payload(3.0), rotor_inertia=10.0)
+
+
+# Changes
+
+
+def test_changes_lead_into_mappings_and_into_the_arm_and_change_nothing_else():
+    before = Description.from_dict(OWN)
+    after = before.changed(
+        ["control_period=0.02", "arm.payload.mass=0.5", "task.start=0.1", "randomisation.delay=[1, 1]"]
+    )
+    one, other = before.setup(), after.setup()
+    assert (other.control_period, other.arm.payload.mass, other.task.start) == (0.02, 0.5, 0.1)
+    assert other.randomisation.delay == (1, 1) and other.randomisation.sensor_noise == (0.0, 0.01)
+    assert other.arm.links == one.arm.links and other.task.reward == "distance" and other.limits == one.limits
+    assert before.settings == {name: value for name, value in OWN.items() if name != "id"}, "the first one stays"
+    assert like(before.changed([]).setup()) == like(one)
+
+
+@pytest.mark.parametrize(
+    ("change", "read", "value"),
+    [
+        ("step=1e-3", lambda setup: setup.step, 0.001),
+        ("step=0.004", lambda setup: setup.step, 0.004),
+        ("stiffening=true", lambda setup: setup.stiffening, True),
+        ("method=rk4", lambda setup: setup.method, "rk4"),
+        ("modes=[1, 2]", lambda setup: setup.modes, (1, 2)),
+        ("modes=null", lambda setup: setup.modes, None),
+        ("id=FlexOne-v0", lambda setup: setup.name, "FlexOne-v0"),
+        ("arm.gravity=[0, 0, -1.62]", lambda setup: setup.arm.gravity, (0.0, 0.0, -1.62)),
+        ("arm.payload=null", lambda setup: setup.arm.payload, None),
+        ("task.reward=bells", lambda setup: setup.task, fm.Slew(reward="bells")),
+        ("limits.angle=3", lambda setup: setup.limits, fm.Limits(3.0, 20.0, 0.5, 0.25, 20.0, 20.0)),
+    ],
+)
+def test_values_are_those_of_a_file_and_what_the_named_environment_has_stays(change, read, value):
+    assert read(Description("FlexPlanar-v0").changed([change]).setup()) == value
+
+
+def test_changes_may_be_whole_only_together():
+    """An arm without torque limits, a part of it, and limits."""
+    setup = Description().changed(["arm=planar_2r", "arm.payload={mass: 0.1}", "torque_limit=3"]).setup()
+    assert (setup.arm.payload, setup.torque_limit) == (fm.Payload(0.1), (3.0, 3.0))
+    other = Description().changed(["id=FlexOne-v0", "arm.payload.mass=0.2", "limits.angle=3"]).setup()
+    assert other.arm == fm.catalog.one_joint(fm.Payload(0.2)) and other.limits.twist == 0.5
+
+
+# What is wrong
+
+
+@pytest.mark.parametrize(
+    ("data", "line"),
+    [
+        ([1], "environment: [1] is not allowed; give a mapping with id and settings"),
+        ({"id": "CartPole-v1"}, "id: 'CartPole-v1' is not allowed; give one of FlexRRR-v0"),
+        ({"id": 3}, "id: 3 is not allowed; give one of FlexRRR-v0"),
+        ({"name": "FlexOne-v0"}, "name: 'FlexOne-v0' is not allowed; give it as id"),
+        ({"randomization": {}}, "randomization: {} is not allowed; give a known setting: the nearest is randomisation"),
+        ({"randomisation": {"mass": [0, 1]}}, "randomisation: 'mass' is not allowed; give one of payload_mass"),
+        ({"limits": 3}, "limits: 3 is not allowed; give a mapping with some of angle, rate, twist"),
+        ({"limits": {"speed": 3}}, "limits: 'speed' is not allowed; give one of angle, rate, twist"),
+        ({"limits": {"rate": -1}}, "Limits.rate: -1 is not allowed; give a finite number > 0"),
+        ({"task": 3}, "task: 3 is not allowed; give one of slew, or a mapping with that at kind"),
+        ({"task": "reach"}, "task: 'reach' is not allowed; give one of slew"),
+        ({"task": {"kind": "slew", "goal": 1}}, "task: 'goal' is not allowed; give one of start, slew"),
+        ({"arm": "puma"}, "arm: 'puma' is not allowed; give one of paper_rrr, planar_2r"),
+        ({"arm": 3}, "arm: 3 is not allowed; give a mapping with the keys links, joints"),
+        ({"arm": {"catalog": "paper_rrr", "payload": {"mas": 1}}}, "arm.payload.mas: 1 is not allowed; give only the"),
+        ({"arm": {"catalog": "vertical_2r", "color": 1}}, "arm: "),
+        ({"sensors": ["nose"]}, "sensors: 'nose' is not allowed; give one of full, fine, state"),
+        ({"hold": "5"}, "hold: '5' is not allowed; give a whole number from 1 to 1000"),
+    ],
+)
+def test_what_is_wrong_is_named_in_one_line(tmp_path, data, line):
+    assert refusal(Description.from_dict, data).startswith(line)
+    file.write(tmp_path / "own.json", data)
+    assert refusal(Description.load, tmp_path / "own.json").startswith(f"{tmp_path / 'own.json'}: {line}")
+
+
+@pytest.mark.parametrize("change", ["horizon", "=3", "a.=3", "a b=3", "arm.links.0.length=3", "step={", "step=&a 3"])
+def test_a_change_that_is_none_is_shown(change):
+    assert refusal(Description().changed, [change]).startswith(f"--set: {change!r} is not allowed; give ")
+
+
+def test_objects_of_ones_own_cannot_be_described():
+    class Nothing:
+        sensors, moves = (), False
+        draw = goal = reward_terms = info = lambda *arguments: {}
+
+    assert refusal(described, Setup(task=Nothing())).startswith("task: <")
+    assert refusal(described, Setup(base=Setup().pd(None))).startswith("base: <flexman_gym.control.pd.PD")
+
+
+# The same episode everywhere
+
+
+def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
+    """From gym.make, gym.make_vec and an evaluation, whose records are period by period."""
+    pytest.importorskip("stable_baselines3")
+    from flexman_agents.evaluation import common_environment, run_episodes
+    from flexman_agents.policies import Policy, find_policy
+
+    file.write(tmp_path / "own.yaml", OWN)
+    found, seed = Description.load(tmp_path / "own.yaml"), 9003
+    single = gym.make(found.id, **found.keywords())
+    many = gym.make_vec(found.id, 2, "vector_entry_point", **found.keywords())
+    seen, info = single.reset(seed=seed)
+    others, infos = many.reset(seed=[7, seed])
+    errors, posture = [info["tip_error"]], info["posture"]
+    assert np.array_equal(seen, others[1]) and np.array_equal(posture, infos["posture"][1])
+    for _ in range(15):
+        seen, _, _, ended, info = single.step(np.zeros(2))
+        others, *_, infos = many.step(np.zeros((2, 2)))
+        errors.append(info["tip_error"])
+        assert np.array_equal(seen, others[1]) and infos["tip_error"][1] == errors[-1]
+    assert ended
+    policy = Policy("pd", find_policy("zero").act, {key: OWN[key] for key in ("base", "hold", "sensors")})
+    (_, record), _ = run_episodes(policy, common_environment([policy], found), [7, seed])
+    assert np.array_equal(record.errors[::2], errors)
+
+
+def test_a_training_starts_with_the_episode_that_its_environment_gives():
+    """The arms of a training are those of gym.make_vec with the training's seed."""
+    pytest.importorskip("stable_baselines3")
+    from flexman_agents.seeds import training_seed
+    from flexman_agents.settings import Settings
+    from flexman_agents.training import _environments
+
+    arms = _environments(Settings(environment=OWN, seed=2, envs=3))
+    arms.seed(training_seed(2))
+    found = Description.from_dict(OWN)
+    alone = gym.make(found.id, **found.keywords())
+    assert np.array_equal(arms.reset()[1], alone.reset(seed=training_seed(2) + 1)[0])
+    assert found.folder == Path()
