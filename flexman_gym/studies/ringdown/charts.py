@@ -1,6 +1,7 @@
 """Ring-down, charts: errors of energy and tip over cost, and the energy that is left."""
 
 from collections.abc import Sequence
+from math import isclose
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,7 @@ def _lines(axes: Any, rows: Sequence[Row], column: str, default: tuple[str, floa
         look = looks()[name]
         _line(axes, [row for row in ours if row.method == name], column, name, look.colour, look.marker)
     for row in ours:
-        if (row.method, round(row.step, 9)) == (default[0], round(default[1], 9)):
+        if row.method == default[0] and isclose(row.step, default[1], rel_tol=1e-4):
             ring = {"markersize": 15.0, "markerfacecolor": "none", "markeredgecolor": DARK, "markeredgewidth": 1.6}
             axes.plot(row.cpu, getattr(row, column), "o", **ring, linestyle="", label="default of the environments")
     for name, marker in GREYS.items():

@@ -15,12 +15,11 @@ from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.families import EXPLICIT
 from flexman_gym.simulation.methods import METHODS
 from flexman_gym.studies.methods import fixed_step_methods
-from flexman_gym.studies.ringdown.cases import PERIOD, SLEW, UNDAMPED, Cases, cases, default_model
+from flexman_gym.studies.ringdown.cases import DURATION, PERIOD, UNDAMPED, Cases, cases, default_model
 
 PARTS, FINE_PARTS = (1, 2, 3, 4, 8, 16), (20, 40, 80)  # steps in a control period; the latter of explicit methods
 REFERENCE, RTOL = "dop853", 1e-8
 FLOOR = 0.02  # of the energy at the start: what is left of less is not asked for more digits
-KINDS = ("release", "impulse", SLEW, UNDAMPED)
 
 
 @dataclass(frozen=True)
@@ -110,18 +109,24 @@ def row(kind: str, method: str, step: float, found: Outcome, truth: Outcome) -> 
     scale = np.maximum(truth.energy[:b], FLOOR * truth.first[:b])
     energy = np.where(failed, np.inf, np.abs(found.energy - truth.energy[:b]) / scale)
     tip = np.where(failed, np.inf, np.linalg.norm(found.tip - truth.tip[:b], axis=1))
-    shares = [percentile(energy, q) for q in (50, 90, 99)] + [percentile(tip, q) for q in (50, 90, 95, 99)]
     kept = float(np.median(np.where(failed, np.nan, found.energy / np.maximum(found.first, 1e-12))))
-    return Row(kind, "flexman_gym", method, step, cost(found, kind, b), *shares, kept, float(failed.mean()))
+    cpu = found.seconds / (b * DURATION[kind])
+    shares = percentiles(energy, tip)
+    return Row(kind, "flexman_gym", method, step, cpu, kept=kept, failed=float(failed.mean()), **shares)
 
 
-def cost(found: Outcome, kind: str, arms: int) -> float:
-    """Gives CPU seconds for a simulated second of one arm."""
-    from flexman_gym.studies.ringdown.cases import DURATION
+def percentiles(energy: Array, tip: Array) -> dict[str, float]:
+    """Gives those of a row. Each is one of the values, as some may be infinite."""
 
-    return found.seconds / (arms * DURATION[kind])
+    def of(values: Array, q: float) -> float:
+        return float(np.percentile(values, q, method="lower"))
 
-
-def percentile(values: Array, q: float) -> float:
-    """Gives a percentile that is one of the values, as some may be infinite."""
-    return float(np.percentile(values, q, method="lower"))
+    return {
+        "energy_median": of(energy, 50),
+        "energy_90": of(energy, 90),
+        "energy_99": of(energy, 99),
+        "tip_median": of(tip, 50),
+        "tip_90": of(tip, 90),
+        "tip_95": of(tip, 95),
+        "tip_99": of(tip, 99),
+    }

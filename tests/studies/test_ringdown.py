@@ -1,0 +1,59 @@
+"""Tests of the ring-down study: its cases, its errors, its rows and what its page and picture say of them."""
+
+import numpy as np
+import pytest
+from flexman_gym.kernels import layout
+from flexman_gym.studies.ringdown import measure
+from flexman_gym.studies.ringdown.cases import DURATION, IMPULSE, PERIOD, RELEASE, SLEW, UNDAMPED, cases, default_model
+from flexman_gym.studies.ringdown.charts import PICTURE, draw
+from flexman_gym.studies.ringdown.measure import PARTS, REFERENCE, Row, outcome, percentiles, row, settings
+from flexman_gym.studies.ringdown.page import page
+
+DEFAULT = "implicit_midpoint_3", PERIOD / 3
+
+
+@pytest.mark.parametrize("kind", DURATION)
+def test_arms_start_with_the_energy_that_their_kind_names(kind):
+    each, again = cases(kind, 3), cases(kind, 3)
+    assert len(each.drives) * PERIOD == pytest.approx(DURATION[kind], rel=1e-12)
+    np.testing.assert_array_equal(each.states, again.states)
+    found = outcome(default_model(kind == UNDAMPED), each, *DEFAULT)
+    assert (found.status == layout.OK).all() and (found.first > 1e-3).all()
+    n = default_model().n_joints
+    torques, forces = each.drives[:, :, :n], each.drives[:, :, n:]
+    assert torques.any() == (kind == SLEW) and forces.any() == (kind == IMPULSE)
+    bent = (each.states[:, default_model().elastic_columns(1)] != 0.0).any()
+    assert bent == (kind in (RELEASE, UNDAMPED))
+
+
+def test_the_midpoint_rule_keeps_the_energy_that_ros2_loses():
+    model, each = default_model(undamped=True), cases(UNDAMPED, 3)
+    truth = outcome(model, each, REFERENCE, None)
+    np.testing.assert_allclose(truth.energy, truth.first, rtol=1e-4)
+    kept = {name: row(UNDAMPED, name, 0.005, outcome(model, each, name, 0.005), truth) for name in ("ros2", DEFAULT[0])}
+    assert kept["ros2"].energy_median > 0.3
+    assert kept[DEFAULT[0]].energy_median < 0.01
+    assert kept[DEFAULT[0]].kept == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_failed_arm_is_infinitely_far_and_counted():
+    model, each = default_model(), cases(RELEASE, 2)
+    truth = outcome(model, each, *DEFAULT)
+    exact = row(RELEASE, "truth", 1.0, truth, truth)
+    assert exact.energy_99 == exact.tip_99 == exact.failed == 0.0
+    failed = row(RELEASE, "failed", 1.0, truth._replace(status=truth.status + np.array([0, 1], np.int8)), truth)
+    assert failed.failed == 0.5 and failed.tip_median == 0.0
+    assert not np.isfinite(percentiles(np.array([np.inf]), np.array([np.inf]))["tip_99"])
+
+
+def test_rows_page_and_picture_name_the_default(monkeypatch, tmp_path):
+    monkeypatch.setattr(measure, "fixed_step_methods", lambda: [DEFAULT[0], "ros2"])
+    monkeypatch.setattr(measure, "PARTS", (3, 4))
+    rows = [each for kind in DURATION for each in measure.rows(kind, 2, 1)]
+    assert len(rows) == len(DURATION) * 2 * 2 and set(PARTS) >= {3, 4} and settings("rk4") == measure.FINE_PARTS
+    text = page(rows, "one machine", DEFAULT)
+    assert f"`{DEFAULT[0]}` at 6.67 ms" in text and "`ros2` at 5 ms" in text and "MuJoCo" not in text
+    foreign = Row(UNDAMPED, "MuJoCo, 4 pieces", "discrete", 0.005, 1e-4, *[0.5] * 7, kept=0.25, failed=0.0)
+    assert "leaves 0.25 of the energy" in page([*rows, foreign], "one machine", DEFAULT)
+    draw([*rows, foreign], tmp_path, DEFAULT)
+    assert (tmp_path / PICTURE).stat().st_size > 10_000
