@@ -158,7 +158,7 @@ def test_changes_may_be_whole_only_together():
         ({"arm": 3}, "arm: 3 is not allowed; give a mapping with the keys links, joints"),
         ({"arm": {"catalog": "paper_rrr", "payload": {"mas": 1}}}, "arm.payload.mas: 1 is not allowed; give only the"),
         ({"arm": {"catalog": "vertical_2r", "color": 1}}, "arm: "),
-        ({"sensors": ["nose"]}, "sensors: 'nose' is not allowed; give one of full, fine, state"),
+        ({"sensors": ["nose"]}, "sensors: 'nose' is not allowed; give one of full, fine, servo, state"),
         ({"hold": "5"}, "hold: '5' is not allowed; give a whole number from 1 to 1000"),
     ],
 )
