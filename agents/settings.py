@@ -6,13 +6,15 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Self
 
-from flexman_gym.checks import flag, one_of, positive, refusal, store, whole_number
+from flexman_gym.checks import finite, flag, one_of, positive, refusal, store, whole_number
 from flexman_gym.envs.description import Description
 from flexman_gym.scene import file
 
 ALGORITHMS = ("ppo", "sac")
 ENVS = {"ppo": 64, "sac": 16}
 MOST_ENVS, MOST_STEPS, MOST_SEED = 4096, 10**10, 2**31
+COUNTS, PARTS = ("n_steps", "batch_size", "n_epochs", "learning_starts", "buffer_size"), ("gamma", "gae_lambda", "tau")
+ACTIVATIONS = ("tanh", "relu")
 SCHEDULED = ("learning_rate", "log_std")
 HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     # one batch a large part of the rollout: with small ones the optimiser, not the simulator, takes the time
@@ -30,7 +32,7 @@ class Schedule:
         until: part of the training after which the value stays.
 
     Raises:
-        ValueError: for something else than numbers, and an `until` outside 0 to 1.
+        ValueError: for something else than finite numbers, and an `until` outside 0 to 1.
     """
 
     start: float
@@ -39,9 +41,7 @@ class Schedule:
 
     def __post_init__(self) -> None:
         for each in fields(self):
-            value = getattr(self, each.name)
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise refusal(f"schedule.{each.name}", value, "a number")
+            finite(f"schedule.{each.name}", getattr(self, each.name))
         if not 0.0 < self.until <= 1.0:
             raise refusal("schedule.until", self.until, "a part of the training > 0, at most 1")
 
@@ -93,8 +93,8 @@ class Settings:
             if one_of("schedules", name, SCHEDULED) == "log_std" and self.algo != "ppo":
                 raise refusal("schedules.log_std", self.algo, "it with ppo only: sac learns its exploration")
             self.schedule(name)
-        if "learning_rate" in self.hyperparameters:
-            positive("hyperparameters.learning_rate", self.hyperparameters["learning_rate"])
+        for name, value in self.hyperparameters.items():
+            _check(f"hyperparameters.{name}", name, value)
         store(
             self,
             environment=self.description.whole(),
@@ -166,3 +166,15 @@ class Settings:
     def with_seed(self, seed: int) -> Self:
         """Gives the same with another seed."""
         return replace(self, seed=seed)
+
+
+def _check(field: str, name: str, value: object) -> None:
+    """Refuses a hyperparameter that would stop a training after it has begun; their names belong to the algorithm."""
+    if name in COUNTS:
+        whole_number(field, value, 1 - (name == "learning_starts"), MOST_STEPS)
+    elif name in PARTS and not positive(field, value) <= 1.0:
+        raise refusal(field, value, "a number > 0, at most 1")
+    elif name == "learning_rate":
+        positive(field, value)
+    elif name == "activation":
+        one_of(field, value, ACTIVATIONS)

@@ -4,6 +4,7 @@ import json
 import platform
 from dataclasses import replace
 from importlib.metadata import version
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from flexman_agents.policies import Act
 from flexman_agents.seeds import training_seed
 from flexman_agents.settings import HYPERPARAMETERS, Settings
 from flexman_agents.vector import Arms
-from flexman_gym.checks import whole_number
+from flexman_gym.checks import one_of, whole_number
 
 MODEL, STATISTICS, SETTINGS, REPLAY, BEST = "model.zip", "normalisation.pkl", "settings.json", "replay.pkl", "best"
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": sb3.PPO, "sac": sb3.SAC}
@@ -91,7 +92,11 @@ def resume(
 
 
 def hyperparameters(settings: Settings) -> dict[str, Any]:
-    """Gives the arguments of the algorithm: defaults, what the settings say, and schedules."""
+    """Gives the arguments of the algorithm: defaults, what the settings say, and schedules.
+
+    Raises:
+        ValueError: for a name that the algorithm does not know.
+    """
     chosen = HYPERPARAMETERS[settings.algo] | dict(settings.hyperparameters)
     policy = {"net_arch": chosen.pop("net_arch", NET_ARCH)}
     policy["log_std_init"] = chosen.pop("log_std_init", LOG_STD[settings.algo])
@@ -101,6 +106,9 @@ def hyperparameters(settings: Settings) -> dict[str, Any]:
     if rate is not None:
         chosen["learning_rate"] = rate
     chosen.setdefault("learning_rate", 2e-4 if settings.algo == "ppo" else 3e-4)
+    known = set(signature(ALGORITHMS[settings.algo].__init__).parameters) - {"self", "policy", "env", "policy_kwargs"}
+    for name in chosen:
+        one_of("hyperparameters", name, sorted(known | {"net_arch", "log_std_init", "activation"}))
     if settings.algo == "ppo":
         chosen["batch_size"] = min(chosen["batch_size"], chosen["n_steps"] * settings.envs)
     return chosen | {"policy_kwargs": policy}

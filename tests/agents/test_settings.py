@@ -80,6 +80,10 @@ def test_every_recipe_can_be_read_and_trained(name):
         ({"normalise_reward": 1}, "normalise_reward: 1 is not allowed; give true or false"),
         ({"hyperparameters": [1]}, "hyperparameters: [1] is not allowed; give a mapping"),
         ({"hyperparameters": {"learning_rate": 0}}, "hyperparameters.learning_rate: 0 is not allowed; give a finite"),
+        ({"hyperparameters": {"gamma": "x"}}, "hyperparameters.gamma: 'x' is not allowed; give a finite number > 0"),
+        ({"hyperparameters": {"tau": 1.5}}, "hyperparameters.tau: 1.5 is not allowed; give a number > 0, at most 1"),
+        ({"hyperparameters": {"n_steps": 2.5}}, "hyperparameters.n_steps: 2.5 is not allowed; give a whole number fr"),
+        ({"hyperparameters": {"activation": "sin"}}, "hyperparameters.activation: 'sin' is not allowed; give one of"),
         ({"schedules": {"gamma": {}}}, "schedules: 'gamma' is not allowed; give one of learning_rate, log_std"),
         ({"schedules": {"log_std": 3}}, "schedules.log_std: 3 is not allowed; give a mapping with start, end and"),
         ({"schedules": {"log_std": {"start": 1}}}, "schedules.log_std: {'start': 1} is not allowed; give a mapping"),
@@ -99,7 +103,7 @@ def test_a_bad_recipe_names_its_file_and_the_field(tmp_path):
     ):
         file.write(path, data)
         assert refusal(Settings.recipe, path).startswith(f"{path}: {line}")
-    with pytest.raises(FileNotFoundError, match=r"^recipe: nothing is not allowed; give a file, or one of ppo_on_pd"):
+    with pytest.raises(FileNotFoundError, match=r"^recipe: nothing is not allowed; give a file, or one of "):
         find_recipe("nothing")
 
 
@@ -125,6 +129,7 @@ def test_a_schedule_is_linear_and_then_stays(start, end, until, progress):
     ("values", "line"),
     [
         (("a", 1.0), "schedule.start: 'a' is not allowed; give a"),
+        ((float("nan"), 1.0), "schedule.start: nan is not allowed; give a finite"),
         ((1.0, None), "schedule.end: None is not allowed; give a"),
         ((1.0, 1.0, 0.0), "schedule.until: 0.0 is not allowed; give a part of the training > 0, at most 1"),
         ((1.0, 1.0, 1.5), "schedule.until: 1.5 is not allowed; give a part of the training > 0, at most 1"),

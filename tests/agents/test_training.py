@@ -142,6 +142,13 @@ def test_a_folder_is_not_trained_over(trained):
     )
 
 
+def test_a_refused_training_leaves_no_folder(tmp_path):
+    settings = replace(SHORT, hyperparameters={"gama": 0.9})
+    line = refusal(train, settings, tmp_path / "run")
+    assert line.startswith("hyperparameters: 'gama' is not allowed; give one of ") and "gamma" in line
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_missing_and_broken_runs_give_one_line(trained, tmp_path):
     with pytest.raises(FileNotFoundError, match="is not allowed; give the folder of a training run, or one of pd, lqr"):
         find_policy(str(tmp_path / "nothing"))
