@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from flexman_gym.kernels import layout
 from flexman_gym.studies.ringdown import measure
 from flexman_gym.studies.ringdown.cases import DURATION, IMPULSE, PERIOD, RELEASE, SLEW, UNDAMPED, cases, default_model
