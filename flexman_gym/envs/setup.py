@@ -26,7 +26,6 @@ from flexman_gym.simulation.families import Method
 
 CHOSEN = ("elements", "modes", "method", "step", "stiffening")  # by fidelity="auto"
 BASES = ("pd", "lqr", "lqr-tracking")
-LONGEST_STEP = 0.02 / 3.0  # s, of the default method
 LONGEST_HOLD, MOST_PERIODS = 1000, 10**9
 SLEW, SLEW_START = 3.0, 0.4  # s and rad, of the motion for which fidelity="auto" chooses
 
@@ -54,7 +53,7 @@ class Setup:
         tolerance: m, largest error of the tip in a slew.
         stiffening, spinning_rotors, rotary_inertia: switches of `build_model`.
         elements, modes, method, step: see `build_model` and `Simulator`; a step of None takes the longest that divides
-            the control period and is at most 20/3 ms; "assembled" modes are those that
+            the control period and is at most the `longest_step` of the named environment; "assembled" modes are those that
             `assembled_modes` finds for vibrations below half the control frequency.
         energy_alarm: part of the energy turned over (the largest of kinetic + elastic energy, work and dissipation).
         randomisation: a Randomisation, or a dict of its arguments; None for none.
@@ -170,9 +169,9 @@ class Setup:
         return self.base
 
 
-def default_step(control_period: float) -> float:
-    """Gives the longest step (s) up to LONGEST_STEP that divides a control period (s)."""
-    return control_period / math.ceil(control_period / LONGEST_STEP - 1e-9)
+def default_step(control_period: float, longest: float) -> float:
+    """Gives the longest step (s) up to a `longest` one that divides a control period (s)."""
+    return control_period / math.ceil(control_period / longest - 1e-9)
 
 
 class Fidelity(NamedTuple):
@@ -194,7 +193,9 @@ def build(setup: Setup) -> Fidelity:
         modes = assembled_modes(setup.arm, setup.elements, 0.5 / setup.control_period)
     switches = {name: getattr(setup, name) for name in ("stiffening", "spinning_rotors", "rotary_inertia")}
     model = build_model(setup.arm, setup.elements, modes, **switches)
-    step = default_step(setup.control_period) if setup.step is None else setup.step
+    step = setup.step
+    if step is None:
+        step = default_step(setup.control_period, NAMED[setup.name].longest_step)
     return Fidelity(model, setup.method, step, None)
 
 

@@ -13,8 +13,9 @@ from flexman_gym.model.model import Model
 class InitialVibration:
     """Deflection, m, of the tip of each flexible link at the start, from where the arm is released.
 
-    Its direction across the beam is random, its shape the one that a force on the tip gives. Directions into which the
-    model of a link cannot bend are left out.
+    A force of random direction across the beam bends the link. It is as large as deflects the tip by so much in the
+    direction in which the link bends most. A tip is therefore deflected less in a stiffer direction, and not at all in
+    one into which the model of the link cannot bend.
     """
 
     kind: ClassVar[type] = float
@@ -29,6 +30,7 @@ class InitialVibration:
         if span[1] > most:
             raise refusal(field, span, f"at most {most:.4g} (m), the limit of the deflection of a link")
         self._shapes = [bent_shape(model, link) for link in range(model.n_joints)]
+        self._ways = np.array([deflection_of_force(model, link) for link in range(model.n_joints)])
         self._drawn = np.zeros((0, *self.shape))
 
     @staticmethod
@@ -40,7 +42,8 @@ class InitialVibration:
         """(n, 2) m, deflections along y and z of each link's beam frame."""
         n = len(self._flexible)
         size, angle = stream.uniform(*self._span, n), stream.uniform(0.0, 2.0 * np.pi, n)
-        return (self._flexible * size * np.array([np.cos(angle), np.sin(angle)])).T
+        forces = (self._flexible * size * np.array([np.cos(angle), np.sin(angle)])).T
+        return np.einsum("nij,nj->ni", self._ways, forces)
 
     def begin(self, arms: IntArray, drawn: Array) -> None:
         """Keeps what was drawn."""
@@ -53,12 +56,25 @@ class InitialVibration:
                 states[row, self._model.elastic_columns(link)] = shape @ tip
 
 
+def deflection_of_force(model: Model, link: int) -> Array:
+    """(2, 2) deflection of a link's tip along y and z by forces along them, as a part of the largest."""
+    across, yielding = _yielding(model, link)
+    compliance = across.T @ yielding
+    largest = np.linalg.norm(compliance, 2)
+    return compliance / largest if largest > 0.0 else compliance
+
+
 def bent_shape(model: Model, link: int) -> Array:
     """(k_i, 2) coordinates of a link per metre that a force on its tip deflects it along y and z."""
+    across, yielding = _yielding(model, link)
+    return yielding @ np.linalg.pinv(across.T @ yielding)
+
+
+def _yielding(model: Model, link: int) -> tuple[Array, Array]:
+    """Both (k_i, 2): how coordinates move the tip along y and z, and how forces on it move them."""
     constants = model.constants
     start, stop = constants.elastic_start[link : link + 2]
     first, last = constants.square_start[link : link + 2]
     stiffness = constants.stiffness[first:last].reshape(stop - start, stop - start)
     across = constants.tip_translation[start:stop, 1:]
-    yielding = np.linalg.solve(stiffness, across)
-    return yielding @ np.linalg.pinv(across.T @ yielding)
+    return across, np.linalg.solve(stiffness, across)

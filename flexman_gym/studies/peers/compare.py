@@ -19,6 +19,7 @@ FINE = [f"{mesh}, foreshortening" for mesh in ("1, 2 and 2 elements", "2 element
 CUT, CUT_MESH = "20 modes of 1, 3 and 3 elements, foreshortening", (1, 3, 3)
 CUT_MODES = ((0, 1, 2, 3, 4), (0, 1, 2, 3, 4, 5, 6, 7, 8, 14), (0, 1, 2, 3, 9))
 GRID = {"extrapolated_euler_3": (1, 2, 3, 4, 5, 6), "extrapolated_euler_5": (1, 2, 3)}
+GRID |= {"implicit_midpoint_2": (1, 2, 3, 4, 5, 6), "implicit_midpoint_3": (1, 2, 3, 4, 5, 6)}
 GRID["implicit_midpoint"] = (2, 3, 4, 5, 6, 100)  # the last for the error of the model alone
 MORE = {"extrapolated_euler_4": (1, 2, 3), "ros2": (5, 10), "generalised_alpha": range(4, 7)}  # where time errors count
 PEERS = {"MuJoCo": "mujoco", "Exudyn": "exudyn", "Pinocchio": "pin"}  # name: package
