@@ -1,5 +1,7 @@
 """flexman_gym: robot arms whose links and joints bend, as Gymnasium environments."""
 
+from importlib.metadata import PackageNotFoundError, version
+
 from gymnasium.envs.registration import register
 
 from flexman_gym.envs import NAMED, Limits, Randomisation, Slew
@@ -54,6 +56,7 @@ __all__ = [
     "SineTorque",
     "Slew",
     "Trajectory",
+    "__version__",
     "acceleration",
     "build_model",
     "catalog",
@@ -70,6 +73,11 @@ __all__ = [
     "strain",
     "tip_acceleration",
 ]
+
+try:
+    __version__ = version("flexman_gym")
+except PackageNotFoundError:  # a checkout that is not installed
+    __version__ = "0+unknown"
 
 for _name in NAMED:
     register(

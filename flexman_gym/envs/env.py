@@ -73,15 +73,17 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         (see `Effects`).
 
     Fidelity
-        By default two elements a link with the 16 of 36 loaded modes that matter below half the control frequency, and
-        "ros2" at 5 ms; `docs/accuracy.md` says how far the tip is from that of all coordinates.
+        By default two elements a link with the loaded modes that matter below half the control frequency, 16 of 36 for
+        FlexRRR-v0, and "implicit_midpoint_3" at 20/3 ms, which takes no energy from vibrations of its own. The smaller
+        arms have shorter steps. `docs/accuracy.md` says how far energy and tip are from those of all coordinates.
 
         fidelity="auto" with a tolerance (m) lets `choose_model` choose modes, method and step for a slew of 3 s with
         sine torques (0.5 Hz, `torque_limit`) from a bent posture; the choice is at
         `env.unwrapped.choice`. The tolerance holds for that motion, more or less for others like it.
 
     Version history
-        v0: first version.
+        v0: first version. Until 0.1.0 the method was "ros2" at 5 ms, which gave released vibrations energy and took
+        it from others; rewards and observations differ from then on (`method="ros2", step=0.005` has the old ones).
 
     Args:
         render_mode: None or "rgb_array".

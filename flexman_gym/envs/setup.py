@@ -53,8 +53,8 @@ class Setup:
         tolerance: m, largest error of the tip in a slew.
         stiffening, spinning_rotors, rotary_inertia: switches of `build_model`.
         elements, modes, method, step: see `build_model` and `Simulator`; a step of None takes the longest that divides
-            the control period and is at most the `longest_step` of the named environment; "assembled" modes are those that
-            `assembled_modes` finds for vibrations below half the control frequency.
+            the control period and is at most the `longest_step` of the named environment; "assembled" modes are those
+            that `assembled_modes` finds for vibrations below half the control frequency.
         energy_alarm: part of the energy turned over (the largest of kinetic + elastic energy, work and dissipation).
         randomisation: a Randomisation, or a dict of its arguments; None for none.
 

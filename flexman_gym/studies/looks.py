@@ -5,9 +5,9 @@ from typing import NamedTuple
 from flexman_gym.draw.style import BLUE, GREEN, ORANGE, RED, SKY
 from flexman_gym.simulation.methods import METHODS
 
-PURPLE, BLACK, TEAL, PINE = "#CC79A7", "#000000", "#66C2A5", "#004D3A"
-COLOURS = (ORANGE, BLUE, SKY, RED, TEAL, GREEN, PINE, PURPLE, BLACK)
-MARKERS = "voDs^<>PX"  # as many as colours; those who cannot tell the colours apart have them
+TEAL, PINE, PURPLE, PINK, PLUM, BLACK = "#66C2A5", "#004D3A", "#CC79A7", "#EBBAD6", "#6E1F55", "#000000"
+COLOURS = (ORANGE, BLUE, SKY, RED, TEAL, GREEN, PINE, PURPLE, PINK, PLUM, BLACK)
+MARKERS = "voDs^<>PX*p"  # as many as colours; those who cannot tell the colours apart have them
 
 
 class Look(NamedTuple):

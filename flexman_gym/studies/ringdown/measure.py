@@ -35,7 +35,7 @@ class Row:
         energy_median, energy_90, energy_99: percentiles of the energy error, relative to the energy that should be left
             or 2 % of that at the start; infinite where an arm failed.
         tip_median, tip_90, tip_95, tip_99: percentiles of the distance of the tip from the converged one at the end, m.
-        kept: median of the energy left at the end, as a part of that at the start.
+        kept: median of the energy left at the end by the arms that did not fail, as a part of that at the start.
         failed: part of the arms that failed.
     """
 
@@ -109,10 +109,15 @@ def row(kind: str, method: str, step: float, found: Outcome, truth: Outcome) -> 
     scale = np.maximum(truth.energy[:b], FLOOR * truth.first[:b])
     energy = np.where(failed, np.inf, np.abs(found.energy - truth.energy[:b]) / scale)
     tip = np.where(failed, np.inf, np.linalg.norm(found.tip - truth.tip[:b], axis=1))
-    kept = float(np.median(np.where(failed, np.nan, found.energy / np.maximum(found.first, 1e-12))))
+    kept = median_kept(found.energy / np.maximum(found.first, 1e-12), failed)
     cpu = found.seconds / (b * DURATION[kind])
     shares = percentiles(energy, tip)
     return Row(kind, "flexman_gym", method, step, cpu, kept=kept, failed=float(failed.mean()), **shares)
+
+
+def median_kept(kept: Array, failed: Array) -> float:
+    """Gives the median of the arms that did not fail; NaN where all did."""
+    return np.nan if failed.all() else float(np.median(kept[~failed]))
 
 
 def percentiles(energy: Array, tip: Array) -> dict[str, float]:

@@ -10,7 +10,7 @@ import numpy as np
 from flexman_gym.arrays import Array
 from flexman_gym.studies.peers.mujoco import description, integrators
 from flexman_gym.studies.ringdown.cases import DURATION, LARGEST_DEFLECTION, SPREAD, UNDAMPED, default_model
-from flexman_gym.studies.ringdown.measure import Row, percentiles
+from flexman_gym.studies.ringdown.measure import Row, median_kept, percentiles
 
 PIECES, FINEST = 4, 20e-6  # of a link; s, of RK4
 STEPS = {"Euler": (5e-3, 1e-3, 1e-4, 5e-5), "RK4": (1e-3, 1e-4, 5e-5), "implicitfast": (5e-3, 1e-3, 1e-4, 5e-5)}
@@ -56,7 +56,7 @@ def rows(count: int) -> Iterator[Row]:
             tip = np.array([np.linalg.norm(run[0] - truth) for run, truth in zip(runs, truths, strict=True)])
             energy, tip = np.where(failed, np.inf, np.abs(kept - 1.0)), np.where(failed, np.inf, tip)
             cpu = sum(run[3] for run in runs) / (count * DURATION[UNDAMPED])
-            left = float(np.median(np.where(failed, np.nan, kept)))
             name = f"MuJoCo, {PIECES} pieces"
             shares = percentiles(energy, tip)
-            yield Row(UNDAMPED, name, integrator, step, cpu, kept=left, failed=float(failed.mean()), **shares)
+            shares |= {"kept": median_kept(kept, failed), "failed": float(failed.mean())}
+            yield Row(UNDAMPED, name, integrator, step, cpu, **shares)
