@@ -77,4 +77,5 @@ def _yielding(model: Model, link: int) -> tuple[Array, Array]:
     first, last = constants.square_start[link : link + 2]
     stiffness = constants.stiffness[first:last].reshape(stop - start, stop - start)
     across = constants.tip_translation[start:stop, 1:]
-    return across, np.linalg.solve(stiffness, across)
+    yielding: Array = np.linalg.solve(stiffness, across)
+    return across, yielding

@@ -14,7 +14,7 @@ import time
 from typing import Any
 from xml.etree import ElementTree
 
-import mujoco  # type: ignore[import-not-found, unused-ignore]
+import mujoco  # type: ignore[import-not-found, import-untyped, unused-ignore]
 import numpy as np
 
 import flexman_gym as fm

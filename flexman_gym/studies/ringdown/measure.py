@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.arrays import Array
+from flexman_gym.arrays import Array, Flags
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import IntArray
 from flexman_gym.model.model import Model
@@ -115,7 +115,7 @@ def row(kind: str, method: str, step: float, found: Outcome, truth: Outcome) -> 
     return Row(kind, "flexman_gym", method, step, cpu, kept=kept, failed=float(failed.mean()), **shares)
 
 
-def median_kept(kept: Array, failed: Array) -> float:
+def median_kept(kept: Array, failed: Flags) -> float:
     """Gives the median of the arms that did not fail; NaN where all did."""
     return np.nan if failed.all() else float(np.median(kept[~failed]))
 

@@ -24,9 +24,9 @@ relative to the energy that should be left, or to 2 % of that at the start where
 
 {tables}
 """
-CONCLUSION = """- **The default, `{method}` at {step:.3g} ms:** after a release its energy is {energy:.2g} % off in the median
-  and at most {energy_90:.2g} % in nine of ten arms; its tip is {tip:.2g} mm off in the median, at most {tip_90:.2g} mm in
-  nine of ten.
+CONCLUSION = """- **The default, `{method}` at {step:.3g} ms:** after a release its energy is {energy:.2g} % off in the
+  median and at most {energy_90:.2g} % in nine of ten arms; its tip is {tip:.2g} mm off in the median, at most
+  {tip_90:.2g} mm in nine of ten.
 - **After an impulse** the tip is {impulse:.2g} mm off in the median, at most {impulse_90:.2g} mm in nine of ten.
 - **In slews** it is {slew:.2g} mm off in the median, at most {slew_95:.2g} mm in 95 %.
 - **`ros2` at 5 ms,** the default before, is {old:.3g} mm off after a release, and its energy {old_energy:.3g} %.
