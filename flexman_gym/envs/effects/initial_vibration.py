@@ -77,5 +77,4 @@ def _yielding(model: Model, link: int) -> tuple[Array, Array]:
     first, last = constants.square_start[link : link + 2]
     stiffness = constants.stiffness[first:last].reshape(stop - start, stop - start)
     across = constants.tip_translation[start:stop, 1:]
-    yielding: Array = np.linalg.solve(stiffness, across)
-    return across, yielding
+    return across, np.asarray(np.linalg.solve(stiffness, across), dtype=np.float64)
