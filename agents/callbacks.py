@@ -2,11 +2,13 @@
 
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import Logger, configure
+from stable_baselines3.common.logger import Logger, make_output_format
 
 from flexman_agents.evaluation import evaluate, summary
 from flexman_agents.policies import INTERFACE, Act, Policy
@@ -17,9 +19,10 @@ from flexman_gym.envs.description import Description
 WORSE = 0.2  # share of settled episodes that may be lost before a warning
 
 
-def writers(folder: Path) -> Logger:
-    """Opens progress.csv and TensorBoard events in a folder."""
-    return configure(str(folder), ["csv", "tensorboard"])
+def writers(folder: Path, steps: int = 0) -> Logger:
+    """Opens progress.csv, or progress-STEPS.csv for what follows after so many, and TensorBoard events in a folder."""
+    suffix = f"-{steps}" if steps else ""
+    return Logger(str(folder), [make_output_format(kind, str(folder), suffix) for kind in ("csv", "tensorboard")])
 
 
 class Exploration(BaseCallback):
@@ -55,19 +58,29 @@ class Saves(BaseCallback):
 class Judge(BaseCallback):
     """Evaluates the policy without noise on selection seeds, records its figures and keeps the best one.
 
-    The best settles most often within the band; among equals the one with the smaller median error. A line on stderr
-    says so when a policy has become much worse than the best.
+    The best settles most often within the band; among equals the one with the smaller median error. A run that goes on
+    begins with the figures of its best so far. A line on stderr says so when a policy has become much worse than the
+    best.
     """
 
-    def __init__(self, settings: Settings, act: Act, every: int, keep: Callable[[], bool]) -> None:
+    def __init__(
+        self, settings: Settings, act: Act, every: int, keep: Callable[[], bool], best: Act | None = None
+    ) -> None:
         super().__init__()
         described = settings.description
         own = dict(described.settings or {})
         interface = {key: own.pop(key) for key in INTERFACE if key in own}
         self._environment, self._policy = Description(described.id, own), Policy("training", act, interface)
         self._every, self._keep, self._next = every, keep, every
-        self._best = (-1.0, 0.0)
+        self._best = (-1.0, 0.0) if best is None else _score(self._judged(best))
         self._warned = False
+
+    def _judged(self, act: Act) -> dict[str, Any]:
+        """Figures of what acts."""
+        return summary(evaluate(replace(self._policy, act=act), self._environment, SELECTION))
+
+    def _on_training_start(self) -> None:
+        self._next = self.num_timesteps + self._every
 
     def _on_step(self) -> bool:
         return True
@@ -76,13 +89,13 @@ class Judge(BaseCallback):
         if self.num_timesteps < self._next:
             return
         self._next = self.num_timesteps + self._every
-        found = summary(evaluate(self._policy, self._environment, SELECTION))
+        found = self._judged(self._policy.act)
         names = {"stabilisation_time": "stabilisation_time_s", "vibration": "vibration_m", "error": "error_m"}
         for key, name in names.items():
             self.logger.record(f"selection/{name}", found[key][0])
         for key in ("reward", "settled", "failed"):
             self.logger.record(f"selection/{key}", found[key])
-        score = (found["settled"], -found["error"][0])
+        score = _score(found)
         if score > self._best:
             self._best, self._warned = score, False
             self._keep()
@@ -91,3 +104,7 @@ class Judge(BaseCallback):
             share = f"{score[0]:.0%} settle instead of {self._best[0]:.0%}"
             said = f"after {self.num_timesteps} steps the policy is worse than before: {share}; the best one is kept"
             print(said, file=sys.stderr)
+
+
+def _score(found: dict[str, Any]) -> tuple[float, float]:
+    return found["settled"], -found["error"][0]

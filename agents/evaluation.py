@@ -123,6 +123,19 @@ def common_environment(policies: Sequence[Policy], named: Description | None) ->
     return trained[0].environment
 
 
+def changed_environment(environment: Description, changes: Sequence[str]) -> Description:
+    """Gives an environment with settings of "name=value" changed.
+
+    Raises:
+        ValueError: for those that belong to what acts, and what `Description.changed` refuses.
+    """
+    for change in changes:
+        if change.split("=")[0].split(".")[0] in INTERFACE:
+            allowed = f"a setting of what is moved: {', '.join(INTERFACE)} are those that a policy was trained with"
+            raise refusal("--set", change, allowed)
+    return environment.changed(changes)
+
+
 def summary(episodes: Sequence[Episode]) -> dict[str, Any]:
     """Gives the figures of many episodes: shares, and medians with bootstrap intervals."""
     settled = np.array([episode.stabilisation_time for episode in episodes])

@@ -28,7 +28,7 @@ from flexman_agents.policies import Act
 from flexman_agents.seeds import training_seed
 from flexman_agents.settings import HYPERPARAMETERS, Settings
 from flexman_agents.vector import Arms
-from flexman_gym.checks import one_of, whole_number
+from flexman_gym.checks import one_of, refusal, whole_number
 
 MODEL, STATISTICS, SETTINGS, REPLAY, BEST = "model.zip", "normalisation.pkl", "settings.json", "replay.pkl", "best"
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": sb3.PPO, "sac": sb3.SAC}
@@ -72,13 +72,24 @@ def train(
 
 
 def resume(
-    folder: Path, steps: int, checkpoint_every: int = 0, progress: bool = True, device: str = "cpu"
+    folder: Path,
+    steps: int,
+    checkpoint_every: int = 0,
+    progress: bool = True,
+    device: str = "cpu",
+    judge_every: int = 0,
 ) -> BaseAlgorithm:
     """Goes on with the run in a folder, for more steps, from its newest model and statistics.
 
+    Its curves are in progress-STEPS.csv, after so many steps.
+
     Raises:
         FileNotFoundError: when there is no run.
+        ValueError: when the run keeps its best policy, which is what acts, and would not be judged any more.
     """
+    if (folder / BEST).is_dir() and judge_every < 1:
+        allowed = f"the steps between evaluations, > 0: {folder} keeps its best policy"
+        raise refusal("judge_every", judge_every, allowed)
     torch.set_num_threads(1)
     settings = replace(load_settings(folder), steps=whole_number("steps", steps, 1, 10**10))
     env = VecNormalize.load(str(existing(folder / STATISTICS)), _environments(settings))
@@ -88,7 +99,7 @@ def resume(
     # the same seed would draw the episodes of the first part again
     model.set_random_seed(settings.seed + model.num_timesteps)
     env.seed(training_seed(settings.seed) + model.num_timesteps)
-    return _learn(model, settings, folder, (checkpoint_every, 0), progress)
+    return _learn(model, settings, folder, (checkpoint_every, judge_every), progress)
 
 
 def hyperparameters(settings: Settings) -> dict[str, Any]:
@@ -188,10 +199,12 @@ def _learn(
     if every[1]:
         statistics = model.get_vec_normalize_env()
         assert statistics is not None
-        callbacks.append(Judge(settings, acting(model, statistics), every[1], lambda: save(model, folder / BEST)))
+        best = load_policy(folder)[1] if (folder / BEST).is_dir() else None
+        act = acting(model, statistics)
+        callbacks.append(Judge(settings, act, every[1], lambda: save(model, folder / BEST), best))
     if every[0]:
         callbacks.append(EveryNTimesteps(every[0], Saves(lambda: save(model, folder))))
-    model.set_logger(writers(folder))
+    model.set_logger(writers(folder, model.num_timesteps))
     model.learn(settings.steps, callback=callbacks, progress_bar=progress, reset_num_timesteps=False)
     save(model, folder)
     model.get_env().close()  # type: ignore[union-attr]

@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from flexman_agents.evaluation import common_environment, evaluate, table
+from flexman_agents.evaluation import changed_environment, common_environment, evaluate, table
 from flexman_agents.policies import BASELINES, find_policy
 from flexman_agents.seeds import TEST
 from flexman_gym.envs import NAMED
@@ -27,7 +27,7 @@ def main() -> int:
         named = None
         if options.env:
             named = Description(options.env) if options.env in NAMED else Description.load(options.env)
-        environment = common_environment(list(policies.values()), named).changed(options.set)
+        environment = changed_environment(common_environment(list(policies.values()), named), options.set)
         seeds = range(options.seed, options.seed + options.episodes)
         results = {name: evaluate(policy, environment, seeds) for name, policy in policies.items()}
     except (ValueError, OSError) as error:

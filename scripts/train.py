@@ -18,7 +18,8 @@ def main() -> int:
     try:
         if options.resume:
             steps = options.steps or 1_000_000
-            resume(options.folder, steps, options.checkpoint_every, not options.quiet, options.device)
+            every = options.checkpoint_every, options.judge_every
+            resume(options.folder, steps, every[0], not options.quiet, options.device, every[1])
             folders = [options.folder]
         else:
             folders = start(options)

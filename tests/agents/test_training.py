@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -97,6 +98,31 @@ def test_a_resumed_run_counts_on_and_changes_the_policy(trained, tmp_path):
     before = acts(folder)
     assert resume(folder, 256, progress=False).num_timesteps == 768
     assert np.abs(acts(folder) - before).max() > 0
+
+
+def test_a_run_that_keeps_its_best_policy_goes_on_only_where_it_is_judged(trained, tmp_path, monkeypatch):
+    folder = tmp_path / "run"
+    shutil.copytree(trained[0], folder)
+    line = refusal(resume, folder, 256)
+    assert (
+        line
+        == f"judge_every: 0 is not allowed; give the steps between evaluations, > 0: {folder} keeps its best policy"
+    )
+    found = {"reward": 0.0, "failed": 0.0} | dict.fromkeys(
+        ("stabilisation_time", "vibration", "error"), (1.0, 1.0, 1.0)
+    )
+    shares = iter([0.5, 0.4, 0.6])  # of its best so far, and then of two evaluations
+    monkeypatch.setattr("flexman_agents.callbacks.summary", lambda episodes: found | {"settled": next(shares)})
+    kept = []
+    monkeypatch.setattr(
+        "flexman_agents.training.save", lambda model, place: kept.append((place.name, model.num_timesteps))
+    )
+    resume(folder, 512, progress=False, judge_every=256)
+    assert kept == [(BEST, 1024), ("run", 1024)]
+    with (folder / "progress-512.csv").open() as lines:
+        assert [int(row["time/total_timesteps"]) for row in csv.DictReader(lines)] == [768, 1024]
+    with (folder / "progress.csv").open() as lines:
+        assert len(list(csv.DictReader(lines))) == 2
 
 
 def test_checkpoints_are_written_on_the_way(tmp_path, monkeypatch):
