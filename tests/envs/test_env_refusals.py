@@ -41,7 +41,7 @@ print(digest.hexdigest())
         ({"method": "euler"}, "method", "one of semi_implicit_euler, rk4"),
         ({"step": 0.003}, "step", "divides the control period, 0.02 s"),
         ({"step": 0.05}, "step", "divides the control period, 0.02 s"),
-        ({"step": None, "method": "rk4"}, "step", "a number > 0"),
+        ({"step": 0.0}, "step", "a number of seconds"),
         ({"control_period": 0.0}, "control_period", "a finite number > 0"),
         ({"torque_limit": -1.0}, "torque_limit", "a finite number > 0"),
         ({"modes": 13}, "modes[0]", "at most 12"),
@@ -77,7 +77,7 @@ def test_a_bad_action_is_refused_in_one_line_and_changes_nothing(action):
     ("options", "allowed"),
     [
         ({"speed": 1.0}, "one of start, posture, parameters"),
-        ({"start": [5.0, 0.0, 0.0]}, "a start and a posture within the limits"),
+        ({"start": [5.0, 0.0, 0.0]}, "a start and a goal within the limits"),
         (3, "a dict with start, posture or parameters"),
     ],
 )

@@ -152,8 +152,8 @@ def test_the_default_environment_has_the_slow_vibrations_of_the_full_arm():
     assert assembled_modes(fm.catalog.planar_2r(), 1)[0]
 
 
-@pytest.mark.parametrize("number", [0, 1])
-def test_the_default_environment_keeps_98_percent_of_an_undamped_vibration_for_10_s(number):
+@pytest.mark.parametrize("number", range(5))
+def test_the_default_environment_keeps_an_undamped_vibration_for_10_s(number):
     env = FlexManEnv(arm=fm.catalog.paper_rrr(rotor_inertia=10.0))
     simulator, model = env.simulator, env.simulator.model
     squares, shapes = eigh(stiffness_matrix(model), fm.mass_matrix(model, np.zeros(2 * model.n_dof)))
@@ -164,7 +164,7 @@ def test_the_default_environment_keeps_98_percent_of_an_undamped_vibration_for_1
     kept = np.sqrt(simulator.energy / before)
     frequency = np.sqrt(squares[3 + number]) / (2 * np.pi)
     assert kept == pytest.approx(amplitude_kept(simulator.method, 0.02 / simulator.substeps, frequency), abs=1e-3)
-    assert 0.98 < kept <= 1.0
+    assert kept == pytest.approx(1.0, abs=1e-6)
 
 
 def test_an_environment_chooses_its_fidelity():
