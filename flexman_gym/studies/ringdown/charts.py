@@ -14,7 +14,7 @@ from flexman_gym.studies.ringdown.cases import RELEASE, UNDAMPED
 from flexman_gym.studies.ringdown.measure import Row
 
 COST = "CPU seconds per simulated second of one arm"
-GREYS = {"Euler": "1", "RK4": "2", "implicitfast": "3", "discrete": "4"}  # markers of MuJoCo's integrators
+GREYS = {"Euler": "x", "RK4": "d", "implicitfast": "+", "discrete": "."}  # markers of MuJoCo's integrators
 PICTURE = "ring_down.png"
 
 
