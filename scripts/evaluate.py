@@ -24,9 +24,7 @@ def main() -> int:
         parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
     try:
         policies = {name: find_policy(name) for name in options.policy}
-        named = None
-        if options.env:
-            named = Description(options.env) if options.env in NAMED else Description.load(options.env)
+        named = Description.find(options.env) if options.env else None
         environment = changed_environment(common_environment(list(policies.values()), named), options.set)
         seeds = range(options.seed, options.seed + options.episodes)
         results = {name: evaluate(policy, environment, seeds) for name, policy in policies.items()}

@@ -60,7 +60,7 @@ def start(options: argparse.Namespace) -> list[Path]:
         settings = Settings(algo=options.algo, environment=dict(settings.environment), seed=settings.seed)
     described = settings.description
     if options.env:
-        described = Description(options.env) if options.env in NAMED else Description.load(options.env)
+        described = Description.find(options.env)
     described = described.changed(options.set)
     settings = replace(settings, environment=described.whole(), **named)
     folders = []

@@ -58,6 +58,19 @@ class Description:
             raise ValueError(f"{path}: {error}") from None
 
     @classmethod
+    def find(cls, name: str) -> Self:
+        """Gives a named environment, or that of a file.
+
+        Raises:
+            FileNotFoundError, ValueError: one line, also where it is neither.
+        """
+        if name in NAMED:
+            return cls(name)
+        if not Path(name).exists():
+            raise FileNotFoundError(f"{name}: there is no such file; give one, or one of {', '.join(sorted(NAMED))}")
+        return cls.load(name)
+
+    @classmethod
     def from_dict(cls, data: object, folder: Path = Path()) -> Self:
         """The description in a mapping with "id" and settings, every one of which is checked."""
         if not isinstance(data, dict):

@@ -1,6 +1,7 @@
 """Episodes: arms side by side, each in an episode of its own; the core that the environments share."""
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -226,7 +227,7 @@ class Episodes:
             "energy_residual": residual,
             "energy_alarm": alarm(residual, view.energy_turnover, self._energy_alarm),
             "reward_terms": terms,
-            **self.task.info(view),
+            **{name: copy(value) for name, value in self.task.info(view).items()},  # what a view has goes on
         }
 
     def _read(self) -> None:

@@ -168,6 +168,19 @@ def test_an_observation_beyond_its_own_bound_ends_the_episode_and_is_named():
     assert info["failure"].startswith("encoders 0.3") and "rad beyond 0.31" in info["failure"]
 
 
+def test_what_a_task_says_of_a_step_stays_as_it_was():
+    class Watching(Follow):
+        def info(self, view):
+            return {"angles": view.motor_angles, "height": view.tip[..., 2]}
+
+    for env in (FlexManEnv(task=Watching()), FlexManVectorEnv(2, task=Watching())):
+        env.reset(seed=0)
+        said = env.step(np.ones(env.action_space.shape))[4]["angles"]
+        before = said.copy()
+        env.step(np.ones(env.action_space.shape))
+        assert np.array_equal(said, before)
+
+
 def test_a_named_environment_is_one_entry(monkeypatch):
     entry = Named(
         lambda: fm.Arm(
