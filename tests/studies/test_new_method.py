@@ -103,7 +103,7 @@ def test_a_map_has_a_panel_for_each_method(monkeypatch):
     rows = doubled("ros2")
     panels = stability_charts.CHARTS["modes"]("modes", rows).get_axes()
     shown = [axes for axes in panels if axes.get_visible()]
-    assert len(shown) == len({row.method for row in rows if row.study == "modes"}) == 10 and len(panels) == 12
+    assert len(shown) == len({row.method for row in rows if row.study == "modes"}) == 12 and len(panels) == 12
 
 
 def test_a_new_method_is_measured_by_the_study_of_stability(monkeypatch):
