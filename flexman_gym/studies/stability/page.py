@@ -31,7 +31,7 @@ from flexman_gym.studies.stability.measure import (
 HEAD = (
     "`python scripts/stability.py --folder docs` writes this page, its pictures and its rows "
     "([stability.csv](stability.csv)) anew; every number below comes from the rows, or from the coefficients of "
-    "a method. Without MuJoCo on the machine, no other simulator stands beside these."
+    "a method. No other simulator stands beside these; [ring_down.md](ring_down.md) has MuJoCo's."
 )
 MACHINE = "Computed with {machine}."
 READING = (
