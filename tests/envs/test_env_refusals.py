@@ -12,27 +12,6 @@ INFO = {
     "failure", "tip", "target", "posture",
 }  # fmt: skip
 FAR = fm.Limits(angle=1e9, rate=1e9, twist=1e9, deflection=1e9, deflection_rate=1e9, tip_speed=1e9)
-EPISODES = """
-import hashlib, sys, gymnasium, numpy
-import flexman_gym
-env = gymnasium.make("FlexRRR-v0", max_episode_steps=100)
-digest = hashlib.sha256()
-def note(*values):
-    for value in values:
-        items = sorted(value.items()) if isinstance(value, dict) else None
-        if items is not None:
-            note(*(part for item in items for part in item))
-        else:
-            digest.update(value.tobytes() if isinstance(value, numpy.ndarray) else repr(value).encode())
-env.action_space.seed(int(sys.argv[1]))
-note(*env.reset(seed=int(sys.argv[1])))
-for _ in range(300):
-    observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
-    note(observation, reward, terminated, truncated, info)
-    if terminated or truncated:
-        note(*env.reset())
-print(digest.hexdigest())
-"""
 
 
 @pytest.mark.parametrize(
