@@ -20,7 +20,7 @@ FAR = fm.Limits(angle=1e9, rate=1e9, twist=1e9, deflection=1e9, deflection_rate=
         ({"method": "euler"}, "method", "one of semi_implicit_euler, rk4"),
         ({"step": 0.003}, "step", "divides the control period, 0.02 s"),
         ({"step": 0.05}, "step", "divides the control period, 0.02 s"),
-        ({"step": 0.0}, "step", "a number of seconds"),
+        ({"step": 0.0}, "step", "a finite number > 0 (s)"),
         ({"control_period": 0.0}, "control_period", "a finite number > 0"),
         ({"torque_limit": -1.0}, "torque_limit", "a finite number > 0"),
         ({"modes": 13}, "modes[0]", "at most 12"),
