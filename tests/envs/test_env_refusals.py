@@ -3,15 +3,7 @@
 import numpy as np
 import pytest
 
-import flexman_gym as fm
 from flexman_gym.envs.env import FlexManEnv
-
-POSTURE = (0.3, 0.4, -0.5)
-INFO = {
-    "tip_error", "tip_vibration", "elastic_energy", "energy_residual", "energy_alarm", "reward_terms", "status",
-    "failure", "tip", "target", "posture",
-}  # fmt: skip
-FAR = fm.Limits(angle=1e9, rate=1e9, twist=1e9, deflection=1e9, deflection_rate=1e9, tip_speed=1e9)
 
 
 @pytest.mark.parametrize(
