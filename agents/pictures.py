@@ -35,7 +35,7 @@ def draw_episodes(records: Mapping[str, Record], period: float, path: Path, band
     axes[0].axhline(band, color=DARK, linewidth=0.8, linestyle="--")
     axes[0].text(0.1, 1.15 * band, f"{1e3 * band:.3g} mm", fontsize=8, color=DARK)
     axes[0].set_ylabel("distance of the tip from its target (m)")
-    axes[0].legend(frameon=False, ncols=3, fontsize=9, loc="upper right")
+    axes[0].legend(frameon=False, ncols=6, fontsize=9, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     for joint in range(joints):
         axes[1 + joint].set(ylabel=f"motor {joint + 1}", ylim=(-1.08, 1.08))
     axes[-1].set_xlabel("time (s); torques as parts of their limits")
