@@ -79,6 +79,8 @@ class Episodes:
         """
         self.over[arms] = True
         drawn = [self.task.draw(random, self.view) for random in randoms]
+        for each in drawn:
+            self._check_plan(each)
         plan = {name: np.array([each[name] for each in drawn]) for name in drawn[0]} if drawn else {}
         given = self._given(options, plan)
         parameters = {name: values[arms] for name, values in given.pop("parameters", {}).items()}
@@ -97,6 +99,12 @@ class Episodes:
         self._begin(arms, options)
         if self.base:
             self.base.reset(arms, plan["start"], self.view.posture[arms])
+
+    def _check_plan(self, plan: object) -> None:
+        """Refuses what a task draws without a start that has an angle for each joint."""
+        n = self.batch.model.n_joints
+        if not isinstance(plan, dict) or np.shape(plan.get("start", ())) != (n,):
+            raise refusal("task.draw", plan, f'a dict with "start", {n} joint angles (rad)')
 
     def _set_goal(self, arms: IntArray, plan: Mapping[str, Array]) -> None:
         """Keeps the plans of new episodes and sets their goals."""

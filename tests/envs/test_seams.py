@@ -168,6 +168,18 @@ def test_an_observation_beyond_its_own_bound_ends_the_episode_and_is_named():
     assert info["failure"].startswith("encoders 0.3") and "rad beyond 0.31" in info["failure"]
 
 
+@pytest.mark.parametrize("plan", [{}, {"start": [0.0]}, [0.0, 0.0, 0.0]])
+def test_a_task_that_says_no_start_is_refused_in_one_line(plan):
+    class Lost(Follow):
+        def draw(self, random, view):
+            return plan
+
+    with pytest.raises(ValueError) as error:
+        FlexManEnv(task=Lost()).reset(seed=0)
+    allowed = 'a dict with "start", 3 joint angles (rad)'
+    assert str(error.value) == f"task.draw: {plan!r} is not allowed; give {allowed}"
+
+
 def test_what_a_task_says_of_a_step_stays_as_it_was():
     class Watching(Follow):
         def info(self, view):
