@@ -11,10 +11,9 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, make_output_format
 
 from flexman_agents.evaluation import evaluate, summary
-from flexman_agents.policies import INTERFACE, Act, Policy
+from flexman_agents.policies import Act, Policy, parted
 from flexman_agents.seeds import SELECTION
 from flexman_agents.settings import Schedule, Settings
-from flexman_gym.envs.description import Description
 
 WORSE = 0.2  # share of settled episodes that may be lost before a warning
 
@@ -67,10 +66,8 @@ class Judge(BaseCallback):
         self, settings: Settings, act: Act, every: int, keep: Callable[[], bool], best: Act | None = None
     ) -> None:
         super().__init__()
-        described = settings.description
-        own = dict(described.settings or {})
-        interface = {key: own.pop(key) for key in INTERFACE if key in own}
-        self._environment, self._policy = Description(described.id, own), Policy("training", act, interface)
+        self._environment, interface = parted(settings.description)
+        self._policy = Policy("training", act, interface)
         self._every, self._keep, self._next = every, keep, every
         self._best = (-1.0, 0.0) if best is None else _score(self._judged(best))
         self._warned = False

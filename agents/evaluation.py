@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from flexman_agents.policies import INTERFACE, Policy
+from flexman_agents.policies import INTERFACE, Policy, parted
 from flexman_gym.arrays import Array
 from flexman_gym.checks import refusal
 from flexman_gym.envs.description import Description
@@ -110,8 +110,7 @@ def common_environment(policies: Sequence[Policy], named: Description | None) ->
         ValueError: for policies that were trained on different ones, when none is named.
     """
     if named is not None:
-        settings = {key: value for key, value in (named.settings or {}).items() if key not in INTERFACE}
-        return Description(named.id, settings, named.folder)
+        return parted(named)[0]
     trained = [policy for policy in policies if policy.environment is not None]
     wholes = [policy.environment.whole() for policy in trained if policy.environment is not None]
     if not trained or trained[0].environment is None:

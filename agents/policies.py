@@ -33,6 +33,13 @@ class Policy:
     environment: Description | None = None
 
 
+def parted(described: Description) -> tuple[Description, dict[str, Any]]:
+    """Parts a description into what is moved and the settings of what acts on it."""
+    moved = dict(described.settings or {})
+    interface = {name: moved.pop(name) for name in INTERFACE if name in moved}
+    return Description(described.id, moved, described.folder), interface
+
+
 def find_policy(name: str) -> Policy:
     """Finds the policy of a name: a baseline, or the folder of a training run.
 
@@ -53,10 +60,8 @@ def find_policy(name: str) -> Policy:
     from flexman_agents.training import load_policy  # which needs Stable-Baselines3
 
     settings, act = load_policy(folder)
-    described = settings.description
-    own = dict(described.settings or {})
-    interface = {key: own.pop(key) for key in INTERFACE if key in own}
-    return Policy(folder.name, act, interface, Description(described.id, own))
+    environment, interface = parted(settings.description)
+    return Policy(folder.name, act, interface, environment)
 
 
 def _still(observations: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.floating]:

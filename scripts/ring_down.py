@@ -20,7 +20,7 @@ def compute(quick: bool) -> list[Row]:
     found = [row for kind in DURATION for row in rows(kind, arms, few)]
     try:
         from flexman_gym.studies.ringdown import mujoco
-    except ImportError:
+    except ModuleNotFoundError:
         print("MuJoCo is missing, so it is left out: pip install 'flexman_gym[peers]'")
         return found
     return [*found, *(() if quick else mujoco.rows(theirs))]

@@ -57,7 +57,7 @@ def theirs(found: Study) -> list[Timer]:
     for name, room in ROOMS.items():
         try:
             timers += importlib.import_module(f"flexman_gym.studies.peers.{room}").runs(found)
-        except ImportError:
+        except ModuleNotFoundError:
             print(f"{name} is missing, so it is left out: pip install 'flexman_gym[peers]'")
     return timers
 
