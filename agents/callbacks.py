@@ -62,13 +62,11 @@ class Judge(BaseCallback):
     best.
     """
 
-    def __init__(
-        self, settings: Settings, act: Act, every: int, keep: Callable[[], bool], best: Act | None = None
-    ) -> None:
+    def __init__(self, settings: Settings, act: Act, keep: Callable[[], bool], best: Act | None = None) -> None:
         super().__init__()
         self._environment, interface = parted(settings.description)
         self._policy = Policy("training", act, interface)
-        self._every, self._keep, self._next = every, keep, every
+        self._every, self._keep, self._next = settings.judge_every, keep, settings.judge_every
         self._best = (-1.0, 0.0) if best is None else _score(self._judged(best))
         self._warned = False
 

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Self
 
-from flexman_gym.checks import finite, flag, one_of, positive, refusal, store, whole_number
+from flexman_gym.checks import finite, flag, mapping, one_of, positive, refusal, store, whole_number
 from flexman_gym.envs.description import Description
 from flexman_gym.scene import file
 
@@ -70,6 +70,8 @@ class Settings:
             start, end and until.
         normalise_reward: divide rewards by a running standard deviation of the return; observations always are
             normalised.
+        judge_every: steps between evaluations on the seeds of `seeds.SELECTION`, by which the best policy is kept; 0
+            for none.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
@@ -83,6 +85,7 @@ class Settings:
     hyperparameters: Mapping[str, Any] = field(default_factory=dict)
     schedules: Mapping[str, Any] = field(default_factory=dict)
     normalise_reward: bool = True
+    judge_every: int = 0
 
     def __post_init__(self) -> None:
         store(self, algo=one_of("algo", self.algo, ALGORITHMS))
@@ -102,6 +105,7 @@ class Settings:
             seed=whole_number("seed", self.seed, 0, MOST_SEED),
             envs=whole_number("envs", ENVS[self.algo] if self.envs is None else self.envs, 1, MOST_ENVS),
             normalise_reward=flag("normalise_reward", self.normalise_reward),
+            judge_every=whole_number("judge_every", self.judge_every, 0, MOST_STEPS),
         )
 
     @property
@@ -122,11 +126,7 @@ class Settings:
     def from_dict(cls, data: object, field: str = "settings") -> Self:
         """Gives the settings in a mapping, each of which is checked."""
         names = [each.name for each in fields(cls)]
-        if not isinstance(data, dict):
-            raise refusal(field, data, "a mapping with some of " + ", ".join(names))
-        for name in data:
-            one_of(field, name, names)
-        return cls(**data)
+        return cls(**mapping(field, data, names))
 
     @classmethod
     def recipe(cls, path: str | Path) -> Self:

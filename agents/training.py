@@ -41,7 +41,6 @@ def train(
     checkpoint_every: int = 0,
     progress: bool = True,
     device: str = "cpu",
-    judge_every: int = 0,
 ) -> BaseAlgorithm:
     """Trains a policy from the start and saves it in a folder.
 
@@ -52,7 +51,6 @@ def train(
         checkpoint_every: steps between checkpoints; 0: only at the end.
         progress: show a bar.
         device: of the networks, as PyTorch names it.
-        judge_every: steps between evaluations on the seeds of `seeds.SELECTION`; 0 for none.
 
     Raises:
         ValueError: when the folder holds a run already.
@@ -68,7 +66,7 @@ def train(
     versions = {name: version(name) for name in ("flexman_gym", "gymnasium", "numba", "stable-baselines3", "torch")}
     record = settings.plain() | {"versions": versions | {"python": platform.python_version()}}
     (folder / SETTINGS).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-    return _learn(model, settings, folder, (checkpoint_every, judge_every), progress)
+    return _learn(model, settings, folder, checkpoint_every, progress)
 
 
 def resume(
@@ -77,21 +75,24 @@ def resume(
     checkpoint_every: int = 0,
     progress: bool = True,
     device: str = "cpu",
-    judge_every: int = 0,
+    judge_every: int | None = None,
 ) -> BaseAlgorithm:
     """Goes on with the run in a folder, for more steps, from its newest model and statistics.
 
-    Its curves are in progress-STEPS.csv, after so many steps.
+    Its curves are in progress-STEPS.csv, after so many steps. It is judged as often as before where nothing else is
+    said.
 
     Raises:
         FileNotFoundError: when there is no run.
         ValueError: when the run keeps its best policy, which is what acts, and would not be judged any more.
     """
-    if (folder / BEST).is_dir() and judge_every < 1:
-        allowed = f"the steps between evaluations, > 0: {folder} keeps its best policy"
-        raise refusal("judge_every", judge_every, allowed)
     torch.set_num_threads(1)
     settings = replace(load_settings(folder), steps=whole_number("steps", steps, 1, 10**10))
+    if judge_every is not None:
+        settings = replace(settings, judge_every=judge_every)
+    if (folder / BEST).is_dir() and not settings.judge_every:
+        allowed = f"the steps between evaluations, > 0: {folder} keeps its best policy"
+        raise refusal("judge_every", settings.judge_every, allowed)
     env = VecNormalize.load(str(existing(folder / STATISTICS)), _environments(settings))
     model = ALGORITHMS[settings.algo].load(existing(folder / MODEL), env=env, device=device)
     if isinstance(model, OffPolicyAlgorithm):
@@ -99,7 +100,7 @@ def resume(
     # the same seed would draw the episodes of the first part again
     model.set_random_seed(settings.seed + model.num_timesteps)
     env.seed(training_seed(settings.seed) + model.num_timesteps)
-    return _learn(model, settings, folder, (checkpoint_every, judge_every), progress)
+    return _learn(model, settings, folder, checkpoint_every, progress)
 
 
 def hyperparameters(settings: Settings) -> dict[str, Any]:
@@ -190,20 +191,20 @@ def _environments(settings: Settings) -> VecMonitor:
 
 
 def _learn(
-    model: BaseAlgorithm, settings: Settings, folder: Path, every: tuple[int, int], progress: bool
+    model: BaseAlgorithm, settings: Settings, folder: Path, checkpoint_every: int, progress: bool
 ) -> BaseAlgorithm:
     callbacks: list[BaseCallback] = []
     log_std = settings.schedule("log_std")
     if log_std is not None:
         callbacks.append(Exploration(log_std, settings.steps))
-    if every[1]:
+    if settings.judge_every:
         statistics = model.get_vec_normalize_env()
         assert statistics is not None
         best = load_policy(folder)[1] if (folder / BEST).is_dir() else None
         act = acting(model, statistics)
-        callbacks.append(Judge(settings, act, every[1], lambda: save(model, folder / BEST), best))
-    if every[0]:
-        callbacks.append(EveryNTimesteps(every[0], Saves(lambda: save(model, folder))))
+        callbacks.append(Judge(settings, act, lambda: save(model, folder / BEST), best))
+    if checkpoint_every:
+        callbacks.append(EveryNTimesteps(checkpoint_every, Saves(lambda: save(model, folder))))
     model.set_logger(writers(folder, model.num_timesteps))
     model.learn(settings.steps, callback=callbacks, progress_bar=progress, reset_num_timesteps=False)
     save(model, folder)

@@ -132,6 +132,19 @@ def one_of(name: str, value: object, allowed: Collection[str]) -> str:
     return value
 
 
+def mapping(name: str, value: object, keys: Collection[str]) -> dict[str, Any]:
+    """Gives a dict whose keys are some of `keys`.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    if not isinstance(value, dict):
+        raise refusal(name, value, f"a mapping with some of {', '.join(keys)}")
+    for key in value:
+        one_of(name, key, keys)
+    return value
+
+
 def sequence(name: str, value: object, items: str = "values") -> Sequence[Any]:
     """Gives a value that is a list, a tuple or an array; an array comes back as a list.
 

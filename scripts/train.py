@@ -18,8 +18,8 @@ def main() -> int:
     try:
         if options.resume:
             steps = options.steps or 1_000_000
-            every = options.checkpoint_every, options.judge_every
-            resume(options.folder, steps, every[0], not options.quiet, options.device, every[1])
+            every = options.checkpoint_every
+            resume(options.folder, steps, every, not options.quiet, options.device, options.judge_every)
             folders = [options.folder]
         else:
             folders = start(options)
@@ -45,7 +45,7 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument("--folder", type=Path, default=Path("runs/latest"))
     found.add_argument("--resume", action="store_true", help="go on with the run in the folder, with its settings")
     found.add_argument("--checkpoint-every", type=int, default=100_000, help="steps; 0: only at the end")
-    found.add_argument("--judge-every", type=int, default=0, help="steps between evaluations on the way; 0: none")
+    found.add_argument("--judge-every", type=int, help="steps between evaluations on the way; 0: none")
     found.add_argument("--device", default="cpu", help="of the networks, as PyTorch names it")
     found.add_argument("--quiet", action="store_true", help="no progress bar")
     return found
@@ -54,7 +54,7 @@ def parser() -> argparse.ArgumentParser:
 def start(options: argparse.Namespace) -> list[Path]:
     """Trains the runs that the command line asks for; returns their folders."""
     settings = find_recipe(options.recipe) if options.recipe else Settings()
-    named = {name: getattr(options, name) for name in ("algo", "steps", "seed", "envs")}
+    named = {name: getattr(options, name) for name in ("algo", "steps", "seed", "envs", "judge_every")}
     named = {name: value for name, value in named.items() if value is not None}
     if options.algo and options.algo != settings.algo:
         settings = Settings(algo=options.algo, environment=dict(settings.environment), seed=settings.seed)
@@ -66,8 +66,8 @@ def start(options: argparse.Namespace) -> list[Path]:
     folders = []
     for i in range(options.seeds):
         folder = options.folder if options.seeds == 1 else options.folder / f"seed-{settings.seed + i}"
-        own, every = settings.with_seed(settings.seed + i), (options.checkpoint_every, options.judge_every)
-        train(own, folder, every[0], not options.quiet, options.device, every[1])
+        own = settings.with_seed(settings.seed + i)
+        train(own, folder, options.checkpoint_every, not options.quiet, options.device)
         folders.append(folder)
     return folders
 

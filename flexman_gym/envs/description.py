@@ -5,13 +5,13 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Self
 
-from flexman_gym.checks import one_of, refusal, text
+from flexman_gym.checks import mapping, one_of, refusal
 from flexman_gym.envs.catalog import DEFAULT, NAMED
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.randomisation import Randomisation
 from flexman_gym.envs.sensors import SENSORS
 from flexman_gym.envs.setup import Setup, setup_of
-from flexman_gym.envs.tasks import TASKS
+from flexman_gym.envs.tasks import TASKS, find_task
 from flexman_gym.scene import catalog, file
 from flexman_gym.scene.arm import Arm, Payload
 from flexman_gym.scene.plain import arm_of, part_of, plain
@@ -90,8 +90,8 @@ class Description:
         """Keyword arguments of `gym.make` and `gym.make_vec`."""
         makers = {
             "arm": lambda value: read_arm(value, self.folder),
-            "task": _task,
-            "limits": lambda value: Limits(**_mapping("limits", value, [each.name for each in fields(Limits)])),
+            "task": find_task,
+            "limits": lambda value: Limits(**mapping("limits", value, [each.name for each in fields(Limits)])),
             "modes": _tuples, "elements": _tuples,
         }  # fmt: skip
         settings = dict(self.settings or {})
@@ -163,23 +163,6 @@ def read_arm(value: object, folder: Path = Path()) -> Arm:
             raise ValueError(f"arm: {str(error).split('() ')[-1]} of {name}") from None
         return arm
     return arm_of(value)
-
-
-def _task(value: object) -> Any:
-    entries = {"kind": value} if isinstance(value, str) else value
-    if not isinstance(entries, dict) or "kind" not in entries:
-        raise refusal("task", value, f"one of {', '.join(TASKS)}, or a mapping with that at kind")
-    kind = TASKS[one_of("task", text("task.kind", entries["kind"]), TASKS)]
-    names = [each.name for each in fields(kind)]
-    return kind(**_mapping("task", {name: each for name, each in entries.items() if name != "kind"}, names))
-
-
-def _mapping(field: str, value: object, names: Sequence[str]) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise refusal(field, value, f"a mapping with some of {', '.join(names)}")
-    for name in value:
-        one_of(field, name, names)
-    return value
 
 
 def _tuples(value: object) -> object:

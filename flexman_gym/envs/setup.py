@@ -14,7 +14,7 @@ from flexman_gym.envs.catalog import DEFAULT, NAMED, Named
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.randomisation import Randomisation
 from flexman_gym.envs.sensors import find_sensors
-from flexman_gym.envs.tasks import Task
+from flexman_gym.envs.tasks import Task, find_task
 from flexman_gym.fidelity.choose import Choice, assembled_modes, choose_model
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.arm import Arm
@@ -37,7 +37,7 @@ class Setup:
     Attributes:
         name: of a named environment, which gives what is None below.
         arm: an Arm.
-        task: a Task, such as `Slew()`.
+        task: a Task, such as `Slew()`; its name, "slew"; or a mapping with that at "kind" and its arguments.
         sensors: a name, a Sensor of one's own, or a tuple of either.
         limits: a Limits.
         torque_limit: N m, of the motors, one number or one for each joint; None takes what the joints of the arm say.
@@ -92,6 +92,8 @@ class Setup:
             ("limits", Limits, "Limits"),
         ):
             value = getattr(self, field)
+            if field == "task" and isinstance(value, str | dict):
+                value = find_task(value)
             if value is None:
                 value = named.arm() if field == "arm" else getattr(named, field)
             elif not isinstance(value, kind) or isinstance(value, type):

@@ -51,7 +51,7 @@ def trained(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "ppo"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(callbacks, "SELECTION", range(5000, 5003))
-        return folder, train(SHORT, folder, progress=False, judge_every=512)
+        return folder, train(replace(SHORT, judge_every=512), folder, progress=False)
 
 
 def test_a_run_keeps_model_statistics_settings_versions_and_the_whole_arm(trained):
@@ -60,7 +60,7 @@ def test_a_run_keeps_model_statistics_settings_versions_and_the_whole_arm(traine
     record = json.loads((folder / SETTINGS).read_text())
     assert record["seed"] == 3 and {"numba", "torch", "flexman_gym", "python"} <= record["versions"].keys()
     assert record["environment"]["arm"]["links"][0]["length"] == 0.8
-    assert load_settings(folder) == SHORT
+    assert load_settings(folder) == replace(SHORT, judge_every=512)
 
 
 def test_the_same_seed_trains_the_same_policy_and_another_seed_another(trained, tmp_path):
@@ -103,7 +103,7 @@ def test_a_resumed_run_counts_on_and_changes_the_policy(trained, tmp_path):
 def test_a_run_that_keeps_its_best_policy_goes_on_only_where_it_is_judged(trained, tmp_path, monkeypatch):
     folder = tmp_path / "run"
     shutil.copytree(trained[0], folder)
-    line = refusal(resume, folder, 256)
+    line = refusal(resume, folder, 256, 0, False, "cpu", 0)
     assert (
         line
         == f"judge_every: 0 is not allowed; give the steps between evaluations, > 0: {folder} keeps its best policy"
@@ -205,7 +205,7 @@ def judge_with(monkeypatch, outcomes):
         return [Episode(0.0, time, 0.0, error, 0.0, "") for time in times]
 
     monkeypatch.setattr(callbacks, "evaluate", evaluate)
-    judge = Judge(SHORT, None, 100, lambda: kept.append(judge.num_timesteps))
+    judge = Judge(replace(SHORT, judge_every=100), None, lambda: kept.append(judge.num_timesteps))
     judge.model = SimpleNamespace(logger=SimpleNamespace(record=lambda name, value: logged.append((name, value))))
     for step in range(50, 50 * (2 * len(outcomes) + 1), 50):
         judge.num_timesteps = step

@@ -1,8 +1,23 @@
 """Tasks: where episodes start, what their goals are and what a step is worth."""
 
+from dataclasses import fields
+from typing import Any
+
+from flexman_gym.checks import mapping, one_of, refusal, text
 from flexman_gym.envs.tasks.slew import Slew
 from flexman_gym.envs.tasks.task import Goal, Task
 
 TASKS: dict[str, type[Slew]] = {"slew": Slew}
 
-__all__ = ["TASKS", "Goal", "Slew", "Task"]
+
+def find_task(value: object) -> Any:
+    """Gives the task of a name, or of a mapping with its name at "kind" and its arguments; raises ValueError."""
+    entries = {"kind": value} if isinstance(value, str) else value
+    if not isinstance(entries, dict) or "kind" not in entries:
+        raise refusal("task", value, f"one of {', '.join(TASKS)}, or a mapping with that at kind")
+    kind = TASKS[one_of("task", text("task.kind", entries["kind"]), TASKS)]
+    arguments = {name: each for name, each in entries.items() if name != "kind"}
+    return kind(**mapping("task", arguments, [each.name for each in fields(kind)]))
+
+
+__all__ = ["TASKS", "Goal", "Slew", "Task", "find_task"]
