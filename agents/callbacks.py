@@ -1,7 +1,7 @@
 """Callbacks: what happens on the way of a training, its exploration, its judgement and its curves."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,11 +25,12 @@ def writers(folder: Path, steps: int = 0) -> Logger:
 
 
 class Exploration(BaseCallback):
-    """Sets the logarithm of PPO's standard deviation by a schedule instead of learning it."""
+    """Sets the logarithm of PPO's standard deviation by a schedule, or a mapping of one, instead of learning it."""
 
-    def __init__(self, schedule: Schedule, steps: int) -> None:
+    def __init__(self, schedule: Schedule | Mapping[str, float], steps: int) -> None:
         super().__init__()
-        self._schedule, self._steps = schedule, steps
+        self._schedule = schedule if isinstance(schedule, Schedule) else Schedule(**schedule)
+        self._steps = steps
 
     def _on_training_start(self) -> None:
         self.model.policy.log_std.requires_grad_(False)

@@ -1,0 +1,68 @@
+"""Zoo: the recipes as files of hyperparameters that rl_zoo3 reads, for those who train with it."""
+
+from pathlib import Path
+from typing import Any
+
+from flexman_agents.recipes import FOLDER, NAMES, find_recipe
+from flexman_agents.settings import Schedule, Settings
+from flexman_agents.training import hyperparameters
+from flexman_gym.checks import refusal
+from flexman_gym.scene import file
+
+ZOO = FOLDER / "rl_zoo3"
+EXPLORATION = "flexman_agents.callbacks.Exploration"
+
+
+def zoo(settings: Settings) -> dict[str, Any]:
+    """Gives settings in the form of rl_zoo3, id of the environment -> hyperparameters.
+
+    The schedule of the exploration becomes a callback. The seed is said on the command line of rl_zoo3, and judging is
+    its own.
+
+    Raises:
+        ValueError: for a learning rate that neither stays nor falls to zero at the end, which rl_zoo3 cannot say.
+    """
+    chosen = hyperparameters(settings)
+    policy = chosen.pop("policy_kwargs")
+    words = [f"{name}={_word(value)}" for name, value in policy.items()]
+    chosen["learning_rate"] = _rate(chosen["learning_rate"])
+    described = settings.description
+    found = {
+        "n_envs": settings.envs,
+        "n_timesteps": settings.steps,
+        "policy": "MlpPolicy",
+        "normalize": {"norm_obs": True, "norm_reward": settings.normalise_reward},
+        **chosen,
+        "policy_kwargs": f"dict({', '.join(words)})",
+        "env_kwargs": _difference(dict(described.settings or {}), type(described)(described.id).whole()),
+    }
+    exploration = settings.schedule("log_std")
+    if exploration is not None:
+        found["callback"] = {EXPLORATION: {"schedule": dict(settings.schedules["log_std"]), "steps": settings.steps}}
+    return {described.id: found}
+
+
+def write_zoo(folder: Path = ZOO) -> None:
+    """Writes the recipes into a folder, a file for each."""
+    folder.mkdir(exist_ok=True)
+    for name in NAMES:
+        file.write(folder / f"{name}.yml", zoo(find_recipe(name)))
+
+
+def _rate(rate: object) -> object:
+    if not isinstance(rate, Schedule):
+        return rate
+    if rate.end == rate.start:
+        return rate.start
+    if rate.end != 0.0 or rate.until != 1.0:
+        raise refusal("schedules.learning_rate", rate, "one that stays, or falls to zero at the end, for rl_zoo3")
+    return f"lin_{rate.start}"
+
+
+def _word(value: object) -> str:
+    return f"nn.{value.__name__}" if isinstance(value, type) else repr(value)
+
+
+def _difference(settings: dict[str, Any], named: dict[str, Any]) -> dict[str, Any]:
+    """The settings that the named environment does not have of itself."""
+    return {name: value for name, value in settings.items() if name != "id" and named.get(name) != value}

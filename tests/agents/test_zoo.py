@@ -1,0 +1,61 @@
+"""Zoo: the files for rl_zoo3 say what the recipes say."""
+
+from dataclasses import replace
+
+import gymnasium as gym
+import pytest
+import yaml
+
+pytest.importorskip("stable_baselines3")
+
+from stable_baselines3 import PPO, SAC
+from torch import nn
+
+from flexman_agents import callbacks
+from flexman_agents.recipes import NAMES, find_recipe
+from flexman_agents.training import hyperparameters
+from flexman_agents.zoo import EXPLORATION, ZOO, write_zoo, zoo
+
+from oracles.refusals import refusal
+
+
+def test_the_files_are_those_of_the_recipes(tmp_path):
+    write_zoo(tmp_path)
+    assert sorted(path.name for path in ZOO.iterdir()) == sorted(path.name for path in tmp_path.iterdir())
+    for path in tmp_path.iterdir():
+        assert path.read_text() == (ZOO / path.name).read_text(), "write_zoo() writes them anew"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_entry_makes_the_same_environment_and_the_same_algorithm(name):
+    """As rl_zoo3 reads it: env_kwargs go to `gym.make`, policy_kwargs are an expression, the rest goes to the class."""
+    settings = find_recipe(name)
+    ((id, entry),) = yaml.safe_load((ZOO / f"{name}.yml").read_text()).items()
+    env = gym.make(id, **entry.pop("env_kwargs"))
+    ours = gym.make(settings.description.id, **settings.description.keywords())
+    found, expected = (each.unwrapped.episodes for each in (env, ours))
+    assert found.hold == expected.hold and type(found.base) is type(expected.base) and found.task == expected.task
+    assert env.observation_space == ours.observation_space
+    assert (entry.pop("n_envs"), entry.pop("n_timesteps")) == (settings.envs, settings.steps)
+    assert entry.pop("normalize") == {"norm_obs": True, "norm_reward": settings.normalise_reward}
+    policy = eval(entry.pop("policy_kwargs"), {"nn": nn})
+    chosen = hyperparameters(settings)
+    assert policy == chosen.pop("policy_kwargs")
+    exploration, rate = entry.pop("callback", None), chosen.pop("learning_rate")
+    if exploration is not None:
+        made = callbacks.Exploration(**exploration[EXPLORATION])
+        assert made._schedule == settings.schedule("log_std") and made._steps == settings.steps
+    assert (exploration is None) == (settings.schedule("log_std") is None)
+    said = entry.pop("learning_rate")
+    start = float(said.removeprefix("lin_")) if isinstance(said, str) else said
+    for remaining in (1.0, 0.3, 0.0):
+        falling = start * (remaining if isinstance(said, str) else 1.0)
+        assert falling == pytest.approx(rate(remaining))
+    assert entry == {"policy": "MlpPolicy", **chosen}
+    made = entry | {"learning_rate": start} | ({"buffer_size": 10} if settings.algo == "sac" else {})
+    {"ppo": PPO, "sac": SAC}[settings.algo](env=env, **made)
+
+
+def test_a_schedule_that_rl_zoo3_cannot_say_is_refused():
+    settings = replace(find_recipe("ppo_alone"), schedules={"learning_rate": {"start": 1e-3, "end": 1e-4}})
+    assert refusal(zoo, settings).startswith("schedules.learning_rate: Schedule(start=0.001, end=0.0001, until=1.0) is")
