@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, make_output_format
 
@@ -25,7 +26,10 @@ def writers(folder: Path, steps: int = 0) -> Logger:
 
 
 class Exploration(BaseCallback):
-    """Sets the logarithm of PPO's standard deviation by a schedule, or a mapping of one, instead of learning it."""
+    """Sets the exploration by a schedule, or a mapping of one.
+
+    For PPO that is the logarithm of the standard deviation, which is then not learned; for SAC the entropy it aims at.
+    """
 
     def __init__(self, schedule: Schedule | Mapping[str, float], steps: int) -> None:
         super().__init__()
@@ -33,10 +37,14 @@ class Exploration(BaseCallback):
         self._steps = steps
 
     def _on_training_start(self) -> None:
-        self.model.policy.log_std.requires_grad_(False)
+        if not isinstance(self.model, SAC):
+            self.model.policy.log_std.requires_grad_(False)
 
     def _on_rollout_start(self) -> None:
         value = self._schedule.at(min(1.0, self.num_timesteps / self._steps))
+        if isinstance(self.model, SAC):
+            self.model.target_entropy = value
+            return
         with torch.no_grad():
             self.model.policy.log_std.fill_(value)  # type: ignore[operator]
 

@@ -15,7 +15,8 @@ ENVS = {"ppo": 64, "sac": 16}
 MOST_ENVS, MOST_STEPS, MOST_SEED = 4096, 10**10, 2**31
 COUNTS, PARTS = ("n_steps", "batch_size", "n_epochs", "learning_starts", "buffer_size"), ("gamma", "gae_lambda", "tau")
 ACTIVATIONS = ("tanh", "relu")
-SCHEDULED = ("learning_rate", "log_std")
+SCHEDULED = {"learning_rate": ALGORITHMS, "log_std": ("ppo",), "target_entropy": ("sac",)}  # name -> algorithms
+EXPLORATION = ("log_std", "target_entropy")  # of PPO, of SAC
 HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     # one batch a large part of the rollout: with small ones the optimiser, not the simulator, takes the time
     "ppo": {"n_steps": 128, "batch_size": 1024, "n_epochs": 5, "gamma": 0.999, "gae_lambda": 0.99},
@@ -66,8 +67,8 @@ class Settings:
         seed: of environments, exploration and weights; see `seeds`.
         envs: arms side by side; None takes 64 for PPO and 16 for SAC.
         hyperparameters: of the algorithm, as Stable-Baselines3 names them; net_arch and log_std_init go to the policy.
-        schedules: "learning_rate" and "log_std" (of PPO's exploration, which is then not learned), name -> mapping with
-            start, end and until.
+        schedules: "learning_rate"; of the exploration "log_std" of PPO, which is then not learned, and "target_entropy"
+            of SAC; name -> mapping with start, end and until.
         normalise_reward: divide rewards by a running standard deviation of the return; observations always are
             normalised.
         judge_every: steps between evaluations on the seeds of `seeds.SELECTION`, by which the best policy is kept; 0
@@ -93,8 +94,8 @@ class Settings:
             if not isinstance(getattr(self, name), dict):
                 raise refusal(name, getattr(self, name), "a mapping")
         for name in self.schedules:
-            if one_of("schedules", name, SCHEDULED) == "log_std" and self.algo != "ppo":
-                raise refusal("schedules.log_std", self.algo, "it with ppo only: sac learns its exploration")
+            if self.algo not in SCHEDULED[one_of("schedules", name, SCHEDULED)]:
+                raise refusal(f"schedules.{name}", self.algo, f"it with {' and '.join(SCHEDULED[name])} only")
             self.schedule(name)
         for name, value in self.hyperparameters.items():
             _check(f"hyperparameters.{name}", name, value)

@@ -26,7 +26,7 @@ from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 from flexman_agents.callbacks import Exploration, Judge, Saves, writers
 from flexman_agents.policies import Act
 from flexman_agents.seeds import training_seed
-from flexman_agents.settings import HYPERPARAMETERS, Settings
+from flexman_agents.settings import EXPLORATION, HYPERPARAMETERS, Settings
 from flexman_agents.vector import Arms
 from flexman_gym.checks import one_of, refusal, whole_number
 
@@ -194,9 +194,8 @@ def _learn(
     model: BaseAlgorithm, settings: Settings, folder: Path, checkpoint_every: int, progress: bool
 ) -> BaseAlgorithm:
     callbacks: list[BaseCallback] = []
-    log_std = settings.schedule("log_std")
-    if log_std is not None:
-        callbacks.append(Exploration(log_std, settings.steps))
+    for exploration in filter(None, map(settings.schedule, EXPLORATION)):
+        callbacks.append(Exploration(exploration, settings.steps))
     if settings.judge_every:
         statistics = model.get_vec_normalize_env()
         assert statistics is not None
@@ -206,7 +205,11 @@ def _learn(
     if checkpoint_every:
         callbacks.append(EveryNTimesteps(checkpoint_every, Saves(lambda: save(model, folder))))
     model.set_logger(writers(folder, model.num_timesteps))
-    model.learn(settings.steps, callback=callbacks, progress_bar=progress, reset_num_timesteps=False)
+    # SAC logs after so many episodes, which end together
+    told: dict[str, Any] = {"progress_bar": progress, "reset_num_timesteps": False}
+    if isinstance(model, OffPolicyAlgorithm):
+        told["log_interval"] = settings.envs
+    model.learn(settings.steps, callback=callbacks, **told)
     save(model, folder)
     model.get_env().close()  # type: ignore[union-attr]
     return model

@@ -4,13 +4,13 @@ from pathlib import Path
 from typing import Any
 
 from flexman_agents.recipes import FOLDER, NAMES, find_recipe
-from flexman_agents.settings import Schedule, Settings
+from flexman_agents.settings import EXPLORATION, Schedule, Settings
 from flexman_agents.training import hyperparameters
 from flexman_gym.checks import refusal
 from flexman_gym.scene import file
 
 ZOO = FOLDER / "rl_zoo3"
-EXPLORATION = "flexman_agents.callbacks.Exploration"
+CALLBACK = "flexman_agents.callbacks.Exploration"
 
 
 def zoo(settings: Settings) -> dict[str, Any]:
@@ -36,9 +36,9 @@ def zoo(settings: Settings) -> dict[str, Any]:
         "policy_kwargs": f"dict({', '.join(words)})",
         "env_kwargs": _difference(dict(described.settings or {}), type(described)(described.id).whole()),
     }
-    exploration = settings.schedule("log_std")
-    if exploration is not None:
-        found["callback"] = {EXPLORATION: {"schedule": dict(settings.schedules["log_std"]), "steps": settings.steps}}
+    for name in EXPLORATION:
+        if name in settings.schedules:
+            found["callback"] = {CALLBACK: {"schedule": dict(settings.schedules[name]), "steps": settings.steps}}
     return {described.id: found}
 
 

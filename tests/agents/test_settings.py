@@ -88,6 +88,10 @@ def test_every_recipe_can_be_read_and_trained(name):
         ({"schedules": {"log_std": 3}}, "schedules.log_std: 3 is not allowed; give a mapping with start, end and"),
         ({"schedules": {"log_std": {"start": 1}}}, "schedules.log_std: {'start': 1} is not allowed; give a mapping"),
         ({"algo": "sac", "schedules": {"log_std": {"start": -1, "end": -4}}}, "schedules.log_std: 'sac' is not all"),
+        (
+            {"schedules": {"target_entropy": {"start": -1, "end": -4}}},
+            "schedules.target_entropy: 'ppo' is not allowed; give it with sac only",
+        ),
     ],
 )
 def test_bad_settings_are_named_in_one_line(keywords, line):

@@ -140,6 +140,16 @@ def test_sac_trains_and_goes_on_with_its_memory(tmp_path):
     assert np.abs(acts(tmp_path / "sac")).max() <= 1.0
 
 
+def test_the_entropy_that_sac_aims_at_follows_its_schedule(tmp_path):
+    """Of two arms: 14 of 16 steps are done as the last one begins, and the end is reached after 12 of them."""
+    chosen = {"learning_starts": 4, "batch_size": 4, "net_arch": [8]}
+    for until, expected in ((1.0, -1.0 - 4.0 * 14 / 16), (0.75, -5.0)):
+        aims = {"target_entropy": {"start": -1.0, "end": -5.0, "until": until}}
+        settings = Settings("sac", PD, 16, envs=2, hyperparameters=chosen, schedules=aims)
+        model = train(settings, tmp_path / str(until), progress=False)
+        assert model.target_entropy == pytest.approx(expected)
+
+
 def test_the_best_policy_is_the_one_that_acts(trained, tmp_path):
     folder, _ = trained
     other = tmp_path / "run"

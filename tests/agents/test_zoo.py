@@ -14,7 +14,7 @@ from torch import nn
 from flexman_agents import callbacks
 from flexman_agents.recipes import NAMES, find_recipe
 from flexman_agents.training import hyperparameters
-from flexman_agents.zoo import EXPLORATION, ZOO, write_zoo, zoo
+from flexman_agents.zoo import CALLBACK, ZOO, write_zoo, zoo
 
 from oracles.refusals import refusal
 
@@ -43,9 +43,9 @@ def test_an_entry_makes_the_same_environment_and_the_same_algorithm(name):
     assert policy == chosen.pop("policy_kwargs")
     exploration, rate = entry.pop("callback", None), chosen.pop("learning_rate")
     if exploration is not None:
-        made = callbacks.Exploration(**exploration[EXPLORATION])
-        assert made._schedule == settings.schedule("log_std") and made._steps == settings.steps
-    assert (exploration is None) == (settings.schedule("log_std") is None)
+        made = callbacks.Exploration(**exploration[CALLBACK])
+        assert made._schedule in map(settings.schedule, settings.schedules) and made._steps == settings.steps
+    assert (exploration is None) == (settings.schedules.keys() == {"learning_rate"})
     said = entry.pop("learning_rate")
     start = float(said.removeprefix("lin_")) if isinstance(said, str) else said
     for remaining in (1.0, 0.3, 0.0):

@@ -44,7 +44,6 @@ class Without:
 
 
 ABLATIONS = {
-    "nothing": Without("nothing", "the recipe as it is"),
     "hold": Without(
         "the held action",
         "a new action in every control period; discount and lambda the same for a second, steps for the same CPU time",

@@ -4,9 +4,8 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from statistics import median
 
-from flexman_agents.recipes import find_recipe
 from flexman_agents.seeds import SELECTION, TEST, TRAINING
-from flexman_gym.studies.learning.cases import ABLATED, ABLATIONS, SEEDS
+from flexman_gym.studies.learning.cases import ABLATED, ABLATION_SEEDS, ABLATIONS, SEEDS
 from flexman_gym.studies.learning.measure import AS_TRAINED, FINER, FINER_ELEMENTS, FINER_STEPS, LONG, LONGER, Row
 from flexman_gym.studies.markdown import bullets, markdown_table
 
@@ -86,7 +85,7 @@ def page(rows: Sequence[Row], machine: str) -> str:
         long=LONG,
         leaning="\n".join(_leaning(rows)),
         ablated=ABLATED,
-        ablation_seeds=max((len(_of(rows, "ablation", name)) for name in ABLATIONS), default=0),
+        ablation_seeds=ABLATION_SEEDS,
         ablations="\n".join(_ablations(rows)),
     )
 
@@ -141,14 +140,17 @@ def _short(row: Row) -> str:
 
 
 def _ablations(rows: Sequence[Row]) -> list[str]:
-    whole, lines = find_recipe(ABLATED), []
+    lines = [_line("nothing", "the recipe as it is", _of(rows, "recipe", ABLATED)[:ABLATION_SEEDS])]
     for name, without in ABLATIONS.items():
         if found := _of(rows, "ablation", name):
-            steps, cpu = f"{without.settings(whole).steps:,}", f"{median(row.cpu or 0.0 for row in found):.0f}"
-            cells = [_spread(found, value, worst) for value, worst in SPREADS]
-            lines.append((without.means, without.instead, steps, cpu, *cells))
+            lines.append(_line(without.means, without.instead, found))
     heads = ("without", "instead", "actions", "CPU, s", "settled, %", "time, s", "vibration, mm", "error, mm")
     return markdown_table(heads, lines)
+
+
+def _line(means: str, instead: str, found: Sequence[Row]) -> tuple[str, ...]:
+    cells = [_spread(found, value, worst) for value, worst in SPREADS]
+    return means, instead, f"{found[0].steps:,.0f}", f"{median(row.cpu or 0.0 for row in found):.0f}", *cells
 
 
 SPREADS: tuple[tuple[Callable[[Row], float], Callable[[Iterable[float]], float]], ...] = (

@@ -1,0 +1,114 @@
+"""Learning study: its cases change what they say, its runs are kept, and its page tells medians and worst seeds."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from flexman_agents.recipes import NAMES, find_recipe
+from flexman_agents.settings import Settings
+from flexman_gym.envs.description import Description
+from flexman_gym.studies.learning import measure
+from flexman_gym.studies.learning.cases import ABLATED, ABLATIONS, CONTROLLERS, SEEDS, Case, cases
+from flexman_gym.studies.learning.measure import AS_TRAINED, FINER, LONGER, Row, places, runs, trained
+from flexman_gym.studies.learning.page import page
+from flexman_gym.studies.table import read_rows
+
+from oracles.files import ROOT, command
+
+ROW = Row("recipe", ABLATED, 0.0, AS_TRAINED, 1e6, 80.0, 12500.0, 0.4, 0.97, 4.2, 4.1, 4.4, 5e-4, 3e-3, 370.0, 0.1, 0.0)
+SHORT = Settings(
+    environment={"id": "FlexOne-v0", "base": "pd", "hold": 5, "horizon": 1.0},
+    steps=16, envs=2, hyperparameters={"n_steps": 8, "net_arch": [8]},
+)  # fmt: skip
+
+
+def test_every_recipe_is_judged():
+    assert sorted(SEEDS) == NAMES
+    assert [case.name for case in cases() if case.kind == "recipe"] == list(SEEDS)
+
+
+def differences(first, second):
+    """Names of settings, and of entries of their mappings, that differ."""
+    found = set()
+    for name, value in first.plain().items():
+        other = second.plain()[name]
+        if isinstance(value, dict):
+            found |= {key for key in value.keys() | other.keys() if value.get(key) != other.get(key)}
+        elif value != other:
+            found.add(name)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "changed"),
+    [
+        ("hold", {"hold", "gamma", "gae_lambda", "n_steps", "steps"}),
+        ("exploration", {"log_std", "log_std_init"}), ("rate", {"learning_rate"}), ("fine", {"sensors"}),
+        ("reward", {"task"}), ("discount", {"gamma"}), ("rollouts", {"n_steps", "batch_size"}), ("base", {"base"}),
+    ],
+)  # fmt: skip
+def test_an_ablation_takes_away_one_means_and_nothing_else(name, changed):
+    whole = find_recipe(ABLATED)
+    assert differences(ABLATIONS[name].settings(whole), whole) == changed
+
+
+def test_every_ablation_is_among_the_cases():
+    assert [case.name for case in cases() if case.kind == "ablation"] == list(ABLATIONS)
+
+
+def test_a_finer_model_and_longer_episodes_are_what_they_say():
+    found = places(Description("FlexPlanar-v0"))
+    finer = found[FINER].setup()
+    assert (finer.elements, finer.modes, finer.stiffening, finer.step) == (3, None, True, 2.5e-3 / 4)
+    assert found[AS_TRAINED].setup().stiffening is False and found[LONGER].setup().horizon == 30.0
+
+
+def test_a_run_is_trained_once_and_judged_in_three_places(tmp_path, monkeypatch):
+    monkeypatch.setattr(measure, "TEST", range(9000, 9002))
+    case = Case("recipe", "short", SHORT, 2)
+    found = list(runs(case, tmp_path))
+    assert [(row.seed, row.where) for row in found] == [
+        (seed, where) for seed in (0, 1) for where in (AS_TRAINED, FINER, LONGER)
+    ]
+    assert all(row.steps == 16 and row.cpu > 0.0 and 0.0 < row.share < 1.0 for row in found)
+    assert found[0].rate == pytest.approx(16 / found[0].cpu)
+    monkeypatch.setattr(measure, "train", None)
+    assert list(runs(case, tmp_path)) == found
+    assert [row.where for row in runs(replace(case, kind="ablation", seeds=0), tmp_path)] == []
+    assert trained(SHORT, tmp_path / "recipe" / "short" / "seed-0")["steps"] == 16
+
+
+def test_the_page_has_the_middle_and_the_worst_of_the_seeds_of_an_ablation():
+    seeds = [
+        replace(ROW, kind="ablation", name="base", seed=float(i), settled=share, time=time, error=error)
+        for i, (share, time, error) in enumerate([(0.5, 5.0, 1e-3), (0.9, 4.0, 9e-3), (0.7, math.inf, 2e-3)])
+    ]
+    text = page([ROW, *seeds], "a machine")
+    assert "| the PD controller | nothing: PPO alone | 1,000,000 | 80 | 70 (50) | 5 (-) | 0.5 (0.5) | 2 (9) |" in text
+    assert (
+        f"| {ABLATED} | 0 | 1,000,000 | 80 | 12,500 | 40% | 97% | 4.2 (4.1 to 4.4) | 0.5 | 3 | 370 | 0.100 | 0% |"
+        in text
+    )
+
+
+def test_the_published_page_is_that_of_the_published_rows():
+    file = ROOT / "docs" / "learning.csv"
+    rows = read_rows(file, Row)
+    for kind, counts in (("recipe", SEEDS), ("ablation", dict.fromkeys(ABLATIONS, 3))):
+        assert {row.name for row in rows if row.kind == kind} == counts.keys()
+        for name, count in counts.items():
+            found = [row for row in rows if (row.kind, row.name, row.where) == (kind, name, AS_TRAINED)]
+            assert sorted(row.seed for row in found) == list(range(count))
+            steps = next(case for case in cases() if (case.kind, case.name) == (kind, name)).settings.steps
+            assert all(row.steps == steps for row in found), "the rows are of another recipe"
+    names = {row.name for row in rows if row.kind == "controller"}
+    assert names == {f"{name}, {id}" for id, names in CONTROLLERS.items() for name in names}
+
+
+def test_an_unknown_case_is_refused_in_one_line(monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["learning", "recipe/nothing"])
+    assert command("learning").main() == 2
+    assert capsys.readouterr().err.startswith("case: recipe/nothing is not allowed; give controllers, recipe/ppo_on_pd")
