@@ -17,6 +17,9 @@ class Controller(Protocol):
     arm must not depend on the other arms, to the last bit. Products therefore go row by row (`np.vecdot`, elementwise):
     products of BLAS have other last digits for other numbers of arms.
 
+    One that remembers more of an episode than `reset` gives it names these attributes, arrays or numbers, in a further
+    one, `kept`: states of environments then hold them.
+
     Attributes:
         sensors: names of the sensors that it reads.
     """

@@ -83,6 +83,8 @@ class TrackingLQR(LQR):
     Arguments and errors are those of `LQR`.
     """
 
+    kept = ("_now",)
+
     def __init__(
         self, model: Model, torque_limit: float | Sequence[float], period: float, weights: Weights | None = None
     ) -> None:

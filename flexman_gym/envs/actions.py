@@ -34,6 +34,8 @@ class Motors:
         forces: (b, 3) N, on the tips in the base frame.
     """
 
+    kept = ("limits", "forces")
+
     def __init__(self, limits: Sequence[float], arms: int) -> None:
         joints = len(limits)
         self.limits = np.tile(limits, (arms, 1))

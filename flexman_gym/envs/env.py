@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from flexman_gym.checks import one_of
 from flexman_gym.envs.actions import action_space, checked_actions
 from flexman_gym.envs.episodes import Episodes
+from flexman_gym.envs.remembering import Remembering
 from flexman_gym.envs.setup import build, setup_of
 from flexman_gym.kernels import layout
 from flexman_gym.model.model import Model
@@ -19,7 +20,7 @@ Observation = NDArray[np.float32]
 ONLY = np.zeros(1, dtype=np.int64)  # the index of the arm
 
 
-class FlexManEnv(gym.Env[Observation, Observation]):
+class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
     """A flexible arm slews its tip to a target and settles there: `gym.make("FlexRRR-v0")`.
 
     Named environments
@@ -94,12 +95,14 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         ValueError: one line with field, value and what is allowed.
     """
 
+    kept, spaces = ("_np_random", "_np_random_seed"), ("action_space",)
     metadata = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012
 
     def __init__(
         self, *, render_mode: str | None = None, render_size: tuple[int, int] = (480, 360), **settings: Any
     ) -> None:
         self.render_mode = checked_mode(render_mode)
+        self._made = {"render_mode": render_mode, "render_size": render_size, **settings}
         setup = setup_of(settings, ("render_mode", "render_size"))
         model, method, step, self.choice = build(setup)
         self.simulator = Simulator(model, method, step, setup.control_period)
@@ -137,6 +140,9 @@ class FlexManEnv(gym.Env[Observation, Observation]):
         if mean is not None:
             reward = mean.item()
         return episodes.seen[0].copy(), reward, bool(episodes.failures), bool(episodes.truncated[0]), info
+
+    def _generators(self, own: dict[str, Any]) -> list[np.random.Generator | None]:
+        return [own["_np_random"]]
 
     def render(self) -> NDArray[np.uint8] | None:
         """A frame (height, width, 3) uint8 of the deformed arm and the target."""

@@ -8,18 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array, Flags, IntArray
-from flexman_gym.checks import one_of, refusal, sequence, vector
+from flexman_gym.checks import refusal
 from flexman_gym.envs.actions import Motors
 from flexman_gym.envs.effects import Stage
 from flexman_gym.envs.effects.effects import Effects
 from flexman_gym.envs.limits import broken
+from flexman_gym.envs.options import given_options
 from flexman_gym.envs.sensors import Sensors, find_sensors
 from flexman_gym.envs.setup import Setup
+from flexman_gym.envs.snapshot import give, take
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.outputs import beyond
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.energy import alarm
-from flexman_gym.simulation.parameters import PARAMETERS
 from flexman_gym.simulation.view import Number, View
 
 Observations = NDArray[np.float32]
@@ -40,6 +41,8 @@ class Episodes:
         base: the controller that acts beside the agent, None without one.
         hold: control periods for which the agent's part of an action is kept.
     """
+
+    kept = ("batch", "motors", "effects", "view", "seen", "over", "truncated", "_ages", "_failed")
 
     def __init__(self, setup: Setup, batch: Batch) -> None:
         self.batch, self.task, self.view = batch, setup.task, View(batch)
@@ -66,6 +69,39 @@ class Episodes:
         self._unseen, self._unbounded = np.zeros((arms, 0)), np.zeros(0)
         self._ages, self._beyond = np.zeros(arms, dtype=np.int64), np.zeros(arms, dtype=np.int64)
 
+    def give(self, data: object, base: object, randoms: Sequence[np.random.Generator | None]) -> None:
+        """Puts all arms, and the base, where they were when `snapshot.take` took the data of both.
+
+        Args:
+            data, base: what was taken.
+            randoms: the generators of the arms, given back already.
+
+        Raises:
+            ValueError: one line, for data of other arms; all episodes are then over.
+        """
+        view = self.view
+        if self.effects is not None:
+            self.effects.drawn = take(self.effects.drawn)  # the present one may be in somebody's hands
+        self.over[:] = True
+        give("state.episodes", self, data)
+        if self.base and view.plan:  # it makes again what it does not remember
+            posture = self.task.goal(view.plan, np.zeros(len(self.over)), view).posture
+            self.base.reset(np.arange(len(self.over)), view.plan["start"], posture)
+        give("state.base", self.base, base)
+        if self.effects is not None:
+            self.effects.follow(randoms)
+        view.renew()
+        self.sensors.read()
+
+    @property
+    def _failed(self) -> list[list[Any]]:
+        """What happened to the arms of `failures`, as pairs."""
+        return [[arm, text] for arm, text in self.failures.items()]
+
+    @_failed.setter
+    def _failed(self, pairs: list[list[Any]]) -> None:
+        self.failures = {int(arm): str(text) for arm, text in pairs}
+
     def reset(
         self, arms: IntArray, randoms: Sequence[np.random.Generator], options: Mapping[str, Any] | None = None
     ) -> None:
@@ -82,7 +118,7 @@ class Episodes:
         for each in drawn:
             self._check_plan(each)
         plan = {name: np.array([each[name] for each in drawn]) for name in drawn[0]} if drawn else {}
-        given = self._given(options, plan)
+        given = given_options(options, plan, (len(self.over), self.batch.model.n_joints))
         parameters = {name: values[arms] for name, values in given.pop("parameters", {}).items()}
         if self.effects is not None:
             parameters = self.effects.draw(arms, randoms, parameters)
@@ -241,48 +277,3 @@ class Episodes:
     def _read(self) -> None:
         self.view.read()
         self.sensors.read()
-
-    def _given(self, options: Mapping[str, Any] | None, plan: Mapping[str, Array]) -> dict[str, Any]:
-        """The options with a leading axis for the arms."""
-        names = [*plan, "parameters"]
-        if options is not None and not isinstance(options, dict):
-            raise refusal("options", options, f"a dict with {', '.join(names[:-1])} or {names[-1]}")
-        given: dict[str, Any] = {}
-        for name, value in (options or {}).items():
-            field = f"options[{name!r}]"
-            if one_of("options", name, names) == "parameters":
-                given[name] = self._parameters(field, value)
-            else:
-                given[name] = self._each(field, value, plan[name].shape[1:])
-        return given
-
-    def _each(self, field: str, value: object, shape: tuple[int, ...]) -> Array:
-        """Numbers (b, ...) of all arms from those of one, shape (...), or of each."""
-        arms, unit = len(self.over), "rad" if shape == (self.batch.model.n_joints,) else ""
-        if len(shape) != 1:
-            return _numbers(field, value, (arms, *shape))
-        entries = sequence(field, value, "numbers")
-        if not entries or not isinstance(entries[0], list | tuple | np.ndarray):
-            return np.tile(vector(field, value, shape[0], unit), (arms, 1))
-        if len(entries) != arms:
-            raise refusal(
-                field, value, f"{shape[0]} numbers ({unit}), or a list of {arms} such lists, one for each arm"
-            )
-        return np.array([vector(f"{field}[{i}]", entry, shape[0], unit) for i, entry in enumerate(entries)])
-
-    def _parameters(self, field: str, value: object) -> dict[str, Array]:
-        if not isinstance(value, dict):
-            raise refusal(field, value, f"a dict with some of {', '.join(PARAMETERS)}")
-        given = {}
-        for name, values in value.items():
-            shape = PARAMETERS[one_of(field, name, PARAMETERS)].shape(self.batch.model.n_joints)
-            given[name] = _numbers(f"{field}[{name!r}]", values, (len(self.over), *shape))
-        return given
-
-
-def _numbers(field: str, value: object, shape: tuple[int, ...]) -> Array:
-    """Numbers of that shape, or of one arm, which all then have."""
-    try:
-        return np.broadcast_to(np.asarray(value), shape)
-    except ValueError:
-        raise refusal(field, value, f"numbers of the shape {shape}, or {shape[1:]}") from None

@@ -15,6 +15,7 @@ from flexman_gym.checks import refusal, whole_number
 from flexman_gym.envs.actions import action_space, checked_actions
 from flexman_gym.envs.env import FlexManEnv, checked_mode, observation_space, painter
 from flexman_gym.envs.episodes import Episodes, Observations
+from flexman_gym.envs.remembering import Remembering
 from flexman_gym.envs.setup import build, setup_of
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import MOST_ARMS, Batch
@@ -24,7 +25,7 @@ LONGEST = 10**9  # steps of an episode
 OWN = ("num_envs", "threads", "max_episode_steps", "autoreset_mode", "render_mode", "render_size")
 
 
-class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
+class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
     """Many `FlexManEnv` in one: `gym.make_vec("FlexRRR-v0", num_envs=64, vectorization_mode="vector_entry_point")`.
 
     Observations, rewards, terminations, truncations and infos are those of `gymnasium.vector.SyncVectorEnv` over the
@@ -47,6 +48,7 @@ class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
         ValueError: one line with field, value and what is allowed.
     """
 
+    kept, spaces = ("_randoms", "_seeds"), ("action_space", "single_action_space")
     metadata = FlexManEnv.metadata | {"autoreset_mode": AutoresetMode.NEXT_STEP}
 
     def __init__(
@@ -67,6 +69,8 @@ class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
         self.autoreset_mode = modes[chosen]
         self.num_envs = whole_number("num_envs", num_envs, 1, MOST_ARMS)
         self.render_mode = checked_mode(render_mode)
+        given = num_envs, threads, max_episode_steps, autoreset_mode, render_mode, render_size
+        self._made = dict(zip(OWN, given, strict=True)) | settings
         setup = setup_of(settings, OWN)
         model, method, step, self.choice = build(setup)
         self._painter = painter(render_mode, model, render_size)
@@ -182,6 +186,9 @@ class FlexManVectorEnv(VectorEnv[Observations, Array, Any]):
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
         """The seed of each arm's generator."""
         return tuple(self._seeds) if self.np_random else ()
+
+    def _generators(self, own: dict[str, Any]) -> list[np.random.Generator | None]:
+        return list(own["_randoms"])
 
     def _each_seed(self, seed: object) -> list[int | None]:
         if seed is None:

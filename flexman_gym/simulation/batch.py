@@ -43,6 +43,8 @@ class Batch:
         ValueError: one line with field, value and what is allowed.
     """
 
+    kept = ("rows", "outputs", "status", "_periods", "energy_turnover", "_start_energy", "_mover")
+
     def __init__(
         self,
         model: Model,
@@ -118,7 +120,7 @@ class Batch:
 
     def __reduce__(self) -> NoReturn:
         raise TypeError(
-            "a Batch cannot be copied or pickled, nor what holds one: make another and reset it to the state"
+            "a Batch cannot be copied or pickled, nor what holds one; an environment can be copied, and gives its state"
         )
 
     def vary(self, arms: np.ndarray, **parameters: Array) -> None:

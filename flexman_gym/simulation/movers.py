@@ -28,8 +28,12 @@ SHARE = 8  # groups that are worth a thread: to wake a thread takes as long as t
 class OneByOne:
     """A mover with one `Run` for each arm."""
 
+    kept = ("own",)
+
     def __init__(self, runs: list[Run], period: tuple[float, int]) -> None:
         self._runs = runs
+        for run in runs:
+            run.constants = run.constants._replace(**_own(run.constants))
         self._step, self._substeps = period[0] / period[1], period[1]
         self._period = period[0]
         self._drive = drive_table([None] * (len(runs[0].constants.mass) + 6))
@@ -37,6 +41,15 @@ class OneByOne:
     def vary(self, arm: int, constants: dict[str, Any]) -> None:
         """Gives an arm constants of its own."""
         self._runs[arm].constants = self._runs[arm].constants._replace(**constants)
+
+    @property
+    def own(self) -> list[dict[str, Array]]:
+        """What each arm has of its own: constants, and what its method remembers from step to step."""
+        return [
+            {name: getattr(run.constants, name) for name in sorted(PER_ARM)}
+            | {"pace": run.work.pace, "stages": run.work.stages}
+            for run in self._runs
+        ]
 
     def observe(self, arms: IntArray, rows: Array, outputs: Array) -> None:
         """Reads the outputs of some arms."""
@@ -60,6 +73,8 @@ class Abreast:
     A single arm without foreshortening is moved alone, which takes less time and gives the same bits.
     """
 
+    kept = ("own",)
+
     def __init__(
         self,
         constants: Constants,
@@ -74,7 +89,7 @@ class Abreast:
         self._alone = arms == 1 and len(constants.station_mass) == 0
         groups = -(-arms // ARMS_ABREAST)
         if self._alone:
-            self._constants = [constants._replace(**{name: getattr(constants, name).copy() for name in PER_ARM})]
+            self._constants = [constants._replace(**_own(constants))]
             self._works = [make_work(constants)]
         else:
             self._constants = [_for_arms(constants) for _ in range(groups)]
@@ -87,6 +102,11 @@ class Abreast:
         self._moving = np.zeros(arms, dtype=np.int64)
         self._pool: ThreadPoolExecutor | None = None
         self._process = 0
+
+    @property
+    def own(self) -> list[dict[str, Array]]:
+        """The constants that arms may differ in, of each group."""
+        return [{name: getattr(each, name) for name in sorted(PER_ARM)} for each in self._constants]
 
     def vary(self, arm: int, constants: dict[str, Any]) -> None:
         """Gives an arm constants of its own."""
@@ -134,6 +154,11 @@ class Abreast:
         if self._pool is None or self._process != os.getpid():
             self._pool, self._process = ThreadPoolExecutor(len(self._shares) - 1), os.getpid()
         return self._pool
+
+
+def _own(constants: Constants) -> dict[str, Any]:
+    """Copies of the constants that arms may differ in."""
+    return {name: getattr(constants, name).copy() for name in PER_ARM}
 
 
 def _for_arms(constants: Constants) -> Constants:

@@ -48,6 +48,8 @@ class View:
         failed: (b,) whether the last step ended the episode by a limit or a divergence.
     """
 
+    kept = ("posture", "target", "plan", "effort", "action", "failed")
+
     def __init__(self, batch: Batch) -> None:
         model, constants, arms = batch.model, batch.model.constants, len(batch.rows)
         n, d = model.n_joints, model.n_dof
@@ -148,6 +150,11 @@ class View:
             self.energy_turnover.item(), self.effort.item(), self.failed.item(),
         )  # fmt: skip
         return one
+
+    def renew(self) -> None:
+        """Reads everything anew, after what the view keeps was given back."""
+        self._one = None
+        self.read()
 
     def _make_alone(self) -> "View":
         """Makes the view of the only arm; its arrays share the memory of this view."""

@@ -210,7 +210,6 @@ def test_a_batch_refuses_to_be_copied(duplicate):
         duplicate(Batch(fm.build_model(ARM, modes=2)))
 
 
-@pytest.mark.parametrize("duplicate", [copy.deepcopy, pickle.dumps])
-def test_an_environment_refuses_to_be_copied(duplicate):
+def test_an_environment_refuses_to_be_pickled():
     with pytest.raises(TypeError, match="cannot be copied or pickled"):
-        duplicate(gym.make("FlexRRR-v0").unwrapped)
+        pickle.dumps(gym.make("FlexRRR-v0").unwrapped)

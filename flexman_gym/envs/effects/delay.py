@@ -15,6 +15,7 @@ class Delay:
     """Whole control periods by which torques come late; before the first there is none."""
 
     kind: ClassVar[type] = int
+    kept = ("_past", "_late", "_now")
     shape = ()
 
     def __init__(self, stage: Stage, span: Range) -> None:

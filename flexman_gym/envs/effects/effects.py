@@ -33,6 +33,8 @@ class Effects:
         ValueError: for an effect that the model or the limits leave no room for.
     """
 
+    kept = ("drawn", "_streams", "_signals")
+
     def __init__(self, randomisation: Randomisation, stage: Stage) -> None:
         self._batch, self._ranges = stage.batch, randomisation.ranges
         model, arms, period = stage.batch.model, len(stage.batch.rows), stage.batch.control_period
@@ -96,6 +98,10 @@ class Effects:
         """What the episode of one arm drew, plain numbers and arrays that are the caller's."""
         drawn = {name: values[arm] for name, values in self.drawn.items()}
         return {name: value.item() if value.ndim == 0 else value.copy() for name, value in drawn.items()}
+
+    def follow(self, randoms: Sequence[np.random.Generator | None]) -> None:
+        """Takes the generators of all arms as those whose streams are in use, after these were given back."""
+        self._parents = list(randoms)
 
     def bend(self, arms: IntArray, states: Array) -> None:
         """Changes the states (r, 2 d) from which the episodes of the arms (r,) start."""

@@ -20,6 +20,7 @@ class SensorNoise:
     """
 
     kind: ClassVar[type] = float
+    kept = ("_inner", "_noise", "_used", "_deviation")
     shape = ()
 
     def __init__(self, stage: Stage, span: Range) -> None:

@@ -13,6 +13,7 @@ class TipImpulse:
     """Impulses, N s, of random directions, each a force on the tip during one control period, at random times."""
 
     kind: ClassVar[type] = float
+    kept = ("_inner", "_wait")
     shape = None
 
     def __init__(self, stage: Stage, span: Range) -> None:

@@ -1,0 +1,74 @@
+"""Remembering: environments that give their whole state, take it back, and can be copied."""
+
+from copy import deepcopy
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from gymnasium import Space
+
+from flexman_gym.checks import refusal
+from flexman_gym.envs.episodes import Episodes, Observations
+from flexman_gym.envs.snapshot import give, take
+
+
+class Remembering:
+    """What the single environment and the vector environment have in common: their state can be taken and given back.
+
+    Attributes:
+        kept: names of what an environment remembers beside its episodes.
+        spaces: names of the spaces whose generators belong to its state.
+    """
+
+    kept: ClassVar[tuple[str, ...]]
+    spaces: ClassVar[tuple[str, ...]]
+    episodes: Episodes
+    _made: dict[str, Any]  # arguments of the constructor
+
+    def get_state(self) -> dict[str, Any]:
+        """Gives all that the environment remembers, as dicts and lists of arrays and plain data.
+
+        That is the motion of every arm, its episode and its parameters, what effects and base remember, and every
+        random generator. An environment made alike goes on from it as this one would, to the last bit.
+        """
+        spaces = {name: take(_space(self, name)._np_random) for name in self.spaces}
+        own = {name: take(getattr(self, name)) for name in self.kept}
+        return {**own, **spaces, "episodes": take(self.episodes), "base": take(self.episodes.base)}
+
+    def set_state(self, state: dict[str, Any]) -> Observations:
+        """Puts the environment where `get_state` found one made alike; returns what is seen (b, size) of its arms.
+
+        Raises:
+            ValueError: one line, for the state of another environment; the episodes are then over.
+        """
+        names = {*self.kept, *self.spaces, "episodes", "base"}
+        if not isinstance(state, dict) or state.keys() != names:
+            found = sorted(map(str, state)) if isinstance(state, dict) else state
+            raise refusal("state", found, f"what get_state gave: {', '.join(sorted(names))}")
+        own = {name: give(f"state.{name}", getattr(self, name), state[name]) for name in self.kept}
+        spaces = {name: give(f"state.{name}", None, state[name]) for name in self.spaces}
+        for name, random in {**own, **spaces}.items():
+            if not isinstance(random, list | int | np.random.Generator | None):
+                raise refusal(f"state.{name}", random, "what get_state gave")
+        self.episodes.give(state["episodes"], state["base"], self._generators(own))
+        for name, value in own.items():
+            setattr(self, name, value)
+        for name, random in spaces.items():
+            _space(self, name)._np_random = random
+        return self.episodes.seen.copy()
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        other = type(self)(**deepcopy(self._made, memo))
+        other.set_state(self.get_state())
+        return other
+
+    def __copy__(self) -> Self:
+        return deepcopy(self)  # two environments never share arms
+
+    def _generators(self, own: dict[str, Any]) -> list[np.random.Generator | None]:
+        """The generator of each arm among what was given back."""
+        raise NotImplementedError
+
+
+def _space(env: object, name: str) -> Space[Any]:
+    found: Space[Any] = getattr(env, name)
+    return found
