@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -52,39 +51,53 @@ class Exploration(BaseCallback):
         return True
 
 
-class Saves(BaseCallback):
-    """Saves the run."""
+class Checkpoints(BaseCallback):
+    """Saves the run where a rollout begins: every so many steps, and when it is asked to stop, which it then does.
 
-    def __init__(self, save: Callable[[], bool]) -> None:
+    Attributes:
+        stopped: the steps after which it has stopped; None as long as it goes on.
+    """
+
+    def __init__(self, every: int, save: Callable[[], None], asked: Callable[[], bool]) -> None:
         super().__init__()
-        self._save = save
+        self._every, self._save, self._asked = every, save, asked
+        self.stopped: int | None = None
+
+    def _on_training_start(self) -> None:
+        self._next = self.num_timesteps + self._every
+
+    def _on_rollout_start(self) -> None:
+        if self._asked():
+            self._save()
+            self.stopped = self.model.num_timesteps
+        elif self._every and self.model.num_timesteps >= self._next:
+            self._next = self.model.num_timesteps + self._every
+            self._save()
 
     def _on_step(self) -> bool:
-        return self._save()
+        return self.stopped is None
 
 
 class Judge(BaseCallback):
     """Evaluates the policy without noise on selection seeds, records its figures and keeps the best one.
 
-    The best settles most often within the band; among equals the one with the smaller median error. A run that goes on
-    begins with the figures of its best so far. A line on stderr says so when a policy has become much worse than the
-    best.
+    The best settles most often within the band; among equals the one with the smaller median error. A line on stderr
+    says so when a policy has become much worse than the best.
     """
 
-    def __init__(self, settings: Settings, act: Act, keep: Callable[[], bool], best: Act | None = None) -> None:
+    kept = ("_best", "_next", "_warned")
+
+    def __init__(self, settings: Settings, act: Act, keep: Callable[[], None]) -> None:
         super().__init__()
         self._environment, interface = parted(settings.description)
         self._policy = Policy("training", act, interface)
-        self._every, self._keep, self._next = settings.judge_every, keep, settings.judge_every
-        self._best = (-1.0, 0.0) if best is None else _score(self._judged(best))
-        self._warned = False
+        self._every, self._keep = settings.judge_every, keep
+        self._best = [-1.0, 0.0]
+        self.begin()
 
-    def _judged(self, act: Act) -> dict[str, Any]:
-        """Figures of what acts."""
-        return summary(evaluate(replace(self._policy, act=act), self._environment, SELECTION))
-
-    def _on_training_start(self) -> None:
-        self._next = self.num_timesteps + self._every
+    def begin(self) -> None:
+        """Counts steps from zero again."""
+        self._next, self._warned = self._every, False
 
     def _on_step(self) -> bool:
         return True
@@ -93,7 +106,7 @@ class Judge(BaseCallback):
         if self.num_timesteps < self._next:
             return
         self._next = self.num_timesteps + self._every
-        found = self._judged(self._policy.act)
+        found = summary(evaluate(self._policy, self._environment, SELECTION))
         names = {"stabilisation_time": "stabilisation_time_s", "vibration": "vibration_m", "error": "error_m"}
         for key, name in names.items():
             self.logger.record(f"selection/{name}", found[key][0])
@@ -110,5 +123,5 @@ class Judge(BaseCallback):
             print(said, file=sys.stderr)
 
 
-def _score(found: dict[str, Any]) -> tuple[float, float]:
-    return found["settled"], -found["error"][0]
+def _score(found: dict[str, Any]) -> list[float]:
+    return [found["settled"], -found["error"][0]]

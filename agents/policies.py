@@ -40,8 +40,12 @@ def parted(described: Description) -> tuple[Description, dict[str, Any]]:
     return Description(described.id, moved, described.folder), interface
 
 
-def find_policy(name: str) -> Policy:
+def find_policy(name: str, trust: bool = False) -> Policy:
     """Finds the policy of a name: a baseline, or the folder of a training run.
+
+    Args:
+        name: of a baseline or a folder.
+        trust: read files of Stable-Baselines3 too, which can run any code; see `foreign`.
 
     Raises:
         FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
@@ -57,11 +61,23 @@ def find_policy(name: str) -> Policy:
     if not folder.is_dir():
         allowed = f"the folder of a training run, or one of {', '.join(BASELINES)}"
         raise FileNotFoundError(f"policy: {name} is not allowed; give {allowed}")
-    from flexman_agents.training import load_policy  # which needs Stable-Baselines3
-
-    settings, act = load_policy(folder)
+    settings, act = _trained(folder, trust)
     environment, interface = parted(settings.description)
     return Policy(folder.name, act, interface, environment)
+
+
+def _trained(folder: Path, trust: bool) -> tuple[Any, Act]:
+    """Settings and policy of a run. Both rooms below need Stable-Baselines3, which baselines do without."""
+    from flexman_agents.folder import BEST, NEWEST
+    from flexman_agents.foreign import MODEL, load_foreign
+    from flexman_agents.training import load_policy
+
+    if any((folder / name).is_file() for name in (BEST, NEWEST)) or not (folder / MODEL).is_file():
+        return load_policy(folder)
+    if not trust:
+        allowed = "--trust, if you trust whoever made them: they are pickles, which run any code when they are read"
+        raise ValueError(f"policy: the files of Stable-Baselines3 in {folder} are not read; give {allowed}")
+    return load_foreign(folder)
 
 
 def _still(observations: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.floating]:

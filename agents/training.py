@@ -1,129 +1,102 @@
-"""Training: PPO or SAC on an environment, with settings, checkpoints and normalisation kept in one folder."""
+"""Training: PPO or SAC on an environment; a run is kept in one folder, survives its process and goes on exactly."""
 
 import json
 import platform
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib.metadata import version
-from inspect import signature
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
-import numpy as np
-from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
-
-try:
-    import stable_baselines3 as sb3
-except ImportError as _error:
-    raise ImportError("training needs Stable-Baselines3: pip install 'flexman_gym[train]'") from _error
-import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback, EveryNTimesteps
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-from flexman_agents.callbacks import Exploration, Judge, Saves, writers
+from flexman_agents.algorithm import acting, make_model
+from flexman_agents.callbacks import Checkpoints, Exploration, Judge, writers
+from flexman_agents.folder import BEST, NEWEST, SETTINGS, existing, locked, read_data, write, write_data
+from flexman_agents.memory import give_policy, give_training, take_policy, take_training
 from flexman_agents.policies import Act
-from flexman_agents.seeds import training_seed
-from flexman_agents.settings import EXPLORATION, HYPERPARAMETERS, Settings
-from flexman_agents.vector import Arms
-from flexman_gym.checks import one_of, refusal, whole_number
+from flexman_agents.settings import EXPLORATION, MOST_STEPS, Settings
+from flexman_gym.checks import refusal, whole_number
+from flexman_gym.envs.snapshot import give, take
 
-MODEL, STATISTICS, SETTINGS, REPLAY, BEST = "model.zip", "normalisation.pkl", "settings.json", "replay.pkl", "best"
-ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": sb3.PPO, "sac": sb3.SAC}
-NET_ARCH, LOG_STD = [128, 128], {"ppo": -3.0, "sac": -3.0}  # louder noise shakes the arm for seconds
+
+class Interrupted(Exception):
+    """A training was asked to stop; the run is kept and can go on."""
 
 
 def train(
-    settings: Settings,
-    folder: Path,
-    checkpoint_every: int = 0,
-    progress: bool = True,
-    device: str = "cpu",
+    settings: Settings, folder: Path, checkpoint_every: int = 0, progress: bool = True, device: str = "cpu"
 ) -> BaseAlgorithm:
     """Trains a policy from the start and saves it in a folder.
 
     Args:
         settings: what the run is.
-        folder: for model.zip, normalisation.pkl (statistics of VecNormalize), settings.json (with versions), the curves
-            in progress.csv and as TensorBoard events, and best/, the best policy on the way.
-        checkpoint_every: steps between checkpoints; 0: only at the end.
+        folder: for settings.json (with versions), newest.npz (the whole run), best.npz (the best policy on the way),
+            and the curves in progress.csv and as TensorBoard events.
+        checkpoint_every: steps between savings; 0: only at the end.
         progress: show a bar.
         device: of the networks, as PyTorch names it.
 
     Raises:
-        ValueError: when the folder holds a run already.
+        ValueError: when the folder holds a run already, or another process trains in it.
+        OSError: when the folder cannot be written.
+        Interrupted: after Ctrl-C, once the run is saved.
     """
     if (folder / SETTINGS).exists():
         raise ValueError(f"folder: {folder} is not allowed; give a new one, or resume the run in it")
-    torch.set_num_threads(1)  # two threads on two cores are many times slower for networks of this size
-    chosen = hyperparameters(settings)
-    env = VecNormalize(_environments(settings), norm_reward=settings.normalise_reward, gamma=chosen["gamma"])
-    model = ALGORITHMS[settings.algo]("MlpPolicy", env, seed=settings.seed, device=device, **chosen)
-    env.seed(training_seed(settings.seed))
+    checkpoint_every = whole_number("checkpoint_every", checkpoint_every, 0, MOST_STEPS)
+    model = make_model(settings, device)
     folder.mkdir(parents=True, exist_ok=True)
-    versions = {name: version(name) for name in ("flexman_gym", "gymnasium", "numba", "stable-baselines3", "torch")}
-    record = settings.plain() | {"versions": versions | {"python": platform.python_version()}}
-    (folder / SETTINGS).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-    return _learn(model, settings, folder, checkpoint_every, progress)
+    with locked(folder):
+        _keep_settings(settings, folder)
+        return _Run(model, settings, folder).learn(checkpoint_every, progress)
 
 
 def resume(
     folder: Path,
-    steps: int,
+    steps: int | None = None,
     checkpoint_every: int = 0,
     progress: bool = True,
     device: str = "cpu",
     judge_every: int | None = None,
 ) -> BaseAlgorithm:
-    """Goes on with the run in a folder, for more steps, from its newest model and statistics.
+    """Goes on with the run in a folder to the end of its steps, exactly as if it had never stopped.
 
-    Its curves are in progress-STEPS.csv, after so many steps. It is judged as often as before where nothing else is
-    said.
+    A run that is finished goes on only where `steps` are given, as another run that begins with its policy and its
+    memory and whose schedules begin anew. The curves are in progress-STEPS.csv, after so many steps. It is judged as
+    often as before where nothing else is said.
 
     Raises:
         FileNotFoundError: when there is no run.
-        ValueError: when the run keeps its best policy, which is what acts, and would not be judged any more.
+        ValueError: for steps of an unfinished run and none of a finished one; when the run keeps its best policy, which
+            is what acts, and would not be judged any more; and as `train`.
+        OSError, Interrupted: as `train`.
     """
-    torch.set_num_threads(1)
-    settings = replace(load_settings(folder), steps=whole_number("steps", steps, 1, 10**10))
-    if judge_every is not None:
-        settings = replace(settings, judge_every=judge_every)
-    if (folder / BEST).is_dir() and not settings.judge_every:
-        allowed = f"the steps between evaluations, > 0: {folder} keeps its best policy"
-        raise refusal("judge_every", settings.judge_every, allowed)
-    env = VecNormalize.load(str(existing(folder / STATISTICS)), _environments(settings))
-    model = ALGORITHMS[settings.algo].load(existing(folder / MODEL), env=env, device=device)
-    if isinstance(model, OffPolicyAlgorithm):
-        model.load_replay_buffer(existing(folder / REPLAY))
-    # the same seed would draw the episodes of the first part again
-    model.set_random_seed(settings.seed + model.num_timesteps)
-    env.seed(training_seed(settings.seed) + model.num_timesteps)
-    return _learn(model, settings, folder, checkpoint_every, progress)
-
-
-def hyperparameters(settings: Settings) -> dict[str, Any]:
-    """Gives the arguments of the algorithm: defaults, what the settings say, and schedules.
-
-    Raises:
-        ValueError: for a name that the algorithm does not know.
-    """
-    chosen = HYPERPARAMETERS[settings.algo] | dict(settings.hyperparameters)
-    policy = {"net_arch": chosen.pop("net_arch", NET_ARCH)}
-    policy["log_std_init"] = chosen.pop("log_std_init", LOG_STD[settings.algo])
-    if "activation" in chosen:
-        policy["activation_fn"] = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}[chosen.pop("activation")]
-    rate = settings.schedule("learning_rate")
-    if rate is not None:
-        chosen["learning_rate"] = rate
-    chosen.setdefault("learning_rate", 2e-4 if settings.algo == "ppo" else 3e-4)
-    known = set(signature(ALGORITHMS[settings.algo].__init__).parameters) - {"self", "policy", "env", "policy_kwargs"}
-    for name in chosen:
-        one_of("hyperparameters", name, sorted(known | {"net_arch", "log_std_init", "activation"}))
-    if settings.algo == "ppo":
-        chosen["batch_size"] = min(chosen["batch_size"], chosen["n_steps"] * settings.envs)
-    return chosen | {"policy_kwargs": policy}
+    checkpoint_every = whole_number("checkpoint_every", checkpoint_every, 0, MOST_STEPS)
+    settings = load_settings(folder)
+    with locked(folder):
+        data = read_data(folder / NEWEST) if (folder / NEWEST).is_file() else None
+        done = 0 if data is None else _steps_done(folder / NEWEST, data)
+        finished = data is not None and done >= settings.steps
+        settings = _further(settings, folder, steps, done, finished)
+        if judge_every is not None:
+            settings = replace(settings, judge_every=judge_every)
+        if (folder / BEST).is_file() and not settings.judge_every:
+            allowed = f"the steps between evaluations, > 0: {folder} keeps its best policy"
+            raise refusal("judge_every", settings.judge_every, allowed)
+        run = _Run(make_model(settings, device), settings, folder)
+        if data is None:
+            print(f"Nothing was kept in {folder} yet: the run begins again.", file=sys.stderr)
+        else:
+            run.give(data, finished)
+        _keep_settings(settings, folder)
+        return run.learn(checkpoint_every, progress)
 
 
 def load_settings(folder: Path) -> Settings:
@@ -133,83 +106,131 @@ def load_settings(folder: Path) -> Settings:
         FileNotFoundError, ValueError: one clear line.
     """
     path = existing(folder / SETTINGS)
-    return Settings.from_json(path, path.read_text(encoding="utf-8"))
+    return Settings.from_json(path, path.read_bytes().decode("utf-8", errors="replace"))
 
 
 def load_policy(folder: Path) -> tuple[Settings, Act]:
-    """Loads the policy of a run: its best one where there is one, else its newest.
+    """Loads the policy of a run: its best one where there is one, else its newest; nothing in its files is run.
 
     Raises:
         FileNotFoundError, ValueError: one clear line.
     """
-    torch.set_num_threads(1)
     settings = load_settings(folder)
-    place = folder / BEST if (folder / BEST / MODEL).is_file() else folder
-    model_path, statistics_path = existing(place / MODEL), existing(place / STATISTICS)
-    model = ALGORITHMS[settings.algo].load(model_path, device="cpu")
-    statistics = VecNormalize.load(str(statistics_path), _environments(replace(settings, envs=1)))
+    path = folder / BEST if (folder / BEST).is_file() else existing(folder / NEWEST)
+    data = read_data(path)
+    model = make_model(replace(settings, envs=1))
+    try:
+        give_policy(model, data)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    statistics = model.get_vec_normalize_env()
+    assert statistics is not None
     return settings, acting(model, statistics)
 
 
-def acting(model: BaseAlgorithm, statistics: VecNormalize) -> Act:
-    """Gives the function that acts as a model does, without noise."""
+class _Run:
+    """A model that learns in a folder, and what it was before."""
 
-    def act(observations: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.floating]:
-        actions, _ = model.predict(statistics.normalize_obs(observations), deterministic=True)
-        return np.asarray(actions, dtype=np.float32).reshape(shape)
+    def __init__(self, model: BaseAlgorithm, settings: Settings, folder: Path) -> None:
+        self.model, self.settings, self.folder = model, settings, folder
+        self._before = 0  # steps of runs that this one followed
+        self._judge: Judge | None = None
+        if settings.judge_every:
+            statistics = model.get_vec_normalize_env()
+            assert statistics is not None
+            self._judge = Judge(settings, acting(model, statistics), self._keep_best)
 
-    return act
+    def give(self, data: dict[str, Any], another: bool) -> None:
+        """Puts everything where it was when it was saved; another run counts its steps from there."""
+        path = self.folder / NEWEST
+        try:
+            give_policy(self.model, data)
+            give_training(self.model, data["training"])
+            if self._judge and data["judge"] is not None:
+                give("judge", self._judge, data["judge"])
+            self._before = whole_number("before", data["before"], 0, MOST_STEPS)
+        except (KeyError, TypeError, AttributeError, IndexError, ValueError) as error:
+            said = " ".join(str(error).split()) or type(error).__name__
+            raise ValueError(f"{path}: {said}") from None
+        if another:
+            count = self.model.num_timesteps
+            print(
+                f"The run of {count} steps was finished: {self.settings.steps} more are another run.", file=sys.stderr
+            )
+            self._before += count
+            self.model.num_timesteps, self.model._current_progress_remaining = 0, 1.0
+            if self._judge:
+                self._judge.begin()
+
+    def learn(self, checkpoint_every: int, progress: bool) -> BaseAlgorithm:
+        """Learns to the end of the steps."""
+        model, settings = self.model, self.settings
+        callbacks: list[BaseCallback] = []
+        for exploration in filter(None, map(settings.schedule, EXPLORATION)):
+            callbacks.append(Exploration(exploration, settings.steps))
+        if self._judge:
+            callbacks.append(self._judge)
+        model.set_logger(writers(self.folder, self._before + model.num_timesteps))
+        told: dict[str, Any] = {"progress_bar": progress, "reset_num_timesteps": False}
+        if isinstance(model, OffPolicyAlgorithm):
+            told["log_interval"] = settings.envs  # SAC logs after so many episodes, which end together
+        with _asked_to_stop() as asked:
+            checkpoints = Checkpoints(checkpoint_every, self._save, asked.is_set)
+            model.learn(settings.steps - model.num_timesteps, callback=[checkpoints, *callbacks], **told)
+        model.get_env().close()  # type: ignore[union-attr]
+        if checkpoints.stopped:
+            raise Interrupted(f"{self.folder}: stopped after {checkpoints.stopped} steps, all of which are kept")
+        self._save()
+        return model
+
+    def _save(self) -> None:
+        judge = take(self._judge) if self._judge else None
+        data = {"training": take_training(self.model), "judge": judge, "before": self._before}
+        write_data(self.folder / NEWEST, take_policy(self.model) | data)
+
+    def _keep_best(self) -> None:
+        write_data(self.folder / BEST, take_policy(self.model))
 
 
-def existing(path: Path) -> Path:
-    """Gives the path when there is a file.
-
-    Raises:
-        FileNotFoundError: one clear line.
-    """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file; give a folder that a training run has written")
-    return path
+def _steps_done(path: Path, data: Any) -> int:
+    try:
+        return whole_number("num_timesteps", data["training"]["counts"]["num_timesteps"], 0, MOST_STEPS)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path}: {' '.join(str(error).split())} is wrong in what the run remembers") from None
 
 
-def save(model: BaseAlgorithm, folder: Path) -> bool:
-    """Writes model, normalisation statistics and, for SAC, the replay buffer; returns True."""
-    folder.mkdir(parents=True, exist_ok=True)
-    model.save(folder / MODEL)
-    if isinstance(model, OffPolicyAlgorithm) and folder.name != BEST:
-        model.save_replay_buffer(folder / REPLAY)
-    statistics = model.get_vec_normalize_env()
-    if statistics is not None:
-        statistics.save(str(folder / STATISTICS))
-    return True
+def _further(settings: Settings, folder: Path, steps: int | None, done: int, finished: bool) -> Settings:
+    """The settings with which a run goes on."""
+    if finished and steps is None:
+        raise ValueError(f"steps: None is not allowed; give those of another run: that in {folder} is finished")
+    if not finished and steps is not None:
+        allowed = f"nothing: the run in {folder} has {done} of its {settings.steps} steps and goes on to its end"
+        raise refusal("steps", steps, allowed)
+    return settings if steps is None else replace(settings, steps=steps)
 
 
-def _environments(settings: Settings) -> VecMonitor:
-    described = settings.description
-    keywords = described.keywords() | {"autoreset_mode": AutoresetMode.SAME_STEP}
-    return VecMonitor(Arms(gym.make_vec(described.id, settings.envs, "vector_entry_point", **keywords)))
+def _keep_settings(settings: Settings, folder: Path) -> None:
+    versions = {name: version(name) for name in ("flexman_gym", "gymnasium", "numba", "stable-baselines3", "torch")}
+    record = settings.plain() | {"versions": versions | {"python": platform.python_version()}}
+    write(folder / SETTINGS, lambda file: file.write((json.dumps(record, indent=1) + "\n").encode()))
 
 
-def _learn(
-    model: BaseAlgorithm, settings: Settings, folder: Path, checkpoint_every: int, progress: bool
-) -> BaseAlgorithm:
-    callbacks: list[BaseCallback] = []
-    for exploration in filter(None, map(settings.schedule, EXPLORATION)):
-        callbacks.append(Exploration(exploration, settings.steps))
-    if settings.judge_every:
-        statistics = model.get_vec_normalize_env()
-        assert statistics is not None
-        best = load_policy(folder)[1] if (folder / BEST).is_dir() else None
-        act = acting(model, statistics)
-        callbacks.append(Judge(settings, act, lambda: save(model, folder / BEST), best))
-    if checkpoint_every:
-        callbacks.append(EveryNTimesteps(checkpoint_every, Saves(lambda: save(model, folder))))
-    model.set_logger(writers(folder, model.num_timesteps))
-    # SAC logs after so many episodes, which end together
-    told: dict[str, Any] = {"progress_bar": progress, "reset_num_timesteps": False}
-    if isinstance(model, OffPolicyAlgorithm):
-        told["log_interval"] = settings.envs
-    model.learn(settings.steps, callback=callbacks, **told)
-    save(model, folder)
-    model.get_env().close()  # type: ignore[union-attr]
-    return model
+@contextmanager
+def _asked_to_stop() -> Iterator[threading.Event]:
+    """An event that Ctrl-C sets; pressed again it interrupts at once."""
+    asked = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield asked  # only the main thread hears signals
+        return
+
+    def hear(number: int, frame: object) -> None:
+        if asked.is_set():
+            raise KeyboardInterrupt
+        asked.set()
+        print("Stopping after this rollout; press Ctrl-C again to lose it.", file=sys.stderr)
+
+    before = signal.signal(signal.SIGINT, hear)
+    try:
+        yield asked
+    finally:
+        signal.signal(signal.SIGINT, before)

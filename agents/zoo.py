@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
+from flexman_agents.algorithm import hyperparameters
 from flexman_agents.recipes import FOLDER, NAMES, find_recipe
 from flexman_agents.settings import EXPLORATION, Schedule, Settings
-from flexman_agents.training import hyperparameters
 from flexman_gym.checks import refusal
 from flexman_gym.scene import file
 

@@ -19,11 +19,12 @@ def main() -> int:
     parser.add_argument("--env", help=f"a file that describes an environment, or one of {', '.join(sorted(NAMED))}; "
                         "without it that of the runs")  # fmt: skip
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the environment")
+    parser.add_argument("--trust", action="store_true", help="read files of Stable-Baselines3, which can run any code")
     options = parser.parse_args()
     if options.episodes < 1:
         parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
     try:
-        policies = {name: find_policy(name) for name in options.policy}
+        policies = {name: find_policy(name, options.trust) for name in options.policy}
         named = Description.find(options.env) if options.env else None
         environment = changed_environment(common_environment(list(policies.values()), named), options.set)
         seeds = range(options.seed, options.seed + options.episodes)

@@ -7,9 +7,11 @@ from pathlib import Path
 
 from flexman_agents.recipes import NAMES, find_recipe
 from flexman_agents.settings import ALGORITHMS, Settings
-from flexman_agents.training import resume, train
+from flexman_agents.training import Interrupted, resume, train
 from flexman_gym.envs import NAMED
 from flexman_gym.envs.description import Description
+
+INTERRUPTED = 130  # what a shell says of a process that Ctrl-C has ended
 
 
 def main() -> int:
@@ -17,15 +19,20 @@ def main() -> int:
     options = parser().parse_args()
     try:
         if options.resume:
-            steps = options.steps or 1_000_000
-            every = options.checkpoint_every
-            resume(options.folder, steps, every, not options.quiet, options.device, options.judge_every)
+            how = options.checkpoint_every, not options.quiet, options.device, options.judge_every
+            resume(options.folder, options.steps, *how)
             folders = [options.folder]
         else:
             folders = start(options)
     except (ValueError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
+    except Interrupted as stop:
+        print(f"{stop}; go on with: python scripts/train.py --resume --folder {options.folder}", file=sys.stderr)
+        return INTERRUPTED
+    except KeyboardInterrupt:
+        print("Interrupted; what was saved before stays.", file=sys.stderr)
+        return INTERRUPTED
     for folder in folders:
         print(f"The run is in {folder}; see it with: python scripts/evaluate.py {folder} pd")
     return 0
@@ -38,12 +45,12 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument("--algo", choices=ALGORITHMS, help="instead of the recipe's; ppo without one")
     found.add_argument("--env", help=f"a file that describes an environment, or one of {', '.join(sorted(NAMED))}")
     found.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the environment")
-    found.add_argument("--steps", type=int, help="actions of all arms together; more of them with --resume")
+    found.add_argument("--steps", type=int, help="actions of all arms together; with --resume those of another run")
     found.add_argument("--seed", type=int, help="of the first run")
     found.add_argument("--seeds", type=int, default=1, help="so many runs, each with the next seed, a folder each")
     found.add_argument("--envs", type=int, help="arms side by side")
     found.add_argument("--folder", type=Path, default=Path("runs/latest"))
-    found.add_argument("--resume", action="store_true", help="go on with the run in the folder, with its settings")
+    found.add_argument("--resume", action="store_true", help="go on with the run in the folder to its end")
     found.add_argument("--checkpoint-every", type=int, default=100_000, help="steps; 0: only at the end")
     found.add_argument("--judge-every", type=int, help="steps between evaluations on the way; 0: none")
     found.add_argument("--device", default="cpu", help="of the networks, as PyTorch names it")

@@ -9,7 +9,8 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from flexman_agents import tuning
-from flexman_agents.training import SETTINGS, load_settings
+from flexman_agents.folder import SETTINGS
+from flexman_agents.training import load_settings
 from flexman_gym.envs import NAMED
 from flexman_gym.scene import file
 

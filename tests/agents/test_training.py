@@ -12,22 +12,13 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from flexman_agents import callbacks
+from flexman_agents.algorithm import hyperparameters
 from flexman_agents.callbacks import Judge
 from flexman_agents.evaluation import Episode
+from flexman_agents.folder import BEST, NEWEST, SETTINGS, read_data
 from flexman_agents.policies import find_policy
 from flexman_agents.settings import Settings
-from flexman_agents.training import (
-    BEST,
-    MODEL,
-    REPLAY,
-    SETTINGS,
-    STATISTICS,
-    hyperparameters,
-    load_policy,
-    load_settings,
-    resume,
-    train,
-)  # fmt: skip
+from flexman_agents.training import load_policy, load_settings, resume, train
 
 from oracles.refusals import refusal
 
@@ -56,7 +47,7 @@ def trained(tmp_path_factory):
 
 def test_a_run_keeps_model_statistics_settings_versions_and_the_whole_arm(trained):
     folder, _ = trained
-    assert {MODEL, STATISTICS, SETTINGS, BEST, "progress.csv"} <= {path.name for path in folder.iterdir()}
+    assert {NEWEST, SETTINGS, BEST, "progress.csv"} <= {path.name for path in folder.iterdir()}
     record = json.loads((folder / SETTINGS).read_text())
     assert record["seed"] == 3 and {"numba", "torch", "flexman_gym", "python"} <= record["versions"].keys()
     assert record["environment"]["arm"]["links"][0]["length"] == 0.8
@@ -92,15 +83,23 @@ def test_curves_are_in_a_csv_and_in_events(trained):
     assert "rollout/ep_rew_mean" in rows[0]
 
 
-def test_a_resumed_run_counts_on_and_changes_the_policy(trained, tmp_path):
+def test_a_finished_run_goes_on_as_another_run(trained, tmp_path, capsys):
+    """It begins with the policy of the first, counts from zero, and says so; its curves have a file of their own."""
     folder = tmp_path / "run"
     train(replace(SHORT, schedules={}), folder, progress=False)
     before = acts(folder)
-    assert resume(folder, 256, progress=False).num_timesteps == 768
-    assert np.abs(acts(folder) - before).max() > 0
+    assert resume(folder, 256, progress=False).num_timesteps == 256
+    assert "The run of 512 steps was finished: 256 more are another run." in capsys.readouterr().err
+    assert 0 < np.abs(acts(folder) - before).max() < 0.5
+    assert read_data(folder / NEWEST)["before"] == 512 and load_settings(folder).steps == 256
+    with (folder / "progress-512.csv").open() as lines:
+        assert [int(row["time/total_timesteps"]) for row in csv.DictReader(lines)] == [256]
+    with (folder / "progress.csv").open() as lines:
+        assert len(list(csv.DictReader(lines))) == 2
 
 
 def test_a_run_that_keeps_its_best_policy_goes_on_only_where_it_is_judged(trained, tmp_path, monkeypatch):
+    """The best so far is remembered: a worse one later does not take its place."""
     folder = tmp_path / "run"
     shutil.copytree(trained[0], folder)
     line = refusal(resume, folder, 256, 0, False, "cpu", 0)
@@ -111,31 +110,30 @@ def test_a_run_that_keeps_its_best_policy_goes_on_only_where_it_is_judged(traine
     found = {"reward": 0.0, "failed": 0.0} | dict.fromkeys(
         ("stabilisation_time", "vibration", "error"), (1.0, 1.0, 1.0)
     )
-    shares = iter([0.5, 0.4, 0.6])  # of its best so far, and then of two evaluations
+    shares = iter([-2.0, 2.0])
     monkeypatch.setattr("flexman_agents.callbacks.summary", lambda episodes: found | {"settled": next(shares)})
     kept = []
     monkeypatch.setattr(
-        "flexman_agents.training.save", lambda model, place: kept.append((place.name, model.num_timesteps))
+        "flexman_agents.training.write_data", lambda path, data: kept.append((path.name, data.get("before")))
     )
     resume(folder, 512, progress=False, judge_every=256)
-    assert kept == [(BEST, 1024), ("run", 1024)]
-    with (folder / "progress-512.csv").open() as lines:
-        assert [int(row["time/total_timesteps"]) for row in csv.DictReader(lines)] == [768, 1024]
-    with (folder / "progress.csv").open() as lines:
-        assert len(list(csv.DictReader(lines))) == 2
+    assert kept == [(BEST, None), (NEWEST, 512)]
 
 
-def test_checkpoints_are_written_on_the_way(tmp_path, monkeypatch):
+def test_checkpoints_are_written_where_rollouts_begin(tmp_path, monkeypatch):
     saved = []
-    monkeypatch.setattr("flexman_agents.training.save", lambda model, folder: saved.append(model.num_timesteps) or True)
-    train(SHORT, tmp_path / "run", checkpoint_every=128, progress=False)
-    assert saved == [128, 256, 384, 512, 512]
+    monkeypatch.setattr(
+        "flexman_agents.training.write_data",
+        lambda path, data: saved.append(data["training"]["counts"]["num_timesteps"]),
+    )
+    train(replace(SHORT, steps=1024), tmp_path / "run", checkpoint_every=300, progress=False)
+    assert saved == [512, 1024]
 
 
 def test_sac_trains_and_goes_on_with_its_memory(tmp_path):
     settings = Settings("sac", PD, 64, envs=2, hyperparameters={"learning_starts": 16, "batch_size": 8})
     train(settings, tmp_path / "sac", progress=False)
-    assert (tmp_path / "sac" / REPLAY).is_file()
+    assert read_data(tmp_path / "sac" / NEWEST)["training"]["replay"]["pos"] == 32
     assert resume(tmp_path / "sac", 64, progress=False).replay_buffer.pos == 64  # of two arms each
     assert np.abs(acts(tmp_path / "sac")).max() <= 1.0
 
@@ -155,9 +153,7 @@ def test_the_best_policy_is_the_one_that_acts(trained, tmp_path):
     other = tmp_path / "run"
     train(SHORT.with_seed(9), other, progress=False)
     newest = acts(other)
-    (other / BEST).mkdir()
-    for name in (MODEL, STATISTICS):
-        (other / BEST / name).write_bytes((folder / name).read_bytes())
+    (other / BEST).write_bytes((folder / BEST).read_bytes())
     assert np.array_equal(acts(other), acts(folder)) and (acts(other) != newest).any()
 
 
@@ -194,7 +190,7 @@ def test_missing_and_broken_runs_give_one_line(trained, tmp_path):
     with pytest.raises(ValueError, match="give the settings of a training run"):
         find_policy(str(tmp_path))
     (tmp_path / SETTINGS).write_text((trained[0] / SETTINGS).read_text())
-    with pytest.raises(FileNotFoundError, match=f"{MODEL}: no such file"):
+    with pytest.raises(FileNotFoundError, match=f"{NEWEST}: no such file"):
         find_policy(str(tmp_path))
     with pytest.raises(FileNotFoundError, match=f"{SETTINGS}: no such file"):
         resume(tmp_path / "nothing", 64)

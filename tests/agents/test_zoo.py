@@ -12,8 +12,8 @@ from stable_baselines3 import PPO, SAC
 from torch import nn
 
 from flexman_agents import callbacks
+from flexman_agents.algorithm import hyperparameters
 from flexman_agents.recipes import NAMES, find_recipe
-from flexman_agents.training import hyperparameters
 from flexman_agents.zoo import CALLBACK, ZOO, write_zoo, zoo
 
 from oracles.refusals import refusal

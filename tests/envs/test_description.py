@@ -213,11 +213,11 @@ def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
 def test_a_training_starts_with_the_episode_that_its_environment_gives():
     """The arms of a training are those of gym.make_vec with the training's seed."""
     pytest.importorskip("stable_baselines3")
+    from flexman_agents.algorithm import environments
     from flexman_agents.seeds import training_seed
     from flexman_agents.settings import Settings
-    from flexman_agents.training import _environments
 
-    arms = _environments(Settings(environment=OWN, seed=2, envs=3))
+    arms = environments(Settings(environment=OWN, seed=2, envs=3))
     arms.seed(training_seed(2))
     found = Description.from_dict(OWN)
     alone = gym.make(found.id, **found.keywords())

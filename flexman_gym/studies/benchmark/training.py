@@ -10,8 +10,9 @@ from flexman_gym.studies.watch import Watch
 
 def ppo(arms: int, rollouts: int) -> Timer:
     """Steps of a new policy in so many rollouts; raises ImportError without Stable-Baselines3."""
+    from flexman_agents.algorithm import ALGORITHMS
     from flexman_agents.settings import HYPERPARAMETERS, Settings
-    from flexman_agents.training import ALGORITHMS, train
+    from flexman_agents.training import train
 
     steps = rollouts * arms * HYPERPARAMETERS["ppo"]["n_steps"]
     settings = Settings(algo="ppo", envs=arms, steps=steps)

@@ -1,0 +1,123 @@
+"""Folder: what a run keeps, files that are whole or not there, and the lock of whoever trains in it."""
+
+import fcntl
+import json
+import os
+import struct
+import sys
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from flexman_gym.envs.snapshot import joined, parted
+
+SETTINGS, NEWEST, BEST, LOCK = "settings.json", "newest.npz", "best.npz", "lock"
+BROKEN = (
+    ValueError, KeyError, TypeError, AttributeError, EOFError, OSError, MemoryError, RecursionError, OverflowError,
+    NotImplementedError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error,
+)  # fmt: skip  # what reading a file of noise may raise
+TEXT = "data.json"  # the name of the plain data among the arrays of a file
+
+
+def write(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
+    """Writes a file that is whole or not there: filled beside its place, flushed to the disk, then renamed.
+
+    Raises:
+        OSError: when it cannot be written; the file that was there stays.
+    """
+    beside = path.with_name(f".{path.name}.part")
+    try:
+        with beside.open("wb") as file:
+            fill(file)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(beside, path)
+    except OSError:
+        with suppress(OSError):
+            beside.unlink(missing_ok=True)
+        raise
+    _sync(path.parent)
+
+
+def write_data(path: Path, data: dict[str, Any]) -> None:
+    """Writes dicts and lists of arrays and plain data, as arrays and JSON in one file (npz); see `write`."""
+    arrays: dict[str, np.ndarray] = {}
+    text = json.dumps(parted(data, arrays)).encode()
+    named: dict[str, Any] = {TEXT: np.frombuffer(text, dtype=np.uint8), **arrays}  # paths begin with a slash
+    write(path, lambda file: np.savez(file, allow_pickle=False, **named))
+
+
+def read_data(path: Path) -> Any:
+    """Reads such a file; nothing in it is run.
+
+    Raises:
+        FileNotFoundError: when there is none.
+        ValueError: one line, for a file that is something else or broken.
+    """
+    try:
+        with np.load(existing(path), allow_pickle=False) as found:
+            text = found[TEXT].tobytes().decode("utf-8")
+            return joined(json.loads(text), found)
+    except FileNotFoundError:
+        raise
+    except BROKEN as error:
+        said = " ".join(str(error).split())[:120] or type(error).__name__
+        raise ValueError(f"{path}: this is not what a training run has written ({said})") from None
+
+
+def existing(path: Path) -> Path:
+    """Gives the path when there is a file.
+
+    Raises:
+        FileNotFoundError: one clear line.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file; give a folder that a training run has written")
+    return path
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Holds a folder for this process alone; the lock ends with the process, however that ends.
+
+    Raises:
+        ValueError: one line, when another process trains in the folder.
+        OSError: when nothing can be written there.
+    """
+    path = folder / LOCK
+    with path.open("a+", encoding="utf-8") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"folder: {folder} is not allowed; process {_holder(file)} trains in it") from None
+        holder = _holder(file)
+        if holder:
+            print(f"Process {holder}, which trained in {folder}, is gone: this one takes over.", file=sys.stderr)
+        file.truncate(0)
+        file.write(str(os.getpid()))
+        file.flush()
+        try:
+            yield
+        finally:
+            file.truncate(0)
+
+
+def _holder(file: Any) -> str:
+    """The process whose number is in a lock, "" for none."""
+    file.seek(0)
+    return str(file.read(20)).strip()
+
+
+def _sync(folder: Path) -> None:
+    """Flushes the names in a folder to the disk, where the file system can."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

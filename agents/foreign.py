@@ -1,0 +1,39 @@
+"""Foreign: policies in files of Stable-Baselines3, which can run any code and are read only where they are trusted."""
+
+import pickle
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+from stable_baselines3.common.vec_env import VecNormalize
+
+from flexman_agents.algorithm import ALGORITHMS, acting, environments
+from flexman_agents.folder import SETTINGS, existing
+from flexman_agents.policies import Act
+from flexman_agents.settings import Settings
+
+MODEL, STATISTICS, BEST = "model.zip", "normalisation.pkl", "best"
+
+
+def load_foreign(folder: Path) -> tuple[Settings, Act]:
+    """Loads the policy of a run of an earlier version: model.zip, normalisation.pkl and settings.json.
+
+    Both files are pickles. Whoever made them decides what runs here.
+
+    Raises:
+        FileNotFoundError, ValueError: one clear line.
+    """
+    path = existing(folder / SETTINGS)
+    settings = Settings.from_json(path, path.read_bytes().decode("utf-8", errors="replace"))
+    place = folder / BEST if (folder / BEST / MODEL).is_file() else folder
+    try:
+        model = ALGORITHMS[settings.algo].load(existing(place / MODEL), device="cpu")
+        arms = environments(replace(settings, envs=1))
+        statistics = VecNormalize.load(str(existing(place / STATISTICS)), arms)
+    except FileNotFoundError:
+        raise
+    except (ValueError, KeyError, TypeError, AttributeError, EOFError, OSError, RuntimeError, AssertionError,
+            pickle.UnpicklingError, zipfile.BadZipFile) as error:  # fmt: skip
+        said = " ".join(str(error).split())[:120] or type(error).__name__
+        raise ValueError(f"{place}: this is not a run of Stable-Baselines3 ({said})") from None
+    return settings, acting(model, statistics)
