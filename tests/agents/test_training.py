@@ -107,11 +107,11 @@ def test_a_run_that_keeps_its_best_policy_goes_on_only_where_it_is_judged(traine
         line
         == f"judge_every: 0 is not allowed; give the steps between evaluations, > 0: {folder} keeps its best policy"
     )
-    found = {"reward": 0.0, "failed": 0.0} | dict.fromkeys(
+    found = {"settled": 1.0, "failed": 0.0} | dict.fromkeys(
         ("stabilisation_time", "vibration", "error"), (1.0, 1.0, 1.0)
     )
-    shares = iter([-2.0, 2.0])
-    monkeypatch.setattr("flexman_agents.callbacks.summary", lambda episodes: found | {"settled": next(shares)})
+    rewards = iter([-1e6, 1e6])
+    monkeypatch.setattr("flexman_agents.callbacks.summary", lambda episodes: found | {"reward": next(rewards)})
     kept = []
     monkeypatch.setattr(
         "flexman_agents.training.write_data", lambda path, data: kept.append((path.name, data.get("before")))
@@ -200,15 +200,15 @@ def test_missing_and_broken_runs_give_one_line(trained, tmp_path):
 
 
 def judge_with(monkeypatch, outcomes):
-    """A judge of a policy whose shares of settled episodes and errors are given, one pair at every 100 steps."""
+    """A judge of a policy whose shares of settled episodes and rewards are given, one pair at every 100 steps."""
     kept, logged, results = [], [], iter(outcomes)
 
     def evaluate(policy, environment, seeds):
-        share, error = next(results)
+        share, reward = next(results)
         assert policy.interface == {"base": "pd", "hold": 5, "sensors": ["full", "fine"]} and seeds == range(5000, 5100)
         assert environment.id == "FlexOne-v0" and not {"base", "hold", "sensors"} & environment.settings.keys()
         times = [1.0] * round(100 * share) + [np.inf] * round(100 * (1 - share))
-        return [Episode(0.0, time, 0.0, error, 0.0, "") for time in times]
+        return [Episode(reward, time, 0.0, 0.0, 0.0, "") for time in times]
 
     monkeypatch.setattr(callbacks, "evaluate", evaluate)
     judge = Judge(replace(SHORT, judge_every=100), None, lambda: kept.append(judge.num_timesteps))
@@ -219,16 +219,16 @@ def judge_with(monkeypatch, outcomes):
     return kept, logged
 
 
-def test_the_judge_keeps_the_best_and_among_equals_the_closer_one(monkeypatch):
-    outcomes = [(0.5, 1.0), (0.4, 0.1), (0.5, 0.9), (0.5, 0.95), (0.9, 2.0), (0.9, 2.0)]
+def test_the_judge_keeps_the_policy_of_the_highest_reward(monkeypatch):
+    outcomes = [(0.5, -1.0), (0.4, -2.0), (0.4, 0.5), (0.9, 0.5), (0.8, 2.0), (0.9, 1.0)]
     kept, logged = judge_with(monkeypatch, outcomes)
     assert kept == [100, 300, 500]
     assert [value for name, value in logged if name == "selection/settled"] == [share for share, _ in outcomes]
-    assert [value for name, value in logged if name == "selection/error_m"] == [error for _, error in outcomes]
+    assert [value for name, value in logged if name == "selection/reward"] == [reward for _, reward in outcomes]
 
 
 def test_the_judge_warns_once_when_a_policy_has_become_much_worse(monkeypatch, capsys):
-    judge_with(monkeypatch, [(0.9, 1.0), (0.75, 1.0), (0.6, 1.0), (0.5, 1.0), (1.0, 1.0), (0.1, 1.0)])
+    judge_with(monkeypatch, [(0.9, 1.0), (0.75, 1.0), (0.6, 1.0), (0.5, 1.0), (1.0, 2.0), (0.1, 1.0)])
     said = capsys.readouterr()
     assert said.out == "" and said.err.splitlines() == [
         "after 300 steps the policy is worse than before: 60% settle instead of 90%; the best one is kept",
