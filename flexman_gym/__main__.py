@@ -67,9 +67,9 @@ def check() -> int:
 
     for name, value in (machine(PACKAGES) | {"vector registers": f"{vector_bits()} bits"}).items():
         print(f"{name}: {value}")
-    print(f"cache folder: {FOLDER}")
+    print(f"cache folder: {FOLDER or 'none that is yours alone can be written'}")
     for kind, words in KINDS.items():
-        there = any(Path(FOLDER).rglob(f"*{KERNELS[kind]}*.nbc"))
+        there = FOLDER is not None and any(Path(FOLDER).rglob(f"*{KERNELS[kind]}*.nbc"))
         print(f"kernels of {words}: {'compiled' if there else 'not compiled yet'}", flush=True)
     print(f"steps of FlexRRR-v0: {steps_a_second():,.0f} a second")
     return 0

@@ -13,6 +13,8 @@ from numba.core.compiler import Compiler
 from numba.core.compiler_machinery import register_pass
 from numba.core.typed_passes import NativeLowering
 
+from flexman_gym.kernels.cache import keep
+
 
 class Ingredient(JITCodeLibrary):
     """The code of an inner kernel, for the kernels that call it to link: of its own there is nothing to run."""
@@ -59,8 +61,9 @@ class InnerCompiler(Compiler):
 # of a model, which took ten times as long as the arithmetic. Fast arithmetic is off, as it would give one arm other
 # last digits than several abreast; what it gains most, `fused` gains too.
 FLAGS: dict[str, Any] = {"_nrt": False, "error_model": "numpy"}
-kernel = numba.njit(**FLAGS, cache=True)  # what Python calls
-released = numba.njit(**FLAGS, cache=True, nogil=True)  # what Python calls in several threads
+FOLDER = numba.config.CACHE_DIR or None  # set while the rooms are imported
+kernel = keep(numba.njit(**FLAGS), FOLDER)  # what Python calls
+released = keep(numba.njit(**FLAGS, nogil=True), FOLDER)  # what Python calls in several threads
 inner = numba.njit(  # what other kernels call; they cannot be called from Python
     **FLAGS, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=InnerCompiler
 )

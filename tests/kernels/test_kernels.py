@@ -1,8 +1,6 @@
 """Kernels: compiled code that allocates nothing, and whose binaries on disk are those of these sources."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,24 +11,11 @@ import flexman_gym as fm
 from flexman_gym import kernels
 from flexman_gym.kernels import dynamics, inverse, layout, outputs
 
-ROOT = Path(fm.__file__).parent.parent
+from oracles.files import ROOT
+from oracles.small_package import CALL, copied, run
+
 SOURCES = ROOT / "flexman_gym" / "kernels"
 
-CALLEE = """from flexman_gym.kernels.compile import kernel
-@kernel
-def constant():
-    return {value}
-"""
-CALLER = """from flexman_gym.kernels.callee import constant
-from flexman_gym.kernels.compile import kernel
-@kernel
-def doubled():
-    return 2 * constant()
-"""
-CALL = """import sys
-from flexman_gym.kernels.caller import doubled
-print(doubled(), sum(doubled.stats.cache_hits.values()), doubled.stats.cache_path)
-"""
 REAL = """import numpy as np, flexman_gym as fm
 from flexman_gym.kernels import arms, dynamics
 model = fm.build_model(fm.catalog.one_link())
@@ -57,14 +42,6 @@ def allocations(call):
     call()
     after = rtsys.get_allocation_stats()
     return after.alloc - before.alloc, after.mi_alloc - before.mi_alloc
-
-
-def run(folder, cache, script):
-    """The words that a script prints in a process of its own that imports the package from `folder`."""
-    environment = os.environ | {"PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(cache)}
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.split()
 
 
 @pytest.mark.parametrize(("method", "step"), [("rk4", 1.0), ("ros2", 1.0), ("dop853", None)])
@@ -116,22 +93,6 @@ def test_accelerations_allocate_no_more_for_a_longer_arm(links, counting):
         assert blocks <= arrays and objects <= arrays
 
 
-def copied(folder, value):
-    """A copy of the package in `folder` with two more kernels, of which one calls the other in another file."""
-    target = folder / "flexman_gym"
-    for source in sorted((ROOT / "flexman_gym").rglob("*.py")):
-        path = target / source.relative_to(ROOT / "flexman_gym")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(source.read_bytes())
-    (target / "kernels" / "callee.py").write_text(CALLEE.format(value=value))
-    (target / "kernels" / "caller.py").write_text(CALLER)
-    room = target / "kernels" / "__init__.py"
-    lines = room.read_text().splitlines(keepends=True)
-    first = next(i for i, line in enumerate(lines) if line.lstrip().startswith("from flexman_gym.kernels import"))
-    indent = lines[first][: -len(lines[first].lstrip())]
-    room.write_text("".join([*lines[:first], f"{indent}import flexman_gym.kernels.caller\n", *lines[first:]]))
-
-
 def test_an_edited_kernel_is_never_served_from_the_cache_of_its_callers(tmp_path):
     """Numba alone would answer 2 for ever: it looks at the file of the caller only."""
     package, cache = tmp_path / "package", tmp_path / "cache"
@@ -157,9 +118,9 @@ def test_the_kernels_come_from_the_cache_in_another_process():
 
 
 def test_binaries_lie_in_the_folder_of_these_sources():
-    assert kernels._source_hash() in dynamics.accelerations.stats.cache_path
+    assert dynamics.accelerations.stats.cache_path.startswith(kernels.FOLDER)
     files = {path.name for path in SOURCES.glob("*.py")}
-    assert files == {f"{name}.py" for name in (*kernels.__all__, "__init__")}
+    assert files == {f"{name}.py" for name in (*kernels.__all__, "__init__", "cache")}
 
 
 def test_other_packages_keep_their_cache_folder(tmp_path):

@@ -1,0 +1,136 @@
+"""Cache: where compiled kernels are kept, in files that are known by their digest.
+
+The folder is named by a hash of the sources of all kernels, as Numba checks only the file of a kernel and not those of
+the kernels that it calls, and by the settings of Numba that change the code. `NUMBA_CACHE_DIR`, `XDG_CACHE_HOME` and,
+where the home cannot be written, the temporary folder are respected in this order.
+
+The files are pickles of Numba, which can run any code when they are read. They are read only from a folder that belongs
+to the user and in which nobody else may write. What is damaged is compiled anew; what cannot be written is not kept.
+"""
+
+import hashlib
+import os
+import pickle
+import stat
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+
+SEAL = hashlib.sha256().digest_size  # bytes in front of a file
+SETTINGS = ("BOUNDSCHECK", "CPU_NAME", "CPU_FEATURES", "OPT", "ENABLE_AVX", "LOOP_VECTORIZE", "SLP_VECTORIZE")
+
+
+def find_folder() -> str | None:
+    """Makes the folder of these kernels and these settings, or finds it; None where none is safe and can be written."""
+    for place, strict in _places():
+        ours = place / "flexman_gym"
+        try:
+            place.mkdir(mode=0o700 if strict else 0o777, parents=True, exist_ok=True)
+            ours.mkdir(mode=0o700, exist_ok=True)
+            safe = all(_belongs_to_us(each, strict) for each in ([place, ours] if strict else [ours]))
+            folder = ours / _name()
+            if safe:
+                folder.mkdir(mode=0o700, exist_ok=True)
+        except OSError:
+            continue
+        if safe and os.access(folder, os.W_OK):
+            return str(folder)
+    return None
+
+
+def keep(make: Callable[[Any], Any], folder: str | None) -> Callable[[Any], Any]:
+    """Gives a decorator that makes a kernel as `make` does and keeps its code in a folder, if there is one."""
+
+    def decorate(function: Any) -> Any:
+        made = make(function)
+        if folder is not None and not numba.config.DISABLE_JIT:
+            made._cache = SealedCache(function)
+        return made
+
+    return decorate
+
+
+class SealedFiles(IndexDataCacheFile):
+    """Numba's files of a kernel, each behind the digest of its content; a damaged one counts as missing."""
+
+    def _load_index(self) -> Any:
+        try:
+            version, stamp, overloads = _unsealed(self._index_path)
+        except OSError:
+            return {}
+        return overloads if (version, stamp) == (self._version, self._source_stamp) else {}
+
+    def _save_index(self, overloads: Any) -> None:
+        self._write(self._index_path, (self._version, self._source_stamp, overloads))
+
+    def _load_data(self, name: str) -> Any:
+        return _unsealed(self._data_path(name))
+
+    def _save_data(self, name: str, data: Any) -> None:
+        self._write(self._data_path(name), data)
+
+    def _write(self, path: str, data: Any) -> None:
+        content = self._dump(data)
+        with self._open_for_write(path) as file:
+            file.write(hashlib.sha256(content).digest() + content)
+
+
+class SealedCache(FunctionCache):
+    """Numba's cache of a kernel with such files. A disk that is full costs the cache, not the call."""
+
+    _said = False
+
+    def __init__(self, function: Any) -> None:
+        super().__init__(function)
+        stamp = self._impl.locator.get_source_stamp()
+        self._cache_file = SealedFiles(self._cache_path, self._impl.filename_base, stamp)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keeps the code of a kernel."""
+        try:
+            super().save_overload(sig, data)
+        except OSError as error:
+            if not SealedCache._said:
+                SealedCache._said = True
+                print(f"flexman_gym cannot keep compiled kernels: {error}", file=sys.stderr)
+
+
+def _unsealed(path: str) -> Any:
+    """The content of a file; raises OSError where there is none or its digest is another."""
+    content = Path(path).read_bytes()
+    if hashlib.sha256(content[SEAL:]).digest() != content[:SEAL]:
+        raise OSError(f"{path} is damaged")
+    return pickle.loads(content[SEAL:])
+
+
+def _places() -> Iterator[tuple[Path, bool]]:
+    """Folders to try, and whether others may write beside them, so that what is there may be prepared."""
+    home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    yield Path(home), False
+    yield Path(tempfile.gettempdir()) / f"user-{os.getuid()}", True
+
+
+def _belongs_to_us(folder: Path, strict: bool) -> bool:
+    """Whether a folder is the user's and nobody else may write in it; where we made it ourselves, others lose that."""
+    found = folder.lstat() if strict else folder.stat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
+        return False
+    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        if strict:
+            return False
+        folder.chmod(0o700)
+    return True
+
+
+def _name() -> str:
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    for name in SETTINGS:
+        digest.update(f"{name}={getattr(numba.config, name, None)}\0".encode())
+    return digest.hexdigest()[:16]

@@ -1,0 +1,140 @@
+"""Cached files: damaged ones are compiled anew, foreign folders are not read, settings have folders of their own."""
+
+import os
+import shutil
+import stat
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flexman_gym.kernels.cache import SealedFiles
+
+from oracles.small_package import CALL, copied, process, run
+
+NOBODY = 65534
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("package")
+    copied(folder, 1)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def filled(package, tmp_path_factory):
+    """A folder that holds the code of the small kernels."""
+    folder = tmp_path_factory.mktemp("cache")
+    assert run(package, folder, CALL)[:2] == ["2", "0"]
+    return folder
+
+
+@pytest.fixture
+def cache(filled, tmp_path):
+    """A copy of it."""
+    shutil.copytree(filled, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+def noise(content):
+    return np.random.default_rng(0).bytes(len(content))
+
+
+def turned(content):
+    """One bit in the middle is another."""
+    place = len(content) // 2
+    return content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :]
+
+
+DAMAGES = {
+    "empty": lambda content: b"",
+    "cut off": lambda content: content[: len(content) // 2],
+    "one byte short": lambda content: content[:-1],
+    "noise": noise,
+    "noise in the middle": lambda content: content[:40] + noise(content[40:60]) + content[60:],
+    "one bit": turned,
+    "longer": lambda content: content + b"more",
+}
+
+
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_what_is_damaged_counts_as_missing_until_it_is_kept_again(tmp_path, damage, suffix):
+    files = SealedFiles(str(tmp_path), "kernel", "stamp")
+    files.save("key", "code")
+    assert files.load("key") == "code" and files.load("other") is None
+    (path,) = tmp_path.glob(f"*.{suffix}")
+    path.write_bytes(DAMAGES[damage](path.read_bytes()))
+    assert files.load("key") is None
+    files.save("key", "code again")
+    assert files.load("key") == "code again"
+    path.unlink()
+    assert files.load("key") is None
+
+
+@pytest.mark.parametrize(("damage", "suffix"), [("noise", "nbi"), ("one bit", "nbc")])
+def test_a_damaged_file_is_compiled_anew_once(package, cache, damage, suffix):
+    (path,) = cache.rglob(f"caller*.{suffix}")
+    path.write_bytes(DAMAGES[damage](path.read_bytes()))
+    assert run(package, cache, CALL)[:2] == ["2", "0"]
+    assert run(package, cache, CALL)[:2] == ["2", "1"]
+
+
+def test_a_cache_that_cannot_be_written_costs_the_cache_and_not_the_call(package, tmp_path):
+    """A file where the folder of the kernels should be, as root may write everywhere."""
+    script = "import numba.core.caching as c, errno\n" \
+             "def full(self, path): raise OSError(errno.ENOSPC, 'No space left on device')\n" \
+             "c.IndexDataCacheFile._open_for_write = full\n" + CALL  # fmt: skip
+    done = process(package, tmp_path, script)
+    assert done.returncode == 0 and done.stdout.split()[:2] == ["2", "0"]
+    assert done.stderr.count("flexman_gym cannot keep compiled kernels: ") == 1
+
+
+def test_folders_are_the_users_alone(package, cache):
+    (found,) = cache.glob("flexman_gym/*")
+    for folder in (found, found.parent):
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+
+
+def test_a_folder_of_ours_that_others_may_write_is_closed_to_them(package, cache):
+    (cache / "flexman_gym").chmod(0o777)
+    assert run(package, cache, CALL)[:2] == ["2", "1"]
+    assert stat.S_IMODE((cache / "flexman_gym").stat().st_mode) == 0o700
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can give a folder to somebody else")
+@pytest.mark.parametrize("prepared", ["foreign", "open", "link"])
+def test_a_prepared_folder_in_the_temporary_folder_is_refused(package, tmp_path, prepared):
+    """No other folder can be written: kernels are compiled and not kept."""
+    temporary, other = tmp_path / "tmp", tmp_path / "other"
+    ours = temporary / f"user-{os.getuid()}"
+    (other / "flexman_gym").mkdir(parents=True)
+    temporary.mkdir()
+    if prepared == "link":
+        ours.symlink_to(other)
+    else:
+        (ours / "flexman_gym").mkdir(parents=True)
+        ours.chmod(0o777 if prepared == "open" else 0o700)
+    if prepared == "foreign":
+        os.chown(ours, NOBODY, NOBODY)
+    (tmp_path / "file").write_text("")
+    script = CALL.replace(", doubled.stats.cache_path", "")
+    done = process(package, tmp_path / "file", script, TMPDIR=str(temporary))
+    assert done.returncode == 0 and done.stdout.split() == ["2", "0"], done.stderr
+    assert "in every process: no folder that is yours alone can be written" in done.stderr
+    assert not [path for path in tmp_path.rglob("*.nb*")]
+
+
+def test_the_temporary_folder_serves_where_the_home_does_not(package, tmp_path):
+    (tmp_path / "file").write_text("")
+    for hits in ("0", "1"):
+        words = run(package, tmp_path / "file", CALL, TMPDIR=str(tmp_path))
+        assert words[:2] == ["2", hits] and Path(words[2]).is_relative_to(tmp_path / f"user-{os.getuid()}")
+    assert stat.S_IMODE((tmp_path / f"user-{os.getuid()}").stat().st_mode) == 0o700
+
+
+@pytest.mark.parametrize("setting", [{"NUMBA_BOUNDSCHECK": "1"}, {"NUMBA_CPU_NAME": "generic"}, {"NUMBA_OPT": "1"}])
+def test_settings_that_change_the_code_have_a_folder_of_their_own(package, cache, setting):
+    words = run(package, cache, CALL, **setting)
+    assert words[:2] == ["2", "0"] and len(list(cache.glob("flexman_gym/*"))) == 2

@@ -1,0 +1,52 @@
+"""Small package: a copy of the package with two tiny kernels that compile in a moment, and processes that call them."""
+
+import os
+import subprocess
+import sys
+
+from oracles.files import ROOT
+
+CALLEE = """from flexman_gym.kernels.compile import kernel
+@kernel
+def constant():
+    return {value}
+"""
+CALLER = """from flexman_gym.kernels.callee import constant
+from flexman_gym.kernels.compile import kernel
+@kernel
+def doubled():
+    return 2 * constant()
+"""
+CALL = """import sys
+from flexman_gym.kernels.caller import doubled
+print(doubled(), sum(doubled.stats.cache_hits.values()), doubled.stats.cache_path)
+"""
+
+
+def process(folder, cache, script, **variables):
+    """A process that has run a script which imports the package from `folder`."""
+    environment = os.environ | {"PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(cache)} | variables
+    return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment, cwd=folder)
+
+
+def run(folder, cache, script, **variables):
+    """The words that such a process prints."""
+    done = process(folder, cache, script, **variables)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+def copied(folder, value):
+    """A copy of the package in `folder` with two more kernels, of which one calls the other in another file."""
+    target = folder / "flexman_gym"
+    for source in sorted((ROOT / "flexman_gym").rglob("*.py")):
+        path = target / source.relative_to(ROOT / "flexman_gym")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(source.read_bytes())
+    (target / "kernels" / "callee.py").write_text(CALLEE.format(value=value))
+    (target / "kernels" / "caller.py").write_text(CALLER)
+    room = target / "kernels" / "__init__.py"
+    lines = room.read_text().splitlines(keepends=True)
+    first = next(i for i, line in enumerate(lines) if line.lstrip().startswith("from flexman_gym.kernels import"))
+    indent = lines[first][: -len(lines[first].lstrip())]
+    room.write_text("".join([*lines[:first], f"{indent}import flexman_gym.kernels.caller\n", *lines[first:]]))
