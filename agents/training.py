@@ -170,11 +170,11 @@ class _Run:
             callbacks.append(Exploration(exploration, settings.steps))
         if self._judge:
             callbacks.append(self._judge)
-        model.set_logger(writers(self.folder, self._before + model.num_timesteps))
         told: dict[str, Any] = {"progress_bar": progress, "reset_num_timesteps": False}
         if isinstance(model, OffPolicyAlgorithm):
             told["log_interval"] = settings.envs  # SAC logs after so many episodes, which end together
         with _asked_to_stop() as asked:
+            model.set_logger(writers(self.folder, self._before + model.num_timesteps))
             checkpoints = Checkpoints(checkpoint_every, self._save, asked.is_set)
             model.learn(settings.steps - model.num_timesteps, callback=[checkpoints, *callbacks], **told)
         model.get_env().close()  # type: ignore[union-attr]
