@@ -20,7 +20,7 @@ from flexman_agents.policies import Act
 from flexman_agents.seeds import training_seed
 from flexman_agents.settings import HYPERPARAMETERS, Settings
 from flexman_agents.vector import Arms
-from flexman_gym.checks import one_of
+from flexman_gym.checks import one_of, refusal
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": sb3.PPO, "sac": sb3.SAC}
 NET_ARCH, LOG_STD = [128, 128], {"ppo": -3.0, "sac": -3.0}  # louder noise shakes the arm for seconds
@@ -30,8 +30,14 @@ def make_model(settings: Settings, device: str = "cpu") -> BaseAlgorithm:
     """Makes a new model with its arms, all seeded.
 
     Raises:
-        ValueError: for a hyperparameter that the algorithm does not know.
+        ValueError: for a hyperparameter that the algorithm does not know, and a device that there is not.
     """
+    try:
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise refusal(
+            "device", device, f"one that PyTorch has here, such as cpu ({str(error).splitlines()[0]})"
+        ) from None
     torch.set_num_threads(1)  # two threads on two cores are many times slower for networks of this size
     chosen = hyperparameters(settings)
     env = VecNormalize(environments(settings), norm_reward=settings.normalise_reward, gamma=chosen["gamma"])

@@ -34,6 +34,7 @@ def draw_episodes(records: Mapping[str, Record], period: float, path: Path, band
             axes[1 + joint].step(times[1:], record.actions[:, joint], color=colour, linewidth=1.0, where="pre")
     axes[0].axhline(band, color=DARK, linewidth=0.8, linestyle="--")
     axes[0].text(0.1, 1.15 * band, f"{1e3 * band:.3g} mm", fontsize=8, color=DARK)
+    axes[0].set_ylim(bottom=LEAST)
     axes[0].set_ylabel("distance of the tip from its target (m)")
     axes[0].legend(frameon=False, ncols=6, fontsize=9, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     for joint in range(joints):

@@ -8,6 +8,7 @@ from pathlib import Path
 from flexman_agents.recipes import NAMES, find_recipe
 from flexman_agents.settings import ALGORITHMS, Settings
 from flexman_agents.training import Interrupted, resume, train
+from flexman_gym.checks import refusal
 from flexman_gym.envs import NAMED
 from flexman_gym.envs.description import Description
 
@@ -19,6 +20,7 @@ def main() -> int:
     options = parser().parse_args()
     try:
         if options.resume:
+            refuse_settings(options)
             how = options.checkpoint_every, not options.quiet, options.device, options.judge_every
             resume(options.folder, options.steps, *how)
             folders = [options.folder]
@@ -36,6 +38,13 @@ def main() -> int:
     for folder in folders:
         print(f"The run is in {folder}; see it with: python scripts/evaluate.py {folder} pd")
     return 0
+
+
+def refuse_settings(options: argparse.Namespace) -> None:
+    """Refuses what a run that goes on has already."""
+    for name in ("recipe", "algo", "env", "set", "seed", "envs"):
+        if getattr(options, name) not in (None, []):
+            raise refusal(name, getattr(options, name), "nothing with --resume: the run keeps its settings")
 
 
 def parser() -> argparse.ArgumentParser:

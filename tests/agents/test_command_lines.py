@@ -76,12 +76,18 @@ def test_a_recipe_is_a_start_and_options_go_before_it(run, tmp_path):
         ("train", ["no_recipe"], "recipe: no_recipe is not allowed; give a file, or one of"),
         ("train", ["--set", "hold=0"], "hold: 0 is not allowed; give a whole number from 1 to 1000"),
         ("train", ["--set", "base=lqg"], "base: 'lqg' is not allowed; give one of pd, lqr, lqr-tracking"),
+        ("train", ["--device", "gpu"], "device: 'gpu' is not allowed; give one that PyTorch has here, such as cpu"),
+        ("train", ["--checkpoint-every", "-1"], "checkpoint_every: -1 is not allowed; give a whole number from 0"),
+        ("train", ["--folder", "/dev/null/run"], "[Errno 20] Not a directory: '/dev/null/run"),
+        ("train", ["--folder", 300 * "x"], "[Errno 36] File name too long"),
+        ("train", ["--resume", "--envs", "3"], "envs: 3 is not allowed; give nothing with --resume: the run keeps its"),
         ("train", ["--resume"], "no_folder/settings.json: no such file; give a folder that a training run has written"),
     ],
 )
 def test_what_is_wrong_is_one_line_and_leaves_no_folder(run, tmp_path, monkeypatch, script, arguments, line):
     monkeypatch.chdir(tmp_path)
-    arguments = [*arguments, "--folder", "no_folder"] if script == "train" else arguments
+    if script == "train" and "--folder" not in arguments:
+        arguments = [*arguments, "--folder", "no_folder"]
     code, out, err = run(script, *arguments)
     assert (code, out) == (2, "") and err.startswith(line) and len(err.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []

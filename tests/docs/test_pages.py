@@ -55,7 +55,8 @@ def run_commands(lines):
         assert words[0] == "python", words
         for option in LESS.keys() & set(words):
             words[words.index(option) + 1] = LESS[option]
-        few = ["--envs", "2", "--quiet"] if words[1] == "scripts/train.py" else []
+        few = ["--quiet"] if words[1] == "scripts/train.py" else []
+        few += ["--envs", "2"] if few and "--resume" not in words else []
         done = subprocess.run([sys.executable, *words[1:], *few], capture_output=True, text=True, timeout=300)
         assert done.returncode == 0, (words, done.stderr)
 
