@@ -25,6 +25,8 @@ from flexman_agents.settings import EXPLORATION, MOST_STEPS, Settings
 from flexman_gym.checks import refusal, whole_number
 from flexman_gym.envs.snapshot import give, take
 
+FREE = ("steps", "judge_every")  # settings that may be others where a run goes on
+
 
 class Interrupted(Exception):
     """A training was asked to stop; the run is kept and can go on."""
@@ -82,6 +84,8 @@ def resume(
     settings = load_settings(folder)
     with locked(folder):
         data = read_data(folder / NEWEST) if (folder / NEWEST).is_file() else None
+        if data is not None:
+            _check_settings(folder / NEWEST, data, settings)
         done = 0 if data is None else _steps_done(folder / NEWEST, data)
         finished = data is not None and done >= settings.steps
         settings = _further(settings, folder, steps, done, finished)
@@ -118,6 +122,7 @@ def load_policy(folder: Path) -> tuple[Settings, Act]:
     settings = load_settings(folder)
     path = folder / BEST if (folder / BEST).is_file() else existing(folder / NEWEST)
     data = read_data(path)
+    _check_settings(path, data, settings)
     model = make_model(replace(settings, envs=1))
     try:
         give_policy(model, data)
@@ -186,10 +191,26 @@ class _Run:
     def _save(self) -> None:
         judge = take(self._judge) if self._judge else None
         data = {"training": take_training(self.model), "judge": judge, "before": self._before}
-        write_data(self.folder / NEWEST, take_policy(self.model) | data)
+        write_data(self.folder / NEWEST, self._policy() | data)
 
     def _keep_best(self) -> None:
-        write_data(self.folder / BEST, take_policy(self.model))
+        write_data(self.folder / BEST, self._policy())
+
+    def _policy(self) -> dict[str, Any]:
+        """The policy with the settings that it belongs to."""
+        return take_policy(self.model) | {"settings": self.settings.plain()}
+
+
+def _check_settings(path: Path, data: Any, settings: Settings) -> None:
+    """Refuses a file that belongs to other settings than those beside it, which somebody has changed."""
+    kept = data.get("settings") if isinstance(data, dict) else None
+    if not isinstance(kept, dict):
+        raise ValueError(f"{path}: this is not what a training run has written (it has no settings)")
+    now = json.loads(json.dumps(settings.plain()))
+    changed = [name for name in now.keys() | kept.keys() if now.get(name) != kept.get(name) and name not in FREE]
+    if changed:
+        allowed = f"the settings with which {path.name} was written: {', '.join(sorted(changed))} is another now"
+        raise ValueError(f"{path.parent / SETTINGS}: this was changed; give {allowed}")
 
 
 def _steps_done(path: Path, data: Any) -> int:

@@ -1,5 +1,6 @@
 """Resume: a run that was interrupted and goes on is the run that was not, in every bit; a broken folder says so."""
 
+import json
 import os
 import signal
 import subprocess
@@ -228,6 +229,59 @@ def test_files_of_stable_baselines3_need_trust(run, tmp_path):
     assert "this is not a run of Stable-Baselines3" in refusal(find_policy, str(tmp_path), True)
 
 
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("environment", lambda record: record["environment"].__setitem__("base", None)),
+        ("envs", lambda record: record.__setitem__("envs", 7)),
+        ("algo", lambda record: record.__setitem__("algo", "sac")),
+        ("environment", lambda record: record["environment"]["arm"]["links"][0].__setitem__("length", 0.7)),
+        ("seed", lambda record: record.__setitem__("seed", 8)),
+    ],
+)
+def test_settings_that_were_changed_give_one_line(run, tmp_path, name, change):
+    record = json.loads((run / SETTINGS).read_text())
+    change(record)
+    if name == "algo":
+        record |= {"schedules": {}, "hyperparameters": {}}
+    (tmp_path / SETTINGS).write_text(json.dumps(record))
+    (tmp_path / NEWEST).write_bytes((run / NEWEST).read_bytes())
+    for call in (lambda: find_policy(str(tmp_path)), lambda: resume(tmp_path, 20)):
+        line = refusal(call)
+        assert line.startswith(f"{tmp_path / SETTINGS}: this was changed") and name in line
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "{}", "null", "[" * 100_000, '{"algo": "ppo"}', "\0", "\udcff"])
+def test_broken_settings_give_one_line(run, tmp_path, text):
+    (tmp_path / SETTINGS).write_bytes(text.encode("utf-8", errors="surrogateescape"))
+    (tmp_path / NEWEST).write_bytes((run / NEWEST).read_bytes())
+    assert "give the settings of a training run" in refusal(find_policy, str(tmp_path))
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_mutated_runs_give_one_line_or_act_as_they_did(run, tmp_path, seed):
+    """Bytes that change, vanish or appear anywhere in a folder."""
+    chance = np.random.default_rng(seed)
+    for name in (SETTINGS, NEWEST):
+        content = bytearray((run / name).read_bytes())
+        for _ in range(chance.integers(0, 4)):
+            place, kind = chance.integers(len(content)), chance.integers(3)
+            if kind == 0:
+                content[place] ^= 1 << int(chance.integers(8))
+            elif kind == 1:
+                del content[place : place + int(chance.integers(1, 40))]
+            else:
+                content[place:place] = chance.bytes(int(chance.integers(1, 40)))
+        (tmp_path / name).write_bytes(content)
+    seen = np.linspace(-1.0, 1.0, 3 * 32).reshape(3, 32).astype(np.float32)
+    try:
+        act = find_policy(str(tmp_path)).act
+    except (ValueError, FileNotFoundError) as error:
+        assert "\n" not in str(error) and str(tmp_path) in str(error)
+    else:
+        assert np.array_equal(act(seen, (3, 1)), load_policy(run)[1](seen, (3, 1)))
+
+
 def test_broken_files_give_one_line(run, tmp_path):
     """Cut off, empty, noise, other networks, other names."""
     (tmp_path / SETTINGS).write_bytes((run / SETTINGS).read_bytes())
@@ -242,6 +296,7 @@ def test_broken_files_give_one_line(run, tmp_path):
         {**data, "policy": {}},
         {**data, "statistics": {}},
         {"training": data["training"]},
+        {**data, "settings": None},
     ):
         write_data(tmp_path / NEWEST, broken)
         assert NEWEST in refusal(find_policy, str(tmp_path))
