@@ -1,69 +1,25 @@
-"""Resume: a run that was interrupted and goes on is the run that was not, in every bit; a broken folder says so."""
+"""Resume: a run that was interrupted and goes on is the run that was not, in every bit."""
 
-import json
 import os
 import signal
-import subprocess
-import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from flexman_agents.folder import BEST, LOCK, NEWEST, SETTINGS, locked, read_data, write, write_data
-from flexman_agents.policies import find_policy
-from flexman_agents.settings import Settings
+from flexman_agents.folder import BEST, NEWEST, SETTINGS, read_data, write_data
 from flexman_agents.training import Interrupted, load_policy, resume, train
 from flexman_agents.vector import Arms
-from flexman_gym.envs.snapshot import parted
+from flexman_gym.studies.faults import same
 
 from oracles.refusals import refusal
-
-ENVIRONMENT = {
-    "id": "FlexOne-v0", "base": "pd", "hold": 3, "sensors": ["full", "fine"], "horizon": 0.6,
-    "randomisation": {
-        "payload_mass": [0.0, 0.1], "delay": [0, 2], "sensor_noise": [0.0, 0.01], "tip_impulse": [0.0, 0.01],
-        "torque_limit": [0.9, 1.1],
-    },
-}  # fmt: skip
-RUNS = {
-    "ppo": Settings(
-        "ppo", ENVIRONMENT, 160, seed=2, envs=3, hyperparameters={"n_steps": 8, "batch_size": 12, "net_arch": [8]},
-        schedules={"learning_rate": {"start": 1e-2, "end": 0.0}, "log_std": {"start": -1.0, "end": -4.0}},
-        judge_every=60,
-    ),
-    "sac": Settings(
-        "sac", ENVIRONMENT, 150, seed=2, envs=3, normalise_reward=False,
-        hyperparameters={"learning_starts": 40, "batch_size": 16, "gradient_steps": 2, "buffer_size": 120,
-                         "net_arch": [8]},
-        schedules={"learning_rate": {"start": 1e-2, "end": 0.0}, "target_entropy": {"start": -1.0, "end": -4.0}},
-        judge_every=60,
-    ),
-}  # fmt: skip
+from oracles.runs import RUNS
 
 
 @pytest.fixture(autouse=True)
 def few_episodes(monkeypatch):
     monkeypatch.setattr("flexman_agents.callbacks.SELECTION", range(5000, 5002))
-
-
-def remembered(folder):
-    """Arrays and plain data of all that a run keeps, without the times of the clock.
-
-    Nobody draws from the space of the actions of all arms together; its seed is the machine's.
-    """
-    data, arrays = read_data(folder / NEWEST), {}
-    del data["training"]["environment"]["action_space"]
-    data["training"]["episodes"] = [each[:2] for each in data["training"]["episodes"]]
-    return parted(data, arrays), arrays
-
-
-def assert_same(first, second):
-    (plain, arrays), (other_plain, other_arrays) = remembered(first), remembered(second)
-    assert plain == other_plain and arrays.keys() == other_arrays.keys()
-    assert [name for name in arrays if not np.array_equal(arrays[name], other_arrays[name])] == []
 
 
 @pytest.fixture
@@ -100,7 +56,7 @@ def test_a_run_that_was_interrupted_twice_is_the_run_that_was_not(algo, tmp_path
         resume(parts, progress=False)
     interrupt(-1)
     resume(parts, progress=False)
-    assert_same(whole, parts)
+    assert same(whole, parts)
     assert read_data(whole / NEWEST)["training"]["counts"]["num_timesteps"] >= RUNS[algo].steps
     assert (whole / BEST).read_bytes() != b"" and sorted(read_data(whole / BEST)) == sorted(read_data(parts / BEST))
     seen = np.linspace(-1.0, 1.0, 3 * 32).reshape(3, 32).astype(np.float32)
@@ -119,7 +75,7 @@ def test_a_run_whose_last_steps_were_lost_repeats_them(tmp_path):
         train(RUNS["ppo"], tmp_path / "run", checkpoint_every=24, progress=False)
     assert read_data(tmp_path / "run" / NEWEST)["training"]["counts"]["num_timesteps"] < 160
     resume(tmp_path / "run", progress=False)
-    assert_same(tmp_path / "whole", tmp_path / "run")
+    assert same(tmp_path / "whole", tmp_path / "run")
 
 
 def test_a_run_that_was_killed_before_it_kept_anything_begins_again(tmp_path, capsys):
@@ -128,7 +84,7 @@ def test_a_run_that_was_killed_before_it_kept_anything_begins_again(tmp_path, ca
     (tmp_path / "run" / SETTINGS).write_bytes((tmp_path / "whole" / SETTINGS).read_bytes())
     resume(tmp_path / "run", progress=False)
     assert "Nothing was kept" in capsys.readouterr().err
-    assert_same(tmp_path / "whole", tmp_path / "run")
+    assert same(tmp_path / "whole", tmp_path / "run")
 
 
 def test_pressed_twice_it_stops_at_once_and_what_was_saved_stays(tmp_path, interrupt, monkeypatch):
@@ -140,9 +96,6 @@ def test_pressed_twice_it_stops_at_once_and_what_was_saved_stays(tmp_path, inter
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-# The folder
-
-
 def test_steps_belong_to_a_finished_run_only(tmp_path, interrupt):
     interrupt(10)
     with pytest.raises(Interrupted):
@@ -152,154 +105,3 @@ def test_steps_belong_to_a_finished_run_only(tmp_path, interrupt):
     interrupt(-1)
     resume(tmp_path / "run", progress=False)
     assert "that in" in refusal(resume, tmp_path / "run") and "is finished" in refusal(resume, tmp_path / "run")
-
-
-def test_a_folder_is_trained_in_by_one_process(tmp_path, capsys):
-    train(RUNS["ppo"], tmp_path, progress=False)
-    held = "import sys; from pathlib import Path; from flexman_agents.folder import locked\n" \
-           f"with locked(Path({str(tmp_path)!r})): print('held', flush=True); sys.stdin.read()"  # fmt: skip
-    with subprocess.Popen([sys.executable, "-c", held], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
-        assert other.stdout.readline() == b"held\n"
-        assert refusal(resume, tmp_path, 10) == f"folder: {tmp_path} is not allowed; process {other.pid} trains in it"
-        other.kill()
-        other.wait()
-    with locked(tmp_path):
-        assert (
-            f"Process {other.pid}, which trained in {tmp_path}, is gone: this one takes over."
-            in capsys.readouterr().err
-        )
-    with locked(tmp_path):
-        assert capsys.readouterr().err == ""
-    assert (tmp_path / LOCK).read_text() == ""
-
-
-def test_a_file_is_whole_or_not_there(tmp_path):
-    """What fails in the middle of writing leaves the file of before and nothing beside it."""
-    path = tmp_path / "file"
-    write(path, lambda file: file.write(b"first"))
-
-    def fail(file):
-        file.write(b"second")
-        raise OSError(28, "No space left on device")
-
-    with pytest.raises(OSError, match="No space left"):
-        write(path, fail)
-    assert path.read_bytes() == b"first" and list(tmp_path.iterdir()) == [path]
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("runs") / "run"
-    train(replace(RUNS["ppo"], judge_every=0), folder, progress=False)
-    return folder
-
-
-class Bomb:
-    """Says so when it is unpickled."""
-
-    def __reduce__(self):
-        return exec, ("import os; os.environ['FLEXMAN_BOMB'] = '1'",)
-
-
-def test_nothing_that_is_read_runs(run, tmp_path):
-    """A pickle among the arrays, and a pickle in place of them."""
-    for name in (SETTINGS, NEWEST):
-        (tmp_path / name).write_bytes((run / name).read_bytes())
-    np.savez(tmp_path / "bomb.npz", **{"data.json": np.array([Bomb()], dtype=object)})
-    np.array([Bomb()], dtype=object).dump(tmp_path / "bomb.pkl")
-    for bomb in ("bomb.npz", "bomb.pkl"):
-        (tmp_path / NEWEST).write_bytes((tmp_path / bomb).read_bytes())
-        line = refusal(find_policy, str(tmp_path))
-        assert "this is not what a training run has written" in line and "FLEXMAN_BOMB" not in os.environ
-
-
-def test_files_of_stable_baselines3_need_trust(run, tmp_path):
-    from flexman_agents.algorithm import make_model
-    from flexman_agents.foreign import MODEL, STATISTICS
-
-    model = make_model(RUNS["ppo"])
-    (tmp_path / SETTINGS).write_bytes((run / SETTINGS).read_bytes())
-    model.save(tmp_path / MODEL)
-    model.get_vec_normalize_env().save(str(tmp_path / STATISTICS))
-    line = refusal(find_policy, str(tmp_path))
-    assert "--trust" in line and "run any code" in line
-    seen = np.zeros((2, 32), dtype=np.float32)
-    assert find_policy(str(tmp_path), trust=True).act(seen, (2, 1)).shape == (2, 1)
-    (tmp_path / MODEL).write_bytes(b"noise")
-    assert "this is not a run of Stable-Baselines3" in refusal(find_policy, str(tmp_path), True)
-
-
-@pytest.mark.parametrize(
-    ("name", "change"),
-    [
-        ("environment", lambda record: record["environment"].__setitem__("base", None)),
-        ("envs", lambda record: record.__setitem__("envs", 7)),
-        ("algo", lambda record: record.__setitem__("algo", "sac")),
-        ("environment", lambda record: record["environment"]["arm"]["links"][0].__setitem__("length", 0.7)),
-        ("seed", lambda record: record.__setitem__("seed", 8)),
-    ],
-)
-def test_settings_that_were_changed_give_one_line(run, tmp_path, name, change):
-    record = json.loads((run / SETTINGS).read_text())
-    change(record)
-    if name == "algo":
-        record |= {"schedules": {}, "hyperparameters": {}}
-    (tmp_path / SETTINGS).write_text(json.dumps(record))
-    (tmp_path / NEWEST).write_bytes((run / NEWEST).read_bytes())
-    for call in (lambda: find_policy(str(tmp_path)), lambda: resume(tmp_path, 20)):
-        line = refusal(call)
-        assert line.startswith(f"{tmp_path / SETTINGS}: this was changed") and name in line
-
-
-@pytest.mark.parametrize("text", ["", "{", "[]", "{}", "null", "[" * 100_000, '{"algo": "ppo"}', "\0", "\udcff"])
-def test_broken_settings_give_one_line(run, tmp_path, text):
-    (tmp_path / SETTINGS).write_bytes(text.encode("utf-8", errors="surrogateescape"))
-    (tmp_path / NEWEST).write_bytes((run / NEWEST).read_bytes())
-    assert "give the settings of a training run" in refusal(find_policy, str(tmp_path))
-
-
-@pytest.mark.parametrize("seed", range(25))
-def test_mutated_runs_give_one_line_or_act_as_they_did(run, tmp_path, seed):
-    """Bytes that change, vanish or appear anywhere in a folder."""
-    chance = np.random.default_rng(seed)
-    for name in (SETTINGS, NEWEST):
-        content = bytearray((run / name).read_bytes())
-        for _ in range(chance.integers(0, 4)):
-            place, kind = chance.integers(len(content)), chance.integers(3)
-            if kind == 0:
-                content[place] ^= 1 << int(chance.integers(8))
-            elif kind == 1:
-                del content[place : place + int(chance.integers(1, 40))]
-            else:
-                content[place:place] = chance.bytes(int(chance.integers(1, 40)))
-        (tmp_path / name).write_bytes(content)
-    seen = np.linspace(-1.0, 1.0, 3 * 32).reshape(3, 32).astype(np.float32)
-    try:
-        act = find_policy(str(tmp_path)).act
-    except (ValueError, FileNotFoundError) as error:
-        assert "\n" not in str(error) and str(tmp_path) in str(error)
-    else:
-        assert np.array_equal(act(seen, (3, 1)), load_policy(run)[1](seen, (3, 1)))
-
-
-def test_broken_files_give_one_line(run, tmp_path):
-    """Cut off, empty, noise, other networks, other names."""
-    (tmp_path / SETTINGS).write_bytes((run / SETTINGS).read_bytes())
-    whole, data = (run / NEWEST).read_bytes(), read_data(run / NEWEST)
-    noise = np.random.default_rng(0).bytes(500)
-    for content in (b"", whole[: len(whole) // 2], noise, whole[:200] + noise + whole[700:]):
-        (tmp_path / NEWEST).write_bytes(content)
-        assert NEWEST in refusal(find_policy, str(tmp_path))
-    first = next(iter(data["policy"]))
-    for broken in (
-        {**data, "policy": {**data["policy"], first: np.zeros(3, dtype=np.float32)}},
-        {**data, "policy": {}},
-        {**data, "statistics": {}},
-        {"training": data["training"]},
-        {**data, "settings": None},
-    ):
-        write_data(tmp_path / NEWEST, broken)
-        assert NEWEST in refusal(find_policy, str(tmp_path))
-    for name in ("environment", "random", "optimizers", "last", "counts"):
-        write_data(tmp_path / NEWEST, {**data, "training": {**data["training"], name: {}}})
-        assert NEWEST in refusal(resume, tmp_path, 20, 0, False), name

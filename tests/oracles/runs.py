@@ -1,0 +1,25 @@
+"""Runs: settings of trainings that take a second, with everything that a run has to remember."""
+
+from flexman_agents.settings import Settings
+
+ENVIRONMENT = {
+    "id": "FlexOne-v0", "base": "pd", "hold": 3, "sensors": ["full", "fine"], "horizon": 0.6,
+    "randomisation": {
+        "payload_mass": [0.0, 0.1], "delay": [0, 2], "sensor_noise": [0.0, 0.01], "tip_impulse": [0.0, 0.01],
+        "torque_limit": [0.9, 1.1],
+    },
+}  # fmt: skip
+RUNS = {
+    "ppo": Settings(
+        "ppo", ENVIRONMENT, 160, seed=2, envs=3, hyperparameters={"n_steps": 8, "batch_size": 12, "net_arch": [8]},
+        schedules={"learning_rate": {"start": 1e-2, "end": 0.0}, "log_std": {"start": -1.0, "end": -4.0}},
+        judge_every=60,
+    ),
+    "sac": Settings(
+        "sac", ENVIRONMENT, 150, seed=2, envs=3, normalise_reward=False,
+        hyperparameters={"learning_starts": 40, "batch_size": 16, "gradient_steps": 2, "buffer_size": 120,
+                         "net_arch": [8]},
+        schedules={"learning_rate": {"start": 1e-2, "end": 0.0}, "target_entropy": {"start": -1.0, "end": -4.0}},
+        judge_every=60,
+    ),
+}  # fmt: skip
