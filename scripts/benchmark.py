@@ -1,12 +1,12 @@
 """Times environments, training, starts and evaluations beside peers: python scripts/benchmark.py --folder docs"""
 
 import argparse
-from pathlib import Path
 
 from flexman_gym.studies.benchmark import environments, evaluations, starts
 from flexman_gym.studies.benchmark.page import publish
 from flexman_gym.studies.benchmark.rows import Row
 from flexman_gym.studies.machine import machine_text
+from flexman_gym.studies.places import folder
 from flexman_gym.studies.table import read_rows, write_rows
 
 EVALUATION_ROUNDS, STARTS = 40, 5
@@ -18,7 +18,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a few steps of each, which compile nothing anew")
     parser.add_argument("--redraw", action="store_true", help="only write about the rows of an earlier run")
-    parser.add_argument("--folder", type=Path, default=Path("out"), help="where rows and page go")
+    parser.add_argument("--folder", type=folder, default="out", help="where rows and page go")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     file = options.folder / "benchmark.csv"

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from flexman_gym.studies.peers.compare import in_turns, ours, study, theirs, truth
 from flexman_gym.studies.peers.page import publish
+from flexman_gym.studies.places import folder
 from flexman_gym.studies.precision.measure import Row
 from flexman_gym.studies.table import read_rows, write_rows
 
@@ -16,7 +17,7 @@ def main() -> None:
     """Reads the command line, runs everything in turns, and writes rows, a picture and a page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--redraw", action="store_true", help="only draw and write about the rows of an earlier run")
-    parser.add_argument("--folder", type=Path, default=Path("out"), help="where rows, picture and page go")
+    parser.add_argument("--folder", type=folder, default="out", help="where rows, picture and page go")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     file, known = options.folder / "peers.csv", truth(REFERENCE)

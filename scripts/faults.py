@@ -6,24 +6,25 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from flexman_gym.studies.faults import disk_full, faults, page
+from flexman_gym.studies.places import folder
 
 
 def main() -> int:
     """Reads the command line, tries the faults and writes the page; returns 1 when something is lost."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--folder", type=Path, default=Path("docs"), help="where the page goes")
+    parser.add_argument("--folder", type=folder, default="docs", help="where the page goes")
     parser.add_argument("--kills", type=int, nargs=2, default=(30, 15), help="inside saving and at any time, of each")
     parser.add_argument(
         "--small", type=Path, help="an empty file system of some MB, to be filled; without it that is left out"
     )
     options = parser.parse_args()
     found = []
-    with TemporaryDirectory() as folder:
-        for fault in faults(Path(folder), tuple(options.kills)):
+    with TemporaryDirectory() as place:
+        for fault in faults(Path(place), tuple(options.kills)):
             print(fault, flush=True)
             found.append(fault)
         if options.small:
-            found.append(disk_full(Path(folder), options.small))
+            found.append(disk_full(Path(place), options.small))
             print(found[-1], flush=True)
     (options.folder / "faults.md").write_text(page(found), encoding="utf-8")
     return int(any(fault.survived < fault.tried for fault in found))

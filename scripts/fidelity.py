@@ -1,11 +1,11 @@
 """Judges the choices of `choose_model`: are they right, do they know their errors, and are they cheap?"""
 
 import argparse
-from pathlib import Path
 
 from flexman_gym.studies.fidelity.cases import scenes
 from flexman_gym.studies.fidelity.measure import Row, rows
 from flexman_gym.studies.fidelity.page import page
+from flexman_gym.studies.places import folder
 from flexman_gym.studies.table import read_rows, write_rows
 
 DIGITS = 9
@@ -15,7 +15,7 @@ def main() -> None:
     """Reads the command line, measures, and writes rows and page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--redraw", action="store_true", help="only write about the rows of an earlier run")
-    parser.add_argument("folder", nargs="?", type=Path, default=Path("docs"), help="where rows and page go")
+    parser.add_argument("folder", nargs="?", type=folder, default="docs", help="where rows and page go")
     options = parser.parse_args()
     file, found = options.folder / "fidelity.csv", []
     for name, scene in () if options.redraw else scenes().items():

@@ -8,6 +8,7 @@ from flexman_gym.studies.learning.cases import cases
 from flexman_gym.studies.learning.measure import Row, controllers, runs
 from flexman_gym.studies.learning.page import page
 from flexman_gym.studies.machine import machine_text
+from flexman_gym.studies.places import folder
 from flexman_gym.studies.table import read_comment, read_rows, write_rows
 
 CONTROLLERS = "controllers"
@@ -19,8 +20,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("case", nargs="*", help=f"{CONTROLLERS}, or some of {', '.join(known)}; without it all")
     parser.add_argument("--redraw", action="store_true", help="only write about the rows of an earlier run")
-    parser.add_argument("--runs", type=Path, default=Path("runs/learning"), help="where the runs are kept")
-    parser.add_argument("--folder", type=Path, default=Path("docs"), help="where rows and page go")
+    parser.add_argument("--runs", type=folder, default="runs/learning", help="where the runs are kept")
+    parser.add_argument("--folder", type=folder, default="docs", help="where rows and page go")
     options = parser.parse_args()
     if unknown := sorted(set(options.case) - {CONTROLLERS, *known}):
         print(f"case: {unknown[0]} is not allowed; give {CONTROLLERS}, {', '.join(known)}", file=sys.stderr)

@@ -1,10 +1,10 @@
 """Measures what methods leave of a released vibration: python scripts/ring_down.py --folder docs"""
 
 import argparse
-from pathlib import Path
 
 from flexman_gym.envs.setup import Setup, build
 from flexman_gym.studies.machine import machine_text
+from flexman_gym.studies.places import folder
 from flexman_gym.studies.ringdown.cases import DURATION
 from flexman_gym.studies.ringdown.charts import draw
 from flexman_gym.studies.ringdown.measure import Row, rows
@@ -31,7 +31,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a few arms")
     parser.add_argument("--redraw", action="store_true", help="only draw and write about the rows of an earlier run")
-    parser.add_argument("--folder", type=Path, default=Path("out"), help="where rows, picture and page go")
+    parser.add_argument("--folder", type=folder, default="out", help="where rows, picture and page go")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     file = options.folder / "ring_down.csv"

@@ -7,6 +7,7 @@ from pathlib import Path
 from time import perf_counter
 
 from flexman_gym.studies.machine import machine_text
+from flexman_gym.studies.places import folder
 from flexman_gym.studies.stability.measure import Row
 from flexman_gym.studies.stability.page import page, summary
 from flexman_gym.studies.stability.rows import all_rows
@@ -20,7 +21,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Measure where each method fails, and what it damps.")
     parser.add_argument("--quick", action="store_true", help="a small grid, less than 30 s once compiled")
     parser.add_argument("--csv", type=Path, help="file for the rows")
-    parser.add_argument("--folder", type=Path, help="folder for rows, pictures and page: stability.csv, *.png, *.md")
+    parser.add_argument("--folder", type=folder, help="folder for rows, pictures and page: stability.csv, *.png, *.md")
     parser.add_argument("--rows", type=Path, help="take the rows from this file instead of measuring")
     options = parser.parse_args()
     if options.quick and options.folder:

@@ -4,6 +4,7 @@ import argparse
 import warnings
 from pathlib import Path
 
+from flexman_gym.studies.places import folder
 from flexman_gym.studies.precision.files import compute, publish
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference"
@@ -14,7 +15,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a small grid of one short scene")
     parser.add_argument("--redraw", action="store_true", help="only draw and write about the rows of an earlier run")
-    parser.add_argument("--folder", type=Path, default=Path("out"), help="where rows, pictures and page go")
+    parser.add_argument("--folder", type=folder, default="out", help="where rows, pictures and page go")
     options = parser.parse_args()
     warnings.filterwarnings("ignore", "Link.second_moment_y", UserWarning)  # of the paper's printed area of link 1
     options.folder.mkdir(parents=True, exist_ok=True)
