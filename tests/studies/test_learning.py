@@ -14,7 +14,7 @@ from flexman_gym.studies.learning import measure
 from flexman_gym.studies.learning.cases import ABLATED, ABLATIONS, CONTROLLERS, SEEDS, Case, cases
 from flexman_gym.studies.learning.measure import AS_TRAINED, FINER, LONGER, Row, places, runs, trained
 from flexman_gym.studies.learning.page import page
-from flexman_gym.studies.table import read_rows
+from flexman_gym.studies.table import read_comment, read_rows
 
 from oracles.files import ROOT, command
 
@@ -47,7 +47,7 @@ def differences(first, second):
     [
         ("hold", {"hold", "gamma", "gae_lambda", "n_steps", "steps"}),
         ("exploration", {"log_std", "log_std_init"}), ("rate", {"learning_rate"}), ("fine", {"sensors"}),
-        ("reward", {"task"}), ("discount", {"gamma"}), ("rollouts", {"n_steps", "batch_size"}), ("base", {"base"}),
+        ("reward", {"task"}), ("discount", {"gamma"}), ("base", {"base"}),
     ],
 )  # fmt: skip
 def test_an_ablation_takes_away_one_means_and_nothing_else(name, changed):
@@ -104,6 +104,7 @@ def test_the_published_page_is_that_of_the_published_rows():
             assert sorted(row.seed for row in found) == list(range(count))
             steps = next(case for case in cases() if (case.kind, case.name) == (kind, name)).settings.steps
             assert all(row.steps == steps for row in found), "the rows are of another recipe"
+    assert (ROOT / "docs" / "learning.md").read_text(encoding="utf-8") == page(rows, read_comment(file))
     names = {row.name for row in rows if row.kind == "controller"}
     assert names == {f"{name}, {id}" for id, names in CONTROLLERS.items() for name in names}
 

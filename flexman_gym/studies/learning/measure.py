@@ -20,6 +20,7 @@ from flexman_gym.studies.learning.cases import CONTROLLERS, Case
 from flexman_gym.studies.watch import Watch
 
 COST = "cost.json"
+TASK = {"kind": "slew", "reward": "distance"}  # of the recipes
 AS_TRAINED, FINER, LONGER = "as trained", "finer model", "longer episodes"
 LONG = 30.0  # s, of the longer episodes
 FINER_ELEMENTS, FINER_STEPS = 3, 4  # elements a link, and steps where the default takes one
@@ -59,10 +60,10 @@ class Row:
 
 
 def controllers() -> Iterator[Row]:
-    """Rows of the controllers that learn nothing."""
+    """Rows of the controllers that learn nothing, rewarded as the recipes are."""
     for id, names in CONTROLLERS.items():
         for name in names:
-            for where, environment in places(Description(id)).items():
+            for where, environment in places(Description(id, {"task": TASK})).items():
                 yield _row("controller", f"{name}, {id}", None, where, {}, find_policy(name), environment)
 
 

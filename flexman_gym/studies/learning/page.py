@@ -50,6 +50,7 @@ The cells are settled, time (s), vibration (mm) and error (mm).
 
 The recipe `{ablated}` without one of its means, {ablation_seeds} seeds each.
 A cell has the middle of the seeds, and the worst in brackets.
+A means without which the figures are as good is not needed beside the others.
 
 {ablations}
 """
@@ -141,7 +142,9 @@ def _short(row: Row) -> str:
 
 
 def _ablations(rows: Sequence[Row]) -> list[str]:
-    lines = [_line("nothing", "the recipe as it is", _of(rows, "recipe", ABLATED)[:ABLATION_SEEDS])]
+    lines = []
+    if whole := _of(rows, "recipe", ABLATED)[:ABLATION_SEEDS]:
+        lines.append(_line("nothing", "the recipe as it is", whole))
     for name, without in ABLATIONS.items():
         if found := _of(rows, "ablation", name):
             lines.append(_line(without.means, without.instead, found))
