@@ -18,7 +18,8 @@ A run that is in `runs/learning` already is only judged again.
 Computed with {machine}. CPU times are those of one core, with learning, environment and judging.
 
 Every figure is that of {count} test episodes, seeds {test}. No choice was made on them.
-Runs keep the best policy on the episodes {selection}. Arms train on seeds from {training} on.
+A run that is judged on the way keeps its best policy on the episodes {selection}; settings were chosen there too.
+Arms train on seeds from {training} on.
 A tip has settled when it stays within 0.235 % of the reach of its target for at least the last second.
 That is 20 mm for `FlexRRR-v0`. The columns are:
 
