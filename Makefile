@@ -2,7 +2,7 @@ PYTHON ?= python3
 RUN := .venv/bin/python -m
 CODE := flexman_gym agents scripts
 
-.PHONY: demo test lint verify charts benchmark clean
+.PHONY: demo test lint verify charts learning benchmark clean
 
 demo: .venv/installed
 	.venv/bin/python scripts/demo.py
@@ -19,6 +19,11 @@ charts: .venv/installed
 	.venv/bin/python scripts/stability.py --folder docs
 	.venv/bin/python scripts/ring_down.py --folder docs
 	.venv/bin/python scripts/fidelity.py
+
+# Hours: every recipe and every ablation, several seeds each, and runs that are killed.
+learning: .venv/installed
+	.venv/bin/python scripts/learning.py --folder docs
+	.venv/bin/python scripts/faults.py --folder docs
 
 benchmark: export OMP_NUM_THREADS = 1
 benchmark: .venv/installed
