@@ -183,7 +183,7 @@ class _Run:
             checkpoints = Checkpoints(checkpoint_every, self._save, asked.is_set)
             model.learn(settings.steps - model.num_timesteps, callback=[checkpoints, *callbacks], **told)
         model.get_env().close()  # type: ignore[union-attr]
-        if checkpoints.stopped:
+        if checkpoints.stopped is not None:
             raise Interrupted(f"{self.folder}: stopped after {checkpoints.stopped} steps, all of which are kept")
         self._save()
         return model

@@ -8,6 +8,7 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
+from flexman_agents.callbacks import writers
 from flexman_agents.folder import BEST, NEWEST, SETTINGS, read_data, write_data
 from flexman_agents.training import Interrupted, load_policy, resume, train
 from flexman_agents.vector import Arms
@@ -61,6 +62,18 @@ def test_a_run_that_was_interrupted_twice_is_the_run_that_was_not(algo, tmp_path
     assert (whole / BEST).read_bytes() != b"" and sorted(read_data(whole / BEST)) == sorted(read_data(parts / BEST))
     seen = np.linspace(-1.0, 1.0, 3 * 32).reshape(3, 32).astype(np.float32)
     assert np.array_equal(load_policy(whole)[1](seen, (3, 1)), load_policy(parts)[1](seen, (3, 1)))
+
+
+def test_a_run_that_was_interrupted_before_its_first_rollout_goes_on(tmp_path, monkeypatch):
+    train(RUNS["ppo"], tmp_path / "whole", progress=False)
+    with monkeypatch.context() as patch:
+        patch.setattr(
+            "flexman_agents.training.writers", lambda *where: (os.kill(os.getpid(), signal.SIGINT), writers(*where))[1]
+        )
+        with pytest.raises(Interrupted, match="stopped after 0 steps"):
+            train(RUNS["ppo"], tmp_path / "run", progress=False)
+    resume(tmp_path / "run", progress=False)
+    assert same(tmp_path / "whole", tmp_path / "run")
 
 
 def test_a_run_whose_last_steps_were_lost_repeats_them(tmp_path):
