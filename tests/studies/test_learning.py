@@ -47,7 +47,7 @@ def differences(first, second):
     [
         ("hold", {"hold", "gamma", "gae_lambda", "n_steps", "steps"}),
         ("exploration", {"log_std", "log_std_init"}), ("rate", {"learning_rate"}), ("fine", {"sensors"}),
-        ("reward", {"task"}), ("discount", {"gamma"}), ("base", {"base"}),
+        ("reward", {"task"}), ("discount", {"gamma"}),
     ],
 )  # fmt: skip
 def test_an_ablation_takes_away_one_means_and_nothing_else(name, changed):
@@ -83,11 +83,14 @@ def test_a_run_is_trained_once_and_judged_in_three_places(tmp_path, monkeypatch)
 
 def test_the_page_has_the_middle_and_the_worst_of_the_seeds_of_an_ablation():
     seeds = [
-        replace(ROW, kind="ablation", name="base", seed=float(i), settled=share, time=time, error=error)
+        replace(ROW, kind="ablation", name="discount", seed=float(i), settled=share, time=time, error=error)
         for i, (share, time, error) in enumerate([(0.5, 5.0, 1e-3), (0.9, 4.0, 9e-3), (0.7, math.inf, 2e-3)])
     ]
     text = page([ROW, *seeds], "a machine")
-    assert "| the PD controller | nothing: PPO alone | 1,000,000 | 80 | 70 (50) | 5 (-) | 0.5 (0.5) | 2 (9) |" in text
+    assert (
+        "| the short horizon | a discount of 0.99 an action | 1,000,000 | 80 | 70 (50) | 5 (-) | 0.5 (0.5) | 2 (9) |"
+        in text
+    )
     assert (
         f"| {ABLATED} | 0 | 1,000,000 | 80 | 12,500 | 40% | 97% | 4.2 (4.1 to 4.4) | 0.5 | 3 | 370 | 0.100 | 0% |"
         in text

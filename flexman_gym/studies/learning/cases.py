@@ -62,7 +62,6 @@ ABLATIONS = {
     "fine": Without("observations that tell millimetres", "the full state alone", {"sensors": ["full"]}),
     "reward": Without("the reward with slope at every scale", "the reward of bells", {"task": {"kind": "slew"}}),
     "discount": Without("the short horizon", "a discount of 0.99 an action", hyperparameters={"gamma": 0.99}),
-    "base": Without("the PD controller", "nothing: PPO alone", {"base": None}),
 }  # fmt: skip
 
 
