@@ -15,7 +15,7 @@ from flexman_agents import callbacks
 from flexman_agents.algorithm import hyperparameters
 from flexman_agents.callbacks import Judge
 from flexman_agents.evaluation import Episode
-from flexman_agents.folder import BEST, NEWEST, SETTINGS, read_data
+from flexman_agents.folder import BEST, NEWEST, SETTINGS, read_data, write_data
 from flexman_agents.policies import find_policy
 from flexman_agents.settings import Settings
 from flexman_agents.training import load_policy, load_settings, resume, train
@@ -149,12 +149,13 @@ def test_the_entropy_that_sac_aims_at_follows_its_schedule(tmp_path):
 
 
 def test_the_best_policy_is_the_one_that_acts(trained, tmp_path):
-    """It was kept before the last update."""
     other = tmp_path / "run"
     shutil.copytree(trained[0], other)
+    data = read_data(other / BEST)
+    write_data(other / BEST, {**data, "policy": {name: 2.0 * array for name, array in data["policy"].items()}})
     best = acts(other)
     (other / BEST).unlink()
-    assert (acts(other) != best).any()
+    assert (acts(other) != best).any() and np.array_equal(acts(other), acts(trained[0]))
 
 
 def test_hyperparameters_are_those_of_the_settings_before_the_defaults():
