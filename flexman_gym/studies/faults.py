@@ -48,7 +48,7 @@ the same bits as one that was never killed: networks, optimiser, normalisation, 
 {table}
 
 Damaged, foreign and full folders of compiled kernels, and files that try to run code, are in the tests
-(`tests/kernels/test_cached_files.py`, `tests/agents/test_resume.py`).
+(`tests/kernels/test_cached_files.py`, `tests/agents/test_folder.py`).
 """
 
 
