@@ -1,7 +1,7 @@
 """LQR: linear-quadratic control of the whole state, at the goal or along a slew to it."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,14 +10,14 @@ from flexman_gym.arrays import Array, IntArray
 from flexman_gym.checks import positive, refusal
 from flexman_gym.control.discrete import Weights, optimal_gain
 from flexman_gym.control.pd import torque_limits
-from flexman_gym.control.reference import plan_slew
+from flexman_gym.control.reference import plan_path, plan_slew
 from flexman_gym.model.linear import linearize
 from flexman_gym.model.model import Model
 from flexman_gym.model.statics import holding_torques, rest_state
 
 TIP, TIP_SPEED, MOTOR = 0.2 / 8.5, 1.0 / 8.5, 0.5  # of the reach, reaches a second, rad: stiffer ones saturate and fail
 SHARE = 0.95  # of the torque limits, for the feed-forward
-GAINS = 3  # postures along a slew for which gains are designed
+GAINS, PATH_GAINS = 3, 25  # postures along a slew, and along a path, for which gains are designed
 
 
 class LQR:
@@ -77,10 +77,20 @@ class LQR:
         return self._held - np.vecdot(self._gains, (states - self._rest)[:, None])
 
 
+class Plan(NamedTuple):
+    """What a tracking LQR follows: states (T + 1, 2 d), torques (T + 1, n) N m, gains (g, n, 2 d), and where among the
+    gains each period is, (T + 1,) from 0 to g - 1."""
+
+    states: Array
+    torques: Array
+    gains: Array
+    places: Array
+
+
 class TrackingLQR(LQR):
     """LQR about a minimum-jerk slew within the torque limits, with feed-forward and gains scheduled along the way.
 
-    Arguments and errors are those of `LQR`.
+    Of a task whose goal moves it follows the path of the goal instead. Arguments and errors are those of `LQR`.
     """
 
     kept = ("_now",)
@@ -89,34 +99,46 @@ class TrackingLQR(LQR):
         self, model: Model, torque_limit: float | Sequence[float], period: float, weights: Weights | None = None
     ) -> None:
         super().__init__(model, torque_limit, period, weights)
-        self._plans: list[tuple[Array, Array, Array]] = []  # states, torques and gains of each period
+        self._plans: list[Plan] = []
         self._now = np.zeros(0, dtype=np.int64)
 
     def reset(self, arms: IntArray, start: Array, posture: Array) -> None:
         """Plans slews of the arms (r,) from joint angles to goal postures (r, n) rad."""
-        count = int(arms.max(initial=-1)) + 1
-        self._now = _grown(self._now, count)
-        self._plans += [(np.zeros(0),) * 3] * (count - len(self._plans))
+        motors = self.model.motor_columns
         for arm, first, last in zip(arms, start, posture, strict=True):
             slew = plan_slew(self.model, first, last, self.limits, SHARE, self.period)
-            held = holding_torques(self.model, last)
-            ways = np.linspace(0.0, 1.0, GAINS)
-            gains = np.array([self.gain(first + way * (last - first)) for way in ways])
-            self._plans[arm] = slew.states, np.vstack([slew.torques, held]), gains
-            self._now[arm] = 0
+            gains = np.array([self.gain(first + way * (last - first)) for way in np.linspace(0.0, 1.0, GAINS)])
+            moved = slew.states[:, motors] - slew.states[0, motors]
+            way = np.vecdot(moved, moved[-1]) / max(moved[-1] @ moved[-1], 1e-12)
+            torques = np.vstack([slew.torques, holding_torques(self.model, last)])
+            self._keep(int(arm), Plan(slew.states, torques, gains, (GAINS - 1) * np.clip(way, 0.0, 1.0)))
+
+    def follow(self, arms: IntArray, postures: Array) -> None:
+        """Plans how the arms (r,) follow goal postures (r, T + 1, n) rad, one for each control period."""
+        for arm, path in zip(arms, postures, strict=True):
+            slew = plan_path(self.model, path, self.period)
+            rows = np.linspace(0, len(path) - 1, min(PATH_GAINS, len(path))).round().astype(int)
+            gains = np.array([self.gain(path[row]) for row in rows])
+            places = np.interp(np.arange(len(path)), rows, np.arange(len(rows)))
+            self._keep(int(arm), Plan(slew.states, np.vstack([slew.torques, slew.torques[-1:]]), gains, places))
+
+    def _keep(self, arm: int, plan: Plan) -> None:
+        """Begins a plan of an arm."""
+        empty = Plan(*(np.zeros(0),) * 4)
+        self._plans += [empty] * (arm + 1 - len(self._plans))
+        self._now = _grown(self._now, arm + 1)
+        self._plans[arm], self._now[arm] = plan, 0
 
     def torques(self, states: Array) -> Array:
         """Gives torques (b, n) N m for states (b, 2 d), and moves on by a period."""
         found = np.zeros((len(states), self.model.n_joints))
         for arm, state in enumerate(states):
-            wanted, torques, gains = self._plans[arm]
-            row = min(self._now[arm], len(wanted) - 1)
-            moved = wanted[row, self.model.motor_columns] - wanted[0, self.model.motor_columns]
-            way = wanted[-1, self.model.motor_columns] - wanted[0, self.model.motor_columns]
-            place = (len(gains) - 1) * float(moved @ way / max(way @ way, 1e-12))
-            lower = min(max(int(place), 0), len(gains) - 2)
-            gain = gains[lower] + min(max(place - lower, 0.0), 1.0) * (gains[lower + 1] - gains[lower])
-            found[arm] = torques[row] - np.vecdot(gain, state - wanted[row])
+            plan = self._plans[arm]
+            row = min(self._now[arm], len(plan.states) - 1)
+            lower = min(int(plan.places[row]), max(len(plan.gains) - 2, 0))
+            upper, part = min(lower + 1, len(plan.gains) - 1), plan.places[row] - lower
+            gain = plan.gains[lower] + part * (plan.gains[upper] - plan.gains[lower])
+            found[arm] = plan.torques[row] - np.vecdot(gain, state - plan.states[row])
         self._now += 1
         return found
 

@@ -14,6 +14,8 @@ from flexman_gym.model.statics import holding_torques
 class PD:
     """Proportional-derivative control of the motors: torque = stiffness (posture - angle) - damping rate, saturated.
 
+    Where the posture moves, the rate is that relative to it.
+
     It measures the motors only, as an industrial arm does. Sensors and motors are collocated, so in continuous time it
     is stable for any gains.
 
@@ -57,8 +59,10 @@ class PD:
             self._holding[arm] = holding_torques(self.gravity_model, angles)
 
     def act(self, readings: Mapping[str, NDArray[np.floating]]) -> NDArray[np.float32]:
-        """Gives the action (n,), or (b, n), for posture_errors and motor_rates."""
+        """Gives the action (n,), or (b, n), for posture_errors, motor_rates and, where there are any, posture_rates."""
         error, rate = readings["posture_errors"], readings["motor_rates"]
+        if "posture_rates" in readings:
+            rate = rate - readings["posture_rates"]
         torque = self.stiffness * error - self.damping * rate
         if self.gravity_model is not None:
             torque = torque + (self._holding if error.ndim > 1 else self._holding[0])

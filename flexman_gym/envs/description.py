@@ -9,7 +9,7 @@ from flexman_gym.checks import mapping, one_of, refusal
 from flexman_gym.envs.catalog import DEFAULT, NAMED
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.randomisation import Randomisation
-from flexman_gym.envs.sensors import SENSORS
+from flexman_gym.envs.sensors import plain_sensors
 from flexman_gym.envs.setup import Setup, setup_of
 from flexman_gym.envs.tasks import TASKS, find_task
 from flexman_gym.scene import catalog, file
@@ -185,14 +185,12 @@ def _plain(name: str, value: Any) -> Any:
     if isinstance(value, Limits):
         return asdict(value)
     if isinstance(value, Randomisation):
-        return value.ranges | {"impulse_gap": value.impulse_gap}
+        return {name: getattr(value, name) for name in value.given}
     if name == "task" and type(value) in TASKS.values():
         kind = next(key for key, each in TASKS.items() if each is type(value))
         return {"kind": kind, **asdict(value)}
     if name == "sensors":
-        known = {kind: key for key, kind in SENSORS.items()}
-        if all(type(part) in known for part in value):
-            return [known[type(part)] for part in value]
-    elif value is None or isinstance(value, bool | int | float | str | tuple | list):
+        return plain_sensors(value)
+    if value is None or isinstance(value, bool | int | float | str | tuple | list):
         return value
     raise refusal(name, value, "something with a name: an object of one's own cannot be kept in a file")

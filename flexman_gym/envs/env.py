@@ -122,7 +122,7 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
         """Starts an episode; options may set "start" and "posture", joint angles (n,) in rad, and "parameters"."""
         super().reset(seed=seed)
         self.episodes.reset(ONLY, [self.np_random], options)
-        return self.episodes.seen[0].copy(), self._outcome()[1]
+        return self.episodes.sight.seen[0].copy(), self._outcome()[1]
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Applies motor torques for one control period, or for as many as `hold` says.
@@ -139,7 +139,7 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
         reward, info = self._outcome()
         if mean is not None:
             reward = mean.item()
-        return episodes.seen[0].copy(), reward, bool(episodes.failures), bool(episodes.truncated[0]), info
+        return episodes.sight.seen[0].copy(), reward, bool(episodes.failures), bool(episodes.truncated[0]), info
 
     def _generators(self, own: dict[str, Any]) -> list[np.random.Generator | None]:
         return [own["_np_random"]]
@@ -166,7 +166,7 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
 
 def observation_space(episodes: Episodes) -> spaces.Space[Any]:
     """The space of observations of one arm."""
-    return spaces.Box(-episodes.bound, episodes.bound, dtype=np.float32)
+    return spaces.Box(-episodes.sight.bound, episodes.sight.bound, dtype=np.float32)
 
 
 def checked_mode(render_mode: str | None) -> str | None:

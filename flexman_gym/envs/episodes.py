@@ -5,7 +5,6 @@ from copy import copy
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array, Flags, IntArray
 from flexman_gym.checks import refusal
@@ -14,8 +13,10 @@ from flexman_gym.envs.effects import Stage
 from flexman_gym.envs.effects.effects import Effects
 from flexman_gym.envs.limits import broken
 from flexman_gym.envs.options import given_options
-from flexman_gym.envs.sensors import Sensors, find_sensors
+from flexman_gym.envs.sensors import Sensors, measured_names
+from flexman_gym.envs.sensors.measured import Measured
 from flexman_gym.envs.setup import Setup
+from flexman_gym.envs.sight import Observations, Sight, sight_parts
 from flexman_gym.envs.snapshot import give, take
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.outputs import beyond
@@ -23,7 +24,7 @@ from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.energy import alarm
 from flexman_gym.simulation.view import Number, View
 
-Observations = NDArray[np.float32]
+__all__ = ["Episodes", "Observations"]
 
 
 class Episodes:
@@ -31,10 +32,8 @@ class Episodes:
 
     Attributes:
         batch, view: the arms, and what they do in words.
-        task, sensors: what they are for, and what is seen of them.
-        effects: of the randomisation, None without one.
-        bound: (size,) float32 largest magnitude of each entry of an observation.
-        seen: (b, size) float32 observations; those of an arm that failed are the last ones within the bounds.
+        task, sight: what they are for, and what is seen of them.
+        effects: of the randomisation and of the task, None without any.
         failures: of the last step, arm -> what happened.
         over, truncated: (b,) whether an arm's episode is over, by a failure or because it has lasted `longest` control
             periods; and whether by the latter.
@@ -42,32 +41,38 @@ class Episodes:
         hold: control periods for which the agent's part of an action is kept.
     """
 
-    kept = ("batch", "motors", "effects", "view", "seen", "over", "truncated", "_ages", "_failed")
+    kept = ("batch", "motors", "effects", "view", "sight", "over", "truncated", "_ages", "_failed")
 
     def __init__(self, setup: Setup, batch: Batch) -> None:
         self.batch, self.task, self.view = batch, setup.task, View(batch)
         arms = len(batch.rows)
-        self.sensors = Sensors([*setup.sensors, *setup.task.sensors], self.view, setup.limits)
         self._limits = np.concatenate(list(setup.limits.bounds(self.view).values()))
         self.motors = Motors(setup.torque_limit, arms)
-        self.effects: Effects | None = None
-        growth = 0.0
-        if setup.randomisation is not None:
-            nominal, gap = np.array(setup.torque_limit), setup.randomisation.impulse_gap
-            stage = Stage(batch, setup.limits, self.sensors.bound, self.motors.limits, nominal, gap)
-            self.effects = Effects(setup.randomisation, stage)
-            growth = self.effects.growth
-        self.bound = ((1.0 + growth) * self.sensors.bound).astype(np.float32)
-        self._energy_alarm = setup.energy_alarm
         self.base = setup.base_controller(batch.model)
-        base_sensors = find_sensors(self.base.sensors) if self.base else ()
-        self._base_sensors = Sensors(base_sensors, self.view, setup.limits)
+        self.effects = self._effects(setup)
+        self.sight = Sight(setup, self.view, self.base, self.effects)
+        self._energy_alarm = setup.energy_alarm
         self.hold, self.longest = setup.hold, setup.longest
-        self.seen = np.zeros((arms, len(self.bound)), dtype=np.float32)
         self.failures: dict[int, str] = {}
         self.over, self.truncated = np.ones(arms, dtype=bool), np.zeros(arms, dtype=bool)
         self._unseen, self._unbounded = np.zeros((arms, 0)), np.zeros(0)
         self._ages, self._beyond = np.zeros(arms, dtype=np.int64), np.zeros(arms, dtype=np.int64)
+
+    def _effects(self, setup: Setup) -> Effects | None:
+        """What disturbs the arms, of the randomisation and of the task."""
+        randomisation = setup.disturbed
+        if randomisation is None:
+            return None
+        parts, own = sight_parts(setup, self.base)
+        bound = Measured(self.view, setup.limits, measured_names([*parts, *own])).bound
+        nominal = np.array(setup.torque_limit)
+        stage = Stage(self.batch, setup.limits, bound, self.motors.limits, nominal, randomisation.impulse_gap)
+        return Effects(randomisation, stage)
+
+    @property
+    def sensors(self) -> Sensors:
+        """What is seen of the arms."""
+        return self.sight.sensors
 
     def give(self, data: object, base: object, randoms: Sequence[np.random.Generator | None]) -> None:
         """Puts all arms, and the base, where they were when `snapshot.take` took the data of both.
@@ -85,22 +90,21 @@ class Episodes:
         self.over[:] = True
         give("state.episodes", self, data)
         if self.base and view.plan:  # it makes again what it does not remember
-            posture = self.task.goal(view.plan, np.zeros(len(self.over)), view).posture
-            self.base.reset(np.arange(len(self.over)), view.plan["start"], posture)
+            self._inform_base(np.arange(len(self.over)), view.plan)
         give("state.base", self.base, base)
         if self.effects is not None:
             self.effects.follow(randoms)
         view.renew()
-        self.sensors.read()
+        self.sight.renew(randoms)
 
     @property
-    def _failed(self) -> list[list[Any]]:
-        """What happened to the arms of `failures`, as pairs."""
-        return [[arm, text] for arm, text in self.failures.items()]
+    def _failed(self) -> dict[str, str]:
+        """What happened to the arms of `failures`, by their number as a text."""
+        return {str(arm): text for arm, text in self.failures.items()}
 
     @_failed.setter
-    def _failed(self, pairs: list[list[Any]]) -> None:
-        self.failures = {int(arm): str(text) for arm, text in pairs}
+    def _failed(self, texts: dict[str, str]) -> None:
+        self.failures = {int(arm): str(text) for arm, text in texts.items()}
 
     def reset(
         self, arms: IntArray, randoms: Sequence[np.random.Generator], options: Mapping[str, Any] | None = None
@@ -132,9 +136,22 @@ class Episodes:
         self.batch.reset(arms, start)
         self.view.effort[arms], self.view.failed[arms], self.view.action[arms] = 0.0, False, 0.0
         self._ages[arms], self.truncated[arms] = 0, False
+        self.view.read()
+        self.sight.begin(arms, randoms)
         self._begin(arms, options)
-        if self.base:
-            self.base.reset(arms, plan["start"], self.view.posture[arms])
+        self._inform_base(arms, plan)
+
+    def _inform_base(self, arms: IntArray, plan: Mapping[str, Array]) -> None:
+        """Tells the base of the start and the goal of new episodes, and of the whole path of a goal that moves."""
+        if not self.base:
+            return
+        goal = self.task.goal(plan, np.zeros(len(arms)), self.view)
+        self.base.reset(arms, plan["start"], goal.posture)
+        if self.task.moves and hasattr(self.base, "follow"):
+            times = self.view.control_period * np.arange(self.longest + 1)
+            alike = [{name: np.repeat(each[i : i + 1], len(times), 0) for name, each in plan.items()}
+                     for i in range(len(arms))]  # fmt: skip
+            self.base.follow(arms, np.array([self.task.goal(each, times, self.view).posture for each in alike]))
 
     def _check_plan(self, plan: object) -> None:
         """Refuses what a task draws without a start that has an angle for each joint."""
@@ -150,17 +167,16 @@ class Episodes:
                 view.plan[name] = np.zeros((len(self.over), *values.shape[1:]), dtype=values.dtype)
             view.plan[name][arms] = values
         view.target[arms], view.posture[arms] = self.task.goal(plan, np.zeros(len(arms)), view)
+        view.target_velocity[arms] = view.posture_rates[arms] = 0.0
 
     def _begin(self, arms: IntArray, options: object) -> None:
-        """Reads the arms that have just been reset and lets their episodes begin."""
-        self._read()
+        """Lets the episodes of arms that have just been reset and read begin."""
         for arm in arms:
             if failure := self._broken(arm):
                 field, value = ("options", options) if options else ("task", self.task)
                 raise refusal(field, value, f"a start and a goal within the limits ({failure})")
         self.failures = {arm: text for arm, text in self.failures.items() if arm not in arms}
-        seen = self.sensors.observations[arms]
-        self.seen[arms] = seen if self.effects is None else self.effects.observe(seen, arms)
+        self.sight.first(arms)
         self.over[arms] = False
 
     def step(self, actions: Array) -> Number | None:
@@ -184,7 +200,7 @@ class Episodes:
             playing = ~self.over
             if not np.count_nonzero(playing):
                 break
-        self.sensors.read()
+        self.sight.sensors.read()
         self._see()
         return total / np.maximum(count, 1.0)
 
@@ -195,7 +211,7 @@ class Episodes:
         arriving = actions
         if self.effects is not None:
             arriving = self.effects.act(actions)
-            self.effects.push(self.motors.forces, self.over)
+            self.effects.disturb(self.motors.forces, self.motors.accelerations, self.over)
         self.batch.step(self.motors.drive(arriving), playing)
         self._ages += 1 if playing is None else playing
         view, effort = self.view, np.vecdot(actions, actions) / actions.shape[1]
@@ -205,8 +221,9 @@ class Episodes:
             view.effort = np.where(playing, effort, view.effort)
             view.action[playing] = actions[playing]
         if self.task.moves:
-            view.target[:], view.posture[:] = self.task.goal(view.plan, self.batch.time, view)
+            self._move_goals(playing)
         view.read()
+        self.sight.measure(None if playing is None else np.flatnonzero(playing))
 
     def _judge(self, playing: Flags | None, last: bool) -> None:
         """Ends the episodes of arms that have left their limits or lasted long enough.
@@ -218,8 +235,8 @@ class Episodes:
             self.failures, view.failed = {}, np.zeros_like(view.failed)
         observations, bound = self._unseen, self._unbounded
         if last:
-            self.sensors.read()
-            observations, bound = self.sensors.observations, self.sensors.bound
+            self.sight.sensors.read()
+            observations, bound = self.sight.sensors.observations, self.sight.sensors.bound
         many = beyond(view.motion, self._limits, observations, bound, self._beyond)
         if many or np.count_nonzero(self.batch.status):
             ended = self._beyond | (self.batch.status != layout.OK)
@@ -228,21 +245,22 @@ class Episodes:
         if np.count_nonzero(self.truncated):
             self.over |= self.truncated
 
+    def _move_goals(self, playing: Flags | None) -> None:
+        """Sets the goals of this moment, and how fast the targets have come there, of the arms that are playing."""
+        view, arms = self.view, slice(None) if playing is None else playing
+        goal = self.task.goal(view.plan, self.batch.time, view)
+        view.target_velocity[arms] = (goal.target[arms] - view.target[arms]) / view.control_period
+        view.posture_rates[arms] = (goal.posture[arms] - view.posture[arms]) / view.control_period
+        view.target[arms], view.posture[arms] = goal.target[arms], goal.posture[arms]
+
     def _see(self) -> None:
         """Keeps what is seen now of the arms that have not failed."""
-        observations = self.sensors.observations
-        seen = observations if self.effects is None else self.effects.observe(observations)
-        if not np.count_nonzero(self.view.failed):
-            self.seen[:] = seen
-        else:
-            good = ~self.view.failed
-            self.seen[good] = seen[good]
+        failed = self.view.failed
+        self.sight.next(np.flatnonzero(~failed) if np.count_nonzero(failed) else None)
 
     def _base_actions(self) -> Array:
         """What the base controller does, (b, n)."""
-        self._base_sensors.read()
-        readings = self._base_sensors.readings
-        return np.asarray(self.base.act(readings), dtype=np.float64) if self.base else np.zeros(0)
+        return np.asarray(self.base.act(self.sight.readings), dtype=np.float64) if self.base else np.zeros(0)
 
     def _fail(self, arms: IntArray) -> None:
         for arm in arms[~self.over[arms]].tolist():
@@ -273,7 +291,3 @@ class Episodes:
             "reward_terms": terms,
             **{name: copy(value) for name, value in self.task.info(view).items()},  # what a view has goes on
         }
-
-    def _read(self) -> None:
-        self.view.read()
-        self.sensors.read()

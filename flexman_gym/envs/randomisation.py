@@ -6,6 +6,8 @@ from flexman_gym.checks import non_negative, one_of, positive, refusal, vector
 from flexman_gym.envs.effects import SIGNALS, Range
 from flexman_gym.simulation.parameters import PARAMETERS
 
+GAP = 2.0  # s, between two impulses or changes of load where nothing else is said
+
 
 class Randomisation:
     """Ranges (low, high) from which every episode draws anew, uniformly; None switches an effect off.
@@ -15,26 +17,28 @@ class Randomisation:
     those before it.
 
     Args:
-        impulse_gap: mean time between two impulses, s; at least a control period.
+        impulse_gap: mean time between two impulses, or two changes of load, s; at least a control period. None for 2.
         ranges: of the physical parameters in `simulation.parameters.PARAMETERS`, in their units, or factors > 0 on the
             nominal values, one of each joint or link: payload_mass (kg), joint_stiffness, rotor_inertia and
             link_stiffness (factors), joint_damping (N m s/rad). And of the effects in `envs.effects.SIGNALS`, whose
-            docstrings say more: torque_limit (factors), sensor_noise (parts of the bounds), delay (whole control
-            periods), initial_vibration (m) and tip_impulse (N s).
+            docstrings say more: torque_limit (factors), sensor_noise (parts of the ranges), delay (whole control
+            periods), initial_vibration (m), tip_impulse (N s), tip_load (N) and base_sway (m/s^2).
 
     Attributes:
         effects: names of the effects that are on, in the order of the tables.
         ranges: name -> (low, high) of each of them; also attributes of those names, None for what is off.
+        given: the arguments that were given, by name.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
     """
 
-    def __init__(self, *, impulse_gap: float = 2.0, **ranges: Any) -> None:
-        self.impulse_gap = positive("Randomisation.impulse_gap", impulse_gap, "s")
+    def __init__(self, *, impulse_gap: float | None = None, **ranges: Any) -> None:
+        self.impulse_gap = GAP if impulse_gap is None else positive("Randomisation.impulse_gap", impulse_gap, "s")
         known = {**PARAMETERS, **SIGNALS}
         for name in ranges:
             one_of("randomisation", name, (*known, "impulse_gap"))
+        self.given = ranges if impulse_gap is None else {**ranges, "impulse_gap": self.impulse_gap}
         self.ranges = {name: _range(name, ranges[name]) for name in known if ranges.get(name) is not None}
         self.effects = tuple(self.ranges)
 
@@ -44,7 +48,9 @@ class Randomisation:
         raise AttributeError(name)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Randomisation) and vars(self) == vars(other)
+        if not isinstance(other, Randomisation):
+            return False
+        return (self.ranges, self.impulse_gap) == (other.ranges, other.impulse_gap)
 
     __hash__ = None  # type: ignore[assignment]
 

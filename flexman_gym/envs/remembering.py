@@ -54,7 +54,7 @@ class Remembering:
             setattr(self, name, value)
         for name, random in spaces.items():
             _space(self, name)._np_random = random
-        return self.episodes.seen.copy()
+        return self.episodes.sight.seen.copy()
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         other = type(self)(**deepcopy(self._made, memo))

@@ -11,6 +11,7 @@ from flexman_gym.control.controller import Controller
 from flexman_gym.control.lqr import LQR, TrackingLQR
 from flexman_gym.control.pd import PD, torque_limits
 from flexman_gym.envs.catalog import DEFAULT, NAMED, Named
+from flexman_gym.envs.history import checked_history
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.randomisation import Randomisation
 from flexman_gym.envs.sensors import find_sensors
@@ -38,7 +39,10 @@ class Setup:
         name: of a named environment, which gives what is None below.
         arm: an Arm.
         task: a Task, such as `Slew()`; its name, "slew"; or a mapping with that at "kind" and its arguments.
-        sensors: a name, a Sensor of one's own, or a tuple of either.
+        sensors: a name, a mapping with a name at "kind" and flaws (noise, bias, quantisation, delay, every, dropped),
+            a Sensor of one's own, or a tuple of these; `envs.sensors` has the names.
+        history: the agent sees the last k observations, the newest first; or, for a tuple of times (s), the present one
+            and exponential averages of all with these times.
         limits: a Limits.
         torque_limit: N m, of the motors, one number or one for each joint; None takes what the joints of the arm say.
             Stored as a tuple.
@@ -66,6 +70,7 @@ class Setup:
     arm: Arm = None  # type: ignore[assignment]
     task: Task = None  # type: ignore[assignment]
     sensors: Any = None
+    history: Any = 1
     limits: Limits = None  # type: ignore[assignment]
     torque_limit: Any = None
     control_period: float = None  # type: ignore[assignment]
@@ -107,6 +112,7 @@ class Setup:
             control_period=positive("control_period", period, "s"),
             energy_alarm=positive("energy_alarm", self.energy_alarm),
             randomisation=_randomisation(self.randomisation),
+            history=checked_history(self.history),
         )
         horizon = named.horizon if self.horizon is None else self.horizon
         store(self, horizon=positive("horizon", horizon, "s"), hold=whole_number("hold", self.hold, 1, LONGEST_HOLD))
@@ -143,6 +149,14 @@ class Setup:
             if each.name in CHOSEN and getattr(self, each.name) != each.default:
                 raise refusal(each.name, getattr(self, each.name), 'nothing: fidelity="auto" chooses it')
         positive("tolerance", self.tolerance, 'm, for fidelity="auto"')
+
+    @property
+    def disturbed(self) -> Randomisation | None:
+        """The randomisation with what the task disturbs the arms by, unless the former says otherwise."""
+        task, own = dict(getattr(self.task, "disturbances", {})), self.randomisation
+        if not task:
+            return own
+        return Randomisation(**task | (own.given if own else {}))
 
     @property
     def longest(self) -> int:

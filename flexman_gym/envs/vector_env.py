@@ -108,7 +108,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
                 self._randoms[arm], self._seeds[arm] = seeding.np_random(seeds[arm])
         self._restart(arms, options)
         infos = self._outcome()[1]
-        return self.episodes.seen.copy(), infos if mask is None else _masked(infos, mask)
+        return self.episodes.sight.seen.copy(), infos if mask is None else _masked(infos, mask)
 
     def step(self, actions: NDArray[Any]) -> tuple[Observations, Array, Flags, Flags, Infos]:
         """Applies actions (num_envs, n) for `hold` control periods, and resets as the autoreset mode says.
@@ -136,7 +136,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
             terminations[list(episodes.failures)] = True
             if self.autoreset_mode == AutoresetMode.SAME_STEP:
                 infos = self._finish(over.copy(), infos)
-        return episodes.seen.copy(), rewards, terminations, truncations, infos
+        return episodes.sight.seen.copy(), rewards, terminations, truncations, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Frames (height, width, 3) uint8 of the deformed arms and their targets."""
@@ -151,7 +151,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
         final = np.full(self.num_envs, None, dtype=object)
         arms = np.flatnonzero(ended)
         for arm in arms:
-            final[arm] = self.episodes.seen[arm].copy()
+            final[arm] = self.episodes.sight.seen[arm].copy()
         self._restart(arms, None)
         both = {"final_obs": final, "final_info": _masked(infos, ended)}
         return _masked(both, ended) | self._outcome()[1]

@@ -61,7 +61,9 @@ try:
         outputs,
         pace,
         parts,
+        paths,
         stages,
+        statics,
         stiffening,
     )
 finally:
@@ -87,6 +89,8 @@ __all__ = [
     "outputs",
     "pace",
     "parts",
+    "paths",
     "stages",
+    "statics",
     "stiffening",
 ]

@@ -1,41 +1,55 @@
 """Statics: how an arm rests under gravity, and the torques that hold it there."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
-from flexman_gym.arrays import Array
+from flexman_gym.arrays import Array, IntArray
 from flexman_gym.checks import refusal, vector
-from flexman_gym.kernels import outputs
+from flexman_gym.kernels import outputs, statics
 from flexman_gym.kernels.layout import OUTPUTS, TIP, make_work
 from flexman_gym.model.instant import inertial_forces, stiffness_matrix
 from flexman_gym.model.model import Model
 
-ITERATIONS, ROUNDING = 100, 1e-12  # of a Newton iteration with the stiffness alone; of the largest coordinate
 
-
-def rest_state(model: Model, motor_angles: Sequence[float] | Array) -> Array:
-    """State (2 d,) of an arm that rests with its motors held at angles (n,) rad: bent by its weight, without speed.
+def rest_states(model: Model, postures: Array) -> Array:
+    """States (r, 2 d) of an arm at rest with its motors held at angles (r, n) rad: bent by its weight, without speed.
 
     Without gravity the arm is undeformed. With it, springs and links balance the weight at the place that they have
     bent to; the iteration takes the stiffness for the slope of that balance.
 
     Raises:
+        ValueError: for an arm too soft to find its rest so.
+    """
+    states, d = model.at_rest(postures), model.n_dof
+    if not model.constants.gravity.any():
+        return states
+    work, (free, stiffness, compliance) = make_work(model.constants), _structure(model)
+    rest, force = np.zeros(d), np.zeros(d)
+    for posture, state in zip(postures, states, strict=True):
+        change = statics.settle(model.constants, work, stiffness, compliance, free, rest, state[:d], force)
+        if not change <= statics.ROUNDING:
+            raise refusal("motor_angles", posture.tolist(), "an arm that its springs can hold under its weight")
+    return states
+
+
+def rest_state(model: Model, motor_angles: Sequence[float] | Array) -> Array:
+    """State (2 d,) of an arm that rests with its motors held at angles (n,) rad, see `rest_states`.
+
+    Raises:
         ValueError: for wrong angles, and for an arm too soft to find its rest so.
     """
-    state = model.initial_state(vector("motor_angles", motor_angles, model.n_joints, "rad"))
-    if not model.constants.gravity.any():
-        return state
-    x, rest, forces = state[: model.n_dof], np.zeros(model.n_dof), inertial_forces(model)
+    found: Array = rest_states(model, np.array([vector("motor_angles", motor_angles, model.n_joints, "rad")]))[0]
+    return found
+
+
+@lru_cache(maxsize=16)
+def _structure(model: Model) -> tuple[IntArray, Array, Array]:
+    """Coordinates that the motors do not hold, the stiffness (d, d), and the inverse of its part of those."""
     free = np.setdiff1d(np.arange(model.n_dof), model.motor_columns)
     stiffness = stiffness_matrix(model)
-    for _ in range(ITERATIONS):
-        unbalanced = (forces(x, rest, rest) + stiffness @ x)[free]
-        change = np.linalg.solve(stiffness[np.ix_(free, free)], unbalanced) if len(free) else np.zeros(0)
-        x[free] -= change
-        if np.abs(change).max(initial=0.0) <= ROUNDING * max(1.0, np.abs(x).max()):
-            return state
-    raise refusal("motor_angles", motor_angles, "an arm that its springs can hold under its weight")
+    return free, stiffness, np.linalg.inv(stiffness[np.ix_(free, free)])
 
 
 def holding_torques(model: Model, motor_angles: Sequence[float] | Array) -> Array:
@@ -51,8 +65,7 @@ def holding_torques(model: Model, motor_angles: Sequence[float] | Array) -> Arra
 def rest_tips(model: Model, postures: Array) -> Array:
     """(r, 3) m: tips, base frame, of the arm at rest with its motors at angles (r, n) rad."""
     work, row, tips = make_work(model.constants), np.zeros(OUTPUTS), np.zeros((len(postures), 3))
-    for tip, angles in zip(tips, postures, strict=True):
-        state = rest_state(model, angles)
+    for tip, state in zip(tips, rest_states(model, postures), strict=True):
         outputs.observe(model.constants, work, state[: model.n_dof], state[model.n_dof :], row)
         tip[:] = row[TIP]
     return tips

@@ -47,6 +47,42 @@ def strain(
     return float(stretch - finite("y", y, "m") * about_z + finite("z", z, "m") * about_y)
 
 
+def gauge_radii(model: Model) -> Array:
+    """Gives how far from the axis the gauges at the root of each link are, (n, 3) m, along y, along z and around.
+
+    They are radii of gyration of the section there: sqrt(I_z / A), sqrt(I_y / A) and sqrt((I_y + I_z) / A).
+
+    Args:
+        model: the model.
+    """
+    roots = [link.sections[0] for link in model.arm.links]
+    along = np.array([[root.second_moment_z / root.area, root.second_moment_y / root.area] for root in roots])
+    return np.sqrt(np.column_stack([along, along.sum(axis=1)]))
+
+
+def root_gauges(model: Model) -> Array:
+    """Gives what strain gauges at the roots of all links read, (2 d, 3 n) per unit of a state.
+
+    Three numbers of each link, at distances r of `gauge_radii`: half the difference of the axial strains at y = +-r,
+    then at z = +-r, as a bridge of two gauges on opposite sides gives it; then the shear strain r phi' of the torsion.
+    Rigid links read zero.
+
+    Args:
+        model: the model.
+    """
+    found = np.zeros((2 * model.n_dof, 3 * model.n_joints))
+    for i, radii in enumerate(gauge_radii(model)):
+        basis = model.bases[i]
+        if basis.shape[1] == 0:
+            continue
+        root = model.elements(i)[0]
+        nodes = np.vstack([np.zeros((NODE_COORDINATES, basis.shape[1])), basis])[root.nodes]
+        _, twist, about_y, about_z = _derivatives(0.0, root.length) @ nodes
+        rows = radii[:, None] * np.array([-about_z, about_y, twist])
+        found[model.elastic_columns(i), 3 * i : 3 * i + 3] = rows.T
+    return found
+
+
 def _deformation(model: Model, state: Sequence[float] | Array, link: int, position: float) -> Array:
     """Gives u', phi', -w'' and v'' (4,) at a position of a link."""
     x = np.array(vector("state", state, 2 * model.n_dof))

@@ -1,15 +1,20 @@
 """View: the motion and the goals of the arms of a batch as named arrays."""
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from flexman_gym.arrays import Array
 from flexman_gym.kernels import layout
+from flexman_gym.kernels import paths as kernels
 from flexman_gym.kernels.outputs import combine
-from flexman_gym.model.statics import rest_state, rest_tips
+from flexman_gym.model.instant import frequencies
+from flexman_gym.model.statics import rest_states, rest_tips
+from flexman_gym.model.strain import gauge_radii, root_gauges
 from flexman_gym.simulation.batch import Batch
 
+REACHED, SLOPE = 1e-9, 1e-4  # of the reach: a place that is reached; slopes of the tip that turn no joint
 Number = Any  # (b,), or a number of a single arm; only arithmetic and NumPy's functions are used on it
 
 
@@ -24,8 +29,11 @@ class View:
         n_joints: n.
         reach: the sum of the lengths of the links, m.
         lengths: (n,) of the links, m.
+        heavy: whether the arm has weight.
+        gauge_radii: (n, 3) distances of the gauges of `root_strains` from the axis of the link, m.
         control_period: s.
         state: (b, 2 d) coordinates and speeds of the model, in the order of `kernels.layout`.
+        joint_angles, joint_rates: (b, n) rad and rad/s, of the side of the links.
         motor_angles, motor_rates: (b, n) rad and rad/s; of the joint where it is rigid.
         joint_twists, joint_twist_rates: (b, n) motor angle - joint angle, rad, and its rate, rad/s.
         link_deflections, link_deflection_rates: (b, 2 n) of the tip of each link along y and z of its beam frame, m and
@@ -34,9 +42,12 @@ class View:
         deflection, deflection_rate: (b, 3) of the tip relative to that of the rigid arm at the motor angles, m and m/s.
         motion: (b, 8 n + 3) all quantities that may have a limit, side by side: the above from motor_angles to
             link_deflection_rates, then tip_velocity.
-        places, units: name -> slice of `motion`, and unit.
-        posture: (b, n) the goal of the motors, rad.
+        places: name -> slice of `motion`.
+        units: name -> unit, of all quantities that an instrument may measure.
+        posture, posture_rates: (b, n) the goal of the motors, rad, and how fast it moved in the last control period,
+            rad/s.
         target: (b, 3) the goal of the tip in the base frame, m.
+        target_velocity: (b, 3) of a target that moves, over the last control period, m/s.
         target_error: (b, 3) target - tip, m.
         plan: name -> (b, ...) further arrays that describe the episode; each task has its own.
         tip_error: (b,) distance of tip and target, m.
@@ -48,7 +59,7 @@ class View:
         failed: (b,) whether the last step ended the episode by a limit or a divergence.
     """
 
-    kept = ("posture", "target", "plan", "effort", "action", "failed")
+    kept = ("posture", "posture_rates", "target", "target_velocity", "plan", "effort", "action", "failed")
 
     def __init__(self, batch: Batch) -> None:
         model, constants, arms = batch.model, batch.model.constants, len(batch.rows)
@@ -57,6 +68,8 @@ class View:
         self._one: View | None = None
         self.n_joints, self.control_period = n, batch.control_period
         self.lengths, self.reach = constants.length, float(constants.length.sum())
+        self.heavy = bool(constants.gravity.any())
+        self.gauge_radii = gauge_radii(model)
         bending = np.zeros((2 * d, 2 * n))
         for i in range(n):
             start, stop = constants.elastic_start[i : i + 2]
@@ -71,12 +84,15 @@ class View:
             "link_deflections": (bending, "m"),
             "link_deflection_rates": (np.roll(bending, d, axis=0), "m/s"),
         }
-        self.units = {name: unit for name, (_, unit) in parts.items()} | {"tip_velocity": "m/s"}
+        limited = {name: unit for name, (_, unit) in parts.items()} | {"tip_velocity": "m/s"}
         ends = np.cumsum([part.shape[1] for part, _ in parts.values()] + [3]).tolist()
-        self.places = {name: slice(first, end) for name, first, end in zip(self.units, [0, *ends], ends, strict=False)}
-        matrix = np.hstack([part for part, _ in parts.values()]).T  # most of it is zero
-        self._start = np.append(0, np.cumsum(np.count_nonzero(matrix, axis=1)))
-        self._source, self._value = np.nonzero(matrix)[1], matrix[matrix != 0.0]
+        self.places = {name: slice(first, end) for name, first, end in zip(limited, [0, *ends], ends, strict=False)}
+        self.units = limited | {
+            "joint_angles": "rad", "joint_rates": "rad/s", "tip": "m", "deflection": "m", "deflection_rate": "m/s",
+            "root_strains": "1", "tip_acceleration": "m/s^2", "specific_force": "m/s^2",
+        }  # fmt: skip
+        self._reading = _entries(np.hstack([part for part, _ in parts.values()]))
+        self._gauges = _entries(root_gauges(model))
         self._allocate(arms)
 
     def _allocate(self, arms: int) -> None:
@@ -88,10 +104,12 @@ class View:
         self.joint_twists, self.joint_twist_rates = parts["joint_twists"], parts["joint_twist_rates"]
         self.link_deflections, self.link_deflection_rates = parts["link_deflections"], parts["link_deflection_rates"]
         self._velocity = parts["tip_velocity"]
-        self.state = self._batch.state
+        self.state, d = self._batch.state, self._batch.model.n_dof
+        self.joint_angles, self.joint_rates = self.state[:, :n], self.state[:, d : d + n]
         self.tip, self.tip_velocity = outputs[:, layout.TIP], outputs[:, layout.TIP_VELOCITY]
         self.deflection, self.deflection_rate = outputs[:, layout.DEFLECTION], outputs[:, layout.DEFLECTION_RATE]
         self.posture, self.target, self.plan = np.zeros((arms, n)), np.zeros((arms, 3)), dict[str, Array]()
+        self.posture_rates, self.target_velocity = np.zeros((arms, n)), np.zeros((arms, 3))
         self._vectors = np.zeros((arms, 2, 3))  # their lengths are tip_error and tip_vibration
         self.target_error, self._shaking = self._vectors[:, 0], self._vectors[:, 1]
         self.tip_error: Number = np.zeros(arms)
@@ -106,7 +124,7 @@ class View:
     def read(self) -> None:
         """Reads the present states of the arms, for their present goals."""
         batch = self._batch
-        combine(batch.rows, self._start, self._source, self._value, self.motion)
+        combine(batch.rows, *self._reading, self.motion)
         self._velocity[:] = self.tip_velocity
         np.subtract(self.target, self.tip, out=self.target_error)
         self._shaking[:] = self.deflection_rate
@@ -116,6 +134,13 @@ class View:
         self.energy_residual, self.energy_turnover = batch.energy_residual, batch.energy_turnover
 
     @property
+    def root_strains(self) -> Array:
+        """Strains (b, 3 n) at the root of each link, see `model.strain.root_gauges`; worked out when asked for."""
+        found = np.zeros((len(self._batch.rows), 3 * self.n_joints))
+        combine(self._batch.rows, *self._gauges, found)
+        return found if self.motion.ndim > 1 else found[0]
+
+    @property
     def time(self) -> Number:
         """Time since the reset (b,), s."""
         time = self._batch.time
@@ -123,17 +148,40 @@ class View:
 
     def rest_states(self, postures: Array) -> Array:
         """Gives the states (r, 2 d) of the arm at rest, motors at angles (r, n) rad, bent by its weight alone."""
-        model = self._batch.model
-        if not model.constants.gravity.any():
-            return model.at_rest(postures)
-        return np.array([rest_state(model, angles) for angles in postures]).reshape(len(postures), -1)
+        return rest_states(self._batch.model, postures)
+
+    def rigid_tips(self, postures: Array) -> Array:
+        """Gives the tips (r, 3) of the undeformed arm at postures (r, n) rad, base frame, m."""
+        return self._batch.rigid_tips(self._batch.model.at_rest(postures))
+
+    def reaching(self, tips: Array, near: Array) -> tuple[Array, float]:
+        """Gives motor angles (r, n) rad at which the tip of the undeformed arm is at tips (r, 3) m, base frame.
+
+        Args:
+            tips: where it should be.
+            near: motor angles (n,) rad from which the search starts.
+
+        Returns:
+            The angles, and the largest distance that is left (m).
+        """
+        constants, n = self._batch.model.constants, self.n_joints
+        found, x = np.repeat(near[None], len(tips), axis=0), np.zeros(self._batch.model.n_dof)
+        accuracy, damping = REACHED * self.reach, SLOPE * self.reach
+        left = kernels.reach(constants, np.ascontiguousarray(tips), x, np.zeros((n, 3)), accuracy, damping, found)
+        return found, left
 
     def rest_tips(self, postures: Array) -> Array:
         """Gives the tips (r, 3) of that arm in the base frame, m; without gravity those of the rigid arm."""
         model = self._batch.model
-        if not model.constants.gravity.any():
-            return self._batch.rigid_tips(model.at_rest(postures))
+        if not self.heavy:
+            return self.rigid_tips(postures)
         return rest_tips(model, postures)
+
+    @cached_property
+    def first_frequency(self) -> float:
+        """Lowest natural frequency (Hz) at zero angles with the motors held; infinite where nothing bends."""
+        found = frequencies(self._batch.model, lock_joints=True)
+        return float(found[0]) if len(found) else np.inf
 
     def alone(self) -> "View":
         """Gives the present view of the only arm, without the axis of the arms; it is the same object every time.
@@ -165,3 +213,10 @@ class View:
             setattr(one, name, value[0] if isinstance(value, np.ndarray) and value.ndim > 1 else value)
         one.plan = {}
         return one
+
+
+def _entries(matrix: Array) -> tuple[Array, Array, Array]:
+    """The rows (2 d, m) of a linear reading without their zeros, most of it, as `combine` takes them."""
+    rows = matrix.T
+    start = np.append(0, np.cumsum(np.count_nonzero(rows, axis=1)))
+    return start, np.nonzero(rows)[1], rows[rows != 0.0]

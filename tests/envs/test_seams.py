@@ -71,13 +71,12 @@ class Brake:
 
 
 class SensorBias:
-    """A constant part of its bound that is added to each number of an episode's observations."""
+    """A constant part of its range by which each quantity is measured too large throughout an episode."""
 
     kind, shape = float, ()
 
     def __init__(self, stage, span):
         self._span, self._bound, self._bias = span, stage.bound, np.zeros((len(stage.torque_limits), 1))
-        self.growth = max(map(abs, span))
 
     @staticmethod
     def checked(field, value):
@@ -89,8 +88,8 @@ class SensorBias:
     def begin(self, arms, drawn):
         self._bias[arms, 0] = drawn[arms]
 
-    def observe(self, observations, arms):
-        return observations + (self._bias if arms is None else self._bias[arms]) * self._bound
+    def measure(self, values, arms):
+        return values + self._bias[arms] * self._bound
 
 
 def strips(*limits):
@@ -226,12 +225,15 @@ def test_a_signal_effect_is_one_entry(monkeypatch):
     biased, plain = FlexManEnv(randomisation={"sensor_bias": (0.01, 0.02)}), FlexManEnv()
     found, info = biased.reset(seed=0)
     expected, _ = plain.reset(seed=0)
-    bias = info["drawn"]["sensor_bias"]
+    bias, places = info["drawn"]["sensor_bias"], plain.sensors.slices
     assert 0.01 <= bias <= 0.02
+    angles, errors = places["motor_angles"], places["posture_errors"]
     for action in actions(1, 20):
-        assert found == pytest.approx(expected + bias * plain.sensors.bound, rel=1e-6, abs=1e-6)
+        off = bias * plain.sensors.bound[angles]
+        assert found[angles] == pytest.approx(expected[angles] + off, rel=1e-6, abs=1e-6)
+        assert found[errors] == pytest.approx(expected[errors] - off, rel=1e-6, abs=1e-6)
         found, expected = biased.step(action[0])[0], plain.step(action[0])[0]
-    assert biased.observation_space.high == pytest.approx(1.02 * plain.observation_space.high)
+    assert biased.observation_space == plain.observation_space
 
 
 @pytest.mark.parametrize(

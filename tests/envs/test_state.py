@@ -74,7 +74,7 @@ def test_an_environment_made_alike_goes_on_from_a_state(settings, many):
     arrays = {}
     text = json.dumps(parted(env.unwrapped.get_state(), arrays))
     seen = other.unwrapped.set_state(joined(json.loads(text), arrays))
-    assert np.array_equal(seen, env.unwrapped.episodes.seen)
+    assert np.array_equal(seen, env.unwrapped.episodes.sight.seen)
     assert same(played(env), played(other))
 
 

@@ -2,11 +2,13 @@
 
 from typing import Any
 
+from flexman_gym.envs.effects.base_sway import BaseSway
 from flexman_gym.envs.effects.delay import Delay
 from flexman_gym.envs.effects.effect import Effect, Range, Stage
 from flexman_gym.envs.effects.initial_vibration import InitialVibration
 from flexman_gym.envs.effects.sensor_noise import SensorNoise
 from flexman_gym.envs.effects.tip_impulse import TipImpulse
+from flexman_gym.envs.effects.tip_load import TipLoad
 from flexman_gym.envs.effects.torque_limit import TorqueLimit
 
 SIGNALS: dict[str, Any] = {
@@ -15,6 +17,8 @@ SIGNALS: dict[str, Any] = {
     "delay": Delay,
     "initial_vibration": InitialVibration,
     "tip_impulse": TipImpulse,
+    "tip_load": TipLoad,
+    "base_sway": BaseSway,
 }
 
 __all__ = ["SIGNALS", "Effect", "Range", "Stage"]

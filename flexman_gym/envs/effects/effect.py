@@ -18,7 +18,7 @@ class Stage:
 
     Attributes:
         batch, limits: the arms and their limits.
-        bound: (size,) largest magnitude of each number that the sensors give.
+        bound: (size,) range of each quantity that is measured.
         torque_limits: (b, n) N m, which effects may overwrite; `nominal` (n,) is what they are without.
         impulse_gap: s.
     """
@@ -36,9 +36,9 @@ class Effect(Protocol):
 
     Hooks: `begin(arms, drawn)` after the draws of new episodes of the arms (r,), with what every arm drew (b, ...);
     `bend(arms, states)` changes the states (r, 2 d) that they start from; `act(actions)` returns what reaches the
-    motors of actions (b, n); `push(forces, over)` writes forces (b, 3) N on the tips; `observe(observations, arms)`
-    returns what is seen of observations (r, size). `growth`, where there is one, is the part by which the bounds of the
-    observations grow.
+    motors of actions (b, n); `push(forces, over)` adds to forces (b, 3) N on the tips, and `shake(accelerations, over)`
+    to accelerations (b, 3) m/s^2 of the bases, of arms whose episode is not over; `measure(values, arms)` returns what
+    is measured of the values (r, size) of the arms (r,), before anything is derived from it.
     """
 
     def __init__(self, stage: Stage, span: Range) -> None: ...

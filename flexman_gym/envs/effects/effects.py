@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from typing import Any
-from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from flexman_gym.arrays import Array, Flags, IntArray
 from flexman_gym.checks import refusal
 from flexman_gym.envs.effects import SIGNALS, Stage
 from flexman_gym.envs.randomisation import Randomisation
+from flexman_gym.envs.streams import Streams
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.parameters import LINK, PARAMETERS
 
@@ -27,7 +27,6 @@ class Effects:
             torque_limit (N m), sensor_noise, delay (periods) and initial_vibration (b, n, 2), m along y and z of each
             link's beam frame. Impulses are drawn on the way and are not in it. A new dict of new arrays after every
             reset.
-        growth: part by which the bounds of observations grow.
 
     Raises:
         ValueError: for an effect that the model or the limits leave no room for.
@@ -54,10 +53,8 @@ class Effects:
         self.drawn: dict[str, NDArray[Any]] = {
             name: np.zeros((arms, *shape), dtype=kinds.get(name, float)) for name, shape in shapes.items()
         }
-        self.growth = sum(getattr(signal, "growth", 0.0) for signal in self._signals.values())
-        self._parents: list[np.random.Generator | None] = [None] * arms
-        self._streams: dict[str, list[Any]] = {name: [None] * arms for name in self._ranges}
-        self._hooks = {hook: self._with(hook) for hook in ("begin", "bend", "act", "push", "observe")}
+        self._streams = Streams(list(self._ranges), arms)
+        self._hooks = {hook: self._with(hook) for hook in ("begin", "bend", "act", "push", "shake", "measure")}
 
     def _with(self, hook: str) -> list[Any]:
         """The methods of that name of the effects that have one, with the effect's name for `begin`."""
@@ -73,12 +70,8 @@ class Effects:
         """
         self.drawn = {name: values.copy() for name, values in self.drawn.items()}
         for row, (arm, random) in enumerate(zip(arms.tolist(), randoms, strict=True)):
-            if self._parents[arm] is not random:
-                self._parents[arm] = random
-                for name in self._ranges:
-                    self._streams[name][arm] = _stream(random, name)
-            for name in self._ranges:
-                value = self._value(name, arm, self._streams[name][arm])
+            for name, stream in self._streams.of(arm, random).items():
+                value = self._value(name, arm, stream)
                 if name in self.drawn:
                     self.drawn[name][arm] = given[name][row] if name in given else value
         for name, begin in self._hooks["begin"]:
@@ -101,7 +94,7 @@ class Effects:
 
     def follow(self, randoms: Sequence[np.random.Generator | None]) -> None:
         """Takes the generators of all arms as those whose streams are in use, after these were given back."""
-        self._parents = list(randoms)
+        self._streams.follow(randoms)
 
     def bend(self, arms: IntArray, states: Array) -> None:
         """Changes the states (r, 2 d) from which the episodes of the arms (r,) start."""
@@ -114,18 +107,27 @@ class Effects:
             actions = act(actions)
         return actions
 
-    def push(self, forces: Array, over: Flags) -> None:
-        """Writes the forces (b, 3) N on the tips during this period; arms whose episode is over wait."""
-        if self._hooks["push"]:
-            forces[:] = 0.0
-            for push in self._hooks["push"]:
-                push(forces, over)
+    def disturb(self, forces: Array, accelerations: Array, over: Flags) -> None:
+        """Writes forces (b, 3) N on the tips and accelerations (b, 3) m/s^2 of the bases during this period.
 
-    def observe(self, observations: Array, arms: IntArray | None = None) -> Array:
-        """What is seen of the observations (r, size) of the arms (r,), or of all."""
-        for observe in self._hooks["observe"]:
-            observations = observe(observations, arms)
-        return observations
+        Nothing disturbs arms whose episode is over.
+        """
+        for hook, values in (("push", forces), ("shake", accelerations)):
+            if self._hooks[hook]:
+                values[:] = 0.0
+                for add in self._hooks[hook]:
+                    add(values, over)
+
+    @property
+    def measures(self) -> bool:
+        """Whether something changes what is measured."""
+        return bool(self._hooks["measure"])
+
+    def measure(self, values: Array, arms: IntArray) -> Array:
+        """What is measured of the values (r, size) of the arms (r,)."""
+        for measure in self._hooks["measure"]:
+            values = measure(values, arms)
+        return values
 
 
 def _check_room(name: str, span: tuple[float, float], model: Model) -> None:
@@ -135,10 +137,3 @@ def _check_room(name: str, span: tuple[float, float], model: Model) -> None:
         raise refusal(field, span, "None: every link of this arm is rigid")
     if row.shape(model.n_joints) and row.fixed(model).all():
         raise refusal(field, span, "None: every joint of this arm is rigid")
-
-
-def _stream(parent: np.random.Generator, name: str) -> np.random.Generator:
-    """A generator made from the seed of another and a name."""
-    seed: Any = parent.bit_generator.seed_seq
-    key = (*seed.spawn_key, crc32(name.encode()))
-    return np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key))

@@ -1,19 +1,110 @@
-"""Sensors: what an agent sees of the arms, by name or as objects of one's own."""
+"""Sensors: what an agent sees of the arms, by name, as a mapping, or as objects of one's own."""
 
-from flexman_gym.checks import one_of
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from flexman_gym.checks import mapping, one_of, refusal, text
+from flexman_gym.envs.sensors.array import Sensors, measured_names
+from flexman_gym.envs.sensors.command import Command
 from flexman_gym.envs.sensors.fine import Fine
 from flexman_gym.envs.sensors.full import FullState
-from flexman_gym.envs.sensors.sensor import Entry, Sensor, Sensors
+from flexman_gym.envs.sensors.instrument import FLAWS, Flaws, Instrument
+from flexman_gym.envs.sensors.quantities import Quantities
+from flexman_gym.envs.sensors.sensor import Entry, Sensor
 from flexman_gym.envs.sensors.servo import Servo
 from flexman_gym.envs.sensors.state import State
 
-SENSORS: dict[str, type[Sensor]] = {"full": FullState, "fine": Fine, "servo": Servo, "state": State}
+SENSORS: dict[str, Callable[[], Sensor]] = {
+    "full": FullState,
+    "fine": Fine,
+    "servo": Servo,
+    "state": State,
+    "motor_encoders": lambda: Quantities(("motor_angles", "motor_rates")),
+    "joint_encoders": lambda: Quantities(("joint_twists", "joint_twist_rates")),  # of encoders on both sides
+    "strain": lambda: Quantities(("root_strains",)),
+    "accelerometer": lambda: Quantities(("tip_acceleration",)),
+    "tip": lambda: Instrument(Quantities(("tip",)), every=2, delay=1),
+    "command": Command,
+}
+SETS = {"lab": ("motor_encoders", "joint_encoders", "strain", "command")}
+NAMES = (*SENSORS, *SETS)
 
 
 def find_sensors(value: object) -> tuple[object, ...]:
-    """The sensors that a name, a sensor, or several of either mean; raises ValueError for an unknown name."""
+    """The sensors that a name, a mapping, a sensor, or several of these mean.
+
+    A mapping has a name at "kind" and flaws, see `Flaws`: of a set, they belong to all of it that measures.
+
+    Raises:
+        ValueError: one line, for an unknown name or flaw.
+    """
     parts = value if isinstance(value, tuple | list) else (value,)
-    return tuple(SENSORS[one_of("sensors", part, SENSORS)]() if isinstance(part, str) else part for part in parts)
+    return tuple(sensor for part in parts for sensor in _found(part))
 
 
-__all__ = ["SENSORS", "Entry", "Fine", "FullState", "Sensor", "Sensors", "Servo", "State", "find_sensors"]
+def _found(part: object) -> tuple[object, ...]:
+    if isinstance(part, Mapping):
+        if "kind" not in part:
+            raise refusal("sensors", dict(part), "a mapping with the name of a sensor at kind, and its flaws")
+        flaws = mapping("sensors", {name: value for name, value in part.items() if name != "kind"}, FLAWS)
+        kind = text("sensors.kind", part["kind"])
+        found = [_flawed(sensor, flaws, kind in SETS) for sensor in _named(kind)]
+        return tuple(found)
+    return _named(part) if isinstance(part, str) else (part,)
+
+
+def _named(name: str) -> tuple[Sensor, ...]:
+    one_of("sensors", name, NAMES)
+    return tuple(SENSORS[each]() for each in SETS.get(name, (name,)))
+
+
+def _flawed(sensor: Any, flaws: Mapping[str, Any], of_set: bool) -> Sensor:
+    """The sensor with flaws, which take the place of those that it has."""
+    if isinstance(sensor, Instrument):
+        return Instrument(sensor.sensor, **{**sensor.settings(), **flaws})
+    if not flaws or (of_set and getattr(sensor, "measures", True) == ()):
+        return sensor
+    return Instrument(sensor, **flaws)
+
+
+def plain_sensors(parts: tuple[object, ...]) -> list[Any]:
+    """Names and mappings of sensors, from which `find_sensors` gives the same.
+
+    Raises:
+        ValueError: for a sensor of one's own.
+    """
+    return [_plain(part) for part in parts]
+
+
+def _plain(part: object) -> Any:
+    for name, make in SENSORS.items():
+        known: Any = make()
+        if known == part:
+            return name
+        perfect, own = (known.sensor, known.flaws) if isinstance(known, Instrument) else (known, Flaws())
+        if isinstance(part, Instrument) and perfect == part.sensor:
+            both = {each: getattr(part.flaws, each) for each in FLAWS}
+            return {"kind": name, **{each: value for each, value in both.items() if value != getattr(own, each)}}
+    raise refusal("sensors", part, "something with a name: an object of one's own cannot be kept in a file")
+
+
+__all__ = [
+    "FLAWS",
+    "NAMES",
+    "SENSORS",
+    "SETS",
+    "Command",
+    "Entry",
+    "Fine",
+    "Flaws",
+    "FullState",
+    "Instrument",
+    "Quantities",
+    "Sensor",
+    "Sensors",
+    "Servo",
+    "State",
+    "find_sensors",
+    "measured_names",
+    "plain_sensors",
+]

@@ -1,6 +1,8 @@
 """Fine: the quantities of the full state again, on a scale that tells millimetres and milliradians."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -13,6 +15,7 @@ from flexman_gym.simulation.view import View
 ANGLE, RATE, TWIST, DEFLECTION, LENGTH, SPEED = 1 / 400, 1 / 500, 1 / 250, 1 / 2125, 1 / 425, 1 / 170
 
 
+@dataclass
 class Fine:
     """arcsinh(quantity / scale): linear below the scale, logarithmic above, so that a network sees both ends.
 
@@ -20,6 +23,8 @@ class Fine:
     the error of the tip and the velocity of the tip. For `FlexRRR-v0` the scales are 0.02 rad/s, 0.004 rad, 0.02 rad/s,
     0.004 m, 0.02 m/s, 0.01 rad, 0.02 m and 0.05 m/s; others follow from the limits and the reach of the arm.
     """
+
+    measures: ClassVar[tuple[str, ...]] = ("motion", "tip")
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
         """Says what it reads, in order."""

@@ -1,6 +1,8 @@
 """Full state: every mechanical quantity and the goal, seen without any instrument's limits."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -12,6 +14,7 @@ from flexman_gym.simulation.view import View
 NEAR = 0.1 / 8.5  # of the reach: tip error that is half of the way to the largest nearness
 
 
+@dataclass
 class FullState:
     """The whole mechanical state in physical quantities whose number does not depend on the fidelity of the model.
 
@@ -20,6 +23,8 @@ class FullState:
     and bounds. The nearness is the error again on a scale that still tells millimetres when normalised by the metres of
     a slew: error / (NEAR reach + its length).
     """
+
+    measures: ClassVar[tuple[str, ...]] = ("motion", "tip")
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
         """What it reads, in order."""

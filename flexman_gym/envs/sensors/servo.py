@@ -1,6 +1,8 @@
-"""Servo: what the drive of a motor knows, its error and its rate."""
+"""Servo: what the drive of a motor knows, its error, its rate and the rate that is wanted."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -10,17 +12,22 @@ from flexman_gym.envs.sensors.sensor import Entry
 from flexman_gym.simulation.view import View
 
 
+@dataclass
 class Servo:
-    """Posture errors (goal - angle) and rates of the motors."""
+    """Posture errors (goal - angle) and rates of the motors, and the rates of a goal that moves."""
+
+    measures: ClassVar[tuple[str, ...]] = ("motor_angles", "motor_rates")
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
         """Says what it reads, in order."""
         return [
             Entry("posture_errors", view.n_joints, "rad", 2 * limits.angle),
             Entry("motor_rates", view.n_joints, "rad/s", limits.rate),
+            Entry("posture_rates", view.n_joints, "rad/s", limits.rate),
         ]
 
     def read(self, view: View, out: Array) -> None:
-        """Writes into out (b, 2 n)."""
-        np.subtract(view.posture, view.motor_angles, out=out[:, : view.n_joints])
-        out[:, view.n_joints :] = view.motor_rates
+        """Writes into out (b, 3 n)."""
+        n = view.n_joints
+        np.subtract(view.posture, view.motor_angles, out=out[:, :n])
+        out[:, n : 2 * n], out[:, 2 * n :] = view.motor_rates, view.posture_rates

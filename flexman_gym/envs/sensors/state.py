@@ -1,6 +1,8 @@
 """State: the coordinates and speeds of the model itself, which no instrument gives."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
 
 from flexman_gym.arrays import Array
 from flexman_gym.envs.limits import Limits
@@ -9,8 +11,11 @@ from flexman_gym.kernels.layout import LARGEST_STATE
 from flexman_gym.simulation.view import View
 
 
+@dataclass
 class State:
     """The state (2 d,) of the model in the order of `kernels.layout`; its size depends on the fidelity of the model."""
+
+    measures: ClassVar[tuple[str, ...]] = ()
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
         """Says what it reads, in order."""

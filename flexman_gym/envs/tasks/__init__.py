@@ -4,10 +4,12 @@ from dataclasses import fields
 from typing import Any
 
 from flexman_gym.checks import mapping, one_of, refusal, text
+from flexman_gym.envs.tasks.hold import Hold
 from flexman_gym.envs.tasks.slew import Slew
 from flexman_gym.envs.tasks.task import Goal, Task
+from flexman_gym.envs.tasks.track import Track
 
-TASKS: dict[str, type[Slew]] = {"slew": Slew}
+TASKS: dict[str, type[Any]] = {"slew": Slew, "track": Track, "hold": Hold}
 
 
 def find_task(value: object) -> Any:
@@ -20,4 +22,4 @@ def find_task(value: object) -> Any:
     return kind(**mapping("task", arguments, [each.name for each in fields(kind)]))
 
 
-__all__ = ["TASKS", "Goal", "Slew", "Task", "find_task"]
+__all__ = ["TASKS", "Goal", "Hold", "Slew", "Task", "Track", "find_task"]

@@ -9,11 +9,11 @@ import numpy as np
 from flexman_gym.arrays import Array
 from flexman_gym.checks import non_negative, one_of, positive, store
 from flexman_gym.envs.sensors.sensor import Sensor
+from flexman_gym.envs.tasks.rewards import distance_reward
 from flexman_gym.envs.tasks.task import Goal
 from flexman_gym.simulation.view import Number, View
 
 WIDTHS = (2.0 / 8.5, 0.4 / 8.5, 0.08 / 8.5)  # of the reach: three bells that reward closeness
-NEAR, FAR, LOOK_AHEAD = 1.0 / 425.0, 1.0 / 1.7, 0.1  # of the reach, and s, of the reward by distance
 CALM = 0.3 / 8.5  # reaches a second: tip vibration that halves the reward for calm
 
 
@@ -21,20 +21,42 @@ CALM = 0.3 / 8.5  # reaches a second: tip vibration that halves the reward for c
 class Slew:
     """Slew and settle: bring the tip to a target and keep it still there.
 
-    An episode starts at rest, undeformed, at joint angles drawn uniformly from +-start. The target is where the tip of
-    the undeformed arm would be at a posture drawn uniformly from +-slew around the start, so that it can be reached.
+    Description
+        The arm is at rest when a target appears. Its tip is to come there quickly and to stop vibrating.
 
-    A step is worth the sum of these terms, which lies in [0, 1]; R is the reach of the arm, in brackets for 8.5 m:
-        tip_error      0.7 times the mean over the widths w of 1 / (1 + (tip error / w)^2); w is R times 0.24, 0.047 and
-                       0.0094 (2, 0.4 and 0.08 m)
-        tip_vibration  0.2 / (1 + (tip vibration / (0.035 R / s))^2)  (0.3 m/s)
-        effort         0.1 (1 - mean of the squared actions)
-        failure        -failure_penalty when the step ended the episode by a limit or a divergence
+    Actions
+        As of every environment: motor torques as parts of the torque limits.
 
-    With reward="distance" the terms tip_error and tip_vibration and effort give way to one with slope at every scale,
-    of the tip error e and the speed v of the tip:
-        distance       1 - ln(1 + (e^2 + (0.1 s v)^2) / n^2) / ln(1 + (f / n)^2), n = R / 425 (20 mm), f = R / 1.7 (5 m)
-    It is 1 at rest on the target, 0 at a distance f and below zero beyond.
+    Observations
+        As the sensors say; the task itself adds nothing.
+
+    Reward
+        In [0, 1] a control period, less a penalty for a failure: the sum of these terms. R is the reach of the arm, in
+        brackets for 8.5 m:
+            tip_error      0.7 times the mean over the widths w of 1 / (1 + (tip error / w)^2); w is R times 0.24, 0.047
+                           and 0.0094 (2, 0.4 and 0.08 m)
+            tip_vibration  0.2 / (1 + (tip vibration / (0.035 R / s))^2)  (0.3 m/s)
+            effort         0.1 (1 - mean of the squared actions)
+            failure        -failure_penalty when the step ended the episode by a limit or a divergence
+        With reward="distance" the terms tip_error and tip_vibration and effort give way to one with slope at every
+        scale, of the tip error e and the speed v of the tip:
+            distance       1 - ln(1 + (e^2 + (0.1 s v)^2) / n^2) / ln(1 + (f / n)^2), n = R / 425 (20 mm), f = R / 1.7
+                           (5 m)
+        It is 1 at rest on the target, 0 at a distance f and below zero beyond.
+
+    Start
+        At rest at motor angles drawn uniformly from +-start, undeformed but for the weight of the arm. The target is
+        where the tip of the resting arm would be at a posture drawn uniformly from +-slew around the start, so that it
+        can be reached. The options "start" and "posture" of a reset set both.
+
+    End
+        Truncated after the horizon of the environment; terminated by a failure.
+
+    Arguments
+        Those below.
+
+    Version history
+        v0: first version.
 
     Attributes:
         start, slew: rad.
@@ -74,7 +96,7 @@ class Slew:
         """Terms of the reward, see the class."""
         failure = 0.0 - self.failure_penalty * view.failed
         if self.reward == "distance":
-            return {"distance": self._distance(view), "failure": failure}
+            return {"distance": distance_reward(view, view.tip_velocity), "failure": failure}
         square, vibration, calm = view.tip_error * view.tip_error, view.tip_vibration, (CALM * view.reach) ** 2
         near = [width**2 / (width**2 + square) for width in (part * view.reach for part in WIDTHS)]
         return {
@@ -83,12 +105,6 @@ class Slew:
             "effort": 0.1 * (1.0 - view.effort),
             "failure": failure,
         }
-
-    def _distance(self, view: View) -> Number:
-        near, far = NEAR * view.reach, FAR * view.reach
-        moving = LOOK_AHEAD * view.tip_velocity
-        square = view.tip_error * view.tip_error + np.vecdot(moving, moving)
-        return 1.0 - np.log1p(square / near**2) / np.log1p((far / near) ** 2)
 
     def info(self, view: View) -> dict[str, Number]:
         """Nothing beside what every environment says."""

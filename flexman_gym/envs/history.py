@@ -1,0 +1,56 @@
+"""History: past observations beside the present one, so that an agent without memory can tell what it does not see."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from flexman_gym.arrays import Array, IntArray
+from flexman_gym.checks import positive, whole_number
+
+MOST = 1000  # observations
+
+
+class History:
+    """The last k observations of b arms, the newest first, or the present one and exponential averages of all.
+
+    In an episode that has just begun the first observation stands for those before it.
+
+    Args:
+        kind: k, or the times (s) of the averages: an observation counts 1/e of a new one so long after it was made.
+        interval: between two observations, s.
+        arms: b.
+        size: of an observation.
+    """
+
+    kept = ("_memory",)
+
+    def __init__(self, kind: int | tuple[float, ...], interval: float, arms: int, size: int) -> None:
+        self._gains = None if isinstance(kind, int) else 1.0 - np.exp(-interval / np.array(kind))[:, None]
+        self.parts = kind if isinstance(kind, int) else 1 + len(kind)
+        self._memory = np.zeros((arms, self.parts, size))
+
+    def begin(self, observations: Array, arms: IntArray) -> Array:
+        """Starts with the first observations (r, size) of the arms (r,); returns what is seen, (r, parts size)."""
+        self._memory[arms] = observations[:, None]
+        return self._seen(arms)
+
+    def add(self, observations: Array, arms: IntArray) -> Array:
+        """Adds observations (r, size) of the arms (r,); returns what is seen, (r, parts size)."""
+        memory = self._memory
+        if self._gains is None:
+            memory[arms, 1:] = memory[arms, :-1]
+        else:
+            memory[arms, 1:] += self._gains * (observations[:, None] - memory[arms, 1:])
+        memory[arms, 0] = observations
+        return self._seen(arms)
+
+    def _seen(self, arms: IntArray) -> Array:
+        found: Array = self._memory[arms].reshape(len(arms), -1)
+        return found
+
+
+def checked_history(value: object) -> int | tuple[float, ...]:
+    """A number of observations, or the times of averages; raises ValueError for anything else."""
+    if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) and len(value):
+        return tuple(positive(f"history[{i}]", time, "s") for i, time in enumerate(value))
+    return whole_number("history", value, 1, MOST)

@@ -1,0 +1,91 @@
+"""Array: sensors side by side, as an observation is made of them."""
+
+from collections.abc import Sequence
+from copy import copy
+
+import numpy as np
+
+from flexman_gym.arrays import Array, IntArray
+from flexman_gym.checks import refusal
+from flexman_gym.envs.limits import Limits
+from flexman_gym.envs.sensors.instrument import Instrument
+from flexman_gym.envs.sensors.measured import EVERYTHING
+from flexman_gym.envs.sensors.sensor import Sensor
+from flexman_gym.envs.streams import Streams
+from flexman_gym.simulation.view import View
+
+
+class Sensors:
+    """Sensors side by side.
+
+    Args:
+        parts: Sensors, of which it takes copies.
+        view: what they read, a View or what is measured of it.
+        limits: of the arm.
+        label: by which their random streams are known.
+
+    Attributes:
+        slices, units: name -> slice of the observation, and unit.
+        bound: (size,) largest magnitude of each number.
+        observations: (b, size) of the last reading, which the next one overwrites.
+        readings: name -> (b, ...) its part of that entry.
+
+    Raises:
+        ValueError: for something else than sensors, and for two entries of one name.
+    """
+
+    kept = ("_instruments", "_streams")
+
+    def __init__(self, parts: Sequence[object], view: View, limits: Limits, label: str = "sensors") -> None:
+        self.slices: dict[str, slice] = {}
+        self.units: dict[str, str] = {}
+        self._instruments: list[Instrument] = []
+        places: list[tuple[Sensor, slice]] = []
+        bounds, end = [np.zeros(0)], 0
+        for part in parts:
+            if not isinstance(part, Sensor):
+                raise refusal("sensors", part, "a Sensor: an object with the methods entries and read")
+            own = part.fresh() if isinstance(part, Instrument) else copy(part)
+            first = end
+            for name, size, unit, bound in own.entries(view, limits):
+                if name in self.slices:
+                    raise refusal("sensors", name, "every entry once: two of them read this")
+                self.slices[name], self.units[name], end = slice(end, end + size), unit, end + size
+                bounds.append(np.ones(size) * np.asarray(bound))
+            places.append((own, slice(first, end)))
+            self._instruments += [own] if isinstance(own, Instrument) else []
+        self.bound: Array = np.concatenate(bounds)
+        self.observations = np.zeros((len(view.motion), end))
+        self.readings = {name: self.observations[:, place] for name, place in self.slices.items()}
+        self._view, self._outs = view, [(part, self.observations[:, place]) for part, place in places]
+        self._streams = Streams([f"{label}.{i}" for i in range(len(self._instruments))], len(view.motion))
+
+    def begin(self, arms: IntArray, randoms: Sequence[np.random.Generator]) -> None:
+        """Starts new episodes of the arms (r,), each with the generator of its environment, and measures them."""
+        for arm, random in zip(arms.tolist(), randoms, strict=True):
+            streams = self._streams.of(arm, random).values()
+            for instrument, stream in zip(self._instruments, streams, strict=True):
+                instrument.begin(arm, stream)
+        self.sample(arms)
+
+    def sample(self, arms: IntArray) -> None:
+        """Measures the arms (r,), once a control period."""
+        for instrument in self._instruments:
+            instrument.sample(arms)
+
+    def read(self) -> None:
+        """Reads all arms, as they were measured."""
+        for part, out in self._outs:
+            part.read(self._view, out)
+
+    def renew(self, randoms: Sequence[np.random.Generator | None]) -> None:
+        """Reads anew, after what instruments keep and the generators of all arms were given back."""
+        self._streams.follow(randoms)
+        for instrument in self._instruments:
+            instrument.renew()
+        self.read()
+
+
+def measured_names(parts: Sequence[object]) -> list[str]:
+    """Names of all that sensors measure."""
+    return [name for part in parts for name in getattr(part, "measures", EVERYTHING)]
