@@ -63,6 +63,7 @@ try:
         parts,
         stages,
         stiffening,
+        tip,
     )
 finally:
     numba.config.CACHE_DIR = _setting
@@ -89,4 +90,5 @@ __all__ = [
     "parts",
     "stages",
     "stiffening",
+    "tip",
 ]
