@@ -11,7 +11,7 @@ import flexman_gym
 
 PACKAGE = Path(flexman_gym.__file__).parent
 ROOT = PACKAGE.parent
-FOLDERS = ("scene", "model", "simulation", "fidelity", "draw", "control", "studies", "agents")
+FOLDERS = ("scene", "model", "simulation", "fidelity", "draw", "control", "metrics", "studies", "agents")
 
 SECTIONS = {"Attributes:", "Args:", "Returns:", "Raises:", "Yields:"}
 FREE_HEADINGS = {

@@ -65,6 +65,7 @@ try:
         stages,
         statics,
         stiffening,
+        tip,
     )
 finally:
     numba.config.CACHE_DIR = _setting
@@ -93,4 +94,5 @@ __all__ = [
     "stages",
     "statics",
     "stiffening",
+    "tip",
 ]

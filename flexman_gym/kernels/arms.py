@@ -171,27 +171,21 @@ def advance_arms(tables, work_table, tableau, sweeps, drives, clock, rows, found
     (b, 2 d + 2), state and ledger, and outputs `found` (b, OUTPUTS) of the arms that are `moving` (b,) and do not
     diverge; moving becomes 0 for one that does.
     """
-    work, last = work_of_arms(work_table), len(rows) - 1
+    work = work_of_arms(work_table)
     state = work.row
     for group in range(len(tables)):
         first = group * ARMS_ABREAST
         end = min(first + ARMS_ABREAST, len(rows))
         if not any_moving(moving, first, end):
             continue
-        for k in range(ARMS_ABREAST):
-            arm = min(first + k, last)  # lanes without an arm repeat the last one
-            for j in range(len(state)):
-                store_lane_number(state, j, k, rows[arm, j])
-            for j in range(len(work.drive)):
-                store_lane_number(work.drive, j, k, drives[arm, j])
+        fill_lanes(rows, first, state)
+        fill_lanes(drives, first, work.drive)
         proceed(constants_of_arms(tables[group]), work, tableau, sweeps, clock, state)
         for arm in range(first, end):
             moving[arm] = moving[arm] and lane_in_bounds(state, arm - first)
             if moving[arm]:
-                for j in range(len(state)):
-                    rows[arm, j] = lane_number(state, j, arm - first)
-                for j in range(len(work.outputs)):
-                    found[arm, j] = lane_number(work.outputs, j, arm - first)
+                read_lane(state, arm - first, rows[arm])
+                read_lane(work.outputs, arm - first, found[arm])
 
 
 @released
@@ -205,6 +199,22 @@ def advance_one(table, work_table, tableau, sweeps, drives, clock, rows, found, 
     if moving[0]:
         copy(work.row, rows[0])
         copy(work.outputs, found[0])
+
+
+@inner
+def fill_lanes(values, first, flat):
+    """The numbers (b, j) of the group of arms from `first` on into the lanes of flat (j,)."""
+    for k in range(ARMS_ABREAST):
+        arm = min(first + k, len(values) - 1)  # lanes without an arm repeat the last one
+        for j in range(len(flat)):
+            store_lane_number(flat, j, k, values[arm, j])
+
+
+@inner
+def read_lane(flat, k, out):
+    """out = lane k of the first numbers of a flat array of arms abreast."""
+    for j in range(len(out)):
+        out[j] = lane_number(flat, j, k)
 
 
 @inner

@@ -103,7 +103,8 @@ def rotate_inertia(inertia, c):
 def solve(constants, work, out):
     """out (d,) = accelerations under work.force and the quadratic velocity forces. Needs the other three groups.
 
-    Overwrites the work space group `accelerations`.
+    Overwrites the work space group `accelerations`; returns the linear and angular acceleration of the tip in the frame
+    of the last link, less gravity.
     """
     n = len(constants.mass)
     elastic = len(out) - constants.elastic_start[n]
@@ -126,6 +127,7 @@ def solve(constants, work, out):
         angular = add_scaled(angular, rate, load(constants.axis, i))
         elastic_accelerations(constants, work, i, (linear, angular), out)
         linear, angular = tip_acceleration(constants, work, i, (linear, angular), out)
+    return linear, angular
 
 
 @inner

@@ -61,6 +61,10 @@ TIP, TIP_VELOCITY, DEFLECTION, DEFLECTION_RATE = slice(0, 3), slice(3, 6), slice
 KINETIC, LINK_ENERGY, JOINT_ENERGY, GRAVITATIONAL = 12, 13, 14, 15
 OUTPUTS = 16
 
+# Columns of a row of tip accelerations, see `tip`.
+TIP_ACCELERATION, SPECIFIC_FORCE = slice(0, 3), slice(3, 6)
+TIP_ACCELERATIONS = 6
+
 
 class Constants(NamedTuple):
     """What the kernels read. n links, k elastic coordinates, q = sum of k_i^2; SI units."""

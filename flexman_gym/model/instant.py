@@ -6,8 +6,8 @@ import numpy as np
 
 from flexman_gym.arrays import Array, Flags
 from flexman_gym.checks import refusal, vector
-from flexman_gym.kernels import dynamics, inverse, outputs
-from flexman_gym.kernels.layout import OUTPUTS, TIP_VELOCITY, make_work
+from flexman_gym.kernels import dynamics, inverse, outputs, tip
+from flexman_gym.kernels.layout import OUTPUTS, TIP_ACCELERATION, TIP_ACCELERATIONS, TIP_VELOCITY, make_work
 from flexman_gym.model.model import Model
 
 # Central differences over one, two and three steps h, each with its weight in Richardson's extrapolation to h = 0. The
@@ -29,8 +29,7 @@ def acceleration(model: Model, state: Sequence[float] | Array, torque: Sequence[
     """
     x, v = split_state(model, state)
     out = np.zeros(model.n_dof)
-    drive = np.r_[vector("torque", torque, model.n_joints, "N m"), np.zeros(6)]  # without disturbances
-    dynamics.accelerations(model.constants, make_work(model.constants), x, v, drive, out)
+    dynamics.accelerations(model.constants, make_work(model.constants), x, v, _drive(model, torque), out)
     return out
 
 
@@ -101,17 +100,10 @@ def tip_acceleration(model: Model, state: Sequence[float] | Array, torque: Seque
     Raises:
         ValueError: for wrong shapes or values that are not finite.
     """
-    (x, v), rates = split_state(model, state), acceleration(model, state, torque)
-    weightless = model.constants._replace(gravity=np.zeros(3))
-    work = make_work(weightless)
-    inverse.inertial_forces(weightless, work, x, v, rates, np.zeros(model.n_dof))
-    linear, angular = np.split(work.frame_acceleration[-1], 2)  # of the last link, in its frame
-    linear = linear + np.cross(angular, work.tip[-1]) + work.tip_bias[-1, :3]
-    columns = model.elastic_columns(model.n_joints - 1)
-    linear = linear + rates[columns] @ work.tip_shape[len(work.tip_shape) - (columns.stop - columns.start) :, :3]
-    for rotation in work.rotation.reshape(-1, 3, 3)[::-1]:
-        linear = rotation @ linear
-    return linear
+    x, v = split_state(model, state)
+    out = np.zeros(TIP_ACCELERATIONS)
+    tip.tip_accelerations(model.constants, make_work(model.constants), x, v, _drive(model, torque), out)
+    return out[TIP_ACCELERATION]
 
 
 def inverse_dynamics(
@@ -179,6 +171,11 @@ def _check_invertible(model: Model, sprung: Flags) -> None:
             raise refusal(f"model.arm.joints[{i}].{name}", float(values[i]), "0 where joints are flexible")
     if (sprung & (constants.carried_inertia > 0.0)).any():
         raise refusal("model.choice.spinning_rotors", True, "False where joints are flexible")
+
+
+def _drive(model: Model, torque: Sequence[float] | Array) -> Array:
+    """Gives the drive (n + 6,) of motor torques (n,) without disturbances."""
+    return np.r_[vector("torque", torque, model.n_joints, "N m"), np.zeros(6)]
 
 
 def split_state(model: Model, state: Sequence[float] | Array) -> tuple[Array, Array]:

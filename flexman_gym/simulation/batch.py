@@ -43,7 +43,10 @@ class Batch:
         ValueError: one line with field, value and what is allowed.
     """
 
-    kept = ("rows", "outputs", "status", "_periods", "energy_turnover", "_start_energy", "_mover")
+    kept = (
+        "rows", "outputs", "status", "_periods", "energy_turnover", "_start_energy", "_mover", "_drive", "_felt",
+        "_known",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -82,6 +85,8 @@ class Batch:
         self.status = np.zeros(count, dtype=np.int64)
         self._periods = np.zeros(count)  # control periods since the reset
         self.energy_turnover, self._start_energy = np.zeros(count), np.zeros(count)
+        self._drive = np.zeros((count, n + 6))  # of the last good control period, zeros after a reset
+        self._felt, self._known = np.zeros((count, layout.TIP_ACCELERATIONS)), False
         self.nominal = nominal_parameters(model)
         self.reset(np.arange(count), np.zeros((count, 2 * model.n_dof)))
 
@@ -89,7 +94,8 @@ class Batch:
         """Starts the arms with the indices (r,) anew, at time 0 and at states (r, 2 d)."""
         self.rows[arms, :-2], self.rows[arms, -2:] = states, 0.0
         self.status[arms] = layout.OK
-        self._periods[arms] = 0.0
+        self._periods[arms] = self._drive[arms] = 0.0
+        self._known = False
         self._mover.observe(arms, self.rows, self.outputs)
         self._start_energy[arms] = self._energy()[arms]
         self.energy_turnover[arms] = self._turned_over()[arms]
@@ -104,13 +110,32 @@ class Batch:
         """
         if moving is None:
             self._mover.move(drive, self._periods, self.rows, self.outputs, self.status)
-            self._periods += self.status == layout.OK
+            moved = self.status == layout.OK
         else:
             status = np.where(moving, self.status, RESTING)
             self._mover.move(drive, self._periods, self.rows, self.outputs, status)
             self.status[moving] = status[moving]
-            self._periods += status == layout.OK
+            moved = status == layout.OK
+        self._periods += moved
+        np.copyto(self._drive, drive, where=moved[:, None])
+        self._known = False
         np.maximum(self.energy_turnover, self._turned_over(), out=self.energy_turnover)
+
+    def tip_accelerations(self) -> Array:
+        """Gives how each tip is accelerated now, (b, TIP_ACCELERATIONS), m/s^2; columns in `kernels.layout`.
+
+        TIP_ACCELERATION is the second derivative of the tip's position in the base frame, relative to the base, which
+        may be accelerated itself. SPECIFIC_FORCE is what an accelerometer on the tip shows: the acceleration in
+        inertial space less gravity, along the axes of the tip, which turn with the end of the last link as it bends.
+
+        Both are those at the end of the last control period, under its drive, and after a reset without any; of an arm
+        that failed, at the end of its last good one. They are calculated when they are asked for, once in a period. The
+        array is overwritten later on.
+        """
+        if not self._known:
+            self._mover.sense(self._drive, self.rows, self._felt)
+            self._known = True
+        return self._felt
 
     def rigid_tips(self, states: Array) -> Array:
         """Gives the tips (r, 3) in the base frame, m, of the rigid arm at the motor angles of states (r, 2 d)."""
@@ -141,6 +166,7 @@ class Batch:
         model, count = self.model, len(arms)
         rows = {name: PARAMETERS[one_of("parameters", name, PARAMETERS)] for name in parameters}
         checked = {name: row.checked(name, parameters[name], model, count) for name, row in rows.items()}
+        self._known = False
         for i, arm in enumerate(arms):
             for name, row in rows.items():
                 self._mover.vary(arm, row.constants(model, checked[name][i]))

@@ -1,11 +1,13 @@
 """Movers: the arms of a batch moved one by one by any method, or several abreast by linearly implicit methods.
 
-A mover has three methods. `vary(arm, constants)` gives an arm constants of its own. `observe(arms, rows, outputs)`
+A mover has four methods. `vary(arm, constants)` gives an arm constants of its own. `observe(arms, rows, outputs)`
 reads the outputs off the rows of some arms. `move(drives, periods, rows, outputs, status)` moves the arms whose status
-is OK by one control period, `periods` (b,) after their start, and sets the status of arms that fail.
+is OK by one control period, `periods` (b,) after their start, and sets the status of arms that fail. `sense(drives,
+rows, found)` finds the tip accelerations (b, TIP_ACCELERATIONS) of all arms.
 """
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import Any
@@ -14,7 +16,7 @@ import numpy as np
 
 from flexman_gym.arrays import Array
 from flexman_gym.kernels import arms as kernels
-from flexman_gym.kernels import layout
+from flexman_gym.kernels import layout, tip
 from flexman_gym.kernels.arms import PER_ARM, addresses, arms_array
 from flexman_gym.kernels.lanes import ARMS, NUMBER
 from flexman_gym.kernels.layout import ARMS_ABREAST, Clock, Constants, IntArray, Tableau, make_work
@@ -65,6 +67,12 @@ class OneByOne:
             status[arm] = self._runs[arm](self._drive, moment, state, row, found)[0]
             if status[arm] == layout.OK:
                 rows[arm], outputs[arm] = state, found[0]
+
+    def sense(self, drives: Array, rows: Array, found: Array) -> None:
+        """Finds the tip accelerations of all arms."""
+        d = rows.shape[1] // 2 - 1
+        for run, drive, row, out in zip(self._runs, drives, rows, found, strict=True):
+            tip.tip_accelerations(run.constants, run.work, row[:d], row[d : 2 * d], drive, out)
 
 
 class Abreast:
@@ -129,6 +137,18 @@ class Abreast:
         if failed.any():
             status[failed] = layout.DIVERGED
 
+    def sense(self, drives: Array, rows: Array, found: Array) -> None:
+        """Finds the tip accelerations of all arms."""
+        if self._alone:
+            tip.sense_one(self._tables[0], self._work_tables[0], drives, rows, found)
+            return
+
+        def share(thread: int) -> None:
+            groups, arms = self._share(thread)
+            tip.sense_arms(self._tables[groups], self._work_tables[thread], drives[arms], rows[arms], found[arms])
+
+        self._in_threads(share)
+
     def _advance(self, drives: Array, clock: Clock, rows: Array, outputs: Array) -> None:
         if self._alone:
             kernels.advance_one(
@@ -137,13 +157,21 @@ class Abreast:
             return
 
         def share(thread: int) -> None:
-            groups = self._shares[thread]
-            arms = slice(groups.start * ARMS_ABREAST, groups.stop * ARMS_ABREAST)
+            groups, arms = self._share(thread)
             kernels.advance_arms(
                 self._tables[groups], self._work_tables[thread], *self._method,
                 drives[arms], clock, rows[arms], outputs[arms], self._moving[arms],
             )  # fmt: skip
 
+        self._in_threads(share)
+
+    def _share(self, thread: int) -> tuple[slice, slice]:
+        """Gives the groups of a thread, and their arms."""
+        groups = self._shares[thread]
+        return groups, slice(groups.start * ARMS_ABREAST, groups.stop * ARMS_ABREAST)
+
+    def _in_threads(self, share: Callable[[int], None]) -> None:
+        """Calls a function with the number of each thread, in that thread."""
         others = [self._threads().submit(share, thread) for thread in range(1, len(self._shares))]
         share(0)
         for each in others:

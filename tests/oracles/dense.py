@@ -226,6 +226,15 @@ class Chain:
         """Velocity (3,) of the tip of the last link, m/s."""
         return self._motion(x, v)[-1].rates[:3]
 
+    def tip_axes(self, x):
+        """Axes (3, 3), columns, of the beam frame of the last link where it ends, turned by the elastic rotation."""
+        return self._motion(x, np.zeros(self.n_dof))[-1].A @ self.orientations[-1]
+
+    def tip_acceleration(self, x, v, a):
+        """Acceleration (3,) of the tip of the last link relative to the base for accelerations a (n_dof,), Eq. 32."""
+        B, bias = self._projection(self._motion(x, v))[-1]
+        return (B @ a + bias)[:3]
+
     def points(self, x, v):
         """Masses (N,), positions (N, 3) and velocities (N, 3) of every mass point of links, then payload, Eq. 1, 4."""
         masses, positions, velocities = [], [], []

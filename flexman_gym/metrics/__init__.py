@@ -1,0 +1,40 @@
+"""Metrics: how well an arm slewed, settled and stopped vibrating, from plain arrays sampled at equal intervals.
+
+Times begin with the first sample, which is that of the reset. Errors are distances of tip and target.
+"""
+
+from flexman_gym.metrics.actions import effort, power_above
+from flexman_gym.metrics.intervals import median_interval
+from flexman_gym.metrics.settling import (
+    BAND,
+    MOVE_BANDS,
+    STAY,
+    attained_distances,
+    band_of_move,
+    final_error,
+    overshoot,
+    stabilisation_time,
+)
+from flexman_gym.metrics.sizes import rms, squared_acceleration
+from flexman_gym.metrics.vibration import VIBRATING, damping_ratio, energy_left, peak_to_peak, residual_vibration
+
+__all__ = [
+    "BAND",
+    "MOVE_BANDS",
+    "STAY",
+    "VIBRATING",
+    "attained_distances",
+    "band_of_move",
+    "damping_ratio",
+    "effort",
+    "energy_left",
+    "final_error",
+    "median_interval",
+    "overshoot",
+    "peak_to_peak",
+    "power_above",
+    "residual_vibration",
+    "rms",
+    "squared_acceleration",
+    "stabilisation_time",
+]

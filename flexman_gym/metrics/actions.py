@@ -1,0 +1,47 @@
+"""Actions: how much a controller asked of the motors, and how quickly it went to and fro."""
+
+import numpy as np
+
+from flexman_gym.arrays import Array
+from flexman_gym.checks import positive, refusal
+from flexman_gym.metrics.samples import finite_samples, samples
+
+CYCLES = 4  # of the frequency that a record must hold: the window tells no closer frequencies from a constant
+ROUNDING = 1e-24  # of the mean square: a variance below is that of rounding
+
+
+def effort(actions: Array) -> float:
+    """Gives the mean square of actions (T, n), parts of the torque limits."""
+    return float(np.mean(np.square(samples("actions", actions, 2))))
+
+
+def power_above(actions: Array, period: float, frequency: float) -> float:
+    """Gives the part of the variance of actions that lies above a frequency, from 0 to 1.
+
+    Above the first natural frequency of the arm it is what the controller does to the vibrations, or what excites them.
+    It is summed over the periodogram of all motors, with a Hann window (Harris, On the use of windows for harmonic
+    analysis, Proceedings of the IEEE 1978), about the mean of each. A frequency is told from another one where they are
+    2 / (T period) apart. Actions that stay constant have no variance, and none of it above.
+
+    Args:
+        actions: (T, n), parts of the torque limits.
+        period: between samples, s.
+        frequency: Hz, below half the rate of the samples.
+
+    Raises:
+        ValueError: for actions that are no such array of finite numbers or are shorter than 4 / frequency, a period
+            that is not > 0, and a frequency that cannot be seen.
+    """
+    found = finite_samples("actions", actions, 2, least=CYCLES)
+    fastest = 0.5 / positive("period", period, "s")
+    if not positive("frequency", frequency, "Hz") < fastest:
+        raise refusal("frequency", frequency, f"a number > 0 and < {fastest:.6g} (Hz), half the rate of the samples")
+    if len(found) * period * frequency < CYCLES * (1.0 - 1e-9):
+        raise refusal("actions", actions, f"at least {CYCLES / frequency:.6g} s: {CYCLES} cycles of the frequency")
+    window = np.sin(np.pi * np.arange(len(found)) / len(found))[:, None] ** 2
+    swing = window * (found - (window * found).sum(axis=0) / window.sum())
+    power = np.square(np.abs(np.fft.rfft(swing, axis=0)))
+    power[1 : (len(found) + 1) // 2] *= 2.0  # each stands for its negative frequency too
+    if power.sum() <= ROUNDING * len(found) * np.square(found).sum():
+        return 0.0
+    return float(power[np.fft.rfftfreq(len(found), period) > frequency].sum() / power.sum())

@@ -1,0 +1,24 @@
+"""Intervals: within which the median of some values lies."""
+
+import numpy as np
+
+from flexman_gym.arrays import Array
+from flexman_gym.metrics.samples import samples
+
+
+def median_interval(values: Array, level: float = 0.95, draws: int = 2000) -> tuple[float, float, float]:
+    """Gives the median of values (N,), which may be infinite, and its bootstrap interval (low, high).
+
+    The interval holds the given share of the medians of samples drawn with replacement (Efron and Tibshirani, An
+    Introduction to the Bootstrap, chapter 13); the draws are the same every time.
+    """
+    found = samples("values", values, 1)
+    picked = np.random.default_rng(0).integers(len(found), size=(draws, len(found)))
+    medians = np.sort(_medians(found[picked]))
+    cut = round((1.0 - level) / 2.0 * (draws - 1))
+    return float(_medians(found[None])[0]), float(medians[cut]), float(medians[-1 - cut])
+
+
+def _medians(rows: Array) -> Array:
+    """Medians (r,) of rows; between infinity and a number the upper one, where a mean would say too much or nothing."""
+    return np.sort(rows, axis=1)[:, rows.shape[1] // 2]

@@ -1,0 +1,48 @@
+"""Samples: the checks of the arrays that metrics are taken of, and the part of them that is looked at."""
+
+import numpy as np
+
+from flexman_gym.arrays import Array
+from flexman_gym.checks import positive, refusal
+
+
+def samples(name: str, values: object, *axes: int) -> Array:
+    """Gives values as an array of numbers (T, ...) with one of the allowed numbers of axes.
+
+    Raises:
+        ValueError: for other arrays, and for one without a sample.
+    """
+    array = np.asarray(values, dtype=np.float64)
+    if array.ndim not in axes or array.size == 0:
+        allowed = " or ".join(map(str, axes))
+        raise refusal(name, values, f"an array of {allowed} axes with at least one sample")
+    return array
+
+
+def finite_samples(name: str, values: object, *axes: int, least: int = 1) -> Array:
+    """Gives samples, of which there are at least so many and none is infinite or no number.
+
+    Raises:
+        ValueError: for other arrays.
+    """
+    array = samples(name, values, *axes)
+    if len(array) < least:
+        raise refusal(name, values, f"at least {least} samples")
+    if not np.isfinite(array).all():
+        raise refusal(name, values, "finite numbers")
+    return array
+
+
+def lengths(array: Array) -> Array:
+    """Gives the lengths (T,) of vectors (T, k); numbers (T,) stay as they are."""
+    return array if array.ndim == 1 else np.linalg.norm(array, axis=1)
+
+
+def last(array: Array, period: float, window: float) -> Array:
+    """Gives the samples of the last `window` seconds, both ends included, cut to what there is.
+
+    Raises:
+        ValueError: for a window or a period that is not > 0.
+    """
+    count = round(positive("window", window, "s") / positive("period", period, "s")) + 1
+    return array[-count:]
