@@ -141,6 +141,20 @@ class View:
         return found if self.motion.ndim > 1 else found[0]
 
     @property
+    def tip_acceleration(self) -> Array:
+        """Acceleration of the tip (b, 3) in the base frame, m/s^2, see `Batch.tip_accelerations`; for who asks."""
+        return self._felt(layout.TIP_ACCELERATION)
+
+    @property
+    def specific_force(self) -> Array:
+        """What an accelerometer fixed to the tip shows, (b, 3) m/s^2, see `Batch.tip_accelerations`; for who asks."""
+        return self._felt(layout.SPECIFIC_FORCE)
+
+    def _felt(self, columns: slice) -> Array:
+        found = self._batch.tip_accelerations()[:, columns]
+        return found if self.motion.ndim > 1 else found[0]
+
+    @property
     def time(self) -> Number:
         """Time since the reset (b,), s."""
         time = self._batch.time

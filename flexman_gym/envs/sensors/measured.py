@@ -10,7 +10,7 @@ from flexman_gym.envs.limits import Limits
 from flexman_gym.simulation.view import View
 
 EVERYTHING = ("motion", "tip", "deflection", "deflection_rate")  # what a sensor measures that does not say it
-STRAIN = 4.0  # times the root strain of a link that a force on its tip bends to the limit
+STRAIN = 2.0  # times the root strain of a link that a force on its tip bends to the limit
 GRAVITIES = 51.0  # largest acceleration that is measured, 500 m/s^2
 
 
