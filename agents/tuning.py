@@ -6,9 +6,10 @@ import gymnasium as gym
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.control.pd import PD
+from flexman_gym.control.pd import PD, stability_limit
+from flexman_gym.envs.description import Description
 
-SAMPLING = 0.95  # of 2 rotor inertia / period, from which on a sampled motor is unstable
+SAMPLING = 0.95  # of the damping from which on a sampled motor is unstable
 
 
 @dataclass(frozen=True)
@@ -20,43 +21,43 @@ class Tuned:
     reward: float
 
 
-def tune(name: str, first: int = 200, around: int = 60, episodes: int = 8, seed: int = 0) -> Tuned:
-    """Finds gains for a named environment: the best of some drawn at random, then of some around that.
+def tune(environment: Description, first: int = 200, around: int = 60, episodes: int = 8, seed: int = 0) -> Tuned:
+    """Finds gains for an environment: the best of some drawn at random, then of some around that.
 
     All candidates act side by side on the same episodes. Stiffness is drawn between 0.02 and 5 torque limits a radian,
-    damping between 0.02 and 0.95 of where a sampled motor turns unstable, both evenly on a logarithmic scale.
+    damping between 0.02 and 0.95 of where a sampled motor turns unstable with the largest delay of the environment,
+    both evenly on a logarithmic scale.
     """
-    random, env = np.random.default_rng(seed), gym.make(name).unwrapped
-    limits, model = env.torque_limit, env.simulator.model  # type: ignore[attr-defined]
-    most = SAMPLING * 2.0 * model.constants.rotor_inertia / env.simulator.control_period  # type: ignore[attr-defined]
+    random, setup = np.random.default_rng(seed), environment.setup()
+    limits = np.array(setup.torque_limit)
+    rotors = np.array([joint.rotor_inertia for joint in setup.arm.joints])
+    delay = setup.disturbed.delay if setup.disturbed else None
+    most = SAMPLING * stability_limit(int(delay[1]) if delay else 0) * rotors / setup.control_period
     low = np.log(np.concatenate([0.02 * limits, 0.02 * most]))
     high = np.log(np.concatenate([5.0 * limits, most]))
     gains = np.exp(random.uniform(low, high, (first, len(low))))
-    rewards = _rewards(name, gains, episodes)
+    rewards = _rewards(environment, gains, episodes)
     best = np.log(gains[np.argmax(rewards)])
     near = np.exp(np.clip(best + 0.15 * random.standard_normal((around, len(low))), low, high))
-    gains, rewards = np.vstack([gains, near]), np.append(rewards, _rewards(name, near, episodes))
+    gains, rewards = np.vstack([gains, near]), np.append(rewards, _rewards(environment, near, episodes))
     stiffness, damping = np.split(gains[np.argmax(rewards)], 2)
     return Tuned(tuple(stiffness.tolist()), tuple(damping.tolist()), float(rewards.max()))
 
 
-def _rewards(name: str, gains: Array, episodes: int) -> Array:
+def _rewards(environment: Description, gains: Array, episodes: int) -> Array:
     """Mean reward (c,) of the first episodes with each of the gains (c, 2 n)."""
-    arms = len(gains) * episodes
-    venv = gym.make_vec(name, arms, "vector_entry_point")
-    inner = venv.unwrapped
-    observations, infos = venv.reset(seed=np.tile(np.arange(episodes), len(gains)).tolist())
+    arms, n = len(gains) * episodes, gains.shape[1] // 2
     stiffness, damping = np.split(np.repeat(gains, episodes, axis=0), 2, axis=1)
-    n = stiffness.shape[1]
-    held = inner.setup.pd(inner.batch.model)  # type: ignore[attr-defined]
-    controller = PD([0.0] * n, [0.0] * n, held.torque_limit, held.gravity_model)
-    controller.reset(np.arange(arms), infos["posture"], infos["posture"])
-    controller.stiffness, controller.damping = stiffness, damping
+    limits = environment.setup().torque_limit
+    model = gym.make(environment.id, **environment.keywords()).unwrapped.simulator.model  # type: ignore[attr-defined]
+    base = PD([0.0] * n, [0.0] * n, limits, model if model.constants.gravity.any() else None)
+    base.stiffness, base.damping = stiffness, damping
+    venv = gym.make_vec(environment.id, arms, "vector_entry_point", **environment.keywords() | {"base": base})
+    venv.reset(seed=np.tile(np.arange(episodes), len(gains)).tolist())
+    still = np.zeros(venv.action_space.shape or (), dtype=np.float32)
     total, playing = np.zeros(arms), np.ones(arms, dtype=bool)  # next episodes do not count
-    places = inner.sensors.slices  # type: ignore[attr-defined]
     while playing.any():
-        actions = controller.act({name: observations[:, place] for name, place in places.items()})
-        observations, rewards, terminated, truncated, _ = venv.step(actions)
+        _, rewards, terminated, truncated, _ = venv.step(still)
         total += np.where(playing, rewards, 0.0)
         playing &= ~(terminated | truncated)
     return total.reshape(len(gains), episodes).mean(axis=1)

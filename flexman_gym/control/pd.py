@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array, IntArray
 from flexman_gym.checks import non_negative, positive, vector
+from flexman_gym.model.instant import mass_matrix
 from flexman_gym.model.model import Model
 from flexman_gym.model.statics import holding_torques
 
@@ -58,6 +59,31 @@ class PD:
         for arm, angles in zip(arms, posture, strict=True):
             self._holding[arm] = holding_torques(self.gravity_model, angles)
 
+    def unstable(self, model: Model, period: float, delay: int = 0) -> str:
+        """Says what makes the sampled loop unstable for certain, "" where nothing does.
+
+        Within a period a motor turns on its own inertia J, whatever hangs on its spring. Sampled with the period T and
+        late by k periods its rate r then follows r' = r - (damping T / J) r of k periods ago, which grows from
+        damping T / J = 2 sin(pi / (4 k + 2)) on: 2 without a delay, 1 with one period, 0.62 with two (Levin and May,
+        Theoretical Population Biology 9, 1976, 178). Below it stiffness and bending links may still make it unstable.
+
+        Args:
+            model: of the arm.
+            period: of control, s.
+            delay: whole periods by which torques come late.
+        """
+        limit = stability_limit(delay)
+        inertia = 1.0 / np.diag(np.linalg.inv(mass_matrix(model, np.zeros(2 * model.n_dof))))[model.motor_columns]
+        shares = self.damping * period / inertia
+        late = f" and a delay of {delay} periods" if delay else ""
+        for i in np.flatnonzero(shares >= limit):
+            return (
+                f"PD.damping[{i}]: {self.damping[i]:.4g} N m s/rad is not stable with a period of {period:g} s{late}: "
+                f"damping x period / inertia of the motor is {shares[i]:.3g}; give less than {limit:.3g}, "
+                f"which is {limit * inertia[i] / period:.4g} N m s/rad"
+            )
+        return ""
+
     def act(self, readings: Mapping[str, NDArray[np.floating]]) -> NDArray[np.float32]:
         """Gives the action (n,), or (b, n), for posture_errors, motor_rates and, where there are any, posture_rates."""
         error, rate = readings["posture_errors"], readings["motor_rates"]
@@ -67,6 +93,15 @@ class PD:
         if self.gravity_model is not None:
             torque = torque + (self._holding if error.ndim > 1 else self._holding[0])
         return np.clip(torque / self.torque_limit, -1.0, 1.0).astype(np.float32)
+
+
+def stability_limit(delay: int) -> float:
+    """Gives damping x period / inertia from which on a sampled motor is unstable, see `PD.unstable`.
+
+    Args:
+        delay: whole periods by which torques come late.
+    """
+    return float(2.0 * np.sin(np.pi / (4 * delay + 2)))
 
 
 def torque_limits(name: str, value: object, joints: int) -> tuple[float, ...]:

@@ -154,7 +154,7 @@ def plan_path(model: Model, postures: Array, period: float) -> Slew:
     angles = rests[:, :n]
     for last in (False, True):
         motion = [CubicSpline(times, angles).derivative(order)(times) if order else angles for order in range(3)]
-        found = [bending.at(rest, each) for rest, *each in zip(rests, *motion, strict=True)]
+        found = [bending.at(rest, each) for rest, each in zip(rests, zip(*motion, strict=True), strict=True)]
         places, torques = (np.array(each) for each in zip(*found, strict=True))
         if not last:
             angles = angles + np.array([give_way.turn(*both) for both in zip(rests, places, strict=True)])

@@ -9,6 +9,8 @@ from flexman_gym.envs.tasks import Hold, Slew, Task, Track
 from flexman_gym.scene.arm import Arm, Payload
 from flexman_gym.scene.catalog import one_joint, paper_rrr, vertical_2r
 
+Gains = dict[str, tuple[float, ...]]
+
 
 @dataclass(frozen=True)
 class Named:
@@ -21,17 +23,19 @@ class Named:
         task, sensors, limits: see `Setup`.
         control_period: s.
         horizon: s, after which an episode is truncated.
+        conditions: the folder of its environment files under conditions; "" for none.
         longest_step: s, of the default method; the energy alarm stays silent at it under random torques.
     """
 
     arm: Callable[[], Arm]
-    pd: dict[str, tuple[float, ...]]
+    pd: Gains
     task: Task = field(default_factory=Slew)
     sensors: Any = "full"
     limits: Limits = field(default_factory=Limits)
     control_period: float = 0.02
     horizon: float = 10.0
     longest_step: float = 0.02 / 3.0
+    conditions: str = ""
 
 
 def flex_rrr() -> Arm:
@@ -55,11 +59,11 @@ def flex_rrr_gravity() -> Arm:
 
 # Gains: the best by mean reward of 8 episodes among 200 drawn at random and 60 around the best of those, damping
 # held below 950 N m s/rad: the sampled motor is unstable from 2 rotor inertia / period = 1000 on.
-RRR_PD = {"stiffness": (497.0, 325.0, 328.0), "damping": (950.0, 950.0, 103.0)}
+RRR_PD: Gains = {"stiffness": (497.0, 325.0, 328.0), "damping": (950.0, 950.0, 103.0)}
 # Gains of these: `python scripts/tune.py ID`.
-PLANAR_PD = {"stiffness": (18.7, 13.9), "damping": (4.52, 3.0)}
-GRAVITY_PD = {"stiffness": (9000.0, 12000.0, 3000.0), "damping": (6000.0, 6000.0, 1500.0)}
-RRR = Named(flex_rrr, RRR_PD)
+PLANAR_PD: Gains = {"stiffness": (18.7, 13.9), "damping": (4.52, 3.0)}
+GRAVITY_PD: Gains = {"stiffness": (8730.0, 10100.0, 1810.0), "damping": (8210.0, 9480.0, 1730.0)}
+RRR = Named(flex_rrr, RRR_PD, conditions="rrr")
 PLANAR = Named(
     vertical_2r,
     PLANAR_PD,
@@ -67,13 +71,18 @@ PLANAR = Named(
     limits=Limits(rate=20.0, twist=0.5, deflection_rate=20.0, tip_speed=20.0),
     control_period=0.01,
     longest_step=0.0025,
+    conditions="planar",
 )
 NAMED: dict[str, Named] = {
     "FlexRRR-v0": RRR,
     "FlexRRR-Track-v0": replace(RRR, task=Track(preview=(0.2, 0.5, 1.0)), horizon=20.0),
     "FlexRRR-Hold-v0": replace(RRR, task=Hold()),
     "FlexRRR-Gravity-v0": replace(
-        RRR, arm=flex_rrr_gravity, pd=GRAVITY_PD, task=Slew(start=0.6, slew=0.6, reward="distance")
+        RRR,
+        arm=flex_rrr_gravity,
+        pd=GRAVITY_PD,
+        task=Slew(start=0.6, slew=0.6, reward="distance"),
+        conditions="gravity",
     ),
     "FlexPlanar-v0": PLANAR,
     "FlexPlanar-Track-v0": replace(PLANAR, task=Track(preview=(0.05, 0.1, 0.2))),

@@ -18,6 +18,8 @@ from flexman_gym.scene.plain import arm_of, part_of, plain
 
 ARMS = ("paper_rrr", "planar_2r", "one_link", "vertical_2r", "one_joint")  # functions of the catalog
 WHOLE = ("arm", "task", "limits")  # what a named environment has before a change leads into it
+CONDITIONS = ("N", "P", "S", "D", "DD", "F", "G", "G-lab")
+FILES = Path(__file__).parent / "conditions"  # a folder for each arm
 SUFFIXES = (".json", ".yaml", ".yml")
 
 
@@ -59,16 +61,33 @@ class Description:
 
     @classmethod
     def find(cls, name: str) -> Self:
-        """Gives a named environment, or that of a file.
+        """Gives a named environment, one under a condition such as "FlexRRR-v0/G", or that of a file.
 
         Raises:
             FileNotFoundError, ValueError: one line, also where it is neither.
         """
         if name in NAMED:
             return cls(name)
+        named, slash, condition = name.partition("/")
+        if slash and named in NAMED:
+            return cls.under(named, condition)
         if not Path(name).exists():
             raise FileNotFoundError(f"{name}: there is no such file; give one, or one of {', '.join(sorted(NAMED))}")
         return cls.load(name)
+
+    @classmethod
+    def under(cls, name: str, condition: str) -> Self:
+        """Gives a named environment under one of the CONDITIONS; docs/conditions.md says what they are.
+
+        Raises:
+            ValueError: for another condition, and for an environment without conditions.
+        """
+        folder = NAMED[one_of("id", name, NAMED)].conditions
+        if not folder:
+            known = [each for each, named in NAMED.items() if named.conditions]
+            raise refusal("condition", f"{name}/{condition}", f"one for {', '.join(known)}")
+        path = FILES / folder / f"{one_of('condition', condition, CONDITIONS)}.yaml"
+        return cls.from_dict({**cls.load(path).whole_settings(), "id": name}, path.parent)
 
     @classmethod
     def from_dict(cls, data: object, folder: Path = Path()) -> Self:
@@ -81,6 +100,10 @@ class Description:
         found = cls(data.get("id", DEFAULT), settings, folder)
         found.setup()
         return found
+
+    def whole_settings(self) -> dict[str, Any]:
+        """A copy of the settings."""
+        return dict(self.settings or {})
 
     def setup(self) -> Setup:
         """The setup that it describes."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags, IntArray
-from flexman_gym.checks import refusal
+from flexman_gym.checks import one_of, refusal
 from flexman_gym.envs.actions import Motors
 from flexman_gym.envs.effects import Stage
 from flexman_gym.envs.effects.effects import Effects
@@ -51,7 +51,9 @@ class Episodes:
         self.base = setup.base_controller(batch.model)
         self.effects = self._effects(setup)
         self.sight = Sight(setup, self.view, self.base, self.effects)
-        self._energy_alarm = setup.energy_alarm
+        self._energy_alarm, self._told = setup.energy_alarm, setup.tell
+        for name in setup.tell:
+            one_of("tell", name, self.view.units)
         self.hold, self.longest = setup.hold, setup.longest
         self.failures: dict[int, str] = {}
         self.over, self.truncated = np.ones(arms, dtype=bool), np.zeros(arms, dtype=bool)
@@ -148,7 +150,7 @@ class Episodes:
         goal = self.task.goal(plan, np.zeros(len(arms)), self.view)
         self.base.reset(arms, plan["start"], goal.posture)
         if self.task.moves and hasattr(self.base, "follow"):
-            times = self.view.control_period * np.arange(self.longest + 1)
+            times: Array = self.view.control_period * np.arange(self.longest + 1.0)
             alike = [{name: np.repeat(each[i : i + 1], len(times), 0) for name, each in plan.items()}
                      for i in range(len(arms))]  # fmt: skip
             self.base.follow(arms, np.array([self.task.goal(each, times, self.view).posture for each in alike]))
@@ -290,4 +292,5 @@ class Episodes:
             "energy_alarm": alarm(residual, view.energy_turnover, self._energy_alarm),
             "reward_terms": terms,
             **{name: copy(value) for name, value in self.task.info(view).items()},  # what a view has goes on
+            **{name: copy(getattr(view, name)) for name in self._told},
         }

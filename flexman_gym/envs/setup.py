@@ -1,12 +1,13 @@
 """Setup: what an environment is made of, checked, and the model that its fidelity asks for."""
 
 import math
+import warnings
 from collections.abc import Collection
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from typing import Any, NamedTuple
 
-from flexman_gym.checks import one_of, positive, refusal, store, whole_number
+from flexman_gym.checks import mapping, one_of, positive, refusal, sequence, store, text, whole_number
 from flexman_gym.control.controller import Controller
 from flexman_gym.control.lqr import LQR, TrackingLQR
 from flexman_gym.control.pd import PD, torque_limits
@@ -51,6 +52,8 @@ class Setup:
         base: what acts beside the agent in every control period: "pd" for the PD controller that was tuned for the arm
             of the named environment, "lqr" or "lqr-tracking" for the optimal ones that know the true state, or a
             Controller of one's own; None for nothing. The sum of both saturates.
+        gains: of base="pd", a mapping with "stiffness" (N m/rad) and "damping" (N m s/rad), one for each joint; None
+            takes those that were tuned.
         hold: control periods for which the agent's part of an action is kept. A step then takes so many: its reward is
             the mean of theirs, its info that of the last; an episode that ends on the way ends there.
         fidelity: "default" or "auto"; the latter with a tolerance, and without the next four.
@@ -59,6 +62,7 @@ class Setup:
         elements, modes, method, step: see `build_model` and `Simulator`; a step of None takes the longest that divides
             the control period and is at most the `longest_step` of the named environment; "assembled" modes are those
             that `assembled_modes` finds for vibrations below half the control frequency.
+        tell: names of quantities of the View, see `View.units`, that go to `info` beside what every environment says.
         energy_alarm: part of the energy turned over (the largest of kinetic + elastic energy, work and dissipation).
         randomisation: a Randomisation, or a dict of its arguments; None for none.
 
@@ -76,6 +80,7 @@ class Setup:
     control_period: float = None  # type: ignore[assignment]
     horizon: float = None  # type: ignore[assignment]
     base: Controller | str | None = None
+    gains: Any = None
     hold: int = 1
     fidelity: str = "default"
     tolerance: float | None = None
@@ -86,6 +91,7 @@ class Setup:
     stiffening: bool = False
     spinning_rotors: bool = False
     rotary_inertia: bool = True
+    tell: Any = ()
     energy_alarm: float = ENERGY_ALARM
     randomisation: Randomisation | None = None
 
@@ -113,6 +119,7 @@ class Setup:
             energy_alarm=positive("energy_alarm", self.energy_alarm),
             randomisation=_randomisation(self.randomisation),
             history=checked_history(self.history),
+            tell=tuple(text(f"tell[{i}]", name) for i, name in enumerate(sequence("tell", self.tell, "names"))),
         )
         horizon = named.horizon if self.horizon is None else self.horizon
         store(self, horizon=positive("horizon", horizon, "s"), hold=whole_number("hold", self.hold, 1, LONGEST_HOLD))
@@ -164,21 +171,36 @@ class Setup:
         return max(1, round(self.horizon / self.control_period))
 
     def pd(self, model: Model) -> PD:
-        """The PD controller that was tuned for the arm of the named environment; with gravity it holds that arm.
+        """The PD controller of `gains`, or that which was tuned for the arm of the named environment.
+
+        With gravity it holds the arm of the model.
 
         Raises:
-            ValueError: for another arm, which has no gains.
+            ValueError: for another arm without gains of its own.
         """
-        named = NAMED[self.name]
-        if _size(self.arm) != _size(named.arm()):
-            allowed = f"one of the links of {self.name}: its PD gains belong to them; give others to PD"
-            raise refusal("arm", f"{self.arm.n_joints} links", allowed)
-        return PD(**named.pd, torque_limit=self.torque_limit, gravity_model=model if any(self.arm.gravity) else None)
+        named, gains = NAMED[self.name], self.gains
+        if gains is None:
+            if _size(self.arm) != _size(named.arm()):
+                allowed = f"one of the links of {self.name}, whose PD gains belong to them; or give gains"
+                raise refusal("arm", f"{self.arm.n_joints} links", allowed)
+            gains = named.pd
+        gains = mapping("gains", gains, ("stiffness", "damping"))
+        if len(gains) < 2:
+            raise refusal("gains", gains, "a mapping with stiffness (N m/rad) and damping (N m s/rad)")
+        return PD(**gains, torque_limit=self.torque_limit, gravity_model=model if any(self.arm.gravity) else None)
 
     def base_controller(self, model: Model) -> Controller | None:
-        """What acts beside the agent, for the model of the environment."""
+        """What acts beside the agent, for the model of the environment.
+
+        It warns (UserWarning) where sampling and delay make a PD unstable.
+        """
         if self.base == "pd":
-            return self.pd(model)
+            found = self.pd(model)
+            latest = self.disturbed.delay if self.disturbed else None
+            said = found.unstable(model, self.control_period, int(latest[1]) if latest else 0)
+            if said:
+                warnings.warn(said, stacklevel=2)
+            return found
         if isinstance(self.base, str):
             kind = {"lqr": LQR, "lqr-tracking": TrackingLQR}[self.base]
             return kind(model, self.torque_limit, self.control_period)

@@ -12,6 +12,7 @@ from flexman_gym.checks import positive
 from flexman_gym.kernels import layout
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.energy import ENERGY_ALARM, alarm, turnover
+from flexman_gym.simulation.readings import UNITS, Readings
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +34,7 @@ class Trajectory:
         status: "ok", "diverged" or "not converged".
         evaluations: number of evaluations of the accelerations.
         wall_seconds: time in the integrator, without compilation.
+        model: that was moved.
     """
 
     time: Array
@@ -49,6 +51,13 @@ class Trajectory:
     status: str
     evaluations: int
     wall_seconds: float
+    model: Model
+
+    @property
+    def readings(self) -> dict[str, Array]:
+        """What sensors of environments measure, (T, ...) by the names of `View`: motor and joint motion, deflections
+        of links and root strains; units in `simulation.readings.UNITS`."""
+        return Readings(self.model).named(self.states)
 
     @property
     def energy_residual(self) -> Array:
@@ -75,6 +84,12 @@ class Trajectory:
         for name, unit, ends, values in groups:
             for end, column in zip(ends, values.T, strict=True):
                 found[f"{name}_{end} ({unit})"] = column
+        for name, values in self.readings.items():
+            if name != "motor_angles":  # which are there
+                ends = [f"{joint}" for joint in joints]
+                parts = {1: ("",), 2: ("_y", "_z"), 3: ("_y", "_z", "_torsion")}[values.shape[1] // len(ends)]
+                heads = [f"{name.removesuffix('s')}_{end}{part}" for end in ends for part in parts]
+                found |= dict(zip((f"{head} ({UNITS[name]})" for head in heads), values.T, strict=True))
         for name in ("energy", "moving_energy", "work", "dissipation", "energy_residual"):
             found[f"{name} (J)"] = getattr(self, name)
         return found
@@ -134,4 +149,5 @@ def trajectory(
         status=outcome[0],
         evaluations=outcome[1],
         wall_seconds=outcome[2],
+        model=model,
     )

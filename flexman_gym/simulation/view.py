@@ -11,8 +11,9 @@ from flexman_gym.kernels import paths as kernels
 from flexman_gym.kernels.outputs import combine
 from flexman_gym.model.instant import frequencies
 from flexman_gym.model.statics import rest_states, rest_tips
-from flexman_gym.model.strain import gauge_radii, root_gauges
+from flexman_gym.model.strain import gauge_radii
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.readings import UNITS, Readings
 
 REACHED, SLOPE = 1e-9, 1e-4  # of the reach: a place that is reached; slopes of the tip that turn no joint
 Number = Any  # (b,), or a number of a single arm; only arithmetic and NumPy's functions are used on it
@@ -63,36 +64,19 @@ class View:
 
     def __init__(self, batch: Batch) -> None:
         model, constants, arms = batch.model, batch.model.constants, len(batch.rows)
-        n, d = model.n_joints, model.n_dof
         self._batch = batch
         self._one: View | None = None
-        self.n_joints, self.control_period = n, batch.control_period
+        self.n_joints, self.control_period = model.n_joints, batch.control_period
         self.lengths, self.reach = constants.length, float(constants.length.sum())
         self.heavy = bool(constants.gravity.any())
         self.gauge_radii = gauge_radii(model)
-        bending = np.zeros((2 * d, 2 * n))
-        for i in range(n):
-            start, stop = constants.elastic_start[i : i + 2]
-            bending[model.elastic_columns(i), 2 * i : 2 * i + 2] = constants.tip_translation[start:stop, 1:]
-        angles = np.eye(2 * d)[:, model.motor_columns]
-        twist = angles - np.eye(2 * d)[:, :n]
-        parts = {
-            "motor_angles": (angles, "rad"),
-            "motor_rates": (np.roll(angles, d, axis=0), "rad/s"),
-            "joint_twists": (twist, "rad"),
-            "joint_twist_rates": (np.roll(twist, d, axis=0), "rad/s"),
-            "link_deflections": (bending, "m"),
-            "link_deflection_rates": (np.roll(bending, d, axis=0), "m/s"),
-        }
-        limited = {name: unit for name, (_, unit) in parts.items()} | {"tip_velocity": "m/s"}
-        ends = np.cumsum([part.shape[1] for part, _ in parts.values()] + [3]).tolist()
-        self.places = {name: slice(first, end) for name, first, end in zip(limited, [0, *ends], ends, strict=False)}
-        self.units = limited | {
-            "joint_angles": "rad", "joint_rates": "rad/s", "tip": "m", "deflection": "m", "deflection_rate": "m/s",
-            "root_strains": "1", "tip_acceleration": "m/s^2", "specific_force": "m/s^2",
+        self._readings = Readings(model)
+        end = 8 * self.n_joints
+        self.places = self._readings.places | {"tip_velocity": slice(end, end + 3)}
+        self.units = UNITS | {
+            "joint_angles": "rad", "joint_rates": "rad/s", "tip": "m", "tip_velocity": "m/s", "deflection": "m",
+            "deflection_rate": "m/s", "tip_acceleration": "m/s^2", "specific_force": "m/s^2",
         }  # fmt: skip
-        self._reading = _entries(np.hstack([part for part, _ in parts.values()]))
-        self._gauges = _entries(root_gauges(model))
         self._allocate(arms)
 
     def _allocate(self, arms: int) -> None:
@@ -124,7 +108,7 @@ class View:
     def read(self) -> None:
         """Reads the present states of the arms, for their present goals."""
         batch = self._batch
-        combine(batch.rows, *self._reading, self.motion)
+        combine(batch.rows, *self._readings.motion, self.motion)
         self._velocity[:] = self.tip_velocity
         np.subtract(self.target, self.tip, out=self.target_error)
         self._shaking[:] = self.deflection_rate
@@ -137,7 +121,7 @@ class View:
     def root_strains(self) -> Array:
         """Strains (b, 3 n) at the root of each link, see `model.strain.root_gauges`; worked out when asked for."""
         found = np.zeros((len(self._batch.rows), 3 * self.n_joints))
-        combine(self._batch.rows, *self._gauges, found)
+        combine(self._batch.rows, *self._readings.strains, found)
         return found if self.motion.ndim > 1 else found[0]
 
     @property
@@ -227,10 +211,3 @@ class View:
             setattr(one, name, value[0] if isinstance(value, np.ndarray) and value.ndim > 1 else value)
         one.plan = {}
         return one
-
-
-def _entries(matrix: Array) -> tuple[Array, Array, Array]:
-    """The rows (2 d, m) of a linear reading without their zeros, most of it, as `combine` takes them."""
-    rows = matrix.T
-    start = np.append(0, np.cumsum(np.count_nonzero(rows, axis=1)))
-    return start, np.nonzero(rows)[1], rows[rows != 0.0]

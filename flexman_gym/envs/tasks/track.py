@@ -100,7 +100,7 @@ class Track:
         """The path of one episode: series of the tip (m) and of the motors (rad), the time for a round, the start."""
         shape = list(SHAPES)[random.integers(len(SHAPES))] if self.path == ANY else self.path
         mode = 1.0 / view.first_frequency if np.isfinite(view.first_frequency) else 1.0
-        period = random.uniform(*self.period) * mode
+        period = random.uniform(self.period[0], self.period[1]) * mode
         path, postures = place_path(shape, self.size * view.reach, self.middle, random, view)
         start = on_series(postures[None], np.zeros((1, 1)))[0, 0]
         return {"start": start, "path": path, "postures": postures, "period": np.array(period)}

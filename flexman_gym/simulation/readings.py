@@ -1,0 +1,55 @@
+"""Readings: the mechanical quantities that are linear in a state, by name and unit."""
+
+import numpy as np
+
+from flexman_gym.arrays import Array, IntArray
+from flexman_gym.kernels.outputs import combine
+from flexman_gym.model.model import Model
+from flexman_gym.model.strain import root_gauges
+
+UNITS = {
+    "motor_angles": "rad", "motor_rates": "rad/s", "joint_twists": "rad", "joint_twist_rates": "rad/s",
+    "link_deflections": "m", "link_deflection_rates": "m/s", "root_strains": "1",
+}  # fmt: skip
+
+
+class Readings:
+    """How a model of n links is read.
+
+    Attributes:
+        motion: what gives motor_angles, motor_rates, joint_twists, joint_twist_rates, (n,) each, link_deflections and
+            link_deflection_rates, (2 n,) each, side by side.
+        places: name -> slice of these 8 n numbers.
+        strains: what gives root_strains, (3 n,), see `model.strain.root_gauges`.
+    """
+
+    def __init__(self, model: Model) -> None:
+        n, d = model.n_joints, model.n_dof
+        bending = np.zeros((2 * d, 2 * n))
+        for i in range(n):
+            start, stop = model.constants.elastic_start[i : i + 2]
+            bending[model.elastic_columns(i), 2 * i : 2 * i + 2] = model.constants.tip_translation[start:stop, 1:]
+        angles = np.eye(2 * d)[:, model.motor_columns]
+        twist = angles - np.eye(2 * d)[:, :n]
+        parts = [each for part in (angles, twist, bending) for each in (part, np.roll(part, d, axis=0))]
+        ends = np.cumsum([0, *(part.shape[1] for part in parts)]).tolist()
+        self.places = {name: slice(*both) for name, *both in zip(UNITS, ends, ends[1:], strict=False)}
+        self.motion = _entries(np.hstack(parts))
+        self.strains = _entries(root_gauges(model))
+
+    def named(self, states: Array) -> dict[str, Array]:
+        """Gives all readings (T, ...) of states (T, 2 d) by name."""
+        motion = np.zeros((len(states), max(place.stop for place in self.places.values())))
+        strains = np.zeros((len(states), len(self.strains[0]) - 1))
+        rows = np.ascontiguousarray(states)
+        combine(rows, *self.motion, motion)
+        combine(rows, *self.strains, strains)
+        return {name: motion[:, place] for name, place in self.places.items()} | {"root_strains": strains}
+
+
+def _entries(matrix: Array) -> tuple[IntArray, IntArray, Array]:
+    """The rows (2 d, m) of a linear reading without their zeros, most of it, as `combine` takes them."""
+    rows = matrix.T
+    start: IntArray = np.append(0, np.cumsum(np.count_nonzero(rows, axis=1)))
+    source: IntArray = np.nonzero(rows)[1]
+    return start, source, rows[rows != 0.0]

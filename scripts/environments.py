@@ -1,0 +1,25 @@
+"""Writes the pages of the named environments: python scripts/environments.py --folder docs/environments"""
+
+import argparse
+
+from flexman_gym.envs import NAMED
+from flexman_gym.studies.environments.episode import BASES, draw, run
+from flexman_gym.studies.environments.page import page
+from flexman_gym.studies.places import folder
+
+
+def main() -> None:
+    """Reads the command line, runs the baselines, draws and writes."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", choices=sorted(NAMED), help="one of them")
+    parser.add_argument("--folder", type=folder, default="out/environments", help="where pages and pictures go")
+    options = parser.parse_args()
+    for name in [options.only] if options.only else NAMED:
+        runs = {base: run(name, base) for base in BASES}
+        draw(name, runs, options.folder / f"{name}.png")
+        (options.folder / f"{name}.md").write_text(page(name, runs), encoding="utf-8")
+        print(name, *(f"{BASES[base]} {1e3 * each.rms_error:.3g} mm" for base, each in runs.items()), sep=", ")
+
+
+if __name__ == "__main__":
+    main()
