@@ -39,7 +39,7 @@ def power_above(actions: Array, period: float, frequency: float) -> float:
     if len(found) * period * frequency < CYCLES * (1.0 - 1e-9):
         raise refusal("actions", actions, f"at least {CYCLES / frequency:.6g} s: {CYCLES} cycles of the frequency")
     window = np.sin(np.pi * np.arange(len(found)) / len(found))[:, None] ** 2
-    swing = window * (found - (window * found).sum(axis=0) / window.sum())
+    swing = window * (found - found.mean(axis=0))
     power = np.square(np.abs(np.fft.rfft(swing, axis=0)))
     power[1 : (len(found) + 1) // 2] *= 2.0  # each stands for its negative frequency too
     if power.sum() <= ROUNDING * len(found) * np.square(found).sum():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import periodogram
 
 from flexman_gym.metrics import effort, power_above
 
@@ -45,6 +46,15 @@ def test_white_noise_has_the_part_of_the_band_that_lies_above(count):
     noise = np.random.default_rng(0).normal(size=(count, 30))
     for part in (0.1, 0.5, 0.9):
         assert power_above(noise, PERIOD, part * 25.0) == pytest.approx(1.0 - part, abs=0.01)
+
+
+@pytest.mark.parametrize("count", [60, 61])
+def test_it_is_the_part_of_the_periodogram_of_scipy(count):
+    actions = np.random.default_rng(1).normal(1.0, 2.0, (count, 3))
+    frequencies, power = periodogram(actions, 1.0 / PERIOD, "hann", detrend="constant", axis=0)
+    for frequency in (4.0, 12.5, 24.0):
+        expected = power[frequencies > frequency].sum() / power.sum()
+        assert power_above(actions, PERIOD, frequency) == pytest.approx(expected, rel=1e-12)
 
 
 def test_the_sample_to_sample_flicker_of_a_bang_bang_controller_is_all_above():

@@ -207,7 +207,7 @@ def test_a_batch_that_takes_over_a_snapshot_feels_the_same(asked):
     """Whether the one that gave it had calculated them or not, and whatever the other one had."""
     batch, drive = begun(3)
     batch.vary(np.array([1]), payload_mass=np.array([8.0]))
-    batch.step(drive[0])
+    batch.step(-drive[0])
     if asked:
         batch.tip_accelerations()
     other, snapshot = begun(3, periods=1)[0], take(batch)
