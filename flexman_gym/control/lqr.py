@@ -78,8 +78,14 @@ class LQR:
 
 
 class Plan(NamedTuple):
-    """What a tracking LQR follows: states (T + 1, 2 d), torques (T + 1, n) N m, gains (g, n, 2 d), and where among the
-    gains each period is, (T + 1,) from 0 to g - 1."""
+    """What a tracking LQR follows, period by period.
+
+    Attributes:
+        states: (T + 1, 2 d).
+        torques: (T + 1, n) N m.
+        gains: (g, n, 2 d) for some places along the way.
+        places: (T + 1,) where each period is among them, from 0 to g - 1.
+    """
 
     states: Array
     torques: Array

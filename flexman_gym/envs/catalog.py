@@ -62,6 +62,8 @@ def flex_rrr_gravity() -> Arm:
 RRR_PD: Gains = {"stiffness": (497.0, 325.0, 328.0), "damping": (950.0, 950.0, 103.0)}
 # Gains of these: `python scripts/tune.py ID`.
 PLANAR_PD: Gains = {"stiffness": (18.7, 13.9), "damping": (4.52, 3.0)}
+RRR_TRACK_PD: Gains = {"stiffness": (1840.0, 1850.0, 8.19), "damping": (712.0, 842.0, 838.0)}
+PLANAR_TRACK_PD: Gains = {"stiffness": (59.6, 2.77), "damping": (19.0, 3.44)}
 GRAVITY_PD: Gains = {"stiffness": (8730.0, 10100.0, 1810.0), "damping": (8210.0, 9480.0, 1730.0)}
 RRR = Named(flex_rrr, RRR_PD, conditions="rrr")
 PLANAR = Named(
@@ -75,17 +77,18 @@ PLANAR = Named(
 )
 NAMED: dict[str, Named] = {
     "FlexRRR-v0": RRR,
-    "FlexRRR-Track-v0": replace(RRR, task=Track(preview=(0.2, 0.5, 1.0)), horizon=20.0),
+    "FlexRRR-Track-v0": replace(RRR, pd=RRR_TRACK_PD, task=Track(preview=(0.2, 0.5, 1.0)), horizon=20.0),
     "FlexRRR-Hold-v0": replace(RRR, task=Hold()),
     "FlexRRR-Gravity-v0": replace(
         RRR,
         arm=flex_rrr_gravity,
         pd=GRAVITY_PD,
         task=Slew(start=0.6, slew=0.6, reward="distance"),
+        control_period=0.01,
         conditions="gravity",
     ),
     "FlexPlanar-v0": PLANAR,
-    "FlexPlanar-Track-v0": replace(PLANAR, task=Track(preview=(0.05, 0.1, 0.2))),
+    "FlexPlanar-Track-v0": replace(PLANAR, pd=PLANAR_TRACK_PD, task=Track(preview=(0.05, 0.1, 0.2))),
     "FlexPlanar-Hold-v0": replace(PLANAR, task=Hold(impulse=(0.02, 0.1), load=(0.0, 0.5), sway=(0.0, 1.0), gap=1.0)),
     "FlexOne-v0": Named(
         one_joint,

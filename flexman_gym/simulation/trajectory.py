@@ -55,8 +55,7 @@ class Trajectory:
 
     @property
     def readings(self) -> dict[str, Array]:
-        """What sensors of environments measure, (T, ...) by the names of `View`: motor and joint motion, deflections
-        of links and root strains; units in `simulation.readings.UNITS`."""
+        """What sensors of environments measure, (T, ...) by the names of `View`; UNITS of `simulation.readings`."""
         return Readings(self.model).named(self.states)
 
     @property

@@ -19,7 +19,7 @@ from flexman_gym.envs.env import FlexManEnv
         ({"modes": (4, 4)}, "modes", "one value, or 3"),
         ({"elements": 0}, "ModelChoice.elements", "a whole number from 1"),
         ({"task": "slow"}, "task", "one of slew"),
-        ({"task": {"reward": "bells"}}, "task", "one of slew, or a mapping with that at kind"),
+        ({"task": {"reward": "bells"}}, "task", "one of slew, track, hold, or a mapping with that at kind"),
         ({"task": 5}, "task", "a task"),
         ({"limits": 4.0}, "limits", "Limits"),
         ({"arm": "paper_rrr"}, "arm", "an Arm"),

@@ -123,6 +123,7 @@ def test_the_switches_are_all_that_build_model_has():
 
 SETTINGS = {
     "arm": fm.catalog.vertical_2r(), "task": fm.Slew(), "sensors": "fine", "limits": fm.Limits(rate=9.0),
+    "history": 2, "gains": {"stiffness": (9.0, 3.0), "damping": (2.0, 1.0)}, "tell": ("motor_angles",),
     "torque_limit": (9.0, 3.0), "control_period": 0.02, "horizon": 0.1, "base": "pd", "hold": 3, "fidelity": "default",
     "tolerance": None, "elements": 1, "modes": 2, "method": "implicit_midpoint", "step": 0.01, "stiffening": True,
     "spinning_rotors": True, "rotary_inertia": False, "energy_alarm": 0.2, "randomisation": {"delay": (0, 2)},

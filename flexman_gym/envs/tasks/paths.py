@@ -10,6 +10,7 @@ from flexman_gym.kernels import paths as kernels
 from flexman_gym.simulation.view import View
 
 HARMONICS, POSTURE_HARMONICS, KNOTS = 3, 8, 20  # of the curve, of the motors, and places at which motors are solved for
+SAGGING = 5  # of these places, every so many, tell how the arm sags
 RAMP = 0.25  # of a period, in which the target gains speed
 ROUND = 2.0 * np.pi * np.arange(KNOTS)[None] / KNOTS
 TRIES, STEP, ACCURACY = 100, 1e-7, 1e-7  # rad, of differences; of the reach, of a posture
@@ -66,8 +67,8 @@ SHAPES: dict[str, Callable[[np.random.Generator, float], Array]] = {
 def place_path(shape: str, size: float, reach: float, random: np.random.Generator, view: View) -> tuple[Array, Array]:
     """Draws a path that an arm can follow, and the motor angles with which it does.
 
-    Middles are drawn until the tip can move in at least two directions there and all postures are found. The weight of
-    an arm bends it everywhere as it does in the middle.
+    Middles are drawn until the tip can move in at least two directions there and all postures are found. Where an arm
+    has weight, the path sags as the arm does, to the first harmonic.
 
     Args:
         shape: a name of SHAPES.
@@ -92,8 +93,10 @@ def place_path(shape: str, size: float, reach: float, random: np.random.Generato
         postures, left = view.reaching(on_series(curve[None], ROUND)[0], middle)
         if left <= ACCURACY * view.reach and np.abs(postures).max() <= FURTHEST:
             if view.heavy:
-                curve[:, 0] += view.rest_tips(middle[None])[0] - tip
-            return curve, _series(postures)
+                places = postures[::SAGGING]
+                sag = _series(view.rest_tips(places) - view.rigid_tips(places), 1)
+                curve[:, : sag.shape[1]] += sag
+            return curve, _series(postures, POSTURE_HARMONICS)
     raise refusal("Track.size", size, "m, a path that the tip of this arm can follow in at least two directions")
 
 
@@ -117,10 +120,10 @@ def _slopes(view: View, posture: Array) -> tuple[Array, Array]:
     return tips[0], (tips[1:] - tips[0]).T / STEP
 
 
-def _series(values: Array) -> Array:
-    """The Fourier series (n, 2 h + 1) of values (r, n) at equal intervals of a period."""
-    parts = np.fft.rfft(values, axis=0)[: POSTURE_HARMONICS + 1].T / len(values)
-    found = np.zeros((values.shape[1], 2 * POSTURE_HARMONICS + 1))
+def _series(values: Array, harmonics: int) -> Array:
+    """The Fourier series (n, 2 harmonics + 1) of values (r, n) at equal intervals of a period."""
+    parts = np.fft.rfft(values, axis=0)[: harmonics + 1].T / len(values)
+    found = np.zeros((values.shape[1], 2 * harmonics + 1))
     found[:, 0] = parts[:, 0].real
     found[:, 1::2], found[:, 2::2] = 2.0 * parts[:, 1:].real, -2.0 * parts[:, 1:].imag
     return found

@@ -71,7 +71,7 @@ class Track:
 
     path: str = ANY
     size: float = 0.06
-    period: Sequence[float] = (1.5, 3.0)
+    period: Sequence[float] = (2.5, 5.0)
     preview: Sequence[float] = ()
     middle: float = 0.8
     failure_penalty: float = 10.0

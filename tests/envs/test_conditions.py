@@ -1,0 +1,177 @@
+"""Conditions: environment files of the package, in each of which the PD of the environment is stable."""
+
+import warnings
+from dataclasses import replace
+from itertools import product
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import flexman_gym as fm
+from flexman_gym.control.discrete import zero_order_hold
+from flexman_gym.control.pd import PD, stability_limit
+from flexman_gym.envs import NAMED
+from flexman_gym.envs.description import CONDITIONS, FILES, Description
+
+from oracles.refusals import refusal
+
+IDS = [name for name, named in NAMED.items() if named.conditions]
+FOLDERS = {"rrr": "FlexRRR-v0", "planar": "FlexPlanar-v0", "gravity": "FlexRRR-Gravity-v0"}
+
+
+def largest_eigenvalue(model, controller, period, delay, posture):
+    """Of the sampled loop of arm and PD about a posture, with torques that are late by whole periods."""
+    n, d = model.n_joints, model.n_dof
+    transition, inputs = zero_order_hold(fm.linearize(model, posture), period)
+    gain = np.zeros((n, 2 * d))
+    gain[np.arange(n), model.motor_columns] = controller.stiffness
+    gain[np.arange(n), d + model.motor_columns] = controller.damping
+    loop = np.zeros((2 * d + delay * n,) * 2)
+    loop[: 2 * d, : 2 * d] = transition
+    if delay == 0:
+        loop[: 2 * d, : 2 * d] -= inputs @ gain
+    else:
+        loop[: 2 * d, 2 * d : 2 * d + n] = inputs  # of the oldest torques
+        loop[2 * d : -n, 2 * d + n :] = np.eye((delay - 1) * n)
+        loop[-n:, : 2 * d] = -gain
+    return np.abs(np.linalg.eigvals(loop)).max()
+
+
+def arms(setup):
+    """The arm at the ends of what a condition draws, without friction and weight, which only help or stay constant."""
+    drawn = setup.disturbed
+    payloads = (drawn and drawn.payload_mass) or (None,)
+    for payload, links, joints in product(
+        payloads, (drawn and drawn.link_stiffness) or (1.0,), (drawn and drawn.joint_stiffness) or (1.0,)
+    ):
+        yield replace(
+            setup.arm,
+            payload=setup.arm.payload if payload is None else fm.Payload(payload),
+            gravity=(0.0, 0.0, 0.0),
+            links=[replace(link, youngs_modulus=links * link.youngs_modulus, shear_modulus=links * link.shear_modulus)
+                   for link in setup.arm.links],
+            joints=[replace(joint, stiffness=joints * joint.stiffness, viscous_friction=0.0, coulomb_friction=0.0)
+                    for joint in setup.arm.joints],
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("condition", CONDITIONS)
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_the_pd_is_stable_wherever_a_condition_leads(folder, condition):
+    """All eigenvalues of the sampled, linear loop are within the unit circle, at postures all over the task's range."""
+    description = Description.find(f"{FOLDERS[folder]}/{condition}")
+    setup = description.setup()
+    model = gym.make(description.id, **description.keywords()).unwrapped.simulator.model
+    controller, drawn = setup.pd(model), setup.disturbed
+    delays = range(int(drawn.delay[0]), int(drawn.delay[1]) + 1) if drawn and drawn.delay else (0,)
+    random, reach = np.random.default_rng(0), setup.task.start + setup.task.slew
+    for arm in arms(setup):
+        bent = fm.build_model(arm, 2, model.choice.modes)
+        for delay in delays:
+            for posture in random.uniform(-reach, reach, (3, arm.n_joints)):
+                assert largest_eigenvalue(bent, controller, setup.control_period, delay, posture) < 1.0
+    assert controller.unstable(model, setup.control_period, max(delays)) == ""
+
+
+@pytest.mark.parametrize("condition", CONDITIONS)
+@pytest.mark.parametrize("name", IDS)
+def test_a_condition_suits_every_task_of_its_arm(name, condition):
+    """The PD beside an agent that does nothing holds out for two seconds, without a warning."""
+    description = Description.find(f"{name}/{condition}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gym.make_vec(
+            name, 4, "vector_entry_point", **description.keywords() | {"base": "pd", "horizon": 2.0}
+        ).unwrapped
+    observations, infos = env.reset(seed=9000)
+    for _ in range(env.max_episode_steps):
+        observations, _, failed, _, infos = env.step(np.zeros(env.action_space.shape, dtype=np.float32))
+        assert not failed.any(), infos["failure"]
+        assert not infos["energy_alarm"].any()
+    assert observations in env.observation_space
+
+
+def test_what_a_condition_draws_is_in_its_file():
+    lab = Description.find("FlexRRR-v0/G-lab").setup()
+    full = Description.find("FlexRRR-v0/G").setup()
+    assert lab.randomisation == full.randomisation and lab.gains == full.gains
+    assert set(full.randomisation.effects) == {
+        "payload_mass", "joint_stiffness", "link_stiffness", "delay", "sensor_noise",
+    }  # fmt: skip
+    assert full.randomisation.payload_mass == (0.0, 20.0) and full.randomisation.sensor_noise == (0.001, 0.001)
+    names = gym.make("FlexRRR-v0", sensors=lab.sensors).unwrapped.sensors.slices
+    assert list(names) == [
+        "motor_angles", "motor_rates", "joint_twists", "joint_twist_rates", "root_strains", "posture_command",
+        "rate_command", "tip_command", "tip_velocity_command",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_friction_is_all_that_the_arm_of_f_has_beside_its_own(folder):
+    """In parts of the torque limits that of the PUMA 560, see the file."""
+    name = FOLDERS[folder]
+    arm, own = Description.find(f"{name}/F").setup().arm, NAMED[name].arm()
+    bare = [replace(joint, viscous_friction=0.0, coulomb_friction=0.0) for joint in arm.joints]
+    assert replace(arm, joints=bare) == own
+    gears, most = np.array([62.6111, 107.815, 53.7063]), np.array([97.6, 186.4, 89.4])
+    viscous, coulomb = np.array([1.48e-3, 0.817e-3, 1.38e-3]) * gears**2, np.array([0.415, 0.0985, 0.1185]) * gears
+    limits = np.array([joint.torque_limit for joint in arm.joints])
+    kept = slice(3 - arm.n_joints, 3)
+    for field, values in (("viscous_friction", viscous), ("coulomb_friction", coulomb)):
+        found = [getattr(joint, field) for joint in arm.joints]
+        assert found == pytest.approx((values / most)[kept] * limits, rel=0.01)
+
+
+def test_all_files_are_there_and_no_others():
+    for folder in FOLDERS:
+        assert {path.stem for path in (FILES / folder).iterdir()} == set(CONDITIONS)
+
+
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("FlexRRR-v0/X", "condition: 'X' is not allowed; give one of N, P, S, D, DD, F, G, G-lab"),
+        ("FlexOne-v0/G", "condition: 'FlexOne-v0/G' is not allowed; give one for FlexRRR-v0, FlexRRR-Track-v0"),
+    ],
+)
+def test_what_there_is_not_is_refused_in_one_line(name, line):
+    assert refusal(Description.find, name).startswith(line)
+
+
+# A PD that says when it is unstable
+
+
+@pytest.mark.parametrize("delay", [0, 1, 2, 5])
+def test_the_limit_is_where_the_delayed_rate_grows(delay):
+    """The rate of a motor follows r' = r - a r of so many periods ago: roots of z^(k + 1) - z^k + a."""
+
+    def growth(a):
+        return np.abs(np.roots([1.0, -1.0, *[0.0] * (delay - 1), a] if delay else [1.0, a - 1.0])).max()
+
+    limit = stability_limit(delay)
+    assert growth(0.999 * limit) < 1.0 < growth(1.001 * limit)
+
+
+def test_a_pd_says_when_sampling_and_delay_make_it_unstable():
+    model = gym.make("FlexRRR-v0").unwrapped.simulator.model
+    controller = PD([500.0] * 3, [900.0, 400.0, 100.0], 400.0)
+    assert controller.unstable(model, 0.02) == ""
+    said = controller.unstable(model, 0.02, 1)
+    assert said.startswith(
+        "PD.damping[0]: 900 N m s/rad is not stable with a period of 0.02 s and a delay of 1 periods"
+    )
+    assert "less than 1, which is 500 N m s/rad" in said
+    assert "PD.damping[0]" in controller.unstable(model, 0.05)
+    with pytest.warns(UserWarning, match=r"PD.damping\[0\]: 950 N m s/rad is not stable"):
+        gym.make("FlexRRR-v0", base="pd", randomisation={"delay": (0, 1)})
+
+
+def test_gains_of_ones_own_suit_any_arm_and_are_checked():
+    gains = {"stiffness": (5.0, 2.0), "damping": (1.0, 0.5)}
+    env = gym.make("FlexRRR-v0", arm=fm.catalog.vertical_2r(), torque_limit=(12.0, 4.0), base="pd", gains=gains)
+    assert env.unwrapped.episodes.base.stiffness.tolist() == [5.0, 2.0]
+    with pytest.raises(ValueError, match=r"^gains: 3 is not allowed; give a mapping with some of stiffness, damping"):
+        gym.make("FlexRRR-v0", base="pd", gains=3)
+    with pytest.raises(ValueError, match=r"^gains: .* is not allowed; give a mapping with stiffness \(N m/rad\) and"):
+        gym.make("FlexRRR-v0", base="pd", gains={"stiffness": (5.0, 2.0, 1.0)})
