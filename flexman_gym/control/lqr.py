@@ -16,6 +16,7 @@ from flexman_gym.model.model import Model
 from flexman_gym.model.statics import holding_torques, rest_state
 
 TIP, TIP_SPEED, MOTOR = 0.2 / 8.5, 1.0 / 8.5, 0.5  # of the reach, reaches a second, rad: stiffer ones saturate and fail
+HOLDING = 0.25  # of the weight of the tip, where an arm starts at its goal
 SHARE = 0.95  # of the torque limits, for the feed-forward
 GAINS, PATH_GAINS = 3, 25  # postures along a slew, and along a path, for which gains are designed
 
@@ -48,11 +49,11 @@ class LQR:
         self.weights = weights or Weights(TIP * reach, TIP_SPEED * reach, MOTOR)
         self._gains, self._rest, self._held = np.zeros((0, n, 2 * d)), np.zeros((0, 2 * d)), np.zeros((0, n))
 
-    def gain(self, posture: Array) -> Array:
-        """Designs K (n, 2 d) for a posture (n,) rad of the motors."""
+    def gain(self, posture: Array, weights: Weights | None = None) -> Array:
+        """Designs K (n, 2 d) for a posture (n,) rad of the motors; weights of None are its own."""
         state, held = rest_state(self.model, posture), holding_torques(self.model, posture)
         linear = linearize(self.model, state=state, torque=held)
-        return optimal_gain(linear, self.model.motor_columns, self.limits, self.weights, self.period)
+        return optimal_gain(linear, self.model.motor_columns, self.limits, weights or self.weights, self.period)
 
     def reset(self, arms: IntArray, start: Array, posture: Array) -> None:
         """Designs for new episodes of the arms (r,) with goal postures (r, n) rad."""
@@ -96,7 +97,8 @@ class Plan(NamedTuple):
 class TrackingLQR(LQR):
     """LQR about a minimum-jerk slew within the torque limits, with feed-forward and gains scheduled along the way.
 
-    Of a task whose goal moves it follows the path of the goal instead. Arguments and errors are those of `LQR`.
+    An arm that starts at its goal is held there more tightly. Of a task whose goal moves it follows the path of the
+    goal instead. Arguments and errors are those of `LQR`.
     """
 
     kept = ("_now",)
@@ -112,12 +114,21 @@ class TrackingLQR(LQR):
         """Plans slews of the arms (r,) from joint angles to goal postures (r, n) rad."""
         motors = self.model.motor_columns
         for arm, first, last in zip(arms, start, posture, strict=True):
+            if np.array_equal(first, last):
+                self._keep(int(arm), self._holding(last))
+                continue
             slew = plan_slew(self.model, first, last, self.limits, SHARE, self.period)
             gains = np.array([self.gain(first + way * (last - first)) for way in np.linspace(0.0, 1.0, GAINS)])
             moved = slew.states[:, motors] - slew.states[0, motors]
             way = np.vecdot(moved, moved[-1]) / max(moved[-1] @ moved[-1], 1e-12)
             torques = np.vstack([slew.torques, holding_torques(self.model, last)])
             self._keep(int(arm), Plan(slew.states, torques, gains, (GAINS - 1) * np.clip(way, 0.0, 1.0)))
+
+    def _holding(self, posture: Array) -> Plan:
+        """Stays at a posture; nothing has to be saved for a slew, so that the tip weighs more."""
+        tight = self.weights._replace(tip=HOLDING * self.weights.tip)
+        held = holding_torques(self.model, posture)[None]
+        return Plan(rest_state(self.model, posture)[None], held, self.gain(posture, tight)[None], np.zeros(1))
 
     def follow(self, arms: IntArray, postures: Array) -> None:
         """Plans how the arms (r,) follow goal postures (r, T + 1, n) rad, one for each control period."""

@@ -9,8 +9,12 @@ from flexman_gym.checks import refusal
 from flexman_gym.kernels import paths as kernels
 from flexman_gym.simulation.view import View
 
-HARMONICS, POSTURE_HARMONICS, KNOTS = 3, 8, 20  # of the curve, of the motors, and places at which motors are solved for
-SAGGING = 5  # of these places, every so many, tell how the arm sags
+HARMONICS, POSTURE_HARMONICS, KNOTS = (
+    3,
+    12,
+    28,
+)  # of the curve, of the motors, and places at which motors are solved for
+SAGGING = 4  # of these places, every so many, tell how the arm sags
 RAMP = 0.25  # of a period, in which the target gains speed
 ROUND = 2.0 * np.pi * np.arange(KNOTS)[None] / KNOTS
 TRIES, STEP, ACCURACY = 100, 1e-7, 1e-7  # rad, of differences; of the reach, of a posture
@@ -68,7 +72,7 @@ def place_path(shape: str, size: float, reach: float, random: np.random.Generato
     """Draws a path that an arm can follow, and the motor angles with which it does.
 
     Middles are drawn until the tip can move in at least two directions there and all postures are found. Where an arm
-    has weight, the path sags as the arm does, to the first harmonic.
+    has weight, the path sags as the arm does.
 
     Args:
         shape: a name of SHAPES.
@@ -94,8 +98,8 @@ def place_path(shape: str, size: float, reach: float, random: np.random.Generato
         if left <= ACCURACY * view.reach and np.abs(postures).max() <= FURTHEST:
             if view.heavy:
                 places = postures[::SAGGING]
-                sag = _series(view.rest_tips(places) - view.rigid_tips(places), 1)
-                curve[:, : sag.shape[1]] += sag
+                sag = _series(view.rest_tips(places) - view.rigid_tips(places), HARMONICS)
+                curve += sag
             return curve, _series(postures, POSTURE_HARMONICS)
     raise refusal("Track.size", size, "m, a path that the tip of this arm can follow in at least two directions")
 

@@ -1,0 +1,185 @@
+"""Track: paths that arms can follow, targets that move on them, and controllers that tell themselves apart there."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import flexman_gym as fm
+from flexman_gym.control.reference import plan_path
+from flexman_gym.envs.env import FlexManEnv
+from flexman_gym.envs.tasks import Track
+from flexman_gym.envs.tasks.paths import RAMP, SHAPES, on_series, phase
+from flexman_gym.metrics import rms
+
+from oracles.refusals import refusal
+
+NAMES = ("FlexRRR-Track-v0", "FlexPlanar-Track-v0")
+ROUND = 2.0 * np.pi * np.arange(400) / 400
+QUICK = settings(deadline=None, derandomize=True, max_examples=20)
+
+
+def series(values, phases):
+    """Values of a Fourier series (size, 2 h + 1), term by term."""
+    found = np.repeat(values[:, :1], len(phases), axis=1)
+    for k in range(1, values.shape[1] // 2 + 1):
+        found += values[:, 2 * k - 1 : 2 * k] * np.cos(k * phases) + values[:, 2 * k : 2 * k + 1] * np.sin(k * phases)
+    return found.T
+
+
+@QUICK
+@given(seed=st.integers(0, 10**6), harmonics=st.integers(1, 9))
+def test_series_are_sums_of_waves(seed, harmonics):
+    random = np.random.default_rng(seed)
+    values, phases = random.normal(size=(3, 2, 2 * harmonics + 1)), random.uniform(-30.0, 30.0, (3, 5))
+    found = on_series(values, phases)
+    for row in range(3):
+        assert found[row] == pytest.approx(series(values[row], phases[row]), abs=1e-12 * harmonics * 10)
+        assert np.array_equal(on_series(values[row : row + 1], phases[row : row + 1])[0], found[row]), "its own bits"
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_shapes_are_what_they_are_called(shape):
+    places = series(SHAPES[shape](np.random.default_rng(0), 0.5), ROUND)
+    x, y, z = places.T
+    assert np.linalg.norm(places, axis=1).max() == pytest.approx(0.5, rel=0.2 if shape == "lemniscate" else 0.01)
+    if shape == "circle":
+        assert x**2 + y**2 == pytest.approx(0.25) and not z.any()
+    if shape == "lemniscate":  # of Gerono: x^4 = a^2 (x^2 - y^2), turned by a quarter here
+        assert x**4 == pytest.approx(0.25 * (x**2 - (y) ** 2), abs=1e-12) and not z.any()
+    if shape == "smooth":
+        assert np.abs(z).max() > 0.01
+
+
+def test_a_target_starts_from_rest_and_comes_to_an_even_speed():
+    time, period = np.linspace(0.0, 20.0, 20001), np.full(20001, 4.0)
+    rate = np.gradient(phase(time, period), time)
+    assert phase(np.zeros(1), np.ones(1))[0] == 0.0 and abs(rate[0]) < 1e-4
+    assert (np.diff(rate) > -1e-9).all() and rate[-1] == pytest.approx(np.pi / 2.0, rel=1e-6)
+    assert rate[time > 2.0 * RAMP * 4.0].min() > 0.9 * np.pi / 2.0
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("path", SHAPES)
+def test_the_posture_of_a_moment_holds_the_tip_on_the_path(name, path):
+    """At rest: to a ten-thousandth of the reach, with weight to a thousandth; the series of the motors is cut off."""
+    env = FlexManEnv(name=name, task=Track(path=path))
+    view, task = env.episodes.view, env.task
+    for seed in range(5):
+        env.reset(seed=seed)
+        plan = {key: np.repeat(values, 40, axis=0) for key, values in view.plan.items()}
+        goal = task.goal(plan, np.linspace(0.0, 3.0 * plan["period"][0], 40), view)
+        far = np.linalg.norm(view.rest_tips(goal.posture) - goal.target, axis=1).max()
+        assert far < (1e-3 if view.heavy else 1e-4) * view.reach
+        first = env.episodes.view.plan["start"][0]
+        assert first == pytest.approx(goal.posture[0], abs=1e-12)
+        spread = np.ptp(goal.target, axis=0).max()
+        assert 0.05 * view.reach < spread <= 2.5 * task.size * view.reach
+    assert env.episodes.view.plan["period"][0] * view.first_frequency == pytest.approx(3.75, abs=1.25)
+
+
+def test_a_path_of_a_plane_arm_stays_in_its_plane():
+    env = FlexManEnv(name="FlexPlanar-Track-v0", task=Track(path="smooth"))
+    for seed in range(5):
+        env.reset(seed=seed)
+        plan = env.episodes.view.plan
+        assert np.abs(plan["path"][0, 1]).max() < 1e-9, "x and z only"
+
+
+def test_the_preview_is_where_the_target_will_be():
+    times = (0.1, 0.4)
+    env = FlexManEnv(name="FlexRRR-Track-v0", task=Track(preview=times))
+    observation, info = env.reset(seed=1)
+    targets, seen = [info["target"]], [observation]
+    for _ in range(60):
+        observation, _, _, _, info = env.step(np.zeros(3))
+        targets.append(info["target"])
+        seen.append(observation)
+    place = env.sensors.slices["preview"]
+    for step in range(0, 40, 7):
+        ahead = np.concatenate([targets[step + round(time / 0.02)] for time in times])
+        assert seen[step][place] == pytest.approx(ahead, abs=1e-5)
+    rates = (np.array(targets[1:]) - np.array(targets[:-1])) / 0.02
+    assert info["target_velocity"] == pytest.approx(rates[-1], abs=1e-9) and np.abs(rates).max() > 0.01
+
+
+def test_the_reward_is_one_where_the_tip_goes_with_the_target():
+    """On a view whose tip is on the target and as fast; and less than zero beyond 5 m of 8.5."""
+    env = FlexManEnv(name="FlexRRR-Track-v0")
+    env.reset(seed=0)
+    for _ in range(50):
+        env.step(np.zeros(3))
+    view = env.episodes.view
+    view.tip_velocity[:], view.tip_error = view.target_velocity, np.zeros(1)
+    assert env.task.reward_terms(view)["distance"] == pytest.approx(1.0)
+    view.tip_velocity[0, 0] += 1.0
+    assert env.task.reward_terms(view)["distance"][0] < 0.8
+    view.tip_error = np.full(1, 5.5)
+    assert env.task.reward_terms(view)["distance"][0] < 0.0
+
+
+def test_a_plan_that_follows_a_path_keeps_the_tip_of_the_bent_arm_on_it():
+    """The planned states, with links bent by their inertia, have their tips where the arm would rest."""
+    env = FlexManEnv(name="FlexRRR-Track-v0", task=Track(path="circle"), horizon=8.0)
+    env.reset(seed=3)
+    view, model = env.episodes.view, env.simulator.model
+    times = 0.02 * np.arange(401.0)
+    goal = env.task.goal({key: np.repeat(values, 401, axis=0) for key, values in view.plan.items()}, times, view)
+    slew = plan_path(model, goal.posture, 0.02)
+    d = model.n_dof
+    simulator = fm.Simulator(model, control_period=0.02)
+    off, bent = [], []
+    for state, target in zip(slew.states[20:-20], goal.target[20:-20], strict=True):
+        simulator.reset(state=state)
+        off.append(np.linalg.norm(simulator.tip - target))
+        bent.append(np.linalg.norm(simulator.deflection))
+    assert max(off) < 0.1 * max(bent) and max(bent) > 0.01
+    rates = (slew.states[2:, :d] - slew.states[:-2, :d]) / 0.04
+    assert slew.states[6:-6, d:] == pytest.approx(rates[5:-5], abs=2e-3), "but for the ends"
+
+
+@pytest.mark.parametrize("name", ["FlexRRR-Track-v0", "FlexPlanar-Track-v0", "FlexRRR-Hold-v0", "FlexPlanar-Hold-v0"])
+def test_nothing_a_pd_and_an_lqr_are_apart(name):
+    """RMS tip error over eight episodes: the LQR has at most a third of the PD's, the PD half of what nothing has."""
+    found = []
+    for base in (None, "pd", "lqr-tracking"):
+        env = gym.make_vec(name, 8, "vector_entry_point", base=base, autoreset_mode="Disabled").unwrapped
+        _, infos = env.reset(seed=9000)
+        errors, over = [infos["tip_error"]], np.zeros(8, dtype=bool)
+        still = np.zeros(env.action_space.shape, dtype=np.float32)
+        for _ in range(env.max_episode_steps):
+            _, _, failed, truncated, infos = env.step(still)
+            over |= failed
+            errors.append(np.where(over, np.nan, infos["tip_error"]))
+            if failed.any() and not truncated.all():
+                env.reset(options={"reset_mask": failed})
+        assert base is None or not over.any()
+        values = np.array(errors)
+        found.append(rms(values[np.isfinite(values)]))
+    assert found[2] <= found[1] / 3.0 and found[1] <= found[0] / 2.0, found
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ({"path": "spiral"}, "Track.path: 'spiral' is not allowed; give one of circle, lemniscate, smooth, any"),
+        ({"size": 0.0}, "Track.size: 0.0 is not allowed; give a finite number > 0 (of the reach)"),
+        (
+            {"period": (3.0, 2.0)},
+            "Track.period: (3.0, 2.0) is not allowed; give a range (low, high) with 0 < low <= high",
+        ),
+        ({"period": 3.0}, "Track.period: 3.0 is not allowed; give a list of"),
+        ({"preview": (0.0,)}, "Track.preview[0]: 0.0 is not allowed; give a finite number > 0 (s)"),
+        ({"middle": -1.0}, "Track.middle: -1.0 is not allowed; give a finite number > 0 (rad)"),
+        ({"failure_penalty": -1.0}, "Track.failure_penalty: -1.0 is not allowed; give a finite number >= 0"),
+    ],
+)
+def test_wrong_arguments_are_refused_in_one_line(arguments, line):
+    assert refusal(lambda: Track(**arguments)).startswith(line)
+
+
+def test_a_path_that_an_arm_cannot_follow_is_refused_in_one_line():
+    for settings_ in ({"name": "FlexOne-v0", "task": Track()}, {"name": "FlexPlanar-v0", "task": Track(size=2.0)}):
+        line = refusal(lambda settings_=settings_: FlexManEnv(**settings_).reset(seed=0))
+        assert line.startswith("Track.size: ") and "m, a path that the tip of this arm can follow" in line
