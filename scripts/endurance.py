@@ -2,8 +2,28 @@
 
 import argparse
 
-from flexman_gym.studies.benchmark.endurance import ALLOWED, SETTLED, endure, publish
+from flexman_gym.envs import NAMED
+from flexman_gym.studies.benchmark.endurance import ALLOWED, SETTLED, all_conditions, endure, publish
 from flexman_gym.studies.places import folder
+
+MOST_ALARMS = 0.005  # of the steps
+
+
+SENSORS = ("full", "lab", ("lab", "accelerometer", "tip"))
+
+
+def every(steps: int, arms: int) -> None:
+    """Prints a line for each environment that has conditions and each set of sensors; fails with an alarm too many."""
+    for name in (name for name, named in NAMED.items() if named.conditions):
+        for sensors in SENSORS:
+            count = endure(steps, arms, steps, name, sensors=sensors, **all_conditions(name))
+            share, rate = count.alarms / count.steps, count.steps / count.cpu
+            ends = dict(count.failures)
+            print(
+                f"{name}, {sensors}: {count.steps:,} steps, alarm {share:.4%}, {rate:,.0f} a second, {ends}", flush=True
+            )
+            if share >= MOST_ALARMS:
+                raise SystemExit(f"{name}, {sensors}: an energy alarm in {share:.2%} of the steps")
 
 
 def main() -> None:
@@ -12,7 +32,11 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=10_000_000, help="of all arms together")
     parser.add_argument("--arms", type=int, default=256)
     parser.add_argument("--folder", type=folder, default="out", help="of the page whose section this is")
+    parser.add_argument("--every", action="store_true", help="each environment and set of sensors, all conditions on")
     options = parser.parse_args()
+    if options.every:
+        every(options.steps, options.arms)
+        return
     count = endure(options.steps, options.arms, min(SETTLED, options.steps))
     options.folder.mkdir(parents=True, exist_ok=True)
     print(publish(count, options.arms, options.folder))

@@ -30,7 +30,7 @@ FLOORS = {
     "envs": "draw control fidelity simulation model scene kernels arrays checks",
     "metrics": "arrays checks",
     "agents": "flexman_gym envs metrics draw control simulation scene arrays checks",
-    "studies": "flexman_gym agents envs draw fidelity simulation model scene kernels arrays checks",
+    "studies": "flexman_gym agents metrics envs draw fidelity simulation model scene kernels arrays checks",
     "scripts": "flexman_gym agents studies envs draw fidelity simulation model scene arrays checks",
     "__main__": "flexman_gym agents studies envs draw fidelity simulation model scene kernels arrays checks",
 }

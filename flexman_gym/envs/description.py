@@ -77,7 +77,7 @@ class Description:
 
     @classmethod
     def under(cls, name: str, condition: str) -> Self:
-        """Gives a named environment under one of the CONDITIONS; docs/conditions.md says what they are.
+        """Gives a named environment under one of the CONDITIONS, whose files say what they are.
 
         Raises:
             ValueError: for another condition, and for an environment without conditions.

@@ -8,6 +8,8 @@ EVERYTHING = {
     "delay": (0, 3), "initial_vibration": (0.0, 0.01), "tip_impulse": (0.0, 5.0), "tip_load": (0.0, 10.0),
     "base_sway": (0.0, 0.2), "impulse_gap": 0.2,
 }  # fmt: skip
+ALL_PARTS = ("motor_encoders", "joint_encoders", "strain", "accelerometer", "tip", "command")
+FLAWED = {"kind": "lab", "noise": 0.002, "bias": 0.001, "quantisation": 1e-4, "delay": 1, "every": 2, "dropped": 0.2}
 
 
 def actions(arms, steps, seed=0):

@@ -5,11 +5,12 @@ import time
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-import flexman_gym  # noqa: F401  registers the environments
+from flexman_gym.envs.description import Description
 from flexman_gym.studies.benchmark.page import ENDURANCE, PAGE, without_endurance
 from flexman_gym.studies.markdown import markdown_table
 
@@ -80,17 +81,31 @@ def actions(arms: int, joints: int, random: np.random.Generator) -> np.ndarray:
     return found
 
 
-def endure(steps: int, arms: int, settled: int = SETTLED) -> Count:
-    """Runs so many steps of all arms together; raises AssertionError for a number that is none."""
-    env = gym.make_vec("FlexRRR-v0", arms, "vector_entry_point", randomisation=RANDOMISATION)
+def all_conditions(name: str) -> dict[str, Any]:
+    """Keywords of a named environment with all of its conditions at once: P, S, DD, F and the noise of G."""
+    friction, general = (Description.find(f"{name}/{condition}") for condition in ("F", "G"))
+    return {
+        "arm": friction.setup().arm,
+        "randomisation": {**general.whole_settings()["randomisation"], "delay": (0, 2)},
+    }
+
+
+def endure(steps: int, arms: int, settled: int = SETTLED, name: str = "FlexRRR-v0", **settings: Any) -> Count:
+    """Runs so many steps of all arms of a named environment, by default with every randomisation.
+
+    Raises:
+        AssertionError: for a number that is none, and for an observation outside its space.
+    """
+    env = gym.make_vec(name, arms, "vector_entry_point", **(settings or {"randomisation": RANDOMISATION}))
     random, count, before = np.random.default_rng(0), Count(), 0.0
     joints = env.single_action_space.shape[0]  # type: ignore[index]
-    assert np.isfinite(env.reset(seed=0)[0]).all()
+    assert env.reset(seed=0)[0] in env.observation_space
     started, over = time.process_time(), np.zeros(arms, dtype=bool)
     while count.steps < steps:
         for action in actions(arms, joints, random):
             observations, rewards, terminated, truncated, infos = env.step(action)
-            assert np.isfinite(observations).all() and np.isfinite(rewards).all(), f"after {count.steps} steps"
+            assert observations in env.observation_space, f"after {count.steps} steps"
+            assert np.isfinite(rewards).all(), f"after {count.steps} steps"
             count.steps += int(arms - over.sum())
             count.alarms += int(infos["energy_alarm"].sum())
             over = terminated | truncated

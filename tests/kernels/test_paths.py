@@ -1,0 +1,31 @@
+"""Paths: motor angles with which a rigid arm reaches places."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flexman_gym.envs.env import FlexManEnv
+
+QUICK = settings(deadline=None, derandomize=True, max_examples=40)
+VIEWS = {name: FlexManEnv(name=name).episodes.view for name in ("FlexRRR-v0", "FlexPlanar-v0")}
+
+
+@QUICK
+@given(name=st.sampled_from(sorted(VIEWS)), seed=st.integers(0, 10**6))
+def test_an_arm_reaches_where_it_has_been(name, seed):
+    """Tips of postures near a bent one are reached from it, to a thousandth of a millionth of the reach."""
+    view, random = VIEWS[name], np.random.default_rng(seed)
+    near = np.array([0.3, 0.4, 1.1])[-view.n_joints :] * random.choice([-1.0, 1.0])
+    postures = near + random.uniform(-0.15, 0.15, (4, view.n_joints))
+    tips = view.rigid_tips(postures)
+    found, left = view.reaching(tips, near)
+    assert left <= 1e-9 * view.reach
+    assert view.rigid_tips(found) == pytest.approx(tips, abs=2e-9 * view.reach)
+    assert found == pytest.approx(postures, abs=1e-6)
+
+
+def test_what_is_left_of_a_place_out_of_reach_is_said():
+    view = VIEWS["FlexRRR-v0"]
+    _, left = view.reaching(np.array([[20.0, 0.0, 0.0]]), np.array([0.0, 0.3, 0.4]))
+    assert left > 11.0
