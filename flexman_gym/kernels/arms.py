@@ -178,10 +178,7 @@ def advance_arms(tables, work_table, tableau, sweeps, drives, clock, rows, found
         for arm in range(first, end):
             moving[arm] = moving[arm] and lane_in_bounds(state, arm - first)
             if moving[arm]:
-                for j in range(len(state)):
-                    rows[arm, j] = lane_number(state, j, arm - first)
-                for j in range(len(work.outputs)):
-                    found[arm, j] = lane_number(work.outputs, j, arm - first)
+                store_lane(work, arm - first, rows[arm], found[arm])
 
 
 @released
@@ -195,6 +192,64 @@ def advance_one(table, work_table, tableau, sweeps, drives, clock, rows, found, 
     if moving[0]:
         copy(work.row, rows[0])
         copy(work.outputs, found[0])
+
+
+@released
+def run_arms(tables, work_table, tableau, sweeps, drives, clock, rows, found, counts):
+    """Runs of arms by fixed steps as in `proceed`, each under the table of its own drive (b, 6, n + 6).
+
+    Overwrites rows (b, r + 1, 2 d + 2) behind the first one, from which an arm starts, and outputs `found` (b, r + 1,
+    OUTPUTS). counts (b, 2) = how many rows are valid behind the first, and the steps that were taken.
+    """
+    work = work_of_arms(work_table)
+    for group in range(len(tables)):
+        constants, first = constants_of_arms(tables[group]), group * ARMS_ABREAST
+        end = min(first + ARMS_ABREAST, len(rows))
+        load_arms(work, drives, rows, first)
+        for arm in range(first, end):
+            counts[arm, 0], counts[arm, 1] = -1, 0
+        for r in range(rows.shape[1]):
+            for n in range(clock.substeps if r > 0 else 0):
+                moment = clock.time + ((r - 1) * clock.substeps + n) * clock.step, clock.step
+                if tableau is None:
+                    midpoint_step(constants, work, sweeps, work.table, moment, work.row)
+                else:
+                    implicit_step(constants, work, tableau, work.table, moment, work.row)
+                for arm in range(first, end):
+                    if counts[arm, 0] < 0:
+                        counts[arm, 1] += 1
+                        if not lane_in_bounds(work.trial, arm - first):
+                            counts[arm, 0] = r - 1
+                copy(work.trial, work.row)
+            d = len(work.row) // 2 - 1
+            observe(constants, work, work.row[:d], work.row[d : 2 * d], work.outputs)
+            for arm in range(first, end):
+                if counts[arm, 0] < 0:
+                    store_lane(work, arm - first, rows[arm, r], found[arm, r])
+        for arm in range(first, end):
+            if counts[arm, 0] < 0:
+                counts[arm, 0] = rows.shape[1] - 1
+
+
+@inner
+def load_arms(work, drives, rows, first):
+    """work.row and work.table = the first rows and the drives of the arms from `first` on."""
+    for k in range(ARMS_ABREAST):
+        arm = min(first + k, len(rows) - 1)  # lanes without an arm repeat the last one
+        for j in range(len(work.row)):
+            store_lane_number(work.row, j, k, rows[arm, 0, j])
+        for i in range(len(work.table)):
+            for j in range(len(work.drive)):
+                store_lane_number(work.table[i], j, k, drives[arm, i, j])
+
+
+@inner
+def store_lane(work, k, row, outputs):
+    """row and outputs = work.row and work.outputs of lane k."""
+    for j in range(len(row)):
+        row[j] = lane_number(work.row, j, k)
+    for j in range(len(outputs)):
+        outputs[j] = lane_number(work.outputs, j, k)
 
 
 @kernel

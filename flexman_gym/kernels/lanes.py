@@ -190,11 +190,11 @@ def below(typing_context, a, limit):
 @intrinsic
 def choose_below(typing_context, a, limit, near, far):
     """Lane by lane, near where a is less than a limit, far where it is not."""
-    kind = joint_kind(a, near, far)
+    kind = joint_kind(a, limit, near, far)
 
     def generate(context, builder, kinds, values):
         pairs = zip(kinds.args, values, strict=True)
         a, bound, near, far = (spread(context, builder, each, kind, value) for each, value in pairs)
         return builder.select(builder.fcmp_ordered("<", a, bound), near, far)
 
-    return kind(a, NUMBER, near, far), generate
+    return kind(a, limit, near, far), generate

@@ -6,6 +6,7 @@ is OK by one control period, `periods` (b,) after their start, and sets the stat
 """
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import Any
@@ -129,6 +130,20 @@ class Abreast:
         if failed.any():
             status[failed] = layout.DIVERGED
 
+    def run(self, drives: Array, rows: Array, outputs: Array, counts: IntArray) -> None:
+        """Moves all arms from row to row, a period apart, each by its drive (b, 6, n + 6); as `kernels.arms.run_arms`.
+
+        Not for an arm that is moved alone.
+        """
+
+        def share(groups: slice, arms: slice, work: IntArray) -> None:
+            kernels.run_arms(
+                self._tables[groups], work, *self._method, drives[arms], self._clock, rows[arms], outputs[arms],
+                counts[arms],
+            )  # fmt: skip
+
+        self._share(share)
+
     def _advance(self, drives: Array, clock: Clock, rows: Array, outputs: Array) -> None:
         if self._alone:
             kernels.advance_one(
@@ -136,16 +151,23 @@ class Abreast:
             )
             return
 
-        def share(thread: int) -> None:
-            groups = self._shares[thread]
-            arms = slice(groups.start * ARMS_ABREAST, groups.stop * ARMS_ABREAST)
+        def share(groups: slice, arms: slice, work: IntArray) -> None:
             kernels.advance_arms(
-                self._tables[groups], self._work_tables[thread], *self._method,
+                self._tables[groups], work, *self._method,
                 drives[arms], clock, rows[arms], outputs[arms], self._moving[arms],
             )  # fmt: skip
 
-        others = [self._threads().submit(share, thread) for thread in range(1, len(self._shares))]
-        share(0)
+        self._share(share)
+
+    def _share(self, share: Callable[[slice, slice, IntArray], None]) -> None:
+        """Calls a function for the groups of each thread, with these groups, their arms and its work space."""
+
+        def part(thread: int) -> None:
+            groups = self._shares[thread]
+            share(groups, slice(groups.start * ARMS_ABREAST, groups.stop * ARMS_ABREAST), self._work_tables[thread])
+
+        others = [self._threads().submit(part, thread) for thread in range(1, len(self._shares))]
+        part(0)
         for each in others:
             each.result()
 
