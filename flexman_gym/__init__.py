@@ -34,7 +34,7 @@ from flexman_gym.scene import (
     SineTorque,
     catalog,
 )
-from flexman_gym.simulation import METHODS, Simulator, Trajectory, generalised_alpha, simulate
+from flexman_gym.simulation import METHODS, Simulator, Trajectory, generalised_alpha, simulate, simulate_all
 
 __all__ = [
     "METHODS",
@@ -70,6 +70,7 @@ __all__ = [
     "mass_matrix",
     "rest_state",
     "simulate",
+    "simulate_all",
     "strain",
     "tip_acceleration",
 ]

@@ -2,7 +2,7 @@
 
 import argparse
 
-from flexman_gym.studies.fidelity.cases import scenes
+from flexman_gym.studies.fidelity.cases import open_scenes, scenes
 from flexman_gym.studies.fidelity.measure import Row, rows
 from flexman_gym.studies.fidelity.page import page
 from flexman_gym.studies.places import folder
@@ -17,14 +17,16 @@ def main() -> None:
     parser.add_argument("--redraw", action="store_true", help="only write about the rows of an earlier run")
     parser.add_argument("folder", nargs="?", type=folder, default="docs", help="where rows and page go")
     options = parser.parse_args()
-    file, found = options.folder / "fidelity.csv", []
-    for name, scene in () if options.redraw else scenes().items():
-        for row in rows(name, scene):
-            print(row, flush=True)
-            found.append(row)
-    if found:
-        write_rows(found, file, DIGITS)
-    (options.folder / "fidelity.md").write_text(page(read_rows(file, Row)), encoding="utf-8")
+    files = {"fidelity.csv": scenes(), "fidelity_open.csv": open_scenes()}
+    for file, cases in files.items() if not options.redraw else ():
+        found: list[Row] = []
+        for name, scene in cases.items():
+            for row in rows(name, scene):
+                print(row, flush=True)
+                found.append(row)
+        write_rows(found, options.folder / file, DIGITS)
+    known = [read_rows(options.folder / file, Row) if (options.folder / file).exists() else [] for file in files]
+    (options.folder / "fidelity.md").write_text(page(*known), encoding="utf-8")
 
 
 if __name__ == "__main__":

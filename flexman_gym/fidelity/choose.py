@@ -9,7 +9,8 @@ import numpy as np
 
 from flexman_gym.arrays import Array
 from flexman_gym.checks import positive, refusal
-from flexman_gym.fidelity.search import SHARP, Candidate, Search, Trial, given_modes
+from flexman_gym.fidelity.mesh import MeshSearch
+from flexman_gym.fidelity.search import Candidate, Search, Trial, given_modes
 from flexman_gym.model.instant import frequencies, mass_matrix, stiffness_matrix
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.arm import Arm
@@ -19,9 +20,6 @@ from flexman_gym.simulation.families import EXPLICIT, Method
 from flexman_gym.simulation.methods import METHODS
 
 SAFETY = 0.8  # part of the tolerance that the chosen run may use
-MODEL_SHARES = (0.6, 0.25)  # parts of the tolerance that dropped coordinates may use; each gives a model
-TRIED = ("extrapolated_euler_5", "extrapolated_euler_4", "extrapolated_euler_3", "ros2", "rk4", "dopri5",
-         "implicit_midpoint_2", "implicit_midpoint_3", "generalised_alpha")  # fmt: skip
 MULTIPLES = (10, 8, 5, 4, 3, 2)  # of the output step
 PARTS = (1, 2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 25, 32, 40, 50, 64, 80, 100, 128, 160, 200, 256, 320, 400, 512, 1024)
 MOST_GROWTH = 100.0  # of any mode by the method within the scene; the amplitudes are next to nothing at first
@@ -38,7 +36,11 @@ class Choice:
         estimated_error: largest distance of the tip from the reference at the outputs of the run, plus the error of the
             reference, m.
         dropped: a text for each part of the model that was left out, with its effect.
-        report: a text about frequencies, step, numerical damping and the cost of the choice.
+        report: a text about frequencies, step, numerical damping and the cost of the choice. Where the mesh was chosen,
+            it also says how far the arm is from one of large rotations, which is no part of the estimate.
+        errors: parts of the error (m) by name; they add up to more than the estimate where they cancel. Where the mesh
+            was chosen they are mesh, modes, foreshortening, method and reference, else model and reference.
+        runs: how many runs of the scene the choice took.
     """
 
     model: Model
@@ -47,13 +49,16 @@ class Choice:
     estimated_error: float
     dropped: tuple[str, ...]
     report: str
+    errors: dict[str, float]
+    runs: int
 
 
 def choose_model(scene: Scene, tolerance: float, longest_step: float | None = None) -> Choice:
     """Chooses the cheapest model, method and step whose tip stays within a tolerance of the reference.
 
     The reference is a converged run of the scene's arm with its elements, every coordinate of its flexible parts and
-    foreshortening. The error of its elements is not part of it.
+    foreshortening. The error of its elements is not part of it. Where a scene leaves its elements open (None), they are
+    chosen too: the reference has five of each link, and its error is estimated from a run with one less.
 
     Candidates leave out foreshortening, the springs of all joints, and the component modes that move the tip least in
     the motion of the reference. A mode moves the tip by its bend times the motion of the tip per unit of bend. Each
@@ -62,7 +67,8 @@ def choose_model(scene: Scene, tolerance: float, longest_step: float | None = No
     The tolerance holds at the outputs of the run: at the outputs of the scene or, with a longer step, after each step.
     Between them it holds for cubic interpolation of positions and velocities.
 
-    A choice costs some hundred runs of the scene. The same scene and tolerance give the same object again at once.
+    A choice costs some hundred runs of the scene, at most a hundred where the mesh is open. The same scene and
+    tolerance give the same object again at once.
 
     Args:
         scene: the scene.
@@ -115,11 +121,10 @@ def assembled_modes(
 @lru_cache(maxsize=64)
 def _choose(scene: Scene, tolerance: float, longest: float) -> Choice:
     started = clock.process_time()
-    search = Search(scene, tolerance)
-    if search.error > 2 * SHARP * tolerance:
-        raise refusal(
-            "tolerance", tolerance, f"at least {search.error / SHARP:.2g} m: the reference is known no better"
-        )
+    search = MeshSearch(scene, tolerance) if scene.model.elements is None else Search(scene, tolerance)
+    if search.error > search.blurred * tolerance:
+        least = 2.0 * search.error / search.blurred
+        raise refusal("tolerance", tolerance, f"at least {least:.2g} m: the reference is known no better")
     parts = search.parts()
     trials = [trial for candidate in _candidates(search, parts) for trial in _steps(search, candidate, longest)]
     good = [trial for trial in trials if trial.error + search.error <= SAFETY * tolerance]
@@ -128,28 +133,32 @@ def _choose(scene: Scene, tolerance: float, longest: float) -> Choice:
         raise refusal("tolerance", tolerance, f"at least {(reached + search.error) / SAFETY:.2g} m, what was reached")
     cheapest = min(trial.cost for trial in good)
     close = [trial for trial in good if trial.cost <= 1.5 * cheapest]
+    if search.timed is not None:
+        close = sorted(close, key=lambda trial: trial.cost)[: search.timed]
     timed = [(min(search.trial(*trial[:3]).cost for _ in range(3)), trial) for trial in close]
     best = min(timed, key=lambda pair: pair[0])[1]
     search.sharpen(best.error)
-    error = search.tip_error(search.run(*best[:3])) + search.error
-    report = _report(search, best, trials, clock.process_time() - started)
+    run = search.run(*best[:3])
+    error, errors = search.tip_error(run) + search.error, search.errors(best.candidate, run)
     dropped = _dropped(search, best.candidate, parts)
-    return Choice(search.model(best.candidate), best.method.name, best.step, error, dropped, report)
+    report = _report(search, best, trials, clock.process_time() - started)
+    chosen = search.model(best.candidate), best.method.name, best.step
+    return Choice(*chosen, error, dropped, report, errors, search.runs)
 
 
 def _candidates(search: Search, parts: dict[tuple[int, int], float]) -> list[Candidate]:
     """Gives models that meet their share of the tolerance, the one with the fewest coordinates first."""
-    found, stiffest = {search.full}, search.stiffest()
+    found, stiffest = {search.full}, search.stiffest() if search.softens else []
     for springs in {search.full.springs, False}:
         for stiffening in {False, search.full.stiffening}:
             start = search.full._replace(springs=springs, stiffening=stiffening)
-            for share in MODEL_SHARES:
+            for share in search.shares:
                 budget = share * search.tolerance
                 if search.screen(start) <= budget:
                     found.add(search.reduced(start, budget, list(parts)))
-            if search.screen(start) <= budget:  # for explicit methods
+            if search.softens and search.screen(start) <= budget:  # for explicit methods
                 softer = search.reduced(start, budget, stiffest)
-                found.add(search.reduced(softer, MODEL_SHARES[0] * search.tolerance, list(parts)))
+                found.add(search.reduced(softer, search.shares[0] * search.tolerance, list(parts)))
     angles = search.scene.initial.joint_angles
 
     def fastest(candidate: Candidate) -> float:
@@ -171,13 +180,13 @@ def _steps(search: Search, candidate: Candidate, longest: float) -> Iterator[Tri
     """Runs a candidate by each method, with shorter steps until a run is good, or costs more than a good one."""
     modes = frequencies(search.model(candidate), search.scene.initial.joint_angles)
     aim = SAFETY * search.tolerance - search.error
-    for method in (METHODS[name] for name in TRIED):
+    for method in (METHODS[name] for name in search.tried):
         ladder = [step for step in _ladder(search.scene) if step <= longest * (1.0 + 1e-9)]
         steps = [step for step in ladder if _stays(method, step, modes, search.scene.duration)]
-        per_step, place = search.guess(candidate, method), 0
-        while place < len(steps) and per_step / steps[place] <= 1.2 * search.best:
+        per_step, place = search.guess(candidate, method), search.first(method, steps)
+        while place < len(steps) and per_step / steps[place] <= 1.2 * search.best and search.runs < search.most_runs:
             trial = search.trial(candidate, method, steps[place])
-            per_step = trial.cost * trial.step
+            per_step, search.last[method.name] = trial.cost * trial.step, trial.step
             yield trial
             if trial.error <= aim:
                 search.best = min(search.best, trial.cost)
@@ -244,8 +253,6 @@ def _report(search: Search, best: Trial, trials: list[Trial], seconds: float) ->
     for i, frequency in enumerate(own[:3]):
         change = 100.0 * (amplitude_kept(best.method, best.step, frequency) - 1.0)
         lines.append(f"numerical damping of mode {i + 1} ({frequency:.4g} Hz) over 10 s: {change:+.2g} % of amplitude")
-    lines.append(
-        f"reference: {search.reference.evaluations} evaluations with all coordinates, known to {search.error:.1g} m"
-    )
-    lines.append(f"the scene costs {best.cost:.2g} s, the choice took {seconds:.3g} s ({len(trials)} runs with it)")
+    lines.append(search.words())
+    lines.append(f"the scene costs {best.cost:.2g} s, the choice took {seconds:.3g} s, {search.runs} runs")
     return "\n".join(lines)

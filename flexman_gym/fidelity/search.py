@@ -14,6 +14,9 @@ from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.simulator import simulate
 from flexman_gym.simulation.trajectory import Trajectory
 
+MODEL_SHARES = (0.6, 0.25)  # parts of the tolerance that dropped coordinates may use; each gives a model
+TRIED = ("extrapolated_euler_5", "extrapolated_euler_4", "extrapolated_euler_3", "ros2", "rk4", "dopri5",
+         "implicit_midpoint_2", "implicit_midpoint_3", "generalised_alpha")  # fmt: skip
 SHARP = 0.05  # of the tolerance, the most by which the reference may be off
 # Method, steps in an output step and rtol of finer and finer references. Stiff modes do not limit the first two
 # methods, but the first method lets some of them grow.
@@ -77,20 +80,39 @@ class Search:
         reference: the finest reference that did not fail.
         error: of the reference, m.
         best: cost of the cheapest run that met the tolerance, s.
+        runs: how many runs of the scene were made.
+        last: the last step (s) that was tried of each method.
+        most_runs: no method is tried any more when there are so many.
+        shares: parts of the tolerance that dropped coordinates may use; each gives a model.
+        softens: whether explicit methods get models of their own.
+        tried: names of the methods to try.
+        blurred: part of the tolerance from which on the error of the reference is too large.
+        timed: how many of the cheapest trials are timed again, None for all that are close.
     """
 
+    most_runs: float = np.inf
+    shares: tuple[float, ...] = MODEL_SHARES
+    softens = True
+    tried: tuple[str, ...] = TRIED
+    blurred = 2 * SHARP
+    timed: int | None = None
+
     def __init__(self, scene: Scene, tolerance: float) -> None:
-        self.scene, self.tolerance = scene, tolerance
+        self._begin(scene, tolerance)
+        self.error = np.inf
+        self._converge(SHARP * tolerance)
+
+    def _begin(self, scene: Scene, tolerance: float) -> None:
+        """Starts without runs, for a scene with a mesh."""
+        self.scene, self.tolerance, self.runs, self.best = scene, tolerance, 0, np.inf
+        self.tips: list[Array] = []
+        self.last: dict[str, float] = {}
         self.models: dict[Candidate, Model] = {}
         self.screened: dict[Candidate, Trial] = {}
         choice = scene.model
         everything = build_model(scene.arm, **(vars(choice) | {"modes": None}))
         modes = tuple(tuple(range(basis.shape[1])) for basis in everything.bases)
         self.full = Candidate(modes, everything.n_motors > 0, any(modes))
-        self.tips: list[Array] = []
-        self.error = np.inf
-        self.best = np.inf  # cost of the cheapest run that met the tolerance
-        self._converge(SHARP * tolerance)
 
     def _converge(self, error: float) -> None:
         """Goes to finer references until two agree to an error (m)."""
@@ -98,18 +120,19 @@ class Search:
             if self.error <= error:
                 return
             step = self.scene.output_step / parts if parts else None
+            self.runs += 1
             run = simulate(self.scene, self.model(self.full), method, step, rtol, 0.01 * rtol)
             if run.status == "ok":
                 self.reference = run
             last = self.tips[-1] if self.tips else np.full_like(run.tip, np.nan)
             self.tips.append(run.tip if run.status == "ok" else np.full((*self.scene.output_times.shape, 3), np.nan))
-            self.error = np.nan_to_num(_distance(self.tips[-1], last), nan=np.inf)
+            self.error = np.nan_to_num(distance(self.tips[-1], last), nan=np.inf)
 
     @property
     def screening(self) -> tuple[Method, float | None]:
         """The first reference that is right on the scene with all coordinates: its method and step (s)."""
         for (method, parts, _), tip in zip(REFERENCES, self.tips, strict=False):
-            if _distance(tip, self.tips[-1]) <= 2 * SHARP * self.tolerance:
+            if distance(tip, self.tips[-1]) <= 2 * SHARP * self.tolerance:
                 return method, self.scene.output_step / parts if parts else None
         return METHODS["dop853"], None
 
@@ -126,27 +149,33 @@ class Search:
 
     def run(self, candidate: Candidate, method: Method, step: float | None) -> Trajectory:
         """Simulates the scene with a candidate."""
+        self.runs += 1
         return simulate(self.scene, self.model(candidate), method, step)
 
     def trial(self, candidate: Candidate, method: Method, step: float | None) -> Trial:
         """Simulates the scene with a candidate and measures error and cost."""
+        trial, run = self.timed_run(candidate, method, step)
+        return trial._replace(error=self.tip_error(run))
+
+    def timed_run(self, candidate: Candidate, method: Method, step: float | None) -> tuple[Trial, Trajectory]:
+        """Simulates the scene with a candidate and measures its cost; the error of the trial is left open, NaN."""
         self.model(candidate)
         started = clock.process_time()
         run = self.run(candidate, method, step)
         cost = clock.process_time() - started
-        return Trial(candidate, method, step or 0.0, self.tip_error(run), cost, run.evaluations)
+        return Trial(candidate, method, step or 0.0, np.nan, cost, run.evaluations), run
 
     def tip_error(self, run: Trajectory) -> float:
         """Gives the error (m) of a run at its outputs; inf for a run that failed or goes astray between its outputs."""
         times, reference = self.scene.output_times, self.tips[-1]
         if run.status != "ok" or not np.isclose(run.time[-1], times[-1], rtol=1e-6):
             return np.inf
-        error = _distance(run.tip, reference[:: (len(times) - 1) // (len(run.time) - 1)])
+        error = distance(run.tip, reference[:: (len(times) - 1) // (len(run.time) - 1)])
         if len(run.time) < len(times):
             from scipy.interpolate import CubicHermiteSpline
 
             between = CubicHermiteSpline(run.time, run.tip, run.tip_velocity)(times)
-            error = error if _distance(between, reference) <= self.tolerance else np.inf
+            error = error if distance(between, reference) <= self.tolerance else np.inf
         return error
 
     def screen(self, candidate: Candidate) -> float:
@@ -162,6 +191,18 @@ class Search:
         ease = 1.0 if screened.method.kind == REFERENCE else 0.3  # an explicit method factorises no matrix
         seconds = ease * screened.cost / max(screened.evaluations, 1)
         return seconds * len(method.b) * self.scene.duration if isinstance(method, Explicit) else 0.0
+
+    def first(self, method: Method, steps: list[float]) -> int:
+        """Where in descending steps (s) to begin to try a method."""
+        return 0
+
+    def errors(self, candidate: Candidate, run: Trajectory) -> dict[str, float]:
+        """Gives parts of the error (m) of a run of a candidate: what it lacks, and how well the reference is known."""
+        return {"model": self.screen(candidate), "reference": self.error}
+
+    def words(self) -> str:
+        """What the reference is."""
+        return f"reference: {self.reference.evaluations} evaluations with all coordinates, known to {self.error:.1g} m"
 
     def parts(self) -> dict[tuple[int, int], float]:
         """Gives how far (m) each mode (link, number) moves the tip in the motion of the reference, ascending.
@@ -234,5 +275,6 @@ def given_modes(numbers: tuple[int, ...]) -> int | tuple[int, ...]:
     return len(numbers) if numbers == tuple(range(len(numbers))) else numbers
 
 
-def _distance(tips: Array, others: Array) -> float:
+def distance(tips: Array, others: Array) -> float:
+    """Gives the largest distance (m) between tips (T, 3)."""
     return float(np.linalg.norm(tips - others, axis=-1).max())

@@ -7,6 +7,8 @@ its neighbours are. Constants that arms may differ in (`PER_ARM`) are such group
 A call passes addresses of arrays instead of the arrays, which takes microseconds less.
 """
 
+import math
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,8 +17,9 @@ from numba.core import types
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
-from flexman_gym.kernels.compile import inner, released
-from flexman_gym.kernels.lanes import ARMS, NUMBER
+from flexman_gym.kernels.compile import inner, kernel, released
+from flexman_gym.kernels.groups import lane_number, store_lane_number
+from flexman_gym.kernels.lanes import ARMS, NUMBER, SEQUENCES, Lanes
 from flexman_gym.kernels.layout import (
     ARMS_ABREAST,
     LARGEST_STATE,
@@ -27,7 +30,7 @@ from flexman_gym.kernels.layout import (
     Work,
 )
 from flexman_gym.kernels.linalg import copy
-from flexman_gym.kernels.linearly_implicit import implicit_step
+from flexman_gym.kernels.linearly_implicit import implicit_step, run_steps
 from flexman_gym.kernels.midpoint import midpoint_step
 from flexman_gym.kernels.outputs import observe
 from flexman_gym.kernels.pace import out_of_bounds
@@ -37,41 +40,53 @@ PER_ARM = frozenset(name for name, kind in Constants.__annotations__.items() if 
 ALIGNMENT = 64  # bytes; of a group of eight numbers
 
 
-def arms_array(shape: tuple[int, ...]) -> Array:
-    """Zeros (..., ARMS_ABREAST), aligned for vector registers."""
-    count = int(np.prod(shape)) * ARMS_ABREAST
+def arms_array(shape: tuple[int, ...], lanes: int = ARMS_ABREAST) -> Array:
+    """Zeros (..., lanes), aligned for vector registers."""
+    count = math.prod(shape) * lanes
     memory = np.zeros(count + ALIGNMENT // 8)
-    first = -memory.ctypes.data % ALIGNMENT // 8
-    return memory[first : first + count].reshape(*shape, ARMS_ABREAST)
+    first = -_address(memory) % ALIGNMENT // 8
+    return memory[first : first + count].reshape(*shape, lanes)
+
+
+def sequences_array(shape: tuple[int, ...]) -> Array:
+    """The same for sequences of one arm."""
+    return arms_array(shape, SEQUENCES.width)
 
 
 def addresses(parts: NamedTuple, element: types.Type) -> IntArray:
     """(fields, 3) address and shape of every array of a `Constants` or `Work`, whose memory must stay alive.
 
-    Elements are numbers (NUMBER) or `ARMS`, whose arrays have one axis more, the arms.
+    Elements are numbers (NUMBER), or `ARMS` or `SEQUENCES`, whose arrays have one axis more.
     """
-    table = np.zeros((len(parts), 3), np.int64)
-    for row, name, values in zip(table, parts._fields, parts, strict=True):
-        kind = _kind(type(parts), name, element)
-        if not values.flags.c_contiguous or values.ndim != kind.ndim + (kind.dtype == ARMS):
+    rows = []
+    for name, values in zip(parts._fields, parts, strict=True):
+        kind, shape = _kind(type(parts), name, element), values.shape
+        if not values.flags.c_contiguous or len(shape) != kind.ndim + isinstance(kind.dtype, Lanes):
             raise TypeError(f"{name} is no contiguous array of {kind.ndim} axes")
-        if kind.ndim == 2 and values.shape[1] != (_columns(type(parts), name) or values.shape[1]):
-            raise TypeError(f"{name} has {values.shape[1]} columns")
-        row[0], row[1 : 1 + kind.ndim] = values.ctypes.data, values.shape[: kind.ndim]
-    return table
+        columns = shape[1] if kind.ndim == 2 else 0
+        if columns != (_columns(type(parts), name) or columns):
+            raise TypeError(f"{name} has {columns} columns")
+        rows.append((_address(values), shape[0], columns))
+    return np.array(rows, np.int64)
 
 
+def _address(values: Array) -> int:
+    return int(values.__array_interface__["data"][0])
+
+
+@cache
 def _kind(parts: type, name: str, element: types.Type) -> types.Array:
     """The type of a field as the kernels see it; read-only are the constants that several arms share, see `lanes`."""
     annotation = parts.__annotations__[name]
     dimensions = 1 if annotation is Own or not hasattr(annotation, "__metadata__") else 2
     if annotation is IntArray:
         return types.Array(types.int64, dimensions, "C", readonly=True)
-    if parts is Work or name in PER_ARM or element != ARMS:
+    if parts is Work or element == NUMBER or (element == ARMS and name in PER_ARM):
         return types.Array(element, dimensions, "C")
     return types.Array(NUMBER, dimensions, "C", readonly=True)
 
 
+@cache
 def _columns(parts: type, name: str) -> int:
     """The number of columns of a field that has two axes, 0 where it depends on the model."""
     annotation = parts.__annotations__[name]
@@ -118,32 +133,7 @@ def _reader(parts: type, element: types.Type) -> Any:
 
 constants_of_arms, work_of_arms = _reader(Constants, ARMS), _reader(Work, ARMS)
 constants_of_one, work_of_one = _reader(Constants, NUMBER), _reader(Work, NUMBER)
-
-
-@intrinsic
-def lane_number(typing_context, flat, i, k):
-    """Number k of the group at place i of a flat array of arms abreast."""
-
-    def generate(context, builder, kinds, values):
-        return builder.load(_lane(context, builder, kinds, *values))
-
-    return NUMBER(flat, types.intp, types.intp), generate
-
-
-@intrinsic
-def store_lane_number(typing_context, flat, i, k, value):
-    """Number k of the group at place i of a flat array of arms abreast = value."""
-
-    def generate(context, builder, kinds, values):
-        builder.store(values[3], _lane(context, builder, kinds, *values[:3]))
-        return context.get_dummy_value()
-
-    return types.void(flat, types.intp, types.intp, NUMBER), generate
-
-
-def _lane(context: Any, builder: Any, kinds: Any, flat: Any, i: Any, k: Any) -> Any:
-    place = builder.gep(context.make_array(kinds.args[0])(context, builder, flat).data, [i])
-    return builder.gep(builder.bitcast(place, ir.DoubleType().as_pointer()), [k])
+constants_of_sequences, work_of_sequences = _reader(Constants, SEQUENCES), _reader(Work, SEQUENCES)
 
 
 @inner
@@ -199,6 +189,67 @@ def advance_one(table, work_table, tableau, sweeps, drives, clock, rows, found, 
     if moving[0]:
         copy(work.row, rows[0])
         copy(work.outputs, found[0])
+
+
+@released
+def run_arms(tables, work_table, tableau, sweeps, drives, clock, rows, found, counts):
+    """Runs of arms by fixed steps as in `proceed`, each under the table of its own drive (b, 6, n + 6).
+
+    Overwrites rows (b, r + 1, 2 d + 2) behind the first one, from which an arm starts, and outputs `found` (b, r + 1,
+    OUTPUTS). counts (b, 2) = how many rows are valid behind the first, and the steps that were taken.
+    """
+    work = work_of_arms(work_table)
+    for group in range(len(tables)):
+        constants, first = constants_of_arms(tables[group]), group * ARMS_ABREAST
+        end = min(first + ARMS_ABREAST, len(rows))
+        load_arms(work, drives, rows, first)
+        for arm in range(first, end):
+            counts[arm, 0], counts[arm, 1] = -1, 0
+        for r in range(rows.shape[1]):
+            for n in range(clock.substeps if r > 0 else 0):
+                moment = clock.time + ((r - 1) * clock.substeps + n) * clock.step, clock.step
+                if tableau is None:
+                    midpoint_step(constants, work, sweeps, work.table, moment, work.row)
+                else:
+                    implicit_step(constants, work, tableau, work.table, moment, work.row)
+                for arm in range(first, end):
+                    if counts[arm, 0] < 0:
+                        counts[arm, 1] += 1
+                        if not lane_in_bounds(work.trial, arm - first):
+                            counts[arm, 0] = r - 1
+                copy(work.trial, work.row)
+            d = len(work.row) // 2 - 1
+            observe(constants, work, work.row[:d], work.row[d : 2 * d], work.outputs)
+            for arm in range(first, end):
+                if counts[arm, 0] < 0:
+                    read_lane(work.row, arm - first, rows[arm, r])
+                    read_lane(work.outputs, arm - first, found[arm, r])
+        for arm in range(first, end):
+            if counts[arm, 0] < 0:
+                counts[arm, 0] = rows.shape[1] - 1
+
+
+@inner
+def load_arms(work, drives, rows, first):
+    """work.row and work.table = the first rows and the drives of the arms from `first` on."""
+    for k in range(ARMS_ABREAST):
+        arm = min(first + k, len(rows) - 1)  # lanes without an arm repeat the last one
+        for j in range(len(work.row)):
+            store_lane_number(work.row, j, k, rows[arm, 0, j])
+        for i in range(len(work.table)):
+            for j in range(len(work.drive)):
+                store_lane_number(work.table[i], j, k, drives[arm, i, j])
+
+
+@kernel
+def run_sequences(constants, work, lanes, tableau, table, clock, state, rows, outputs):
+    """A run as in `linearly_implicit`, of one arm by an extrapolated method, with several sequences in the lanes.
+
+    `lanes` are the addresses of the same constants, those of work space of sequences, and the rounds of
+    `sequences_step`. The bits are those of one sequence after the other.
+    """
+    abreast = constants_of_sequences(lanes[0]), work_of_sequences(lanes[1]), lanes[2]
+    return run_steps(constants, work, abreast, tableau, table, clock, state, rows, outputs)
 
 
 @inner

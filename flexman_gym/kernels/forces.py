@@ -24,12 +24,11 @@ def drive_at(table, time, out):
     """out (n + 6,) = the drive of a table (6, n + 6) at the time (s); without one (None) out holds it, constant."""
     if table is not None:
         for i in range(len(out)):
-            out[i] = 0.0
-            if table[START, i] <= time < table[STOP, i]:
-                out[i] = table[OFFSET, i]
-                if table[AMPLITUDE, i] != 0.0:
-                    angle = 2.0 * math.pi * table[FREQUENCY, i] * time + table[PHASE, i]
-                    out[i] += table[AMPLITUDE, i] * math.sin(angle)
+            value = table[OFFSET, i]
+            if not vanishes(table[AMPLITUDE, i]):
+                angle = 2.0 * math.pi * table[FREQUENCY, i] * time + table[PHASE, i]
+                value += table[AMPLITUDE, i] * math.sin(angle)
+            out[i] = choose_below(time, table[START, i], 0.0, choose_below(time, table[STOP, i], value, 0.0))
 
 
 @inner

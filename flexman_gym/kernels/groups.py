@@ -3,7 +3,7 @@
 from typing import Any
 
 from llvmlite import ir
-from numba.core import types
+from numba.core import cgutils, types
 from numba.extending import intrinsic
 
 from flexman_gym.kernels.lanes import INDEX, NEIGHBOURS, NUMBER, Lanes, instruction_of, joint_kind, spread
@@ -59,7 +59,7 @@ def pick_lanes(typing_context, flat, i, stride):
             return builder.load(builder.gep(data, [place]))
         group = ir.Constant(kind.vector, ir.Undefined)
         for k in range(LANES):
-            group = builder.insert_element(group, builder.load(builder.gep(data, [place])), ir.Constant(INDEX, k))
+            group = builder.insert_element(group, builder.load(builder.gep(data, [place])), _index(k))
             place = builder.add(place, values[2])
         return group
 
@@ -89,7 +89,7 @@ def spread_lanes(typing_context, flat, i, stride, a):
             builder.store(group, builder.gep(data, [place]))
             return context.get_dummy_value()
         for k in range(LANES):
-            builder.store(builder.extract_element(group, ir.Constant(INDEX, k)), builder.gep(data, [place]))
+            builder.store(builder.extract_element(group, _index(k)), builder.gep(data, [place]))
             place = builder.add(place, values[2])
         return context.get_dummy_value()
 
@@ -98,41 +98,79 @@ def spread_lanes(typing_context, flat, i, stride, a):
 
 @intrinsic
 def add_rows(typing_context, total, factors, rows, j, stride):
-    """total + the sum of the factors, a group, times as many groups of rows, from place j on every stride."""
-    kind = joint_kind(total, factors, _group(rows))
+    """total + the sum of the factors, groups, times as many groups of rows, from place j on every stride.
+
+    Factors and arrays of rows are tuples: first all of them at the first number of a group, then at the next one.
+    """
+    kind = joint_kind(total, *factors, *map(_group, rows))
+    size = LANES if any(_group(each) == NEIGHBOURS for each in rows) else 1
 
     def generate(context, builder, kinds, values):
-        sum_, factors, array, place, step = values
-        sum_ = spread(context, builder, kinds.args[0], kind, sum_)
-        if _group(rows) == NEIGHBOURS:
-            picked = [builder.extract_element(factors, ir.Constant(INDEX, k)) for k in range(LANES)]
-            picked = [spread(context, builder, NUMBER, kind, each) for each in picked]
-        else:
-            picked = [spread(context, builder, kinds.args[1], kind, factors)]
-        data = context.make_array(rows)(context, builder, array).data
-        for factor in picked:
-            pointer = builder.gep(data, [place])
-            if _group(rows) == NEIGHBOURS:
-                row = builder.load(builder.bitcast(pointer, kind.vector.as_pointer()), align=8)
-            else:
-                row = spread(context, builder, _group(rows), kind, builder.load(pointer))
-            sum_ = instruction_of(builder, "fma", kind, [factor, row, sum_])
-            place = builder.add(place, step)
+        sum_, place = spread(context, builder, kinds.args[0], kind, values[0]), values[3]
+        groups = zip(kinds.args[1], cgutils.unpack_tuple(builder, values[1]), strict=True)
+        groups = [spread(context, builder, each, kind, value) for each, value in groups]
+        arrays = zip(kinds.args[2], cgutils.unpack_tuple(builder, values[2]), strict=True)
+        arrays = [(each, context.make_array(each)(context, builder, value).data) for each, value in arrays]
+        for k in range(size):
+            for factor, (flat, data) in zip(groups, arrays, strict=True):
+                pointer = builder.gep(data, [place])
+                if size == LANES:
+                    factor = spread(context, builder, NUMBER, kind, builder.extract_element(factor, _index(k)))
+                    row = builder.load(builder.bitcast(pointer, kind.vector.as_pointer()), align=8)
+                else:
+                    row = spread(context, builder, _group(flat), kind, builder.load(pointer))
+                sum_ = instruction_of(builder, "fma", kind, [factor, row, sum_])
+            place = builder.add(place, values[4])
         return sum_
 
     return kind(total, factors, rows, types.intp, types.intp), generate
 
 
 @intrinsic
-def sum_lanes(typing_context, a):
-    """The sum of a group of neighbours; what is no such group is its own sum."""
-    result = NUMBER if a == NEIGHBOURS else a
+def add_products(typing_context, total, a, b):
+    """total + a b, group times group; of neighbours the sum over the group, one after the other."""
+    kind = joint_kind(a, b)
+    result = NUMBER if kind == NEIGHBOURS else joint_kind(total, a, b)
 
     def generate(context, builder, kinds, values):
-        if a != NEIGHBOURS:
-            return values[0]
-        part = [builder.extract_element(values[0], ir.Constant(INDEX, k)) for k in range(LANES)]
-        halves = builder.fadd(part[0], part[2]), builder.fadd(part[1], part[3])
-        return builder.fadd(*halves)
+        total, kinds_, values_ = spread(context, builder, kinds.args[0], result, values[0]), kinds.args[1:], values[1:]
+        if kind != NEIGHBOURS:
+            factors = [spread(context, builder, each, result, v) for each, v in zip(kinds_, values_, strict=True)]
+            return instruction_of(builder, "fma", result, [*factors, total])
+        factors = [spread(context, builder, each, kind, v) for each, v in zip(kinds_, values_, strict=True)]
+        for k in range(LANES):
+            parts = [builder.extract_element(each, _index(k)) for each in factors]
+            total = instruction_of(builder, "fma", NUMBER, [*parts, total])
+        return total
 
-    return result(a), generate
+    return result(total, a, b), generate
+
+
+@intrinsic
+def lane_number(typing_context, flat, i, k):
+    """Number k of the group at place i of a flat array of arms abreast."""
+
+    def generate(context, builder, kinds, values):
+        return builder.load(_lane(context, builder, kinds, *values))
+
+    return NUMBER(flat, types.intp, types.intp), generate
+
+
+@intrinsic
+def store_lane_number(typing_context, flat, i, k, value):
+    """Number k of the group at place i of a flat array of arms abreast = value."""
+
+    def generate(context, builder, kinds, values):
+        builder.store(values[3], _lane(context, builder, kinds, *values[:3]))
+        return context.get_dummy_value()
+
+    return types.void(flat, types.intp, types.intp, NUMBER), generate
+
+
+def _lane(context: Any, builder: Any, kinds: Any, flat: Any, i: Any, k: Any) -> Any:
+    place = builder.gep(context.make_array(kinds.args[0])(context, builder, flat).data, [i])
+    return builder.gep(builder.bitcast(place, ir.DoubleType().as_pointer()), [k])
+
+
+def _index(k: int) -> Any:
+    return ir.Constant(INDEX, k)

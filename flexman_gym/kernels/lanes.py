@@ -1,9 +1,10 @@
 """Lanes: numbers that kernels add and multiply at once, each in one instruction of the processor.
 
 Written out as a type because the compiler does not find such groups by itself: Numba keeps its search for them off.
-The lanes of `NEIGHBOURS` are neighbours in an array of one arm, those of `ARMS` the same number of several arms.
-Kernels are written once for both: where the arrays of work space hold `ARMS`, a group of neighbours is one element, and
-the constants that all arms share are read-only arrays of plain numbers.
+The lanes of `NEIGHBOURS` are neighbours in an array of one arm, those of `ARMS` the same number of several arms, and
+those of `SEQUENCES` that number in several sequences of an extrapolated step of one arm. Kernels are written once for
+all: where the arrays of work space hold `ARMS` or `SEQUENCES`, a group of neighbours is one element, and the constants
+that they share are read-only arrays of plain numbers.
 """
 
 import math
@@ -25,8 +26,8 @@ INDEX = ir.IntType(32)
 class Lanes(types.Type):
     """Numba's name for such a group; calculates with another one or with a number, which all lanes then share."""
 
-    def __init__(self, width: int) -> None:
-        super().__init__(name=f"Lanes({width})")
+    def __init__(self, width: int, of: str) -> None:
+        super().__init__(name=f"Lanes({width}, {of})")
         self.width = width
         self.vector = ir.VectorType(ir.DoubleType(), width)
 
@@ -39,7 +40,8 @@ class Lanes(types.Type):
         return Conversion.safe if other == NUMBER else None
 
 
-NUMBER, NEIGHBOURS, ARMS = types.float64, Lanes(LANES), Lanes(ARMS_ABREAST)
+NUMBER, NEIGHBOURS, ARMS = types.float64, Lanes(LANES, "neighbours"), Lanes(ARMS_ABREAST, "arms")
+SEQUENCES = Lanes(LANES, "sequences")
 
 
 @register_model(Lanes)
@@ -188,11 +190,11 @@ def below(typing_context, a, limit):
 @intrinsic
 def choose_below(typing_context, a, limit, near, far):
     """Lane by lane, near where a is less than a limit, far where it is not."""
-    kind = joint_kind(a, near, far)
+    kind = joint_kind(a, limit, near, far)
 
     def generate(context, builder, kinds, values):
         pairs = zip(kinds.args, values, strict=True)
         a, bound, near, far = (spread(context, builder, each, kind, value) for each, value in pairs)
         return builder.select(builder.fcmp_ordered("<", a, bound), near, far)
 
-    return kind(a, NUMBER, near, far), generate
+    return kind(a, limit, near, far), generate

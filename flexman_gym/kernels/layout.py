@@ -199,6 +199,7 @@ class Work(NamedTuple):
     row: Array  # (2 d + 2,)
     outputs: Array  # (OUTPUTS,)
     pace: Array  # (1,) the step at which an adaptive run ended, 0 before
+    table: Rows  # (6, n + 6) of the drive, of arms abreast each of which has its own
 
 
 def make_work(constants: Constants, zeros: Callable[[tuple[int, ...]], Array] = np.zeros) -> Work:
@@ -223,7 +224,7 @@ def make_work(constants: Constants, zeros: Callable[[tuple[int, ...]], Array] = 
         "frame_acceleration": (n, 6),
         "stages": (STAGES, size), "stage_state": (size,), "shift": (size,), "trial": (size,),
         "rates": (size // 2 - 1,), "extrapolated": (SEQUENCES, size), "estimate": (2, size), "row": (size,),
-        "outputs": (OUTPUTS,), "pace": (1,),
+        "outputs": (OUTPUTS,), "pace": (1,), "table": (6, n + 6),
     }  # fmt: skip
     return Work(**{name: zeros(shape) for name, shape in shapes.items()})
 

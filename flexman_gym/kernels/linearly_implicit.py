@@ -6,6 +6,7 @@ Runs are as in `explicit`.
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.dynamics import factorise, solve
 from flexman_gym.kernels.forces import applied_forces, drive_at, friction_shift, friction_slopes, structural_forces
+from flexman_gym.kernels.groups import lane_number, store_lane_number
 from flexman_gym.kernels.joints import any_prescribed, prescribed_power
 from flexman_gym.kernels.kinematics import positions, velocities
 from flexman_gym.kernels.lanes import fused
@@ -19,6 +20,12 @@ from flexman_gym.kernels.stages import add_stages
 @kernel
 def run_linearly_implicit(constants, work, tableau, table, clock, state, rows, outputs):
     """Steps of a W-method whose approximate Jacobian holds damping and stiffness of links and joints, extrapolated."""
+    return run_steps(constants, work, None, tableau, table, clock, state, rows, outputs)
+
+
+@inner
+def run_steps(constants, work, lanes, tableau, table, clock, state, rows, outputs):
+    """The run; with `lanes`, as `sequences_step` takes them, several sequences of a step are in the lanes."""
     d, evaluations = len(state) // 2 - 1, 0
     adaptive = clock.rtol > 0.0
     pace = first_pace(work, clock)
@@ -26,7 +33,10 @@ def run_linearly_implicit(constants, work, tableau, table, clock, state, rows, o
         n, done, last = 0, 0.0, clock.substeps == 0
         while not last:
             time, h, last = next_step(clock, r, n, done, pace)
-            evaluations += implicit_step(constants, work, tableau, table, (time, h), state)
+            if lanes is None:
+                evaluations += implicit_step(constants, work, tableau, table, (time, h), state)
+            else:
+                evaluations += sequences_step(lanes, work, tableau, table, (time, h), state)
             if adaptive:
                 error = error_norm(work, 1, clock, state)
                 pace = next_pace(pace, h, last, error, tableau.order)
@@ -66,6 +76,39 @@ def implicit_step(constants, work, tableau, table, moment, state):
                 evaluations += 1
             add_stages(start, 1.0, tableau.b, work.stages, s, start)
     extrapolate(work, tableau, state)
+    return evaluations
+
+
+@inner
+def sequences_step(lanes, work, tableau, table, moment, state):
+    """The same for a method of one stage, several sequences at once; `work` is that of one arm.
+
+    `lanes` are constants, work space and rounds (r, lanes, 2): which sequence is in a lane in a round, and which of its
+    parts is next. A lane for which none is left goes on with its last one, at which nobody looks.
+    """
+    (constants, abreast, rounds), parts, (time, step) = lanes, tableau.sequence, moment
+    start, steps = abreast.row, abreast.pace
+    for r in range(len(rounds)):
+        for k in range(rounds.shape[1]):
+            j, p = rounds[r, k, 0], rounds[r, k, 1]
+            part = step / parts[j]
+            store_lane_number(steps, 0, k, part)
+            drive_at(table, time + p * part, work.drive)
+            for i in range(len(work.drive)):
+                store_lane_number(abreast.drive, i, k, work.drive[i])
+            for i in range(len(state) if p == 0 else 0):
+                store_lane_number(start, i, k, state[i])
+        implicit_stage(constants, abreast, tableau, None, (0.0, steps[0]), start, 0, True)
+        add_stages(start, 1.0, tableau.b, abreast.stages, 1, start)
+        for k in range(rounds.shape[1]):
+            j = rounds[r, k, 0]
+            if rounds[r, k, 1] + 1 == parts[j]:
+                for i in range(len(state)):
+                    work.extrapolated[j, i] = lane_number(start, i, k)
+    extrapolate(work, tableau, state)
+    evaluations = 0
+    for j in range(len(parts)):
+        evaluations += parts[j]
     return evaluations
 
 
@@ -119,7 +162,7 @@ def implicit_stage(constants, work, tableau, table, moment, state, i, moved):
         if implicit:
             structural_forces(constants, work, shift[:d], shift[d : 2 * d])
             friction_shift(constants, work, shift[d : 2 * d])
-        factorise(constants, work, (g * implicit, g * g * implicit))
+        factorise(constants, work, (g * float(implicit), g * g * float(implicit)))
         solve(constants, work, work.rates)
         if not implicit:  # the torque of a prescribed motion needs the true accelerations
             supplied += prescribed_power(constants, work, v)

@@ -10,13 +10,13 @@ The stations of a link, its tip first, fill whole groups of LANES; those that fi
 
 from flexman_gym.kernels.compile import inner
 from flexman_gym.kernels.groups import (
+    add_products,
     add_rows,
     group_size,
     load_lanes,
     pick_lanes,
     spread_lanes,
     store_lanes,
-    sum_lanes,
 )
 from flexman_gym.kernels.lanes import fused
 from flexman_gym.kernels.linalg import dot, load
@@ -89,20 +89,19 @@ def shorten_mass(constants, work, i):
         store_lanes(weight, j, shift)
         store_lanes(weight, j + count, mass * y)
         store_lanes(weight, j + 2 * count, mass * z)
-        lost += shift
-        xx = fused(shift, 2.0 * along + back, xx)
-        xy = fused(shift, y, xy)
-        xz = fused(shift, z, xz)
+        lost = add_products(lost, shift, 1.0)
+        xx = add_products(xx, shift, 2.0 * along + back)
+        xy, xz = add_products(xy, shift, y), add_products(xz, shift, z)
     for group in range(0, width, group_size(work.back)):
         moment = across_y = across_z = 0.0
         for s in range(0, count, group_size(work.back)):
             weights, j = 4 * first + s, row + s * width + group
             shift = load_lanes(weight, weights)
-            moment = add_rows(moment, load_lanes(constants.station_mass, first + s), work.bend, j, width)
-            across_y = add_rows(across_y, load_lanes(weight, weights + count), work.bend, j, width)
-            across_y = add_rows(across_y, shift, constants.station_shape[1], j, width)
-            across_z = add_rows(across_z, load_lanes(weight, weights + 2 * count), work.bend, j, width)
-            across_z = add_rows(across_z, shift, constants.station_shape[2], j, width)
+            moment = add_rows(moment, (load_lanes(constants.station_mass, first + s),), (work.bend,), j, width)
+            factors, rows = (load_lanes(weight, weights + count), shift), (work.bend, constants.station_shape[1])
+            across_y = add_rows(across_y, factors, rows, j, width)
+            factors, rows = (load_lanes(weight, weights + 2 * count), shift), (work.bend, constants.station_shape[2])
+            across_z = add_rows(across_z, factors, rows, j, width)
         store_lanes(total, group, moment)
         store_lanes(total, width + group, across_z)
         store_lanes(total, 2 * width + group, across_y)
@@ -113,7 +112,7 @@ def shorten_mass(constants, work, i):
         work.moment_shape[start + a, 0] -= total[a]
         work.coupling[start + a, 1] -= total[width + a]
         work.coupling[start + a, 2] += total[2 * width + a]
-    return sum_lanes(lost), sum_lanes(xx), sum_lanes(xy), sum_lanes(xz)
+    return lost, xx, xy, xz
 
 
 @inner
@@ -123,7 +122,7 @@ def stretch_mass(constants, work, i, a, group, total):
     for s in range(0, constants.station_start[i + 1] - first, group_size(work.back)):
         j = constants.station_row[i] + s * width
         factors = load_lanes(constants.station_mass, first + s) * pick_lanes(stretch, j + a, width)
-        total = add_rows(total, factors, stretch, j + group, width)
+        total = add_rows(total, (factors,), (stretch,), j + group, width)
     return total
 
 
@@ -151,22 +150,24 @@ def shorten_forces(constants, work, i, v, elastic):
         store_lanes(weight, j + count, mass * (w[0] * w[1] * back + turn_y))
         store_lanes(weight, j + 2 * count, mass * (w[0] * w[2] * back + turn_z))
         store_lanes(weight, j + 3 * count, (-1.0 * mass) * whole)
-        force = fused(mass, pulled, force)
-        moment_x += mass * (y * turn_z - z * turn_y)
-        moment_y += mass * (z * pulled - x * turn_z - back * plain_z)
-        moment_z += mass * (x * turn_y - y * pulled + back * plain_y)
-    work.bias[i, 0] += sum_lanes(force)
-    work.bias[i, 3] += sum_lanes(moment_x)
-    work.bias[i, 4] += sum_lanes(moment_y)
-    work.bias[i, 5] += sum_lanes(moment_z)
+        force = add_products(force, mass, pulled)
+        moment_x = add_products(moment_x, mass * (y * turn_z - z * turn_y), 1.0)
+        moment_y = add_products(moment_y, mass * (z * pulled - x * turn_z - back * plain_z), 1.0)
+        moment_z = add_products(moment_z, mass * (x * turn_y - y * pulled + back * plain_y), 1.0)
+    work.bias[i, 0] += force
+    work.bias[i, 3] += moment_x
+    work.bias[i, 4] += moment_y
+    work.bias[i, 5] += moment_z
     for group in range(0, width, group_size(work.back)):
         total = 0.0
         for s in range(0, count, group_size(work.back)):
             weights, j = 4 * first + s, row + s * width + group
-            total = add_rows(total, load_lanes(weight, weights), constants.station_shape[0], j, width)
-            total = add_rows(total, load_lanes(weight, weights + count), constants.station_shape[1], j, width)
-            total = add_rows(total, load_lanes(weight, weights + 2 * count), constants.station_shape[2], j, width)
-            total = add_rows(total, load_lanes(weight, weights + 3 * count), work.bend, j, width)
+            factors = (
+                load_lanes(weight, weights), load_lanes(weight, weights + count),
+                load_lanes(weight, weights + 2 * count), load_lanes(weight, weights + 3 * count),
+            )  # fmt: skip
+            shapes = constants.station_shape
+            total = add_rows(total, factors, (shapes[0], shapes[1], shapes[2], work.bend), j, width)
         store_lanes(work.total, group, total)
     start = constants.elastic_start[i]
     for a in range(constants.elastic_start[i + 1] - start):

@@ -159,6 +159,8 @@ def scene_model(scene: Scene) -> Model:
 
 def _each(name: str, value: object, n: int) -> tuple:
     """Gives one value per link from one value for all or one for each."""
+    if name == "elements" and value is None:
+        raise refusal(name, None, "whole numbers from 1 on, or the scene to choose_model, which chooses them")
     if not isinstance(value, tuple):
         return (value,) * n
     if len(value) != n:

@@ -21,7 +21,7 @@ class ModelChoice:
     Attributes:
         flexible_links: whether links bend; a rigid link has no elastic coordinate.
         elements: finite elements of a Link, or of each section of a NonUniformLink, 1 to 64; a link as a whole has at
-            most 64. A link has 6 * elements * number of sections coordinates.
+            most 64. A link has 6 * elements * number of sections coordinates. None leaves them to `choose_model`.
         modes: modes kept of a link; None keeps every coordinate. A number keeps so many of the lowest frequencies, 0 to
             the number of coordinates (at most 384). In a tuple for all links, a tuple gives the ascending numbers of
             the modes, the lowest being 0: (4, (0, 1, 3), 0) keeps four modes of the first link, modes 0, 1 and 3 of the
@@ -39,7 +39,7 @@ class ModelChoice:
     """
 
     flexible_links: bool | tuple[bool, ...]
-    elements: int | tuple[int, ...]
+    elements: int | tuple[int, ...] | None
     modes: int | tuple[int | tuple[int, ...], ...] | None = None
     flexible_joints: bool = True
     stiffening: bool = False
@@ -50,12 +50,14 @@ class ModelChoice:
         store(
             self,
             flexible_links=_one_or_each("ModelChoice.flexible_links", self.flexible_links, flag),
-            elements=_one_or_each("ModelChoice.elements", self.elements, whole_number, 1, MOST_ELEMENTS),
             flexible_joints=flag("ModelChoice.flexible_joints", self.flexible_joints),
             stiffening=flag("ModelChoice.stiffening", self.stiffening),
             spinning_rotors=flag("ModelChoice.spinning_rotors", self.spinning_rotors),
             rotary_inertia=flag("ModelChoice.rotary_inertia", self.rotary_inertia),
         )
+        if self.elements is not None:
+            elements = _one_or_each("ModelChoice.elements", self.elements, whole_number, 1, MOST_ELEMENTS)
+            store(self, elements=elements)
         if self.modes is not None:
             store(self, modes=_one_or_each("ModelChoice.modes", self.modes, _modes, 6 * MOST_ELEMENTS))
 

@@ -6,13 +6,13 @@ from typing import NoReturn
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags
-from flexman_gym.checks import one_of, parts, positive, refusal, whole_number
+from flexman_gym.checks import parts, positive, refusal, whole_number
 from flexman_gym.kernels import layout, outputs
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.energy import turnover
 from flexman_gym.simulation.families import LinearlyImplicit, Method, Midpoint
 from flexman_gym.simulation.movers import Abreast, OneByOne
-from flexman_gym.simulation.parameters import PARAMETERS, nominal_parameters
+from flexman_gym.simulation.parameters import nominal_parameters, varied_constants
 from flexman_gym.simulation.run import Run, find_method, find_tolerance, prescribed_flags
 
 MOST_ARMS, MOST_THREADS = 65536, 256
@@ -163,13 +163,9 @@ class Batch:
             ValueError: for another name or shape, for numbers that are not finite or below zero, for zero where the arm
                 needs more, and for stiffness or damping of a rigid joint other than the model's.
         """
-        model, count = self.model, len(arms)
-        rows = {name: PARAMETERS[one_of("parameters", name, PARAMETERS)] for name in parameters}
-        checked = {name: row.checked(name, parameters[name], model, count) for name, row in rows.items()}
         self._known = False
-        for i, arm in enumerate(arms):
-            for name, row in rows.items():
-                self._mover.vary(arm, row.constants(model, checked[name][i]))
+        for arm, constants in zip(arms, varied_constants(self.model, len(arms), parameters), strict=True):
+            self._mover.vary(arm, constants)
 
     @property
     def time(self) -> Array:

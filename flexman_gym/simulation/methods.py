@@ -57,7 +57,7 @@ def _linearly_implicit() -> tuple[LinearlyImplicit, ...]:
     one, zero = np.ones(1), np.zeros((1, 1))
     return ros2, *(
         LinearlyImplicit(f"extrapolated_euler_{n}", n, source, zero, one, 1.0, zero,
-                         sequence=tuple(range(1, n + 1))) for n in (3, 4, 5)
+                         sequence=tuple(range(1, n + 1))) for n in range(3, 9)
     )  # fmt: skip
 
 

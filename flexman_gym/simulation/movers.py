@@ -143,11 +143,24 @@ class Abreast:
             tip.sense_one(self._tables[0], self._work_tables[0], drives, rows, found)
             return
 
-        def share(thread: int) -> None:
-            groups, arms = self._share(thread)
-            tip.sense_arms(self._tables[groups], self._work_tables[thread], drives[arms], rows[arms], found[arms])
+        def share(groups: slice, arms: slice, work: IntArray) -> None:
+            tip.sense_arms(self._tables[groups], work, drives[arms], rows[arms], found[arms])
 
-        self._in_threads(share)
+        self._share(share)
+
+    def run(self, drives: Array, rows: Array, outputs: Array, counts: IntArray) -> None:
+        """Moves all arms from row to row, a period apart, each by its drive (b, 6, n + 6); as `kernels.arms.run_arms`.
+
+        Not for an arm that is moved alone.
+        """
+
+        def share(groups: slice, arms: slice, work: IntArray) -> None:
+            kernels.run_arms(
+                self._tables[groups], work, *self._method, drives[arms], self._clock, rows[arms], outputs[arms],
+                counts[arms],
+            )  # fmt: skip
+
+        self._share(share)
 
     def _advance(self, drives: Array, clock: Clock, rows: Array, outputs: Array) -> None:
         if self._alone:
@@ -156,24 +169,23 @@ class Abreast:
             )
             return
 
-        def share(thread: int) -> None:
-            groups, arms = self._share(thread)
+        def share(groups: slice, arms: slice, work: IntArray) -> None:
             kernels.advance_arms(
-                self._tables[groups], self._work_tables[thread], *self._method,
+                self._tables[groups], work, *self._method,
                 drives[arms], clock, rows[arms], outputs[arms], self._moving[arms],
             )  # fmt: skip
 
-        self._in_threads(share)
+        self._share(share)
 
-    def _share(self, thread: int) -> tuple[slice, slice]:
-        """Gives the groups of a thread, and their arms."""
-        groups = self._shares[thread]
-        return groups, slice(groups.start * ARMS_ABREAST, groups.stop * ARMS_ABREAST)
+    def _share(self, share: Callable[[slice, slice, IntArray], None]) -> None:
+        """Calls a function for the groups of each thread, with these groups, their arms and its work space."""
 
-    def _in_threads(self, share: Callable[[int], None]) -> None:
-        """Calls a function with the number of each thread, in that thread."""
-        others = [self._threads().submit(share, thread) for thread in range(1, len(self._shares))]
-        share(0)
+        def part(thread: int) -> None:
+            groups = self._shares[thread]
+            share(groups, slice(groups.start * ARMS_ABREAST, groups.stop * ARMS_ABREAST), self._work_tables[thread])
+
+        others = [self._threads().submit(part, thread) for thread in range(1, len(self._shares))]
+        part(0)
         for each in others:
             each.result()
 

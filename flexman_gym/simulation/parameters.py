@@ -1,12 +1,12 @@
 """Parameters: the one table of the physical parameters in which the arms of a batch may differ."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags
-from flexman_gym.checks import refusal
+from flexman_gym.checks import one_of, refusal
 from flexman_gym.model.model import Model
 
 ARM, JOINT, LINK = "arm", "joint", "link"
@@ -127,3 +127,18 @@ PARAMETERS: dict[str, Parameter] = {
 def nominal_parameters(model: Model) -> dict[str, Array]:
     """Gives a copy of the model's value of each parameter, by name."""
     return {name: np.array(parameter.nominal(model)) for name, parameter in PARAMETERS.items()}
+
+
+def varied_constants(model: Model, count: int, parameters: Mapping[str, object]) -> list[dict[str, Array]]:
+    """Gives the constants that change for each of `count` arms, by the values (count, ...) of their parameters.
+
+    Raises:
+        ValueError: as `Batch.vary` does.
+    """
+    rows = {name: PARAMETERS[one_of("parameters", name, PARAMETERS)] for name in parameters}
+    checked = {name: row.checked(name, parameters[name], model, count) for name, row in rows.items()}
+    found: list[dict[str, Array]] = [{} for _ in range(count)]
+    for i, own in enumerate(found):
+        for name, row in rows.items():
+            own.update(row.constants(model, checked[name][i]))
+    return found

@@ -1,13 +1,15 @@
 """Run: a method bound to a model and its work space, as a call that moves a state through time."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
 from flexman_gym.arrays import Array
 from flexman_gym.checks import one_of, positive, refusal
-from flexman_gym.kernels import explicit, implicit, layout, linearly_implicit, midpoint, outputs, stages
-from flexman_gym.kernels.layout import Averages, Clock, IntArray, Tableau, Work, make_work
+from flexman_gym.kernels import arms, explicit, implicit, layout, linearly_implicit, midpoint, outputs, stages
+from flexman_gym.kernels.arms import addresses, sequences_array
+from flexman_gym.kernels.lanes import SEQUENCES
+from flexman_gym.kernels.layout import Averages, Clock, Constants, IntArray, Tableau, Work, make_work
 from flexman_gym.model.model import Model
 from flexman_gym.scene.drive import drive_table
 from flexman_gym.simulation.families import Explicit, Implicit, LinearlyImplicit, Method, Midpoint, Outside
@@ -20,6 +22,8 @@ KERNELS: dict[type, Callable[..., tuple[int, int, int]]] = {
     Implicit: implicit.run_implicit,
     Midpoint: midpoint.run_midpoint,
 }
+# Sequences of an extrapolation from which on it pays to run them side by side, of an arm that bends and of a rigid one.
+LEAST_SEQUENCES, LEAST_RIGID = 4, 6
 
 
 def find_method(method: object) -> Method:
@@ -53,6 +57,26 @@ def prescribed_flags(joints: int, prescribed: Collection[int]) -> IntArray:
     return np.isin(np.arange(joints), list(prescribed)).astype(np.int64)
 
 
+def sequence_rounds(sequence: Sequence[int], lanes: int) -> IntArray:
+    """Gives what each lane does of an extrapolated step in each round (r, lanes, 2): a sequence, and its next part.
+
+    A lane that is free takes the longest sequence that is left; when none is left it goes past the end of its last.
+
+    Args:
+        sequence: ascending numbers of parts.
+        lanes: how many there are.
+    """
+    left, lane = list(range(len(sequence))), [(0, sequence[0])] * lanes
+    rounds: list[list[tuple[int, int]]] = []
+    while left or any(part < sequence[number] for number, part in lane):
+        for k, (number, part) in enumerate(lane):
+            if left and part >= sequence[number]:
+                lane[k] = left.pop(), 0
+        rounds.append(lane)
+        lane = [(number, part + 1) for number, part in lane]
+    return np.array(rounds, dtype=np.int64)
+
+
 class Run:
     """A method bound to a model, as a call that advances a state in place and fills rows and outputs.
 
@@ -82,6 +106,12 @@ class Run:
             self._coefficients = method.sweeps
         elif not isinstance(method, Outside):
             self._coefficients = method.tableau
+        self._lanes: tuple[Constants, tuple[IntArray, ...]] | None = None
+        least = LEAST_SEQUENCES if model.n_elastic else LEAST_RIGID
+        if isinstance(method, LinearlyImplicit) and len(method.sequence) >= least:
+            self._abreast = make_work(model.constants, sequences_array)
+            tables = addresses(self.constants, SEQUENCES), addresses(self._abreast, SEQUENCES)
+            self._lanes = self.constants, (*tables, sequence_rounds(method.sequence, SEQUENCES.width))
 
     def __call__(
         self, drive: Array, moment: tuple[float, float, int], state: Array, rows: Array, found: Array
@@ -89,8 +119,12 @@ class Run:
         clock = Clock(*moment, *self.tolerance)
         if isinstance(self.method, Outside):
             return self._by_scipy(drive, clock, state, rows, found)
-        kernel = KERNELS[type(self.method)]
-        return kernel(self.constants, self.work, self._coefficients, drive, clock, state, rows, found)
+        rest = self._coefficients, drive, clock, state, rows, found
+        if self._lanes is not None:
+            if self._lanes[0] is not self.constants:
+                self._lanes = self.constants, (addresses(self.constants, SEQUENCES), *self._lanes[1][1:])
+            return arms.run_sequences(self.constants, self.work, self._lanes[1], *rest)
+        return KERNELS[type(self.method)](self.constants, self.work, *rest)
 
     def start(self, state: Array, row: Array, found: Array) -> None:
         """Records the state as it is, by a run of no steps, which also loads or compiles the kernels."""

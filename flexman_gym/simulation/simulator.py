@@ -2,6 +2,7 @@
 
 import time as clock
 from collections.abc import Collection, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,6 +41,37 @@ def simulate(
     Raises:
         ValueError: one line with field, value and what is allowed.
     """
+    plan = find_plan(scene, model, method, step, rtol, atol)
+    return follow(scene, plan)
+
+
+class Plan(NamedTuple):
+    """How a scene is simulated.
+
+    Attributes:
+        model, method: the model and the Method.
+        tolerance: (rtol, atol), or None for fixed steps.
+        interval: time between outputs, s.
+        substeps: number of steps in it.
+        rows: number of outputs behind the first.
+    """
+
+    model: Model
+    method: Method
+    tolerance: tuple[float, float] | None
+    interval: float
+    substeps: int
+    rows: int
+
+
+def find_plan(
+    scene: Scene, model: Model | None, method: str | Method, step: float | None, rtol: float, atol: float
+) -> Plan:
+    """Checks the arguments of `simulate` and gives what follows from them.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed.
+    """
     if not isinstance(scene, Scene):
         raise refusal("scene", scene, "a Scene")
     model = scene_model(scene) if model is None else model
@@ -51,13 +83,29 @@ def simulate(
     chosen = find_method(automatic if isinstance(method, str) and method == "auto" else method)
     interval, substeps = _output_interval(chosen, step, scene.output_step)
     rows = parts("step", interval, scene.duration, "a number of seconds that divides the duration")
-    prescribed = [i for i, motion in enumerate(scene.prescribed or ()) if motion is not None]
-    run = Run(model, chosen, find_tolerance(chosen, step, rtol, atol), prescribed)
-    state = np.append(model.initial_state(scene.initial.joint_angles, scene.initial.joint_rates), [0.0, 0.0])
+    return Plan(model, chosen, find_tolerance(chosen, step, rtol, atol), interval, substeps, rows)
+
+
+def first_state(scene: Scene, model: Model) -> Array:
+    """Gives the state and ledger (2 d + 2,) with which a scene starts."""
+    return np.append(model.initial_state(scene.initial.joint_angles, scene.initial.joint_rates), [0.0, 0.0])
+
+
+def prescribed_joints(scene: Scene) -> list[int]:
+    """Gives the joints whose motion a scene prescribes."""
+    return [i for i, motion in enumerate(scene.prescribed or ()) if motion is not None]
+
+
+def follow(scene: Scene, plan: Plan, constants: dict[str, Any] | None = None) -> Trajectory:
+    """Simulates a scene by a plan, with constants in place of some of the model's."""
+    model, interval, rows = plan.model, plan.interval, plan.rows
+    run = Run(model, plan.method, plan.tolerance, prescribed_joints(scene))
+    run.constants = run.constants._replace(**(constants or {}))
+    state = first_state(scene, model)
     states, outputs = np.zeros((rows + 1, len(state))), np.zeros((rows + 1, layout.OUTPUTS))
     run.start(state, states[0], outputs[0])
     started = clock.perf_counter()
-    moment = (0.0, interval / substeps, substeps)
+    moment = (0.0, interval / plan.substeps, plan.substeps)
     status, valid, evaluations = run(scene.drive, moment, state, states[1:], outputs[1:])
     elapsed = clock.perf_counter() - started
     outcome = (STATUS[status], evaluations, elapsed)

@@ -120,7 +120,7 @@ def test_a_saved_yaml_scene_is_what_other_readers_see(tmp_path_factory, scene):
 def test_every_entry_of_a_scene_file_is_checked(path):
     for wrong in (math.nan, math.inf, "one", {"a": 1}, [], None, [[[]]]):
         data = copy.deepcopy(GIVEN)
-        optional = wrong is None and path[-1] in ("payload", "stiffness", "modes")
+        optional = wrong is None and path[-1] in ("payload", "stiffness", "modes", "elements")
         if optional or (wrong == "one" and path == ("note",)):
             continue
         holder(data, path)[path[-1]] = wrong

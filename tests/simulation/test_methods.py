@@ -49,14 +49,22 @@ def observed_orders(errors, rounding=ROUNDING):
 
 @pytest.mark.parametrize("name", FIXED)
 def test_a_fixed_step_method_converges_with_its_order(name):
+    """High orders come to rounding before one sees them settle; they are seen on slow springs, from first to last."""
+    if (order := METHODS[name].order) > 5:
+        long, short = (error(name, 0.1 * SOFT, step=DURATION / steps) for steps in (4, 32))
+        assert order - 0.5 < np.log2(long / short) / 3 < order + 0.75
+        return
     orders = observed_orders(error(name, step=DURATION / steps) for steps in STEPS)
     assert orders[-1] == pytest.approx(METHODS[name].order, abs=0.15)
 
 
 @pytest.mark.parametrize("name", FIXED)
 def test_the_energy_ledger_converges_with_the_order_of_the_method(name):
-    runs = [fm.simulate(scene(), method=name, step=DURATION / steps) for steps in (64, 128, 256, 512)]
-    orders = observed_orders((abs(run.energy_residual[-1]) / run.energy.max() for run in runs), 1e-13)
+    high = METHODS[name].order > 5
+    many, rounding = ((4, 8, 16, 32), 4e-12) if high else ((64, 128, 256, 512), 1e-13)
+    runs = [fm.simulate(scene(0.1 * SOFT if high else 50.0), method=name, step=DURATION / steps) for steps in many]
+    orders = observed_orders((abs(run.energy_residual[-1]) / run.energy.max() for run in runs), rounding)
+    orders = [orders.mean()] if high else orders
     assert orders[-1] > METHODS[name].order - 0.5  # at least: errors of opposite sign leave it wavering
 
 
@@ -122,12 +130,12 @@ def test_a_linearly_implicit_method_damps_infinitely_stiff_modes(name):
     method = METHODS[name]
     assert abs(stability(method, -1e9)) < 1e-7
     largest = max(abs(stability(method, 1j * w)) for w in 10 ** np.linspace(-3, 6, 400))
-    growth = {"ros2": 1e-12, "extrapolated_euler_3": 2e-3, "extrapolated_euler_4": 5e-3, "extrapolated_euler_5": 8e-3}
-    assert largest <= 1.0 + growth[name]
+    growth = {3: 2e-3, 4: 5e-3, 5: 8e-3, 6: 1e-2, 7: 1.2e-2, 8: 1.4e-2}
+    assert largest <= 1.0 + (1e-12 if name == "ros2" else growth[method.order])
     assert method.gamma > 0.0
 
 
-@pytest.mark.parametrize("name", [name for name in FIXED if isinstance(METHODS[name], Explicit | LinearlyImplicit)])
+@pytest.mark.parametrize("name", [name for name in FIXED if METHODS[name].order < 6 and hasattr(METHODS[name], "b")])
 def test_the_stability_function_agrees_with_the_exponential_to_the_order(name):
     method = METHODS[name]
     errors = [abs(stability(method, z) - np.exp(z)) for z in (-0.04 + 0.08j, -0.02 + 0.04j)]
@@ -176,10 +184,12 @@ def test_an_implicit_step_that_does_not_converge_is_a_status(name):
     assert fm.simulate(fast, method=name, step=DURATION).status in ("not converged", "diverged")
 
 
-def test_extrapolation_weights_eliminate_powers():
-    weights = METHODS["extrapolated_euler_4"].tableau.weights
-    for power in range(1, 4):
-        assert weights @ (1.0 / np.arange(1, 5) ** power) == pytest.approx(0.0, abs=1e-13)
+@pytest.mark.parametrize("order", range(3, 9))
+def test_extrapolation_weights_eliminate_powers(order):
+    tableau = METHODS[f"extrapolated_euler_{order}"].tableau
+    assert tableau.weights.sum() == pytest.approx(1.0, abs=1e-12)
+    for power in range(1, order):
+        assert tableau.weights @ (1.0 / tableau.sequence**power) == pytest.approx(0.0, abs=1e-12)
 
 
 def changed(array, index, value):

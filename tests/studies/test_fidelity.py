@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 import pytest
 
 from flexman_gym.studies.fidelity import measure
-from flexman_gym.studies.fidelity.cases import scenes
+from flexman_gym.studies.fidelity.cases import open_scenes, scenes
 from flexman_gym.studies.fidelity.measure import Row, rows
 from flexman_gym.studies.fidelity.page import COLUMNS, conclusion, page
 from flexman_gym.studies.table import read_rows, write_rows
@@ -60,6 +60,22 @@ def test_a_choice_is_measured_beside_plain_runs(monkeypatch):
     assert row.scene == "one link" and 0.0 < row.error <= row.tolerance == 1e-1
     assert row.ratio == pytest.approx(row.estimate / row.error) and 0.2 < row.ratio < 5.0
     assert row.dearer == pytest.approx(row.cost / row.grid) and 0.0 < row.cost < 1.0 and math.isfinite(row.grid)
+
+
+def test_a_choice_with_an_open_mesh_is_measured_beside_plain_meshes(monkeypatch):
+    monkeypatch.setattr(measure, "TOLERANCES", (1e-1,))
+    monkeypatch.setattr(measure, "OPEN_METHODS", ("implicit_midpoint_2",))
+    monkeypatch.setattr(measure, "GRID_MODES", (2, 9))
+    scene = open_scenes()["one link"]
+    assert scene.model.elements is None
+    (row,) = rows("one link", scene)
+    assert 0.0 < row.error <= row.tolerance == 1e-1 and 1.0 / 3.0 < row.ratio < 3.0 and math.isfinite(row.grid)
+
+
+def test_the_page_tells_of_open_meshes_apart():
+    text = page([ROW], [replace(ROW, scene="an open one", error=2e-2)])
+    first, _, second = text.partition("## With an open mesh")
+    assert "| a scene |" in first and "| an open one |" in second and "Of 1 choices 0 meet" in second
 
 
 def test_the_command_writes_the_page_of_known_rows(tmp_path, monkeypatch, published):

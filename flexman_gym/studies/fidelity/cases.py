@@ -37,3 +37,8 @@ def scenes() -> dict[str, fm.Scene]:
         start, choice = fm.Initial(rest, rest), fm.ModelChoice(True, 4 - arm.n_joints)
         found[name] = fm.Scene(arm, choice, fm.ConstantTorque(torque), start, 1.0, 0.01)
     return found | {f"random {seed}": random_scene(seed) for seed in range(6)}
+
+
+def open_scenes() -> dict[str, fm.Scene]:
+    """The same, with the finite elements left to the choice."""
+    return {name: replace(scene, model=replace(scene.model, elements=None)) for name, scene in scenes().items()}

@@ -13,6 +13,8 @@ from flexman_gym.arrays import Array
 TOLERANCES = (1e-1, 1e-2, 1e-3)  # m
 GRID_MODES = (2, 4, 6, 9, None)  # of each link; None keeps all
 GRID_METHODS = ("ros2", "extrapolated_euler_4", "rk4", "generalised_alpha")
+GRID_ELEMENTS, CONVERGED, FINE_PARTS = (1, 2, 3), 5, (20, 40)  # where the mesh is open; steps in an output step
+OPEN_METHODS = ("ros2", "extrapolated_euler_4", "rk4", "implicit_midpoint_2")
 GRID_PARTS = (0.1, 0.25, 0.5, 1, 2, 4, 8, 16, 32, 64)  # steps in an output step
 FINE_ENOUGH = 0.2  # of the smallest tolerance: a plain run of that error gets no finer step
 PATIENCE = 0.5  # s of computing, after which it gets none either
@@ -52,7 +54,7 @@ class Row:
 
 def rows(name: str, scene: fm.Scene) -> Iterator[Row]:
     """The choices for a scene, one for each tolerance."""
-    tips = fm.simulate(scene, _model(scene, None, True), "dop853", rtol=1e-8, atol=1e-11).tip
+    tips = truth(scene)
     plain = plain_runs(scene, tips)
     for tolerance in TOLERANCES:
         choice = fm.choose_model(scene, tolerance)
@@ -64,11 +66,35 @@ def rows(name: str, scene: fm.Scene) -> Iterator[Row]:
         yield Row(name, tolerance, *errors, choice.model.n_dof, *chosen[1:], cost, grid, cost / grid)
 
 
+def truth(scene: fm.Scene) -> Array:
+    """The tip (T, 3) of the finest model of a scene; where its mesh is open, of five elements a link.
+
+    Explicit steps of so fine a mesh would be short: it is integrated by the midpoint rule, extrapolated to steps of no
+    length.
+    """
+    if scene.model.elements is not None:
+        return fm.simulate(scene, _model(scene, None, True), "dop853", rtol=1e-8, atol=1e-11).tip
+    model = _model(scene, None, True, CONVERGED)
+    longer, shorter = (
+        fm.simulate(scene, model, "implicit_midpoint", scene.output_step / parts) for parts in FINE_PARTS
+    )
+    if {longer.status, shorter.status} != {"ok"}:
+        raise RuntimeError(f"the reference fails: {longer.status}, {shorter.status}")
+    return (4.0 * shorter.tip - longer.tip) / 3.0
+
+
 def plain_runs(scene: fm.Scene, tips: Array) -> Sequence[tuple[float, float]]:
-    """Errors and costs of plain choices: the lowest modes of each link, with or without foreshortening."""
+    """Errors and costs of plain choices: the lowest modes of each link, with or without foreshortening.
+
+    Where the mesh is open they are of one, two and three elements a link.
+    """
     found = []
-    for modes, stiffening, method in product(GRID_MODES, (False, True), GRID_METHODS):
-        model = _model(scene, modes, stiffening)
+    meshes = GRID_ELEMENTS if scene.model.elements is None else (None,)
+    methods = GRID_METHODS if scene.model.elements is not None else OPEN_METHODS
+    for mesh, modes, stiffening, method in product(meshes, GRID_MODES, (False, True), methods):
+        if mesh is not None and modes is not None and modes > 6 * mesh:
+            continue
+        model = _model(scene, modes, stiffening, mesh)
         for parts in GRID_PARTS:
             chosen = scene, model, method, scene.output_step / parts, tips
             error, cost = run(*chosen)
@@ -91,5 +117,6 @@ def run(scene: fm.Scene, model: fm.Model, method: str, step: float, tips: Array)
     return float(np.linalg.norm(found.tip - tips[::stride], axis=1).max()), cost
 
 
-def _model(scene: fm.Scene, modes: int | None, stiffening: bool) -> fm.Model:
-    return fm.build_model(scene.arm, **(vars(scene.model) | {"modes": modes, "stiffening": stiffening}))
+def _model(scene: fm.Scene, modes: int | None, stiffening: bool, elements: int | None = None) -> fm.Model:
+    choice = vars(scene.model) | {"modes": modes, "stiffening": stiffening}
+    return fm.build_model(scene.arm, **(choice | ({} if elements is None else {"elements": elements})))

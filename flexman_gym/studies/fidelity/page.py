@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import astuple, fields
 
-from flexman_gym.studies.fidelity.measure import GRID_METHODS, GRID_PARTS, Row
+from flexman_gym.studies.fidelity.measure import GRID_METHODS, GRID_PARTS, OPEN_METHODS, Row
 from flexman_gym.studies.markdown import bullets, markdown_table
 
 NEAR = 5.0  # a choice knows its error when the estimate is right within this factor
@@ -28,6 +28,20 @@ They take {methods} with {parts} steps from ten outputs to 1/64 of one.
 
 {table}
 """
+OPEN = """
+## With an open mesh
+
+The same scenes leave the finite elements to the choice (`elements` is None; rows in
+[fidelity_open.csv](fidelity_open.csv)).
+The finest model then has five elements of each link, all modes and foreshortening.
+The midpoint rule integrates it, extrapolated to steps of no length.
+
+{conclusion}
+
+The plain runs have one, two or three elements a link, and take {methods}.
+
+{table}
+"""
 CONCLUSION = (
     "**Of {count} choices {met} meet their tolerance. {near} know their error within a factor of {factor:g}. "
     "{cheap} cost at most {most:g} times as much as the cheapest plain run that meets the tolerance.**"
@@ -48,14 +62,25 @@ COLUMNS = {
 COLUMN = "`{name}`: {meaning}"
 
 
-def page(rows: Sequence[Row]) -> str:
-    """The page as Markdown, from all rows."""
+def page(rows: Sequence[Row], opened: Sequence[Row] = ()) -> str:
+    """The page as Markdown, from all rows, and those of open meshes."""
     names = [field.name for field in fields(Row)]
     columns = bullets(COLUMN.format(name=name, meaning=COLUMNS[name]) for name in names)
-    table = markdown_table(names, ([_cell(value) for value in astuple(row)] for row in rows))
-    *some, last = GRID_METHODS
-    methods = {"methods": f"{', '.join(some)} and {last}", "parts": len(GRID_PARTS)}
-    return PAGE.format(conclusion=conclusion(rows), columns="\n".join(columns), table="\n".join(table), **methods)
+    known = {"methods": _listed(GRID_METHODS), "parts": len(GRID_PARTS)}
+    text = PAGE.format(conclusion=conclusion(rows), columns="\n".join(columns), table=_table(rows), **known)
+    if opened:
+        text += OPEN.format(conclusion=conclusion(opened), methods=_listed(OPEN_METHODS), table=_table(opened))
+    return text
+
+
+def _table(rows: Sequence[Row]) -> str:
+    names = [field.name for field in fields(Row)]
+    return "\n".join(markdown_table(names, ([_cell(value) for value in astuple(row)] for row in rows)))
+
+
+def _listed(names: Sequence[str]) -> str:
+    *some, last = names
+    return f"{', '.join(some)} and {last}"
 
 
 def conclusion(rows: Sequence[Row]) -> str:
