@@ -18,7 +18,7 @@ from flexman_gym.model.instant import (
     stiffness_matrix,
     tip_jacobian,
 )
-from flexman_gym.model.model import Model
+from flexman_gym.model.model import Model, checked_model
 
 FIRST_STEP = 0.005  # rad, for a first derivative: its truncation is just below rounding
 
@@ -74,6 +74,7 @@ def linearize(
     """
     from scipy.linalg import cho_factor, cho_solve
 
+    checked_model(model)
     if state is None:
         state = model.initial_state(np.zeros(model.n_joints) if joint_angles is None else joint_angles)
     elif joint_angles is not None:

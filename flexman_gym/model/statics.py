@@ -9,7 +9,7 @@ from flexman_gym.checks import refusal, vector
 from flexman_gym.kernels import outputs
 from flexman_gym.kernels.layout import OUTPUTS, TIP, make_work
 from flexman_gym.model.instant import inertial_forces, stiffness_matrix
-from flexman_gym.model.model import Model
+from flexman_gym.model.model import Model, checked_model
 
 ITERATIONS, ROUNDING = 100, 1e-12  # of a Newton iteration with the stiffness alone; of the largest coordinate
 
@@ -23,7 +23,8 @@ def rest_state(model: Model, motor_angles: Sequence[float] | Array) -> Array:
     Raises:
         ValueError: for wrong angles, and for an arm too soft to find its rest so.
     """
-    state = model.initial_state(vector("motor_angles", motor_angles, model.n_joints, "rad"))
+    angles = vector("motor_angles", motor_angles, checked_model(model).n_joints, "rad")
+    state = model.initial_state(angles)
     if not model.constants.gravity.any():
         return state
     x, rest, forces = state[: model.n_dof], np.zeros(model.n_dof), inertial_forces(model)

@@ -1,5 +1,6 @@
 """Run: a method bound to a model and its work space, as a call that moves a state through time."""
 
+import math
 from collections.abc import Callable, Collection
 
 import numpy as np
@@ -13,6 +14,8 @@ from flexman_gym.scene.drive import drive_table
 from flexman_gym.simulation.families import Explicit, Implicit, LinearlyImplicit, Method, Midpoint, Outside
 from flexman_gym.simulation.methods import METHODS
 
+MOST_STEPS = 100_000  # in one call, which nothing can interrupt: a second or two
+LONGEST_CALL = 10.0  # s that a method which chooses its steps moves on by in one call
 # The kernel of each family; SciPy runs the others.
 KERNELS: dict[type, Callable[..., tuple[int, int, int]]] = {
     Explicit: explicit.run_explicit,
@@ -89,8 +92,26 @@ class Run:
         clock = Clock(*moment, *self.tolerance)
         if isinstance(self.method, Outside):
             return self._by_scipy(drive, clock, state, rows, found)
-        kernel = KERNELS[type(self.method)]
-        return kernel(self.constants, self.work, self._coefficients, drive, clock, state, rows, found)
+        return self._in_calls(drive, clock, state, rows, found)
+
+    def _in_calls(self, drive: Array, clock: Clock, state: Array, rows: Array, found: Array) -> tuple[int, int, int]:
+        """Calls the kernel, a long run in parts: Python looks for Ctrl-C between two calls only."""
+        kernel, span = KERNELS[type(self.method)], clock.step * clock.substeps
+        size = span / LONGEST_CALL if clock.rtol > 0.0 else clock.substeps / MOST_STEPS  # of a row, in calls
+        pieces = math.ceil(size) if clock.rtol > 0.0 and size > 1.0 else 1  # of a row
+        together = len(rows) if size * len(rows) <= 1.0 else max(1, int(1.0 / size))
+        part, valid, evaluations, status = clock._replace(step=clock.step / pieces), 0, 0, layout.OK
+        for first in range(0, len(rows), together):
+            some = slice(first, first + together)
+            for piece in range(pieces):
+                now = part._replace(time=clock.time + (first + piece / pieces) * span)
+                kept = self.constants, self.work, self._coefficients, drive, now, state, rows[some], found[some]
+                status, good, more = kernel(*kept)
+                evaluations += more
+                if status != layout.OK:
+                    return status, valid + good, evaluations
+            valid += good
+        return status, valid, evaluations
 
     def start(self, state: Array, row: Array, found: Array) -> None:
         """Records the state as it is, by a run of no steps, which also loads or compiles the kernels."""

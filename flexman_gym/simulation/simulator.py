@@ -6,14 +6,14 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import WHOLE, parts, positive, refusal, vector
+from flexman_gym.checks import WHOLE, bounded, instance, number_array, parts, positive, refusal, vector
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import STATUS
-from flexman_gym.model.model import Model, scene_model
+from flexman_gym.model.model import Model, checked_model, scene_model
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.families import Method
-from flexman_gym.simulation.run import Run, find_method, find_tolerance, prescribed_flags
+from flexman_gym.simulation.run import MOST_STEPS, Run, find_method, find_tolerance, prescribed_flags
 from flexman_gym.simulation.trajectory import Trajectory, trajectory
 
 
@@ -32,19 +32,16 @@ def simulate(
         model: None takes the model that the scene asks for.
         method: a Method or a name from `METHODS`. "auto" takes "ros2" with a step and the reference "dop853" without
             one.
-        step: s. It divides the output step of the scene or is a multiple of it; a multiple gives an output after every
-            step. None lets a method that estimates its error choose its steps. A reference always chooses its steps;
-            the given step is its first guess.
+        step: s. It divides the output step of the scene, into at most 100000 steps, or is a multiple of it; a multiple
+            gives an output after every step. None lets a method that estimates its error choose its steps. A reference
+            always chooses its steps; the given step is its first guess.
         rtol, atol: relative and absolute local error, of a method that chooses its steps.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
     """
-    if not isinstance(scene, Scene):
-        raise refusal("scene", scene, "a Scene")
-    model = scene_model(scene) if model is None else model
-    if not isinstance(model, Model):
-        raise refusal("model", model, "a Model, from build_model")
+    model = scene_model(instance("scene", scene, Scene, "a Scene")) if model is None else checked_model(model)
+    instance("scene", scene, Scene, "a Scene")
     if model.n_joints != scene.arm.n_joints:
         raise refusal("model", f"{model.n_joints} joints", f"a model of the scene's arm, {scene.arm.n_joints} joints")
     automatic = "dop853" if step is None else "ros2"
@@ -114,12 +111,14 @@ class Simulator:
             state: (2 d,), in place of angles and rates.
 
         Raises:
-            ValueError: for a wrong shape, a value that is not finite, or angles and a state at once.
+            ValueError: for a wrong shape, a value that is not finite or beyond 1e6 (rad, m, 1/s), at which a simulation
+                has diverged, and for angles and a state at once.
         """
         if state is not None:
             if joint_angles is not None or joint_rates is not None:
                 raise refusal("state", "given with joint_angles or joint_rates", "one of the two")
             start = np.array(vector("state", state, 2 * self.model.n_dof))
+            bounded("state", start.tolist(), layout.LARGEST_STATE)
         else:
             angles = np.zeros(self.model.n_joints) if joint_angles is None else joint_angles
             start = self.model.initial_state(angles, joint_rates)
@@ -225,10 +224,7 @@ class Simulator:
 
 def _numbers(name: str, value: Sequence[float] | Array, count: int, unit: str) -> Array:
     """Gives the value as an array of finite numbers."""
-    values = np.asarray(value)
-    if values.shape != (count,) or values.dtype.kind not in "fiu" or not np.isfinite(values).all():
-        raise refusal(name, value, f"{count} finite numbers ({unit})")
-    return values
+    return number_array(name, value, (count,), f"{count} finite numbers ({unit})")
 
 
 def _output_interval(method: Method, step: float | None, output_step: float) -> tuple[float, int]:
@@ -239,7 +235,7 @@ def _output_interval(method: Method, step: float | None, output_step: float) -> 
     if method.adaptive:
         return output_step, max(1, round(output_step / positive("step", step, "s")))
     if positive("step", step, "s") <= output_step:
-        return output_step, parts("step", step, output_step, allowed)
+        return output_step, parts("step", step, output_step, allowed, MOST_STEPS)
     multiple = step / output_step
     if abs(multiple - round(multiple)) > WHOLE * multiple:
         raise refusal("step", step, f"{allowed}, {output_step} s")
