@@ -1,5 +1,6 @@
 """Options: what a reset is given beside its seed, for all arms or for each of them."""
 
+import numbers
 from collections.abc import Mapping
 from typing import Any
 
@@ -64,7 +65,8 @@ def _numbers(field: str, value: object, shape: tuple[int, ...]) -> Array:
     """Numbers of that shape, or of one arm, which all then have."""
     allowed = f"numbers of the shape {shape}, or {shape[1:]}"
     try:
-        values = np.broadcast_to(np.asarray(value), shape)
+        listed = value if isinstance(value, numbers.Real | np.ndarray) else sequence(field, value)  # not too long
+        values = np.broadcast_to(np.asarray(listed), shape)
     except Exception:  # another shape, lists of different length, an object of somebody's own
         raise refusal(field, value, allowed) from None
     if values.dtype.kind not in "fiu":

@@ -149,8 +149,7 @@ def inverse_dynamics(
     for order, (name, values) in enumerate(zip(names, given, strict=True)):
         if order < 3 or model.n_motors > 0 or values is not None:
             motion[order] = vector(name, values, n, "rad" if order == 0 else f"rad/s^{order}".removesuffix("^1"))
-    for name, row in zip(names[:2], motion, strict=False):
-        bounded(name, row.tolist(), LARGEST_STATE)
+            bounded(name, motion[order].tolist(), LARGEST_STATE if order < 2 else np.inf)
     sprung = constants.motor >= 0
     _check_invertible(model, sprung)
     forces, spread = inertial_forces(model), np.zeros((model.n_dof, n))
@@ -158,8 +157,7 @@ def inverse_dynamics(
 
     def link_torques(t: float) -> Array:
         powers = t ** np.arange(5) / np.array([1.0, 1.0, 2.0, 6.0, 24.0])
-        angles, rates, accelerations = (powers[: 5 - order] @ motion[order:] for order in range(3))
-        return forces(spread @ angles, spread @ rates, spread @ accelerations)[:n]
+        return forces(*(spread @ (powers[: 5 - order] @ motion[order:]) for order in range(3)))[:n]
 
     torques = link_torques(0.0) + constants.viscous_friction * motion[1]
     torques += constants.coulomb_friction * np.tanh(motion[1] / constants.coulomb_rate)

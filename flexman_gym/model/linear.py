@@ -96,7 +96,7 @@ def linearize(
 def _demands(model: Model, state: Sequence[float] | Array, torque: Sequence[float] | Array) -> Array:
     """Gives slopes (d, 2 d + n), by coordinates, speeds and torques, of the forces that accelerate the arm."""
     (x, v), caused, forces = split_state(model, state), acceleration(model, state, torque), inertial_forces(model)
-    d, n, size = model.n_dof, model.n_joints, _coordinate_sizes(model)
+    d, n, size = model.n_dof, model.n_joints, coordinate_sizes(model)
 
     def by_coordinate(unit: Array) -> Array:
         return _slope(lambda t: forces(x + t * unit, v, caused), FIRST_STEP)
@@ -114,7 +114,7 @@ def _demands(model: Model, state: Sequence[float] | Array, torque: Sequence[floa
     return demands
 
 
-def _coordinate_sizes(model: Model) -> Array:
+def coordinate_sizes(model: Model) -> Array:
     """Gives the size (d,) of each coordinate that turns a section by 1 rad or moves it by the length of its link."""
     sizes = np.ones(model.n_dof)
     for i, (link, basis) in enumerate(zip(model.arm.links, model.bases, strict=True)):

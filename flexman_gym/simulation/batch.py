@@ -67,6 +67,7 @@ class Batch:
         whole_number("threads", threads, 1, MOST_THREADS)
         joints = _joints(prescribed, n)
         tolerance = find_tolerance(self.method, step, rtol, atol)
+        self._bound = tolerance, joints
         period = self.control_period, self.substeps
         self._mover: OneByOne | Abreast
         if isinstance(self.method, LinearlyImplicit | Midpoint) and tolerance is None:
@@ -115,6 +116,12 @@ class Batch:
             self.status[moving] = status[moving]
             self._periods += status == layout.OK
         np.maximum(self.energy_turnover, self._turned_over(), out=self.energy_turnover)
+
+    def run(self, arm: int) -> Run:
+        """Gives a run of one arm, with the parameters that it has, beside the batch."""
+        run, own = Run(self.model, self.method, *self._bound), self._mover.constants(arm)
+        run.constants = run.constants._replace(**own)
+        return run
 
     def rigid_tips(self, states: Array) -> Array:
         """Gives the tips (r, 3) in the base frame, m, of the rigid arm at the motor angles of states (r, 2 d)."""

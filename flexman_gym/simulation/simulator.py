@@ -2,6 +2,7 @@
 
 import time as clock
 from collections.abc import Collection, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -10,8 +11,11 @@ from flexman_gym.checks import WHOLE, bounded, instance, number_array, parts, po
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import STATUS
 from flexman_gym.model.model import Model, checked_model, scene_model
+from flexman_gym.scene.drive import drive_table
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.energy import alarm
+from flexman_gym.simulation.explanation import Failure, explain, explain_energy
 from flexman_gym.simulation.families import Method
 from flexman_gym.simulation.run import MOST_STEPS, Run, find_method, find_tolerance, prescribed_flags
 from flexman_gym.simulation.trajectory import Trajectory, trajectory
@@ -50,7 +54,7 @@ def simulate(
     rows = parts("step", interval, scene.duration, "a number of seconds that divides the duration")
     prescribed = [i for i, motion in enumerate(scene.prescribed or ()) if motion is not None]
     run = Run(model, chosen, find_tolerance(chosen, step, rtol, atol), prescribed)
-    state = np.append(model.initial_state(scene.initial.joint_angles, scene.initial.joint_rates), [0.0, 0.0])
+    state = np.append(_start(scene, model), [0.0, 0.0])
     states, outputs = np.zeros((rows + 1, len(state))), np.zeros((rows + 1, layout.OUTPUTS))
     run.start(state, states[0], outputs[0])
     started = clock.perf_counter()
@@ -58,7 +62,9 @@ def simulate(
     status, valid, evaluations = run(scene.drive, moment, state, states[1:], outputs[1:])
     elapsed = clock.perf_counter() - started
     outcome = (STATUS[status], evaluations, elapsed)
-    return trajectory(model, interval, states[: valid + 1], outputs[: valid + 1], outcome)
+    last = (valid * interval, moment[1], substeps)
+    explained = partial(_explained, Failure(run, model, scene.drive, last, states[valid], outcome[0]))
+    return trajectory(model, interval, states[: valid + 1], outputs[: valid + 1], outcome, explained)
 
 
 class Simulator:
@@ -71,6 +77,7 @@ class Simulator:
         model, method, control_period, substeps: as of the batch.
         state: (2 d,) coordinates and speeds, a view that `step` updates; order in `kernels.layout`.
         outputs: (OUTPUTS,) tip, deflection and energies at that state; columns in `kernels.layout`.
+        prescribed: (n,) bool.
         time: since the reset, s.
         energy_turnover: the largest since the reset of kinetic + elastic energy, of work and of dissipation, J.
         status: of the last step, "ok", "diverged" or "not converged". After a failure, state and outputs stay as at the
@@ -94,7 +101,7 @@ class Simulator:
         self.model, self.method = self.batch.model, self.batch.method
         self.control_period, self.substeps = self.batch.control_period, self.batch.substeps
         self.state, self.outputs = self.batch.state[0], self.batch.outputs[0]
-        self._prescribed = prescribed_flags(model.n_joints, prescribed) > 0
+        self.prescribed = prescribed_flags(model.n_joints, prescribed) > 0
         self._drive = np.zeros((1, model.n_joints + 6))
 
     def reset(
@@ -151,7 +158,7 @@ class Simulator:
             raise RuntimeError(f"the simulation is over, it {self.status}: reset it first")
         n, drive = self.model.n_joints, self._drive[0]
         drive[:n] = _numbers("torque", torque, n, "N m")
-        if self._prescribed.any() or acceleration is not None:
+        if self.prescribed.any() or acceleration is not None:
             self._prescribe(drive[:n], acceleration)
         drive[n : n + 3] = 0.0 if tip_force is None else _numbers("tip_force", tip_force, 3, "N")
         drive[n + 3 :] = 0.0
@@ -164,17 +171,35 @@ class Simulator:
         """Writes the accelerations of prescribed motors over their torques, which must be zero."""
         given = np.zeros(len(drive)) if acceleration is None else acceleration
         given = _numbers("acceleration", given, len(drive), "rad/s^2")
-        for i in np.flatnonzero(self._prescribed & (drive != 0.0)):
+        for i in np.flatnonzero(self.prescribed & (drive != 0.0)):
             raise refusal(f"torque[{i}]", float(drive[i]), "0 (N m): the motion of this joint is prescribed")
-        for i in np.flatnonzero(~self._prescribed & (given != 0.0)):
+        for i in np.flatnonzero(~self.prescribed & (given != 0.0)):
             allowed = "0 (rad/s^2): the motion of this joint is not prescribed"
             raise refusal(f"acceleration[{i}]", float(given[i]), allowed)
-        drive[self._prescribed] = given[self._prescribed]
+        drive[self.prescribed] = given[self.prescribed]
 
     @property
     def status(self) -> str:
         """Status of the last step: "ok", "diverged" or "not converged"."""
         return STATUS[self.batch.status[0]]
+
+    @property
+    def drive(self) -> Array:
+        """Drive (n + 6,) of the last control period, in the order of `kernels.layout`."""
+        return self._drive[0]
+
+    def explanation(self) -> str:
+        """Says what went first in a failure or an energy alarm, and what to change; "" while all is well."""
+        well, model = self.status == STATUS[layout.OK], self.model
+        if well and not alarm(self.energy_residual, self.energy_turnover):
+            return ""
+        run, step = self.batch.run(0), self.control_period / self.substeps
+        if well:
+            return explain_energy(model, run, step, self.time, self.state[None])
+        table = drive_table([None] * (model.n_joints + 6))
+        table[layout.OFFSET] = self.drive
+        moment = (self.time, step, self.substeps)
+        return explain(Failure(run, model, table, moment, self.batch.rows[0], self.status))
 
     @property
     def time(self) -> float:
@@ -220,6 +245,23 @@ class Simulator:
     def energy_residual(self) -> float:
         """Work - dissipation - change of energy since the reset, J; see `Trajectory`."""
         return float(self.batch.energy_residual[0])
+
+
+def _explained(failure: Failure, found: Trajectory) -> str:
+    if found.status != STATUS[layout.OK]:
+        return explain(failure)
+    late = found.energy_alarm()
+    early = found.states[found.time <= (late or 0.0)]
+    return "" if late is None else explain_energy(failure.model, failure.run, failure.moment[1], late, early)
+
+
+def _start(scene: Scene, model: Model) -> Array:
+    """Gives the state (2 d,) from which a scene starts."""
+    given = scene.initial.state
+    if given is None:
+        return model.initial_state(scene.initial.joint_angles, scene.initial.joint_rates)
+    bounded("Initial.state", vector("Initial.state", given, 2 * model.n_dof), layout.LARGEST_STATE)
+    return np.array(given)
 
 
 def _numbers(name: str, value: Sequence[float] | Array, count: int, unit: str) -> Array:

@@ -1,8 +1,8 @@
 """Trajectory: the solution of a scene at its output times, with the audit of its energy."""
 
 import csv
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,10 @@ from flexman_gym.checks import positive
 from flexman_gym.kernels import layout
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.energy import ENERGY_ALARM, alarm, turnover
+
+
+def _nothing(found: "Trajectory") -> str:
+    return ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +37,7 @@ class Trajectory:
         status: "ok", "diverged" or "not converged".
         evaluations: number of evaluations of the accelerations.
         wall_seconds: time in the integrator, without compilation.
+        explained: what `explanation` asks.
     """
 
     time: Array
@@ -49,6 +54,14 @@ class Trajectory:
     status: str
     evaluations: int
     wall_seconds: float
+    explained: Callable[["Trajectory"], str] = field(default=_nothing, repr=False)
+
+    def explanation(self) -> str:
+        """Says what went first in a failure or an energy alarm, and what to change; "" while all is well.
+
+        The last good state is moved on once more, step by step. Nothing is computed before this is asked for.
+        """
+        return self.explained(self)
 
     @property
     def energy_residual(self) -> Array:
@@ -107,7 +120,12 @@ class Trajectory:
 
 
 def trajectory(
-    model: Model, interval: float, states: Array, outputs: Array, outcome: tuple[str, int, float]
+    model: Model,
+    interval: float,
+    states: Array,
+    outputs: Array,
+    outcome: tuple[str, int, float],
+    explained: Callable[[Trajectory], str] = _nothing,
 ) -> Trajectory:
     """Builds a trajectory from rows at equal intervals.
 
@@ -117,6 +135,7 @@ def trajectory(
         states: (T, 2 d + 2) with their ledger.
         outputs: (T, OUTPUTS).
         outcome: status, evaluations and seconds in the integrator.
+        explained: says why a trajectory failed.
     """
     size = 2 * model.n_dof
     return Trajectory(
@@ -134,4 +153,5 @@ def trajectory(
         status=outcome[0],
         evaluations=outcome[1],
         wall_seconds=outcome[2],
+        explained=explained,
     )
