@@ -7,26 +7,38 @@ does not allow.
 import math
 import numbers
 from collections.abc import Collection, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
+Kind = TypeVar("Kind")
 UNIT_TOLERANCE = 1e-9  # how far a unit vector or a rotation may be from exact
+LEAST, MOST = 1e-30, 1e30  # of the size of anything, in SI units
+SHOWN = 80  # characters of a value in an error, and so entries of a list
+MOST_ENTRIES = 10**6  # of any list
 WHOLE = 1e-9  # how far a ratio of two times may be from a whole number, relative to itself
 
 
 def shown(value: object) -> str:
     """Gives a value as at most 80 characters on one line, whatever it is."""
     try:
-        text = " ".join(repr(value).split())
-    except (ValueError, RecursionError):  # an integer of thousands of digits, a list nested without end
+        text = " ".join(repr(_shortened(value)).split())
+    except Exception:  # an integer of thousands of digits, a list nested without end, a repr of somebody's own
         text = f"this {type(value).__name__}"
-    return text if len(text) <= 80 else text[:77] + "..."
+    return text if len(text) <= SHOWN else text[: SHOWN - 3] + "..."
 
 
 def refusal(name: str, value: object, allowed: str) -> ValueError:
     """Builds the error that says on one line that the field `name` may not be `value`, and what is `allowed`."""
     return ValueError(f"{name}: {shown(value)} is not allowed; give {allowed}")
+
+
+def _shortened(value: Any) -> Any:
+    """Gives a long list, tuple or text without its end, which nobody would see, and everything else as it is."""
+    if type(value) in (list, tuple):
+        return type(value)(_shortened(entry) for entry in value[:SHOWN])
+    return value[:SHOWN] if type(value) in (str, bytes) else value
 
 
 def _real(value: object) -> float:
@@ -72,6 +84,18 @@ def non_negative(name: str, value: object, unit: str = "") -> float:
     number = _real(value)
     if not 0.0 <= number < math.inf:
         raise refusal(name, value, "a finite number >= 0" + _in(unit))
+    return number + 0.0  # -0.0 is 0
+
+
+def physical(name: str, value: object, unit: str = "", zero: bool = False) -> float:
+    """Gives the size of something as a float from 1e-30 to 1e30, or 0 where `zero` has a meaning.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    number = non_negative(name, value, unit) if zero else positive(name, value, unit)
+    if number != 0.0 and not LEAST <= number <= MOST:
+        raise refusal(name, value, f"{'0, or ' if zero else ''}a number from {LEAST:g} to {MOST:g}" + _in(unit))
     return number
 
 
@@ -86,13 +110,26 @@ def whole_number(name: str, value: object, low: int, high: int) -> int:
     return int(value)
 
 
-def parts(name: str, part: float, total: float, allowed: str) -> int:
-    """Gives the whole number of times that the time `part` (s) goes into `total` (s).
+def bounded(name: str, values: Sequence[float], most: float, unit: str = "") -> None:
+    """Refuses numbers of which a magnitude is larger than `most`.
 
     Raises:
-        ValueError: where that is no whole number; it says what is `allowed`.
+        ValueError: it names the first of them.
+    """
+    for i, value in enumerate(values):
+        if not abs(value) <= most:
+            raise refusal(f"{name}[{i}]", value, f"a number from {-most:g} to {most:g}" + _in(unit))
+
+
+def parts(name: str, part: float, total: float, allowed: str, most: int = 10**9) -> int:
+    """Gives the whole number of times, at most `most`, that the time `part` (s) goes into `total` (s).
+
+    Raises:
+        ValueError: where that is no whole number, or a larger one; it says what is `allowed`.
     """
     ratio = total / positive(name, part, "s")
+    if not ratio < most + 0.5:
+        raise refusal(name, part, f"at least {total / most:g} (s): at most {most} go into {total} s")
     count = round(ratio)
     if count < 1 or abs(ratio - count) > WHOLE * ratio:
         raise refusal(name, part, f"{allowed}, {total} s")
@@ -151,10 +188,36 @@ def sequence(name: str, value: object, items: str = "values") -> Sequence[Any]:
     Raises:
         ValueError: for anything else; it says which `items` the list has.
     """
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
-    if not isinstance(value, list | tuple):
+    if isinstance(value, np.ndarray) and value.ndim > 0 and value.size <= MOST_ENTRIES:
+        return list(value.tolist())
+    if not isinstance(value, list | tuple) or len(value) > MOST_ENTRIES:
         raise refusal(name, value, f"a list of {items}")
+    return value
+
+
+def number_array(name: str, value: object, shape: tuple[int, ...], allowed: str) -> NDArray[np.float64]:
+    """Gives an array-like of finite numbers as an array of that shape; its length is looked at first.
+
+    Raises:
+        ValueError: for anything else; it says what is `allowed`.
+    """
+    try:
+        values = np.asarray(value) if len(value) == shape[0] else None  # type: ignore[arg-type]
+    except Exception:  # no list, or lists of different length
+        values = None
+    if values is None or values.shape != shape or values.dtype.kind not in "fiu" or not np.isfinite(values).all():
+        raise refusal(name, value, allowed)
+    return values.astype(np.float64, copy=False)
+
+
+def instance(name: str, value: object, kind: type[Kind], allowed: str) -> Kind:
+    """Gives a value of a kind.
+
+    Raises:
+        ValueError: for anything else; it says what is `allowed`.
+    """
+    if not isinstance(value, kind):
+        raise refusal(name, value, allowed)
     return value
 
 

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array, IntArray
-from flexman_gym.checks import positive, refusal
+from flexman_gym.checks import positive
 from flexman_gym.control.discrete import Weights, optimal_gain
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.control.reference import plan_path, plan_slew
 from flexman_gym.model.linear import linearize
-from flexman_gym.model.model import Model
+from flexman_gym.model.model import Model, checked_model
 from flexman_gym.model.statics import holding_torques, rest_state
 
 TIP, TIP_SPEED, MOTOR = 0.2 / 8.5, 1.0 / 8.5, 0.5  # of the reach, reaches a second, rad: stiffer ones saturate and fail
@@ -41,8 +41,7 @@ class LQR:
     def __init__(
         self, model: Model, torque_limit: float | Sequence[float], period: float, weights: Weights | None = None
     ) -> None:
-        if not isinstance(model, Model):
-            raise refusal("model", model, "a Model, from build_model")
+        checked_model(model)
         n, d, reach = model.n_joints, model.n_dof, float(model.constants.length.sum())
         self.model, self.period = model, positive("period", period, "s")
         self.limits = np.array(torque_limits("torque_limit", torque_limit, n))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from flexman_gym.arrays import Array, IntArray
 from flexman_gym.checks import non_negative, positive, vector
 from flexman_gym.model.instant import mass_matrix
-from flexman_gym.model.model import Model
+from flexman_gym.model.model import Model, checked_model
 from flexman_gym.model.statics import holding_torques
 
 
@@ -46,7 +46,7 @@ class PD:
             for i, gain in enumerate(getattr(self, name).tolist()):
                 non_negative(f"PD.{name}[{i}]", gain)
         self.torque_limit = np.array(torque_limits("PD.torque_limit", torque_limit, n))
-        self.gravity_model = gravity_model
+        self.gravity_model = None if gravity_model is None else checked_model(gravity_model)
         self._holding = np.zeros((1, n))  # torques of each arm
 
     def reset(self, arms: IntArray, start: Array, posture: Array) -> None:

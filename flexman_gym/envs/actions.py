@@ -7,7 +7,7 @@ import numpy as np
 from gymnasium import spaces
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import refusal
+from flexman_gym.checks import number_array, refusal
 from flexman_gym.model.model import Model
 
 
@@ -18,11 +18,9 @@ def action_space(model: Model) -> spaces.Space[Any]:
 
 def checked_actions(name: str, value: object, shape: tuple[int, ...], allowed: str) -> Array:
     """The actions as an array of floats; raises ValueError for another shape and for numbers outside -1 to 1."""
-    values = np.asarray(value)
-    if values.shape == shape and values.dtype.kind in "fiu":
-        actions = values.astype(np.float64)
-        if np.count_nonzero(np.abs(actions) <= 1.0) == actions.size:
-            return actions
+    actions = number_array(name, value, shape, allowed)
+    if np.count_nonzero(np.abs(actions) <= 1.0) == actions.size:
+        return actions
     raise refusal(name, value, allowed)
 
 

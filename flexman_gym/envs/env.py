@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from flexman_gym.checks import one_of
 from flexman_gym.envs.actions import action_space, checked_actions
 from flexman_gym.envs.episodes import Episodes
+from flexman_gym.envs.options import check_parameters
 from flexman_gym.envs.remembering import Remembering
 from flexman_gym.envs.setup import build, setup_of
 from flexman_gym.kernels import layout
@@ -120,6 +121,7 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Starts an episode; options may set "start" and "posture", joint angles (n,) in rad, and "parameters"."""
+        check_parameters(options, self.simulator.batch)
         super().reset(seed=seed)
         self.episodes.reset(ONLY, [self.np_random], options)
         return self.episodes.sight.seen[0].copy(), self._outcome()[1]

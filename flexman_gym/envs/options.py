@@ -1,5 +1,6 @@
 """Options: what a reset is given beside its seed, for all arms or for each of them."""
 
+import numbers
 from collections.abc import Mapping
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from flexman_gym.arrays import Array
 from flexman_gym.checks import one_of, refusal, sequence, vector
+from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.parameters import PARAMETERS
 
 
@@ -25,6 +27,14 @@ def given_options(
         else:
             given[name] = _each(field, value, plan[name].shape[1:], size)
     return given
+
+
+def check_parameters(options: object, batch: Batch) -> None:
+    """Refuses parameters that a batch could not take, before a reset has changed anything."""
+    if isinstance(options, dict) and "parameters" in options:
+        field, arms, model = "options['parameters']", len(batch.rows), batch.model
+        for name, values in _parameters(field, options["parameters"], (arms, model.n_joints)).items():
+            PARAMETERS[name].checked(f"{field}[{name!r}]", values, model, arms)
 
 
 def _each(field: str, value: object, shape: tuple[int, ...], size: tuple[int, int]) -> Array:
@@ -53,7 +63,12 @@ def _parameters(field: str, value: object, size: tuple[int, int]) -> dict[str, A
 
 def _numbers(field: str, value: object, shape: tuple[int, ...]) -> Array:
     """Numbers of that shape, or of one arm, which all then have."""
+    allowed = f"numbers of the shape {shape}, or {shape[1:]}"
     try:
-        return np.broadcast_to(np.asarray(value), shape)
-    except ValueError:
-        raise refusal(field, value, f"numbers of the shape {shape}, or {shape[1:]}") from None
+        listed = value if isinstance(value, numbers.Real | np.ndarray) else sequence(field, value)  # not too long
+        values = np.broadcast_to(np.asarray(listed), shape)
+    except Exception:  # another shape, lists of different length, an object of somebody's own
+        raise refusal(field, value, allowed) from None
+    if values.dtype.kind not in "fiu":
+        raise refusal(field, value, allowed)
+    return values

@@ -65,8 +65,7 @@ def _range(name: str, value: object) -> Range:
     if name in SIGNALS:
         low, high = (SIGNALS[name].checked(field, each) for each in value)  # type: ignore[attr-defined]
     else:
-        for each in (low, high):
-            (positive if PARAMETERS[name].factor else non_negative)(field, each)
+        low, high = ((positive if PARAMETERS[name].factor else non_negative)(field, each) for each in (low, high))
     if low > high:
         raise refusal(field, value, "a range (low, high) with low <= high, or None")
     return low, high

@@ -28,6 +28,7 @@ from flexman_gym.simulation.families import Method
 
 CHOSEN = ("elements", "modes", "method", "step", "stiffening")  # by fidelity="auto"
 BASES = ("pd", "lqr", "lqr-tracking")
+SHORTEST_PERIOD, LONGEST_PERIOD = 1e-9, 100.0  # s, of control
 LONGEST_HOLD, MOST_PERIODS = 1000, 10**9
 SLEW, SLEW_START = 3.0, 0.4  # s and rad, of the motion for which fidelity="auto" chooses
 
@@ -115,7 +116,7 @@ class Setup:
             self,
             sensors=find_sensors(named.sensors if self.sensors is None else self.sensors),
             torque_limit=self._torque_limits(named),
-            control_period=positive("control_period", period, "s"),
+            control_period=_period(period),
             energy_alarm=positive("energy_alarm", self.energy_alarm),
             randomisation=_randomisation(self.randomisation),
             history=checked_history(self.history),
@@ -205,6 +206,14 @@ class Setup:
             kind = {"lqr": LQR, "lqr-tracking": TrackingLQR}[self.base]
             return kind(model, self.torque_limit, self.control_period)
         return self.base
+
+
+def _period(value: object) -> float:
+    """A control period, s."""
+    period = positive("control_period", value, "s")
+    if not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
+        raise refusal("control_period", value, f"a number from {SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} (s)")
+    return period
 
 
 def default_step(control_period: float, longest: float) -> float:

@@ -11,10 +11,11 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array, Flags, IntArray
-from flexman_gym.checks import refusal, whole_number
+from flexman_gym.checks import one_of, refusal, sequence, whole_number
 from flexman_gym.envs.actions import action_space, checked_actions
 from flexman_gym.envs.env import FlexManEnv, checked_mode, observation_space, painter
 from flexman_gym.envs.episodes import Episodes, Observations
+from flexman_gym.envs.options import check_parameters
 from flexman_gym.envs.remembering import Remembering
 from flexman_gym.envs.setup import build, setup_of
 from flexman_gym.kernels import layout
@@ -22,6 +23,7 @@ from flexman_gym.simulation.batch import MOST_ARMS, Batch
 
 Infos = dict[str, Any]
 LONGEST = 10**9  # steps of an episode
+LARGEST_SEED = 2**128 - 1
 OWN = ("num_envs", "threads", "max_episode_steps", "autoreset_mode", "render_mode", "render_size")
 
 
@@ -64,9 +66,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
     ) -> None:
         modes = {mode.value: mode for mode in AutoresetMode}
         chosen = autoreset_mode.value if isinstance(autoreset_mode, AutoresetMode) else autoreset_mode
-        if chosen not in modes:
-            raise refusal("autoreset_mode", autoreset_mode, f"an AutoresetMode or one of {', '.join(modes)}")
-        self.autoreset_mode = modes[chosen]
+        self.autoreset_mode = modes[one_of("autoreset_mode", chosen, modes)]
         self.num_envs = whole_number("num_envs", num_envs, 1, MOST_ARMS)
         self.render_mode = checked_mode(render_mode)
         given = num_envs, threads, max_episode_steps, autoreset_mode, render_mode, render_size
@@ -98,6 +98,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
     ) -> tuple[Observations, Infos]:
         """Starts the episodes of all arms, or of those of options["reset_mask"]; see the class."""
         seeds = self._each_seed(seed)
+        check_parameters(options, self.batch)
         mask = None
         if isinstance(options, dict) and "reset_mask" in options:
             options = dict(options)
@@ -194,10 +195,14 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
         if seed is None:
             return [None] * self.num_envs
         if isinstance(seed, int | np.integer):
-            return [int(seed) + arm for arm in range(self.num_envs)]
-        if not isinstance(seed, Sequence | np.ndarray) or len(seed) != self.num_envs:
+            first = whole_number("seed", seed, 0, LARGEST_SEED)
+            return [first + arm for arm in range(self.num_envs)]
+        if not isinstance(seed, list | tuple | np.ndarray) or len(sequence("seed", seed)) != self.num_envs:
             raise refusal("seed", seed, f"a whole number, or a list of {self.num_envs}")
-        return [each if each is None else int(each) for each in seed]
+        return [
+            each if each is None else whole_number(f"seed[{arm}]", each, 0, LARGEST_SEED)
+            for arm, each in enumerate(seed)
+        ]
 
     def _checked_mask(self, mask: object) -> Flags:
         if isinstance(mask, np.ndarray) and mask.shape == (self.num_envs,) and mask.dtype == bool and mask.any():

@@ -81,6 +81,8 @@ def choose_model(scene: Scene, tolerance: float, longest_step: float | None = No
     """
     if not isinstance(scene, Scene):
         raise refusal("scene", scene, "a Scene")
+    if scene.initial.state is not None:
+        raise refusal("scene.initial.state", scene.initial.state, "None: the models that are tried have other states")
     longest = np.inf if longest_step is None else positive("longest_step", longest_step, "s")
     return _choose(scene, positive("tolerance", tolerance, "m"), longest)
 

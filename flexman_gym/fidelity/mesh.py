@@ -13,7 +13,7 @@ from flexman_gym.scene.choice import MOST_ELEMENTS
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.families import Explicit, LinearlyImplicit, Method, Midpoint
 from flexman_gym.simulation.methods import METHODS
-from flexman_gym.simulation.simulator import simulate
+from flexman_gym.simulation.scenes import simulate
 from flexman_gym.simulation.trajectory import Trajectory
 
 FINEST = 5  # elements of a link, or of its sections, in the reference

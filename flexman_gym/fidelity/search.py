@@ -11,7 +11,7 @@ from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.families import REFERENCE, Explicit, Method
 from flexman_gym.simulation.methods import METHODS
-from flexman_gym.simulation.simulator import simulate
+from flexman_gym.simulation.scenes import simulate
 from flexman_gym.simulation.trajectory import Trajectory
 
 MODEL_SHARES = (0.6, 0.25)  # parts of the tolerance that dropped coordinates may use; each gives a model

@@ -34,6 +34,9 @@ class _Words(event.Listener):
         """Nothing is left to say."""
 
 
+if numba.config.DISABLE_JIT:
+    raise ImportError("NUMBA_DISABLE_JIT: 1 is not allowed; give 0 or nothing: these kernels run compiled only")
+
 FOLDER = find_folder()
 event.register("numba:compile", _Words())
 

@@ -5,10 +5,17 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags
-from flexman_gym.checks import refusal, vector
+from flexman_gym.checks import bounded, flag, refusal, vector
 from flexman_gym.kernels import dynamics, inverse, outputs, tip
-from flexman_gym.kernels.layout import OUTPUTS, TIP_ACCELERATION, TIP_ACCELERATIONS, TIP_VELOCITY, make_work
-from flexman_gym.model.model import Model
+from flexman_gym.kernels.layout import (
+    LARGEST_STATE,
+    OUTPUTS,
+    TIP_ACCELERATION,
+    TIP_ACCELERATIONS,
+    TIP_VELOCITY,
+    make_work,
+)
+from flexman_gym.model.model import Model, checked_model
 
 # Central differences over one, two and three steps h, each with its weight in Richardson's extrapolation to h = 0. The
 # error of a first derivative is h^6 / 140 times the seventh derivative, of a second one h^6 / 560 times the eighth.
@@ -30,6 +37,8 @@ def acceleration(model: Model, state: Sequence[float] | Array, torque: Sequence[
     x, v = split_state(model, state)
     out = np.zeros(model.n_dof)
     dynamics.accelerations(model.constants, make_work(model.constants), x, v, _drive(model, torque), out)
+    if not np.isfinite(out).all():
+        raise refusal("torque", torque, "torques (N m) whose accelerations are finite numbers")
     return out
 
 
@@ -68,9 +77,10 @@ def frequencies(model: Model, joint_angles: Sequence[float] | None = None, lock_
             remain.
 
     Raises:
-        ValueError: for wrong joint angles.
+        ValueError: for anything but a Model, for wrong joint angles and a wrong flag.
     """
-    angles = np.zeros(model.n_joints) if joint_angles is None else joint_angles
+    angles = np.zeros(checked_model(model).n_joints) if joint_angles is None else joint_angles
+    flag("lock_joints", lock_joints)
     mass = mass_matrix(model, model.initial_state(angles))
     stiffness = stiffness_matrix(model)
     if lock_joints:
@@ -131,13 +141,14 @@ def inverse_dynamics(
             flexible joint with a damper (the motor angle would solve a differential equation), with friction of its
             motor or with a spinning rotor.
     """
-    n, constants = model.n_joints, model.constants
+    n, constants = checked_model(model).n_joints, model.constants
     motion = np.zeros((5, n))
     given = (joint_angles, joint_rates, joint_accelerations, joint_jerks, joint_snaps)
     names = ("joint_angles", "joint_rates", "joint_accelerations", "joint_jerks", "joint_snaps")
     for order, (name, values) in enumerate(zip(names, given, strict=True)):
         if order < 3 or model.n_motors > 0 or values is not None:
             motion[order] = vector(name, values, n, "rad" if order == 0 else f"rad/s^{order}".removesuffix("^1"))
+            bounded(name, motion[order].tolist(), LARGEST_STATE if order < 2 else np.inf)
     sprung = constants.motor >= 0
     _check_invertible(model, sprung)
     forces, spread = inertial_forces(model), np.zeros((model.n_dof, n))
@@ -145,16 +156,21 @@ def inverse_dynamics(
 
     def link_torques(t: float) -> Array:
         powers = t ** np.arange(5) / np.array([1.0, 1.0, 2.0, 6.0, 24.0])
-        angles, rates, accelerations = (powers[: 5 - order] @ motion[order:] for order in range(3))
-        return forces(spread @ angles, spread @ rates, spread @ accelerations)[:n]
+        return forces(*(spread @ (powers[: 5 - order] @ motion[order:]) for order in range(3)))[:n]
 
     torques = link_torques(0.0) + constants.viscous_friction * motion[1]
     torques += constants.coulomb_friction * np.tanh(motion[1] / constants.coulomb_rate)
     if model.n_motors == 0:
-        return torques
+        return _finite_torques(torques, joint_accelerations)
     quickest = max(np.abs(row).sum() ** (1 / order) for order, row in enumerate(motion[1:], start=1))
     runs_ahead = _bend(link_torques, SECOND_STEP / max(quickest, 1e-3))[sprung] / constants.joint_stiffness[sprung]
     torques[sprung] += constants.rotor_inertia[sprung] * (motion[2, sprung] + runs_ahead)
+    return _finite_torques(torques, joint_accelerations)
+
+
+def _finite_torques(torques: Array, joint_accelerations: object) -> Array:
+    if not np.isfinite(torques).all():
+        raise refusal("joint_accelerations", joint_accelerations, "a motion whose torques are finite numbers")
     return torques
 
 
@@ -182,9 +198,10 @@ def split_state(model: Model, state: Sequence[float] | Array) -> tuple[Array, Ar
     """Gives coordinates (d,) and speeds (d,) of a state (2 d,).
 
     Raises:
-        ValueError: for a wrong shape or values that are not finite.
+        ValueError: for a wrong shape, and values that are not finite or beyond 1e6.
     """
-    values = np.array(vector("state", state, 2 * model.n_dof))
+    values = np.array(vector("state", state, 2 * checked_model(model).n_dof))
+    bounded("state", values.tolist(), LARGEST_STATE)
     return values[: model.n_dof], values[model.n_dof :]
 
 

@@ -18,7 +18,7 @@ from flexman_gym.model.instant import (
     stiffness_matrix,
     tip_jacobian,
 )
-from flexman_gym.model.model import Model
+from flexman_gym.model.model import Model, checked_model
 
 FIRST_STEP = 0.005  # rad, for a first derivative: its truncation is just below rounding
 
@@ -74,6 +74,7 @@ def linearize(
     """
     from scipy.linalg import cho_factor, cho_solve
 
+    checked_model(model)
     if state is None:
         state = model.initial_state(np.zeros(model.n_joints) if joint_angles is None else joint_angles)
     elif joint_angles is not None:
@@ -95,7 +96,7 @@ def linearize(
 def _demands(model: Model, state: Sequence[float] | Array, torque: Sequence[float] | Array) -> Array:
     """Gives slopes (d, 2 d + n), by coordinates, speeds and torques, of the forces that accelerate the arm."""
     (x, v), caused, forces = split_state(model, state), acceleration(model, state, torque), inertial_forces(model)
-    d, n, size = model.n_dof, model.n_joints, _coordinate_sizes(model)
+    d, n, size = model.n_dof, model.n_joints, coordinate_sizes(model)
 
     def by_coordinate(unit: Array) -> Array:
         return _slope(lambda t: forces(x + t * unit, v, caused), FIRST_STEP)
@@ -113,7 +114,7 @@ def _demands(model: Model, state: Sequence[float] | Array, torque: Sequence[floa
     return demands
 
 
-def _coordinate_sizes(model: Model) -> Array:
+def coordinate_sizes(model: Model) -> Array:
     """Gives the size (d,) of each coordinate that turns a section by 1 rad or moves it by the length of its link."""
     sizes = np.ones(model.n_dof)
     for i, (link, basis) in enumerate(zip(model.arm.links, model.bases, strict=True)):

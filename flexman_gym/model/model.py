@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import refusal, vector
+from flexman_gym.checks import bounded, instance, refusal, vector
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import LANES
 from flexman_gym.model.beam import build_beam
@@ -83,13 +83,14 @@ class Model:
             joint_rates: (n,) rad/s, zero by default.
 
         Raises:
-            ValueError: for wrong shapes or values that are not finite.
+            ValueError: for wrong shapes, and values that are not finite or beyond 1e6.
         """
         state = np.zeros(2 * self.n_dof)
         starts = ((0, "joint_angles", joint_angles, "rad"), (self.n_dof, "joint_rates", joint_rates, "rad/s"))
         for column, name, values, unit in starts:
             if values is not None:
                 checked = vector(name, values, self.n_joints, unit)
+                bounded(name, checked, layout.LARGEST_STATE, unit)
                 state[column : column + self.n_joints] = checked
                 state[column + self.motor_columns] = checked
         return state
@@ -131,6 +132,7 @@ def build_model(
         ValueError: one line with field, value and what is allowed.
     """
     switches = {"spinning_rotors": spinning_rotors, "rotary_inertia": rotary_inertia}
+    instance("arm", arm, Arm, "an Arm")
     choice = ModelChoice(flexible_links, elements, modes, flexible_joints, stiffening, **switches)
     n = arm.n_joints
     flexible = _each("flexible_links", choice.flexible_links, n)
@@ -153,8 +155,22 @@ def build_model(
 
 
 def scene_model(scene: Scene) -> Model:
-    """Builds the model that a scene asks for."""
+    """Builds the model that a scene asks for.
+
+    Raises:
+        ValueError: for anything but a scene, and what `build_model` refuses.
+    """
+    instance("scene", scene, Scene, "a Scene")
     return build_model(scene.arm, **vars(scene.model))
+
+
+def checked_model(model: object) -> Model:
+    """Gives a Model.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    return instance("model", model, Model, "a Model, from build_model")
 
 
 def _each(name: str, value: object, n: int) -> tuple:

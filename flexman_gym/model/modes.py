@@ -72,7 +72,11 @@ def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
     frequencies, shapes, found = np.zeros(len(mass)), np.zeros_like(mass), 0
     for group in uncoupled(mass, stiffness):
         block, columns = np.ix_(group, group), slice(found, found + len(group))
-        squares, shapes[group, columns] = eigh(stiffness[block], mass[block])
+        try:
+            squares, shapes[group, columns] = eigh(stiffness[block], mass[block])
+        except (np.linalg.LinAlgError, ValueError):
+            allowed = "links and loads whose masses are within fifteen digits of each other"
+            raise refusal("arm", "this one", allowed) from None
         frequencies[columns] = np.sqrt(squares)
         found += len(group)
     # rounding must not decide which of two equal frequencies comes first

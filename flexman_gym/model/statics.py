@@ -10,7 +10,7 @@ from flexman_gym.checks import refusal, vector
 from flexman_gym.kernels import outputs, statics
 from flexman_gym.kernels.layout import OUTPUTS, TIP, make_work
 from flexman_gym.model.instant import inertial_forces, stiffness_matrix
-from flexman_gym.model.model import Model
+from flexman_gym.model.model import Model, checked_model
 
 
 def rest_states(model: Model, postures: Array) -> Array:
@@ -40,7 +40,8 @@ def rest_state(model: Model, motor_angles: Sequence[float] | Array) -> Array:
     Raises:
         ValueError: for wrong angles, and for an arm too soft to find its rest so.
     """
-    found: Array = rest_states(model, np.array([vector("motor_angles", motor_angles, model.n_joints, "rad")]))[0]
+    angles = vector("motor_angles", motor_angles, checked_model(model).n_joints, "rad")
+    found: Array = rest_states(model, np.array([angles]))[0]
     return found
 
 

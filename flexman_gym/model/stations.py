@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.model.element import GAUSS_POINTS, Element, beam_shapes, beam_slopes
+from flexman_gym.model.element import GAUSS_POINTS, NODE_COORDINATES, Element, beam_shapes, beam_slopes
 
+BLOCK = 2 * NODE_COORDINATES  # coordinates of an element
 GROUP = 4  # for foreshortening, the tip and the stations of a link fill groups of this size
 
 
@@ -33,23 +34,35 @@ def beam_stations(elements: Sequence[Element], size: int) -> tuple[Array, Array,
     points = np.concatenate([start + length * (1 + fine) / 2 for _, start, length, _ in elements])
     shares = np.concatenate([parts / 2 * length * each.density * each.area for each, _, length, _ in elements])
     places, masses = _gauss_rule(points, shares, count)
-    before, means = np.zeros((size, size)), iter((shares / masses[:, None] * _lagrange(places, points)).T)
-    integrals, shapes = np.zeros((count + 1, size, size)), np.zeros((count + 1, 3, size))
-    for _, _, length, nodes in elements:
+    means = iter((shares / masses[:, None] * _lagrange(places, points)).T)
+    integral, shapes = np.zeros((size, size)), np.zeros((count + 1, 3, size))
+    # G couples the coordinates of neighbouring nodes alone: only these blocks are summed, one for each element
+    blocks, sums = _blocks(integral, len(elements)), np.zeros((count, len(elements), BLOCK, BLOCK))
+    for i, (_, _, length, nodes) in enumerate(elements):
+        before = integral[nodes, nodes].copy()
         for end in [*(1 + fine) / 2, 1.0]:
-            integral, shape = before.copy(), np.zeros((3, size))
-            shape[:, nodes] = beam_shapes(end, length, 0.0, 0.0)
+            shape = beam_shapes(end, length, 0.0, 0.0)
+            integral[nodes, nodes] = before
             for xi, weight in zip(end * (1 + abscissae) / 2, end * weights / 2, strict=True):
                 slopes = beam_slopes(xi, length)
                 integral[nodes, nodes] += weight * length * slopes.T @ slopes
             if end < 1.0:
                 mean = next(means)[:, None, None]
-                integrals[1:] += mean * integral
-                shapes[1:] += mean * shape
-        before = integral
-    integrals[0], shapes[0] = before, shape
+                sums[:, : i + 2] += mean[:, None] * blocks[: i + 2]
+                shapes[1:, :, nodes] += mean * shape
+    integrals = np.zeros((count + 1, size, size))
+    integrals[0], shapes[0, :, nodes] = integral, shape
+    for i, element in enumerate(elements):
+        integrals[1:, element.nodes, element.nodes] = sums[:, i]
     tip = [[0.0, elements[-1][1] + elements[-1][2]]]
     return integrals, np.vstack([tip, np.column_stack([masses, places])]), shapes
+
+
+def _blocks(matrix: Array, count: int) -> Array:
+    """Gives a view (count, 12, 12) of the blocks along the diagonal of a matrix that belong to elements."""
+    row, column = matrix.strides
+    step = NODE_COORDINATES * (row + column)
+    return np.lib.stride_tricks.as_strided(matrix, (count, BLOCK, BLOCK), (step, row, column), writeable=False)
 
 
 def _gauss_rule(places: Array, masses: Array, count: int) -> tuple[Array, Array]:

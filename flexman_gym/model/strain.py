@@ -7,7 +7,7 @@ import numpy as np
 from flexman_gym.arrays import Array
 from flexman_gym.checks import finite, refusal, vector, whole_number
 from flexman_gym.model.element import NODE_COORDINATES, find_element
-from flexman_gym.model.model import Model
+from flexman_gym.model.model import Model, checked_model
 
 
 def curvature(model: Model, state: Sequence[float] | Array, link: int, position: float) -> Array:
@@ -85,7 +85,7 @@ def root_gauges(model: Model) -> Array:
 
 def _deformation(model: Model, state: Sequence[float] | Array, link: int, position: float) -> Array:
     """Gives u', phi', -w'' and v'' (4,) at a position of a link."""
-    x = np.array(vector("state", state, 2 * model.n_dof))
+    x = np.array(vector("state", state, 2 * checked_model(model).n_dof))
     i = whole_number("link", link, 0, model.n_joints - 1)
     length, basis = model.arm.links[i].length, model.bases[i]
     place = finite("position", position, "m")

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from flexman_gym.checks import (
+    MOST,
+    bounded,
     inertia_matrix,
     non_negative,
-    positive,
+    physical,
     refusal,
     rotation,
     sequence,
@@ -52,7 +54,8 @@ class Link:
         orientation: (3, 3) rotation whose columns are the beam's axes in the joint's frame; stored as rows of floats.
 
     Raises:
-        ValueError: for a number that is not finite and > 0, and for an orientation that is not a rotation within 1e-9.
+        ValueError: for a number that is not from 1e-30 to 1e30, and for an orientation that is not a rotation within
+            1e-9.
     """
 
     length: float
@@ -66,7 +69,7 @@ class Link:
     orientation: Sequence[Sequence[float]] = IDENTITY
 
     def __post_init__(self) -> None:
-        store(self, **{name: positive(f"Link.{name}", getattr(self, name), unit) for name, unit in _LINK_UNITS.items()})
+        store(self, **{name: physical(f"Link.{name}", getattr(self, name), unit) for name, unit in _LINK_UNITS.items()})
         store(self, orientation=rotation("Link.orientation", self.orientation))
         polar, least = self.second_moment_y + self.second_moment_z, self.area * self.area / (2.0 * math.pi)
         if polar < (1.0 - 1e-9) * least:
@@ -162,16 +165,16 @@ class Joint:
         store(
             self,
             axis=unit_vector("Joint.axis", self.axis),
-            rotor_inertia=non_negative("Joint.rotor_inertia", self.rotor_inertia, "kg m^2"),
-            damping=non_negative("Joint.damping", self.damping, "N m s/rad"),
-            viscous_friction=non_negative("Joint.viscous_friction", self.viscous_friction, "N m s/rad"),
-            coulomb_friction=non_negative("Joint.coulomb_friction", self.coulomb_friction, "N m"),
-            coulomb_rate=positive("Joint.coulomb_rate", self.coulomb_rate, "rad/s"),
+            rotor_inertia=physical("Joint.rotor_inertia", self.rotor_inertia, "kg m^2", zero=True),
+            damping=physical("Joint.damping", self.damping, "N m s/rad", zero=True),
+            viscous_friction=physical("Joint.viscous_friction", self.viscous_friction, "N m s/rad", zero=True),
+            coulomb_friction=physical("Joint.coulomb_friction", self.coulomb_friction, "N m", zero=True),
+            coulomb_rate=physical("Joint.coulomb_rate", self.coulomb_rate, "rad/s"),
         )
         if self.torque_limit is not None:
-            store(self, torque_limit=positive("Joint.torque_limit", self.torque_limit, "N m"))
+            store(self, torque_limit=physical("Joint.torque_limit", self.torque_limit, "N m"))
         if self.stiffness is not None:
-            store(self, stiffness=positive("Joint.stiffness", self.stiffness, "N m/rad; None for a rigid joint"))
+            store(self, stiffness=physical("Joint.stiffness", self.stiffness, "N m/rad; None for a rigid joint"))
             if self.rotor_inertia == 0.0:
                 allowed = "a number > 0 (kg m^2): the rotor of a joint with stiffness has mass"
                 raise refusal("Joint.rotor_inertia", self.rotor_inertia, allowed)
@@ -200,13 +203,14 @@ class Payload:
     offset: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
-        store(self, mass=non_negative("Payload.mass", self.mass, "kg"))
+        store(self, mass=physical("Payload.mass", self.mass, "kg", zero=True))
         if self.mass == 0.0 and (self.inertia is not None or self.offset is not None):
             raise refusal("Payload.mass", self.mass, "a number > 0 (kg) where inertia or offset is given")
         if self.inertia is not None:
             store(self, inertia=inertia_matrix("Payload.inertia", self.inertia))
         if self.offset is not None:
             store(self, offset=vector("Payload.offset", self.offset, 3, "m"))
+            bounded("Payload.offset", self.offset, MOST, "m")
 
 
 @dataclass(frozen=True)
@@ -244,6 +248,7 @@ class Arm:
             ),
             modal_damping_ratio=non_negative("Arm.modal_damping_ratio", self.modal_damping_ratio),
         )
+        bounded("Arm.gravity", self.gravity, MOST, "m/s^2")
         if len(self.joints) != len(self.links):
             raise ValueError(
                 f"Arm.joints: {len(self.joints)} joints are not allowed; give {len(self.links)}, one for each link"

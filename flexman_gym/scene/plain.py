@@ -22,6 +22,7 @@ OPTIONAL: dict[str, tuple[str, ...]] = {
     "Payload": ("inertia", "offset"),
     "Joint": ("viscous_friction", "coulomb_friction", "coulomb_rate", "torque_limit"),
     "ModelChoice": ("modes", "spinning_rotors", "rotary_inertia"),
+    "Initial": ("state",),
     "Signal": tuple(field.name for field in fields(Signal)),
     "Scene": ("prescribed", "tip_force", "base_acceleration"),
 }

@@ -32,6 +32,8 @@ class Initial:
     Attributes:
         joint_angles: (n,) rad.
         joint_rates: (n,) rad/s.
+        state: (2 d,) a whole state of the scene's model that takes the place of both, with bent links and wound
+            springs; None without one. Its order is that of `kernels.layout`.
 
     Raises:
         ValueError: for an attribute that is not a list of finite numbers, and for lists of different length.
@@ -39,11 +41,14 @@ class Initial:
 
     joint_angles: Sequence[float]
     joint_rates: Sequence[float]
+    state: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
         angles = vector("Initial.joint_angles", self.joint_angles, unit="rad")
         store(self, joint_angles=angles)
         store(self, joint_rates=vector("Initial.joint_rates", self.joint_rates, len(angles), "rad/s"))
+        if self.state is not None:
+            store(self, state=vector("Initial.state", self.state))
 
 
 @dataclass(frozen=True)
@@ -109,7 +114,7 @@ class Scene:
         if isinstance(value, Arm):
             return
         for name, entry in vars(value).items():
-            if isinstance(entry, tuple) and len(entry) != self.arm.n_joints:
+            if name != "state" and isinstance(entry, tuple) and len(entry) != self.arm.n_joints:
                 raise refusal(f"Scene.{part}.{name}", entry, f"{self.arm.n_joints} values, one for each joint")
 
     def _checked_motion(self) -> tuple[Signal | None, ...] | None:

@@ -2,8 +2,9 @@
 
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.methods import METHODS, generalised_alpha
+from flexman_gym.simulation.scenes import simulate
 from flexman_gym.simulation.several import simulate_all
-from flexman_gym.simulation.simulator import Simulator, simulate
+from flexman_gym.simulation.simulator import Simulator
 from flexman_gym.simulation.trajectory import Trajectory
 
 __all__ = ["METHODS", "Batch", "Simulator", "Trajectory", "generalised_alpha", "simulate", "simulate_all"]

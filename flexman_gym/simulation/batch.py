@@ -6,14 +6,14 @@ from typing import NoReturn
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags
-from flexman_gym.checks import parts, positive, refusal, whole_number
+from flexman_gym.checks import bounded, parts, positive, refusal, whole_number
 from flexman_gym.kernels import layout, outputs
-from flexman_gym.model.model import Model
+from flexman_gym.model.model import Model, checked_model
 from flexman_gym.simulation.energy import turnover
 from flexman_gym.simulation.families import LinearlyImplicit, Method, Midpoint
 from flexman_gym.simulation.movers import Abreast, OneByOne
 from flexman_gym.simulation.parameters import nominal_parameters, varied_constants
-from flexman_gym.simulation.run import Run, find_method, find_tolerance, prescribed_flags
+from flexman_gym.simulation.run import MOST_STEPS, Run, find_method, find_tolerance, prescribed_flags
 
 MOST_ARMS, MOST_THREADS = 65536, 256
 RESTING = -1  # a status that only movers see
@@ -30,7 +30,7 @@ class Batch:
     Attributes:
         model, method: the model and the Method.
         control_period: s.
-        substeps: steps in a control period.
+        substeps: steps in a control period, at most 100000.
         rows: (b, 2 d + 2) state and ledger of each arm, see `kernels.layout`.
         state: (b, 2 d) a view of `rows`.
         outputs: (b, OUTPUTS) tip, deflection and energies at that state; columns in `kernels.layout`.
@@ -61,17 +61,16 @@ class Batch:
         arms: int = 1,
         threads: int = 1,
     ) -> None:
-        if not isinstance(model, Model):
-            raise refusal("model", model, "a Model, from build_model")
-        self.model = model
+        self.model = checked_model(model)
         self.method = find_method(method)
         self.control_period = positive("control_period", control_period, "s")
         allowed = "a number of seconds that divides the control period"
-        self.substeps = 1 if step is None else parts("step", step, self.control_period, allowed)
+        self.substeps = 1 if step is None else parts("step", step, self.control_period, allowed, MOST_STEPS)
         n, count = model.n_joints, whole_number("arms", arms, 1, MOST_ARMS)
         whole_number("threads", threads, 1, MOST_THREADS)
-        joints = [whole_number("prescribed", joint, 0, n - 1) for joint in prescribed]
+        joints = _joints(prescribed, n)
         tolerance = find_tolerance(self.method, step, rtol, atol)
+        self._bound = tolerance, joints
         period = self.control_period, self.substeps
         self._mover: OneByOne | Abreast
         if isinstance(self.method, LinearlyImplicit | Midpoint) and tolerance is None:
@@ -91,7 +90,13 @@ class Batch:
         self.reset(np.arange(count), np.zeros((count, 2 * model.n_dof)))
 
     def reset(self, arms: np.ndarray, states: Array) -> None:
-        """Starts the arms with the indices (r,) anew, at time 0 and at states (r, 2 d)."""
+        """Starts the arms with the indices (r,) anew, at time 0 and at states (r, 2 d).
+
+        Raises:
+            ValueError: for a state beyond the bounds of `kernels.layout.LARGEST_STATE`; nothing has changed then.
+        """
+        if not np.abs(states).max(initial=0.0) <= layout.LARGEST_STATE:
+            bounded("states", states.ravel().tolist(), layout.LARGEST_STATE)
         self.rows[arms, :-2], self.rows[arms, -2:] = states, 0.0
         self.status[arms] = layout.OK
         self._periods[arms] = self._drive[arms] = 0.0
@@ -136,6 +141,12 @@ class Batch:
             self._mover.sense(self._drive, self.rows, self._felt)
             self._known = True
         return self._felt
+
+    def run(self, arm: int) -> Run:
+        """Gives a run of one arm, with the parameters that it has, beside the batch."""
+        run, own = Run(self.model, self.method, *self._bound), self._mover.constants(arm)
+        run.constants = run.constants._replace(**own)
+        return run
 
     def rigid_tips(self, states: Array) -> Array:
         """Gives the tips (r, 3) in the base frame, m, of the rigid arm at the motor angles of states (r, 2 d)."""
@@ -182,3 +193,14 @@ class Batch:
 
     def _turned_over(self) -> Array:
         return turnover(np.vecdot(self.outputs, MOVING_ENERGY), self.rows[:, -2], self.rows[:, -1])
+
+
+def _joints(prescribed: object, count: int) -> list[int]:
+    """Gives the numbers of the joints whose motion is prescribed, of `count` joints."""
+    try:
+        few = not isinstance(prescribed, str | bytes) and len(prescribed) <= count  # type: ignore[arg-type]
+    except Exception:  # nothing that has a length
+        few = False
+    if not few or not isinstance(prescribed, Collection):
+        raise refusal("prescribed", prescribed, f"a list of at most {count} joints, by their numbers from 0")
+    return [whole_number("prescribed", joint, 0, count - 1) for joint in prescribed]

@@ -14,11 +14,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from flexman_gym.arrays import Array
+from flexman_gym.checks import finite, instance, refusal, whole_number
 from flexman_gym.kernels.layout import SEQUENCES, STAGES, Averages, Tableau
 
 EXPLICIT, LINEARLY_IMPLICIT, IMPLICIT, REFERENCE = "explicit", "linearly implicit", "implicit", "reference"
 KINDS = (EXPLICIT, LINEARLY_IMPLICIT, IMPLICIT, REFERENCE)
 ROUNDING = 1e-12
+MOST_SWEEPS = 1000
 
 
 def _none() -> Array:
@@ -191,8 +193,8 @@ class Implicit:
     estimates = False
 
     def __post_init__(self) -> None:
-        if self.radius is not None and not 0.0 <= self.radius <= 1.0:
-            raise ValueError(f"{self.name}: radius must be from 0 to 1")
+        if self.radius is not None and not 0.0 <= finite(f"{self.name}.radius", self.radius) <= 1.0:
+            raise refusal(f"{self.name}.radius", self.radius, "a number from 0 to 1")
 
     @property
     def averages(self) -> Averages:
@@ -228,6 +230,7 @@ class Midpoint:
     estimates = False
 
     def __post_init__(self) -> None:
+        whole_number(f"{self.name}.sweeps", self.sweeps, 1, MOST_SWEEPS)
         if not 1 <= self.order <= min(self.sweeps, 2):
             raise ValueError(
                 f"{self.name}: is not of order {self.order}: each of {self.sweeps} sweeps gains one, up to 2"
@@ -265,6 +268,8 @@ def extrapolation_weights(sequence: Sequence[int]) -> Array:
 
 
 def _check_stages(name: str, a: Array, b: Array, error: Array) -> None:
+    for part, value in (("a", a), ("b", b), ("error", error)):
+        instance(f"{name}.{part}", value, np.ndarray, "an array")
     s = len(b)
     if a.shape != (s, s) or np.triu(a).any() or not 0 < s < STAGES:
         raise ValueError(f"{name}: a must be strictly lower triangular, {s} x {s}, with 0 < s < {STAGES}")

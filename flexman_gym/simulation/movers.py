@@ -1,9 +1,9 @@
 """Movers: the arms of a batch moved one by one by any method, or several abreast by linearly implicit methods.
 
-A mover has four methods. `vary(arm, constants)` gives an arm constants of its own. `observe(arms, rows, outputs)`
-reads the outputs off the rows of some arms. `move(drives, periods, rows, outputs, status)` moves the arms whose status
-is OK by one control period, `periods` (b,) after their start, and sets the status of arms that fail. `sense(drives,
-rows, found)` finds the tip accelerations (b, TIP_ACCELERATIONS) of all arms.
+A mover has five methods. `vary(arm, constants)` gives an arm constants of its own, which `constants(arm)` tells.
+`observe(arms, rows, outputs)` reads the outputs off the rows of some arms. `move(drives, periods, rows, outputs,
+status)` moves the arms whose status is OK by one control period, `periods` (b,) after their start, and sets the status
+of arms that fail. `sense(drives, rows, found)` finds the tip accelerations (b, TIP_ACCELERATIONS) of all arms.
 """
 
 import os
@@ -43,6 +43,10 @@ class OneByOne:
     def vary(self, arm: int, constants: dict[str, Any]) -> None:
         """Gives an arm constants of its own."""
         self._runs[arm].constants = self._runs[arm].constants._replace(**constants)
+
+    def constants(self, arm: int) -> dict[str, Any]:
+        """Gives copies of the constants that an arm has of its own."""
+        return _own(self._runs[arm].constants)
 
     @property
     def own(self) -> list[dict[str, Array]]:
@@ -115,6 +119,12 @@ class Abreast:
     def own(self) -> list[dict[str, Array]]:
         """The constants that arms may differ in, of each group."""
         return [{name: getattr(each, name) for name in sorted(PER_ARM)} for each in self._constants]
+
+    def constants(self, arm: int) -> dict[str, Any]:
+        """Gives copies of the constants that an arm has of its own."""
+        own = self.own[arm // ARMS_ABREAST]
+        lane = () if self._alone else (..., arm % ARMS_ABREAST)
+        return {name: values[lane].copy() for name, values in own.items()}
 
     def vary(self, arm: int, constants: dict[str, Any]) -> None:
         """Gives an arm constants of its own."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags
-from flexman_gym.checks import one_of, refusal
+from flexman_gym.checks import MOST, number_array, one_of, refusal
 from flexman_gym.model.model import Model
 
 ARM, JOINT, LINK = "arm", "joint", "link"
@@ -68,11 +68,10 @@ class Parameter:
             ValueError: for another shape, for numbers that are not finite or negative, for 0 where more is needed, and
                 for another value than the model's where it is fixed.
         """
-        values, shape, nominal = np.asarray(value), (count, *self.shape(model.n_joints)), self.nominal(model)
+        shape, nominal = (count, *self.shape(model.n_joints)), self.nominal(model)
         allowed = f"finite numbers >= 0, of shape {shape}"
-        if values.shape != shape or values.dtype.kind not in "fiu":
-            raise refusal(name, value, allowed)
-        if not (np.isfinite(values).all() and (values >= 0.0).all()):
+        values = number_array(name, value, shape, allowed)
+        if not ((values >= 0.0) & (values <= MOST)).all():
             raise refusal(name, value, allowed)
         if self.of != ARM:
             fixed, needed = self.fixed(model), self.needed(model)
@@ -81,7 +80,7 @@ class Parameter:
                 raise refusal(name, value, f"{nominal[fixed].tolist()} for joints {rigid}: rigid")
             if (values == 0.0)[:, needed].any():
                 raise refusal(name, value, "numbers > 0 where a link or joint is flexible")
-        return values.astype(float)
+        return values
 
 
 def _payload(model: Model, mass: Array) -> dict[str, Array]:

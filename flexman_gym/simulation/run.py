@@ -1,6 +1,8 @@
 """Run: a method bound to a model and its work space, as a call that moves a state through time."""
 
+import math
 from collections.abc import Callable, Collection, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +17,8 @@ from flexman_gym.scene.drive import drive_table
 from flexman_gym.simulation.families import Explicit, Implicit, LinearlyImplicit, Method, Midpoint, Outside
 from flexman_gym.simulation.methods import METHODS
 
+MOST_STEPS = 100_000  # in one call, which nothing can interrupt: a second or two
+LONGEST_CALL = 10.0  # s that a method which chooses its steps moves on by in one call
 # The kernel of each family; SciPy runs the others.
 KERNELS: dict[type, Callable[..., tuple[int, int, int]]] = {
     Explicit: explicit.run_explicit,
@@ -119,12 +123,34 @@ class Run:
         clock = Clock(*moment, *self.tolerance)
         if isinstance(self.method, Outside):
             return self._by_scipy(drive, clock, state, rows, found)
-        rest = self._coefficients, drive, clock, state, rows, found
-        if self._lanes is not None:
-            if self._lanes[0] is not self.constants:
-                self._lanes = self.constants, (addresses(self.constants, SEQUENCES), *self._lanes[1][1:])
-            return arms.run_sequences(self.constants, self.work, self._lanes[1], *rest)
-        return KERNELS[type(self.method)](self.constants, self.work, *rest)
+        return self._in_calls(drive, clock, state, rows, found)
+
+    def _in_calls(self, drive: Array, clock: Clock, state: Array, rows: Array, found: Array) -> tuple[int, int, int]:
+        """Calls the kernel, a long run in parts: Python looks for Ctrl-C between two calls only."""
+        span = clock.step * clock.substeps
+        size = span / LONGEST_CALL if clock.rtol > 0.0 else clock.substeps / MOST_STEPS  # of a row, in calls
+        pieces = math.ceil(size) if clock.rtol > 0.0 and size > 1.0 else 1  # of a row
+        together = len(rows) if size * len(rows) <= 1.0 else max(1, int(1.0 / size))
+        part, valid, evaluations, status = clock._replace(step=clock.step / pieces), 0, 0, layout.OK
+        for first in range(0, len(rows), together):
+            some = slice(first, first + together)
+            for piece in range(pieces):
+                now = part._replace(time=clock.time + (first + piece / pieces) * span)
+                status, good, more = self._called(drive, now, state, rows[some], found[some])
+                evaluations += more
+                if status != layout.OK:
+                    return status, valid + good, evaluations
+            valid += good
+        return status, valid, evaluations
+
+    def _called(self, *rest: Any) -> tuple[int, int, int]:
+        """Calls the kernel of the method; one of many sequences has them side by side in the lanes."""
+        rest = self._coefficients, *rest
+        if self._lanes is None:
+            return KERNELS[type(self.method)](self.constants, self.work, *rest)
+        if self._lanes[0] is not self.constants:
+            self._lanes = self.constants, (addresses(self.constants, SEQUENCES), *self._lanes[1][1:])
+        return arms.run_sequences(self.constants, self.work, self._lanes[1], *rest)
 
     def start(self, state: Array, row: Array, found: Array) -> None:
         """Records the state as it is, by a run of no steps, which also loads or compiles the kernels."""

@@ -2,6 +2,7 @@
 
 import time as clock
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -16,7 +17,14 @@ from flexman_gym.simulation.families import LinearlyImplicit, Method, Midpoint
 from flexman_gym.simulation.movers import Abreast
 from flexman_gym.simulation.parameters import varied_constants
 from flexman_gym.simulation.run import prescribed_flags
-from flexman_gym.simulation.simulator import Plan, find_plan, first_state, follow, prescribed_joints
+from flexman_gym.simulation.scenes import (
+    Plan,
+    explanation,
+    find_plan,
+    first_state,
+    follow,
+    prescribed_joints,
+)
 from flexman_gym.simulation.trajectory import Trajectory, trajectory
 
 
@@ -92,8 +100,9 @@ def _abreast(scenes: list[Scene], plan: Plan, constants: list[dict[str, Array]],
     seconds = (clock.perf_counter() - started) / count
     stages = method.sweeps if isinstance(method, Midpoint) else len(method.b) * sum(method.sequence)
     found = []
-    for states, read, (valid, steps) in zip(rows, outputs, counts.tolist(), strict=True):
+    for scene, own, states, read, (valid, steps) in zip(scenes, constants, rows, outputs, counts.tolist(), strict=True):
         status = STATUS[layout.OK if valid == plan.rows else layout.DIVERGED]
         outcome = status, steps * stages, seconds
-        found.append(trajectory(model, plan.interval, states[: valid + 1], read[: valid + 1], outcome))
+        explained = partial(explanation, scene, plan, own)
+        found.append(trajectory(model, plan.interval, states[: valid + 1], read[: valid + 1], outcome, explained))
     return found

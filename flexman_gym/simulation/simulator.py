@@ -1,115 +1,20 @@
-"""Simulator: a model moved through time, as a whole scene or one control period after another."""
+"""Simulator: a model moved through time, one control period after another."""
 
-import time as clock
 from collections.abc import Collection, Sequence
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import WHOLE, parts, positive, refusal, vector
+from flexman_gym.checks import bounded, number_array, refusal, vector
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import STATUS
-from flexman_gym.model.model import Model, scene_model
-from flexman_gym.scene.scene import Scene
+from flexman_gym.model.model import Model
+from flexman_gym.scene.drive import drive_table
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.energy import alarm
+from flexman_gym.simulation.explanation import Failure, explain, explain_energy
 from flexman_gym.simulation.families import Method
-from flexman_gym.simulation.run import Run, find_method, find_tolerance, prescribed_flags
-from flexman_gym.simulation.trajectory import Trajectory, trajectory
-
-
-def simulate(
-    scene: Scene,
-    model: Model | None = None,
-    method: str | Method = "auto",
-    step: float | None = None,
-    rtol: float = 1e-6,
-    atol: float = 1e-9,
-) -> Trajectory:
-    """Simulates a scene.
-
-    Args:
-        scene: arm, torque, initial state, duration.
-        model: None takes the model that the scene asks for.
-        method: a Method or a name from `METHODS`. "auto" takes "ros2" with a step and the reference "dop853" without
-            one.
-        step: s. It divides the output step of the scene or is a multiple of it; a multiple gives an output after every
-            step. None lets a method that estimates its error choose its steps. A reference always chooses its steps;
-            the given step is its first guess.
-        rtol, atol: relative and absolute local error, of a method that chooses its steps.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
-    """
-    plan = find_plan(scene, model, method, step, rtol, atol)
-    return follow(scene, plan)
-
-
-class Plan(NamedTuple):
-    """How a scene is simulated.
-
-    Attributes:
-        model, method: the model and the Method.
-        tolerance: (rtol, atol), or None for fixed steps.
-        interval: time between outputs, s.
-        substeps: number of steps in it.
-        rows: number of outputs behind the first.
-    """
-
-    model: Model
-    method: Method
-    tolerance: tuple[float, float] | None
-    interval: float
-    substeps: int
-    rows: int
-
-
-def find_plan(
-    scene: Scene, model: Model | None, method: str | Method, step: float | None, rtol: float, atol: float
-) -> Plan:
-    """Checks the arguments of `simulate` and gives what follows from them.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
-    """
-    if not isinstance(scene, Scene):
-        raise refusal("scene", scene, "a Scene")
-    model = scene_model(scene) if model is None else model
-    if not isinstance(model, Model):
-        raise refusal("model", model, "a Model, from build_model")
-    if model.n_joints != scene.arm.n_joints:
-        raise refusal("model", f"{model.n_joints} joints", f"a model of the scene's arm, {scene.arm.n_joints} joints")
-    automatic = "dop853" if step is None else "ros2"
-    chosen = find_method(automatic if isinstance(method, str) and method == "auto" else method)
-    interval, substeps = _output_interval(chosen, step, scene.output_step)
-    rows = parts("step", interval, scene.duration, "a number of seconds that divides the duration")
-    return Plan(model, chosen, find_tolerance(chosen, step, rtol, atol), interval, substeps, rows)
-
-
-def first_state(scene: Scene, model: Model) -> Array:
-    """Gives the state and ledger (2 d + 2,) with which a scene starts."""
-    return np.append(model.initial_state(scene.initial.joint_angles, scene.initial.joint_rates), [0.0, 0.0])
-
-
-def prescribed_joints(scene: Scene) -> list[int]:
-    """Gives the joints whose motion a scene prescribes."""
-    return [i for i, motion in enumerate(scene.prescribed or ()) if motion is not None]
-
-
-def follow(scene: Scene, plan: Plan, constants: dict[str, Any] | None = None) -> Trajectory:
-    """Simulates a scene by a plan, with constants in place of some of the model's."""
-    model, interval, rows = plan.model, plan.interval, plan.rows
-    run = Run(model, plan.method, plan.tolerance, prescribed_joints(scene))
-    run.constants = run.constants._replace(**(constants or {}))
-    state = first_state(scene, model)
-    states, outputs = np.zeros((rows + 1, len(state))), np.zeros((rows + 1, layout.OUTPUTS))
-    run.start(state, states[0], outputs[0])
-    started = clock.perf_counter()
-    moment = (0.0, interval / plan.substeps, plan.substeps)
-    status, valid, evaluations = run(scene.drive, moment, state, states[1:], outputs[1:])
-    elapsed = clock.perf_counter() - started
-    outcome = (STATUS[status], evaluations, elapsed)
-    return trajectory(model, interval, states[: valid + 1], outputs[: valid + 1], outcome)
+from flexman_gym.simulation.run import prescribed_flags
 
 
 class Simulator:
@@ -122,6 +27,7 @@ class Simulator:
         model, method, control_period, substeps: as of the batch.
         state: (2 d,) coordinates and speeds, a view that `step` updates; order in `kernels.layout`.
         outputs: (OUTPUTS,) tip, deflection and energies at that state; columns in `kernels.layout`.
+        prescribed: (n,) bool.
         time: since the reset, s.
         energy_turnover: the largest since the reset of kinetic + elastic energy, of work and of dissipation, J.
         status: of the last step, "ok", "diverged" or "not converged". After a failure, state and outputs stay as at the
@@ -145,7 +51,7 @@ class Simulator:
         self.model, self.method = self.batch.model, self.batch.method
         self.control_period, self.substeps = self.batch.control_period, self.batch.substeps
         self.state, self.outputs = self.batch.state[0], self.batch.outputs[0]
-        self._prescribed = prescribed_flags(model.n_joints, prescribed) > 0
+        self.prescribed = prescribed_flags(model.n_joints, prescribed) > 0
         self._drive = np.zeros((1, model.n_joints + 6))
 
     def reset(
@@ -162,12 +68,14 @@ class Simulator:
             state: (2 d,), in place of angles and rates.
 
         Raises:
-            ValueError: for a wrong shape, a value that is not finite, or angles and a state at once.
+            ValueError: for a wrong shape, a value that is not finite or beyond 1e6 (rad, m, 1/s), at which a simulation
+                has diverged, and for angles and a state at once.
         """
         if state is not None:
             if joint_angles is not None or joint_rates is not None:
                 raise refusal("state", "given with joint_angles or joint_rates", "one of the two")
             start = np.array(vector("state", state, 2 * self.model.n_dof))
+            bounded("state", start.tolist(), layout.LARGEST_STATE)
         else:
             angles = np.zeros(self.model.n_joints) if joint_angles is None else joint_angles
             start = self.model.initial_state(angles, joint_rates)
@@ -200,7 +108,7 @@ class Simulator:
             raise RuntimeError(f"the simulation is over, it {self.status}: reset it first")
         n, drive = self.model.n_joints, self._drive[0]
         drive[:n] = _numbers("torque", torque, n, "N m")
-        if self._prescribed.any() or acceleration is not None:
+        if self.prescribed.any() or acceleration is not None:
             self._prescribe(drive[:n], acceleration)
         drive[n : n + 3] = 0.0 if tip_force is None else _numbers("tip_force", tip_force, 3, "N")
         drive[n + 3 :] = 0.0
@@ -213,17 +121,35 @@ class Simulator:
         """Writes the accelerations of prescribed motors over their torques, which must be zero."""
         given = np.zeros(len(drive)) if acceleration is None else acceleration
         given = _numbers("acceleration", given, len(drive), "rad/s^2")
-        for i in np.flatnonzero(self._prescribed & (drive != 0.0)):
+        for i in np.flatnonzero(self.prescribed & (drive != 0.0)):
             raise refusal(f"torque[{i}]", float(drive[i]), "0 (N m): the motion of this joint is prescribed")
-        for i in np.flatnonzero(~self._prescribed & (given != 0.0)):
+        for i in np.flatnonzero(~self.prescribed & (given != 0.0)):
             allowed = "0 (rad/s^2): the motion of this joint is not prescribed"
             raise refusal(f"acceleration[{i}]", float(given[i]), allowed)
-        drive[self._prescribed] = given[self._prescribed]
+        drive[self.prescribed] = given[self.prescribed]
 
     @property
     def status(self) -> str:
         """Status of the last step: "ok", "diverged" or "not converged"."""
         return STATUS[self.batch.status[0]]
+
+    @property
+    def drive(self) -> Array:
+        """Drive (n + 6,) of the last control period, in the order of `kernels.layout`."""
+        return self._drive[0]
+
+    def explanation(self) -> str:
+        """Says what went first in a failure or an energy alarm, and what to change; "" while all is well."""
+        well, model = self.status == STATUS[layout.OK], self.model
+        if well and not alarm(self.energy_residual, self.energy_turnover):
+            return ""
+        run, step = self.batch.run(0), self.control_period / self.substeps
+        if well:
+            return explain_energy(model, run, step, self.time, self.state[None])
+        table = drive_table([None] * (model.n_joints + 6))
+        table[layout.OFFSET] = self.drive
+        moment = (self.time, step, self.substeps)
+        return explain(Failure(run, model, table, moment, self.batch.rows[0], self.status))
 
     @property
     def time(self) -> float:
@@ -273,22 +199,4 @@ class Simulator:
 
 def _numbers(name: str, value: Sequence[float] | Array, count: int, unit: str) -> Array:
     """Gives the value as an array of finite numbers."""
-    values = np.asarray(value)
-    if values.shape != (count,) or values.dtype.kind not in "fiu" or not np.isfinite(values).all():
-        raise refusal(name, value, f"{count} finite numbers ({unit})")
-    return values
-
-
-def _output_interval(method: Method, step: float | None, output_step: float) -> tuple[float, int]:
-    """Gives the time between outputs and the number of steps in it."""
-    if step is None:
-        return output_step, 1
-    allowed = "a number of seconds that divides, or is a multiple of, the output step"
-    if method.adaptive:
-        return output_step, max(1, round(output_step / positive("step", step, "s")))
-    if positive("step", step, "s") <= output_step:
-        return output_step, parts("step", step, output_step, allowed)
-    multiple = step / output_step
-    if abs(multiple - round(multiple)) > WHOLE * multiple:
-        raise refusal("step", step, f"{allowed}, {output_step} s")
-    return step, 1
+    return number_array(name, value, (count,), f"{count} finite numbers ({unit})")

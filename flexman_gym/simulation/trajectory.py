@@ -1,8 +1,8 @@
 """Trajectory: the solution of a scene at its output times, with the audit of its energy."""
 
 import csv
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,10 @@ from flexman_gym.kernels import layout
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.energy import ENERGY_ALARM, alarm, turnover
 from flexman_gym.simulation.readings import UNITS, Readings
+
+
+def _nothing(found: "Trajectory") -> str:
+    return ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +39,7 @@ class Trajectory:
         evaluations: number of evaluations of the accelerations.
         wall_seconds: time in the integrator, without compilation.
         model: that was moved.
+        explained: what `explanation` asks.
     """
 
     time: Array
@@ -52,11 +57,19 @@ class Trajectory:
     evaluations: int
     wall_seconds: float
     model: Model
+    explained: Callable[["Trajectory"], str] = field(default=_nothing, repr=False)
 
     @property
     def readings(self) -> dict[str, Array]:
         """What sensors of environments measure, (T, ...) by the names of `View`; UNITS of `simulation.readings`."""
         return Readings(self.model).named(self.states)
+
+    def explanation(self) -> str:
+        """Says what went first in a failure or an energy alarm, and what to change; "" while all is well.
+
+        The last good state is moved on once more, step by step. Nothing is computed before this is asked for.
+        """
+        return self.explained(self)
 
     @property
     def energy_residual(self) -> Array:
@@ -121,7 +134,12 @@ class Trajectory:
 
 
 def trajectory(
-    model: Model, interval: float, states: Array, outputs: Array, outcome: tuple[str, int, float]
+    model: Model,
+    interval: float,
+    states: Array,
+    outputs: Array,
+    outcome: tuple[str, int, float],
+    explained: Callable[[Trajectory], str] = _nothing,
 ) -> Trajectory:
     """Builds a trajectory from rows at equal intervals.
 
@@ -131,6 +149,7 @@ def trajectory(
         states: (T, 2 d + 2) with their ledger.
         outputs: (T, OUTPUTS).
         outcome: status, evaluations and seconds in the integrator.
+        explained: says why a trajectory failed.
     """
     size = 2 * model.n_dof
     return Trajectory(
@@ -149,4 +168,5 @@ def trajectory(
         evaluations=outcome[1],
         wall_seconds=outcome[2],
         model=model,
+        explained=explained,
     )

@@ -13,7 +13,8 @@ from flexman_gym.scene import catalog
 from flexman_gym.scene.choice import ModelChoice
 from flexman_gym.scene.drive import ConstantTorque
 from flexman_gym.scene.scene import Initial, Scene
-from flexman_gym.simulation.simulator import Simulator, simulate
+from flexman_gym.simulation.scenes import simulate
+from flexman_gym.simulation.simulator import Simulator
 
 ARM = catalog.paper_rrr()
 ANGLES = (0.4, 0.5, -0.8)

@@ -142,7 +142,7 @@ class Chain:
         B, bias = np.linalg.solve(D, H), np.linalg.solve(D, np.concatenate([motion.gamma for motion in motions]))
         return [(B[start:end], bias[start:end]) for start, end in pairwise(ends)]
 
-    def _equation(self, x, v, torque, tip_force=None, base_acceleration=None):
+    def equation(self, x, v, torque, tip_force=None, base_acceleration=None):
         """M_bar and Q_bar of Eq. 46 (n_dof, n_dof), (n_dof,), with the joints of Eq. 23."""
         motions = self._motion(x, v)
         projection = self._projection(motions)
@@ -194,7 +194,7 @@ class Chain:
 
     def mass_matrix(self, x):
         """M_bar of Eq. 46 with the rotors, (n_dof, n_dof)."""
-        return self._equation(x, np.zeros(self.n_dof), np.zeros(self.n))[0]
+        return self.equation(x, np.zeros(self.n_dof), np.zeros(self.n))[0]
 
     def acceleration(self, x, v, torque, tip_force=None, base_acceleration=None):
         """Accelerations (n_dof,) under the motor torques (n,), N m: Eq. 45.
@@ -202,7 +202,7 @@ class Chain:
         A force on the tip (3,) N and an acceleration of the base (3,) m/s^2 are in the base frame. Coordinates and
         speeds are relative to the base.
         """
-        return np.linalg.solve(*self._equation(x, v, torque, tip_force, base_acceleration))
+        return np.linalg.solve(*self.equation(x, v, torque, tip_force, base_acceleration))
 
     def driven(self, x, v, torque, prescribed, tip_force=None, base_acceleration=None):
         """Accelerations (n_dof,) and motor torques (n,) where the motors {joint: rad/s^2} have these accelerations.
@@ -210,7 +210,7 @@ class Chain:
         The torques (n,) that are given hold for the other motors; where a joint is rigid its angle is its motor's.
         """
         free_torque = np.where(np.isin(np.arange(self.n), list(prescribed)), 0.0, torque)
-        M, Q = self._equation(x, v, free_torque, tip_force, base_acceleration)
+        M, Q = self.equation(x, v, free_torque, tip_force, base_acceleration)
         a, held = np.zeros(self.n_dof), np.zeros(self.n_dof, dtype=bool)
         for joint, value in prescribed.items():
             a[self.motor.get(joint, joint)], held[self.motor.get(joint, joint)] = value, True

@@ -155,6 +155,42 @@ def test_joints_are_those_of_an_arm_with_such_joints(factors, spinning):
     assert_varied(ARM, replace(ARM, joints=joints), values, spinning_rotors=spinning)
 
 
+@pytest.mark.parametrize("method", fm.METHODS)
+def test_parameters_act_by_every_method(method):
+    """An arm with a heavier payload, one of two, ends where an arm with such a payload ends by the same method."""
+    joint = fm.Joint((0.0, 1.0, 0.0), 1.0)
+    arm = fm.Arm([ARM.links[0]], [joint], fm.Payload(1.0))
+    models = [fm.build_model(replace(arm, payload=fm.Payload(mass)), flexible_links=False) for mass in (1.0, 4.0)]
+    batch, expected = (
+        Batch(models[0], method, 1e-3, 0.01, arms=2),
+        [Batch(model, method, 1e-3, 0.01) for model in models],
+    )
+    batch.vary(np.array([1]), payload_mass=np.array([4.0]))
+    batch.reset(np.arange(2), np.zeros((2, 2)))
+    drive = np.tile([100.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], (2, 1))
+    for each in (batch, *expected):
+        each.step(drive[: len(each.rows)])
+    for i in range(2):
+        assert batch.state[i] == pytest.approx(expected[i].state[0], rel=1e-9)
+    assert batch.state[1, 1] < 0.99 * batch.state[0, 1]
+
+
+def test_a_reset_forgets_the_energy_that_was_turned_over():
+    model = fm.build_model(ARM, modes=2)
+    used, fresh = Batch(model, arms=2), Batch(model, arms=2)
+    states = states_of(model, 2)
+    used.reset(np.arange(2), 3.0 * states)
+    for each in drives(2, 4):
+        used.step(10.0 * each)
+    for batch in (used, fresh):
+        batch.reset(np.arange(2), states)
+    assert np.array_equal(used.energy_turnover, fresh.energy_turnover)
+    for each in drives(2, 3):
+        used.step(0.01 * each)
+        fresh.step(0.01 * each)
+    assert np.array_equal(used.energy_turnover, fresh.energy_turnover)
+
+
 def test_nominal_parameters_change_no_bit():
     model = fm.build_model(replace(ARM, modal_damping_ratio=0.01), modes=3)
     batch, states, drive = Batch(model, arms=2), states_of(model, 1), drives(1, 3)

@@ -44,6 +44,31 @@ def test_a_signal_is_the_column_of_its_formula(offset, amplitude, frequency, pha
     assert fm.Signal(offset).column()[layout.STOP] == np.inf
 
 
+@pytest.mark.parametrize("method", ["dop853", "rk4", "ros2", "implicit_midpoint"])
+def test_a_sine_keeps_the_phase_of_the_clock_whenever_it_starts(method):
+    """The rate of a free rotor is the integral of amplitude sin(2 pi f t + phase) / inertia from start to stop."""
+    link = fm.Link(0.1, 1e-6, 1e-13, 1e-13, 1e-13, 7e10, 2.6e10, 1e-3)
+    arm, choice = fm.Arm([link], [fm.Joint((0.0, 0.0, 1.0), 2.0)]), fm.ModelChoice(False, 1)
+    signal = fm.Signal(0.0, 3.0, 0.7, 0.4, start=0.3, stop=0.8)
+    still = fm.ConstantTorque([0.0])
+    scene = fm.Scene(arm, choice, still, fm.Initial([0.0], [0.0]), 1.0, 0.1, prescribed=[signal])
+    found = fm.simulate(scene, method=method, step=1e-3, rtol=1e-9, atol=1e-11)
+    turn, times = 2.0 * np.pi * 0.7, np.clip(found.time, 0.3, 0.8)
+    expected = 3.0 / turn * (np.cos(turn * 0.3 + 0.4) - np.cos(turn * times + 0.4))
+    np.testing.assert_allclose(found.states[:, 1], expected, atol=5e-3)
+
+
+def test_a_signal_acts_from_its_start_on_and_no_longer_at_its_stop():
+    """Euler steps of 1/64 s look at their starts alone: those from 16/64 to 31/64 gain 3 rad/s^2 / 64 each."""
+    link = fm.Link(0.1, 1e-6, 1e-13, 1e-13, 1e-13, 7e10, 2.6e10, 1e-3)
+    arm, choice = fm.Arm([link], [fm.Joint((0.0, 0.0, 1.0), 2.0)]), fm.ModelChoice(False, 1)
+    still, signal = fm.ConstantTorque([0.0]), fm.Signal(3.0, start=0.25, stop=0.5)
+    scene = fm.Scene(arm, choice, still, fm.Initial([0.0], [0.0]), 1.0, 1 / 64, prescribed=[signal])
+    found = fm.simulate(scene, method="semi_implicit_euler", step=1 / 64)
+    expected = 3.0 / 64 * np.clip(np.arange(65) - 16, 0, 16)
+    np.testing.assert_allclose(found.states[:, 1], expected, rtol=1e-14)
+
+
 @both
 def test_a_prescribed_motion_is_followed_and_its_work_is_counted(model):
     found = truth(replace(SCENE, **REPLACED), model)

@@ -126,3 +126,18 @@ def test_control_periods_add_up_to_a_scene(method):
         assert simulator.step([5.0, -3.0, 2.0]) == "ok"
     assert run.status == "ok" and np.array_equal(run.states[-1], simulator.state)
     assert run.evaluations == 40 * METHODS[method].sweeps
+
+
+@pytest.mark.parametrize("method", ["implicit_midpoint", "implicit_midpoint_2", "implicit_midpoint_3"])
+def test_the_ledger_of_a_held_motor_on_a_spring_is_exact_whatever_the_step(method):
+    """One rigid link on a damped spring is linear: the rule keeps its quadratic energy, so that work balances it."""
+    arm = fm.catalog.one_link(rotor_inertia=1.0, joint_stiffness=50.0)
+    arm = replace(arm, joints=[replace(arm.joints[0], damping=0.5)])
+    choice = fm.ModelChoice(False, 1)
+    scene = fm.Scene(
+        arm, choice, fm.ConstantTorque([0.0]), fm.Initial([0.0], [0.3]), 2.0, 0.1,
+        prescribed=[fm.Signal(1.0, 5.0, 0.7, 0.2)],
+    )  # fmt: skip
+    found = fm.simulate(scene, method=method, step=0.1)
+    assert np.abs(found.states[:, 1] - found.states[:, 0]).max() > 1e-3, "the spring is wound"
+    assert np.abs(found.energy_residual).max() < 1e-9 * found.energy_turnover[-1]

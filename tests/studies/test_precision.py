@@ -14,7 +14,7 @@ from flexman_gym.model.model import build_model
 from flexman_gym.scene import catalog
 from flexman_gym.simulation.amplification import largest_growth
 from flexman_gym.simulation.methods import METHODS
-from flexman_gym.simulation.simulator import simulate
+from flexman_gym.simulation.scenes import simulate
 from flexman_gym.studies.peers.compare import CUT_MESH, CUT_MODES
 from flexman_gym.studies.precision import files
 from flexman_gym.studies.precision.cases import RIGID_LINKS, cases, choices, whirl_scene

@@ -55,7 +55,8 @@ def run(name: str, base: str | None) -> Run:
             actions.append(view.action[0].copy())
         if failed.any() and not truncated.all():
             env.reset(options={"reset_mask": failed})
-    return Run(*map(np.array, (errors, states, targets, actions)), float(over.mean()))
+    arrays = np.array(errors), np.array(states), np.array(targets), np.array(actions)
+    return Run(*arrays, failed=float(over.mean()))
 
 
 def draw(name: str, runs: dict[str | None, Run], path: Path) -> None:

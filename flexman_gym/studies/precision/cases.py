@@ -13,7 +13,7 @@ from flexman_gym.scene.drive import ConstantTorque
 from flexman_gym.scene.scene import Initial, Scene
 from flexman_gym.simulation.families import EXPLICIT, IMPLICIT, LINEARLY_IMPLICIT
 from flexman_gym.simulation.methods import METHODS
-from flexman_gym.simulation.simulator import simulate
+from flexman_gym.simulation.scenes import simulate
 from flexman_gym.studies.methods import fixed_step_methods
 from flexman_gym.studies.precision.measure import OK, Row, Study, Truth, converged
 

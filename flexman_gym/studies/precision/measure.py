@@ -10,7 +10,7 @@ import numpy as np
 from flexman_gym.arrays import Array
 from flexman_gym.model.model import Model
 from flexman_gym.scene.scene import Scene
-from flexman_gym.simulation.simulator import simulate
+from flexman_gym.simulation.scenes import simulate
 from flexman_gym.simulation.trajectory import Trajectory
 
 OK = "ok"

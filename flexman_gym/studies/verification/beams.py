@@ -12,7 +12,8 @@ from flexman_gym.model.instant import acceleration, frequencies, mass_matrix, st
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene import catalog
 from flexman_gym.scene.arm import Arm, Joint, Link, Payload
-from flexman_gym.simulation.simulator import Simulator, simulate
+from flexman_gym.simulation.scenes import simulate
+from flexman_gym.simulation.simulator import Simulator
 from flexman_gym.studies.verification.closed_forms import (
     bar_eigenvalues,
     beam_eigenvalues,

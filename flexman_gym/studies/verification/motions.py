@@ -15,7 +15,7 @@ from flexman_gym.scene.arm import Arm, Joint, Link, NonUniformLink, Payload
 from flexman_gym.scene.choice import ModelChoice
 from flexman_gym.scene.drive import ConstantTorque, Signal
 from flexman_gym.scene.scene import Initial, Scene
-from flexman_gym.simulation.simulator import simulate
+from flexman_gym.simulation.scenes import simulate
 from flexman_gym.simulation.trajectory import Trajectory
 from flexman_gym.studies.verification.beams import IDENTITY
 from flexman_gym.studies.verification.rows import Row

@@ -1,0 +1,155 @@
+"""Explanation: which quantity of an arm went first when a simulation failed, and what to change."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from flexman_gym.arrays import Array
+from flexman_gym.kernels import layout
+from flexman_gym.model.instant import frequencies, stiffness_matrix
+from flexman_gym.model.linear import coordinate_sizes
+from flexman_gym.model.model import Model
+from flexman_gym.simulation.amplification import explicit_limit
+from flexman_gym.simulation.families import Method
+from flexman_gym.simulation.run import Run
+
+FAST, WOUND, BENT = 100.0, 1.0, 0.25  # rad/s, rad, and parts of a link: no arm moves so
+NOTICED = 0.1  # bent by this part of its length, a link shortens visibly
+PIECES = 50  # of a period whose steps the method chooses
+
+
+class Failure(NamedTuple):
+    """A failure that is to be explained.
+
+    Attributes:
+        run: what moved the arm.
+        model: the model.
+        drive: (6, n + 6) table of the drive.
+        moment: time (s) of the last good state, step (s) and steps that were to follow.
+        state: (2 d + 2,) last good state and its ledger.
+        status: "diverged", "not converged" or "ok".
+    """
+
+    run: Run
+    model: Model
+    drive: Array
+    moment: tuple[float, float, int]
+    state: Array
+    status: str
+
+
+class Quantity(NamedTuple):
+    """A quantity of an arm over some states: name, unit, values (r,) and how large none should be."""
+
+    name: str
+    unit: str
+    values: Array
+    largest: float
+
+
+def explain(failure: Failure) -> str:
+    """Says what went first and what to change, by a second run from the last good state, step by step."""
+    run, (time, step, substeps) = failure.run, failure.moment
+    if run.tolerance[0] > 0.0:
+        step, substeps = step * substeps / PIECES, PIECES
+    rows, found = np.zeros((substeps, len(failure.state))), np.zeros((substeps, layout.OUTPUTS))
+    status, valid, _ = run(failure.drive, (time, step, 1), failure.state.copy(), rows, found)
+    states = np.vstack([failure.state, rows[:valid], *([] if status == layout.OK else [run.work.trial])])
+    with np.errstate(all="ignore"):
+        first, row = _first(failure.model, states[:, : 2 * failure.model.n_dof])
+    size = f"{abs(first.values[row]):.4g} {first.unit} at {time + row * step:.6g} s"
+    said = f"the simulation {failure.status}: {first.name} went first, {size}"
+    return f"{said}. Try {'; or '.join(advice(failure.model, run, failure.moment[1], states[: max(row, 1)]))}."
+
+
+def explain_energy(model: Model, run: Run, step: float, time: float, states: Array) -> str:
+    """Says which coordinate vibrates most where the energy is wrong, and what to change.
+
+    Args:
+        model: the model.
+        run: what moved the arm.
+        step: s.
+        time: of the alarm, s.
+        states: (r, 2 d) until then.
+    """
+    d, label, diagonal = model.n_dof, names(model), np.diag(stiffness_matrix(model))
+    shares = {f"the rate of {label[i]}": states[:, d + i] ** 2 for i in range(model.n_joints)}
+    if diagonal.any():  # potential energies are as large as kinetic ones, and need no mass
+        first = model.n_joints + model.n_motors
+        shares = {label[a]: diagonal[a] * states[:, a] ** 2 for a in range(first, d)}
+        for i, motor in enumerate(model.constants.motor):
+            if motor >= 0:
+                twist = states[:, motor] - states[:, i]
+                shares[f"the spring of joints[{i}]"] = model.constants.joint_stiffness[i] * twist**2
+    name = max(shares, key=lambda each: float(shares[each].max()))
+    said = f"the energy residual is beyond 1 % of the energy turned over at {time:.6g} s"
+    return f"{said}: most of the vibration is in {name}. Try {'; or '.join(advice(model, run, step, states))}."
+
+
+def names(model: Model) -> list[str]:
+    """Gives the name of each coordinate (d,), such as "coordinate 2 of links[0]"."""
+    found = [f"joints[{i}]" for i in range(model.n_joints)]
+    found += [f"the motor of joints[{i}]" for i in np.flatnonzero(model.constants.motor >= 0)]
+    for link in range(model.n_joints):
+        columns = model.elastic_columns(link)
+        found += [f"elastic coordinate {a} of links[{link}]" for a in range(columns.stop - columns.start)]
+    return found
+
+
+def quantities(model: Model, states: Array) -> Iterator[Quantity]:
+    """Gives rates of joints and motors, twists of springs, deflections of links and elastic coordinates."""
+    d, n, label = model.n_dof, model.n_joints, names(model)
+    for column in range(n + model.n_motors):
+        yield Quantity(f"the rate of {label[column]}", "rad/s", states[:, d + column], FAST)
+    for i, motor in enumerate(model.constants.motor):
+        if motor >= 0:
+            yield Quantity(f"the twist of joints[{i}]", "rad", states[:, motor] - states[:, i], WOUND)
+    sizes, starts = coordinate_sizes(model), model.constants.elastic_start
+    for link in range(n):
+        columns = model.elastic_columns(link)
+        shapes = model.constants.tip_translation[starts[link] : starts[link + 1]]
+        if len(shapes):
+            deflection = np.linalg.norm(states[:, columns] @ shapes, axis=1) / model.constants.length[link]
+            yield Quantity(f"the deflection of links[{link}]", "of its length", deflection, BENT)
+        for column in range(columns.start, columns.stop):
+            bend = states[:, column] / sizes[column]
+            yield Quantity(label[column], "rad or parts of the link's length", bend, BENT)
+
+
+def advice(model: Model, run: Run, step: float, states: Array) -> list[str]:
+    """Gives what to change, the most promising first."""
+    method, d, found = run.method, model.n_dof, []
+    highest, limit = frequencies(model).max(initial=0.0), _limit(method)
+    if run.tolerance[0] > 0.0:
+        found.append("a method with fixed steps, such as implicit_midpoint_3")
+    elif 2.0 * np.pi * highest * step > limit:
+        stable = limit / (2.0 * np.pi * highest)
+        found.append(f"a step of at most {stable:.2g} s, as {method.name} is unstable beyond at {highest:.4g} Hz")
+        found.append("a linearly implicit method, such as implicit_midpoint_3")
+    else:
+        found.append(f"a step shorter than {step:g} s")
+    with np.errstate(all="ignore"):
+        good = states[np.isfinite(states).all(axis=1)]
+        bent = [q for q in quantities(model, good) if q.largest == BENT and np.abs(q.values).max() > NOTICED]
+        locked = frequencies(model, lock_joints=True)
+        spins = np.abs(good[:, d : d + model.n_joints]).max(initial=0.0)
+    if not model.choice.stiffening and (bent or (len(locked) and spins > np.pi * locked[0])):
+        found.append("stiffening=True, as links bend far or spin fast, which needs their foreshortening")
+    if model.n_elastic and not model.constants.damping.any():
+        found.append("damping of the links, modal_damping_ratio, as there is none")
+    return [*found, "smaller torques"]
+
+
+def _first(model: Model, states: Array) -> tuple[Quantity, int]:
+    """Gives the quantity that is first larger than it should be, and the row; the largest one where none is."""
+    found = list(quantities(model, states))
+    sizes = np.array([np.abs(each.values) / each.largest for each in found])
+    sizes = np.nan_to_num(sizes, nan=np.inf, posinf=np.inf)
+    late = np.flatnonzero((sizes > 1.0).any(axis=0))
+    row = int(late[0]) if late.size else sizes.shape[1] - 1
+    return found[int(np.argmax(sizes[:, row]))], row
+
+
+def _limit(method: Method) -> float:
+    return explicit_limit(method) if not method.adaptive else np.inf

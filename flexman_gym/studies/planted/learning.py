@@ -1,0 +1,144 @@
+"""Learning: planted errors in environments, tasks, sensors, controllers, metrics and agents."""
+
+from flexman_gym.studies.planted.change import changes
+
+STREAMS = "envs/test_random_streams.py envs/test_randomisation.py"
+
+ENVIRONMENT = (
+    *changes(
+        "environment", "envs/effects/sensor_noise.py", STREAMS,
+        ("the generator of noise is seeded alike for all", "np.random.default_rng(stream.integers(2**63))",
+         "np.random.default_rng(0 * stream.integers(2**63))"),
+        ("noise is not truncated", "TRUNCATION = 4.0", "TRUNCATION = 40.0"),
+    ),
+    *changes(
+        "environment", "envs/effects/effects.py", STREAMS,
+        ("one random stream for all effects", "crc32(name.encode())", "crc32(b\"\")"),
+        ("the arms' streams do not begin anew with a seed", "if self._parents[arm] is not random:",
+         "if self._parents[arm] is None:"),
+    ),
+    *changes(
+        "environment", "envs/effects/initial_vibration.py", STREAMS,
+        ("directions from half of the circle", "stream.uniform(0.0, 2.0 * np.pi, n)", "stream.uniform(0.0, np.pi, n)"),
+    ),
+    *changes(
+        "environment", "envs/effects/tip_impulse.py", STREAMS,
+        ("impulses at fixed times", "int(self._inner[arm].geometric(self._period / self._gap_time))",
+         "max(1, round(self._gap_time / self._period))"),
+        ("an impulse over 0.02 s whatever the period", "size / self._period * way", "size / 0.02 * way"),
+        ("impulses point up", "inner.normal(size=3)", "np.abs(inner.normal(size=3))"),
+    ),
+    *changes(
+        "environment", "envs/effects/delay.py", STREAMS,
+        ("torques of the episode before arrive", "self._past[:, arms] = 0.0", "pass"),
+        ("torques come one period early", "(self._now - self._late) % depth", "(self._now - self._late + 1) % depth"),
+    ),
+    *changes(
+        "environment", "envs/actions.py", "envs/test_env.py envs/test_env_refusals.py",
+        ("actions beyond the space are taken", "np.abs(actions) <= 1.0) == actions.size",
+         "np.abs(actions) <= 9.0) == actions.size"),
+    ),
+    *changes(
+        "environment", "envs/vector_env.py", "envs/test_vector_env.py envs/test_slew.py",
+        ("the reward of a reset is not zero", "rewards[late] = 0.0", "pass"),
+        ("the last observation is that of the new episode", "final[arm] = self.episodes.seen[arm].copy()",
+         "final[arm] = self.episodes.seen[arm]"),
+        ("arms have the same seed", "[first + arm for arm in range(self.num_envs)]",
+         "[first for arm in range(self.num_envs)]"),
+    ),
+    *changes(
+        "environment", "envs/limits.py", "envs/test_env.py envs/test_description.py envs/test_slew.py",
+        ("the limit of deflection in metres", "self.deflection * np.repeat(view.lengths, 2)", "self.deflection"),
+    ),
+)  # fmt: skip
+
+TASKS = (
+    *changes(
+        "tasks", "envs/tasks/slew.py", "envs/test_slew.py envs/test_env.py",
+        ("starts on one side", "start = random.uniform(-self.start, self.start,",
+         "start = random.uniform(0.0, self.start,"),
+        ("goals do not depend on the start", '"posture": start + random', '"posture": random'),
+        ("effort is worth more", '"effort": 0.1 * (1.0 - view.effort)', '"effort": 0.1 * (1.0 + view.effort)'),
+        ("a failure is worth something", "failure = 0.0 - self.failure_penalty",
+         "failure = 0.0 + self.failure_penalty"),
+        ("one width of three", "(near[0] + near[1] + near[2])", "(3.0 * near[0])"),
+        ("the distance does not look ahead", "+ np.vecdot(moving, moving)", ""),
+    ),
+)  # fmt: skip
+
+SENSORS = (
+    *changes(
+        "sensors", "envs/sensors/full.py", "envs/test_env.py envs/test_full_state.py",
+        ("posture errors with the other sign", "np.subtract(view.posture, view.motor_angles,",
+         "np.subtract(view.motor_angles, view.posture,"),
+        ("the nearness does not end at one", "view.tip_error[:, None] + NEAR * view.reach,",
+         "view.tip_error[:, None] + 1.0,"),
+    ),
+    *changes(
+        "sensors", "envs/sensors/fine.py", "envs/test_fine.py",
+        ("fine errors with the other sign", "np.subtract(view.posture, view.motor_angles,",
+         "np.subtract(view.motor_angles, view.posture,"),
+        ("fine numbers are linear", "np.arcsinh(out, out=out)", "pass"),
+        ("a scale of another quantity", '("target_error", LENGTH * reach)', '("target_error", SPEED * reach)'),
+    ),
+)  # fmt: skip
+
+CONTROL = (
+    *changes(
+        "control", "control/pd.py", "control/test_pd.py",
+        ("damping drives", "self.stiffness * error - self.damping * rate",
+         "self.stiffness * error + self.damping * rate"),
+        ("gravity is not held", "torque = torque + (self._holding", "torque = torque + 0.0 * (self._holding"),
+        ("a PD does not saturate", "-1.0, 1.0).astype(np.float32)", "-9.0, 9.0).astype(np.float32)"),
+    ),
+    *changes(
+        "control", "control/discrete.py", "control/test_discrete.py",
+        ("weights are multiplied", "tip / weights.tip, tip / weights.tip_speed",
+         "tip * weights.tip, tip / weights.tip_speed"),
+        ("a gain of the continuous model", 'positive("period", period, "s") * block',
+         '0.5 * positive("period", period, "s") * block'),
+        ("torques cost alike", "cost = np.diag(1.0 / limits**2)", "cost = np.diag(1.0 / limits)"),
+    ),
+    *changes(
+        "control", "control/lqr.py", "control/test_lqr.py",
+        ("feedback has the wrong sign", "self._held - np.vecdot(", "self._held + np.vecdot("),
+        ("a slew's plan does not move on", "self._now += 1", "self._now += 0"),
+    ),
+    *changes(
+        "control", "control/reference.py", "control/test_reference.py",
+        ("the jerk is not least", "(10.0 - 15.0 * s + 6.0 * s**2)", "(10.0 - 14.0 * s + 5.0 * s**2)"),
+        ("rotors need no torque", "return x, links + rotors", "return x, links"),
+    ),
+)  # fmt: skip
+
+METRICS = (
+    *changes(
+        "metrics", "metrics.py", "test_metrics.py",
+        ("settled at the first entry", "int(outside[-1]) + 1", "int(outside[0]) + 1"),
+        ("half of the vibration", "(last.max(axis=0) - last.min(axis=0)).max()",
+         "(last.max(axis=0) - last.mean(axis=0)).max()"),
+        ("the mean error", "float(np.median(_last(", "float(np.mean(_last("),
+        ("effort without a square", "np.mean(np.square(_samples(", "np.mean(np.abs(_samples("),
+        ("an interval of one side", "cut = round((1.0 - level) / 2.0 * (draws - 1))",
+         "cut = round((1.0 - level) * (draws - 1))"),
+        ("a window that is one sample short", 'positive("period", period, "s")) + 1',
+         'positive("period", period, "s"))'),
+    ),
+)  # fmt: skip
+
+AGENTS = (
+    *changes(
+        "agents", "agents/evaluation.py", "agents/test_evaluation.py",
+        ("a failed episode may settle", "    if not record.failure:\n", "    if True:\n"),
+        ("rewards after the end count", "own = {name: values[: end + (name in",
+         "own = {name: values[: len(values) + (name in"),
+        ("an action is held one period longer", "if step % hold == 0:", "if step % (hold + 1) == 0:"),
+        ("seeds are counted anew", "venv.reset(seed=list(seeds))", "venv.reset(seed=list(range(len(seeds))))"),
+    ),
+    *changes(
+        "agents", "agents/vector.py", "agents/test_vector.py",
+        ("a failure counts as the end of time", "bool(truncations[arm] and not terminations[arm])",
+         "bool(truncations[arm] or terminations[arm])"),
+        ("truncated episodes go on", "dones = terminations | truncations", "dones = terminations.copy()"),
+    ),
+)  # fmt: skip

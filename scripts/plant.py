@@ -1,0 +1,58 @@
+"""Plants errors one at a time and says which the tests notice: python scripts/plant.py --room kernels --folder docs"""
+
+import argparse
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from flexman_gym.studies.places import folder
+from flexman_gym.studies.planted.page import counts, page
+from flexman_gym.studies.planted.planting import CAUGHT, SURVIVED, Copy
+from flexman_gym.studies.planted.table import ROOMS, kept, misplaced
+from flexman_gym.studies.table import write_rows
+
+CHECKOUT = Path(__file__).parents[1]
+
+
+def main() -> int:
+    """Reads the command line, plants the errors and writes the page; returns 1 when one survives."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--room", choices=ROOMS, help="errors of one room only")
+    parser.add_argument("--only", default="", help="errors whose words or file contain this")
+    parser.add_argument("--new", action="store_true", help="only errors that no row has as caught")
+    parser.add_argument("--sound", action="store_true", help="first runs all their tests without an error")
+    parser.add_argument("--folder", type=folder, default="docs", help="where page and rows go")
+    options = parser.parse_args()
+    file = options.folder / "planted.csv"
+    rows = kept(file)
+    known = {(row.room, row.error) for row in rows.values() if row.outcome == CAUGHT} if options.new else set()
+    chosen = [
+        change
+        for change in (change for name, room in ROOMS.items() if options.room in (None, name) for change in room)
+        if options.only in f"{change.error} {change.file}" and (change.room, change.error) not in known
+    ]
+    if faults := misplaced(CHECKOUT, chosen):
+        parser.error("; ".join(faults))
+    with TemporaryDirectory() as place:
+        copy = Copy(CHECKOUT, Path(place))
+        tests = sorted({test for change in chosen for test in change.tests})
+        if options.sound and (failed := copy.failing(tests)):
+            parser.error(f"{failed} fails without an error")
+        for change in chosen:
+            row = copy.plant(change)
+            print(f"{row.outcome:10} {row.seconds:4.0f} s  {row.room}: {row.error} ({row.by})", flush=True)
+            rows[row.room, row.error] = row
+            found = [rows[change.room, change.error] for room in ROOMS.values() for change in room
+                     if (change.room, change.error) in rows]  # fmt: skip
+            write_rows(found, file, digits=2)
+            (options.folder / "planted.md").write_text(page(found), encoding="utf-8")
+    if not chosen:
+        print("no error of the table is meant")
+        return 0
+    for room, *numbers in counts(found):
+        print(room, *numbers)
+    return int(any(row.outcome == SURVIVED for row in found))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,164 @@
+"""Explanation: a failure names what went first and what to change, and a recorder gives it back as a scene."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import flexman_gym as fm
+from flexman_gym.kernels import layout
+from flexman_gym.simulation.amplification import explicit_limit
+from flexman_gym.simulation.recorder import Recorder
+
+HUB = fm.Joint((0.0, 0.0, 1.0), 1.0)
+BEAM = fm.catalog.planar_2r().links[0]
+ARM = fm.Arm([BEAM, BEAM], [HUB, HUB])
+
+
+def scene(arm=ARM, torque=(0.0, 0.0), rates=(0.0, 0.0), **choice):
+    """Half a second of an arm under constant torques."""
+    model = (
+        fm.ModelChoice(True, 1) if not choice else fm.ModelChoice(**{"flexible_links": True, "elements": 1} | choice)
+    )
+    return fm.Scene(arm, model, fm.ConstantTorque(torque), fm.Initial([0.0, 0.0], rates), 0.5, 0.05)
+
+
+def test_nothing_is_explained_while_all_is_well():
+    simulator = fm.Simulator(fm.build_model(ARM, 1))
+    assert simulator.explanation() == ""
+    assert simulator.step([0.1, 0.0]) == "ok" and simulator.explanation() == ""
+    assert fm.simulate(scene()).explanation() == ""
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_a_joint_under_an_absurd_torque_is_named(joint):
+    """A rigid arm: nothing but the joint that is driven can go first, by four orders of magnitude."""
+    torque = [0.0, 0.0]
+    torque[joint] = 1e9
+    heavy = replace(ARM, joints=[replace(HUB, rotor_inertia=1e3 if i != joint else 1.0) for i in range(2)])
+    found = fm.simulate(scene(heavy, torque, flexible_links=False), method="ros2", step=1e-3)
+    assert found.status == "diverged"
+    assert f"the rate of joints[{joint}] went first" in found.explanation()
+    assert "Try a step shorter than 0.001 s" in found.explanation() and "smaller torques" in found.explanation()
+
+
+@pytest.mark.parametrize("link", [0, 1])
+def test_an_unstable_step_names_the_coordinate_of_the_link_and_the_stable_step(link):
+    """Only one link bends; the step that is named is stable, as the linear theory says, and the one given is not."""
+    flexible = tuple(i == link for i in range(2))
+    wild = scene(torque=(0.1, 0.1), flexible_links=flexible)
+    found = fm.simulate(wild, method="rk4", step=1e-3)
+    text = found.explanation()
+    assert found.status == "diverged" and f"links[{link}] went first" in text
+    highest = fm.frequencies(fm.build_model(ARM, 1, flexible_links=flexible)).max()
+    stable = explicit_limit(fm.METHODS["rk4"]) / (2 * np.pi * highest)
+    assert f"a step of at most {stable:.2g} s" in text and "implicit" in text and "modal_damping_ratio" in text
+    steps = int(np.ceil(0.05 / (0.9 * stable)))
+    calm = fm.simulate(replace(wild, duration=0.05), method="rk4", step=0.05 / steps)
+    assert calm.status == "ok" and calm.explanation() == ""
+
+
+def test_a_link_that_is_spun_past_its_first_frequency_is_told_of_foreshortening():
+    thin = replace(BEAM, second_moment_y=1e-3 * BEAM.second_moment_y, second_moment_z=1e-3 * BEAM.second_moment_z)
+    with pytest.warns(UserWarning):
+        thin = replace(thin)
+    rates = [60.0, 0.0]
+    without = fm.simulate(scene(replace(ARM, links=[thin, thin]), rates=rates), method="rk4", step=1e-3)
+    assert without.status == "diverged" and "stiffening=True" in without.explanation()
+    assert "stiffening" not in fm.simulate(scene(torque=(0.1, 0.1)), method="rk4", step=1e-3).explanation()
+
+
+def test_an_energy_alarm_names_the_coordinate_that_vibrates():
+    """One soft spring of two, wound up and let go, with a step that loses its energy."""
+    soft = replace(ARM, joints=[replace(HUB, stiffness=1e7), replace(HUB, stiffness=50.0)])
+    choice = {"flexible_links": False}
+    state = np.zeros(8)
+    state[3] = 0.5
+    start = fm.Initial([0.0, 0.0], [0.0, 0.0], state)
+    wound = replace(scene(soft, **choice), initial=start)
+    text = fm.simulate(wound, method="ros2", step=0.05).explanation()
+    assert text.startswith("the energy residual is beyond 1 % of the energy turned over at ")
+    assert "the spring of joints[1]" in text and "Try a step shorter than 0.05 s" in text
+
+
+@pytest.mark.parametrize(("method", "step"), [("ros2", 0.005), ("implicit_midpoint_3", 0.005), ("rk4", 0.0025)])
+def test_a_simulator_explains_its_failure_with_the_parameters_of_the_arm(method, step):
+    simulator = fm.Simulator(fm.build_model(ARM, 1, flexible_links=False), method, step)
+    simulator.batch.vary(np.array([0]), rotor_inertia=np.array([[1.0, 1e6]]))
+    simulator.reset()
+    assert simulator.step([1e10, 0.0]) == "diverged"
+    state, outputs = simulator.state.copy(), simulator.outputs.copy()
+    assert "the rate of joints[0] went first" in simulator.explanation()
+    assert np.array_equal(simulator.state, state) and np.array_equal(simulator.outputs, outputs)
+    simulator.reset()
+    assert simulator.explanation() == ""
+
+
+@pytest.mark.parametrize(("method", "step"), [("ros2", 0.005), ("implicit_midpoint_3", 0.005), ("rk4", 2e-6)])
+def test_a_recorder_gives_the_failure_as_a_scene_that_can_be_saved(method, step, tmp_path):
+    arm = replace(ARM, joints=[replace(HUB, stiffness=50.0), HUB])
+    model = fm.build_model(arm, 1)
+    recorder = Recorder(fm.Simulator(model, method, step), most=5)
+    recorder.simulator.reset((0.1, -0.2), (1.0, 0.0))
+    for _ in range(7):
+        assert recorder.step([0.5, 0.1], tip_force=[0.0, 0.1, 0.0]) == "ok"
+    before = recorder.simulator.state.copy()
+    assert recorder.step([1e11, 0.1]) == "diverged"
+    assert len(recorder.states) == len(recorder.times) == 5
+    assert np.array_equal(recorder.states[-1], before) and recorder.times[-1] == pytest.approx(0.14)
+    recorder.scene().save(tmp_path / "failure.yaml")
+    read = fm.Scene.load(tmp_path / "failure.yaml")
+    assert read == recorder.scene() and "diverged" in read.note
+    failed = fm.simulate(read, method=method, step=step)
+    assert failed.status == "diverged" and "went first" in failed.explanation()
+    again = fm.simulate(recorder.scene(back=2), method=method, step=step)
+    assert again.status == "ok"
+    np.testing.assert_allclose(again.states[-1], before, rtol=1e-12, atol=1e-12)
+
+
+def test_a_recorded_period_keeps_prescribed_motions():
+    simulator = fm.Simulator(fm.build_model(ARM, 1, modes=2), "ros2", 0.005, prescribed=(1,))
+    recorder = Recorder(simulator)
+    for _ in range(3):
+        recorder.step([0.2, 0.0], acceleration=[0.0, 1.5], base_acceleration=[0.1, 0.0, 0.0])
+    found = fm.simulate(recorder.scene(), method="ros2", step=0.005)
+    np.testing.assert_allclose(found.states[-1], simulator.state, rtol=1e-12, atol=1e-12)
+
+
+def test_what_cannot_be_recorded_is_refused():
+    recorder = Recorder(fm.Simulator(fm.build_model(ARM, 1)))
+    for call, field in ((lambda: Recorder(3), "simulator"), (lambda: Recorder(recorder.simulator, 0), "most"),
+                        (recorder.scene, "back")):  # fmt: skip
+        with pytest.raises(ValueError, match=rf"^{field}: .* is not allowed; give "):
+            call()
+
+
+def test_a_scene_may_start_from_a_whole_state_of_its_model():
+    model = fm.build_model(ARM, 1)
+    state = np.linspace(-1e-3, 1e-3, 2 * model.n_dof)
+    whole = replace(scene(), initial=fm.Initial([0.0, 0.0], [0.0, 0.0], state))
+    assert fm.simulate(whole).states[0] == pytest.approx(state)
+    assert fm.Scene.from_dict(whole.to_dict()) == whole
+    assert "state" not in scene().to_dict()["initial"]
+    for bad in (state[1:], [1e300, *state[1:]]):
+        with pytest.raises(ValueError, match=r"^Initial.state(\[0\])?: .* is not allowed; give "):
+            fm.simulate(replace(whole, initial=fm.Initial([0.0, 0.0], [0.0, 0.0], bad)))
+    with pytest.raises(ValueError, match=r"^scene.initial.state: .* is not allowed; give None"):
+        fm.choose_model(whole, 0.01)
+
+
+def test_explaining_costs_nothing_before_it_is_asked_for(monkeypatch):
+    def never(*arguments):
+        raise AssertionError("nobody asked")
+
+    monkeypatch.setattr("flexman_gym.simulation.simulator.explain", never)
+    monkeypatch.setattr("flexman_gym.simulation.simulator.explain_energy", never)
+    simulator = fm.Simulator(fm.build_model(ARM, 1, flexible_links=False))
+    assert simulator.step([1e12, 0.0]) == "diverged" == layout.STATUS[simulator.batch.status[0]]
+    assert fm.simulate(scene(torque=(1e12, 0.0)), method="ros2", step=1e-3).status == "diverged"
+
+
+def test_a_trajectory_that_was_pickled_still_explains_itself():
+    found = fm.simulate(scene(torque=(1e12, 0.0), flexible_links=False), method="ros2", step=1e-3)
+    assert pickle.loads(pickle.dumps(found)).explanation() == found.explanation() != ""

@@ -1,0 +1,76 @@
+"""Planted errors: the table fits the sources, and the planter tells what is caught from what survives."""
+
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from flexman_gym.studies.planted.change import Change, changes
+from flexman_gym.studies.planted.page import counts, page
+from flexman_gym.studies.planted.planting import CAUGHT, EQUIVALENT, SURVIVED, Copy, Planted
+from flexman_gym.studies.planted.table import ROOMS, kept, misplaced
+from flexman_gym.studies.table import write_rows
+
+ROOT = Path(__file__).parents[2]
+DOUBLE = Change("room", "halves", "double.py", "2 * x", "x / 2", ("test_double.py",))
+
+
+@pytest.fixture
+def checkout(tmp_path):
+    """A checkout of one function and its test; the folder of agents is there for their name."""
+    folder = tmp_path / "checkout"
+    (folder / "agents").mkdir(parents=True)
+    (folder / "double.py").write_text("def double(x):\n    return 2 * x + 0 * abs(x)\n")
+    (folder / "test_double.py").write_text("import double\n\n\ndef test_one():\n    assert double.double(1) == 2\n")
+    (folder / "pyproject.toml").write_text('[tool.pytest.ini_options]\npythonpath = ["."]\n')
+    subprocess.run(["git", "init", "-q"], cwd=folder, check=True)
+    return folder
+
+
+def test_every_error_of_the_table_has_its_place_and_its_tests():
+    every = [change for room in ROOMS.values() for change in room]
+    assert misplaced(ROOT, every) == []
+    assert len(every) >= 120 and len({(change.room, change.error) for change in every}) == len(every)
+    assert all(change.room == name for name, room in ROOMS.items() for change in room)
+
+
+def test_an_error_is_caught_or_survives_or_is_equivalent(checkout, tmp_path):
+    copy = Copy(checkout, tmp_path / "copy")
+    assert copy.failing(["test_double.py"]) == ""
+    found = copy.plant(DOUBLE)
+    assert found.outcome == CAUGHT and found.by == "test_double.py::test_one"
+    unseen = replace(DOUBLE, old="0 * abs(x)", new="0.5 * (abs(x) - 1)")
+    assert copy.plant(unseen).outcome == SURVIVED
+    same = copy.plant(replace(DOUBLE, old="0 * abs(x)", new="0", equivalent="zero times anything"))
+    assert (same.outcome, same.by) == (EQUIVALENT, "zero times anything")
+    assert copy.plant(replace(DOUBLE, equivalent="is not so")).outcome == CAUGHT
+    assert copy.plant(replace(DOUBLE, new="syntax error")).outcome == CAUGHT
+    assert (copy.root / "double.py").read_text() == (checkout / "double.py").read_text()
+    with pytest.raises(RuntimeError, match="pytest says"):
+        copy.failing(["test_nothing.py"])
+
+
+def test_an_error_without_its_place_is_told(checkout):
+    wrong = [replace(DOUBLE, old="3 * x"), replace(DOUBLE, old="x"), replace(DOUBLE, tests=("test_other.py",))]
+    lines = misplaced(checkout, wrong)
+    assert "0 times" in lines[0] and "3 times" in lines[1] and lines[2] == "test_other.py is no test"
+
+
+def test_the_page_counts_every_row_once(tmp_path):
+    rows = [
+        Planted("one", "a", "flexman_gym/x.py", CAUGHT, "test_x.py::test_a", 1.0),
+        Planted("one", "b, with a comma", "flexman_gym/x.py", SURVIVED, "", 2.0),
+        Planted("two", "c", "agents/y.py", EQUIVALENT, "no difference", 3.0),
+    ]
+    assert counts(rows) == [("one", 2, 1, 0, 1), ("two", 1, 0, 1, 0), ("all", 3, 1, 1, 1)]
+    text = page(rows)
+    assert "| one | b, with a comma | x.py |" in text and "no difference" in text and "| all | 3 | 1 | 1 | 1 |" in text
+    write_rows(rows, tmp_path / "rows.csv", digits=2)
+    assert list(kept(tmp_path / "rows.csv").values()) == rows and kept(tmp_path / "none.csv") == {}
+
+
+def test_changes_of_a_file_share_its_tests():
+    (change,) = changes("room", "model/beam.py", "model/test_beam.py test_metrics.py", ("error", "old", "new"))
+    assert change.file == "flexman_gym/model/beam.py"
+    assert change.tests == ("tests/model/test_beam.py", "tests/test_metrics.py") and change.equivalent == ""
