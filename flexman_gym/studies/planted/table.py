@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from flexman_gym.studies.planted import kernels, learning, models, steps
+from flexman_gym.studies.planted import kernels, laboratory, learning, models, steps
 from flexman_gym.studies.planted.change import Change
 from flexman_gym.studies.planted.planting import Planted
 from flexman_gym.studies.table import read_rows
@@ -15,6 +15,7 @@ ROOMS: dict[str, list[Change]] = {
     "environment": list(learning.ENVIRONMENT),
     "tasks": list(learning.TASKS),
     "sensors": list(learning.SENSORS),
+    "laboratory": list(laboratory.LABORATORY),
     "control": list(learning.CONTROL),
     "metrics": list(learning.METRICS),
     "agents": list(learning.AGENTS),

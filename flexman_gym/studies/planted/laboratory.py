@@ -1,0 +1,148 @@
+"""Laboratory: planted errors in sensors with flaws, tasks, disturbances and conditions."""
+
+from flexman_gym.studies.planted.change import changes
+
+INSTRUMENTS = "envs/test_sensors.py"
+PATHS = "envs/test_track.py"
+HOLDING = "envs/test_holding.py"
+
+LABORATORY = (
+    *changes(
+        "laboratory", "model/strain.py", INSTRUMENTS,
+        ("gauges at twice the distance", "return np.sqrt(np.column_stack([along, along.sum(axis=1)]))",
+         "return 2.0 * np.sqrt(np.column_stack([along, along.sum(axis=1)]))"),
+        ("a gauge with the wrong sign", "np.array([-about_z, about_y, twist])", "np.array([about_z, about_y, twist])"),
+        ("the planes of the gauges are swapped", "np.array([-about_z, about_y, twist])",
+         "np.array([about_y, -about_z, twist])"),
+        ("gauges at the middle of the first element",
+         "_derivatives(0.0, root.length)",
+         "_derivatives(0.5, root.length)"),
+    ),
+    *changes(
+        "laboratory", "simulation/view.py", INSTRUMENTS,
+        ("the accelerometer shows the specific force", "return self._felt(layout.TIP_ACCELERATION)",
+         "return self._felt(layout.SPECIFIC_FORCE)"),
+        ("joint angles are those of the motors", "self.joint_angles, self.joint_rates = self.state[:, :n]",
+         "self.joint_angles, self.joint_rates = self.motor_angles"),
+    ),
+    *changes(
+        "laboratory", "envs/sensors/instrument.py", INSTRUMENTS,
+        ("a sample comes a period early", "found = self._late[0, arms]", "found = self._held[arms]"),
+        ("a sample that is dropped is not", ">= flaws.dropped", ">= 0.0"),
+        ("every sample is taken", "self._ages[arms] % flaws.every == 0", "self._ages[arms] % 1 == 0"),
+        ("no bias", "new = measured.values[arms] + self._bias[arms]", "new = measured.values[arms] + 0.0"),
+        ("a bias that changes in an episode", "new = measured.values[arms] + self._bias[arms]",
+         "new = measured.values[arms] + self._bias[arms] * (self._ages[arms] % 2)[:, None]"),
+        ("bias to one side only", "inner.uniform(-1.0, 1.0, len(bound))", "inner.uniform(0.0, 1.0, len(bound))"),
+        ("numbers are cut off, not rounded", "np.round(new / step) * step", "np.floor(new / step) * step"),
+        ("noise of half the size", "new += flaws.noise * measured.bound", "new += 0.5 * flaws.noise * measured.bound"),
+        ("the past of another episode arrives", "self._late[:, arms[first]] = self._held[arms[first]]", "pass"),
+    ),
+    *changes(
+        "laboratory", "envs/sensors/measured.py", f"{INSTRUMENTS} envs/test_randomisation.py",
+        ("errors of the true tip", "self.target_error = self._view.target - self.tip",
+         "self.target_error = self._view.target - self._view.tip"),
+        ("readings go beyond their range", "np.clip(self.values, -self.bound, self.bound, out=self.values)", "pass"),
+    ),
+    *changes(
+        "laboratory", "envs/sensors/quantities.py", INSTRUMENTS,
+        ("a quantity goes beyond its range", "np.clip(getattr(view, name), -bound, bound, out=out[:, first:end])",
+         "out[:, first:end] = getattr(view, name)"),
+    ),
+    *changes(
+        "laboratory", "envs/sensors/command.py", INSTRUMENTS,
+        ("the command is where the tip is", "out[:, -6:-3], out[:, -3:] = view.target, view.target_velocity",
+         "out[:, -6:-3], out[:, -3:] = view.tip, view.target_velocity"),
+        ("no rates are commanded", "out[:, :n], out[:, n : 2 * n] = view.posture, view.posture_rates",
+         "out[:, :n], out[:, n : 2 * n] = view.posture, 0.0"),
+    ),
+    *changes(
+        "laboratory", "envs/history.py", INSTRUMENTS,
+        ("the oldest first", "memory[arms, 0] = observations\n        return",
+         "memory[arms, -1] = observations\n        return"),
+        ("averages of twice the time",
+         "1.0 - np.exp(-interval / np.array(kind))",
+         "1.0 - np.exp(-0.5 * interval / np.array(kind))"),
+        ("an episode begins with the end of the last", "self._memory[arms] = observations[:, None]",
+         "self._memory[arms, 0] = observations"),
+    ),
+    *changes(
+        "laboratory", "envs/streams.py", "envs/test_sensors.py envs/test_randomisation.py",
+        ("all noise is alike", "np.random.default_rng(stream.integers(2**63)), BLOCK",
+         "np.random.default_rng(0 * stream.integers(2**63)), BLOCK"),
+        ("streams share a seed", "crc32(name.encode())", "crc32(b\"\")"),
+    ),
+    *changes(
+        "laboratory", "envs/effects/tip_load.py", HOLDING,
+        ("loads at fixed times", "inner.geometric(self._share)", "max(1, round(1.0 / self._share))"),
+        ("loads of one size",
+         "inner.uniform(*self._span), inner.normal(size=3)",
+         "self._span[1], inner.normal(size=3)"),
+        ("a load lasts a period", "self._wait -= 1\n        forces += self._forces * ~over[:, None]",
+         "forces += self._forces * ~over[:, None] * (self._wait > 9)[:, None]\n        self._wait -= 1"),
+    ),
+    *changes(
+        "laboratory", "envs/effects/base_sway.py", HOLDING,
+        ("half of the amplitude", "self._sway[arms, :3] *= drawn[arms][:, None]",
+         "self._sway[arms, :3] *= 0.5 * drawn[arms][:, None]"),
+        ("up to the first mode only", "QUICKEST = 0.3, 3.0", "QUICKEST = 0.3, 1.0"),
+        ("frequencies evenly on a linear scale",
+         "self._first * np.exp(inner.uniform(np.log(SLOWEST), np.log(QUICKEST)))",
+         "self._first * inner.uniform(SLOWEST, QUICKEST)"),
+    ),
+    *changes(
+        "laboratory", "kernels/paths.py", f"{PATHS} kernels/test_paths.py",
+        ("a series without its mean", "value = series[r, s, 0]", "value = 0.0"),
+        ("sines of the wrong sign",
+         "fused(series[r, s, h + 1], sine, value)",
+         "fused(-series[r, s, h + 1], sine, value)"),
+        ("one iteration", "ITERATIONS = 8", "ITERATIONS = 1"),
+    ),
+    *changes(
+        "laboratory", "envs/tasks/paths.py", PATHS,
+        ("a target that starts at full speed", "(time - ramp * np.tanh(time / ramp))", "(time + 0.0 * ramp)"),
+        ("paths that do not sag", "curve += sag", "pass"),
+        ("circles of half the size", "found[0, 1] = found[1, 2] = size", "found[0, 1] = found[1, 2] = 0.5 * size"),
+    ),
+    *changes(
+        "laboratory", "envs/tasks/track.py", PATHS,
+        ("the preview is of now",
+         "phase(view.time[:, None] + self._ahead,",
+         "phase(view.time[:, None] + 0.0 * self._ahead,"),
+        ("the reward is for standing still", "view.tip_velocity - view.target_velocity)", "view.tip_velocity)"),
+        ("periods in seconds", "self.period[1]) * mode", "self.period[1])"),
+    ),
+    *changes(
+        "laboratory", "envs/tasks/hold.py", HOLDING,
+        ("no sway", '"base_sway": self.sway,', '"base_sway": (0.0, 0.0),'),
+        ("a hold that rewards half",
+         "distance_reward(view, view.tip_velocity)",
+         "0.5 * distance_reward(view, view.tip_velocity)"),
+    ),
+    *changes(
+        "laboratory", "envs/episodes.py", "envs/test_track.py envs/test_sensors.py",
+        ("a target that seems to rest", "(goal.target[arms] - view.target[arms]) / view.control_period",
+         "0.0 * (goal.target[arms] - view.target[arms])"),
+        ("postures of a path that seem to rest", "(goal.posture[arms] - view.posture[arms]) / view.control_period",
+         "0.0 * (goal.posture[arms] - view.posture[arms])"),
+    ),
+    *changes(
+        "laboratory", "control/reference.py", PATHS,
+        ("joints do not give way", "if not last:", "if False:"),
+    ),
+    *changes(
+        "laboratory", "control/pd.py", "envs/test_conditions.py",
+        ("the limit does not know of delays",
+         "2.0 * np.sin(np.pi / (4 * delay + 2))",
+         "2.0 * np.sin(np.pi / (4 * 0 + 2))"),
+        ("the inertia of the links counts", "np.diag(np.linalg.inv(mass_matrix(model, np.zeros(2 * model.n_dof))))",
+         "1.0 / np.diag(mass_matrix(model, np.zeros(2 * model.n_dof)))",
+         "where joints bend the motor coordinate has its rotor alone, so that both are the same"),
+    ),
+    *changes(
+        "laboratory", "envs/setup.py", f"envs/test_conditions.py {HOLDING}",
+        ("disturbances of the task go before those that were given", "Randomisation(**task | (own.given if own else {}))",
+         "Randomisation(**(own.given if own else {}) | task)"),
+        ("no warning of an unstable PD", "            if said:\n", "            if False:\n"),
+    ),
+)  # fmt: skip
