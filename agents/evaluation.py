@@ -14,7 +14,8 @@ from flexman_agents.policies import INTERFACE, Policy, parted
 from flexman_gym.arrays import Array
 from flexman_gym.checks import refusal
 from flexman_gym.envs.description import Description
-from flexman_gym.metrics import BAND, effort, final_error, median_interval, peak_to_peak, stabilisation_time
+from flexman_gym.envs.tasks import Slew
+from flexman_gym.metrics import BAND, effort, final_error, median_interval, peak_to_peak, rms, stabilisation_time
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,7 @@ class Episode:
         error: m, median over the last second.
         effort: mean square of what the motors were asked for, parts of their limits.
         failure: "" or what ended the episode.
+        rms_error: m, root mean square over all of the episode.
     """
 
     reward: float
@@ -36,6 +38,7 @@ class Episode:
     error: float
     effort: float
     failure: str
+    rms_error: float = np.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +95,8 @@ def figures(record: Record, period: float, band: float) -> Episode:
         settled = stabilisation_time(record.errors, band, period)
         vibration = peak_to_peak(record.tips, period)
     error, asked = final_error(record.errors, period), effort(record.actions)
-    return Episode(float(record.rewards.sum()), settled, vibration, error, asked, record.failure)
+    whole = rms(record.errors)
+    return Episode(float(record.rewards.sum()), settled, vibration, error, asked, record.failure, whole)
 
 
 def evaluate(policy: Policy, environment: Description, seeds: Sequence[int]) -> list[Episode]:
@@ -144,6 +148,7 @@ def summary(episodes: Sequence[Episode]) -> dict[str, Any]:
         "stabilisation_time": median_interval(settled),
         "vibration": median_interval(np.array([episode.vibration for episode in episodes])),
         "error": median_interval(np.array([episode.error for episode in episodes])),
+        "rms_error": median_interval(np.array([episode.rms_error for episode in episodes])),
         "effort": float(np.mean([episode.effort for episode in episodes])),
         "failed": float(np.mean([episode.failure != "" for episode in episodes])),
     }
@@ -158,14 +163,16 @@ def table(results: Mapping[str, Sequence[Episode]], environment: Description) ->
     drawn = Table(title=title, title_justify="left", caption_justify="left", box=None, pad_edge=False)
     drawn.add_column("policy")
     band = f"in {_length(BAND * reach)}"
-    for head in ("reward", band, "stabilised, s", "p-p, mm", "error, mm", "effort", "failed"):
+    slew = isinstance(environment.setup().task, Slew)
+    heads = ("stabilised, s", "p-p, mm", "error, mm") if slew else ("p-p, mm", "RMS error, mm")
+    for head in ("reward", band, *heads, "effort", "failed"):
         drawn.add_column(head, justify="right", no_wrap=True)
     for name, episodes in results.items():
         found = summary(episodes)
-        lengths = [_interval(found[key], 1e3) for key in ("vibration", "error")]
-        time = _interval(found["stabilisation_time"], 1.0)
+        lengths = [_interval(found[key], 1e3) for key in ("vibration", "error" if slew else "rms_error")]
+        time = [_interval(found["stabilisation_time"], 1.0)] if slew else []
         shares = f"{found['settled']:.0%}", f"{found['failed']:.0%}"
-        drawn.add_row(name, f"{found['reward']:.1f}", shares[0], time, *lengths, f"{found['effort']:.3f}", shares[1])
+        drawn.add_row(name, f"{found['reward']:.1f}", shares[0], *time, *lengths, f"{found['effort']:.3f}", shares[1])
     drawn.caption = "medians with 95 % bootstrap intervals; reward and effort are means"
     text = StringIO()
     Console(width=160, file=text).print(drawn)

@@ -12,7 +12,7 @@ from flexman_gym.envs.description import Description
 from flexman_gym.envs.setup import BASES
 
 Act = Callable[[NDArray[np.float32], tuple[int, ...]], NDArray[np.floating]]
-INTERFACE = ("base", "hold", "sensors")  # settings of what acts, not of what is moved
+INTERFACE = ("base", "hold", "sensors", "history")  # settings of what acts, not of what is moved
 BASELINES = (*BASES, "zero", "random")
 
 
@@ -23,7 +23,7 @@ class Policy:
     Attributes:
         name: as in a table.
         act: actions for observations (b, size) and the shape (b, n) that they have.
-        interface: base, hold and sensors.
+        interface: base, hold, sensors and history.
         environment: the environment that it was trained on; None for a baseline, which suits any.
     """
 

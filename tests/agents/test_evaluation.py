@@ -153,3 +153,11 @@ def test_what_has_not_settled_is_a_dash_and_shares_are_parts_of_all():
     found = summary([Episode(1.0, time, time, 1.0, 0.5, "" if time < 2 else "rate") for time in times])
     assert (found["settled"], found["failed"], found["reward"], found["effort"]) == (0.5, 0.75, 1.0, 0.5)
     assert found["stabilisation_time"][0] == np.inf and found["error"] == (1.0, 1.0, 1.0)
+
+
+def test_a_task_that_does_not_settle_is_judged_by_its_rms_error():
+    rows = {"pd": [Episode(1.0, np.inf, 0.001, 0.002, 0.1, "", 0.0123)]}
+    text = table(rows, Description("FlexRRR-Track-v0"))
+    assert "RMS error, mm" in text and "12.3" in text and "stabilised" not in text
+    record = Record(np.zeros((3, 3)), np.array([0.3, 0.4, 0.0]), np.zeros((2, 3)), np.zeros(2), "")
+    assert figures(record, 0.02, 0.01).rms_error == pytest.approx(np.sqrt(0.25 / 3.0))

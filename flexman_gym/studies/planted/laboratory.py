@@ -141,7 +141,8 @@ LABORATORY = (
     ),
     *changes(
         "laboratory", "envs/setup.py", f"envs/test_conditions.py {HOLDING}",
-        ("disturbances of the task go before those that were given", "Randomisation(**task | (own.given if own else {}))",
+        ("disturbances of the task go before those that were given",
+         "Randomisation(**task | (own.given if own else {}))",
          "Randomisation(**(own.given if own else {}) | task)"),
         ("no warning of an unstable PD", "            if said:\n", "            if False:\n"),
     ),
