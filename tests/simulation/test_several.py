@@ -68,7 +68,7 @@ def test_parameters_are_those_of_a_model_built_with_them(method):
 @pytest.mark.parametrize("method", ["ros2", "implicit_midpoint_3"])
 def test_a_scene_that_diverges_ends_alone(method):
     given = scenes()
-    for i, rate in ((2, 1e9), (9, 3e5)):
+    for i, rate in ((2, 9e5), (9, 3e5)):
         given[i] = replace(given[i], initial=fm.Initial((0.0,) * 3, (rate, 0.0, -rate)))
     found = fm.simulate_all(given, method=method, step=0.01)
     assert [run.status for run in found].count("diverged") >= 1 and found[2].status == "diverged"
