@@ -188,7 +188,7 @@ def _steps(search: Search, candidate: Candidate, longest: float) -> Iterator[Tri
         per_step, place = search.guess(candidate, method), search.first(method, steps)
         while place < len(steps) and per_step / steps[place] <= 1.2 * search.best and search.runs < search.most_runs:
             trial = search.trial(candidate, method, steps[place])
-            per_step, search.last[method.name] = trial.cost * trial.step, trial.step
+            per_step, search.last[method.name] = search.pace(trial, per_step), trial.step
             yield trial
             if trial.error <= aim:
                 search.best = min(search.best, trial.cost)

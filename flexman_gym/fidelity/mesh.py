@@ -6,7 +6,7 @@ import numpy as np
 
 from flexman_gym.arrays import Array
 from flexman_gym.checks import refusal
-from flexman_gym.fidelity.search import SHARP, Candidate, Search, distance
+from flexman_gym.fidelity.search import SHARP, Candidate, Search, Trial, distance
 from flexman_gym.model.instant import frequencies
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.choice import MOST_ELEMENTS
@@ -151,6 +151,10 @@ class MeshSearch(Search):
         if isinstance(method, Midpoint):
             return 0.7 * each * method.sweeps
         return 0.7 * each * len(method.b) * max(method.sequence) if isinstance(method, LinearlyImplicit) else 0.0
+
+    def pace(self, trial: Trial, guessed: float) -> float:
+        """The guess again: most of a short run is what it takes to begin, which a shorter step leaves as it is."""
+        return guessed
 
     def first(self, method: Method, steps: list[float]) -> int:
         """Where in descending steps (s) to begin: near the last one of another candidate, whose error is much alike."""

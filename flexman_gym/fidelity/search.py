@@ -192,6 +192,10 @@ class Search:
         seconds = ease * screened.cost / max(screened.evaluations, 1)
         return seconds * len(method.b) * self.scene.duration if isinstance(method, Explicit) else 0.0
 
+    def pace(self, trial: Trial, guessed: float) -> float:
+        """Gives the cost of the scene times the step, after a trial and what was guessed before it."""
+        return trial.cost * trial.step
+
     def first(self, method: Method, steps: list[float]) -> int:
         """Where in descending steps (s) to begin to try a method."""
         return 0
