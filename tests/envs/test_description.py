@@ -223,3 +223,10 @@ def test_a_training_starts_with_the_episode_that_its_environment_gives():
     alone = gym.make(found.id, **found.keywords())
     assert np.array_equal(arms.reset()[1], alone.reset(seed=training_seed(2) + 1)[0])
     assert found.folder == Path()
+
+
+def test_the_limit_of_deflection_is_a_part_of_each_links_length():
+    env = gym.make("FlexRRR-v0", limits=fm.Limits(deflection=0.2)).unwrapped
+    view = env.episodes.view
+    bounds = env.setup.limits.bounds(view)["link_deflections"]
+    assert bounds == pytest.approx(0.2 * np.repeat([link.length for link in env.setup.arm.links], 2))

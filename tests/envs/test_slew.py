@@ -109,3 +109,20 @@ def test_bad_input_is_refused_in_one_line(field, value):
         Slew(**{field: value})
     message = str(error.value)
     assert message.startswith(f"Slew.{field}: {value!r} is not allowed; give a finite number") and "\n" not in message
+
+
+def test_the_distance_looks_a_tenth_of_a_second_ahead():
+    """1 - ln(1 + (e^2 + (0.1 s v)^2) / n^2) / ln(1 + (f / n)^2), n = R / 425 and f = R / 1.7, as the class says."""
+    task, reach = Slew(reward="distance"), 3.4
+    for error, velocity in (
+        (0.0, (0.0, 0.0, 0.0)),
+        (0.2, (0.0, 0.0, 0.0)),
+        (0.0, (1.0, -2.0, 2.0)),
+        (0.3, (0.0, 4.0, 3.0)),
+    ):
+        view = SimpleNamespace(
+            tip_error=np.array([error]), tip_velocity=np.array([velocity]), reach=reach, failed=np.array([False])
+        )
+        square = error**2 + (0.1 * np.linalg.norm(velocity)) ** 2
+        expected = 1 - np.log(1 + square * (425 / reach) ** 2) / np.log(1 + (425 / 1.7) ** 2)
+        assert task.reward_terms(view)["distance"] == pytest.approx(expected, abs=1e-12)

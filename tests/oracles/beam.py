@@ -122,8 +122,7 @@ def shortened(beam, stations, basis):
     """The beam with the foreshortening of its centreline, given in the coordinates that basis @ q sets.
 
     The motion of its centreline is taken out, as stations of negative mass, and put back with foreshortening.
-    `stations` has the attributes of that name, `station_shapes` and `shortening` of the package's beam: the one thing
-    the oracle shares with the code under test is how the mass of the centreline is thought to be lumped.
+    `stations` are those of `oracles.coordinates`.
     """
     mass, place = stations.stations.T
     r0 = np.outer(place, _E1)

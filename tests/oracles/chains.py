@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from flexman_gym import Arm, Joint, Link, Model, Payload, build_model
-from flexman_gym.model.beam import build_beam
-from flexman_gym.model.modes import loaded_modes, modal_damping, outboard_inertias
 
+from oracles.coordinates import agreed, loaded_link, outboard_masses, own_damping, own_modes, own_stations, signed_like
 from oracles.dense import Chain, LinkModel
 
 QUICK = settings(deadline=None, derandomize=True, max_examples=40)
@@ -40,17 +39,28 @@ class Sample:
 
     @cached_property
     def chain(self) -> Chain:
-        """The oracle in the coordinates of the model: each link has the same basis, damping matrix and stations."""
-        beams = tuple(map(build_beam, self.arm.links, self.elements, self.flexible_links))
-        links = []
-        for i, (beam, outboard) in enumerate(zip(beams, outboard_inertias(self.arm, beams), strict=True)):
-            basis = np.eye(len(beam.stiffness))
+        """The oracle in the coordinates of the model, whose modes and damping are those of the oracle's own beams."""
+        loads, links = outboard_masses(self.arm, self.elements), []
+        for i, (link, count) in enumerate(zip(self.arm.links, self.elements, strict=True)):
+            stiffness, mass = loaded_link(link, count, loads[i])
+            basis = np.eye(6 * count)
             if self.modes is not None and self.flexible_links[i]:
-                basis = loaded_modes(beam, outboard)[1][:, : self.modes[i]]
-            damping = modal_damping(beam, outboard, self.arm.modal_damping_ratio)
-            damping = damping + self.arm.stiffness_proportional_damping * beam.stiffness
-            links.append(LinkModel(basis, basis.T @ damping @ basis, beam if self.stiffening else None))
+                modes, given = own_modes(stiffness, mass)[1][:, : self.modes[i]], self.model.bases[i]
+                basis = agreed(signed_like(modes, given), given, 1.0 / np.sqrt(np.diag(mass))[:, None])
+            damping = own_damping(stiffness, mass, self.arm.modal_damping_ratio)
+            damping = basis.T @ (damping + self.arm.stiffness_proportional_damping * stiffness) @ basis
+            if self.flexible_links[i]:
+                scale = np.sqrt(np.diag(basis.T @ mass @ basis))
+                damping = agreed(damping, self.damping(i), np.outer(scale, scale))
+            stations = own_stations(link, count) if self.stiffening else None
+            links.append(LinkModel(basis, damping, stations))
         return Chain(self.arm, self.elements, self.flexible_links, self.flexible_joints, links)
+
+    def damping(self, link: int) -> np.ndarray:
+        """Damping matrix (k, k) of a link as the kernels read it."""
+        start, stop = self.model.constants.square_start[link : link + 2]
+        size = self.model.bases[link].shape[1]
+        return self.model.constants.damping[start:stop].reshape(size, size)
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
         """Coordinates and speeds (d,): joints anywhere, springs wound up, links bent by about the amplitude."""

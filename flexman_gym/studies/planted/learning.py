@@ -47,7 +47,7 @@ ENVIRONMENT = (
          "[first for arm in range(self.num_envs)]"),
     ),
     *changes(
-        "environment", "envs/limits.py", "envs/test_env.py envs/test_description.py envs/test_slew.py",
+        "environment", "envs/limits.py", "envs/test_description.py envs/test_env.py envs/test_slew.py",
         ("the limit of deflection in metres", "self.deflection * np.repeat(view.lengths, 2)", "self.deflection"),
     ),
 )  # fmt: skip

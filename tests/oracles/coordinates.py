@@ -1,0 +1,116 @@
+"""Coordinates: modes, modal damping and stations of uniform links, from their definitions and the oracle's own beams.
+
+Nothing here comes from the code under test. Modes of another eigensolver differ in their signs and in as many digits
+as soft and stiff coordinates lie apart; where they agree, `agreed` takes those that are under test as the coordinates.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+
+from oracles.beam import beam_points, element_rows, payload_points, skew
+
+AGREEMENT = 1e-7
+EXACT = 10  # Gauss points of an element, for the product of a Lagrange polynomial and a quintic: to degree 19
+
+
+@dataclass(frozen=True)
+class Stations:
+    """Points of a centreline, the tip first: (s, 2) mass and place, shapes (s, 3, k) and G (s, k, k)."""
+
+    stations: np.ndarray
+    station_shapes: np.ndarray
+    shortening: np.ndarray
+
+
+def outboard_masses(arm, elements):
+    """What each tip carries: the inertia (6, 6) of all points behind it at zero angles, in its beam frame."""
+    turns = [np.array(link.orientation) for link in arm.links]
+    beams = [beam_points(link, count) for link, count in zip(arm.links, elements, strict=True)]
+    tips = np.cumsum([turn[:, 0] * link.length for turn, link in zip(turns, arm.links, strict=True)], axis=0)
+    payload, found = payload_points(arm.payload), []
+    for i, turn in enumerate(turns):
+        behind = [(tips[j - 1] + beams[j].r0 @ turns[j].T, beams[j].masses) for j in range(i + 1, len(turns))]
+        total = np.zeros((6, 6))
+        for places, masses in [*behind, (tips[-1] + payload.r0, payload.masses)]:
+            for place, mass in zip((places - tips[i]) @ turn, masses, strict=True):
+                motion = np.hstack([np.eye(3), -skew(place)])  # of the point, by the motion of the tip
+                total += mass * motion.T @ motion
+        found.append(total)
+    return found
+
+
+def loaded_link(link, count, outboard):
+    """Stiffness and mass matrix with the load at the tip, (6 count, 6 count) each."""
+    beam = beam_points(link, count)
+    tip = np.vstack([beam.S_t, beam.S_r])
+    return beam.K, np.einsum("p,pia,pib->ab", beam.masses, beam.S, beam.S) + tip.T @ outboard @ tip
+
+
+def own_modes(stiffness, mass):
+    """Angular frequencies, ascending, and shapes as columns of unit modal mass: of L^-1 M L^-T, K = L L^T."""
+    factor = np.linalg.cholesky(stiffness)
+    inverse = np.linalg.solve(factor, np.eye(len(factor)))
+    squares, vectors = np.linalg.eigh(inverse @ mass @ inverse.T)
+    squares, vectors = squares[::-1], vectors[:, ::-1]
+    return 1.0 / np.sqrt(squares), inverse.T @ vectors / np.sqrt(squares)
+
+
+def own_damping(stiffness, mass, ratio):
+    """C = 2 ratio M (M^-1 K)^1/2 = 2 ratio L (L^-1 M L^-T)^1/2 L^T: every mode has this damping ratio."""
+    factor = np.linalg.cholesky(stiffness)
+    inverse = np.linalg.solve(factor, np.eye(len(factor)))
+    squares, vectors = np.linalg.eigh(inverse @ mass @ inverse.T)
+    return 2.0 * ratio * factor @ (vectors * np.sqrt(squares)) @ vectors.T @ factor.T
+
+
+def agreed(own, given, scale):
+    """What is given, after an assertion that it is the oracle's own but for rounding, both divided by a scale."""
+    assert np.shape(own) == np.shape(given)
+    largest = np.abs(own / scale).max(initial=0.0)
+    assert np.abs((own - given) / scale).max(initial=0.0) <= AGREEMENT * largest
+    return given
+
+
+def signed_like(modes, basis):
+    """The modes (size, k) with the signs of another basis."""
+    return modes * np.sign(np.einsum("ak,ak->k", modes / np.linalg.norm(modes, axis=0), basis))
+
+
+def own_stations(link, count):
+    """Stations of a uniform link: Gauss points of the whole of it, 4 ceil((count + 2) / 4) - 1, and the tip.
+
+    A station moves as the mean of the centreline weighed by the Lagrange polynomial of its point; G is the mean of the
+    integral of v'^T v' + w'^T w' from the base on, in the same way.
+    """
+    points, size, h = 4 * -(-(count + 2) // 4) - 1, 6 * (count + 1), link.length / count
+    nodes, weights = leggauss(points)
+    places, masses = link.length * (1 + nodes) / 2, link.mass * weights / 2
+    shapes, integrals = np.zeros((points + 1, 3, size)), np.zeros((points + 1, size, size))
+    inner, parts = leggauss(EXACT)
+    before = np.zeros((size, size))
+    for element in range(count):
+        dofs = slice(6 * element, 6 * element + 12)
+        for xi, part in zip((1 + inner) / 2, parts * h / 2, strict=True):
+            x = (element + xi) * h
+            others = [np.delete(places, s) for s in range(points)]
+            share = [np.prod((x - each) / (places[s] - each)) for s, each in enumerate(others)]
+            weighed = np.array(share) * part * link.mass / link.length / masses
+            shapes[1:, :, dofs] += np.multiply.outer(weighed, element_rows(xi, h)[0][:3])
+            integrals[1:] += np.multiply.outer(weighed, before)
+            integrals[1:, dofs, dofs] += np.multiply.outer(weighed, _slopes(xi, h))
+        before[dofs, dofs] += _slopes(1.0, h)
+    shapes[0, :, dofs], integrals[0] = element_rows(1.0, h)[0][:3], before
+    table = np.column_stack([np.r_[0.0, masses], np.r_[link.length, places]])
+    return Stations(table, shapes[:, :, 6:], integrals[:, 6:, 6:])
+
+
+def _slopes(end, h):
+    """The integral of v'^T v' + w'^T w' over an element of length h from its start to a part of it, (12, 12)."""
+    nodes, weights = leggauss(4)
+    total = np.zeros((12, 12))
+    for xi, weight in zip(end * (1 + nodes) / 2, end * h * weights / 2, strict=True):
+        slope = element_rows(xi, h)[0][4:]
+        total += weight * slope.T @ slope
+    return total
