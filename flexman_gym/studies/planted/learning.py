@@ -6,13 +6,10 @@ STREAMS = "envs/test_random_streams.py envs/test_randomisation.py"
 
 ENVIRONMENT = (
     *changes(
-        "environment", "envs/effects/sensor_noise.py", STREAMS,
-        ("the generator of noise is seeded alike for all", "np.random.default_rng(stream.integers(2**63))",
-         "np.random.default_rng(0 * stream.integers(2**63))"),
+        "environment", "envs/streams.py", STREAMS,
+        ("the generator of noise is seeded alike for all", "np.random.default_rng(stream.integers(2**63)), BLOCK",
+         "np.random.default_rng(0 * stream.integers(2**63)), BLOCK"),
         ("noise is not truncated", "TRUNCATION = 4.0", "TRUNCATION = 40.0"),
-    ),
-    *changes(
-        "environment", "envs/effects/effects.py", STREAMS,
         ("one random stream for all effects", "crc32(name.encode())", "crc32(b\"\")"),
         ("the arms' streams do not begin anew with a seed", "if self._parents[arm] is not random:",
          "if self._parents[arm] is None:"),
@@ -41,7 +38,7 @@ ENVIRONMENT = (
     *changes(
         "environment", "envs/vector_env.py", "envs/test_vector_env.py envs/test_slew.py",
         ("the reward of a reset is not zero", "rewards[late] = 0.0", "pass"),
-        ("the last observation is that of the new episode", "final[arm] = self.episodes.seen[arm].copy()",
+        ("the last observation is that of the new episode", "final[arm] = self.episodes.sight.seen[arm].copy()",
          "final[arm] = self.episodes.seen[arm]"),
         ("arms have the same seed", "[first + arm for arm in range(self.num_envs)]",
          "[first for arm in range(self.num_envs)]"),
@@ -62,6 +59,9 @@ TASKS = (
         ("a failure is worth something", "failure = 0.0 - self.failure_penalty",
          "failure = 0.0 + self.failure_penalty"),
         ("one width of three", "(near[0] + near[1] + near[2])", "(3.0 * near[0])"),
+    ),
+    *changes(
+        "tasks", "envs/tasks/rewards.py", "envs/test_slew.py",
         ("the distance does not look ahead", "+ np.vecdot(moving, moving)", ""),
     ),
 )  # fmt: skip
@@ -113,14 +113,29 @@ CONTROL = (
 
 METRICS = (
     *changes(
-        "metrics", "metrics.py", "test_metrics.py",
+        "metrics", "metrics/settling.py", "metrics/test_settling.py",
         ("settled at the first entry", "int(outside[-1]) + 1", "int(outside[0]) + 1"),
-        ("half of the vibration", "(last.max(axis=0) - last.min(axis=0)).max()",
-         "(last.max(axis=0) - last.mean(axis=0)).max()"),
-        ("the mean error", "float(np.median(_last(", "float(np.mean(_last("),
-        ("effort without a square", "np.mean(np.square(_samples(", "np.mean(np.abs(_samples("),
+        ("the mean error", "np.median(last(", "np.mean(last("),
+        ("an overshoot counts the way in", "np.asarray(errors, dtype=np.float64)[first:]",
+         "np.asarray(errors, dtype=np.float64)[:]"),
+        ("since the entry is since the start", "settled -= int(np.flatnonzero(inside)[0])", "settled -= 0"),
+    ),
+    *changes(
+        "metrics", "metrics/vibration.py", "metrics/test_vibration.py",
+        ("half of the vibration", "(tips.max(axis=0) - tips.min(axis=0)).max()",
+         "(tips.max(axis=0) - tips.mean(axis=0)).max()"),
+    ),
+    *changes(
+        "metrics", "metrics/actions.py", "metrics/test_actions.py",
+        ("effort without a square", "np.mean(np.square(samples(", "np.mean(np.abs(samples("),
+    ),
+    *changes(
+        "metrics", "metrics/intervals.py", "metrics/test_intervals.py",
         ("an interval of one side", "cut = round((1.0 - level) / 2.0 * (draws - 1))",
          "cut = round((1.0 - level) * (draws - 1))"),
+    ),
+    *changes(
+        "metrics", "metrics/samples.py", "metrics/test_vibration.py metrics/test_settling.py",
         ("a window that is one sample short", 'positive("period", period, "s")) + 1',
          'positive("period", period, "s"))'),
     ),
