@@ -22,7 +22,8 @@ LABORATORY = (
         "laboratory", "kernels/tip.py", "model/test_instant.py simulation/test_tip_accelerations.py",
         ("the tip's acceleration in its own frame", "linear = apply(load_matrix(work.rotation, i), linear)", "pass"),
         ("gravity is felt as acceleration", "linear = add(linear, load(work.field, 0))", "pass"),
-        ("an accelerometer that does not turn with its link", "felt = apply_back(tip_rotation(work, last), felt)", "pass"),
+        ("an accelerometer that does not turn with its link", "felt = apply_back(tip_rotation(work, last), felt)",
+         "pass"),
     ),
     *changes(
         "laboratory", "simulation/view.py", INSTRUMENTS,
