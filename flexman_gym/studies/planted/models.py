@@ -12,7 +12,7 @@ MODEL = (
         ("G is summed over half of the base", "sums[:, : i + 2] +=", "sums[:, i : i + 2] +="),
     ),
     *changes(
-        "model", "model/element.py", "model/test_beam.py",
+        "model", "model/element.py", "model/test_beam.py model/test_stiffening.py",
         ("bending stiffness of a wrong moment", "link.youngs_modulus * link.second_moment_y * bending * np.outer",
          "link.youngs_modulus * link.second_moment_z * bending * np.outer"),
         ("a Hermite cubic with a wrong sign", "length * xi**2 * (xi - 1),", "length * xi**2 * (1 - xi),"),
