@@ -12,6 +12,7 @@ from flexman_agents import tuning
 from flexman_agents.folder import SETTINGS
 from flexman_agents.training import load_settings
 from flexman_gym.envs import NAMED
+from flexman_gym.envs.description import Description
 from flexman_gym.scene import file
 
 from oracles.files import command
@@ -103,7 +104,7 @@ def test_tuning_finds_gains_that_beat_most_and_finds_them_again(monkeypatch):
         return found
 
     monkeypatch.setattr(tuning, "_rewards", watched)
-    first, again = (tuning.tune("FlexOne-v0", first=6, around=4, episodes=2, seed=1) for _ in range(2))
+    first, again = (tuning.tune(Description("FlexOne-v0"), first=6, around=4, episodes=2, seed=1) for _ in range(2))
     assert first == again
     gains, found = (np.concatenate([part[i] for part in seen[:2]]) for i in (0, 1))
     assert first.reward == found.max() and np.array_equal(gains[found.argmax()], [*first.stiffness, *first.damping])
@@ -117,5 +118,5 @@ def test_the_gains_in_the_catalog_are_better_than_gains_nearby_at_random():
     pd = NAMED["FlexOne-v0"].pd
     own = np.array([[*pd["stiffness"], *pd["damping"]]])
     others = own * np.random.default_rng(0).uniform(0.4, 1.6, (12, 2))
-    found = tuning._rewards("FlexOne-v0", np.vstack([own, others]), 8)
+    found = tuning._rewards(Description("FlexOne-v0"), np.vstack([own, others]), 8)
     assert found.argmax() == 0 or found[0] > 0.99 * found.max()

@@ -153,7 +153,7 @@ def test_gymnasiums_wrappers_take_it(wrapper):
     ("arguments", "line"),
     [
         ({"num_envs": 0}, "num_envs: 0 is not allowed; give a whole number from 1"),
-        ({"autoreset_mode": "later"}, "autoreset_mode: 'later' is not allowed; give an AutoresetMode or one of Next"),
+        ({"autoreset_mode": "later"}, "autoreset_mode: 'later' is not allowed; give one of NextStep, SameStep"),
         ({"max_episode_steps": 0}, "max_episode_steps: 0 is not allowed; give a whole number from 1"),
         ({"threads": 0}, "threads: 0 is not allowed; give a whole number from 1"),
         ({"render_mode": "human"}, "render_mode: 'human' is not allowed; give one of rgb_array"),
@@ -189,7 +189,7 @@ def test_bad_actions_are_refused_in_one_line_and_change_nothing(bad):
         ({"parameters": 3}, "options['parameters']"),
         ({"parameters": {"mass": 3}}, "options['parameters']"),
         ({"parameters": {"payload_mass": [1.0, 2.0, 3.0]}}, "options['parameters']['payload_mass']"),
-        ({"parameters": {"payload_mass": [1.0, -2.0]}}, "payload_mass"),
+        ({"parameters": {"payload_mass": [1.0, -2.0]}}, "options['parameters']['payload_mass']"),
     ],
 )
 def test_bad_options_are_refused_in_one_line(options, field):

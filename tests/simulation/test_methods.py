@@ -146,9 +146,11 @@ def test_an_order_takes_as_many_sweeps_of_the_midpoint_rule():
     once = Midpoint("once", 1, "one of Newton's iterations", 1)
     orders = observed_orders(error(once, step=DURATION / steps) for steps in STEPS)
     assert orders[-1] == pytest.approx(1.0, abs=0.15)
-    for order, sweeps in ((2, 1), (3, 4), (1, 0)):
+    for order, sweeps in ((2, 1), (3, 4)):
         with pytest.raises(ValueError, match=f"^wrong: is not of order {order}"):
             Midpoint("wrong", order, "", sweeps)
+    with pytest.raises(ValueError, match=r"^wrong.sweeps: 0 is not allowed; give a whole number from 1 to 1000"):
+        Midpoint("wrong", 1, "", 0)
 
 
 def test_sweeps_lead_to_the_midpoint_rule():
@@ -174,7 +176,7 @@ def test_generalised_alpha_has_its_spectral_radius_at_infinite_frequency(radius)
 
 def test_a_method_may_be_given_itself():
     assert error(generalised_alpha(0.2), step=DURATION / 4096) < 1e-3
-    with pytest.raises(ValueError, match="radius must be from 0 to 1"):
+    with pytest.raises(ValueError, match=r"^generalised_alpha.radius: 1.5 is not allowed; give a number from 0 to 1"):
         generalised_alpha(1.5)
 
 

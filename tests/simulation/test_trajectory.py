@@ -62,7 +62,7 @@ def test_a_csv_file_gives_every_number_back_under_its_name_and_unit(tmp_path):
     with (tmp_path / "run.csv").open(newline="") as file:
         head, *lines = csv.reader(file)
     table = dict(zip(head, np.array(lines, dtype=float).T, strict=True))
-    assert head[:4] == ["time (s)", "tip_x (m)", "tip_y (m)", "tip_z (m)"] and len(table) == len(head) == 21
+    assert head[:4] == ["time (s)", "tip_x (m)", "tip_y (m)", "tip_z (m)"] and len(table) == len(head) == 51
     assert np.array_equal(table["time (s)"], found.time)
     assert np.array_equal(table["tip_velocity_z (m/s)"], found.tip_velocity[:, 2])
     assert np.array_equal(table["deflection_y (m)"], found.deflection[:, 1])
