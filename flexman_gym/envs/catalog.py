@@ -63,7 +63,7 @@ RRR_PD: Gains = {"stiffness": (497.0, 325.0, 328.0), "damping": (950.0, 950.0, 1
 # Gains of these: `python scripts/tune.py ID`.
 PLANAR_PD: Gains = {"stiffness": (18.7, 13.9), "damping": (4.52, 3.0)}
 # The least RMS tip error of 8 episodes among those drawn at random whose sampled loop is well within the unit circle.
-RRR_TRACK_PD: Gains = {"stiffness": (2080.0, 4750.0, 621.0), "damping": (660.0, 462.0, 551.0)}
+RRR_TRACK_PD: Gains = {"stiffness": (9000.0, 5810.0, 21.4), "damping": (616.0, 950.0, 306.0)}
 PLANAR_TRACK_PD: Gains = {"stiffness": (59.6, 2.77), "damping": (19.0, 3.44)}
 GRAVITY_PD: Gains = {"stiffness": (8730.0, 10100.0, 1810.0), "damping": (8210.0, 9480.0, 1730.0)}
 RRR = Named(flex_rrr, RRR_PD, conditions="rrr")
