@@ -8,7 +8,7 @@ import numpy as np
 from flexman_gym.arrays import Array, IntArray
 from flexman_gym.checks import refusal, vector
 from flexman_gym.kernels import outputs, statics
-from flexman_gym.kernels.layout import OUTPUTS, TIP, make_work
+from flexman_gym.kernels.layout import OUTPUTS, TIP, Work, make_work
 from flexman_gym.model.instant import inertial_forces, stiffness_matrix
 from flexman_gym.model.model import Model, checked_model
 
@@ -25,7 +25,7 @@ def rest_states(model: Model, postures: Array) -> Array:
     states, d = model.at_rest(postures), model.n_dof
     if not model.constants.gravity.any():
         return states
-    work, (free, stiffness, compliance) = make_work(model.constants), _structure(model)
+    work, free, stiffness, compliance = _structure(model)
     rest, force = np.zeros(d), np.zeros(d)
     for posture, state in zip(postures, states, strict=True):
         change = statics.settle(model.constants, work, stiffness, compliance, free, rest, state[:d], force)
@@ -46,11 +46,14 @@ def rest_state(model: Model, motor_angles: Sequence[float] | Array) -> Array:
 
 
 @lru_cache(maxsize=16)
-def _structure(model: Model) -> tuple[IntArray, Array, Array]:
-    """Coordinates that the motors do not hold, the stiffness (d, d), and the inverse of its part of those."""
+def _structure(model: Model) -> tuple[Work, IntArray, Array, Array]:
+    """Work space, coordinates that the motors do not hold, stiffness (d, d), and the inverse of its part of those.
+
+    Kernels fill the work space anew in each call, during which no other thread runs.
+    """
     free = np.setdiff1d(np.arange(model.n_dof), model.motor_columns)
     stiffness = stiffness_matrix(model)
-    return free, stiffness, np.linalg.inv(stiffness[np.ix_(free, free)])
+    return make_work(model.constants), free, stiffness, np.linalg.inv(stiffness[np.ix_(free, free)])
 
 
 def holding_torques(model: Model, motor_angles: Sequence[float] | Array) -> Array:
@@ -65,7 +68,7 @@ def holding_torques(model: Model, motor_angles: Sequence[float] | Array) -> Arra
 
 def rest_tips(model: Model, postures: Array) -> Array:
     """(r, 3) m: tips, base frame, of the arm at rest with its motors at angles (r, n) rad."""
-    work, row, tips = make_work(model.constants), np.zeros(OUTPUTS), np.zeros((len(postures), 3))
+    work, row, tips = _structure(model)[0], np.zeros(OUTPUTS), np.zeros((len(postures), 3))
     for tip, state in zip(tips, rest_states(model, postures), strict=True):
         outputs.observe(model.constants, work, state[: model.n_dof], state[model.n_dof :], row)
         tip[:] = row[TIP]

@@ -109,30 +109,35 @@ class Instrument:
         """Measures some arms (r,), once a control period, the first time at the start of their episodes."""
         if not len(arms):
             return
-        measured, flaws, first = self.measured, self.flaws, self._ages[arms] == 0
-        measured.take(arms)
-        new = measured.values[arms] + self._bias[arms]
-        taken = self._ages[arms] % flaws.every == 0
+        measured, flaws = self.measured, self.flaws
+        at: Any = slice(None) if len(arms) == len(self._ages) else arms  # a slice copies less
+        first = self._ages[at] == 0
+        measured.take(at)
+        new, taken = measured.values[at], self._ages[at] % flaws.every == 0
+        if flaws.bias:
+            new = new + self._bias[at]
         if flaws.noise or flaws.dropped:
             drawn = self._noise.sample(arms)
-            new += flaws.noise * measured.bound * drawn[:, :-1]
+            new = new + flaws.noise * measured.bound * drawn[:, :-1]
             taken &= first | (_uniform(drawn[:, -1]) >= flaws.dropped)
         if flaws.quantisation:
             step = flaws.quantisation * measured.bound
             new = np.round(new / step) * step
-        self._held[arms[taken]] = new[taken]
-        self._ages[arms] += 1
-        measured.values[arms] = self._arriving(arms, first)
+        self._held[at] = np.where(taken[:, None], new, self._held[at])
+        self._ages[at] += 1
+        measured.values[at] = self._arriving(at, first)
         measured.settle()
 
-    def _arriving(self, arms: IntArray, first: Array) -> Array:
+    def _arriving(self, at: Any, first: Array) -> Array:
         """The samples (r, size) that arrive now; those of this period set off."""
+        late, held = self._late, self._held[at]
         if not self.flaws.delay:
-            return self._held[arms]
-        self._late[:, arms[first]] = self._held[arms[first]]
-        found = self._late[0, arms]
-        self._late[:-1, arms] = self._late[1:, arms]
-        self._late[-1, arms] = self._held[arms]
+            return held
+        if first.any():
+            late[:, at] = np.where(first[:, None], held, late[:, at])
+        found = late[0, at].copy()
+        late[:-1, at] = late[1:, at]
+        late[-1, at] = held
         return found
 
     def read(self, view: View, out: Array) -> None:

@@ -56,7 +56,8 @@ class Measured:
 
     def settle(self) -> None:
         """Cuts off what is beyond the range of an instrument and derives what follows from what is measured."""
-        np.clip(self.values, -self.bound, self.bound, out=self.values)
+        np.maximum(self.values, -self.bound, out=self.values)
+        np.minimum(self.values, self.bound, out=self.values)
         self.derive()
 
     def derive(self) -> None:

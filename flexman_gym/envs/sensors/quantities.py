@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -44,12 +45,18 @@ class Quantities:
         for name in self.names:
             one_of("Quantities.names", name, view.units)
         bounds = [ranges[name] for name in self.names]
-        store(self, _bounds=bounds)
+        ends = np.cumsum([0, *map(len, bounds)]).tolist()
+        places = [slice(*both) for both in pairwise(ends)]
+        # what has a limit needs no clipping: an arm beyond it has no outcome worth seeing
+        ranges_of = [None if name in view.places else bound for name, bound in zip(self.names, bounds, strict=True)]
+        store(self, _plan=list(zip(self.names, places, ranges_of, strict=True)))
         return [Entry(name, len(each), view.units[name], each) for name, each in zip(self.names, bounds, strict=True)]
 
     def read(self, view: View, out: Array) -> None:
         """Writes into out (b, size)."""
-        end = 0
-        for name, bound in zip(self.names, self._bounds, strict=True):  # type: ignore[attr-defined]
-            first, end = end, end + len(bound)
-            np.clip(getattr(view, name), -bound, bound, out=out[:, first:end])
+        for name, place, bound in self._plan:  # type: ignore[attr-defined]
+            if bound is None:
+                out[:, place] = getattr(view, name)
+            else:
+                np.maximum(getattr(view, name), -bound, out=out[:, place])
+                np.minimum(out[:, place], bound, out=out[:, place])

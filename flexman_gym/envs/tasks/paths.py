@@ -9,15 +9,12 @@ from flexman_gym.checks import refusal
 from flexman_gym.kernels import paths as kernels
 from flexman_gym.simulation.view import View
 
-HARMONICS, POSTURE_HARMONICS, KNOTS = (
-    3,
-    12,
-    28,
-)  # of the curve, of the motors, and places at which motors are solved for
+HARMONICS, POSTURE_HARMONICS = 3, 12  # of the curve, and of the motors
+KNOTS = 28  # places at which motors are solved for
 SAGGING = 4  # of these places, every so many, tell how the arm sags
 RAMP = 0.25  # of a period, in which the target gains speed
 ROUND = 2.0 * np.pi * np.arange(KNOTS)[None] / KNOTS
-TRIES, STEP, ACCURACY = 100, 1e-7, 1e-7  # rad, of differences; of the reach, of a posture
+TRIES, MIDDLES, STEP, ACCURACY = 20, 8, 1e-7, 1e-7  # rad, of differences; of the reach, of a posture
 WORTH = 0.1  # of the reach: a tip moves less per radian in directions that a path avoids
 FURTHEST = 2.5  # rad, of a motor on a path
 
@@ -88,40 +85,38 @@ def place_path(shape: str, size: float, reach: float, random: np.random.Generato
         ValueError: for an arm whose tip cannot move so far in two directions.
     """
     for _ in range(TRIES):
-        middle = random.uniform(-reach, reach, view.n_joints)
-        tip, slopes = _slopes(view, middle)
-        curve = _frame(random, view, slopes).T @ SHAPES[shape](random, size)
-        if not curve.any():
-            continue
-        curve[:, 0] += tip
-        postures, left = view.reaching(on_series(curve[None], ROUND)[0], middle)
-        if left <= ACCURACY * view.reach and np.abs(postures).max() <= FURTHEST:
-            if view.heavy:
-                places = postures[::SAGGING]
-                sag = _series(view.rest_tips(places) - view.rigid_tips(places), HARMONICS)
-                curve += sag
-            return curve, _series(postures, POSTURE_HARMONICS)
+        middles = random.uniform(-reach, reach, (MIDDLES, view.n_joints))
+        tips, slopes = _slopes(view, middles)
+        ways, moves, _ = np.linalg.svd(slopes, full_matrices=False)
+        counts = np.count_nonzero(moves >= WORTH * view.reach, axis=1)
+        for i in np.flatnonzero(counts >= 2):
+            curve = _frame(random, ways[i], counts[i]).T @ SHAPES[shape](random, size)
+            curve[:, 0] += tips[i]
+            postures, left = view.reaching(on_series(curve[None], ROUND)[0], middles[i])
+            if left <= ACCURACY * view.reach and np.abs(postures).max() <= FURTHEST:
+                if view.heavy:
+                    places = postures[::SAGGING]
+                    curve += _series(view.rest_tips(places) - view.rigid_tips(places), HARMONICS)
+                return curve, _series(postures, POSTURE_HARMONICS)
     raise refusal("Track.size", size, "m, a path that the tip of this arm can follow in at least two directions")
 
 
-def _frame(random: np.random.Generator, view: View, slopes: Array) -> Array:
-    """Axes (3, 3), as rows, of a random frame in the directions into which the tip can move; zero where it cannot."""
-    ways, moves, _ = np.linalg.svd(slopes, full_matrices=False)
-    count = int((moves >= WORTH * view.reach).sum())
-    found = np.zeros((3, 3))
+def _frame(random: np.random.Generator, ways: Array, count: int) -> Array:
+    """Axes (3, 3), as rows, of a random frame in the first `count` of ways (3, n), 2 or 3; zero where there is none."""
     if count == 3:
-        found = np.linalg.qr(random.standard_normal((3, 3)))[0]
-    elif count == 2:
-        angle = random.uniform(0.0, 2.0 * np.pi)
-        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-        found[:2] = turn @ ways[:, :2].T
-    return found
+        found: Array = np.linalg.qr(random.standard_normal((3, 3)))[0]
+        return found
+    angle = random.uniform(0.0, 2.0 * np.pi)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    return np.vstack([turn @ ways[:, :2].T, np.zeros(3)])
 
 
-def _slopes(view: View, posture: Array) -> tuple[Array, Array]:
-    """Tip (3,) of the rigid arm at a posture (n,), and its motion per radian of each motor, (3, n)."""
-    tips = view.rigid_tips(posture + np.vstack([np.zeros(view.n_joints), STEP * np.eye(view.n_joints)]))
-    return tips[0], (tips[1:] - tips[0]).T / STEP
+def _slopes(view: View, postures: Array) -> tuple[Array, Array]:
+    """Tips (r, 3) of the rigid arm at postures (r, n), and their motion per radian of each motor, (r, 3, n)."""
+    turns = np.vstack([np.zeros(view.n_joints), STEP * np.eye(view.n_joints)])
+    tips = view.rigid_tips((postures[:, None] + turns).reshape(-1, view.n_joints))
+    tips = tips.reshape(len(postures), len(turns), 3)
+    return tips[:, 0], (tips[:, 1:] - tips[:, :1]).transpose(0, 2, 1) / STEP
 
 
 def _series(values: Array, harmonics: int) -> Array:
