@@ -168,7 +168,7 @@ def test_what_is_derived_follows_what_was_measured():
 
 
 def test_an_instrument_ends_at_its_range_and_no_episode_with_it():
-    sensors = (Instrument(Quantities(("tip_acceleration",)), noise=3.0), "strain")
+    sensors = (Instrument(Quantities(("tip_acceleration",)), noise=1.0), "strain")
     env = FlexManEnv(sensors=sensors, randomisation={"tip_impulse": (20.0, 20.0), "impulse_gap": 0.1})
     env.reset(seed=0)
     ends = measuring_ranges(env.episodes.view, env.setup.limits)["tip_acceleration"]
@@ -230,6 +230,11 @@ def test_names_and_flaws_are_kept_in_files():
         ({"noise": 1}, "sensors: {'noise': 1} is not allowed; give a mapping with the name of a sensor at kind"),
         ({"kind": "lab", "hum": 1}, "sensors: 'hum' is not allowed; give one of noise, bias, quantisation, delay"),
         ({"kind": "full", "noise": -1.0}, "sensors.noise: -1.0 is not allowed; give a finite number >= 0"),
+        ({"kind": "full", "noise": 1e300}, "sensors.noise: 1e+300 is not allowed; give a part from 0 to 1"),
+        (
+            {"kind": "full", "quantisation": 1e-300},
+            "sensors.quantisation: 1e-300 is not allowed; give 0, or a part from",
+        ),
         ({"kind": "full", "delay": 0.5}, "sensors.delay: 0.5 is not allowed; give a whole number from 0 to 1000"),
         ({"kind": "full", "every": 0}, "sensors.every: 0 is not allowed; give a whole number from 1 to 1000"),
         ({"kind": "full", "dropped": 1.0}, "sensors.dropped: 1.0 is not allowed; give a probability from 0 to below 1"),

@@ -5,7 +5,7 @@ from typing import ClassVar
 import numpy as np
 
 from flexman_gym.arrays import Array, IntArray
-from flexman_gym.checks import non_negative
+from flexman_gym.checks import non_negative, refusal
 from flexman_gym.envs.effects.effect import Range, Stage
 from flexman_gym.envs.streams import Noise
 
@@ -29,8 +29,11 @@ class SensorNoise:
 
     @staticmethod
     def checked(field: str, value: object) -> float:
-        """A part >= 0."""
-        return non_negative(field, value)
+        """A part from 0 to 1."""
+        part = non_negative(field, value)
+        if part > 1.0:
+            raise refusal(field, value, "a part from 0 to 1 of the range")
+        return part
 
     def draw(self, arm: int, stream: np.random.Generator) -> float:
         """The standard deviation."""

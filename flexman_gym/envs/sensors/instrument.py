@@ -14,6 +14,7 @@ from flexman_gym.envs.sensors.sensor import Entry, Sensor
 from flexman_gym.envs.streams import Noise
 from flexman_gym.simulation.view import View
 
+FINEST = 1e-12  # quantisation, a part
 MOST_PERIODS = 1000  # of a delay or between two samples
 
 
@@ -42,7 +43,12 @@ class Flaws:
 
     def __post_init__(self) -> None:
         for name in ("noise", "bias", "quantisation", "dropped"):
-            store(self, **{name: non_negative(f"sensors.{name}", getattr(self, name))})
+            part = non_negative(f"sensors.{name}", getattr(self, name))
+            if part > 1.0:
+                raise refusal(f"sensors.{name}", part, "a part from 0 to 1")
+            store(self, **{name: part})
+        if 0.0 < self.quantisation < FINEST:
+            raise refusal("sensors.quantisation", self.quantisation, f"0, or a part from {FINEST:g} to 1")
         store(self, delay=whole_number("sensors.delay", self.delay, 0, MOST_PERIODS))
         store(self, every=whole_number("sensors.every", self.every, 1, MOST_PERIODS))
         if self.dropped >= 1.0:
