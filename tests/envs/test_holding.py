@@ -39,6 +39,7 @@ def test_a_hold_names_its_disturbances_and_a_randomisation_goes_before_them():
     env = FlexManEnv(name="FlexRRR-Hold-v0", randomisation={"base_sway": (0.3, 0.3), "payload_mass": (1.0, 2.0)})
     _, info = env.reset(seed=1)
     assert info["drawn"].keys() == {"base_sway", "payload_mass"} and info["drawn"]["base_sway"] == 0.3
+    assert FlexManEnv(name="FlexRRR-Hold-v0").setup.disturbed.base_sway == (0.0, 0.1)
     assert env.setup.disturbed.tip_load == (0.0, 10.0) and env.setup.disturbed.impulse_gap == 3.0
     assert env.setup.randomisation.tip_load is None, "what was given stays as it was given"
 
@@ -59,6 +60,8 @@ def test_loads_stay_until_they_change():
     assert changed.mean() == pytest.approx(share, abs=5 * np.sqrt(share * (1 - share) / many))
     ways = (forces / sizes[..., None])[1:][changed]
     assert np.abs(ways.mean(axis=0)).max() < 5 / np.sqrt(3 * len(ways))
+    waits = np.concatenate([np.diff(np.flatnonzero(column)) for column in changed.T])
+    assert waits.std() == pytest.approx(np.sqrt(1.0 - share) / share, rel=0.15), "geometric, as without memory"
 
 
 def test_a_base_sways_as_a_sine():

@@ -1,5 +1,7 @@
 """Sensors: each says what strain, tip acceleration and the view say, with the flaws that its instrument has."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -181,6 +183,21 @@ def test_an_instrument_ends_at_its_range_and_no_episode_with_it():
             assert "acceleration" not in info["failure"] and "strain" not in info["failure"]
             break
     assert (np.abs(values) == ends.astype(np.float32)).any()
+
+
+def test_quantities_and_instruments_read_no_further_than_their_range():
+    """Of both signs: what is far beyond reads as the end of the range."""
+    env = FlexManEnv(sensors={"kind": "full", "noise": 1.0})
+    env.reset(seed=0)
+    for _ in range(30):
+        observation, *_, info = env.step(np.zeros(3))
+        assert observation in env.observation_space and info["failure"] == ""
+    angles = observation[env.sensors.slices["motor_angles"]]
+    assert np.abs(angles).max() <= 4.0
+    gauge, view = Quantities(("tip_acceleration",)), env.episodes.view
+    end, out = gauge.entries(view, env.setup.limits)[0].bound, np.zeros((1, 3))
+    gauge.read(SimpleNamespace(tip_acceleration=np.array([[1e4, -1e4, 3.0]])), out)
+    assert out[0].tolist() == [end[0], -end[1], 3.0]
 
 
 # History

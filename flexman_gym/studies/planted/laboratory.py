@@ -74,7 +74,7 @@ LABORATORY = (
          "self._memory[arms, 0] = observations"),
     ),
     *changes(
-        "laboratory", "envs/streams.py", "envs/test_sensors.py envs/test_randomisation.py",
+        "laboratory", "envs/streams.py", "envs/test_sensors.py envs/test_random_streams.py",
         ("all noise is alike", "np.random.default_rng(stream.integers(2**63)), BLOCK",
          "np.random.default_rng(0 * stream.integers(2**63)), BLOCK"),
         ("streams share a seed", "crc32(name.encode())", "crc32(b\"\")"),
