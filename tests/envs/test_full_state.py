@@ -76,6 +76,8 @@ def test_joints_and_goals_are_the_differences_they_claim(flexible_joints):
         assert found[f"joint_twist{kind}"] == pytest.approx(motors - vector[:3], abs=1e-15)
     assert np.array_equal(found["posture_errors"], posture - found["motor_angles"])
     assert np.array_equal(found["target_error"], target - simulator.tip)
+    reach, error = sum(link.length for link in ARM.links), target - simulator.tip
+    assert found["target_nearness"] == pytest.approx(error / (0.1 / 8.5 * reach + np.linalg.norm(error)), rel=1e-12)
     assert np.array_equal(found["tip_velocity"], simulator.tip_velocity)
 
 

@@ -71,7 +71,7 @@ SENSORS = (
         "sensors", "envs/sensors/full.py", "envs/test_env.py envs/test_full_state.py",
         ("posture errors with the other sign", "np.subtract(view.posture, view.motor_angles,",
          "np.subtract(view.motor_angles, view.posture,"),
-        ("the nearness does not end at one", "view.tip_error[:, None] + NEAR * view.reach,",
+        ("the nearness counts metres, not parts of the reach", "view.tip_error[:, None] + NEAR * view.reach,",
          "view.tip_error[:, None] + 1.0,"),
     ),
     *changes(
