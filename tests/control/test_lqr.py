@@ -109,6 +109,19 @@ def test_the_tracking_one_stops_the_arm_where_it_should_be(name):
     assert info["tip_vibration"] < 1e-4 * env.episodes.view.reach
 
 
+@pytest.mark.parametrize("name", ["FlexOne-v0", "FlexPlanar-v0"])
+def test_the_one_at_the_goal_brings_the_arm_there(name):
+    """From a start beside the goal: what is left after 6 s is far below a thousandth of the reach."""
+    env = gym.make(name, base="lqr", horizon=6.0).unwrapped
+    n = env.action_space.shape[0]
+    _, info = env.reset(seed=0, options={"start": [0.2] * n, "posture": [0.35] * n})
+    first, ended = info["tip_error"], False
+    while not ended:
+        _, _, failed, ended, info = env.step(np.zeros(n))
+        assert not failed
+    assert info["tip_error"] < 1e-4 * env.episodes.view.reach < 0.01 * first
+
+
 def test_they_are_controllers_that_read_the_state():
     for kind in (LQR, TrackingLQR):
         assert isinstance(designed(kind, "FlexOne-v0"), Controller) and set(kind.sensors) <= set(SENSORS)
