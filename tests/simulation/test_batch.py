@@ -191,6 +191,30 @@ def test_a_reset_forgets_the_energy_that_was_turned_over():
     assert np.array_equal(used.energy_turnover, fresh.energy_turnover)
 
 
+def test_work_goes_into_energy_and_dampers_and_turnover_leaves_weight_out():
+    """A damped arm that is pushed: what dampers took is most of the work, and nothing is left over.
+
+    Held up by its weight alone an arm at rest has turned nothing over, however high it stands.
+    """
+    joints = [replace(joint, damping=200.0, viscous_friction=50.0) for joint in ARM.joints]
+    model = fm.build_model(replace(ARM, joints=joints, gravity=(0.0, 0.0, 0.0)), 1)
+    batch = Batch(model, "implicit_midpoint", 0.0025, arms=2)
+    drive = np.zeros((2, 9))
+    drive[:, :3] = [[100.0, 50.0, 20.0], [-50.0, 80.0, 10.0]]
+    for _ in range(200):
+        batch.step(drive)
+    work, dissipated = batch.rows[:, -2], batch.rows[:, -1]
+    assert (dissipated > 0.1 * work).all() and (work > 1.0).all()
+    assert (np.abs(batch.energy_residual) < 1e-3 * dissipated).all()
+    heavy = fm.build_model(ARM, 1)
+    posture = np.array([[0.0, 1.2, 0.1]])
+    resting = Batch(heavy)
+    resting.reset(np.zeros(1, dtype=np.int64), fm.rest_state(heavy, posture[0])[None])
+    elastic = resting.outputs[0, layout.LINK_ENERGY] + resting.outputs[0, layout.JOINT_ENERGY]
+    assert resting.outputs[0, layout.GRAVITATIONAL] > 2.0 * elastic
+    assert resting.energy_turnover[0] == pytest.approx(elastic, rel=1e-9)
+
+
 def test_nominal_parameters_change_no_bit():
     model = fm.build_model(replace(ARM, modal_damping_ratio=0.01), modes=3)
     batch, states, drive = Batch(model, arms=2), states_of(model, 1), drives(1, 3)
