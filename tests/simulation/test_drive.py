@@ -227,3 +227,14 @@ def test_a_signal_refuses_numbers_outside_their_range(numbers, field):
 def test_a_joint_that_is_not_there_cannot_be_prescribed():
     with pytest.raises(ValueError, match="prescribed: 3 is not allowed"):
         fm.Simulator(MODELS["rigid joints"], prescribed=[3])
+
+
+def test_a_disturbance_lasts_its_control_period():
+    """A period after it without one is that of an arm at the same state that never had any."""
+    shaken, calm = (fm.Simulator(fm.build_model(fm.catalog.paper_rrr(), 1)) for _ in range(2))
+    shaken.reset()
+    shaken.step([10.0] * 3, tip_force=[5.0, 0.0, 3.0], base_acceleration=[1.0, 2.0, 3.0])
+    calm.reset(state=shaken.state.copy())
+    for simulator in (shaken, calm):
+        simulator.step([10.0] * 3)
+    assert np.array_equal(shaken.state, calm.state)

@@ -177,17 +177,6 @@ def test_a_reset_takes_angles_and_rates_or_a_state():
     assert (simulator.state == 0.0).all() and simulator.time == 0.0
 
 
-def test_a_disturbance_lasts_its_control_period():
-    """A period after it without one is that of an arm at the same state that never had any."""
-    shaken, calm = (fm.Simulator(fm.build_model(scene("paper_ff").arm, 1)) for _ in range(2))
-    shaken.reset()
-    shaken.step([10.0] * 3, tip_force=[5.0, 0.0, 3.0], base_acceleration=[1.0, 2.0, 3.0])
-    calm.reset(state=shaken.state.copy())
-    for simulator in (shaken, calm):
-        simulator.step([10.0] * 3)
-    assert np.array_equal(shaken.state, calm.state)
-
-
 def test_the_state_is_one_view_for_ever():
     simulator = fm.Simulator(rigid())
     state = simulator.state
