@@ -217,24 +217,6 @@ def test_noise_is_normal_with_the_drawn_deviation_and_stays_in_the_space():
     assert abs((values[1:] * values[:-1]).mean()) < 5 / np.sqrt(many), "one step tells nothing of the next"
 
 
-def test_what_is_derived_is_as_uncertain_as_what_is_measured():
-    """Nearness, error and the fine scale all tell of one tip, which noise has moved by centimetres."""
-    env = FlexManEnv(sensors=("full", "fine"), randomisation={"sensor_noise": (0.002, 0.002)})
-    observation, info = env.reset(seed=3, options=STILL)
-    off = []
-    for _ in range(100):
-        parts = {name: observation[place].astype(float) for name, place in env.sensors.slices.items()}
-        error = parts["target_error"]
-        near = parts["target_nearness"]
-        assert near == pytest.approx(error / (0.1 + np.sqrt(error @ error)), rel=1e-5, abs=1e-6)
-        assert np.sinh(parts["fine_target_error"]) * 8.5 / 425 == pytest.approx(error, rel=1e-4, abs=1e-6)
-        assert parts["posture_errors"] == pytest.approx(info["posture"] - parts["motor_angles"], abs=1e-5)
-        off.append(error - (info["target"] - info["tip"]))
-        observation, _, _, _, info = env.step(np.zeros(3))
-    spread = 0.002 * 1.25 * 8.5  # of the tip's range
-    assert np.std(off) == pytest.approx(spread, rel=0.15)
-
-
 def test_limits_are_judged_without_noise():
     """On a motor rate that noise lifts over the limit half of the time."""
     limits = fm.Limits(rate=0.3)

@@ -47,7 +47,7 @@ LABORATORY = (
         ("the past of another episode arrives", "if first.any():", "if False:"),
     ),
     *changes(
-        "laboratory", "envs/sensors/measured.py", f"{INSTRUMENTS} envs/test_randomisation.py",
+        "laboratory", "envs/sensors/measured.py", f"{INSTRUMENTS} envs/test_measured.py",
         ("errors of the true tip", "self.target_error = self._view.target - self.tip",
          "self.target_error = self._view.target - self._view.tip"),
         ("readings go beyond their range", "np.minimum(self.values, self.bound, out=self.values)", "pass"),
