@@ -92,7 +92,8 @@ class Episodes:
         self.over[:] = True
         give("state.episodes", self, data)
         if self.base and view.plan:  # it makes again what it does not remember
-            self._inform_base(np.arange(len(self.over)), view.plan)
+            posture = self.task.goal(view.plan, np.zeros(len(self.over)), view).posture
+            self._inform_base(np.arange(len(self.over)), view.plan, posture)
         give("state.base", self.base, base)
         if self.effects is not None:
             self.effects.follow(randoms)
@@ -141,14 +142,13 @@ class Episodes:
         self.view.read()
         self.sight.begin(arms, randoms)
         self._begin(arms, options)
-        self._inform_base(arms, plan)
+        self._inform_base(arms, plan, self.view.posture[arms])
 
-    def _inform_base(self, arms: IntArray, plan: Mapping[str, Array]) -> None:
-        """Tells the base of the start and the goal of new episodes, and of the whole path of a goal that moves."""
+    def _inform_base(self, arms: IntArray, plan: Mapping[str, Array], posture: Array) -> None:
+        """Tells the base of start and first goal (r, n) of new episodes, and of the path of a goal that moves."""
         if not self.base:
             return
-        goal = self.task.goal(plan, np.zeros(len(arms)), self.view)
-        self.base.reset(arms, plan["start"], goal.posture)
+        self.base.reset(arms, plan["start"], posture)
         if self.task.moves and hasattr(self.base, "follow"):
             times: Array = self.view.control_period * np.arange(self.longest + 1.0)
             alike = [{name: np.repeat(each[i : i + 1], len(times), 0) for name, each in plan.items()}

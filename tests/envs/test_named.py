@@ -16,7 +16,7 @@ from flexman_gym.envs.setup import Setup, setup_of
 from flexman_gym.envs.vector_env import OWN, FlexManVectorEnv
 from flexman_gym.metrics import stabilisation_time
 
-from oracles.equality import same
+from oracles.equality import same_alone_and_among_others
 from oracles.refusals import refusal
 
 IDS = sorted(NAMED)
@@ -59,16 +59,7 @@ def test_both_libraries_find_nothing_to_complain_about(name):
 
 @pytest.mark.parametrize("name", IDS)
 def test_the_vector_environment_is_many_single_ones_bit_for_bit(name):
-    settings = {"horizon": 1.0, "sensors": ("full", "fine"), "hold": 2}
-    ours, theirs = (gym.make_vec(name, 3, kind, **settings) for kind in ("vector_entry_point", "sync"))
-    assert ours.observation_space == theirs.observation_space and ours.action_space == theirs.action_space
-    for found, expected in zip(ours.reset(seed=1), theirs.reset(seed=1), strict=True):
-        same(found, expected, "reset")
-    ours.action_space.seed(0)
-    for step in range(60):
-        action = ours.action_space.sample()
-        for found, expected in zip(ours.step(action), theirs.step(action), strict=True):
-            same(found, expected, f"step {step}")
+    same_alone_and_among_others(name, horizon=1.0, sensors=("full", "fine"), hold=2)
 
 
 @pytest.mark.parametrize("name", IDS)

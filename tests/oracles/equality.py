@@ -1,5 +1,6 @@
 """Equality: the same keys, types, shapes and bits of what environments return."""
 
+import gymnasium as gym
 import numpy as np
 
 
@@ -17,3 +18,16 @@ def same(found, expected, name=""):
             assert type(one) is type(other) and np.array_equal(one, other), name
     else:
         assert np.array_equal(found, expected), name
+
+
+def same_alone_and_among_others(name, steps=60, **settings):
+    """Asserts that three arms of our vector environment are three single ones, from their spaces to their last bits."""
+    ours, theirs = (gym.make_vec(name, 3, mode, **settings) for mode in ("vector_entry_point", "sync"))
+    assert ours.observation_space == theirs.observation_space and ours.action_space == theirs.action_space
+    for found, expected in zip(ours.reset(seed=1), theirs.reset(seed=1), strict=True):
+        same(found, expected, "reset")
+    ours.action_space.seed(0)
+    for step in range(steps):
+        action = ours.action_space.sample()
+        for found, expected in zip(ours.step(action), theirs.step(action), strict=True):
+            same(found, expected, f"step {step}")

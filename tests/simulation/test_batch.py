@@ -14,6 +14,8 @@ import flexman_gym as fm
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
 
+from oracles.batches import drives, states_of
+
 ARM = replace(
     fm.catalog.paper_rrr(rotor_inertia=10.0, link1_area="corrected"),
     payload=fm.Payload(3.0, inertia=np.diag([0.2, 0.3, 0.4]).tolist(), offset=(0.1, 0.0, 0.2)),
@@ -23,21 +25,6 @@ ARM = replace(
 FACTORS = st.tuples(*3 * [st.floats(0.5, 2.0)])
 FEW = settings(deadline=None, derandomize=True, max_examples=10)
 METHODS = ("ros2", "extrapolated_euler_3", "generalised_alpha", "rk4", "dop853")
-
-
-def states_of(model, arms, seed=0):
-    """Arms that turn, bend a little and vibrate, the rotors with them."""
-    random = np.random.default_rng(seed)
-    states = 1e-3 * random.normal(size=(arms, 2 * model.n_dof))
-    turned = random.uniform(-1.0, 1.0, (arms, model.n_joints))
-    states[:, : model.n_joints] += turned
-    states[:, model.motor_columns] += turned
-    return states
-
-
-def drives(arms, steps, seed=1):
-    """Torques, tip forces and accelerations of the base, (steps, b, n + 6)."""
-    return np.random.default_rng(seed).uniform(-1.0, 1.0, (steps, arms, 9)) * ([400.0] * 3 + [20.0] * 3 + [1.0] * 3)
 
 
 def everything(batch):

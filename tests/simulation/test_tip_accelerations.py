@@ -12,6 +12,8 @@ from flexman_gym.kernels.layout import SPECIFIC_FORCE, TIP, TIP_ACCELERATION
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.batch import Batch
 
+from oracles.batches import drives, states_of
+
 G = 9.81
 ARM = replace(
     fm.catalog.paper_rrr(rotor_inertia=10.0, link1_area="corrected"),
@@ -20,21 +22,6 @@ ARM = replace(
     stiffness_proportional_damping=1e-4,
 )
 METHODS = ("implicit_midpoint_3", "ros2", "generalised_alpha", "rk4", "dop853")
-
-
-def states_of(model, arms, seed=0):
-    """Arms that turn, bend a little and vibrate, the rotors with them."""
-    random = np.random.default_rng(seed)
-    states = 1e-3 * random.normal(size=(arms, 2 * model.n_dof))
-    turned = random.uniform(-1.0, 1.0, (arms, model.n_joints))
-    states[:, : model.n_joints] += turned
-    states[:, model.motor_columns] += turned
-    return states
-
-
-def drives(arms, steps, seed=1):
-    """Torques, tip forces and accelerations of the base, (steps, b, n + 6)."""
-    return np.random.default_rng(seed).uniform(-1.0, 1.0, (steps, arms, 9)) * ([400.0] * 3 + [20.0] * 3 + [1.0] * 3)
 
 
 def begun(arms, method="implicit_midpoint_3", periods=3, modes=2):
