@@ -117,12 +117,12 @@ class Description:
             "limits": lambda value: Limits(**mapping("limits", value, [each.name for each in fields(Limits)])),
             "modes": _tuples, "elements": _tuples,
         }  # fmt: skip
-        settings = dict(self.settings or {})
+        settings = self.whole_settings()
         return {name: makers[name](value) if name in makers else value for name, value in settings.items()}
 
     def whole(self) -> dict[str, Any]:
         """The mapping from which `from_dict` gives the same environment anywhere: with the whole arm, without files."""
-        settings = dict(self.settings or {})
+        settings = self.whole_settings()
         return {"id": self.id, **settings, "arm": plain(self.setup().arm)}
 
     def changed(self, changes: Sequence[str]) -> Self:
@@ -133,7 +133,7 @@ class Description:
         Raises:
             ValueError: one line with the change and what is allowed.
         """
-        data: dict[str, Any] = {"id": self.id, **(self.settings or {})}
+        data: dict[str, Any] = {"id": self.id, **self.whole_settings()}
         for change in changes:
             path, equals, written = change.partition("=")
             if not equals or not all(part.isidentifier() for part in path.split(".")):

@@ -30,7 +30,7 @@ class Sight:
     kept = ("_measured", "sensors", "_base_sensors", "_history", "seen")
 
     def __init__(self, setup: Setup, view: View, base: Controller | None, effects: Effects | None) -> None:
-        self._view, self._effects, arms = view, effects, len(view.motion)
+        self._effects, arms = effects, len(view.motion)
         parts, own = sight_parts(setup, base)
         self._measured = None
         if effects is not None and effects.measures:
