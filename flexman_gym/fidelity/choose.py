@@ -9,13 +9,14 @@ import numpy as np
 
 from flexman_gym.arrays import Array
 from flexman_gym.checks import positive, refusal
+from flexman_gym.fidelity.candidates import Candidate, given_modes
 from flexman_gym.fidelity.mesh import MeshSearch
-from flexman_gym.fidelity.search import Candidate, Search, Trial, given_modes
+from flexman_gym.fidelity.search import Search, Trial
 from flexman_gym.model.instant import frequencies, mass_matrix, stiffness_matrix
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.scene import Scene
-from flexman_gym.simulation.amplification import amplitude_kept, explicit_limit, spectral_radius
+from flexman_gym.simulation.amplification import amplitude_kept, explicit_limit, spectral_radii
 from flexman_gym.simulation.families import EXPLICIT, Method
 from flexman_gym.simulation.methods import METHODS
 
@@ -182,9 +183,9 @@ def _steps(search: Search, candidate: Candidate, longest: float) -> Iterator[Tri
     """Runs a candidate by each method, with shorter steps until a run is good, or costs more than a good one."""
     modes = frequencies(search.model(candidate), search.scene.initial.joint_angles)
     aim = SAFETY * search.tolerance - search.error
+    ladder = np.array([step for step in _ladder(search.scene) if step <= longest * (1.0 + 1e-9)])
     for method in (METHODS[name] for name in search.tried):
-        ladder = [step for step in _ladder(search.scene) if step <= longest * (1.0 + 1e-9)]
-        steps = [step for step in ladder if _stays(method, step, modes, search.scene.duration)]
+        steps = _stays(method, ladder, modes, search.scene.duration)
         per_step, place = search.guess(candidate, method), search.first(method, steps)
         while place < len(steps) and per_step / steps[place] <= 1.2 * search.best and search.runs < search.most_runs:
             trial = search.trial(candidate, method, steps[place])
@@ -198,10 +199,10 @@ def _steps(search: Search, candidate: Candidate, longest: float) -> Iterator[Tri
             place += max(1, sum(step > 1.15 * shrink * trial.step for step in steps[place:]))
 
 
-def _stays(method: Method, step: float, modes: Array, duration: float) -> bool:
-    """Tells whether a method with a step (s) lets no vibration (Hz) grow much within a duration (s)."""
-    angles = 2.0 * np.pi * step * modes
-    return all(duration / step * np.log(spectral_radius(method, angle)) <= np.log(MOST_GROWTH) for angle in angles)
+def _stays(method: Method, steps: Array, modes: Array, duration: float) -> list[float]:
+    """Gives those of steps (s) with which a method lets no vibration (Hz) grow much within a duration (s)."""
+    growth = duration / steps[:, None] * np.log(spectral_radii(method, 2.0 * np.pi * steps[:, None] * modes))
+    return [float(step) for step in steps[(growth <= np.log(MOST_GROWTH)).all(axis=1)]]
 
 
 def _ladder(scene: Scene) -> list[float]:

@@ -6,10 +6,12 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.model.instant import mass_matrix, stiffness_matrix, tip_jacobian
-from flexman_gym.model.model import Model, build_model
+from flexman_gym.checks import refusal
+from flexman_gym.fidelity.candidates import Candidate, whole
+from flexman_gym.fidelity.ranks import stiffest, tip_parts
+from flexman_gym.model.model import Model
 from flexman_gym.scene.scene import Scene
-from flexman_gym.simulation.families import REFERENCE, Explicit, Method
+from flexman_gym.simulation.families import Explicit, LinearlyImplicit, Method, Midpoint
 from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.scenes import simulate
 from flexman_gym.simulation.trajectory import Trajectory
@@ -18,33 +20,11 @@ MODEL_SHARES = (0.6, 0.25)  # parts of the tolerance that dropped coordinates ma
 TRIED = ("extrapolated_euler_5", "extrapolated_euler_4", "extrapolated_euler_3", "ros2", "rk4", "dopri5",
          "implicit_midpoint_2", "implicit_midpoint_3", "generalised_alpha")  # fmt: skip
 SHARP = 0.05  # of the tolerance, the most by which the reference may be off
-# Method, steps in an output step and rtol of finer and finer references. Stiff modes do not limit the first two
-# methods, but the first method lets some of them grow.
-REFERENCES = (
-    *((METHODS["extrapolated_euler_5"], parts, 1e-6) for parts in (1, 2)),
-    *((METHODS["ros2"], parts, 1e-6) for parts in (16, 64)),
-    *((METHODS["dop853"], None, rtol) for rtol in (1e-5, 1e-8, 1e-11)),
-)
-
-
-class Candidate(NamedTuple):
-    """The parts that a model keeps.
-
-    Attributes:
-        modes: numbers of the loaded modes of each link.
-        springs: whether joints have their springs.
-        stiffening: whether links have foreshortening.
-    """
-
-    modes: tuple[tuple[int, ...], ...]
-    springs: bool
-    stiffening: bool
-
-    def build(self, scene: Scene) -> Model:
-        """Builds its model for a scene."""
-        modes = tuple(given_modes(kept) for kept in self.modes)
-        switches = vars(scene.model) | {"flexible_joints": self.springs, "stiffening": self.stiffening, "modes": modes}
-        return build_model(scene.arm, **switches)
+# Lets no vibration grow or fade, however short or long its steps.
+MIDPOINT, FIRST_PARTS, MOST_PARTS = METHODS["implicit_midpoint_3"], 1, 64  # steps in an output step
+# What extrapolated tips are off by, in parts of what the last halving changed; 1/15 but for modes faster than steps.
+STEPS_LEFT = 0.5
+RTOLS = (1e-5, 1e-8, 1e-11)  # of "dop853", for a reference that halved steps do not make sharp
 
 
 class Trial(NamedTuple):
@@ -70,19 +50,29 @@ class Trial(NamedTuple):
 class Search:
     """The reference of a scene, and the candidates that were measured against it.
 
+    The tips of the reference are extrapolated from runs of the midpoint rule and halved steps to steps of no length.
+    Where these do not agree it is a method of step control. Candidates are screened with one of these steps, beside the
+    reference at the same step, so that what both have of its error drops out.
+
     Attributes:
         scene: the scene.
         tolerance: of the tip, m.
         models: the models that were built.
-        screened: the runs that `screen` made.
+        screened, screens: the runs that `screen` made, as trials and with their motion.
         full: the candidate that keeps everything.
+        finest: the model of the reference.
+        halved: runs of this model by the midpoint rule, by their steps in an output step.
         tips: positions of the tip by finer and finer references, (T, 3) each, m.
-        reference: the finest reference that did not fail.
-        error: of the reference, m.
+        reference: a run of the full candidate.
+        time_error, mesh_error: of the reference by its steps and by its mesh, m.
         best: cost of the cheapest run that met the tolerance, s.
         runs: how many runs of the scene were made.
         last: the last step (s) that was tried of each method.
-        most_runs: no method is tried any more when there are so many.
+        screening: the step (s) with which candidates are screened; None takes "dop853".
+        beside: the run of the full candidate by this step.
+        most_runs, last_runs: when there are so many no method is tried, and no step halved, any more.
+        most_parts: steps in an output step of the last of the halved runs.
+        rtols: of the references of step control.
         shares: parts of the tolerance that dropped coordinates may use; each gives a model.
         softens: whether explicit methods get models of their own.
         tried: names of the methods to try.
@@ -91,6 +81,10 @@ class Search:
     """
 
     most_runs: float = np.inf
+    last_runs: float = np.inf
+    most_parts: int = MOST_PARTS
+    rtols: tuple[float, ...] = RTOLS
+    mesh_error = 0.0
     shares: tuple[float, ...] = MODEL_SHARES
     softens = True
     tried: tuple[str, ...] = TRIED
@@ -99,47 +93,68 @@ class Search:
 
     def __init__(self, scene: Scene, tolerance: float) -> None:
         self._begin(scene, tolerance)
-        self.error = np.inf
+        self.full = whole(scene)
+        self.finest = self.model(self.full)
         self._converge(SHARP * tolerance)
+        self._find_screening()
 
     def _begin(self, scene: Scene, tolerance: float) -> None:
-        """Starts without runs, for a scene with a mesh."""
-        self.scene, self.tolerance, self.runs, self.best = scene, tolerance, 0, np.inf
+        """Starts without runs."""
+        self.scene, self.tolerance, self.runs, self.best, self.time_error = scene, tolerance, 0, np.inf, np.inf
         self.tips: list[Array] = []
+        self.halved: dict[int, Trajectory] = {}
         self.last: dict[str, float] = {}
         self.models: dict[Candidate, Model] = {}
         self.screened: dict[Candidate, Trial] = {}
-        choice = scene.model
-        everything = build_model(scene.arm, **(vars(choice) | {"modes": None}))
-        modes = tuple(tuple(range(basis.shape[1])) for basis in everything.bases)
-        self.full = Candidate(modes, everything.n_motors > 0, any(modes))
+        self.screens: dict[Candidate, Trajectory] = {}
+        self._controlled = 0  # references of step control
+
+    @property
+    def error(self) -> float:
+        """Of the reference, m."""
+        return self.time_error + self.mesh_error
 
     def _converge(self, error: float) -> None:
         """Goes to finer references until two agree to an error (m)."""
-        for method, parts, rtol in REFERENCES[len(self.tips) :]:
-            if self.error <= error:
-                return
-            step = self.scene.output_step / parts if parts else None
-            self.runs += 1
-            run = simulate(self.scene, self.model(self.full), method, step, rtol, 0.01 * rtol)
+        while self.time_error > error and max(self.halved, default=0) < self.most_parts and self.runs < self.last_runs:
+            self._halve()
+        while self.time_error > error and self._controlled < len(self.rtols):
+            rtol = self.rtols[self._controlled]
+            self._controlled += 1
+            run = self._reference(METHODS["dop853"], None, rtol)
             if run.status == "ok":
-                self.reference = run
-            last = self.tips[-1] if self.tips else np.full_like(run.tip, np.nan)
-            self.tips.append(run.tip if run.status == "ok" else np.full((*self.scene.output_times.shape, 3), np.nan))
-            self.error = np.nan_to_num(distance(self.tips[-1], last), nan=np.inf)
+                self.time_error = distance(run.tip, self.tips[-1]) if self.tips else np.inf
+                self.tips.append(run.tip)
+        if not np.isfinite(self.time_error):
+            raise refusal("scene", "a motion that no reference follows", "one that is slower or bends less")
 
-    @property
-    def screening(self) -> tuple[Method, float | None]:
-        """The first reference that is right on the scene with all coordinates: its method and step (s)."""
-        for (method, parts, _), tip in zip(REFERENCES, self.tips, strict=False):
-            if distance(tip, self.tips[-1]) <= 2 * SHARP * self.tolerance:
-                return method, self.scene.output_step / parts if parts else None
-        return METHODS["dop853"], None
+    def _halve(self) -> None:
+        """Halves the step of the reference."""
+        parts = 2 * max(self.halved) if self.halved else FIRST_PARTS
+        self.halved[parts] = run = self._reference(MIDPOINT, self.scene.output_step / parts)
+        longer = self.halved.get(parts // 2)
+        if longer is not None and run.status == longer.status == "ok":
+            self.tips.append((4.0 * run.tip - longer.tip) / 3.0)
+            if len(self.tips) > 1:
+                self.time_error = STEPS_LEFT * distance(self.tips[-1], self.tips[-2])
+
+    def _reference(self, method: Method, step: float | None, rtol: float = 1e-6) -> Trajectory:
+        self.runs += 1
+        run = simulate(self.scene, self.finest, method, step, rtol, 0.01 * rtol)
+        if run.status == "ok":
+            self.reference = run
+        return run
+
+    def _find_screening(self) -> None:
+        """Finds the longest of the halved steps that meets the tolerance, else takes the last reference."""
+        good = [parts for parts, run in self.halved.items() if self.tip_error(run) <= self.tolerance]
+        parts = min(good, default=0 if self._controlled else max(self.halved))
+        self.screening = self.scene.output_step / parts if parts else None
+        self.beside = self.halved[parts] if parts else self.reference
 
     def sharpen(self, error: float) -> None:
-        """Goes to finer references until their own error is small beside an error (m) measured against them."""
-        if self.error > 0.25 * error:
-            self._converge(0.25 * error)
+        """Makes the error of the reference small beside an error (m) measured against it."""
+        self._converge(0.25 * error)
 
     def model(self, candidate: Candidate) -> Model:
         """Gives the model of a candidate, built once."""
@@ -179,18 +194,31 @@ class Search:
         return error
 
     def screen(self, candidate: Candidate) -> float:
-        """Gives the error (m) of a candidate that is integrated well; its run is made once."""
+        """Gives the error (m) of a candidate without that of a method; its run is made once.
+
+        It is run beside the full candidate, by the same method with the same step, so that what both have of its error
+        drops out.
+        """
         if candidate not in self.screened:
-            self.screened[candidate] = self.trial(candidate, *self.screening)
+            method = MIDPOINT if self.screening else METHODS["dop853"]
+            trial, self.screens[candidate] = self.timed_run(candidate, method, self.screening)
+            self.screened[candidate] = trial._replace(error=self._beside(self.screens[candidate]))
         return self.screened[candidate].error
 
+    def _beside(self, run: Trajectory) -> float:
+        """How far (m) a run is from the full candidate at the same step; inf for one that failed."""
+        return distance(run.tip, self.beside.tip) if run.status == "ok" else np.inf
+
     def guess(self, candidate: Candidate, method: Method) -> float:
-        """Guesses the cost of the scene times the step of an explicit method; 0 for others, whose steps are long."""
+        """Guesses the cost of the scene times the step of a method, on the low side."""
         self.screen(candidate)
         screened = self.screened[candidate]
-        ease = 1.0 if screened.method.kind == REFERENCE else 0.3  # an explicit method factorises no matrix
-        seconds = ease * screened.cost / max(screened.evaluations, 1)
-        return seconds * len(method.b) * self.scene.duration if isinstance(method, Explicit) else 0.0
+        each = self.scene.duration * screened.cost / max(screened.evaluations, 1)
+        if isinstance(method, Explicit):
+            return 0.3 * each * len(method.b)  # it factorises no matrix
+        if isinstance(method, Midpoint):
+            return 0.7 * each * method.sweeps
+        return 0.7 * each * len(method.b) * max(method.sequence) if isinstance(method, LinearlyImplicit) else 0.0
 
     def pace(self, trial: Trial, guessed: float) -> float:
         """Gives the cost of the scene times the step, after a trial and what was guessed before it."""
@@ -209,46 +237,12 @@ class Search:
         return f"reference: {self.reference.evaluations} evaluations with all coordinates, known to {self.error:.1g} m"
 
     def parts(self) -> dict[tuple[int, int], float]:
-        """Gives how far (m) each mode (link, number) moves the tip in the motion of the reference, ascending.
-
-        A mode that bends turns the free joints the other way, as momentum is kept. The motion of the tip includes this
-        turn.
-        """
-        model, states = self.model(self.full), self.reference.states
-        turns = np.eye(model.n_dof)[:, : model.n_joints]
-        turns[model.motor_columns] = np.eye(model.n_joints)
-        moves = np.zeros(model.n_dof)
-        for state in states[:: max(1, len(states) // 8)]:
-            momentum = turns.T @ mass_matrix(model, state)
-            moved = np.eye(model.n_dof) - turns @ np.linalg.solve(momentum @ turns, momentum)
-            tip = tip_jacobian(model, state[: model.n_dof]) @ moved
-            moves = np.maximum(moves, np.linalg.norm(tip, axis=0))
-        moves *= np.abs(states[:, : model.n_dof]).max(axis=0)
-        parts = {}
-        for link, kept in enumerate(self.full.modes):
-            for number, part in zip(kept, moves[model.elastic_columns(link)], strict=True):
-                parts[link, number] = float(part)
-        return dict(sorted(parts.items(), key=lambda item: item[1]))
+        """Gives how far (m) each mode (link, number) moves the tip in the motion of the reference, ascending."""
+        return tip_parts(self.model(self.full), self.full, self.reference.states)
 
     def stiffest(self) -> list[tuple[int, int]]:
-        """Gives the modes (link, number) in an order that lowers the highest frequency of the arm fast.
-
-        Each is the mode with the largest part in the highest vibration of the arm without the modes before it.
-        """
-        from scipy.linalg import eigh
-
-        model = self.model(self.full)
-        mass = mass_matrix(model, model.initial_state(self.scene.initial.joint_angles))
-        stiffness, size = stiffness_matrix(model), np.sqrt(np.diag(mass))
-        modes = [(link, number) for link, kept in enumerate(self.full.modes) for number in kept]
-        first, order = model.n_dof - len(modes), []
-        left = list(range(model.n_dof))
-        while len(left) > first:
-            block = np.ix_(left, left)
-            shape = eigh(stiffness[block], mass[block])[1][:, -1]
-            place = first + int(np.argmax(np.abs(shape * size[left])[first:]))
-            order.append(modes[left.pop(place) - first])
-        return order
+        """Gives the modes (link, number) in an order that lowers the highest frequency of the arm fast."""
+        return stiffest(self.model(self.full), self.full, self.scene.initial.joint_angles)
 
     def reduced(self, start: Candidate, budget: float, order: list[tuple[int, int]]) -> Candidate:
         """Leaves out as many modes, in a given order, as a budget allows, and some of the next ones where it can.
@@ -272,11 +266,6 @@ class Search:
             if self.screen(without([*gone, mode])) <= budget:
                 gone = [*gone, mode]
         return without(gone)
-
-
-def given_modes(numbers: tuple[int, ...]) -> int | tuple[int, ...]:
-    """Gives the modes of a link as `build_model` takes them: the lowest ones as their number, others as a tuple."""
-    return len(numbers) if numbers == tuple(range(len(numbers))) else numbers
 
 
 def distance(tips: Array, others: Array) -> float:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -9,13 +10,15 @@ from flexman_gym.arrays import Array
 from flexman_gym.checks import bounded, instance, refusal, vector
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import LANES
-from flexman_gym.model.beam import build_beam
+from flexman_gym.model.beam import Beam, build_beam
 from flexman_gym.model.element import Element, beam_elements
-from flexman_gym.model.modes import kept_modes, modal_damping, outboard_inertias
+from flexman_gym.model.modes import kept_modes, loaded_modes, modal_damping, outboard_inertias
 from flexman_gym.model.packing import packed, packed_constants
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.choice import MOST_ELEMENTS, ModelChoice
 from flexman_gym.scene.scene import Scene
+
+REMEMBERED = 24  # finite elements of an arm, up to which its links are remembered whole, some megabytes of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,16 +145,29 @@ def build_model(
         most = MOST_ELEMENTS // len(link.sections)
         if count > most:
             raise refusal(f"elements[{i}]", count, f"at most {most} for each of the {len(link.sections)} sections")
-    beams = tuple(map(build_beam, arm.links, counts, flexible, [choice.rotary_inertia] * n))
-    outboard = outboard_inertias(arm, beams)
+    whole = _remembered if sum(len(link.sections) for link in arm.links) * max(counts) <= REMEMBERED else _whole_links
     bases, dampings, reduced = [], [], []
-    for i, beam in enumerate(beams):
-        basis = kept_modes(beam, outboard[i], kept[i] if flexible[i] else None, f"modes[{i}]")
+    for i, (beam, modes_) in enumerate(whole(arm, counts, flexible, choice.rotary_inertia)):
+        basis = kept_modes(modes_[1], kept[i] if flexible[i] else None, f"modes[{i}]")
         bases.append(basis)
-        dampings.append(basis.T @ modal_damping(beam, outboard[i], arm.modal_damping_ratio) @ basis)
+        dampings.append(basis.T @ modal_damping(beam.stiffness, modes_, arm.modal_damping_ratio) @ basis)
         reduced.append(beam.reduced(basis))
     damping = packed([*dampings, np.zeros(LANES)], 1)
     return Model(arm, choice, packed_constants(arm, tuple(reduced), damping, choice), tuple(bases), damping)
+
+
+def _whole_links(
+    arm: Arm, elements: tuple[int, ...], flexible: tuple[bool, ...], rotary_inertia: bool
+) -> list[tuple[Beam, tuple[Array, Array]]]:
+    """Gives each link with all its coordinates, and frequencies and shapes of its loaded modes."""
+    beams = tuple(map(build_beam, arm.links, elements, flexible, [rotary_inertia] * arm.n_joints))
+    return [
+        (beam, loaded_modes(beam, inertia)) for beam, inertia in zip(beams, outboard_inertias(arm, beams), strict=True)
+    ]
+
+
+# one arm is often built with many a choice of modes; nothing changes these arrays
+_remembered = lru_cache(maxsize=8)(_whole_links)
 
 
 def scene_model(scene: Scene) -> Model:

@@ -84,26 +84,25 @@ def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
     return frequencies[order], shapes[:, order]
 
 
-def kept_modes(beam: Beam, outboard: Array, modes: int | tuple[int, ...] | None, field: str) -> Array:
+def kept_modes(shapes: Array, modes: int | tuple[int, ...] | None, field: str) -> Array:
     """Gives the node coordinates (size, k) of a link per unit of each coordinate that is kept.
 
     Args:
-        beam: the link.
-        outboard: (6, 6) inertia that its tip carries.
+        shapes: (size, size) of its loaded modes.
         modes: loaded modes that are kept, by number or as a tuple of numbers; None keeps every coordinate.
         field: the name that an error gives to `modes`.
 
     Raises:
         ValueError: for more modes than there are.
     """
-    size = len(beam.stiffness)
+    size = len(shapes)
     if modes is None:
         return np.eye(size)
     if isinstance(modes, int) and modes > size:
         raise refusal(field, modes, f"at most {size}, the elastic coordinates of this link's elements")
     if isinstance(modes, tuple) and modes[-1] >= size:
         raise refusal(field, modes, f"mode numbers below {size}, the elastic coordinates of this link's elements")
-    return loaded_modes(beam, outboard)[1][:, range(modes) if isinstance(modes, int) else modes]
+    return shapes[:, range(modes) if isinstance(modes, int) else modes]
 
 
 def uncoupled(*matrices: Array) -> list[np.ndarray]:
@@ -118,19 +117,17 @@ def uncoupled(*matrices: Array) -> list[np.ndarray]:
     return [np.flatnonzero(group == number) for number in np.unique(group)]
 
 
-def modal_damping(beam: Beam, outboard: Array, ratio: float) -> Array:
+def modal_damping(stiffness: Array, modes: tuple[Array, Array], ratio: float) -> Array:
     """Gives the damping matrix (k, k) of a link in which each of its loaded modes has the same damping ratio.
 
     Args:
-        beam: the link.
-        outboard: (6, 6) inertia that its tip carries.
+        stiffness: (k, k) of the link.
+        modes: angular frequencies (k,) and shapes (k, k) of its loaded modes.
         ratio: of damping.
     """
-    if len(beam.stiffness) == 0:
-        return np.zeros((0, 0))
-    frequencies, shapes = loaded_modes(beam, outboard)
+    frequencies, shapes = modes
     # K shape / frequency^2 is the loaded mass matrix times the shape, the inverse of the shapes.
-    inverse = beam.stiffness @ shapes / frequencies**2
+    inverse = stiffness @ shapes / frequencies**2
     return 2.0 * ratio * inverse * frequencies @ inverse.T
 
 

@@ -5,6 +5,7 @@ They follow from the coefficients of the method.
 
 import math
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from flexman_gym.simulation.families import (
 )
 
 
-def amplification_factors(method: Method, angle: float) -> NDArray[np.complex128]:
+def amplification_factors(method: Method, angle: float | Array) -> NDArray[np.complex128]:
     """Gives the complex factors by which a step of a method multiplies the parts of an undamped vibration.
 
     Runge-Kutta and linearly implicit methods have one factor (with its conjugate), the stability function R(i omega h).
@@ -30,11 +31,15 @@ def amplification_factors(method: Method, angle: float) -> NDArray[np.complex128
 
     Args:
         method: the method.
-        angle: omega h, the angle by which the exact vibration turns in a step, rad.
+        angle: omega h, the angle by which the exact vibration turns in a step, rad; one or an array of any shape (...).
+
+    Returns:
+        The factors (..., f).
 
     Raises:
         ValueError: for a reference method, which has no fixed step.
     """
+    angle = np.asarray(angle, dtype=np.float64)
     if method.adaptive or not isinstance(method, Explicit | LinearlyImplicit | Implicit | Midpoint):
         raise ValueError(f"method: {method.name} chooses its steps; give one of fixed steps")
     if isinstance(method, Implicit | Midpoint):
@@ -42,37 +47,51 @@ def amplification_factors(method: Method, angle: float) -> NDArray[np.complex128
     if isinstance(method, LinearlyImplicit):
         weights, matrix = extrapolation_weights(method.sequence), method.a + method.coupling
         matrix = matrix + method.gamma * np.eye(len(method.b))
-        factors = (_stability(matrix, method.b, 1j * angle / parts) ** parts for parts in method.sequence)
-        return np.array([sum(weight * factor for weight, factor in zip(weights, factors, strict=True))])
+        found = np.zeros(angle.shape, dtype=np.complex128)
+        for weight, parts in zip(weights, method.sequence, strict=True):
+            found += weight * _stability(matrix, method.b, 1j * angle / parts) ** parts
+        return found[..., None]
     if method.semi_implicit:
-        return _eigenvalues(np.array([[1.0 - angle**2, angle], [-angle, 1.0]]))
-    return np.array([_stability(method.a, method.b, 1j * angle)])
+        return _eigenvalues(_matrices([[1.0 - angle**2, angle], [-angle, np.ones_like(angle)]]))
+    return _stability(method.a, method.b, 1j * angle)[..., None]
 
 
-def _stability(matrix: Array, b: Array, z: complex) -> complex:
+def _stability(matrix: Array, b: Array, z: np.ndarray) -> np.ndarray:
     """Gives R(z), the factor of a step of length 1 of a Runge-Kutta method for y' = z y."""
-    ones = np.ones(len(b))
-    return complex(1.0 + z * b @ np.linalg.solve(np.eye(len(b)) - z * matrix, ones))
+    size = len(b)
+    stages = np.linalg.solve(np.eye(size) - z[..., None, None] * matrix, np.ones((*z.shape, size, 1)))
+    return 1.0 + z * (stages[..., 0] @ b)
 
 
-def _implicit_factors(method: Implicit | Midpoint, angle: float) -> NDArray[np.complex128]:
+def _implicit_factors(method: Implicit | Midpoint, angle: Array) -> NDArray[np.complex128]:
     if isinstance(method, Midpoint) or method.radius is None:  # one sweep is exact where all is linear
-        return np.array([(1.0 + 0.5j * angle) / (1.0 - 0.5j * angle)])
+        return ((1.0 + 0.5j * angle) / (1.0 - 0.5j * angle))[..., None]
     mass, force, beta, gamma = method.averages[:4]
     square = angle**2
     # For q, h v and h^2 a: (1 - mass) a1 + mass a = -omega^2 ((1 - force) q1 + force q), with Newmark's q1 and v1.
-    after = [[1.0, 0.0, -beta], [0.0, 1.0, -gamma], [(1.0 - force) * square, 0.0, 1.0 - mass]]
-    before = [[1.0, 1.0, 0.5 - beta], [0.0, 1.0, 1.0 - gamma], [-force * square, 0.0, -mass]]
-    return _eigenvalues(np.linalg.solve(np.array(after), np.array(before)))
+    after: list[list[Any]] = [[1.0, 0.0, -beta], [0.0, 1.0, -gamma], [(1.0 - force) * square, 0.0, 1.0 - mass]]
+    before: list[list[Any]] = [[1.0, 1.0, 0.5 - beta], [0.0, 1.0, 1.0 - gamma], [-force * square, 0.0, -mass]]
+    return _eigenvalues(np.linalg.solve(_matrices(after), _matrices(before)))
 
 
-def _eigenvalues(matrix: Array) -> NDArray[np.complex128]:
+def _matrices(rows: list[list[Any]]) -> Array:
+    """Gives matrices (..., f, f) from entries that are numbers or arrays (...)."""
+    entries = np.broadcast_arrays(*(entry for row in rows for entry in row))
+    return np.stack(entries, axis=-1).reshape(*entries[0].shape, len(rows), len(rows))
+
+
+def _eigenvalues(matrix: np.ndarray) -> NDArray[np.complex128]:
     return np.linalg.eigvals(matrix).astype(np.complex128)
+
+
+def spectral_radii(method: Method, angles: Array) -> Array:
+    """Gives the largest magnitudes of the factors of steps in which the vibration turns by angles (...) rad."""
+    return np.abs(amplification_factors(method, angles)).max(axis=-1)
 
 
 def spectral_radius(method: Method, angle: float) -> float:
     """Gives the largest magnitude of the factors of a step in which the vibration turns by an angle (rad)."""
-    return float(np.abs(amplification_factors(method, angle)).max())
+    return float(spectral_radii(method, np.array(angle)))
 
 
 def vibration_factor(method: Method, angle: float) -> complex:
@@ -90,9 +109,10 @@ def stability_limit(method: Method, growth: float = 0.0) -> float:
     """
     grid = np.concatenate([np.arange(1, 10_000) * 1e-3, np.geomspace(10.0, 1e4, 300)])
     most = 1.0 + growth + 1e-12
-    above = next((i for i, angle in enumerate(grid) if spectral_radius(method, angle) > most), None)
-    if above is None:
+    unstable = spectral_radii(method, grid) > most
+    if not unstable.any():
         return math.inf
+    above = int(unstable.argmax())
     low, high = (grid[above - 1] if above else 0.0), grid[above]
     for _ in range(40):
         middle = 0.5 * (low + high)
@@ -108,8 +128,8 @@ def explicit_limit(method: Method) -> float:
 def largest_growth(method: Method) -> tuple[float, float]:
     """Gives the largest factor by which a step multiplies an undamped vibration, and its omega h (rad)."""
     angles = np.geomspace(1e-3, 1e3, 1501)
-    factors = [spectral_radius(method, angle) for angle in angles]
-    return max(factors), float(angles[np.argmax(factors)])
+    factors = spectral_radii(method, angles)
+    return float(factors.max()), float(angles[factors.argmax()])
 
 
 def amplitude_kept(method: Method, step: float, frequency: float, duration: float = 10.0) -> float:

@@ -13,7 +13,12 @@ import flexman_gym as fm
 from flexman_gym.model.beam import build_beam
 from flexman_gym.model.instant import stiffness_matrix
 from flexman_gym.model.modes import loaded_modes, outboard_inertias
-from flexman_gym.simulation.amplification import spectral_radius, stability_limit, vibration_factor
+from flexman_gym.simulation.amplification import (
+    amplification_factors,
+    spectral_radius,
+    stability_limit,
+    vibration_factor,
+)
 from flexman_gym.studies.machine import machine_text
 from flexman_gym.studies.methods import explicit_methods, fixed_step_methods
 from flexman_gym.studies.stability.cases import SPIN_STIFFENED, SPRINGS, spin_case
@@ -51,6 +56,13 @@ def damping(rotor_inertia, name, step):
 
 
 # predictions
+
+
+@pytest.mark.parametrize("name", ["rk4", "ros2", "extrapolated_euler_5", "semi_implicit_euler", "generalised_alpha"])
+def test_many_angles_at_once_have_the_factors_of_each_alone(name):
+    method, angles = fm.METHODS[name], np.geomspace(1e-2, 1e2, 12).reshape(3, 4)
+    alone = [[amplification_factors(method, angle) for angle in row] for row in angles]
+    assert amplification_factors(method, angles) == pytest.approx(np.array(alone), rel=1e-12)
 
 
 def test_stability_limits_are_those_of_the_textbooks():

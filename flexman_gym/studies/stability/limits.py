@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from flexman_gym.simulation.amplification import spectral_radius
+from flexman_gym.simulation.amplification import spectral_radii
 from flexman_gym.simulation.methods import METHODS
 from flexman_gym.studies.methods import explicit_methods, implicit_methods
 from flexman_gym.studies.stability.cases import CASES, MODES, PAYLOAD, SPRINGS, parameters_of
@@ -37,6 +37,6 @@ def amplification_rows() -> Iterator[Row]:
     """The largest spectral radius of each other method for an undamped vibration; the parameter is its omega h."""
     angles = np.concatenate([np.arange(1, 1000) * 1e-2, np.geomspace(10.0, 1e4, 300)])
     for name in implicit_methods():
-        radii = [spectral_radius(METHODS[name], angle) for angle in angles]
+        radii = spectral_radii(METHODS[name], angles)
         largest = int(np.argmax(radii))
-        yield Row(AMPLIFICATION, float(angles[largest]), name, 0.0, RADIUS, radii[largest], None, OK)
+        yield Row(AMPLIFICATION, float(angles[largest]), name, 0.0, RADIUS, float(radii[largest]), None, OK)
