@@ -206,7 +206,7 @@ def test_a_linear_frame_fails_past_its_spin_limit_and_stiffening_survives(name):
     def deflection(rate, stiffening):
         case = spin_case(rate, stiffening)
         simulator = fm.Simulator(case.model, name, 0.0025, 0.02, prescribed=(0,))
-        simulator.reset(state=case.start)
+        simulator.reset(state=case.scene.initial.state)
         done = all(simulator.step([0.0]) == "ok" for _ in range(100))
         return float(np.linalg.norm(simulator.deflection[1:])) if done else math.inf
 

@@ -10,6 +10,8 @@ from flexman_gym.arrays import Array
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene import catalog
 from flexman_gym.scene.arm import Payload
+from flexman_gym.scene.drive import ConstantTorque, Signal
+from flexman_gym.scene.scene import Initial, Scene
 
 SPRINGS, MODES, PAYLOAD, SPIN, SPIN_STIFFENED = (
     "joint stiffness", "modes", "payload", "spin", "spin with stiffening",
@@ -26,25 +28,35 @@ class Case:
         study, parameter: as in Row.
         model: what moves.
         truth: what the tip should do: the same model, or a better one.
-        start: (2 d,) first state.
-        torque: (n,) N m.
-        prescribed: joints whose rates stay as they start.
-        periods: of 0.02 s.
+        scene: the motion, with an output every 0.02 s.
+        varied: values (n,) of physical parameters that make the first case of the study this one; None where its model
+            is another one.
     """
 
     study: str
     parameter: float
     model: Model
     truth: Model
-    start: Array
-    torque: Sequence[float]
-    prescribed: tuple[int, ...] = ()
-    periods: int = 10
+    scene: Scene
+    varied: dict[str, Array] | None = None
+
+
+def motion(model: Model, start: Array, torque: Sequence[float], periods: int, held: bool = False) -> Scene:
+    """The scene of a model that moves from a state (2 d,) on for some periods, all joints held at their rates or none.
+
+    It has an output after each period.
+    """
+    prescribed = [Signal()] * model.n_joints if held else None
+    rest = [0.0] * model.n_joints
+    initial = Initial(rest, rest, start.tolist())
+    drive = ConstantTorque(torque)
+    return Scene(model.arm, model.choice, drive, initial, periods * PERIOD, PERIOD, prescribed=prescribed)
 
 
 def spring_case(stiffness: float) -> Case:
     """The paper's arm from rest under 400 N m a joint, on joint springs of a stiffness (N m/rad)."""
-    return _paper_case(SPRINGS, stiffness, build_model(catalog.paper_rrr(joint_stiffness=stiffness), 2, 4))
+    model = build_model(catalog.paper_rrr(joint_stiffness=stiffness), 2, 4)
+    return _paper_case(SPRINGS, stiffness, model, {"joint_stiffness": np.full(3, stiffness)})
 
 
 def mode_case(modes: float) -> Case:
@@ -54,13 +66,14 @@ def mode_case(modes: float) -> Case:
 
 
 def payload_case(mass: float) -> Case:
-    """The same with a payload (kg)."""
+    """The same with a payload (kg), which its modes carry."""
     payload = Payload(mass) if mass > 0.0 else None
     return _paper_case(PAYLOAD, mass, build_model(catalog.paper_rrr(payload=payload), 2, 4))
 
 
-def _paper_case(study: str, parameter: float, model: Model) -> Case:
-    return Case(study, parameter, model, model, model.initial_state(np.zeros(3)), (400.0, 400.0, 400.0))
+def _paper_case(study: str, parameter: float, model: Model, varied: dict[str, Array] | None = None) -> Case:
+    scene = motion(model, model.initial_state(np.zeros(3)), (400.0, 400.0, 400.0), 10)
+    return Case(study, parameter, model, model, scene, varied)
 
 
 def spin_case(rate: float, stiffening: bool) -> Case:
@@ -72,7 +85,7 @@ def spin_case(rate: float, stiffening: bool) -> Case:
     first = int(np.argmax(np.abs(sideways) > 0.1 * np.abs(sideways).max()))
     start[models[0].elastic_columns(0)][first] = 0.01 / sideways[first]
     study = SPIN_STIFFENED if stiffening else SPIN
-    return Case(study, rate, models[stiffening], models[1], start, (0.0,), (0,), 50)
+    return Case(study, rate, models[stiffening], models[1], motion(models[0], start, (0.0,), 50, True), {})
 
 
 CASES: dict[str, Callable[[float], Case]] = {

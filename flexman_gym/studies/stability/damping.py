@@ -6,16 +6,14 @@ from dataclasses import replace
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.kernels.layout import KINETIC, OUTPUTS, STATUS
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene import catalog
-from flexman_gym.scene.drive import drive_table
 from flexman_gym.simulation.amplification import vibration_factor
 from flexman_gym.simulation.methods import METHODS
-from flexman_gym.simulation.run import Run
+from flexman_gym.simulation.scenes import simulate
 from flexman_gym.simulation.simulator import Simulator
 from flexman_gym.studies.methods import fixed_step_methods
-from flexman_gym.studies.stability.cases import PERIOD
+from flexman_gym.studies.stability.cases import PERIOD, motion
 from flexman_gym.studies.stability.measure import (
     DIVERGED,
     INACCURATE,
@@ -74,16 +72,10 @@ def damping_rows(
 
 def _free_motion(model: Model, name: str, step: float, start: Array) -> tuple[Array, str]:
     """States (t, 2 d) every 0.02 s of one undriven run of 10 s, up to the last good one, and its status."""
-    count, size = round(DAMPING_TIME / PERIOD), len(start)
-    run = Run(model, METHODS[name], None, [])
-    state, rows, found = np.append(start, [0.0, 0.0]), np.zeros((count + 1, size + 2)), np.zeros((count + 1, OUTPUTS))
-    run.start(state, rows[0], found[0])
-    substeps = round(PERIOD / step)
-    drive = drive_table([None] * (model.n_joints + 6))
-    outcome, valid, _ = run(drive, (0.0, PERIOD / substeps, substeps), state, rows[1:], found[1:])
-    energies = found[: valid + 1, KINETIC:].sum(axis=1)
-    grown = STATUS[outcome] == OK and not energies[-1] < INVENTED * energies[0]
-    return rows[: valid + 1, :size], DIVERGED if grown else STATUS[outcome]
+    scene = motion(model, start, (0.0,) * model.n_joints, round(DAMPING_TIME / PERIOD))
+    run = simulate(scene, model, name, step)
+    grown = run.status == OK and not run.moving_energy[-1] < INVENTED * run.moving_energy[0]
+    return run.states, DIVERGED if grown else run.status
 
 
 def _phasors(states: Array, omegas: Array, weights: Array) -> Array:

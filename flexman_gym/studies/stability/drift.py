@@ -1,17 +1,19 @@
 """Stability drift: the energy of a free, undamped arm in a long run."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from flexman_gym.model.model import build_model
 from flexman_gym.scene import catalog
-from flexman_gym.simulation.simulator import Simulator
+from flexman_gym.simulation.scenes import simulate
 from flexman_gym.studies.methods import fixed_step_methods
+from flexman_gym.studies.stability.cases import motion
 from flexman_gym.studies.stability.measure import DIVERGED, INACCURATE, INVENTED, OK, Row, small_vibration
 
 DRIFT, ENERGY = "drift", "energy error, relative"
-DRIFT_STEP, DRIFT_STEPS = 1e-3, 1_000_000
+DRIFT_STEP, DRIFT_STEPS, EVERY = 1e-3, 1_000_000, 100  # s; steps of a run, and from one output to the next
 
 
 def drift_rows(steps: int = DRIFT_STEPS) -> Iterator[Row]:
@@ -24,19 +26,16 @@ def drift_rows(steps: int = DRIFT_STEPS) -> Iterator[Row]:
     start = small_vibration(model, [1, 2, 3], energy=5.0)
     start[model.n_dof : model.n_dof + 3] = start[model.n_dof + model.motor_columns] = (0.2, 0.3, -0.4)
     counts = [10**power for power in range(2, 10) if 10**power <= steps]
+    scene = replace(
+        motion(model, start, (0.0,) * 3, 1), duration=counts[-1] * DRIFT_STEP, output_step=EVERY * DRIFT_STEP
+    )
     for name in fixed_step_methods():
-        period = counts[0]
-        simulator = Simulator(model, name, DRIFT_STEP, period * DRIFT_STEP)
-        simulator.reset(state=start)
-        first, largest, torque = simulator.energy, 0.0, np.zeros(3)
-        for done in range(period, counts[-1] + 1, period):
-            status = simulator.step(torque)
-            if status == OK:
-                largest = max(largest, abs(simulator.energy / first - 1.0))
-            if status != OK or done in counts:
-                verdict = status
-                if status == OK:
-                    verdict = OK if largest < 0.01 else INACCURATE if largest < INVENTED else DIVERGED
+        run = simulate(scene, model, name, DRIFT_STEP)
+        errors = np.maximum.accumulate(np.abs(run.energy / run.energy[0] - 1.0))
+        for done in counts:
+            if done <= EVERY * (len(errors) - 1):
+                largest = float(errors[done // EVERY])
+                verdict = OK if largest < 0.01 else INACCURATE if largest < INVENTED else DIVERGED
                 yield Row(DRIFT, float(done), name, DRIFT_STEP, ENERGY, largest, None, verdict)
-            if status != OK:
-                break
+        if run.status != OK:
+            yield Row(DRIFT, float(EVERY * len(errors)), name, DRIFT_STEP, ENERGY, float(errors[-1]), None, run.status)

@@ -1,15 +1,17 @@
 """Stability maps: how every method follows a short motion, over step and what the study varies."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from flexman_gym.arrays import Array
 from flexman_gym.model.instant import frequencies
-from flexman_gym.simulation.simulator import Simulator
+from flexman_gym.simulation.scenes import simulate
+from flexman_gym.simulation.several import simulate_all
+from flexman_gym.simulation.trajectory import Trajectory
 from flexman_gym.studies.methods import fixed_step_methods
-from flexman_gym.studies.stability.cases import CASES, PERIOD, SPIN, Case, parameters_of, spin_case, steps_of
+from flexman_gym.studies.stability.cases import CASES, SPIN, Case, parameters_of, spin_case, steps_of
 from flexman_gym.studies.stability.measure import DIVERGED, INACCURATE, INVENTED, LIMIT_TOLERANCE, OK, Row
 
 ERROR, SPIN_LIMIT = "tip error, m", "spin limit, rad/s"
@@ -17,52 +19,39 @@ THRESHOLD = 1e-3  # m at the tip: a run that is further off is inaccurate
 ABSURD = 2.0  # reaches of the arm from the base to the tip: the run diverged, whatever its status
 
 
-@dataclass(frozen=True)
-class _Truth:
-    tips: Array  # (periods, 3)
-    turnover: float
-
-
 def map_rows(study: str, quick: bool = False) -> Iterator[Row]:
     """The tip error and the verdict of every fixed-step method at every step and value of what the study varies."""
-    for parameter in parameters_of(study, quick):
-        case = CASES[study](parameter)
-        truth = _truth(case)
+    cases = [CASES[study](parameter) for parameter in parameters_of(study, quick)]
+    for group in [cases] if cases[0].varied is not None else [[case] for case in cases]:
+        truths = [_truth(case) for case in group]
         for name in fixed_step_methods():
             for step in steps_of(study, quick):
-                yield _cell(case, truth, name, step)
+                yield from map(_cell, group, truths, [(name, step)] * len(group), _runs(group, name, step))
 
 
-def _truth(case: Case) -> _Truth:
-    simulator = Simulator(case.truth, "dop853", None, PERIOD, 1e-9, 1e-12, case.prescribed)
-    tips, status = _follow(simulator, case)
-    if status != OK:
-        raise RuntimeError(f"{case.study} {case.parameter:g}: the reference {status}")
-    return _Truth(tips, simulator.energy_turnover)
+def _truth(case: Case) -> Trajectory:
+    found = simulate(case.scene, case.truth, "dop853", rtol=1e-9, atol=1e-12)
+    if found.status != OK:
+        raise RuntimeError(f"{case.study} {case.parameter:g}: the reference {found.status}")
+    return found
 
 
-def _follow(simulator: Simulator, case: Case) -> tuple[Array, str]:
-    """The tip (p, 3) after every period up to the last good one, and the status."""
-    simulator.reset(state=case.start)
-    tips, status = [], OK
-    for _ in range(case.periods):
-        status = simulator.step(case.torque)
-        if status != OK:
-            break
-        tips.append(simulator.tip.copy())
-    return np.array(tips).reshape(-1, 3), status
+def _runs(cases: list[Case], name: str, step: float) -> list[Trajectory]:
+    """The motions of cases that differ by their start and by what is varied of the first one's model."""
+    varied: dict[str, Any] = {
+        field: np.array([(case.varied or {})[field] for case in cases]) for field in cases[0].varied or {}
+    }
+    return simulate_all([case.scene for case in cases], cases[0].model, name, step, **varied)
 
 
-def _cell(case: Case, truth: _Truth, name: str, step: float) -> Row:
-    simulator = Simulator(case.model, name, step, PERIOD, prescribed=case.prescribed)
-    tips, status = _follow(simulator, case)
-    error = float(np.linalg.norm(tips - truth.tips[: len(tips)], axis=1).max()) if status == OK else np.nan
+def _cell(case: Case, truth: Trajectory, method: tuple[str, float], found: Trajectory) -> Row:
+    status, error = found.status, np.nan
     if status == OK:
-        reach = ABSURD * case.model.constants.length.sum()
-        far = np.linalg.norm(tips, axis=1).max() > reach
-        invented = abs(simulator.energy_residual) > INVENTED * truth.turnover
+        error = float(np.linalg.norm(found.tip - truth.tip, axis=1).max())
+        far = np.linalg.norm(found.tip, axis=1).max() > ABSURD * case.model.constants.length.sum()
+        invented = abs(found.energy_residual[-1]) > INVENTED * truth.energy_turnover[-1]
         status = DIVERGED if far or invented else OK if error <= THRESHOLD else INACCURATE
-    return Row(case.study, case.parameter, name, step, ERROR, error, None, status)
+    return Row(case.study, case.parameter, *method, ERROR, error, None, status)
 
 
 def spin_limit_row() -> Row:
@@ -75,9 +64,8 @@ def spin_limit_row() -> Row:
     while high - low > tolerance:
         rate = 0.5 * (low + high)
         case = spin_case(rate, False)
-        simulator = Simulator(case.model, "dop853", None, 5.0, 1e-6, 1e-9, case.prescribed)
-        simulator.reset(state=case.start)
-        grown = simulator.step(case.torque) != OK or np.abs(simulator.deflection).max() > 0.1
+        found = simulate(replace(case.scene, duration=5.0, output_step=5.0), case.model, "dop853")
+        grown = found.status != OK or np.abs(found.deflection[-1]).max() > 0.1
         low, high = (low, rate) if grown else (rate, high)
     verdict = OK if abs(low - clamped) <= LIMIT_TOLERANCE * clamped else INACCURATE
     return Row(SPIN, tolerance, "dop853", 0.0, SPIN_LIMIT, low, clamped, verdict)
