@@ -90,5 +90,5 @@ def draw(name: str, runs: dict[str | None, Run], path: Path) -> None:
     for axes in (left, right):
         axes.grid(color=LIGHT, linewidth=0.6)
         axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(frameon=False, fontsize=9)
+        axes.legend(frameon=False, fontsize=9, ncols=3, loc="lower left", bbox_to_anchor=(0.0, 1.0))
     figure.savefig(path)
