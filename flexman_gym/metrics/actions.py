@@ -33,8 +33,9 @@ def power_above(actions: Array, period: float, frequency: float) -> float:
             that is not > 0, and a frequency that cannot be seen.
     """
     found = finite_samples("actions", actions, 2, least=CYCLES)
-    fastest = 0.5 / positive("period", period, "s")
-    if not positive("frequency", frequency, "Hz") < fastest:
+    period, frequency = positive("period", period, "s"), positive("frequency", frequency, "Hz")
+    fastest = 0.5 / period
+    if not frequency < fastest:
         raise refusal("frequency", frequency, f"a number > 0 and < {fastest:.6g} (Hz), half the rate of the samples")
     if len(found) * period * frequency < CYCLES * (1.0 - 1e-9):
         raise refusal("actions", actions, f"at least {CYCLES / frequency:.6g} s: {CYCLES} cycles of the frequency")

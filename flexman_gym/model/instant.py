@@ -79,7 +79,8 @@ def frequencies(model: Model, joint_angles: Sequence[float] | None = None, lock_
     Raises:
         ValueError: for anything but a Model, for wrong joint angles and a wrong flag.
     """
-    angles = np.zeros(checked_model(model).n_joints) if joint_angles is None else joint_angles
+    checked_model(model)
+    angles = np.zeros(model.n_joints) if joint_angles is None else joint_angles
     flag("lock_joints", lock_joints)
     mass = mass_matrix(model, model.initial_state(angles))
     stiffness = stiffness_matrix(model)

@@ -25,8 +25,7 @@ print(doubled(), sum(doubled.stats.cache_hits.values()), doubled.stats.cache_pat
 
 def process(folder, cache, script, **variables):
     """A process that has run a script which imports the package from `folder`."""
-    ours = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
-    environment = ours | {"PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(cache)} | variables
+    environment = os.environ | {"PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(cache)} | variables
     return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment, cwd=folder)
 
 
