@@ -6,7 +6,8 @@ does not allow.
 
 import math
 import numbers
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import numpy as np
@@ -41,6 +42,21 @@ def _named(name: str) -> str:
         return name
     text = name.encode("unicode_escape").decode()
     return text if len(text) <= LONGEST_NAME else text[: LONGEST_NAME - 3] + "..."
+
+
+@contextmanager
+def solvable(what: str) -> Iterator[None]:
+    """Refuses an arm for which rounding leaves no solution of `what` is calculated within.
+
+    Raises:
+        ValueError: in place of the errors of linear algebra, and of numbers that are not finite.
+    """
+    try:
+        with np.errstate(divide="raise", over="raise", invalid="raise"):
+            yield
+    except (FloatingPointError, ValueError):
+        allowed = f"one for which there are {what}: masses, stiffness and torques of sizes that go together"
+        raise refusal("arm", "this one", allowed) from None
 
 
 def _shortened(value: Any) -> Any:

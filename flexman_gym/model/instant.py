@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags
-from flexman_gym.checks import bounded, flag, refusal, vector
+from flexman_gym.checks import bounded, flag, refusal, solvable, vector
 from flexman_gym.kernels import dynamics, inverse, outputs, tip
 from flexman_gym.kernels.layout import (
     LARGEST_STATE,
@@ -91,7 +91,8 @@ def frequencies(model: Model, joint_angles: Sequence[float] | None = None, lock_
         return np.zeros(0)
     from scipy.linalg import eigh
 
-    squares = eigh(stiffness, mass, eigvals_only=True)
+    with solvable("frequencies"):
+        squares = eigh(stiffness, mass, eigvals_only=True)
     if not lock_joints:
         squares[: model.n_joints] = 0.0  # rounding leaves their square roots at millihertz
     return np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import refusal
+from flexman_gym.checks import refusal, solvable
 from flexman_gym.model.element import NODE_COORDINATES
 from flexman_gym.model.instant import (
     RICHARDSON,
@@ -83,8 +83,9 @@ def linearize(
     demands, d, n = _demands(model, state, applied), model.n_dof, model.n_joints
     mass = mass_matrix(model, state)
     scale = np.sqrt(np.diag(mass))  # metres and radians of fine elements weigh alike
-    factor = cho_factor(mass / np.outer(scale, scale))
-    slopes = cho_solve(factor, demands / scale[:, None]) / scale[:, None]
+    with solvable("accelerations"):
+        factor = cho_factor(mass / np.outer(scale, scale))
+        slopes = cho_solve(factor, demands / scale[:, None]) / scale[:, None]
     return LinearModel(
         A=np.block([[np.zeros((d, d)), np.eye(d)], [slopes[:, : 2 * d]]]),
         B=np.vstack([np.zeros((d, n)), slopes[:, 2 * d :]]),

@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 
 import flexman_gym as fm
+from flexman_agents.settings import Settings
 from flexman_gym import metrics
 from flexman_gym.control import LQR, PD, TrackingLQR
 from flexman_gym.envs.description import Description
@@ -111,6 +112,39 @@ def varied(**parameters):
     return BATCH.rows
 
 
+def arm_of(joint_stiffness, rotor_inertia, damping, gravity, payload, modal_damping_ratio, **link):
+    """An arm of one joint and two links that are alike."""
+    orientation = LINK.orientation
+    links = [fm.Link(**link, orientation=orientation)] * 2
+    joints = [fm.Joint((0.0, 0.0, 1.0), rotor_inertia, joint_stiffness, damping)] * 2
+    return fm.Arm(links, joints, fm.Payload(payload), (0.0, gravity, 0.0), modal_damping_ratio=modal_damping_ratio)
+
+
+def simulated(torque, step, duration, method, **parts):
+    """A simulation of an arm with some parts."""
+    scene = fm.Scene(arm_of(**parts), CHOICE, fm.ConstantTorque([torque] * 2), SCENE.initial, duration, duration)
+    return fm.simulate(scene, None, method, step)
+
+
+def analysed(**parts):
+    """What is calculated of an arm with some parts at an instant."""
+    model, torque = fm.build_model(arm_of(**parts), 1), [0.1, 0.0]
+    state = fm.rest_state(model, TWO)
+    return (
+        model, state, fm.frequencies(model), fm.frequencies(model, lock_joints=True), fm.mass_matrix(model, state),
+        fm.holding_torques(model, TWO), fm.acceleration(model, state, torque), fm.linearize(model, state=state),
+        fm.tip_acceleration(model, state, torque), fm.strain(model, state, 0, 0.0),
+    )  # fmt: skip
+
+
+def controlled(base, torque_limit, control_period, **parts):
+    """An environment with an arm of some parts."""
+    arm, gains = arm_of(**parts), {"stiffness": [5.0, 5.0], "damping": [1.0, 1.0]}
+    env = gym.make("FlexPlanar-v0", disable_env_checker=True, arm=arm, base=base, gains=gains,
+                   torque_limit=torque_limit, control_period=control_period)  # fmt: skip
+    return stepped(env.unwrapped)
+
+
 def fields_of(made_of):
     """The values of a dataclass by name."""
     return {name: value for name, value in vars(made_of).items() if not name.startswith("_")}
@@ -130,6 +164,11 @@ DESCRIBED = {
     "limits": {"angle": 4.0}, "sensors": [{"kind": "lab", "noise": 0.01, "delay": 1}], "horizon": 2.0,
     "randomisation": {"payload_mass": [0.0, 0.1]}, "modes": [3], "history": 2, "base": "pd",
 }  # fmt: skip
+TRAINING = {
+    "algo": "ppo", "environment": DESCRIBED, "steps": 1000, "seed": 1, "envs": 2, "normalise_reward": True,
+    "hyperparameters": {"n_steps": 8, "gamma": 0.99, "learning_rate": 1e-3, "activation": "relu", "net_arch": [8]},
+    "schedules": {"learning_rate": {"start": 1e-2, "end": 0.0, "until": 0.5}}, "judge_every": 60,
+}  # fmt: skip
 EFFECTS = {
     "payload_mass": (0.0, 0.1), "joint_stiffness": (0.8, 1.2), "link_stiffness": (0.8, 1.2), "delay": (0, 2),
     "rotor_inertia": (0.9, 1.1), "joint_damping": (0.0, 0.1), "torque_limit": (0.9, 1.1), "sensor_noise": (0.0, 0.01),
@@ -140,7 +179,23 @@ OPTIONS = {"start": [0.1], "posture": [0.2], "parameters": {"payload_mass": 0.05
 BODY = {"mass": 0.5, "inertia": np.eye(3).tolist(), "offset": [0.0, 0.0, 0.1]}
 AT = {"model": MODEL, "state": STATE}
 
+PARTS = {name: value for name, value in fields_of(LINK).items() if name != "orientation"} | {
+    "joint_stiffness": 20.0, "rotor_inertia": 0.1, "damping": 0.1, "gravity": -9.81, "payload": 0.1,
+    "modal_damping_ratio": 0.005,
+}  # fmt: skip
+RUN = {"torque": 0.1, "step": 1e-3, "duration": 0.01, "method": "ros2"}
+
 TARGETS = {
+    "an arm": Target(analysed, PARTS, tuple(set(PARTS) - {"joint_stiffness"}), weight=6.0),
+    "a simulation": Target(
+        simulated, PARTS | RUN, (*(set(PARTS) - {"joint_stiffness"}), "torque", "duration"), weight=8.0,
+        cost={"duration": 1.0},
+    ),
+    "an environment": Target(
+        controlled, PARTS | {"base": "lqr", "torque_limit": 2.0, "control_period": 0.02},
+        ("torque_limit", "control_period"), weight=6.0, cost={"control_period": 1.0},
+    ),
+    "Settings": Target(Settings.from_dict, {"data": TRAINING}, weight=3.0),
     "Link": Target(fm.Link, fields_of(LINK), tuple(fields_of(LINK)), weight=2.0),
     "Joint": Target(fm.Joint, fields_of(JOINT), ("axis", "rotor_inertia", "damping"), weight=2.0),
     "Payload": Target(fm.Payload, BODY, tuple(BODY)),
