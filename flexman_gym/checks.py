@@ -6,8 +6,7 @@ does not allow.
 
 import math
 import numbers
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -33,30 +32,8 @@ def shown(value: object) -> str:
 
 def refusal(name: str, value: object, allowed: str) -> ValueError:
     """Builds the error that says on one line that the field `name` may not be `value`, and what is `allowed`."""
-    return ValueError(f"{_named(name)}: {shown(value)} is not allowed; give {allowed}")
-
-
-def _named(name: str) -> str:
-    """Gives the name of a field on one line; a key of somebody's file may be in it."""
-    if len(name) <= LONGEST_NAME and name.isprintable():
-        return name
-    text = name.encode("unicode_escape").decode()
-    return text if len(text) <= LONGEST_NAME else text[: LONGEST_NAME - 3] + "..."
-
-
-@contextmanager
-def solvable(what: str) -> Iterator[None]:
-    """Refuses an arm for which rounding leaves no solution of `what` is calculated within.
-
-    Raises:
-        ValueError: in place of the errors of linear algebra, and of numbers that are not finite.
-    """
-    try:
-        with np.errstate(divide="raise", over="raise", invalid="raise"):
-            yield
-    except (FloatingPointError, ValueError):
-        allowed = f"one for which there are {what}: masses, stiffness and torques of sizes that go together"
-        raise refusal("arm", "this one", allowed) from None
+    field = name if name.isprintable() else repr(name)  # a key of somebody's file may be in it
+    return ValueError(f"{field[:LONGEST_NAME]}: {shown(value)} is not allowed; give {allowed}")
 
 
 def _shortened(value: Any) -> Any:

@@ -5,8 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import positive, solvable
+from flexman_gym.checks import positive
 from flexman_gym.model.linear import LinearModel
+from flexman_gym.model.rounding import solvable
 
 
 class Weights(NamedTuple):

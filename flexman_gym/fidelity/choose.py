@@ -8,11 +8,12 @@ from functools import lru_cache
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import positive, refusal, solvable
+from flexman_gym.checks import positive, refusal
 from flexman_gym.fidelity.mesh import MeshSearch
 from flexman_gym.fidelity.search import Candidate, Search, Trial, given_modes
 from flexman_gym.model.instant import frequencies, mass_matrix, stiffness_matrix
 from flexman_gym.model.model import Model, build_model
+from flexman_gym.model.rounding import solvable
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.amplification import amplitude_kept, explicit_limit, spectral_radius

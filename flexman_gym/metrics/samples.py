@@ -3,7 +3,7 @@
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import MOST, positive, refusal
+from flexman_gym.checks import MOST, physical, positive, refusal
 
 
 def samples(name: str, values: object, *axes: int) -> Array:
@@ -52,5 +52,5 @@ def last(array: Array, period: float, window: float) -> Array:
     Raises:
         ValueError: for a window or a period that is not > 0.
     """
-    count = positive("window", window, "s") / positive("period", period, "s")
+    count = positive("window", window, "s") / physical("period", period, "s")
     return array if count >= len(array) else array[-round(count) - 1 :]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import one_of, positive, refusal
+from flexman_gym.checks import one_of, physical, positive, refusal
 from flexman_gym.metrics.samples import finite_samples, last, samples
 
 BAND = 0.02 / 8.5  # of the reach, in which a tip has settled: 20 mm for 8.5 m
@@ -28,7 +28,7 @@ def stabilisation_time(errors: Array, band: float, period: float, since: str = S
     Raises:
         ValueError: for errors without a sample, a band or period that is not > 0, and another `since`.
     """
-    inside, period = _inside(errors, band), positive("period", period, "s")
+    inside, period = _inside(errors, band), physical("period", period, "s")
     outside = np.flatnonzero(~inside)
     settled = 0 if outside.size == 0 else int(outside[-1]) + 1
     stayed = (len(inside) - 1 - settled) * period

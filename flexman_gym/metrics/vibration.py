@@ -3,7 +3,7 @@
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import non_negative, one_of, positive, refusal
+from flexman_gym.checks import non_negative, one_of, physical, refusal
 from flexman_gym.metrics.samples import finite_samples, last, samples
 
 VIBRATING = 3.0  # s at the end, in which the vibration that is left is measured
@@ -107,8 +107,8 @@ def _range(tips: Array) -> float:
 def _after(name: str, tips: Array, period: float, field: str, end: float) -> Array:
     """The samples (T, 3) of tips from an end on."""
     found = finite_samples(name, tips, 2, least=2)
-    end, period = non_negative(field, end, "s"), positive("period", period, "s")
-    first = np.ceil(end / period - 1e-9)
+    period = physical("period", period, "s")
+    first = np.ceil(non_negative(field, end, "s") / period - 1e-9)
     if first > len(found) - 2:
         raise refusal(field, end, f"a time (s) of at most {(len(found) - 2) * period:.6g}, two samples before the last")
     return found[int(first) :]

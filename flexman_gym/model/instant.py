@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags
-from flexman_gym.checks import bounded, flag, refusal, solvable, vector
+from flexman_gym.checks import bounded, flag, refusal, vector
 from flexman_gym.kernels import dynamics, inverse, outputs, tip
 from flexman_gym.kernels.layout import (
     LARGEST_STATE,
@@ -16,6 +16,7 @@ from flexman_gym.kernels.layout import (
     make_work,
 )
 from flexman_gym.model.model import Model, checked_model
+from flexman_gym.model.rounding import solvable
 
 # Central differences over one, two and three steps h, each with its weight in Richardson's extrapolation to h = 0. The
 # error of a first derivative is h^6 / 140 times the seventh derivative, of a second one h^6 / 560 times the eighth.

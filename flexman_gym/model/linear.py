@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import refusal, solvable
+from flexman_gym.checks import refusal
 from flexman_gym.model.element import NODE_COORDINATES
 from flexman_gym.model.instant import (
     RICHARDSON,
@@ -19,6 +19,7 @@ from flexman_gym.model.instant import (
     tip_jacobian,
 )
 from flexman_gym.model.model import Model, checked_model
+from flexman_gym.model.rounding import solvable
 
 FIRST_STEP = 0.005  # rad, for a first derivative: its truncation is just below rounding
 

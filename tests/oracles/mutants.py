@@ -24,7 +24,7 @@ from oracles.files import ROOT
 from oracles.fuzz import TooLong, bounded, loud
 from oracles.odd import KEYS, odd
 from oracles.runs import RUNS
-from oracles.targets import ARM, CHOICE, DESCRIBED, SCENE, TRAINING, TWO
+from oracles.samples import ARM, CHOICE, DESCRIBED, SCENE, TRAINING, TWO
 
 LONGEST = 500  # characters of a line, the path of the file among them
 TOKENS = (b"null", b"true", b"-1", b"1e999", b"1e-999", b"nan", b".inf", b"'x'", b"{", b"]", b"\t", b"\xff", b"\x00",
