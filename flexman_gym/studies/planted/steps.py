@@ -3,6 +3,7 @@
 from flexman_gym.studies.planted.change import changes
 
 METHODS, STEP = "simulation/test_methods.py", "simulation/test_implicit_step.py"
+CALLS = "simulation/test_calls.py"
 
 STEPS = (
     *changes(
@@ -23,7 +24,7 @@ STEPS = (
         ("generalised-alpha forgets its algorithmic accelerations",
          "averages.force * true[k] - averages.mass * old[k])\n        else",
          "averages.force * true[k])\n        else"),
-        ("it starts without accelerations", "ready = averages.midpoint  #", "ready = True  #"),
+        ("it starts without accelerations", "n = -1  #", "n = 0  #"),
         ("Newton's method stops early", "CONVERGED = 25, 1e-10", "CONVERGED = 25, 1e-3"),
         ("its ledger takes the power at the end", "0.5 * (power + true[k])", "power"),
         ("a new drive is taken for an old one", "old[k] += w[k] - true[k]", "old[k] = 0.0"),
@@ -39,15 +40,19 @@ STEPS = (
          "x[k], v[k] = state[k] + step * state[d + k], state[d + k] + step * w[k]"),
     ),
     *changes(
-        "kernels", "kernels/explicit.py", METHODS,
+        "kernels", "kernels/explicit.py", f"{METHODS} {CALLS}",
         ("places of the semi-implicit Euler method by the old speeds", "state[k] + h * work.trial[d + k]",
          "state[k] + h * state[d + k]"),
         ("stages take the drive at the start", "table, time + tableau.abscissae[i] * h,", "table, time,"),
+        ("a run that goes on forgets its slope", "known = 1 if paused and adaptive else 0", "known = 0"),
     ),
     *changes(
-        "kernels", "kernels/pace.py", f"{METHODS} simulation/test_simulator.py simulation/test_movers.py",
+        "kernels", "kernels/pace.py", f"{METHODS} {CALLS} simulation/test_simulator.py simulation/test_movers.py",
         ("an adaptive method begins anew every period", "if clock.rtol > 0.0 and work.pace[0] > 0.0:", "if False:"),
         ("errors are weighed by the old state alone", "max(abs(state[k]), abs(work.trial[k]))", "abs(state[k])"),
+        ("a run that goes on begins its drive anew", "clock.time + (clock.first + r * clock.substeps + n) * clock.step",
+         "clock.time + (r * clock.substeps + n) * clock.step"),
+        ("a run that goes on begins its interval anew", "work.progress[1], work.progress[2]\n", "0.0, 0.0\n"),
         ("no state is too large", "if not abs(state[j]) <= LARGEST_STATE:", "if not abs(state[j]) <= 1e300:"),
         ("a step that was cut sets the pace", "    if not last:\n        return h * factor\n",
          "    return h * factor\n"),
