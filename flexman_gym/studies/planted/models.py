@@ -134,7 +134,8 @@ SIMULATION = (
     ),
     *changes(
         "simulation", "simulation/movers.py", "simulation/test_calls.py",
-        ("a period that was broken off has been", "new, read = rows.copy(), outputs.copy()", "new, read = rows, outputs"),
+        ("a period that was broken off has been", "new, read = rows.copy(), outputs.copy()",
+         "new, read = rows, outputs"),
         ("arms that diverge count on", "well & (now[:, 0] == many)", "well"),
         ("other threads go on after Ctrl-C", "ended.set()\n", "pass\n"),
     ),
