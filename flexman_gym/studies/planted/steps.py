@@ -3,7 +3,7 @@
 from flexman_gym.studies.planted.change import changes
 
 METHODS, STEP = "simulation/test_methods.py", "simulation/test_implicit_step.py"
-CALLS = "simulation/test_calls.py"
+BITS = "simulation/test_calls.py::test_a_run_in_many_calls_has_the_bits_of_the_run_in_one"
 
 STEPS = (
     *changes(
@@ -40,24 +40,30 @@ STEPS = (
          "x[k], v[k] = state[k] + step * state[d + k], state[d + k] + step * w[k]"),
     ),
     *changes(
-        "kernels", "kernels/explicit.py", f"{METHODS} {CALLS}",
+        "kernels", "kernels/explicit.py", METHODS,
         ("places of the semi-implicit Euler method by the old speeds", "state[k] + h * work.trial[d + k]",
          "state[k] + h * state[d + k]"),
         ("stages take the drive at the start", "table, time + tableau.abscissae[i] * h,", "table, time,"),
-        ("a run that goes on forgets its slope", "known = 1 if paused and adaptive else 0", "known = 0"),
     ),
     *changes(
-        "kernels", "kernels/pace.py", f"{METHODS} {CALLS} simulation/test_simulator.py simulation/test_movers.py",
+        "kernels", "kernels/pace.py", f"{METHODS} simulation/test_simulator.py simulation/test_movers.py",
         ("an adaptive method begins anew every period", "if clock.rtol > 0.0 and work.pace[0] > 0.0:", "if False:"),
         ("errors are weighed by the old state alone", "max(abs(state[k]), abs(work.trial[k]))", "abs(state[k])"),
-        ("a run that goes on begins its drive anew", "clock.time + (clock.first + r * clock.substeps + n) * clock.step",
-         "clock.time + (r * clock.substeps + n) * clock.step"),
-        ("a run that goes on begins its interval anew", "work.progress[1], work.progress[2]\n", "0.0, 0.0\n"),
         ("no state is too large", "if not abs(state[j]) <= LARGEST_STATE:", "if not abs(state[j]) <= 1e300:"),
         ("a step that was cut sets the pace", "    if not last:\n        return h * factor\n",
          "    return h * factor\n"),
         ("steps that fail are taken", "    if not error <= 1.0:\n        return h * (max(",
          "    if not error <= 100.0:\n        return h * (max("),
+    ),
+    *changes(
+        "kernels", "kernels/explicit.py", f"{BITS}[dopri5-None]",
+        ("a run that goes on forgets its slope", "known = 1 if paused and adaptive else 0", "known = 0"),
+    ),
+    *changes(
+        "kernels", "kernels/pace.py", f"{BITS}[rk4-0.001] {BITS}[dopri5-None]",
+        ("a run that goes on begins its drive anew", "clock.time + (clock.first + r * clock.substeps + n) * clock.step",
+         "clock.time + (r * clock.substeps + n) * clock.step"),
+        ("a run that goes on begins its interval anew", "work.progress[1], work.progress[2]\n", "0.0, 0.0\n"),
     ),
     *changes(
         "kernels", "kernels/arms.py", "simulation/test_movers.py",
