@@ -120,13 +120,13 @@ def test_a_control_period_that_is_broken_off_has_not_been(arms, threads, monkeyp
     assert np.array_equal(batch.rows, other.rows)
 
 
-@pytest.mark.parametrize("name", ["dopri5", "generalised_alpha"])
+@pytest.mark.parametrize("name", ["dopri5", "generalised_alpha", "implicit_midpoint"])
 def test_a_run_that_was_broken_off_leaves_no_pause_behind(name, monkeypatch):
     """As by Ctrl-C between two calls of the kernel: the next run begins at its own beginning."""
     model = fm.build_model(scene().arm, 1)
-    simulators = [fm.Simulator(model, name, None if name == "dopri5" else 0.005) for _ in range(2)]
+    simulators = [fm.Simulator(model, name, None if name == "dopri5" else 0.001) for _ in range(2)]
     run, called = simulators[0].batch._mover._runs[0], Run._called
-    run._most = 1
+    run._most = 30
 
     def broken(*arguments):
         called(*arguments)
@@ -136,6 +136,10 @@ def test_a_run_that_was_broken_off_leaves_no_pause_behind(name, monkeypatch):
         patch.setattr(Run, "_called", broken)
         simulators[0].step([1.0, 0.0])
     assert run.work.progress[0] == 1.0
+    if name == "implicit_midpoint":  # of which only a guess is left
+        for simulator in simulators:
+            simulator.step([1.0, 0.0])
+        np.testing.assert_allclose(simulators[0].state, simulators[1].state, rtol=0.0, atol=1e-9)
     for simulator in simulators:
         simulator.reset()
         simulator.step([1.0, 0.0])
