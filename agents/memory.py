@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from stable_baselines3 import SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
@@ -126,7 +127,16 @@ def _tensors(field: str, like: Any, arrays: Any) -> dict[str, torch.Tensor]:
     if not isinstance(arrays, dict) or arrays.keys() != like.keys():
         raise refusal(field, sorted(arrays) if isinstance(arrays, dict) else arrays, f"arrays {', '.join(like)}")
     wanted = _of_tensors(like)
-    return {name: torch.as_tensor(give(f"{field}.{name}", wanted[name], arrays[name])) for name in like}
+    return {name: torch.as_tensor(_finite(f"{field}.{name}", wanted[name], arrays[name])) for name in like}
+
+
+def _finite(field: str, old: NDArray[Any], data: Any, least: float = -np.inf) -> Any:
+    """Gives data back to an array, once all of its numbers are finite and none is below the least."""
+    found = give(field, old, data)
+    if not (np.isfinite(found) & (np.asarray(found) >= least)).all():
+        allowed = "finite numbers" if least < 0.0 else "finite numbers >= 0"
+        raise refusal(field, "another number", allowed)
+    return found
 
 
 def _of_statistics(moments: Any) -> dict[str, Any]:
@@ -135,7 +145,8 @@ def _of_statistics(moments: Any) -> dict[str, Any]:
 
 def _give_statistics(field: str, moments: Any, data: Any) -> None:
     for name, value in _of_statistics(moments).items():
-        found = give(f"{field}.{name}", value, data.get(name) if isinstance(data, dict) else None)
+        given = data.get(name) if isinstance(data, dict) else None
+        found = _finite(f"{field}.{name}", value, given, -np.inf if name == "mean" else 0.0)
         setattr(moments, name, found if found.ndim else found.item() if name == "count" else np.float64(found))
 
 

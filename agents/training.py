@@ -207,10 +207,19 @@ def _check_settings(path: Path, data: Any, settings: Settings) -> None:
     if not isinstance(kept, dict):
         raise ValueError(f"{path}: this is not what a training run has written (it has no settings)")
     now = json.loads(json.dumps(settings.plain()))
-    changed = [name for name in now.keys() | kept.keys() if now.get(name) != kept.get(name) and name not in FREE]
+    names = (now.keys() | kept.keys()) - set(FREE)
+    changed = [name for name in names if not _alike(now.get(name), kept.get(name))]
     if changed:
         allowed = f"the settings with which {path.name} was written: {', '.join(sorted(changed))} is another now"
         raise ValueError(f"{path.parent / SETTINGS}: this was changed; give {allowed}")
+
+
+def _alike(setting: object, kept: object) -> bool:
+    """Whether a setting is what was kept of it, which may be an array where somebody wrote the file anew."""
+    try:
+        return bool(setting == kept)
+    except ValueError:
+        return False
 
 
 def _steps_done(path: Path, data: Any) -> int:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 Kind = TypeVar("Kind")
 UNIT_TOLERANCE = 1e-9  # how far a unit vector or a rotation may be from exact
 LEAST, MOST = 1e-30, 1e30  # of the size of anything, in SI units
+LONGEST_NAME = 60  # characters of a field in an error
 SHOWN = 80  # characters of a value in an error, and so entries of a list
 MOST_ENTRIES = 10**6  # of any list
 WHOLE = 1e-9  # how far a ratio of two times may be from a whole number, relative to itself
@@ -31,7 +32,8 @@ def shown(value: object) -> str:
 
 def refusal(name: str, value: object, allowed: str) -> ValueError:
     """Builds the error that says on one line that the field `name` may not be `value`, and what is `allowed`."""
-    return ValueError(f"{name}: {shown(value)} is not allowed; give {allowed}")
+    field = name if name.isprintable() else repr(name)  # a key of somebody's file may be in it
+    return ValueError(f"{field[:LONGEST_NAME]}: {shown(value)} is not allowed; give {allowed}")
 
 
 def _shortened(value: Any) -> Any:

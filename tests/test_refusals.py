@@ -22,6 +22,9 @@ from flexman_gym.model.model import scene_model
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.run import MOST_STEPS
 
+from oracles import odd
+from oracles.odd import Rude
+
 ARM = fm.catalog.planar_2r(joint_stiffness=20.0)
 LINK, JOINT = ARM.links[0], ARM.joints[0]
 CHOICE = fm.ModelChoice(True, 1)
@@ -35,25 +38,7 @@ ONE, MANY = (
 )
 
 
-class Rude:
-    """Something that cannot be shown, counted or turned into an array."""
-
-    def __repr__(self):
-        raise KeyError("no name")
-
-    def __len__(self):
-        raise RuntimeError("no length")
-
-    def __array__(self, *arguments, **more):
-        raise OSError("no array")
-
-
-BAD = [
-    None, "x", "", b"12", True, 1j, np.nan, np.inf, -1.0, -0.0, 0, 1e300, -1e300, 1e-300, 5e-324, 10**400, {}, {"a": 1},
-    [], [[]], [[1.0], [1.0, 2.0]], ["a", "b"], [np.nan, 0.0], [1e300, 1e300], [None, None], [0.0] * 100_001,
-    np.zeros((2, 2, 2)), np.zeros(10**6 + 1), np.array("x"), np.array([1, "a"], dtype=object), range(10**9), {1, 2},
-    Rude(), [Rude(), Rude()], int, lambda: None, ARM, MODEL, SCENE,
-]  # fmt: skip
+BAD = [*odd.BAD, ARM, MODEL, SCENE]
 
 
 def reset(env, **given):
@@ -173,8 +158,7 @@ def test_a_bad_value_is_refused_in_one_line(name):
         if name == "FlexManVectorEnv.num_envs" and isinstance(value, int) and value > 100:
             continue
         line = line_of(CALLS[name], value)
-        assert line == "" or re.fullmatch(r"[\w.\[\]'\"() ]+: (missing|.+ (is|are) not allowed); give .+", line), line
-        assert len(line) < 400
+        assert line == "" or odd.fits(line), line
 
 
 @settings(deadline=None, derandomize=True, max_examples=60)
@@ -183,7 +167,7 @@ def test_what_hypothesis_makes_up_is_refused_in_one_line(name, data):
     numbers = st.floats() | st.integers() | st.booleans() | st.none() | st.text(max_size=5)
     nested = st.recursive(numbers, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner))
     line = line_of(CALLS[name], data.draw(nested))
-    assert line == "" or re.fullmatch(r"[\w.\[\]'\"() ]+: (missing|.+ (is|are) not allowed); give .+", line), line
+    assert line == "" or odd.fits(line), line
 
 
 @pytest.mark.parametrize("value", [1e300, np.nextafter(LARGEST_STATE, np.inf), -2e6])

@@ -7,6 +7,7 @@ import numpy as np
 from flexman_gym.arrays import Array
 from flexman_gym.checks import positive
 from flexman_gym.model.linear import LinearModel
+from flexman_gym.model.rounding import solvable
 
 
 class Weights(NamedTuple):
@@ -44,7 +45,15 @@ def optimal_gain(linear: LinearModel, motors: Array, limits: Array, weights: Wei
         limits: (n,) N m, torque limits.
         weights: of the cost.
         period: s.
+
+    Raises:
+        ValueError: for an arm for which rounding leaves no such gain.
     """
+    with solvable("gains of a regulator"):
+        return _gain(linear, motors, limits, weights, period)
+
+
+def _gain(linear: LinearModel, motors: Array, limits: Array, weights: Weights, period: float) -> Array:
     from scipy.linalg import solve_discrete_are
 
     transition, inputs = zero_order_hold(linear, period)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array, IntArray
-from flexman_gym.checks import non_negative, positive, vector
+from flexman_gym.checks import non_negative, physical, vector
 from flexman_gym.model.instant import mass_matrix
 from flexman_gym.model.model import Model, checked_model
 from flexman_gym.model.statics import holding_torques
@@ -113,9 +113,9 @@ def torque_limits(name: str, value: object, joints: int) -> tuple[float, ...]:
         joints: number of joints.
 
     Raises:
-        ValueError: for another number of limits, or a limit that is not a finite number > 0.
+        ValueError: for another number of limits, or a limit that is not a number from 1e-30 to 1e30.
     """
     if not isinstance(value, list | tuple | np.ndarray):
-        return (positive(name, value, "N m"),) * joints
+        return (physical(name, value, "N m"),) * joints
     limits = vector(name, value, joints, "N m")
-    return tuple(positive(f"{name}[{i}]", limit, "N m") for i, limit in enumerate(limits))
+    return tuple(physical(f"{name}[{i}]", limit, "N m") for i, limit in enumerate(limits))

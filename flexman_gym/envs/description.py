@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Self
 
-from flexman_gym.checks import mapping, one_of, refusal
+from flexman_gym.checks import mapping, one_of, refusal, sequence, text
 from flexman_gym.envs.catalog import DEFAULT, NAMED
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.randomisation import Randomisation
@@ -66,7 +66,7 @@ class Description:
         Raises:
             FileNotFoundError, ValueError: one line, also where it is neither.
         """
-        if name in NAMED:
+        if text("environment", name) in NAMED:
             return cls(name)
         named, slash, condition = name.partition("/")
         if slash and named in NAMED:
@@ -94,6 +94,8 @@ class Description:
         """The description in a mapping with "id" and settings, every one of which is checked."""
         if not isinstance(data, dict):
             raise refusal("environment", data, "a mapping with id and settings")
+        for name in data:
+            text("a key of environment", name)
         if "name" in data:
             raise refusal("name", data["name"], "it as id")
         settings = {name: value for name, value in data.items() if name != "id"}
@@ -134,8 +136,8 @@ class Description:
             ValueError: one line with the change and what is allowed.
         """
         data: dict[str, Any] = {"id": self.id, **self.whole_settings()}
-        for change in changes:
-            path, equals, written = change.partition("=")
+        for change in sequence("--set", changes, "texts"):
+            path, equals, written = text("--set", change).partition("=")
             if not equals or not all(part.isidentifier() for part in path.split(".")):
                 raise refusal("--set", change, "name=value, such as control_period=0.01 or arm.payload.mass=0.5")
             try:
@@ -176,14 +178,15 @@ def read_arm(value: object, folder: Path = Path()) -> Arm:
         data = file.read(folder / value)
         return arm_of(data.get("arm", data) if isinstance(data, dict) and "links" not in data else data)
     if isinstance(value, str) or (isinstance(value, dict) and "catalog" in value):
-        arguments = {} if isinstance(value, str) else {name: each for name, each in value.items() if name != "catalog"}
+        given = {} if isinstance(value, str) else value
+        arguments = {text("a key of arm", name): each for name, each in given.items() if name != "catalog"}
         name = value if isinstance(value, str) else value["catalog"]
         if isinstance(arguments.get("payload"), dict):
             arguments["payload"] = part_of(Payload, "arm.payload", arguments["payload"])
         try:
             arm: Arm = getattr(catalog, one_of("arm", name, ARMS))(**arguments)
         except TypeError as error:
-            raise ValueError(f"arm: {str(error).split('() ')[-1]} of {name}") from None
+            raise refusal("arm", arguments, f"what {name} takes: {str(error).split('() ')[-1]}") from None
         return arm
     return arm_of(value)
 

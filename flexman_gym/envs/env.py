@@ -7,7 +7,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from flexman_gym.checks import one_of
+from flexman_gym.checks import one_of, whole_number
 from flexman_gym.envs.actions import action_space, checked_actions
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.options import check_parameters
@@ -19,6 +19,7 @@ from flexman_gym.simulation.simulator import Simulator
 
 Observation = NDArray[np.float32]
 ONLY = np.zeros(1, dtype=np.int64)  # the index of the arm
+LARGEST_SEED = 2**128 - 1
 
 
 class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
@@ -120,10 +121,17 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Starts an episode; options may set "start" and "posture", joint angles (n,) in rad, and "parameters"."""
+        """Starts an episode; options may set "start" and "posture", joint angles (n,) in rad, and "parameters".
+
+        Raises:
+            ValueError: one line, for a seed or options that are not allowed. The next reset gives what it would have
+                given, but the episode may be over.
+        """
+        whole = None if seed is None else whole_number("seed", seed, 0, LARGEST_SEED)
         check_parameters(options, self.simulator.batch)
-        super().reset(seed=seed)
-        self.episodes.reset(ONLY, [self.np_random], options)
+        with self._undoing(options):
+            super().reset(seed=whole)
+            self.episodes.reset(ONLY, [self.np_random], options)
         return self.episodes.sight.seen[0].copy(), self._outcome()[1]
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:

@@ -1,11 +1,9 @@
 """History: past observations beside the present one, so that an agent without memory can tell what it does not see."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from flexman_gym.arrays import Array, IntArray
-from flexman_gym.checks import positive, whole_number
+from flexman_gym.checks import positive, refusal, sequence, whole_number
 
 MOST = 1000  # observations
 
@@ -51,6 +49,9 @@ class History:
 
 def checked_history(value: object) -> int | tuple[float, ...]:
     """A number of observations, or the times of averages; raises ValueError for anything else."""
-    if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) and len(value):
-        return tuple(positive(f"history[{i}]", time, "s") for i, time in enumerate(value))
-    return whole_number("history", value, 1, MOST)
+    if not isinstance(value, list | tuple) and not (isinstance(value, np.ndarray) and value.ndim):
+        return whole_number("history", value, 1, MOST)
+    times = sequence("history", value, "times (s)")
+    if not 0 < len(times) <= MOST:
+        raise refusal("history", value, f"a whole number, or 1 to {MOST} times (s)")
+    return tuple(positive(f"history[{i}]", time, "s") for i, time in enumerate(times))

@@ -1,5 +1,7 @@
 """Remembering: environments that give their whole state, take it back, and can be copied."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from copy import deepcopy
 from typing import Any, ClassVar, Self
 
@@ -55,6 +57,22 @@ class Remembering:
         for name, random in spaces.items():
             _space(self, name)._np_random = random
         return self.episodes.sight.seen.copy()
+
+    @contextmanager
+    def _undoing(self, options: object) -> Iterator[None]:
+        """Puts the environment back where it was if a reset with options is refused; its episodes are over then.
+
+        Without options it was the task that drew a bad start, and a further reset should draw another one.
+        """
+        before = None if options is None or (isinstance(options, dict) and not options) else self.get_state()
+        try:
+            yield
+        except Exception:
+            if before is not None:
+                over = self.episodes.over.copy()
+                self.set_state(before)
+                self.episodes.over[:] = over
+            raise
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         other = type(self)(**deepcopy(self._made, memo))

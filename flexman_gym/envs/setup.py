@@ -283,7 +283,7 @@ def _size(arm: Arm) -> tuple[float, ...]:
 
 def _randomisation(value: object) -> Randomisation | None:
     if isinstance(value, dict):
-        return Randomisation(**value)
+        return Randomisation(**{text("a key of randomisation", name): each for name, each in value.items()})
     if value is not None and not isinstance(value, Randomisation):
         raise refusal("randomisation", value, "a Randomisation, or a dict of its arguments")
     return value

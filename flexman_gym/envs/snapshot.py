@@ -56,7 +56,7 @@ def give(field: str, old: Any, data: Any) -> Any:
     names = getattr(old, "kept", ())
     _check_kind(field, data, dict, "a mapping")
     if set(data) != set(names):
-        raise refusal(field, sorted(data), f"a mapping with {', '.join(sorted(names)) or 'nothing'}")
+        raise refusal(field, sorted(map(str, data)), f"a mapping with {', '.join(sorted(names)) or 'nothing'}")
     for name in names:
         before = getattr(old, name)
         after = give(f"{field}.{name}", before, data[name])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from flexman_gym.arrays import Array, Flags, IntArray
 from flexman_gym.checks import one_of, refusal, sequence, whole_number
 from flexman_gym.envs.actions import action_space, checked_actions
-from flexman_gym.envs.env import FlexManEnv, checked_mode, observation_space, painter
+from flexman_gym.envs.env import LARGEST_SEED, FlexManEnv, checked_mode, observation_space, painter
 from flexman_gym.envs.episodes import Episodes, Observations
 from flexman_gym.envs.options import check_parameters
 from flexman_gym.envs.remembering import Remembering
@@ -23,7 +23,6 @@ from flexman_gym.simulation.batch import MOST_ARMS, Batch
 
 Infos = dict[str, Any]
 LONGEST = 10**9  # steps of an episode
-LARGEST_SEED = 2**128 - 1
 OWN = ("num_envs", "threads", "max_episode_steps", "autoreset_mode", "render_mode", "render_size")
 
 
@@ -96,7 +95,12 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, Infos]:
-        """Starts the episodes of all arms, or of those of options["reset_mask"]; see the class."""
+        """Starts the episodes of all arms, or of those of options["reset_mask"]; see the class.
+
+        Raises:
+            ValueError: one line, for a seed or options that are not allowed. The next reset gives what it would have
+                given, but the episodes of these arms may be over.
+        """
         seeds = self._each_seed(seed)
         check_parameters(options, self.batch)
         mask = None
@@ -104,10 +108,11 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
             options = dict(options)
             mask = self._checked_mask(options.pop("reset_mask"))
         arms = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask)
-        for arm in arms:
-            if seeds[arm] is not None:
-                self._randoms[arm], self._seeds[arm] = seeding.np_random(seeds[arm])
-        self._restart(arms, options)
+        with self._undoing(options):
+            for arm in arms:
+                if seeds[arm] is not None:
+                    self._randoms[arm], self._seeds[arm] = seeding.np_random(seeds[arm])
+            self._restart(arms, options)
         infos = self._outcome()[1]
         return self.episodes.sight.seen.copy(), infos if mask is None else _masked(infos, mask)
 

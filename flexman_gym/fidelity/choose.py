@@ -14,6 +14,7 @@ from flexman_gym.fidelity.mesh import MeshSearch
 from flexman_gym.fidelity.search import Search, Trial
 from flexman_gym.model.instant import frequencies, mass_matrix, stiffness_matrix
 from flexman_gym.model.model import Model, build_model
+from flexman_gym.model.rounding import solvable
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.amplification import amplitude_kept, explicit_limit, spectral_radii
@@ -102,6 +103,9 @@ def assembled_modes(
         elements: one value or one per link, as in `build_model`.
         highest: frequency, Hz.
         share: of the elastic energy of a vibration.
+
+    Raises:
+        ValueError: for an arm whose masses and stiffness are of sizes that leave no vibrations after rounding.
     """
     from scipy.linalg import eigh
 
@@ -111,11 +115,13 @@ def assembled_modes(
     turned = [angle * row for angle in (0.8, 1.6) for row in np.eye(n)]
     carried = np.zeros(model.n_dof)
     for pose in [np.zeros(n), *turned]:
-        squares, shapes = eigh(stiffness, mass_matrix(model, model.initial_state(pose)))
-        slow = np.sqrt(np.maximum(squares, 0.0)) < 2.0 * np.pi * highest
-        slow[: n + 3] = True
-        slow[:n] = False  # the arm turning about its joints
-        energies = shapes[:, slow] ** 2 * np.diag(stiffness)[:, None] / squares[slow]
+        mass = mass_matrix(model, model.initial_state(pose))
+        with solvable("frequencies"):
+            squares, shapes = eigh(stiffness, mass)
+            slow = np.sqrt(np.maximum(squares, 0.0)) < 2.0 * np.pi * highest
+            slow[: n + 3] = True
+            slow[:n] = False  # the arm turning about its joints
+            energies = shapes[:, slow] ** 2 * np.diag(stiffness)[:, None] / squares[slow]
         carried = np.maximum(carried, energies.max(axis=1, initial=0.0))
     links = [carried[model.elastic_columns(i)] > share for i in range(n)]
     return tuple(given_modes(tuple(np.flatnonzero(kept).tolist())) for kept in links)

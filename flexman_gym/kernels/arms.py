@@ -33,7 +33,7 @@ from flexman_gym.kernels.linalg import copy
 from flexman_gym.kernels.linearly_implicit import implicit_step, run_steps
 from flexman_gym.kernels.midpoint import midpoint_step
 from flexman_gym.kernels.outputs import observe
-from flexman_gym.kernels.pace import out_of_bounds
+from flexman_gym.kernels.pace import out_of_bounds, step_time
 from flexman_gym.kernels.parts import Parts, gathered
 
 PER_ARM = frozenset(name for name, kind in Constants.__annotations__.items() if kind is Own)
@@ -207,7 +207,7 @@ def run_arms(tables, work_table, tableau, sweeps, drives, clock, rows, found, co
             counts[arm, 0], counts[arm, 1] = -1, 0
         for r in range(rows.shape[1]):
             for n in range(clock.substeps if r > 0 else 0):
-                moment = clock.time + ((r - 1) * clock.substeps + n) * clock.step, clock.step
+                moment = step_time(clock, r - 1, n), clock.step
                 if tableau is None:
                     midpoint_step(constants, work, sweeps, work.table, moment, work.row)
                 else:

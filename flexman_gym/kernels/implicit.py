@@ -8,10 +8,10 @@ from flexman_gym.kernels.dynamics import factorise, solve
 from flexman_gym.kernels.forces import applied_forces, drive_at, friction_shift, friction_slopes, structural_forces
 from flexman_gym.kernels.joints import prescribed_power
 from flexman_gym.kernels.kinematics import positions, velocities
-from flexman_gym.kernels.layout import DIVERGED, NOT_CONVERGED, OK
+from flexman_gym.kernels.layout import DIVERGED, NOT_CONVERGED, OK, PAUSED
 from flexman_gym.kernels.linalg import copy
 from flexman_gym.kernels.outputs import observe
-from flexman_gym.kernels.pace import out_of_bounds
+from flexman_gym.kernels.pace import out_of_bounds, pause, resume, step_time
 
 ITERATIONS, CONVERGED = 25, 1e-10  # of an implicit step; the largest relative error that ends them
 ROUNDING = 1e-7  # a change below it that no longer shrinks is rounding, of stiff springs after many turns for example
@@ -26,12 +26,16 @@ def run_implicit(constants, work, averages, table, clock, state, rows, outputs):
     They outlive the run, so that the next one only adds what a new drive changes.
     """
     d, evaluations = len(state) // 2 - 1, 0
-    ready = averages.midpoint  # otherwise the accelerations at the start come first, by a step of no length
+    paused, n, done = resume(work)
+    if not (paused or averages.midpoint or clock.substeps == 0):
+        n = -1  # the accelerations at the start come first, by a step of no length
     for r in range(len(rows)):
-        n = 0 if ready or clock.substeps == 0 else -1
         while n < clock.substeps:
+            if evaluations >= clock.most:
+                pause(work, n, done, 0.0)
+                return PAUSED, r, evaluations
             h = clock.step if n >= 0 else 0.0
-            time = clock.time + (r * clock.substeps + max(n, 0)) * clock.step
+            time = step_time(clock, r, max(n, 0))
             drive_at(table, time + (0.5 * h if averages.midpoint else h), work.drive)
             by_rate, by_place = predict(averages, work, h, state)
             count = implicit_solution(constants, work, by_rate, by_place, state)
@@ -43,7 +47,7 @@ def run_implicit(constants, work, averages, table, clock, state, rows, outputs):
                 return NOT_CONVERGED, r, evaluations
             copy(work.trial, state)
             n += 1
-        ready = True
+        n = 0
         copy(state, rows[r])
         observe(constants, work, state[:d], state[d : 2 * d], outputs[r])
     return OK, len(rows), evaluations

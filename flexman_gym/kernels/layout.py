@@ -43,6 +43,7 @@ IntArray = NDArray[np.int64]
 Own = Annotated[NDArray[np.float64], "own"]  # one axis; each of several arms abreast has its own (see `arms`)
 
 OK, DIVERGED, NOT_CONVERGED = 0, 1, 2
+PAUSED = 3  # of a call that is not over, which nobody else sees
 STATUS = ("ok", "diverged", "not converged")
 
 # A coordinate or speed beyond this (rad, m, 1/s) is no motion of an arm: the run ends as diverged.
@@ -199,6 +200,7 @@ class Work(NamedTuple):
     row: Array  # (2 d + 2,)
     outputs: Array  # (OUTPUTS,)
     pace: Array  # (1,) the step at which an adaptive run ended, 0 before
+    progress: Array  # (3,) in the interval in which a run paused: 1, steps taken, seconds passed; zeros without a pause
     table: Rows  # (6, n + 6) of the drive, of arms abreast each of which has its own
 
 
@@ -224,7 +226,7 @@ def make_work(constants: Constants, zeros: Callable[[tuple[int, ...]], Array] = 
         "frame_acceleration": (n, 6),
         "stages": (STAGES, size), "stage_state": (size,), "shift": (size,), "trial": (size,),
         "rates": (size // 2 - 1,), "extrapolated": (SEQUENCES, size), "estimate": (2, size), "row": (size,),
-        "outputs": (OUTPUTS,), "pace": (1,), "table": (6, n + 6),
+        "outputs": (OUTPUTS,), "pace": (1,), "progress": (3,), "table": (6, n + 6),
     }  # fmt: skip
     return Work(**{name: zeros(shape) for name, shape in shapes.items()})
 
@@ -264,7 +266,8 @@ class Averages(NamedTuple):
 class Clock(NamedTuple):
     """When a run takes place: it starts at `time` (s) and records after every `substeps` steps of `step` (s).
 
-    With rtol > 0 it chooses its steps by their error, beginning with `step`, and records at the same times.
+    With rtol > 0 it chooses its steps by their error, beginning with `step`, and records at the same times. It pauses
+    after `most` evaluations; a call that goes on has in `first` the number of steps of the clock that have passed.
     """
 
     time: float
@@ -272,3 +275,5 @@ class Clock(NamedTuple):
     substeps: int
     rtol: float
     atol: float
+    first: int = 0
+    most: int = 2**62

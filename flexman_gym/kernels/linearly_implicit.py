@@ -10,10 +10,19 @@ from flexman_gym.kernels.groups import lane_number, store_lane_number
 from flexman_gym.kernels.joints import any_prescribed, prescribed_power
 from flexman_gym.kernels.kinematics import positions, velocities
 from flexman_gym.kernels.lanes import fused
-from flexman_gym.kernels.layout import DIVERGED, NOT_CONVERGED, OK
+from flexman_gym.kernels.layout import DIVERGED, NOT_CONVERGED, OK, PAUSED
 from flexman_gym.kernels.linalg import copy
 from flexman_gym.kernels.outputs import observe
-from flexman_gym.kernels.pace import LEAST_PACE, error_norm, first_pace, next_pace, next_step, out_of_bounds
+from flexman_gym.kernels.pace import (
+    LEAST_PACE,
+    error_norm,
+    first_pace,
+    next_pace,
+    next_step,
+    out_of_bounds,
+    pause,
+    resume,
+)
 from flexman_gym.kernels.stages import add_stages
 
 
@@ -29,9 +38,13 @@ def run_steps(constants, work, lanes, tableau, table, clock, state, rows, output
     d, evaluations = len(state) // 2 - 1, 0
     adaptive = clock.rtol > 0.0
     pace = first_pace(work, clock)
+    _, n, done = resume(work)
     for r in range(len(rows)):
-        n, done, last = 0, 0.0, clock.substeps == 0
+        last = clock.substeps == 0
         while not last:
+            if evaluations >= clock.most:
+                pause(work, n, done, pace)
+                return PAUSED, r, evaluations
             time, h, last = next_step(clock, r, n, done, pace)
             if lanes is None:
                 evaluations += implicit_step(constants, work, tableau, table, (time, h), state)
@@ -49,6 +62,7 @@ def run_steps(constants, work, lanes, tableau, table, clock, state, rows, output
                 return DIVERGED, r, evaluations
             copy(work.trial, state)
             n, done = n + 1, done + h
+        n, done = 0, 0.0
         work.pace[0] = pace
         copy(state, rows[r])
         observe(constants, work, state[:d], state[d : 2 * d], outputs[r])

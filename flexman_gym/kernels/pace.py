@@ -18,13 +18,33 @@ def first_pace(work, clock):
 
 
 @inner
+def resume(work):
+    """Whether a run goes on after a pause, the steps of its interval that were taken, and the seconds."""
+    paused, n, done = work.progress[0], work.progress[1], work.progress[2]
+    work.progress[:] = 0.0
+    return paused > 0.0, int(n), done
+
+
+@inner
+def pause(work, n, done, pace):
+    """Keeps where a run is, with the step (s) that comes next."""
+    work.progress[0], work.progress[1], work.progress[2], work.pace[0] = 1.0, n, done, pace
+
+
+@inner
+def step_time(clock, r, n):
+    """Start (s) of step n of interval r of a call."""
+    return clock.time + (clock.first + r * clock.substeps + n) * clock.step
+
+
+@inner
 def next_step(clock, r, n, done, pace):
     """Start and length of step n of interval r, of which `done` has passed, and whether it is the last one."""
     if clock.rtol == 0.0:
-        return clock.time + (r * clock.substeps + n) * clock.step, clock.step, n + 1 == clock.substeps
+        return step_time(clock, r, n), clock.step, n + 1 == clock.substeps
     interval = clock.step * clock.substeps
     last = done + 1.0001 * pace >= interval
-    return clock.time + r * interval + done, (interval - done if last else pace), last
+    return clock.time + (clock.first // clock.substeps + r) * interval + done, (interval - done if last else pace), last
 
 
 @inner

@@ -3,7 +3,7 @@
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import positive, refusal
+from flexman_gym.checks import physical, positive, refusal
 from flexman_gym.metrics.samples import finite_samples, samples
 
 CYCLES = 4  # of the frequency that a record must hold: the window tells no closer frequencies from a constant
@@ -33,8 +33,9 @@ def power_above(actions: Array, period: float, frequency: float) -> float:
             that is not > 0, and a frequency that cannot be seen.
     """
     found = finite_samples("actions", actions, 2, least=CYCLES)
-    fastest = 0.5 / positive("period", period, "s")
-    if not positive("frequency", frequency, "Hz") < fastest:
+    period, frequency = physical("period", period, "s"), positive("frequency", frequency, "Hz")
+    fastest = 0.5 / period
+    if not frequency < fastest:
         raise refusal("frequency", frequency, f"a number > 0 and < {fastest:.6g} (Hz), half the rate of the samples")
     if len(found) * period * frequency < CYCLES * (1.0 - 1e-9):
         raise refusal("actions", actions, f"at least {CYCLES / frequency:.6g} s: {CYCLES} cycles of the frequency")

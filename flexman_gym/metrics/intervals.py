@@ -3,7 +3,10 @@
 import numpy as np
 
 from flexman_gym.arrays import Array
+from flexman_gym.checks import positive, refusal, whole_number
 from flexman_gym.metrics.samples import samples
+
+MOST_DRAWN = 10**8  # numbers in all samples
 
 
 def median_interval(values: Array, level: float = 0.95, draws: int = 2000) -> tuple[float, float, float]:
@@ -11,8 +14,16 @@ def median_interval(values: Array, level: float = 0.95, draws: int = 2000) -> tu
 
     The interval holds the given share of the medians of samples drawn with replacement (Efron and Tibshirani, An
     Introduction to the Bootstrap, chapter 13); the draws are the same every time.
+
+    Raises:
+        ValueError: for values without a sample, a level that is not above 0 and below 1, and for draws that are no
+            whole number from 1 on or hold more than a hundred million numbers together.
     """
     found = samples("values", values, 1)
+    level = positive("level", level)
+    if not level < 1.0:
+        raise refusal("level", level, "a number > 0 and < 1")
+    draws = whole_number("draws", draws, 1, max(1, MOST_DRAWN // len(found)))
     picked = np.random.default_rng(0).integers(len(found), size=(draws, len(found)))
     medians = np.sort(_medians(found[picked]))
     cut = round((1.0 - level) / 2.0 * (draws - 1))

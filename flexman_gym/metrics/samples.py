@@ -3,20 +3,28 @@
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import positive, refusal
+from flexman_gym.checks import MOST, physical, positive, refusal
 
 
 def samples(name: str, values: object, *axes: int) -> Array:
     """Gives values as an array of numbers (T, ...) with one of the allowed numbers of axes.
 
     Raises:
-        ValueError: for other arrays, and for one without a sample.
+        ValueError: for other arrays, for one without a sample, and for finite numbers beyond 1e30, whose squares are
+            none.
     """
-    array = np.asarray(values, dtype=np.float64)
-    if array.ndim not in axes or array.size == 0:
-        allowed = " or ".join(map(str, axes))
-        raise refusal(name, values, f"an array of {allowed} axes with at least one sample")
-    return array
+    allowed = f"an array of {' or '.join(map(str, axes))} axes with at least one sample"
+    known = isinstance(values, list | tuple) or hasattr(type(values), "__array__")  # a range may be of any length
+    try:
+        array = np.asarray(values) if known else np.zeros(0)
+    except Exception:  # lists of different length, an object of somebody's own
+        array = np.zeros(0)
+    if array.ndim not in axes or array.size == 0 or array.dtype.kind not in "fiub":
+        raise refusal(name, values, allowed)
+    size = np.abs(array.astype(np.longdouble))
+    if (np.isfinite(size) & (size > MOST)).any():
+        raise refusal(name, values, f"numbers of at most {MOST:g}")
+    return array.astype(np.float64)
 
 
 def finite_samples(name: str, values: object, *axes: int, least: int = 1) -> Array:
@@ -44,5 +52,5 @@ def last(array: Array, period: float, window: float) -> Array:
     Raises:
         ValueError: for a window or a period that is not > 0.
     """
-    count = round(positive("window", window, "s") / positive("period", period, "s")) + 1
-    return array[-count:]
+    count = positive("window", window, "s") / physical("period", period, "s")
+    return array if count >= len(array) else array[-round(count) - 1 :]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import one_of, positive, refusal
+from flexman_gym.checks import one_of, physical, positive, refusal
 from flexman_gym.metrics.samples import finite_samples, last, samples
 
 BAND = 0.02 / 8.5  # of the reach, in which a tip has settled: 20 mm for 8.5 m
@@ -28,10 +28,10 @@ def stabilisation_time(errors: Array, band: float, period: float, since: str = S
     Raises:
         ValueError: for errors without a sample, a band or period that is not > 0, and another `since`.
     """
-    inside = _inside(errors, band)
+    inside, period = _inside(errors, band), physical("period", period, "s")
     outside = np.flatnonzero(~inside)
     settled = 0 if outside.size == 0 else int(outside[-1]) + 1
-    stayed = (len(inside) - 1 - settled) * positive("period", period, "s")
+    stayed = (len(inside) - 1 - settled) * period
     if one_of("since", since, (START, ENTRY)) == ENTRY and inside.any():
         settled -= int(np.flatnonzero(inside)[0])
     return settled * period if stayed >= STAY - 1e-9 else np.inf
@@ -89,7 +89,7 @@ def band_of_move(errors: Array, part: float) -> float:
     distance = positive("errors[0]", float(samples("errors", errors, 1)[0]), "m")
     if not positive("part", part) < 1.0:
         raise refusal("part", part, "a number > 0 and < 1")
-    return part * distance
+    return float(part) * distance
 
 
 def final_error(errors: Array, period: float) -> float:
@@ -100,4 +100,4 @@ def final_error(errors: Array, period: float) -> float:
 def _inside(errors: Array, band: float) -> np.ndarray:
     """Whether each of the errors (T,) is within the band; what is no number is not."""
     positive("band", band, "m")
-    return samples("errors", errors, 1) <= band
+    return samples("errors", errors, 1) <= float(band)

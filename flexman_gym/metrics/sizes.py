@@ -3,7 +3,7 @@
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import positive
+from flexman_gym.checks import physical
 from flexman_gym.metrics.samples import finite_samples, lengths
 
 
@@ -32,4 +32,4 @@ def squared_acceleration(accelerations: Array, period: float) -> float:
         ValueError: for fewer than two samples, numbers that are not finite, and a period that is not > 0.
     """
     found = np.square(lengths(finite_samples("accelerations", accelerations, 1, 2, least=2)))
-    return float(np.trapezoid(found, dx=positive("period", period, "s")))
+    return float(np.trapezoid(found, dx=physical("period", period, "s")))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import non_negative, one_of, positive, refusal
+from flexman_gym.checks import non_negative, one_of, physical, refusal
 from flexman_gym.metrics.samples import finite_samples, last, samples
 
 VIBRATING = 3.0  # s at the end, in which the vibration that is left is measured
@@ -73,6 +73,7 @@ def damping_ratio(signal: Array) -> float:
         ValueError: for fewer than three samples, and numbers that are not finite.
     """
     found = finite_samples("signal", signal, 1, least=3)
+    found = np.ldexp(found, -np.frexp(np.abs(found).max())[1])  # of the size of 1, where nothing underflows
     turns = _turning_points(found, LEAST_SWING * float(np.ptp(found)))
     if len(turns) < 3:
         return np.nan
@@ -106,10 +107,11 @@ def _range(tips: Array) -> float:
 def _after(name: str, tips: Array, period: float, field: str, end: float) -> Array:
     """The samples (T, 3) of tips from an end on."""
     found = finite_samples(name, tips, 2, least=2)
-    first = int(np.ceil(non_negative(field, end, "s") / positive("period", period, "s") - 1e-9))
+    period = physical("period", period, "s")
+    first = np.ceil(non_negative(field, end, "s") / period - 1e-9)
     if first > len(found) - 2:
         raise refusal(field, end, f"a time (s) of at most {(len(found) - 2) * period:.6g}, two samples before the last")
-    return found[first:]
+    return found[int(first) :]
 
 
 def _turning_points(signal: Array, least: float) -> list[int]:

@@ -16,6 +16,7 @@ from flexman_gym.kernels.layout import (
     make_work,
 )
 from flexman_gym.model.model import Model, checked_model
+from flexman_gym.model.rounding import solvable
 
 # Central differences over one, two and three steps h, each with its weight in Richardson's extrapolation to h = 0. The
 # error of a first derivative is h^6 / 140 times the seventh derivative, of a second one h^6 / 560 times the eighth.
@@ -79,7 +80,8 @@ def frequencies(model: Model, joint_angles: Sequence[float] | None = None, lock_
     Raises:
         ValueError: for anything but a Model, for wrong joint angles and a wrong flag.
     """
-    angles = np.zeros(checked_model(model).n_joints) if joint_angles is None else joint_angles
+    checked_model(model)
+    angles = np.zeros(model.n_joints) if joint_angles is None else joint_angles
     flag("lock_joints", lock_joints)
     mass = mass_matrix(model, model.initial_state(angles))
     stiffness = stiffness_matrix(model)
@@ -90,7 +92,8 @@ def frequencies(model: Model, joint_angles: Sequence[float] | None = None, lock_
         return np.zeros(0)
     from scipy.linalg import eigh
 
-    squares = eigh(stiffness, mass, eigvals_only=True)
+    with solvable("frequencies"):
+        squares = eigh(stiffness, mass, eigvals_only=True)
     if not lock_joints:
         squares[: model.n_joints] = 0.0  # rounding leaves their square roots at millihertz
     return np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi)

@@ -19,6 +19,7 @@ from flexman_gym.model.instant import (
     tip_jacobian,
 )
 from flexman_gym.model.model import Model, checked_model
+from flexman_gym.model.rounding import solvable
 
 FIRST_STEP = 0.005  # rad, for a first derivative: its truncation is just below rounding
 
@@ -83,8 +84,9 @@ def linearize(
     demands, d, n = _demands(model, state, applied), model.n_dof, model.n_joints
     mass = mass_matrix(model, state)
     scale = np.sqrt(np.diag(mass))  # metres and radians of fine elements weigh alike
-    factor = cho_factor(mass / np.outer(scale, scale))
-    slopes = cho_solve(factor, demands / scale[:, None]) / scale[:, None]
+    with solvable("accelerations"):
+        factor = cho_factor(mass / np.outer(scale, scale))
+        slopes = cho_solve(factor, demands / scale[:, None]) / scale[:, None]
     return LinearModel(
         A=np.block([[np.zeros((d, d)), np.eye(d)], [slopes[:, : 2 * d]]]),
         B=np.vstack([np.zeros((d, n)), slopes[:, 2 * d :]]),

@@ -74,6 +74,8 @@ def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
         block, columns = np.ix_(group, group), slice(found, found + len(group))
         try:
             squares, shapes[group, columns] = eigh(stiffness[block], mass[block])
+            if not (squares > 0.0).all():  # of a clamped link they are, but for rounding
+                raise np.linalg.LinAlgError
         except (np.linalg.LinAlgError, ValueError):
             allowed = "links and loads whose masses are within fifteen digits of each other"
             raise refusal("arm", "this one", allowed) from None

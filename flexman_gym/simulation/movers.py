@@ -7,9 +7,10 @@ of arms that fail. `sense(drives, rows, found)` finds the tip accelerations (b, 
 """
 
 import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
 from itertools import pairwise
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from flexman_gym.kernels.arms import PER_ARM, addresses, arms_array
 from flexman_gym.kernels.lanes import ARMS, NUMBER
 from flexman_gym.kernels.layout import ARMS_ABREAST, Clock, Constants, IntArray, Tableau, make_work
 from flexman_gym.scene.drive import drive_table
+from flexman_gym.simulation.calls import ABREAST, evaluations_of_a_call, pieces, row_pieces
 from flexman_gym.simulation.families import LinearlyImplicit, Midpoint
 from flexman_gym.simulation.run import Run
 
@@ -106,6 +108,8 @@ class Abreast:
         else:
             self._constants = [_for_arms(constants) for _ in range(groups)]
             self._works = [make_work(constants, arms_array) for _ in range(min(threads, -(-groups // SHARE)))]
+        stages = method.sweeps if isinstance(method, Midpoint) else len(method.b) * sum(method.sequence)
+        self._most = max(1, evaluations_of_a_call(constants) // (ABREAST * stages))  # steps of a group in a call
         kind = NUMBER if self._alone else ARMS
         self._tables = np.array([addresses(each, kind) for each in self._constants])
         self._work_tables = [addresses(each, kind) for each in self._works]
@@ -153,8 +157,10 @@ class Abreast:
             tip.sense_one(self._tables[0], self._work_tables[0], drives, rows, found)
             return
 
-        def share(groups: slice, arms: slice, work: IntArray) -> None:
+        def share(groups: slice, work: IntArray) -> Iterator[None]:
+            arms = _arms(groups)
             tip.sense_arms(self._tables[groups], work, drives[arms], rows[arms], found[arms])
+            yield
 
         self._share(share)
 
@@ -164,46 +170,93 @@ class Abreast:
         Not for an arm that is moved alone.
         """
 
-        def share(groups: slice, arms: slice, work: IntArray) -> None:
-            kernels.run_arms(
-                self._tables[groups], work, *self._method, drives[arms], self._clock, rows[arms], outputs[arms],
-                counts[arms],
-            )  # fmt: skip
+        def share(groups: slice, work: IntArray) -> Iterator[None]:
+            for group in range(groups.start, groups.stop):
+                arms = _arms(slice(group, group + 1))
+                given = self._tables[group : group + 1], work, *self._method, drives[arms]
+                yield from self._run_group(given, rows[arms], outputs[arms], counts[arms])
 
         self._share(share)
+
+    def _run_group(self, given: tuple[Any, ...], rows: Array, outputs: Array, counts: IntArray) -> Iterator[None]:
+        """Moves a group of arms from row to row in calls that are not too long."""
+        last, well = rows[:, 0].copy(), np.ones(len(rows), dtype=bool)
+        for row, many, steps, first in row_pieces(rows.shape[1] - 1, self._clock.substeps, self._most):
+            part, read = (np.zeros((len(rows), many + 1, each.shape[2])) for each in (rows, outputs))
+            part[:, 0], now = last, np.zeros_like(counts)
+            clock = self._clock._replace(substeps=steps, first=first)
+            kernels.run_arms(*given, clock, part, read, now)
+            rows[:, row + 1 : row + many + 1], outputs[:, row + 1 : row + many + 1] = part[:, 1:], read[:, 1:]
+            if first == 0:
+                outputs[:, 0] = read[:, 0]
+            counts[well, 0], counts[:, 1] = row + now[well, 0], counts[:, 1] + well * now[:, 1]
+            last, well = part[:, -1], well & (now[:, 0] == many)
+            yield
 
     def _advance(self, drives: Array, clock: Clock, rows: Array, outputs: Array) -> None:
+        """Moves the arms of `_moving` that stay within bounds; a long way in several calls, or else not at all."""
+        together = max(1, self._most // max(1, clock.substeps))  # groups in a call
+        if together >= len(self._tables) and clock.substeps <= self._most:
+            self._move(drives, [clock], rows, outputs, together)
+            return
+        new, read = rows.copy(), outputs.copy()
+        clocks = [clock._replace(substeps=steps) for _, steps in pieces(clock.substeps, self._most)]
+        self._move(drives, clocks or [clock], new, read, together)
+        moved = self._moving[:, None] > 0
+        np.copyto(rows, new, where=moved)
+        np.copyto(outputs, read, where=moved)
+
+    def _move(self, drives: Array, clocks: list[Clock], rows: Array, outputs: Array, together: int) -> None:
+        """Moves the arms, so many groups in a call, by one clock after the other."""
         if self._alone:
-            kernels.advance_one(
-                self._tables[0], self._work_tables[0], *self._method, drives, clock, rows, outputs, self._moving
-            )
+            for clock in clocks:
+                kernels.advance_one(
+                    self._tables[0], self._work_tables[0], *self._method, drives, clock, rows, outputs, self._moving
+                )
             return
 
-        def share(groups: slice, arms: slice, work: IntArray) -> None:
-            kernels.advance_arms(
-                self._tables[groups], work, *self._method,
-                drives[arms], clock, rows[arms], outputs[arms], self._moving[arms],
-            )  # fmt: skip
+        def share(groups: slice, work: IntArray) -> Iterator[None]:
+            for first, count in pieces(groups.stop - groups.start, together):
+                some = slice(groups.start + first, groups.start + first + count)
+                arms = _arms(some)
+                for clock in clocks:
+                    kernels.advance_arms(
+                        self._tables[some], work, *self._method,
+                        drives[arms], clock, rows[arms], outputs[arms], self._moving[arms],
+                    )  # fmt: skip
+                    yield
 
         self._share(share)
 
-    def _share(self, share: Callable[[slice, slice, IntArray], None]) -> None:
-        """Calls a function for the groups of each thread, with these groups, their arms and its work space."""
+    def _share(self, share: Callable[[slice, IntArray], Iterator[None]]) -> None:
+        """Goes through what a function does with the groups of each thread and its work space, call by call."""
+        ended = Event()
 
         def part(thread: int) -> None:
-            groups = self._shares[thread]
-            share(groups, slice(groups.start * ARMS_ABREAST, groups.stop * ARMS_ABREAST), self._work_tables[thread])
+            for _ in share(self._shares[thread], self._work_tables[thread]):
+                if ended.is_set():
+                    return
 
         others = [self._threads().submit(part, thread) for thread in range(1, len(self._shares))]
-        part(0)
-        for each in others:
-            each.result()
+        try:
+            part(0)
+            for each in others:
+                each.result()
+        except BaseException:  # Ctrl-C, which the calling thread alone hears: nobody may go on with shared work space
+            ended.set()
+            wait(others)
+            raise
 
     def _threads(self) -> ThreadPoolExecutor:
         """Gives the threads beside the calling one; a forked process has none of its parent's."""
         if self._pool is None or self._process != os.getpid():
             self._pool, self._process = ThreadPoolExecutor(len(self._shares) - 1), os.getpid()
         return self._pool
+
+
+def _arms(groups: slice) -> slice:
+    """The arms of groups."""
+    return slice(groups.start * ARMS_ABREAST, groups.stop * ARMS_ABREAST)
 
 
 def _own(constants: Constants) -> dict[str, Any]:

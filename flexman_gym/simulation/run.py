@@ -1,6 +1,5 @@
 """Run: a method bound to a model and its work space, as a call that moves a state through time."""
 
-import math
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
@@ -14,11 +13,11 @@ from flexman_gym.kernels.lanes import SEQUENCES
 from flexman_gym.kernels.layout import Averages, Clock, Constants, IntArray, Tableau, Work, make_work
 from flexman_gym.model.model import Model
 from flexman_gym.scene.drive import drive_table
+from flexman_gym.simulation.calls import evaluations_of_a_call
 from flexman_gym.simulation.families import Explicit, Implicit, LinearlyImplicit, Method, Midpoint, Outside
 from flexman_gym.simulation.methods import METHODS
 
-MOST_STEPS = 100_000  # in one call, which nothing can interrupt: a second or two
-LONGEST_CALL = 10.0  # s that a method which chooses its steps moves on by in one call
+MOST_STEPS = 100_000  # between two outputs, and in a control period
 # The kernel of each family; SciPy runs the others.
 KERNELS: dict[type, Callable[..., tuple[int, int, int]]] = {
     Explicit: explicit.run_explicit,
@@ -102,6 +101,7 @@ class Run:
         self.work: Work = make_work(model.constants)
         self.method = method
         self.tolerance = tolerance or (0.0, 0.0)
+        self._most = evaluations_of_a_call(model.constants)
         self._at_rest = drive_table([None] * (model.n_joints + 6))
         self._coefficients: Tableau | Averages | int | None = None
         if isinstance(method, Implicit):
@@ -127,20 +127,12 @@ class Run:
 
     def _in_calls(self, drive: Array, clock: Clock, state: Array, rows: Array, found: Array) -> tuple[int, int, int]:
         """Calls the kernel, a long run in parts: Python looks for Ctrl-C between two calls only."""
-        span = clock.step * clock.substeps
-        size = span / LONGEST_CALL if clock.rtol > 0.0 else clock.substeps / MOST_STEPS  # of a row, in calls
-        pieces = math.ceil(size) if clock.rtol > 0.0 and size > 1.0 else 1  # of a row
-        together = len(rows) if size * len(rows) <= 1.0 else max(1, int(1.0 / size))
-        part, valid, evaluations, status = clock._replace(step=clock.step / pieces), 0, 0, layout.OK
-        for first in range(0, len(rows), together):
-            some = slice(first, first + together)
-            for piece in range(pieces):
-                now = part._replace(time=clock.time + (first + piece / pieces) * span)
-                status, good, more = self._called(drive, now, state, rows[some], found[some])
-                evaluations += more
-                if status != layout.OK:
-                    return status, valid + good, evaluations
-            valid += good
+        valid, evaluations, status = 0, 0, layout.PAUSED
+        self.work.progress[:] = 0.0  # of a run that Ctrl-C ended
+        while status == layout.PAUSED:
+            part = clock._replace(first=valid * clock.substeps, most=self._most)
+            status, good, more = self._called(drive, part, state, rows[valid:], found[valid:])
+            valid, evaluations = valid + good, evaluations + more
         return status, valid, evaluations
 
     def _called(self, *rest: Any) -> tuple[int, int, int]:

@@ -141,11 +141,12 @@ def _output_interval(method: Method, step: float | None, output_step: float) -> 
     if step is None:
         return output_step, 1
     allowed = "a number of seconds that divides, or is a multiple of, the output step"
+    step = positive("step", step, "s")
     if method.adaptive:
-        return output_step, max(1, round(output_step / positive("step", step, "s")))
-    if positive("step", step, "s") <= output_step:
+        return output_step, max(1, round(min(1e15, output_step / step)))
+    if step <= output_step:
         return output_step, parts("step", step, output_step, allowed, MOST_STEPS)
     multiple = step / output_step
-    if abs(multiple - round(multiple)) > WHOLE * multiple:
+    if not multiple < 1e15 or abs(multiple - round(multiple)) > WHOLE * multiple:
         raise refusal("step", step, f"{allowed}, {output_step} s")
     return step, 1

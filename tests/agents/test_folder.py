@@ -78,6 +78,31 @@ def test_nothing_that_is_read_runs(run, tmp_path):
         assert "this is not what a training run has written" in line and "FLEXMAN_BOMB" not in os.environ
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("/policy/action_net.bias", np.nan, "policy.action_net.bias: "),
+        ("/statistics/var", -1.0, "statistics.var: "),
+        ("/statistics/mean", np.inf, "statistics.mean: "),
+    ],
+)
+def test_a_policy_of_no_numbers_is_refused(run, tmp_path, name, value, said):
+    (tmp_path / SETTINGS).write_bytes((run / SETTINGS).read_bytes())
+    with np.load(run / NEWEST) as found:
+        arrays = {each: found[each] for each in found.files}
+    arrays[name].flat[0] = value
+    np.savez(tmp_path / NEWEST, **arrays)
+    line = refusal(find_policy, str(tmp_path))
+    assert line.startswith(f"{tmp_path / NEWEST}: {said}") and "give finite numbers" in line
+
+
+def test_settings_that_are_arrays_are_other_ones(run, tmp_path):
+    (tmp_path / SETTINGS).write_bytes((run / SETTINGS).read_bytes())
+    data = read_data(run / NEWEST)
+    write_data(tmp_path / NEWEST, data | {"settings": data["settings"] | {"seed": np.zeros(2)}})
+    assert "seed is another now" in refusal(find_policy, str(tmp_path))
+
+
 def test_files_of_stable_baselines3_need_trust(run, tmp_path):
     from flexman_agents.algorithm import make_model
     from flexman_agents.foreign import MODEL, STATISTICS

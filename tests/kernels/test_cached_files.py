@@ -134,7 +134,11 @@ def test_the_temporary_folder_serves_where_the_home_does_not(package, tmp_path):
     assert stat.S_IMODE((tmp_path / f"user-{os.getuid()}").stat().st_mode) == 0o700
 
 
-@pytest.mark.parametrize("setting", [{"NUMBA_BOUNDSCHECK": "1"}, {"NUMBA_CPU_NAME": "generic"}, {"NUMBA_OPT": "1"}])
-def test_settings_that_change_the_code_have_a_folder_of_their_own(package, cache, setting):
+@pytest.mark.parametrize(
+    ("name", "value", "another"), [("BOUNDSCHECK", "1", "0"), ("CPU_NAME", "generic", ""), ("OPT", "1", "3")]
+)
+def test_settings_that_change_the_code_have_a_folder_of_their_own(package, cache, name, value, another):
+    """Another value where the tests themselves run with the first."""
+    setting = {f"NUMBA_{name}": another if os.environ.get(f"NUMBA_{name}") == value else value}
     words = run(package, cache, CALL, **setting)
     assert words[:2] == ["2", "0"] and len(list(cache.glob("flexman_gym/*"))) == 2

@@ -239,28 +239,3 @@ def test_wrong_coefficients_are_refused_in_one_line(method, changes):
 
 def test_a_method_may_claim_less_than_its_order():
     assert replace(RK4, order=3).order == 3
-
-
-@pytest.mark.parametrize(
-    ("name", "step"), [("rk4", 1e-3), ("ros2", 1e-3), ("implicit_midpoint", 1e-3), ("dop853", None)]
-)
-def test_a_run_in_many_calls_is_the_run_in_one(name, step, monkeypatch):
-    """Between calls Ctrl-C is heard. A method that chooses its steps ends others at the ends of the calls."""
-    many = replace(scene(), output_step=DURATION / 10)
-    whole = fm.simulate(many, method=name, step=step, rtol=1e-9, atol=1e-11)
-    monkeypatch.setattr("flexman_gym.simulation.run.MOST_STEPS", 1)
-    for longest in (DURATION / 4, DURATION / 25):  # more than an output step, and less
-        monkeypatch.setattr("flexman_gym.simulation.run.LONGEST_CALL", longest)
-        parted = fm.simulate(many, method=name, step=step, rtol=1e-9, atol=1e-11)
-        assert parted.status == "ok" and np.array_equal(parted.time, whole.time)
-        np.testing.assert_allclose(parted.states, whole.states, rtol=0.0, atol=1e-6 if step is None else 1e-12)
-        assert parted.energy_residual == pytest.approx(whole.energy_residual, abs=1e-6)
-
-
-def test_a_run_in_many_calls_ends_where_it_diverges(monkeypatch):
-    wild = replace(scene(), torque=fm.ConstantTorque([1e6, 0.0]), output_step=DURATION / 500)
-    whole = fm.simulate(wild, method="rk4", step=1e-3)
-    monkeypatch.setattr("flexman_gym.simulation.run.MOST_STEPS", 7)
-    parted = fm.simulate(wild, method="rk4", step=1e-3)
-    assert whole.status == parted.status == "diverged"
-    assert np.array_equal(whole.states, parted.states) and 1 < len(whole.time) < 500

@@ -127,8 +127,17 @@ SIMULATION = (
         ("ros2 with another gamma", "gamma = 1 - math.sqrt(0.5)", "gamma = 0.5"),
     ),
     *changes(
-        "simulation", "simulation/run.py", "simulation/test_methods.py",
-        ("parts of a run begin at its start", "time=clock.time + (first + piece / pieces) * span", "time=clock.time"),
+        "simulation", "simulation/run.py", "simulation/test_calls.py",
+        ("parts of a run begin at its start", "first=valid * clock.substeps", "first=0"),
+        ("a run that was broken off goes on", "self.work.progress[:] = 0.0", "pass"),
+        ("a call has no end", "self._most = evaluations_of_a_call(model.constants)", "self._most = 10**15"),
+    ),
+    *changes(
+        "simulation", "simulation/movers.py", "simulation/test_calls.py",
+        ("a period that was broken off has been", "new, read = rows.copy(), outputs.copy()",
+         "new, read = rows, outputs"),
+        ("arms that diverge count on", "well & (now[:, 0] == many)", "well"),
+        ("other threads go on after Ctrl-C", "ended.set()\n", "pass\n"),
     ),
     *changes(
         "simulation", "simulation/explanation.py", "simulation/test_explanation.py",

@@ -3,6 +3,7 @@
 from flexman_gym.studies.planted.change import changes
 
 METHODS, STEP = "simulation/test_methods.py", "simulation/test_implicit_step.py"
+BITS = "simulation/test_calls.py::test_a_run_in_many_calls_has_the_bits_of_the_run_in_one"
 
 STEPS = (
     *changes(
@@ -23,7 +24,7 @@ STEPS = (
         ("generalised-alpha forgets its algorithmic accelerations",
          "averages.force * true[k] - averages.mass * old[k])\n        else",
          "averages.force * true[k])\n        else"),
-        ("it starts without accelerations", "ready = averages.midpoint  #", "ready = True  #"),
+        ("it starts without accelerations", "n = -1  #", "n = 0  #"),
         ("Newton's method stops early", "CONVERGED = 25, 1e-10", "CONVERGED = 25, 1e-3"),
         ("its ledger takes the power at the end", "0.5 * (power + true[k])", "power"),
         ("a new drive is taken for an old one", "old[k] += w[k] - true[k]", "old[k] = 0.0"),
@@ -53,6 +54,16 @@ STEPS = (
          "    return h * factor\n"),
         ("steps that fail are taken", "    if not error <= 1.0:\n        return h * (max(",
          "    if not error <= 100.0:\n        return h * (max("),
+    ),
+    *changes(
+        "kernels", "kernels/explicit.py", f"{BITS}[dopri5-None]",
+        ("a run that goes on forgets its slope", "known = 1 if paused and adaptive else 0", "known = 0"),
+    ),
+    *changes(
+        "kernels", "kernels/pace.py", f"{BITS}[rk4-0.001] {BITS}[dopri5-None]",
+        ("a run that goes on begins its drive anew", "clock.time + (clock.first + r * clock.substeps + n) * clock.step",
+         "clock.time + (r * clock.substeps + n) * clock.step"),
+        ("a run that goes on begins its interval anew", "work.progress[1], work.progress[2]\n", "0.0, 0.0\n"),
     ),
     *changes(
         "kernels", "kernels/arms.py", "simulation/test_movers.py",
