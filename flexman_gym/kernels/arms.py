@@ -18,6 +18,7 @@ from numba.extending import intrinsic
 from numba.np import arrayobj
 
 from flexman_gym.kernels.compile import inner, kernel, released
+from flexman_gym.kernels.fields import Field
 from flexman_gym.kernels.groups import lane_number, store_lane_number
 from flexman_gym.kernels.lanes import ARMS, NUMBER, SEQUENCES, Lanes
 from flexman_gym.kernels.layout import (
@@ -75,15 +76,15 @@ def _address(values: Array) -> int:
 
 
 @cache
-def _kind(parts: type, name: str, element: types.Type) -> types.Array:
+def _kind(parts: type, name: str, element: types.Type) -> Field:
     """The type of a field as the kernels see it; read-only are the constants that several arms share, see `lanes`."""
     annotation = parts.__annotations__[name]
     dimensions = 1 if annotation is Own or not hasattr(annotation, "__metadata__") else 2
     if annotation is IntArray:
-        return types.Array(types.int64, dimensions, "C", readonly=True)
+        return Field(types.int64, dimensions, readonly=True)
     if parts is Work or element == NUMBER or (element == ARMS and name in PER_ARM):
-        return types.Array(element, dimensions, "C")
-    return types.Array(NUMBER, dimensions, "C", readonly=True)
+        return Field(element, dimensions)
+    return Field(NUMBER, dimensions, readonly=True)
 
 
 @cache
@@ -93,7 +94,7 @@ def _columns(parts: type, name: str) -> int:
     return 0 if annotation is Own else getattr(annotation, "__metadata__", (0,))[0]
 
 
-def _view(context: Any, builder: Any, kind: types.Array, address: tuple[Any, int], columns: int) -> Any:
+def _view(context: Any, builder: Any, kind: Field, address: tuple[Any, int], columns: int) -> Any:
     """The array whose address and shape stand in a row of a table of addresses."""
     table, row = address
 
