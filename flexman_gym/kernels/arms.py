@@ -23,7 +23,9 @@ from flexman_gym.kernels.groups import lane_number, store_lane_number
 from flexman_gym.kernels.lanes import ARMS, NUMBER, SEQUENCES, Lanes
 from flexman_gym.kernels.layout import (
     ARMS_ABREAST,
+    DIVERGED,
     LARGEST_STATE,
+    OK,
     Array,
     Constants,
     IntArray,
@@ -155,39 +157,43 @@ def proceed(constants, work, tableau, sweeps, clock, state):
 
 
 @released
-def advance_arms(tables, work_table, tableau, sweeps, drives, clock, rows, found, moving):
+def advance_arms(tables, work_table, tableau, sweeps, drives, clock, rows, found, status):
     """Moves arms by steps of a linearly implicit method, or sweeps without one, under constant drives (b, n + 6).
 
     `tables` (groups, fields, 3) are the addresses of the constants of each group of ARMS_ABREAST arms. Overwrites rows
-    (b, 2 d + 2), state and ledger, and outputs `found` (b, OUTPUTS) of the arms that are `moving` (b,) and do not
-    diverge; moving becomes 0 for one that does.
+    (b, 2 d + 2), state and ledger, and outputs `found` (b, OUTPUTS) of the arms whose status (b,) is OK and that do not
+    diverge; it becomes DIVERGED for one that does.
     """
     work = work_of_arms(work_table)
     state = work.row
     for group in range(len(tables)):
         first = group * ARMS_ABREAST
         end = min(first + ARMS_ABREAST, len(rows))
-        if not any_moving(moving, first, end):
+        if not any_moving(status, first, end):
             continue
         fill_lanes(rows, first, state)
         fill_lanes(drives, first, work.drive)
         proceed(constants_of_arms(tables[group]), work, tableau, sweeps, clock, state)
         for arm in range(first, end):
-            moving[arm] = moving[arm] and lane_in_bounds(state, arm - first)
-            if moving[arm]:
+            if status[arm] == OK and not lane_in_bounds(state, arm - first):
+                status[arm] = DIVERGED
+            if status[arm] == OK:
                 read_lane(state, arm - first, rows[arm])
                 read_lane(work.outputs, arm - first, found[arm])
 
 
 @released
-def advance_one(table, work_table, tableau, sweeps, drives, clock, rows, found, moving):
+def advance_one(table, work_table, tableau, sweeps, drives, clock, rows, found, status):
     """The same for a single arm."""
+    if status[0] != OK:
+        return
     work = work_of_one(work_table)
     copy(rows[0], work.row)
     copy(drives[0], work.drive)
     proceed(constants_of_one(table), work, tableau, sweeps, clock, work.row)
-    moving[0] = moving[0] and not out_of_bounds(work.row)
-    if moving[0]:
+    if out_of_bounds(work.row):
+        status[0] = DIVERGED
+    else:
         copy(work.row, rows[0])
         copy(work.outputs, found[0])
 
@@ -270,10 +276,10 @@ def read_lane(flat, k, out):
 
 
 @inner
-def any_moving(moving, first, end):
+def any_moving(status, first, end):
     """Whether an arm from `first` to `end` is to be moved."""
     for arm in range(first, end):
-        if moving[arm]:
+        if status[arm] == OK:
             return True
     return False
 

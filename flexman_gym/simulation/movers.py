@@ -8,7 +8,7 @@ of arms that fail. `sense(drives, rows, found)` finds the tip accelerations (b, 
 
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -22,9 +22,10 @@ from flexman_gym.kernels.lanes import ARMS, NUMBER
 from flexman_gym.kernels.layout import ARMS_ABREAST, Clock, Constants, IntArray, Tableau, make_work
 from flexman_gym.scene.drive import drive_table
 from flexman_gym.simulation.families import LinearlyImplicit, Midpoint
+from flexman_gym.simulation.helper import Helper
 from flexman_gym.simulation.run import Run
 
-SHARE = 8  # groups that are worth a thread: to wake a thread takes as long as to move two or three groups
+SHARE = 4  # groups that are worth a thread: to wake a thread takes about as long as to move one or two
 
 
 class OneByOne:
@@ -111,8 +112,8 @@ class Abreast:
         self._work_tables = [addresses(each, kind) for each in self._works]
         bounds = np.linspace(0, groups, len(self._works) + 1).round().astype(int)
         self._shares = [slice(int(first), int(end)) for first, end in pairwise(bounds)]
-        self._moving = np.zeros(arms, dtype=np.int64)
-        self._pool: ThreadPoolExecutor | None = None
+        self._observed = np.zeros(arms, dtype=np.int64)
+        self._helpers: list[Helper] = []
         self._process = 0
 
     @property
@@ -135,17 +136,14 @@ class Abreast:
 
     def observe(self, arms: IntArray, rows: Array, outputs: Array) -> None:
         """Reads the outputs of some arms, by a run of no steps."""
-        self._moving[:] = 0
-        self._moving[arms] = 1
-        self._advance(np.zeros((len(rows), len(self._constants[0].mass) + 6)), self._still, rows, outputs)
+        self._observed[:] = layout.NOT_CONVERGED
+        self._observed[arms] = layout.OK
+        drives = np.zeros((len(rows), len(self._constants[0].mass) + 6))
+        self._advance(drives, self._still, rows, outputs, self._observed)
 
     def move(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
         """Moves the arms whose status is OK."""
-        np.equal(status, layout.OK, out=self._moving, casting="unsafe")
-        self._advance(drives, self._clock, rows, outputs)
-        failed = (status == layout.OK) & (self._moving == 0)
-        if failed.any():
-            status[failed] = layout.DIVERGED
+        self._advance(drives, self._clock, rows, outputs, status)
 
     def sense(self, drives: Array, rows: Array, found: Array) -> None:
         """Finds the tip accelerations of all arms."""
@@ -172,17 +170,17 @@ class Abreast:
 
         self._share(share)
 
-    def _advance(self, drives: Array, clock: Clock, rows: Array, outputs: Array) -> None:
+    def _advance(self, drives: Array, clock: Clock, rows: Array, outputs: Array, status: IntArray) -> None:
         if self._alone:
             kernels.advance_one(
-                self._tables[0], self._work_tables[0], *self._method, drives, clock, rows, outputs, self._moving
+                self._tables[0], self._work_tables[0], *self._method, drives, clock, rows, outputs, status
             )
             return
 
         def share(groups: slice, arms: slice, work: IntArray) -> None:
             kernels.advance_arms(
                 self._tables[groups], work, *self._method,
-                drives[arms], clock, rows[arms], outputs[arms], self._moving[arms],
+                drives[arms], clock, rows[arms], outputs[arms], status[arms],
             )  # fmt: skip
 
         self._share(share)
@@ -194,16 +192,20 @@ class Abreast:
             groups = self._shares[thread]
             share(groups, slice(groups.start * ARMS_ABREAST, groups.stop * ARMS_ABREAST), self._work_tables[thread])
 
-        others = [self._threads().submit(part, thread) for thread in range(1, len(self._shares))]
-        part(0)
-        for each in others:
-            each.result()
+        helpers = self._threads()
+        for thread, helper in enumerate(helpers, 1):
+            helper.begin(partial(part, thread))
+        try:
+            part(0)
+        finally:
+            for helper in helpers:
+                helper.finish()
 
-    def _threads(self) -> ThreadPoolExecutor:
+    def _threads(self) -> list[Helper]:
         """Gives the threads beside the calling one; a forked process has none of its parent's."""
-        if self._pool is None or self._process != os.getpid():
-            self._pool, self._process = ThreadPoolExecutor(len(self._shares) - 1), os.getpid()
-        return self._pool
+        if self._process != os.getpid():
+            self._helpers, self._process = [Helper() for _ in self._shares[1:]], os.getpid()
+        return self._helpers
 
 
 def _own(constants: Constants) -> dict[str, Any]:
