@@ -18,8 +18,11 @@ def action_space(model: Model) -> spaces.Space[Any]:
 
 def checked_actions(name: str, value: object, shape: tuple[int, ...], allowed: str) -> Array:
     """The actions as an array of floats; raises ValueError for another shape and for numbers outside -1 to 1."""
-    actions = number_array(name, value, shape, allowed)
-    if np.count_nonzero(np.abs(actions) <= 1.0) == actions.size:
+    if isinstance(value, np.ndarray) and value.shape == shape and value.dtype.kind == "f":
+        actions = value.astype(np.float64, copy=False)
+    else:
+        actions = number_array(name, value, shape, allowed)
+    if np.count_nonzero(np.abs(actions) <= 1.0) == actions.size:  # neither is what is no number
         return actions
     raise refusal(name, value, allowed)
 

@@ -39,7 +39,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
 
     Args:
         num_envs: number of arms.
-        threads: that move them, at most one for 64 arms; a second one pays from about 256 arms on.
+        threads: that move them, at most one for 32 arms; a second one pays where a core has nothing else to do.
         max_episode_steps: steps after which an episode is truncated; None takes the `horizon`.
         autoreset_mode: an AutoresetMode of Gymnasium, or its value.
         render_mode, render_size: see `FlexManEnv`; a frame of each arm.
@@ -170,7 +170,11 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
         """Rewards and infos of the states that the arms are in."""
         episodes = self.episodes
         view = episodes.view
-        rewards, infos = episodes.outcome(view)
+        if self.num_envs == 1:  # numbers take less time than arrays of one
+            reward, info = episodes.outcome(view.alone())
+            rewards, infos = np.array([reward]), _arrays(info)
+        else:
+            rewards, infos = episodes.outcome(view)
         status, failure = self._ok.copy(), self._no_failure.copy()
         for arm, text in episodes.failures.items():
             status[arm], failure[arm] = layout.STATUS[self.batch.status[arm]], text
@@ -213,6 +217,14 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
         if isinstance(mask, np.ndarray) and mask.shape == (self.num_envs,) and mask.dtype == bool and mask.any():
             return mask
         raise refusal("options['reset_mask']", mask, f"an array ({self.num_envs},) of bool, not all of them False")
+
+
+def _arrays(info: Infos) -> Infos:
+    """The info of an arm alone, with an axis for the arms in front of every number and array."""
+    found = {}
+    for key, value in info.items():
+        found[key] = _arrays(value) if isinstance(value, dict) else np.array([value])
+    return found
 
 
 def _with_masks(infos: Infos, mask: Flags) -> Infos:

@@ -18,11 +18,14 @@ from numba.extending import intrinsic
 from numba.np import arrayobj
 
 from flexman_gym.kernels.compile import inner, kernel, released
+from flexman_gym.kernels.fields import Field
 from flexman_gym.kernels.groups import lane_number, store_lane_number
 from flexman_gym.kernels.lanes import ARMS, NUMBER, SEQUENCES, Lanes
 from flexman_gym.kernels.layout import (
     ARMS_ABREAST,
+    DIVERGED,
     LARGEST_STATE,
+    OK,
     Array,
     Constants,
     IntArray,
@@ -75,15 +78,15 @@ def _address(values: Array) -> int:
 
 
 @cache
-def _kind(parts: type, name: str, element: types.Type) -> types.Array:
+def _kind(parts: type, name: str, element: types.Type) -> Field:
     """The type of a field as the kernels see it; read-only are the constants that several arms share, see `lanes`."""
     annotation = parts.__annotations__[name]
     dimensions = 1 if annotation is Own or not hasattr(annotation, "__metadata__") else 2
     if annotation is IntArray:
-        return types.Array(types.int64, dimensions, "C", readonly=True)
+        return Field(types.int64, dimensions, readonly=True)
     if parts is Work or element == NUMBER or (element == ARMS and name in PER_ARM):
-        return types.Array(element, dimensions, "C")
-    return types.Array(NUMBER, dimensions, "C", readonly=True)
+        return Field(element, dimensions)
+    return Field(NUMBER, dimensions, readonly=True)
 
 
 @cache
@@ -93,7 +96,7 @@ def _columns(parts: type, name: str) -> int:
     return 0 if annotation is Own else getattr(annotation, "__metadata__", (0,))[0]
 
 
-def _view(context: Any, builder: Any, kind: types.Array, address: tuple[Any, int], columns: int) -> Any:
+def _view(context: Any, builder: Any, kind: Field, address: tuple[Any, int], columns: int) -> Any:
     """The array whose address and shape stand in a row of a table of addresses."""
     table, row = address
 
@@ -154,39 +157,43 @@ def proceed(constants, work, tableau, sweeps, clock, state):
 
 
 @released
-def advance_arms(tables, work_table, tableau, sweeps, drives, clock, rows, found, moving):
+def advance_arms(tables, work_table, tableau, sweeps, drives, clock, rows, found, status):
     """Moves arms by steps of a linearly implicit method, or sweeps without one, under constant drives (b, n + 6).
 
     `tables` (groups, fields, 3) are the addresses of the constants of each group of ARMS_ABREAST arms. Overwrites rows
-    (b, 2 d + 2), state and ledger, and outputs `found` (b, OUTPUTS) of the arms that are `moving` (b,) and do not
-    diverge; moving becomes 0 for one that does.
+    (b, 2 d + 2), state and ledger, and outputs `found` (b, OUTPUTS) of the arms whose status (b,) is OK and that do not
+    diverge; it becomes DIVERGED for one that does.
     """
     work = work_of_arms(work_table)
     state = work.row
     for group in range(len(tables)):
         first = group * ARMS_ABREAST
         end = min(first + ARMS_ABREAST, len(rows))
-        if not any_moving(moving, first, end):
+        if not any_moving(status, first, end):
             continue
         fill_lanes(rows, first, state)
         fill_lanes(drives, first, work.drive)
         proceed(constants_of_arms(tables[group]), work, tableau, sweeps, clock, state)
         for arm in range(first, end):
-            moving[arm] = moving[arm] and lane_in_bounds(state, arm - first)
-            if moving[arm]:
+            if status[arm] == OK and not lane_in_bounds(state, arm - first):
+                status[arm] = DIVERGED
+            if status[arm] == OK:
                 read_lane(state, arm - first, rows[arm])
                 read_lane(work.outputs, arm - first, found[arm])
 
 
 @released
-def advance_one(table, work_table, tableau, sweeps, drives, clock, rows, found, moving):
+def advance_one(table, work_table, tableau, sweeps, drives, clock, rows, found, status):
     """The same for a single arm."""
+    if status[0] != OK:
+        return
     work = work_of_one(work_table)
     copy(rows[0], work.row)
     copy(drives[0], work.drive)
     proceed(constants_of_one(table), work, tableau, sweeps, clock, work.row)
-    moving[0] = moving[0] and not out_of_bounds(work.row)
-    if moving[0]:
+    if out_of_bounds(work.row):
+        status[0] = DIVERGED
+    else:
         copy(work.row, rows[0])
         copy(work.outputs, found[0])
 
@@ -269,10 +276,10 @@ def read_lane(flat, k, out):
 
 
 @inner
-def any_moving(moving, first, end):
+def any_moving(status, first, end):
     """Whether an arm from `first` to `end` is to be moved."""
     for arm in range(first, end):
-        if moving[arm]:
+        if status[arm] == OK:
             return True
     return False
 

@@ -5,6 +5,7 @@ import math
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.kinematics import positions, velocities
 from flexman_gym.kernels.lanes import fused, vanishes
+from flexman_gym.kernels.layout import GRAVITATIONAL, JOINT_ENERGY, KINETIC, LINK_ENERGY
 from flexman_gym.kernels.linalg import (
     IDENTITY,
     ZERO,
@@ -64,6 +65,54 @@ def combine(rows, start, source, value, out):
             for e in range(start[j], start[j + 1]):
                 total = fused(value[e], rows[b, source[e]], total)
             out[b, j] = total
+
+
+@kernel
+def read_views(rows, outputs, targets, readings, motion, vectors, numbers):
+    """What a `View` has of b arms, from rows (b, 2 d + 2), outputs (b, OUTPUTS) and targets (b, 3).
+
+    motion (b, m) = the linear readings, as `combine` takes them, and the velocity of the tip; vectors (b, 2, 3) =
+    target - tip and the deflection rate; numbers (3, b) = the lengths of both and the elastic energy.
+    """
+    start, source, value = readings
+    combine(rows, start, source, value, motion)
+    last = motion.shape[1] - 3
+    for b in range(len(rows)):
+        for j in range(3):
+            motion[b, last + j] = outputs[b, 3 + j]
+            vectors[b, 0, j], vectors[b, 1, j] = targets[b, j] - outputs[b, j], outputs[b, 9 + j]
+        for i in range(2):
+            x, y, z = vectors[b, i, 0], vectors[b, i, 1], vectors[b, i, 2]
+            numbers[i, b] = math.sqrt(x * x + y * y + z * z)
+        numbers[2, b] = outputs[b, LINK_ENERGY] + outputs[b, JOINT_ENERGY]
+
+
+@kernel
+def energies(outputs, found):
+    """found (b,) = kinetic + elastic + gravitational energy of arms with these outputs (b, OUTPUTS), J."""
+    for b in range(len(found)):
+        moving = outputs[b, KINETIC] + outputs[b, JOINT_ENERGY]
+        found[b] = moving + (outputs[b, LINK_ENERGY] + outputs[b, GRAVITATIONAL])
+
+
+@kernel
+def residuals(rows, outputs, start, found):
+    """found (b,) = work - dissipation - change of energy since the energies (b,) of the start, J."""
+    energies(outputs, found)
+    last = rows.shape[1] - 1
+    for b in range(len(rows)):
+        found[b] = rows[b, last - 1] - rows[b, last] - (found[b] - start[b])
+
+
+@kernel
+def turn_over(rows, outputs, found):
+    """found (b,) grows to kinetic + elastic energy, |work| and |dissipation|, where it is less than one of them, J."""
+    last = rows.shape[1] - 1
+    for b in range(len(rows)):
+        moving = outputs[b, KINETIC] + outputs[b, JOINT_ENERGY] + outputs[b, LINK_ENERGY]
+        for value in (moving, abs(rows[b, last - 1]), abs(rows[b, last])):
+            if value > found[b] or value != value:  # what is no number stays there to be seen
+                found[b] = value
 
 
 @kernel

@@ -20,6 +20,7 @@ from numba.extending import (
     unbox,
 )
 
+from flexman_gym.kernels.fields import Field
 from flexman_gym.kernels.layout import Constants, Work
 
 BYTES = ir.IntType(8).as_pointer()
@@ -28,7 +29,7 @@ BYTES = ir.IntType(8).as_pointer()
 class Parts(types.Type):
     """Numba's name for a `Constants` or `Work` with fields of these kinds; `whole` is the tuple that it stands for."""
 
-    def __init__(self, kinds: list[types.Array], parts: type) -> None:
+    def __init__(self, kinds: list[Field], parts: type) -> None:
         self.whole = types.NamedTuple(kinds, parts)  # type: ignore[attr-defined]
         super().__init__(name=f"Parts({self.whole.name})")
 
@@ -84,7 +85,8 @@ def gathered(context: Any, builder: Any, kind: Parts, fields: list[Any]) -> Any:
 @typeof_impl.register(Constants)
 @typeof_impl.register(Work)
 def _kind_of(parts: Any, given: Any) -> Parts:
-    return Parts([typeof_impl(each, given) for each in parts], type(parts))
+    kinds = [typeof_impl(each, given) for each in parts]
+    return Parts([Field(each.dtype, each.ndim, not each.mutable, each.layout) for each in kinds], type(parts))
 
 
 @unbox(Parts)

@@ -9,7 +9,6 @@ from flexman_gym.arrays import Array, Flags
 from flexman_gym.checks import bounded, parts, positive, refusal, whole_number
 from flexman_gym.kernels import layout, outputs
 from flexman_gym.model.model import Model, checked_model
-from flexman_gym.simulation.energy import turnover
 from flexman_gym.simulation.families import LinearlyImplicit, Method, Midpoint
 from flexman_gym.simulation.movers import Abreast, OneByOne
 from flexman_gym.simulation.parameters import nominal_parameters, varied_constants
@@ -17,8 +16,6 @@ from flexman_gym.simulation.run import MOST_STEPS, Run, find_method, find_tolera
 
 MOST_ARMS, MOST_THREADS = 65536, 256
 RESTING = -1  # a status that only movers see
-ENERGY = np.isin(np.arange(layout.OUTPUTS), range(layout.KINETIC, layout.OUTPUTS)).astype(float)
-MOVING_ENERGY = np.isin(np.arange(layout.OUTPUTS), range(layout.KINETIC, layout.GRAVITATIONAL)).astype(float)
 
 
 class Batch:
@@ -102,8 +99,10 @@ class Batch:
         self._periods[arms] = self._drive[arms] = 0.0
         self._known = False
         self._mover.observe(arms, self.rows, self.outputs)
-        self._start_energy[arms] = self._energy()[arms]
-        self.energy_turnover[arms] = self._turned_over()[arms]
+        energy = np.empty(len(self.rows))
+        outputs.energies(self.outputs, energy)
+        self._start_energy[arms], self.energy_turnover[arms] = energy[arms], 0.0
+        outputs.turn_over(self.rows, self.outputs, self.energy_turnover)
 
     def step(self, drive: Array, moving: Flags | None = None) -> None:
         """Moves all arms that have not failed by one control period, during which their drive is constant.
@@ -124,7 +123,7 @@ class Batch:
         self._periods += moved
         np.copyto(self._drive, drive, where=moved[:, None])
         self._known = False
-        np.maximum(self.energy_turnover, self._turned_over(), out=self.energy_turnover)
+        outputs.turn_over(self.rows, self.outputs, self.energy_turnover)
 
     def tip_accelerations(self) -> Array:
         """Gives how each tip is accelerated now, (b, TIP_ACCELERATIONS), m/s^2; columns in `kernels.layout`.
@@ -186,13 +185,9 @@ class Batch:
     @property
     def energy_residual(self) -> Array:
         """Work - dissipation - change of energy since the reset (b,), J; see `Trajectory`."""
-        return self.rows[:, -2] - self.rows[:, -1] - (self._energy() - self._start_energy)
-
-    def _energy(self) -> Array:
-        return np.vecdot(self.outputs, ENERGY)  # arm by arm, so that its bits do not depend on the number of arms
-
-    def _turned_over(self) -> Array:
-        return turnover(np.vecdot(self.outputs, MOVING_ENERGY), self.rows[:, -2], self.rows[:, -1])
+        found = np.empty(len(self.rows))
+        outputs.residuals(self.rows, self.outputs, self._start_energy, found)
+        return found
 
 
 def _joints(prescribed: object, count: int) -> list[int]:

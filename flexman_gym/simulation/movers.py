@@ -8,9 +8,8 @@ of arms that fail. `sense(drives, rows, found)` finds the tip accelerations (b, 
 
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor, wait
+from functools import partial
 from itertools import pairwise
-from threading import Event
 from typing import Any
 
 import numpy as np
@@ -24,9 +23,10 @@ from flexman_gym.kernels.layout import ARMS_ABREAST, Clock, Constants, IntArray,
 from flexman_gym.scene.drive import drive_table
 from flexman_gym.simulation.calls import ABREAST, evaluations_of_a_call, pieces, row_pieces
 from flexman_gym.simulation.families import LinearlyImplicit, Midpoint
+from flexman_gym.simulation.helper import Helper
 from flexman_gym.simulation.run import Run
 
-SHARE = 8  # groups that are worth a thread: to wake a thread takes as long as to move two or three groups
+SHARE = 4  # groups that are worth a thread: to wake a thread takes about as long as to move one or two
 
 
 class OneByOne:
@@ -115,8 +115,8 @@ class Abreast:
         self._work_tables = [addresses(each, kind) for each in self._works]
         bounds = np.linspace(0, groups, len(self._works) + 1).round().astype(int)
         self._shares = [slice(int(first), int(end)) for first, end in pairwise(bounds)]
-        self._moving = np.zeros(arms, dtype=np.int64)
-        self._pool: ThreadPoolExecutor | None = None
+        self._observed = np.zeros(arms, dtype=np.int64)
+        self._helpers: list[Helper] = []
         self._process = 0
 
     @property
@@ -139,17 +139,14 @@ class Abreast:
 
     def observe(self, arms: IntArray, rows: Array, outputs: Array) -> None:
         """Reads the outputs of some arms, by a run of no steps."""
-        self._moving[:] = 0
-        self._moving[arms] = 1
-        self._advance(np.zeros((len(rows), len(self._constants[0].mass) + 6)), self._still, rows, outputs)
+        self._observed[:] = layout.NOT_CONVERGED
+        self._observed[arms] = layout.OK
+        drives = np.zeros((len(rows), len(self._constants[0].mass) + 6))
+        self._advance(drives, self._still, rows, outputs, self._observed)
 
     def move(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
         """Moves the arms whose status is OK."""
-        np.equal(status, layout.OK, out=self._moving, casting="unsafe")
-        self._advance(drives, self._clock, rows, outputs)
-        failed = (status == layout.OK) & (self._moving == 0)
-        if failed.any():
-            status[failed] = layout.DIVERGED
+        self._advance(drives, self._clock, rows, outputs, status)
 
     def sense(self, drives: Array, rows: Array, found: Array) -> None:
         """Finds the tip accelerations of all arms."""
@@ -193,27 +190,27 @@ class Abreast:
             last, well = part[:, -1], well & (now[:, 0] == many)
             yield
 
-    def _advance(self, drives: Array, clock: Clock, rows: Array, outputs: Array) -> None:
-        """Moves the arms of `_moving` that stay within bounds; a long way in several calls, or else not at all."""
+    def _advance(self, drives: Array, clock: Clock, rows: Array, outputs: Array, status: IntArray) -> None:
+        """Moves the arms whose status is OK; a long way in several calls, or else not at all."""
         together = max(1, self._most // max(1, clock.substeps))  # groups in a call
         if together >= len(self._tables) and clock.substeps <= self._most:
-            self._move(drives, [clock], rows, outputs, together)
+            self._move(drives, [clock], (rows, outputs, status), together)
             return
-        new, read = rows.copy(), outputs.copy()
+        new, read, after = rows.copy(), outputs.copy(), status.copy()
         clocks = [clock._replace(substeps=steps) for _, steps in pieces(clock.substeps, self._most)]
-        self._move(drives, clocks or [clock], new, read, together)
-        moved = self._moving[:, None] > 0
+        self._move(drives, clocks or [clock], (new, read, after), together)
+        moved = (after == layout.OK)[:, None]
         np.copyto(rows, new, where=moved)
         np.copyto(outputs, read, where=moved)
+        status[:] = after
 
-    def _move(self, drives: Array, clocks: list[Clock], rows: Array, outputs: Array, together: int) -> None:
-        """Moves the arms, so many groups in a call, by one clock after the other."""
+    def _move(self, drives: Array, clocks: list[Clock], moved: tuple[Array, Array, IntArray], together: int) -> None:
+        """Moves rows, outputs and status of the arms, so many groups in a call, by one clock after the other."""
         if self._alone:
             for clock in clocks:
-                kernels.advance_one(
-                    self._tables[0], self._work_tables[0], *self._method, drives, clock, rows, outputs, self._moving
-                )
+                kernels.advance_one(self._tables[0], self._work_tables[0], *self._method, drives, clock, *moved)
             return
+        rows, outputs, status = moved
 
         def share(groups: slice, work: IntArray) -> Iterator[None]:
             for first, count in pieces(groups.stop - groups.start, together):
@@ -222,7 +219,7 @@ class Abreast:
                 for clock in clocks:
                     kernels.advance_arms(
                         self._tables[some], work, *self._method,
-                        drives[arms], clock, rows[arms], outputs[arms], self._moving[arms],
+                        drives[arms], clock, rows[arms], outputs[arms], status[arms],
                     )  # fmt: skip
                     yield
 
@@ -230,28 +227,31 @@ class Abreast:
 
     def _share(self, share: Callable[[slice, IntArray], Iterator[None]]) -> None:
         """Goes through what a function does with the groups of each thread and its work space, call by call."""
-        ended = Event()
+        ended: list[bool] = []
 
         def part(thread: int) -> None:
             for _ in share(self._shares[thread], self._work_tables[thread]):
-                if ended.is_set():
+                if ended:
                     return
 
-        others = [self._threads().submit(part, thread) for thread in range(1, len(self._shares))]
+        helpers = self._threads()
+        for thread, helper in enumerate(helpers, 1):
+            helper.begin(partial(part, thread))
         try:
             part(0)
-            for each in others:
-                each.result()
+            for helper in helpers:
+                helper.finish()
         except BaseException:  # Ctrl-C, which the calling thread alone hears: nobody may go on with shared work space
-            ended.set()
-            wait(others)
+            ended.append(True)
+            for helper in helpers:
+                helper.finish()
             raise
 
-    def _threads(self) -> ThreadPoolExecutor:
+    def _threads(self) -> list[Helper]:
         """Gives the threads beside the calling one; a forked process has none of its parent's."""
-        if self._pool is None or self._process != os.getpid():
-            self._pool, self._process = ThreadPoolExecutor(len(self._shares) - 1), os.getpid()
-        return self._pool
+        if self._process != os.getpid():
+            self._helpers, self._process = [Helper() for _ in self._shares[1:]], os.getpid()
+        return self._helpers
 
 
 def _arms(groups: slice) -> slice:

@@ -8,7 +8,7 @@ import numpy as np
 from flexman_gym.arrays import Array
 from flexman_gym.kernels import layout
 from flexman_gym.kernels import paths as kernels
-from flexman_gym.kernels.outputs import combine
+from flexman_gym.kernels.outputs import combine, read_views
 from flexman_gym.model.instant import frequencies
 from flexman_gym.model.statics import rest_states, rest_tips
 from flexman_gym.model.strain import gauge_radii
@@ -87,15 +87,14 @@ class View:
         self.motor_angles, self.motor_rates = parts["motor_angles"], parts["motor_rates"]
         self.joint_twists, self.joint_twist_rates = parts["joint_twists"], parts["joint_twist_rates"]
         self.link_deflections, self.link_deflection_rates = parts["link_deflections"], parts["link_deflection_rates"]
-        self._velocity = parts["tip_velocity"]
         self.state, d = self._batch.state, self._batch.model.n_dof
         self.joint_angles, self.joint_rates = self.state[:, :n], self.state[:, d : d + n]
         self.tip, self.tip_velocity = outputs[:, layout.TIP], outputs[:, layout.TIP_VELOCITY]
         self.deflection, self.deflection_rate = outputs[:, layout.DEFLECTION], outputs[:, layout.DEFLECTION_RATE]
         self.posture, self.target, self.plan = np.zeros((arms, n)), np.zeros((arms, 3)), dict[str, Array]()
         self.posture_rates, self.target_velocity = np.zeros((arms, n)), np.zeros((arms, 3))
-        self._vectors = np.zeros((arms, 2, 3))  # their lengths are tip_error and tip_vibration
-        self.target_error, self._shaking = self._vectors[:, 0], self._vectors[:, 1]
+        self._vectors = np.zeros((arms, 2, 3))  # with the deflection rate; their lengths: tip_error and tip_vibration
+        self.target_error = self._vectors[:, 0]
         self.tip_error: Number = np.zeros(arms)
         self.tip_vibration: Number = np.zeros(arms)
         self.elastic_energy: Number = np.zeros(arms)
@@ -108,13 +107,10 @@ class View:
     def read(self) -> None:
         """Reads the present states of the arms, for their present goals."""
         batch = self._batch
-        combine(batch.rows, *self._readings.motion, self.motion)
-        self._velocity[:] = self.tip_velocity
-        np.subtract(self.target, self.tip, out=self.target_error)
-        self._shaking[:] = self.deflection_rate
-        lengths = np.sqrt(np.vecdot(self._vectors, self._vectors))
-        self.tip_error, self.tip_vibration = lengths[:, 0], lengths[:, 1]
-        self.elastic_energy = batch.outputs[:, layout.LINK_ENERGY] + batch.outputs[:, layout.JOINT_ENERGY]
+        numbers = np.empty((3, len(self.motion)))
+        motion, vectors = self.motion, self._vectors
+        read_views(batch.rows, batch.outputs, self.target, self._readings.motion, motion, vectors, numbers)
+        self.tip_error, self.tip_vibration, self.elastic_energy = numbers
         self.energy_residual, self.energy_turnover = batch.energy_residual, batch.energy_turnover
 
     @property

@@ -67,7 +67,7 @@ STEPS = (
     ),
     *changes(
         "kernels", "kernels/arms.py", "simulation/test_movers.py",
-        ("a lane that diverges goes on", "moving[arm] and lane_in_bounds(state, arm - first)", "moving[arm]"),
+        ("a lane that diverges goes on", "status[arm] == OK and not lane_in_bounds(state, arm - first)", "False"),
     ),
     *changes(
         "kernels", "kernels/linalg.py", "simulation/test_effects.py",
