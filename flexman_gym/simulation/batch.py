@@ -120,8 +120,12 @@ class Batch:
             self._mover.move(drive, self._periods, self.rows, self.outputs, status)
             self.status[moving] = status[moving]
             moved = status == layout.OK
-        self._periods += moved
-        np.copyto(self._drive, drive, where=moved[:, None])
+        if np.count_nonzero(moved) == len(moved):  # all, which takes less time
+            self._periods += 1.0
+            self._drive[:] = drive
+        else:
+            self._periods += moved
+            np.copyto(self._drive, drive, where=moved[:, None])
         self._known = False
         outputs.turn_over(self.rows, self.outputs, self.energy_turnover)
 

@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
 from flexman_gym.arrays import Array
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.sensors.sensor import Entry
+from flexman_gym.kernels.outputs import read_everything
 from flexman_gym.simulation.view import View
 
 NEAR = 0.1 / 8.5  # of the reach: tip error that is half of the way to the largest nearness
@@ -40,9 +39,7 @@ class FullState:
 
     def read(self, view: View, out: Array) -> None:
         """Writes into out (b, 9 n + 9)."""
-        n = view.n_joints
-        out[:, : 8 * n] = view.motion[:, : 8 * n]
-        np.subtract(view.posture, view.motor_angles, out=out[:, 8 * n : 9 * n])
-        out[:, -9:-6] = view.target_error
-        np.divide(view.target_error, view.tip_error[:, None] + NEAR * view.reach, out=out[:, -6:-3])
-        out[:, -3:] = view.tip_velocity
+        read_everything(
+            view.motion, view.motor_angles, view.tip_velocity, view.posture, view.target_error, view.tip_error,
+            NEAR * view.reach, out,
+        )  # fmt: skip
