@@ -2,14 +2,14 @@
 
 import argparse
 
-from flexman_gym.studies.benchmark import environments, evaluations, starts
+from flexman_gym.studies.benchmark import environments, evaluations, parts, starts
 from flexman_gym.studies.benchmark.page import publish
 from flexman_gym.studies.benchmark.rows import Row
 from flexman_gym.studies.machine import machine_text
 from flexman_gym.studies.places import folder
 from flexman_gym.studies.table import read_rows, write_rows
 
-EVALUATION_ROUNDS, STARTS = 40, 5
+EVALUATION_ROUNDS, PART_ROUNDS, STARTS = 40, 15, 5
 PEERS = ("gymnasium", "stable-baselines3", "torch", "mujoco", "pin")
 
 
@@ -25,6 +25,7 @@ def main() -> None:
     if not options.redraw:
         grid = environments.QUICK if options.quick else environments.Grid()
         rows = environments.rows(grid)
+        rows += parts.rows(1 if options.quick else PART_ROUNDS)
         rows += starts.rows(1 if options.quick else STARTS, cold=not options.quick)
         rows += evaluations.rows(2 if options.quick else EVALUATION_ROUNDS)
         write_rows(rows, file)

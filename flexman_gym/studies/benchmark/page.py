@@ -5,7 +5,8 @@ from pathlib import Path
 
 from flexman_gym.studies.benchmark.environments import OURS, PHYSICS, PPO, REACHER, VECTOR
 from flexman_gym.studies.benchmark.evaluations import NOTE
-from flexman_gym.studies.benchmark.rows import ENVIRONMENTS, EVALUATIONS, STARTS, Row
+from flexman_gym.studies.benchmark.parts import NOTE as PARTS_NOTE
+from flexman_gym.studies.benchmark.rows import ENVIRONMENTS, EVALUATIONS, PARTS, STARTS, Row
 from flexman_gym.studies.benchmark.starts import COLD, FIRST, IMPORT, MORE, WARM
 from flexman_gym.studies.markdown import bullets, markdown_table
 
@@ -75,6 +76,10 @@ def _environment(row: Row) -> list[str]:
     return [row.name, number(row.arms), number(row.threads), *speeds]
 
 
+def _part(row: Row) -> list[str]:
+    return [row.name, number(row.arms), number(row.cpu * 1e6), number(row.wall * 1e6)]
+
+
 def _start(row: Row) -> list[str]:
     return [row.name, number(row.cpu), number(row.wall)]
 
@@ -85,6 +90,12 @@ TABLES: dict[str, tuple[str, str, tuple[str, ...], Callable[[Row], list[str]]]] 
         STEPS_NOTE,
         ("row", "arms", "threads", "steps a second of CPU", "by the clock", f"times {REACHER}", "share of the arms"),
         _environment,
+    ),
+    PARTS: (
+        "Where the time of a step goes",
+        PARTS_NOTE,
+        ("part", "arms", "microseconds of CPU", "by the clock"),
+        _part,
     ),
     STARTS: ("Starts", STARTS_NOTE, ("row", "CPU, s", "clock, s"), _start),
     EVALUATIONS: (

@@ -9,7 +9,7 @@ import numpy as np
 
 from flexman_gym.arrays import Array
 
-EVALUATIONS, ENVIRONMENTS, STARTS = "evaluations", "environments", "starts"
+EVALUATIONS, ENVIRONMENTS, PARTS, STARTS = "evaluations", "environments", "parts", "starts"
 
 
 class Cost(NamedTuple):
