@@ -136,7 +136,7 @@ MOTION = (
         ("the payload weighs nothing", "-dot(gravity, add_scaled(lifted, payload, origin))", "-dot(gravity, lifted)"),
     ),
     *changes(
-        "kernels", "kernels/outputs.py", "envs/test_env.py envs/test_env_refusals.py envs/test_description.py",
+        "kernels", "kernels/outputs.py", "kernels/test_outputs.py envs/test_env_refusals.py",
         ("a number that is none is within its limit", "if not abs(motion[b, j]) <= limits[j]:",
          "if abs(motion[b, j]) > limits[j]:"),
         ("an observation beyond its bound is fine", "if not abs(observations[b, j]) <= bound[j]:", "if False:"),

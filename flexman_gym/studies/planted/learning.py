@@ -73,11 +73,9 @@ TASKS = (
 
 SENSORS = (
     *changes(
-        "sensors", "envs/sensors/full.py", "envs/test_env.py envs/test_full_state.py",
-        ("posture errors with the other sign", "np.subtract(view.posture, view.motor_angles,",
-         "np.subtract(view.motor_angles, view.posture,"),
-        ("the nearness counts metres, not parts of the reach", "view.tip_error[:, None] + NEAR * view.reach,",
-         "view.tip_error[:, None] + 1.0,"),
+        "sensors", "kernels/outputs.py", "kernels/test_outputs.py envs/test_env.py envs/test_full_state.py",
+        ("posture errors with the other sign", "posture[b, j] - angles[b, j]", "angles[b, j] - posture[b, j]"),
+        ("the nearness counts metres, not parts of the reach", "scale = numbers[b] + near", "scale = numbers[b] + 1.0"),
     ),
     *changes(
         "sensors", "envs/sensors/fine.py", "envs/test_fine.py",

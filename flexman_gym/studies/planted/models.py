@@ -138,10 +138,10 @@ SIMULATION = (
     ),
     *changes(
         "simulation", "simulation/movers.py", "simulation/test_calls.py",
-        ("a period that was broken off has been", "new, read = rows.copy(), outputs.copy()",
-         "new, read = rows, outputs"),
+        ("a period that was broken off has been", "new, read, after = rows.copy(), outputs.copy(), status.copy()",
+         "new, read, after = rows, outputs, status"),
         ("arms that diverge count on", "well & (now[:, 0] == many)", "well"),
-        ("other threads go on after Ctrl-C", "ended.set()\n", "pass\n"),
+        ("other threads go on after Ctrl-C", "ended.append(True)\n", "pass\n"),
     ),
     *changes(
         "simulation", "simulation/explanation.py", "simulation/test_explanation.py",

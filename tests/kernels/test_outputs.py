@@ -1,0 +1,38 @@
+"""Outputs: what is read of arms beside their motion."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from flexman_gym.kernels.outputs import beyond, read_everything
+
+LIMITS, BOUND = np.array([1.0, 2.0]), np.array([3.0])
+
+
+@pytest.mark.parametrize(
+    ("motion", "seen", "flag"),
+    [
+        ([1.0, -2.0], [3.0], 0),
+        ([1.5, 0.0], [0.0], 1),
+        ([0.0, -2.5], [0.0], 1),
+        ([0.0, np.nan], [0.0], 1),
+        ([0.0, 0.0], [-3.5], 1),
+        ([0.0, 0.0], [np.nan], 1),
+        ([0.0, 0.0], [np.inf], 1),
+    ],
+)
+def test_an_arm_is_beyond_its_limits_or_what_its_sensors_can_say(motion, seen, flag):
+    """A number that is none is beyond all of them; the arm beside is not asked."""
+    flags = np.full(2, 7)
+    many = beyond(np.array([[0.5, 0.5], motion]), LIMITS, np.array([[0.5], seen]), BOUND, flags)
+    assert flags.tolist() == [0, flag] and many == flag
+
+
+def test_the_full_state_is_motion_errors_nearness_and_speed():
+    random, arms, joints = np.random.default_rng(0), 3, 2
+    motion, angles, posture = (random.normal(size=(arms, width)) for width in (8 * joints + 3, joints, joints))
+    velocity, error = random.normal(size=(2, arms, 3))
+    lengths, out = np.linalg.norm(error, axis=1), np.zeros((arms, 9 * joints + 9))
+    read_everything(motion, angles, velocity, posture, error, lengths, 0.1, out)
+    nearness = error / (lengths[:, None] + 0.1)
+    assert_array_equal(out, np.hstack([motion[:, :-3], posture - angles, error, nearness, velocity]))
