@@ -39,7 +39,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
 
     Args:
         num_envs: number of arms.
-        threads: that move them, at most one for 32 arms; a second one pays where a core has nothing else to do.
+        threads: that move them, at most one for 64 arms; a second one pays where a core has nothing else to do.
         max_episode_steps: steps after which an episode is truncated; None takes the `horizon`.
         autoreset_mode: an AutoresetMode of Gymnasium, or its value.
         render_mode, render_size: see `FlexManEnv`; a frame of each arm.

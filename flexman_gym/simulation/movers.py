@@ -26,7 +26,7 @@ from flexman_gym.simulation.families import LinearlyImplicit, Midpoint
 from flexman_gym.simulation.helper import Helper
 from flexman_gym.simulation.run import Run
 
-SHARE = 4  # groups that are worth a thread: to wake a thread takes about as long as to move one or two
+SHARE = 8  # groups that are worth a thread: to wake a thread takes as long as to move two to four, often longer
 
 
 class OneByOne:
