@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 import flexman_gym as fm
 from flexman_gym.kernels import layout
+from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.movers import Abreast, OneByOne
 from flexman_gym.simulation.run import Run
@@ -84,3 +85,15 @@ def test_a_lane_that_diverges_disturbs_no_other(method):
     assert status.tolist() == [layout.DIVERGED if arm in (3, 5) else layout.OK for arm in range(9)]
     assert np.array_equal(rows[others], calm[0][others]) and np.array_equal(outputs[others], calm[1][others])
     assert np.array_equal(rows[3, :-2], wild[3])  # it stays where it was
+
+
+@pytest.mark.parametrize("method", ["rk4", "ros2", "implicit_midpoint_3"])
+@pytest.mark.parametrize("arms", [1, 9])
+def test_a_mass_matrix_that_is_not_positive_is_a_divergence(method, arms):
+    """Of no arm that there is: its elastic masses are turned round. The numbers would be finite."""
+    model = fm.build_model(fm.catalog.planar_2r(), 1, 2)
+    turned = replace(model, constants=model.constants._replace(elastic_mass=-model.constants.elastic_mass))
+    for each, status in ((model, "ok"), (turned, "diverged")):
+        batch = Batch(each, method, 1e-5, 1e-4, arms=arms)
+        batch.step(np.full((arms, 8), 1e-3))
+        assert {layout.STATUS[number] for number in batch.status} == {status}
