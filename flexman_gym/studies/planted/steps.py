@@ -13,7 +13,7 @@ STEPS = (
         ("every stage takes the drive at the start", "drive_at(table, time + tableau.abscissae[i] * step, work.drive)",
          "drive_at(table, time, work.drive)"),
         ("later stages keep the kinematics of the first", "moved = p > 0 or i > 0 or j == 0",
-         "moved = p > 0 or j == 0"),
+         "moved = p > 0 or j == 0", "no method has several stages and several sequences"),
         ("dampers do not know the stages before", "shift[d + k] = g * stage[d + k]", "shift[d + k] = 0.0"),
         ("held motors cost nothing", "supplied += prescribed_power(constants, work, v)", "supplied += 0.0"),
         ("losses of later stages are forgotten", "stage[2 * d + 1] = g * (lost + stage[2 * d + 1])",
