@@ -55,31 +55,28 @@ class Record:
 def run_episodes(policy: Policy, environment: Description, seeds: Sequence[int]) -> tuple[list[Record], float]:
     """Runs an episode from each seed, side by side; gives what happened and the control period (s).
 
-    The environment takes the policy's sensors and base; its actions are held here, so that every period is recorded.
+    The environment takes the policy's sensors, history, base and hold, and every control period is recorded.
     """
-    keywords = environment.keywords() | {key: value for key, value in policy.interface.items() if key != "hold"}
-    venv = gym.make_vec(environment.id, len(seeds), "vector_entry_point", **keywords)
-    episodes, hold = venv.unwrapped.episodes, policy.interface.get("hold", 1)  # type: ignore[attr-defined]
-    view, period, size = episodes.view, episodes.view.control_period, (venv.action_space.shape or ())
-    observations, infos = venv.reset(seed=list(seeds))  # type: ignore[arg-type]
-    rows: dict[str, list[Array]] = {name: [] for name in ("tips", "errors", "actions", "rewards")}
-    rows["tips"].append(infos["tip"])
-    rows["errors"].append(infos["tip_error"])
-    ends, failures = np.full(len(seeds), episodes.longest), [""] * len(seeds)
-    for step in range(episodes.longest):
-        if step % hold == 0:
-            chosen = policy.act(observations, size).astype(np.float32)
-        observations, rewards, terminated, _, infos = venv.step(chosen)
-        happened = infos["tip"], infos["tip_error"], view.action.copy(), rewards
+    venv = gym.make_vec(environment.id, len(seeds), "vector_entry_point", **environment.keywords() | policy.interface)
+    episodes, size = venv.unwrapped.episodes, venv.action_space.shape or ()  # type: ignore[attr-defined]
+    view, (observations, infos) = episodes.view, venv.reset(seed=list(seeds))  # type: ignore[arg-type]
+    rows: dict[str, list[Array]] = {"tips": [infos["tip"]], "errors": [infos["tip_error"]], "actions": [], "rewards": []}
+    ends, failures = np.zeros(len(seeds), dtype=np.int64), [""] * len(seeds)
+
+    def watch() -> None:
+        """Records a control period, and the ends of episodes; what an arm does after its first does not count."""
+        happened = view.tip.copy(), view.tip_error.copy(), view.action.copy(), episodes.rewards(view)
         for values, now in zip(rows.values(), happened, strict=True):
             values.append(now)
-        for arm in np.flatnonzero(terminated & (ends == episodes.longest)):
-            ends[arm], failures[arm] = step + 1, infos["failure"][arm]
-        if (ends <= step).all():
-            break
+        for arm in np.flatnonzero(episodes.over & (ends == 0)):
+            ends[arm], failures[arm] = len(rows["actions"]), episodes.failures.get(arm, "")
+
+    episodes.watch = watch
+    while not ends.all():
+        observations, *_ = venv.step(policy.act(observations, size).astype(np.float32))
     venv.close()
     columns = {name: np.array(values) for name, values in rows.items()}
-    return [_record(columns, arm, int(ends[arm]), text) for arm, text in enumerate(failures)], period
+    return [_record(columns, arm, int(ends[arm]), text) for arm, text in enumerate(failures)], view.control_period
 
 
 def _record(columns: Mapping[str, Array], arm: int, end: int, failure: str) -> Record:

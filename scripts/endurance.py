@@ -2,14 +2,18 @@
 
 import argparse
 
+from gymnasium.vector import AutoresetMode
+
+import flexman_gym as fm
 from flexman_gym.envs import NAMED
+from flexman_gym.studies.benchmark.alike import alike
 from flexman_gym.studies.benchmark.endurance import ALLOWED, SETTLED, all_conditions, endure, publish
 from flexman_gym.studies.places import folder
 
 MOST_ALARMS = 0.005  # of the steps
-
-
 SENSORS = ("full", "lab", ("lab", "accelerometer", "tip"))
+TIGHT = fm.Limits(rate=2.5)  # which arms under random torques break often
+FEW = 8  # arms that are moved alone too
 
 
 def every(steps: int, arms: int) -> None:
@@ -26,6 +30,14 @@ def every(steps: int, arms: int) -> None:
                 raise SystemExit(f"{name}, {sensors}: an energy alarm in {share:.2%} of the steps")
 
 
+def compare(steps: int) -> None:
+    """Prints a line for each autoreset mode: arms alone and at once, with history, hold and all conditions."""
+    for mode in AutoresetMode:
+        settings = all_conditions("FlexRRR-v0") | {"history": 4, "hold": 3, "limits": TIGHT}
+        failures = alike("FlexRRR-v0", steps // len(AutoresetMode), FEW, mode, **settings)
+        print(f"{mode.value}: {steps // len(AutoresetMode):,} steps alike to the bit, {failures:,} failures", flush=True)
+
+
 def main() -> None:
     """Reads the command line, runs, and writes the section; fails where memory grows."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -33,7 +45,11 @@ def main() -> None:
     parser.add_argument("--arms", type=int, default=256)
     parser.add_argument("--folder", type=folder, default="out", help="of the page whose section this is")
     parser.add_argument("--every", action="store_true", help="each environment and set of sensors, all conditions on")
+    parser.add_argument("--alike", action="store_true", help="arms alone and at once, which must have the same bits")
     options = parser.parse_args()
+    if options.alike:
+        compare(options.steps)
+        return
     if options.every:
         every(options.steps, options.arms)
         return

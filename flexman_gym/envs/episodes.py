@@ -1,6 +1,6 @@
 """Episodes: arms side by side, each in an episode of its own; the core that the environments share."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from typing import Any
 
@@ -39,6 +39,7 @@ class Episodes:
             periods; and whether by the latter.
         base: the controller that acts beside the agent, None without one.
         hold: control periods for which the agent's part of an action is kept.
+        watch: called after every control period, also those within an action that is kept; None for nothing.
     """
 
     kept = ("batch", "motors", "effects", "view", "sight", "over", "truncated", "_ages", "_failed")
@@ -55,6 +56,7 @@ class Episodes:
         for name in setup.tell:
             one_of("tell", name, self.view.units)
         self.hold, self.longest = setup.hold, setup.longest
+        self.watch: Callable[[], None] | None = None
         self.failures: dict[int, str] = {}
         self.over, self.truncated = np.ones(arms, dtype=bool), np.zeros(arms, dtype=bool)
         self._unseen, self._unbounded = np.zeros((arms, 0)), np.zeros(0)
@@ -246,6 +248,8 @@ class Episodes:
         self.truncated = self._ages >= self.longest
         if np.count_nonzero(self.truncated):
             self.over |= self.truncated
+        if self.watch is not None:
+            self.watch()
 
     def _move_goals(self, playing: Flags | None) -> None:
         """Sets the goals of this moment, and how fast the targets have come there, of the arms that are playing."""

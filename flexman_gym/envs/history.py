@@ -43,7 +43,7 @@ class History:
         return self._seen(arms)
 
     def _seen(self, arms: IntArray) -> Array:
-        found: Array = self._memory[arms].reshape(len(arms), -1)
+        found: Array = self._memory[arms].reshape(len(arms), self._memory[0].size)  # of no arm too
         return found
 
 

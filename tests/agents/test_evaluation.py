@@ -70,6 +70,25 @@ def test_a_policy_acts_as_in_an_environment_with_its_own_hold_and_base(run):
     assert record.rewards.reshape(-1, 5).mean(axis=1) == pytest.approx(rewards, rel=1e-12)
 
 
+def test_a_policy_with_a_history_sees_what_it_saw_in_training():
+    """Readings a hold apart, also where all episodes are judged side by side."""
+    interface = {"base": "pd", "hold": 3, "history": 4, "sensors": ["full"]}
+    judged, seen = [], []
+
+    def act(observations, shape):
+        judged.append(observations.copy())
+        return np.tanh(observations[:, -shape[1] :])
+
+    run_episodes(Policy("watching", act, interface), ONE, [9001, 9002])
+    env = gym.make(ONE.id, **ONE.keywords(), **interface)
+    observation, ended = env.reset(seed=9001)[0], False
+    while not ended:
+        seen.append(observation)
+        action = np.tanh(observation[-1:])
+        observation, _, _, ended, _ = env.step(action)
+    assert np.array_equal(np.array(judged)[:, 0], seen) and np.ptp(seen, axis=0).max() > 0.1
+
+
 def test_baselines_run_on_the_environment_that_is_named():
     described = Description("FlexPlanar-v0", {"arm": ARM, "horizon": 1.5, "base": "lqr", "hold": 3, "sensors": "fine"})
     environment = common_environment([find_policy("pd"), find_policy("zero")], described)

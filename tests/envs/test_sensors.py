@@ -200,35 +200,6 @@ def test_quantities_and_instruments_read_no_further_than_their_range():
     assert out[0].tolist() == [end[0], -end[1], 3.0]
 
 
-# History
-
-
-def test_history_is_the_last_observations_the_newest_first():
-    env, plain = FlexManEnv(history=3), FlexManEnv()
-    size = plain.observation_space.shape[0]
-    seen, past = env.reset(seed=2)[0], [plain.reset(seed=2)[0]] * 3
-    for _ in range(6):
-        assert np.array_equal(seen, np.concatenate(past))
-        action = np.full(3, 0.4)
-        seen, past = env.step(action)[0], [plain.step(action)[0], *past[:2]]
-    assert env.observation_space.shape == (3 * size,) and np.array_equal(seen[:size], past[0])
-
-
-def test_averages_fade_with_their_times():
-    """A motor angle that rises evenly lags behind by the time of the average, once it has forgotten the start."""
-    times = (0.1, 0.4)
-    env = FlexManEnv(sensors="motor_encoders", history=times)
-    plain = FlexManEnv(sensors="motor_encoders")
-    seen, now = env.reset(seed=2)[0], plain.reset(seed=2)[0].astype(float)
-    expected = [now, now]
-    for _ in range(30):
-        found = seen.reshape(3, -1)
-        assert found[0] == pytest.approx(now, abs=1e-6) and found[1:] == pytest.approx(np.array(expected), abs=1e-5)
-        seen, now = env.step(np.full(3, 0.4))[0], plain.step(np.full(3, 0.4))[0].astype(float)
-        expected = [np.exp(-0.02 / time) * old + (1 - np.exp(-0.02 / time)) * now
-                    for time, old in zip(times, expected, strict=True)]  # fmt: skip
-
-
 # Names
 
 
