@@ -1,14 +1,12 @@
-"""Callbacks: what happens on the way of a training, its exploration, its judgement and its curves."""
+"""Callbacks: what happens on the way of a training, its exploration, its savings and its judgement."""
 
 import math
 import sys
 from collections.abc import Callable, Mapping
-from pathlib import Path
 
 import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import Logger, make_output_format
 
 from flexman_agents.evaluation import evaluate, summary
 from flexman_agents.policies import Act, Policy, parted
@@ -16,12 +14,6 @@ from flexman_agents.seeds import SELECTION
 from flexman_agents.settings import Schedule, Settings
 
 WORSE = 0.2  # share of settled episodes that may be lost before a warning
-
-
-def writers(folder: Path, steps: int = 0) -> Logger:
-    """Opens progress.csv, or progress-STEPS.csv for what follows after so many, and TensorBoard events in a folder."""
-    suffix = f"-{steps}" if steps else ""
-    return Logger(str(folder), [make_output_format(kind, str(folder), suffix) for kind in ("csv", "tensorboard")])
 
 
 class Exploration(BaseCallback):

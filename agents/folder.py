@@ -32,7 +32,8 @@ def write(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
     """
     beside = path.with_name(f".{path.name}.part")
     try:
-        with beside.open("wb") as file:
+        beside.unlink(missing_ok=True)  # of a process that was killed, or a link to somebody's file
+        with beside.open("xb") as file:
             fill(file)
             file.flush()
             os.fsync(file.fileno())
@@ -57,10 +58,13 @@ def read_data(path: Path) -> Any:
 
     Raises:
         FileNotFoundError: when there is none.
-        ValueError: one line, for a file that is something else or broken.
+        ValueError: one line, for a file that is something else, broken, or larger than it looks.
     """
     try:
-        with np.load(existing(path), allow_pickle=False) as found:
+        with zipfile.ZipFile(existing(path)) as parts:
+            if sum(part.file_size for part in parts.infolist()) > path.stat().st_size:
+                raise ValueError("its arrays are packed")
+        with np.load(path, allow_pickle=False) as found:
             text = found[TEXT].tobytes().decode("utf-8")
             return joined(json.loads(text), found)
     except FileNotFoundError:
@@ -86,11 +90,13 @@ def locked(folder: Path) -> Iterator[None]:
     """Holds a folder for this process alone; the lock ends with the process, however that ends.
 
     Raises:
-        ValueError: one line, when another process trains in the folder.
+        ValueError: one line, when another process trains in the folder, and where the lock is a link.
         OSError: when nothing can be written there.
     """
     path = folder / LOCK
-    with path.open("a+", encoding="utf-8") as file:
+    if path.is_symlink():
+        raise ValueError(f"folder: {folder} is not allowed; give one whose file {LOCK} is not a link")
+    with os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666), "r+", encoding="utf-8") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -98,7 +104,8 @@ def locked(folder: Path) -> Iterator[None]:
         holder = _holder(file)
         if holder:
             print(f"Process {holder}, which trained in {folder}, is gone: this one takes over.", file=sys.stderr)
-        file.truncate(0)
+        file.seek(0)
+        file.truncate()
         file.write(str(os.getpid()))
         file.flush()
         try:

@@ -17,7 +17,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from flexman_agents.algorithm import acting, make_model
-from flexman_agents.callbacks import Checkpoints, Exploration, Judge, writers
+from flexman_agents.callbacks import Checkpoints, Exploration, Judge
+from flexman_agents.curves import open_curves
 from flexman_agents.folder import BEST, NEWEST, SETTINGS, existing, locked, read_data, write, write_data
 from flexman_agents.memory import give_policy, give_training, take_policy, take_training
 from flexman_agents.policies import Act
@@ -26,6 +27,7 @@ from flexman_gym.checks import refusal, whole_number
 from flexman_gym.envs.snapshot import give, take
 
 FREE = ("steps", "judge_every")  # settings that may be others where a run goes on
+PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
 
 
 class Interrupted(Exception):
@@ -50,13 +52,13 @@ def train(
         OSError: when the folder cannot be written.
         Interrupted: after Ctrl-C, once the run is saved.
     """
-    if (folder / SETTINGS).exists():
-        raise ValueError(f"folder: {folder} is not allowed; give a new one, or resume the run in it")
+    _check_new(folder)
     checkpoint_every = whole_number("checkpoint_every", checkpoint_every, 0, MOST_STEPS)
     model = make_model(settings, device)
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder):
-        _keep_settings(settings, folder)
+        _check_new(folder)  # another process may have trained there meanwhile
+        _keep_settings(settings, folder, 0)
         return _Run(model, settings, folder).learn(checkpoint_every, progress)
 
 
@@ -99,7 +101,7 @@ def resume(
             print(f"Nothing was kept in {folder} yet: the run begins again.", file=sys.stderr)
         else:
             run.give(data, finished)
-        _keep_settings(settings, folder)
+        _keep_settings(settings, folder, run.done)
         return run.learn(checkpoint_every, progress)
 
 
@@ -145,6 +147,11 @@ class _Run:
             assert statistics is not None
             self._judge = Judge(settings, acting(model, statistics), self._keep_best)
 
+    @property
+    def done(self) -> int:
+        """Steps that have been taken, those of runs before this one included."""
+        return self._before + int(self.model.num_timesteps)
+
     def give(self, data: dict[str, Any], another: bool) -> None:
         """Puts everything where it was when it was saved; another run counts its steps from there."""
         path = self.folder / NEWEST
@@ -179,7 +186,7 @@ class _Run:
         if isinstance(model, OffPolicyAlgorithm):
             told["log_interval"] = settings.envs  # SAC logs after so many episodes, which end together
         with _asked_to_stop() as asked:
-            model.set_logger(writers(self.folder, self._before + model.num_timesteps))
+            model.set_logger(open_curves(self.folder, self._before, model.num_timesteps))
             checkpoints = Checkpoints(checkpoint_every, self._save, asked.is_set)
             model.learn(settings.steps - model.num_timesteps, callback=[checkpoints, *callbacks], **told)
         model.get_env().close()  # type: ignore[union-attr]
@@ -239,10 +246,24 @@ def _further(settings: Settings, folder: Path, steps: int | None, done: int, fin
     return settings if steps is None else replace(settings, steps=steps)
 
 
-def _keep_settings(settings: Settings, folder: Path) -> None:
-    versions = {name: version(name) for name in ("flexman_gym", "gymnasium", "numba", "stable-baselines3", "torch")}
-    record = settings.plain() | {"versions": versions | {"python": platform.python_version()}}
-    write(folder / SETTINGS, lambda file: file.write((json.dumps(record, indent=1) + "\n").encode()))
+def _check_new(folder: Path) -> None:
+    if (folder / SETTINGS).exists():
+        raise ValueError(f"folder: {folder} is not allowed; give a new one, or resume the run in it")
+
+
+def _keep_settings(settings: Settings, folder: Path, done: int) -> None:
+    """Writes the settings of a run that goes on after `done` steps, with the versions that it began and went on with."""
+    now = {name: version(name) for name in PACKAGES} | {"python": platform.python_version()}
+    path = folder / SETTINGS
+    kept = json.loads(path.read_bytes()) if path.is_file() else {}
+    earlier, last = kept.get("earlier_versions", []), kept.get("versions", now)
+    if last != now and isinstance(last, dict):
+        names = [name for name in now | last if now.get(name) != last.get(name)]
+        said = ", ".join(f"{name} {now.get(name)} instead of {last.get(name)}" for name in names)
+        print(f"Since {folder} was written: {said}; its bits may be others from here on.", file=sys.stderr)
+        earlier = [*earlier, last | {"until_step": done}]
+    record = settings.plain() | {"versions": now} | ({"earlier_versions": earlier} if earlier else {})
+    write(path, lambda file: file.write((json.dumps(record, indent=1) + "\n").encode()))
 
 
 @contextmanager

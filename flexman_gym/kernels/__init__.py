@@ -3,21 +3,20 @@
 While kernels compile, one line on stderr says so; FLEXMAN_QUIET=1 silences it.
 """
 
-import os
 import sys
 from typing import Any
 
 import numba
 from numba.core import event
 
-from flexman_gym.kernels.cache import find_folder
+from flexman_gym.kernels.cache import find_folder, quiet
 
 
 class _Words(event.Listener):
     """Says once in a process that kernels compile; Numba tells of that, and not of those that it loads from disk."""
 
     def __init__(self) -> None:
-        self._said = os.environ.get("FLEXMAN_QUIET", "0") not in ("", "0")
+        self._said = quiet()
 
     def on_start(self, event: Any) -> None:
         """Before Numba compiles something, which need not be ours."""

@@ -2,15 +2,18 @@
 
 The folder is named by a hash of the sources of all kernels, as Numba checks only the file of a kernel and not those of
 the kernels that it calls, and by the settings of Numba that change the code. `NUMBA_CACHE_DIR`, `XDG_CACHE_HOME` and,
-where the home cannot be written, the temporary folder are respected in this order.
+where the home cannot be written, the temporary folder are respected in this order; one line on stderr says so when a
+folder is made in the last.
 
 The files are pickles of Numba, which can run any code when they are read. They are read only from a folder that belongs
-to the user and in which nobody else may write. What is damaged is compiled anew; what cannot be written is not kept.
+to the user and in which nobody else may write or could have written: one that was open is emptied and closed. What is
+damaged is compiled anew; what cannot be written is not kept.
 """
 
 import hashlib
 import os
 import pickle
+import shutil
 import stat
 import sys
 import tempfile
@@ -29,18 +32,28 @@ def find_folder() -> str | None:
     """Makes the folder of these kernels and these settings, or finds it; None where none is safe and can be written."""
     for place, strict in _places():
         ours = place / "flexman_gym"
+        folder = ours / _name()
         try:
             place.mkdir(mode=0o700 if strict else 0o777, parents=True, exist_ok=True)
             ours.mkdir(mode=0o700, exist_ok=True)
             safe = all(_belongs_to_us(each, strict) for each in ([place, ours] if strict else [ours]))
-            folder = ours / _name()
+            new = safe and not folder.exists()
             if safe:
                 folder.mkdir(mode=0o700, exist_ok=True)
+                safe = _belongs_to_us(folder, strict)
         except OSError:
             continue
         if safe and os.access(folder, os.W_OK):
+            if strict and new and not quiet():
+                print(f"flexman_gym keeps compiled kernels in {folder}, as no cache can be written in the home "
+                      "(NUMBA_CACHE_DIR names another folder)", file=sys.stderr)  # fmt: skip
             return str(folder)
     return None
+
+
+def quiet() -> bool:
+    """Whether the environment variable FLEXMAN_QUIET silences lines on stderr."""
+    return os.environ.get("FLEXMAN_QUIET", "0") not in ("", "0")
 
 
 def keep(make: Callable[[Any], Any], folder: str | None) -> Callable[[Any], Any]:
@@ -110,13 +123,16 @@ def _unsealed(path: str) -> Any:
 
 def _places() -> Iterator[tuple[Path, bool]]:
     """Folders to try, and whether others may write beside them, so that what is there may be prepared."""
-    home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    yield Path(home), False
+    chosen, home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME"), Path(os.path.expanduser("~"))
+    if chosen:
+        yield Path(chosen), False
+    elif home.is_dir():  # a home that does not exist is not made
+        yield home / ".cache", False
     yield Path(tempfile.gettempdir()) / f"user-{os.getuid()}", True
 
 
 def _belongs_to_us(folder: Path, strict: bool) -> bool:
-    """Whether a folder is the user's and nobody else may write in it; where we made it ourselves, others lose that."""
+    """Whether a folder is the user's and nobody else may write in it; where we made it, it is closed and emptied."""
     found = folder.lstat() if strict else folder.stat()
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
         return False
@@ -124,6 +140,12 @@ def _belongs_to_us(folder: Path, strict: bool) -> bool:
         if strict:
             return False
         folder.chmod(0o700)
+        for inside in folder.iterdir():
+            if inside.is_dir() and not inside.is_symlink():
+                shutil.rmtree(inside)
+            else:
+                inside.unlink()
+        print(f"flexman_gym: others could write to {folder}; it is theirs no more, and emptied", file=sys.stderr)
     return True
 
 

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +12,10 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
+from flexman_agents.algorithm import make_model
 from flexman_agents.folder import LOCK, NEWEST, SETTINGS, locked, read_data, write, write_data
 from flexman_agents.policies import find_policy
-from flexman_agents.training import load_policy, resume, train
+from flexman_agents.training import load_policy, load_settings, resume, train
 
 from oracles.refusals import refusal
 from oracles.runs import RUNS
@@ -50,6 +52,45 @@ def test_a_file_is_whole_or_not_there(tmp_path):
     with pytest.raises(OSError, match="No space left"):
         write(path, fail)
     assert path.read_bytes() == b"first" and list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("name", [LOCK, ".newest.npz.part", ".settings.json.part", "progress.csv"])
+def test_what_a_link_in_a_run_folder_points_to_stays(tmp_path, name):
+    precious, folder = tmp_path / "precious", tmp_path / "run"
+    precious.write_text("mine")
+    folder.mkdir()
+    (folder / name).symlink_to(precious)
+    run = replace(RUNS["ppo"], judge_every=0, steps=24)
+    if name == LOCK:
+        assert "whose file lock is not a link" in refusal(lambda: train(run, folder, progress=False))
+    else:
+        train(run, folder, progress=False)
+        assert read_data(folder / NEWEST)
+    assert precious.read_text() == "mine"
+
+
+def test_of_two_trainings_for_one_new_folder_the_later_is_refused(tmp_path, monkeypatch):
+    """The other one begins and ends while this one makes its model."""
+    run, make = replace(RUNS["ppo"], judge_every=0, steps=24), make_model
+
+    def slow(settings, device):
+        monkeypatch.undo()
+        train(run.with_seed(5), tmp_path, progress=False)
+        return make(settings, device)
+
+    monkeypatch.setattr("flexman_agents.training.make_model", slow)
+    assert "give a new one, or resume the run" in refusal(lambda: train(run, tmp_path, progress=False))
+    assert load_settings(tmp_path).seed == 5
+
+
+def test_arrays_that_are_packed_are_refused_before_they_take_memory(tmp_path):
+    """A file that unpacks to a thousand times its size."""
+    np.savez_compressed(tmp_path / "run.npz", **{"data.json": np.zeros(50_000_000, dtype=np.uint8)})
+    assert (tmp_path / "run.npz").stat().st_size < 100_000
+    tracemalloc.start()
+    assert "its arrays are packed" in refusal(read_data, tmp_path / "run.npz")
+    assert tracemalloc.get_traced_memory()[1] < 1_000_000
+    tracemalloc.stop()
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,7 @@
 """Resume: a run that was interrupted and goes on is the run that was not, in every bit."""
 
+import csv
+import json
 import os
 import signal
 
@@ -7,8 +9,9 @@ import numpy as np
 import pytest
 
 pytest.importorskip("stable_baselines3")
+from tensorboard.backend.event_processing import event_accumulator
 
-from flexman_agents.callbacks import writers
+from flexman_agents.curves import STEPS, open_curves
 from flexman_agents.folder import BEST, NEWEST, SETTINGS, read_data, write_data
 from flexman_agents.training import Interrupted, load_policy, resume, train
 from flexman_agents.vector import Arms
@@ -68,7 +71,8 @@ def test_a_run_that_was_interrupted_before_its_first_rollout_goes_on(tmp_path, m
     train(RUNS["ppo"], tmp_path / "whole", progress=False)
     with monkeypatch.context() as patch:
         patch.setattr(
-            "flexman_agents.training.writers", lambda *where: (os.kill(os.getpid(), signal.SIGINT), writers(*where))[1]
+            "flexman_agents.training.open_curves",
+            lambda *where: (os.kill(os.getpid(), signal.SIGINT), open_curves(*where))[1],
         )
         with pytest.raises(Interrupted, match="stopped after 0 steps"):
             train(RUNS["ppo"], tmp_path / "run", progress=False)
@@ -118,3 +122,56 @@ def test_steps_belong_to_a_finished_run_only(tmp_path, interrupt):
     interrupt(-1)
     resume(tmp_path / "run", progress=False)
     assert "that in" in refusal(resume, tmp_path / "run") and "is finished" in refusal(resume, tmp_path / "run")
+
+
+def steps_of(path):
+    """The steps of each row of a file of curves."""
+    with path.open(newline="") as file:
+        return [int(row[STEPS]) for row in csv.DictReader(file) if row[STEPS]]
+
+
+def test_curves_of_a_run_whose_last_steps_were_lost_do_not_overlap(tmp_path, monkeypatch):
+    """Saved after 72 steps, killed after 160, resumed: each number of steps is in one row of one file."""
+    saved, run = [], tmp_path / "run"
+    with monkeypatch.context() as patch:
+        patch.setattr("flexman_agents.training.write_data",
+                      lambda path, data: saved.append(path) or write_data(path, data) if len(saved) < 3 else None)
+        train(RUNS["ppo"], run, checkpoint_every=24, progress=False)
+    done = read_data(run / NEWEST)["training"]["counts"]["num_timesteps"]
+    assert max(steps_of(run / "progress.csv")) > done > 0
+    resume(run, progress=False)
+    first, second = steps_of(run / "progress.csv"), steps_of(run / f"progress-{done}.csv")
+    assert max(first) <= done < min(second) and max(second) >= 160
+    train(RUNS["ppo"], tmp_path / "whole", progress=False)
+    assert sorted({*first, *second}) == sorted({*steps_of(tmp_path / "whole" / "progress.csv")})
+    events = event_accumulator.EventAccumulator(str(run)).Reload()
+    shown = [event.step for event in events.Scalars("train/loss")]
+    assert shown == sorted({*shown}), "TensorBoard hides what was lost"
+
+
+def test_curves_of_another_run_in_the_folder_stay_apart(tmp_path):
+    train(RUNS["ppo"], tmp_path, progress=False)
+    before = (tmp_path / "progress.csv").read_bytes()
+    for count in (1, 2):
+        resume(tmp_path, 48, progress=False)
+        assert len(list(tmp_path.glob("progress*.csv"))) == len([*tmp_path.glob("after-*")]) + 1 == count + 1
+    assert (tmp_path / "progress.csv").read_bytes() == before
+
+
+def test_versions_that_changed_are_said_and_kept(tmp_path, interrupt, monkeypatch, capsys):
+    interrupt(10)
+    with pytest.raises(Interrupted):
+        train(RUNS["ppo"], tmp_path, progress=False)
+    before = json.loads((tmp_path / SETTINGS).read_text())
+    assert {"numpy", "scipy", "numba", "torch", "python"} <= before["versions"].keys()
+    interrupt(-1)
+    monkeypatch.setattr("flexman_agents.training.version", lambda name: "9.9" if name == "scipy" else "1.0")
+    resume(tmp_path, progress=False)
+    said, after = capsys.readouterr().err, json.loads((tmp_path / SETTINGS).read_text())
+    assert f"scipy 9.9 instead of {before['versions']['scipy']}" in said and "python" not in said
+    assert after["versions"]["scipy"] == "9.9"
+    assert after["earlier_versions"] == [before["versions"] | {"until_step": 48}]
+    capsys.readouterr()
+    resume(tmp_path, 24, progress=False)
+    assert "instead of" not in capsys.readouterr().err
+    assert json.loads((tmp_path / SETTINGS).read_text())["earlier_versions"] == after["earlier_versions"]

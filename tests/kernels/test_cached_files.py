@@ -1,6 +1,8 @@
 """Cached files: damaged ones are compiled anew, foreign folders are not read, settings have folders of their own."""
 
+import hashlib
 import os
+import pickle
 import shutil
 import stat
 from pathlib import Path
@@ -97,10 +99,25 @@ def test_folders_are_the_users_alone(package, cache):
         assert stat.S_IMODE(folder.stat().st_mode) == 0o700
 
 
-def test_a_folder_of_ours_that_others_may_write_is_closed_to_them(package, cache):
-    (cache / "flexman_gym").chmod(0o777)
+@pytest.mark.parametrize("level", [0, 1])
+def test_what_others_could_write_is_not_read(package, cache, tmp_path, level):
+    """A folder of ours that was open is emptied and closed: what a file in it would run does not run."""
+
+    class Evil:
+        def __reduce__(self):
+            return (Path.touch, (tmp_path / "ran",))
+
+    (inner,) = cache.glob("flexman_gym/*")
+    (index,) = cache.rglob("caller*.nbi")
+    content = pickle.dumps(Evil())
+    index.write_bytes(hashlib.sha256(content).digest() + content)
+    (inner / "link").symlink_to(cache)
+    opened = (inner.parent, inner)[level]
+    opened.chmod(0o777)
+    assert run(package, cache, CALL)[:2] == ["2", "0"], "compiled anew"
+    assert not (tmp_path / "ran").exists() and not (inner / "link").exists()
+    assert stat.S_IMODE(opened.stat().st_mode) == 0o700
     assert run(package, cache, CALL)[:2] == ["2", "1"]
-    assert stat.S_IMODE((cache / "flexman_gym").stat().st_mode) == 0o700
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can give a folder to somebody else")
@@ -126,12 +143,19 @@ def test_a_prepared_folder_in_the_temporary_folder_is_refused(package, tmp_path,
     assert not [path for path in tmp_path.rglob("*.nb*")]
 
 
-def test_the_temporary_folder_serves_where_the_home_does_not(package, tmp_path):
+def test_the_temporary_folder_serves_where_the_home_does_not_and_is_not_made_in_silence(package, tmp_path):
     (tmp_path / "file").write_text("")
     for hits in ("0", "1"):
-        words = run(package, tmp_path / "file", CALL, TMPDIR=str(tmp_path))
+        done = process(package, tmp_path / "file", CALL, TMPDIR=str(tmp_path))
+        words = done.stdout.split()
         assert words[:2] == ["2", hits] and Path(words[2]).is_relative_to(tmp_path / f"user-{os.getuid()}")
+        assert (f"keeps compiled kernels in {tmp_path}" in done.stderr) == (hits == "0"), "said once"
     assert stat.S_IMODE((tmp_path / f"user-{os.getuid()}").stat().st_mode) == 0o700
+
+
+def test_a_home_that_does_not_exist_is_not_made(package, tmp_path):
+    words = run(package, "", CALL, HOME=str(tmp_path / "home"), XDG_CACHE_HOME="", TMPDIR=str(tmp_path))
+    assert words[:2] == ["2", "0"] and not (tmp_path / "home").exists()
 
 
 @pytest.mark.parametrize(
