@@ -20,7 +20,6 @@ def main() -> int:
     parser.add_argument("--room", choices=ROOMS, help="errors of one room only")
     parser.add_argument("--only", default="", help="errors whose words or file contain this")
     parser.add_argument("--new", action="store_true", help="only errors that no row has as caught")
-    parser.add_argument("--sound", action="store_true", help="first runs all their tests without an error")
     parser.add_argument("--folder", type=folder, default="docs", help="where page and rows go")
     options = parser.parse_args()
     file = options.folder / "planted.csv"
@@ -35,9 +34,6 @@ def main() -> int:
         parser.error("; ".join(faults))
     with TemporaryDirectory() as place:
         copy = Copy(CHECKOUT, Path(place))
-        tests = sorted({test for change in chosen for test in change.tests})
-        if options.sound and (failed := copy.failing(tests)):
-            parser.error(f"{failed} fails without an error")
         for change in chosen:
             row = copy.plant(change)
             print(f"{row.outcome:10} {row.seconds:4.0f} s  {row.room}: {row.error} ({row.by})", flush=True)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from flexman_gym import Arm, Joint, Link, Model, Payload, build_model
 
-from oracles.coordinates import agreed, loaded_link, outboard_masses, own_damping, own_modes, own_stations, signed_like
+from oracles.coordinates import agreed, agreed_modes, loaded_link, outboard_masses, own_damping, own_stations
 from oracles.dense import Chain, LinkModel
 
 QUICK = settings(deadline=None, derandomize=True, max_examples=40)
@@ -45,8 +45,8 @@ class Sample:
             stiffness, mass = loaded_link(link, count, loads[i])
             basis = np.eye(6 * count)
             if self.modes is not None and self.flexible_links[i]:
-                modes, given = own_modes(stiffness, mass)[1][:, : self.modes[i]], self.model.bases[i]
-                basis = agreed(signed_like(modes, given), given, 1.0 / np.sqrt(np.diag(mass))[:, None])
+                basis = agreed_modes(self.model.bases[i], stiffness, mass)
+                assert basis.shape[1] == min(self.modes[i], 6 * count)
             damping = own_damping(stiffness, mass, self.arm.modal_damping_ratio)
             damping = basis.T @ (damping + self.arm.stiffness_proportional_damping * stiffness) @ basis
             if self.flexible_links[i]:

@@ -1,7 +1,8 @@
 """Coordinates: modes, modal damping and stations of uniform links, from their definitions and the oracle's own beams.
 
-Nothing here comes from the code under test. Modes of another eigensolver differ in their signs and in as many digits
-as soft and stiff coordinates lie apart; where they agree, `agreed` takes those that are under test as the coordinates.
+Nothing here comes from the code under test. Modes of another eigensolver differ in their signs, in as many digits as
+soft and stiff coordinates lie apart, and where two frequencies are nearly alike; `agreed_modes` takes those that are
+under test as the coordinates once they are modes.
 """
 
 from dataclasses import dataclass
@@ -48,13 +49,21 @@ def loaded_link(link, count, outboard):
     return beam.K, np.einsum("p,pia,pib->ab", beam.masses, beam.S, beam.S) + tip.T @ outboard @ tip
 
 
-def own_modes(stiffness, mass):
-    """Angular frequencies, ascending, and shapes as columns of unit modal mass: of L^-1 M L^-T, K = L L^T."""
+def agreed_modes(given, stiffness, mass):
+    """The modes (size, k) that are given, after an assertion that they are the k lowest but for rounding.
+
+    With K = L L^T and y = L^T v they are eigenvectors of L^-1 M L^-T, of unit modal mass, whose eigenvalues 1 / omega^2
+    are the largest. Modes of frequencies that are nearly alike may mix, as they do in any two eigensolvers.
+    """
     factor = np.linalg.cholesky(stiffness)
     inverse = np.linalg.solve(factor, np.eye(len(factor)))
-    squares, vectors = np.linalg.eigh(inverse @ mass @ inverse.T)
-    squares, vectors = squares[::-1], vectors[:, ::-1]
-    return 1.0 / np.sqrt(squares), inverse.T @ vectors / np.sqrt(squares)
+    flexibility = inverse @ mass @ inverse.T
+    largest, vectors = np.linalg.eigvalsh(flexibility)[::-1][: given.shape[1]], factor.T @ given
+    rounding = 100 * np.finfo(float).eps * largest[:1] / largest  # of what is stiff beside what is soft
+    left = np.linalg.norm(flexibility @ vectors - largest * vectors, axis=0) / largest / np.linalg.norm(vectors, axis=0)
+    assert (left <= np.maximum(AGREEMENT, rounding)).all()
+    assert np.abs(given.T @ mass @ given - np.eye(given.shape[1])).max(initial=0.0) <= AGREEMENT
+    return given
 
 
 def own_damping(stiffness, mass, ratio):
@@ -71,11 +80,6 @@ def agreed(own, given, scale):
     largest = np.abs(own / scale).max(initial=0.0)
     assert np.abs((own - given) / scale).max(initial=0.0) <= AGREEMENT * largest
     return given
-
-
-def signed_like(modes, basis):
-    """The modes (size, k) with the signs of another basis."""
-    return modes * np.sign(np.einsum("ak,ak->k", modes / np.linalg.norm(modes, axis=0), basis))
 
 
 def own_stations(link, count):

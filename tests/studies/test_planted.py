@@ -51,6 +51,13 @@ def test_an_error_is_caught_or_survives_or_is_equivalent(checkout, tmp_path):
         copy.failing(["test_nothing.py"])
 
 
+def test_a_test_that_is_red_without_an_error_catches_none(checkout, tmp_path):
+    (checkout / "test_double.py").write_text("def test_never():\n    assert False\n")
+    copy = Copy(checkout, tmp_path / "copy")
+    with pytest.raises(RuntimeError, match=r"test_double.py::test_never fails without an error too"):
+        copy.plant(DOUBLE)
+
+
 def test_an_error_without_its_place_is_told(checkout):
     wrong = [replace(DOUBLE, old="3 * x"), replace(DOUBLE, old="x"), replace(DOUBLE, tests=("test_other.py",))]
     lines = misplaced(checkout, wrong)

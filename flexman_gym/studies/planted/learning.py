@@ -149,7 +149,8 @@ AGENTS = (
         ("a failed episode may settle", "    if not record.failure:\n", "    if True:\n"),
         ("rewards after the end count", "own = {name: values[: end + (name in",
          "own = {name: values[: len(values) + (name in"),
-        ("an action is held one period longer", "if step % hold == 0:", "if step % (hold + 1) == 0:"),
+        ("a policy acts in every period", "environment.keywords() | policy.interface)",
+         "environment.keywords() | policy.interface | {\"hold\": 1})"),
         ("seeds are counted anew", "venv.reset(seed=list(seeds))", "venv.reset(seed=list(range(len(seeds))))"),
     ),
     *changes(

@@ -61,9 +61,14 @@ class Copy:
         names.mkdir(parents=True)
         (names / "flexman_agents").symlink_to("../../agents")
         (root / "conftest.py").write_text(SETTINGS, encoding="utf-8")
+        self._green: set[str] = set()  # tests that pass without an error
 
     def plant(self, change: Change) -> Planted:
-        """Makes a change, runs its tests until one fails, and takes the change back."""
+        """Makes a change, runs its tests until one fails, and takes the change back.
+
+        Raises:
+            RuntimeError: where the test that fails does so without the change too, or there is no such test.
+        """
         path = self.root / change.file
         whole = path.read_text(encoding="utf-8")
         path.write_text(change.applied(self.root), encoding="utf-8")
@@ -72,9 +77,18 @@ class Copy:
             failed = self.failing(change.tests, own_kernels="/kernels/" in change.file)
         finally:
             path.write_text(whole, encoding="utf-8")
+        self._check_green(failed, change.tests)
         outcome = CAUGHT if failed else EQUIVALENT if change.equivalent else SURVIVED
-        by = failed or change.equivalent
+        by = failed.removeprefix("tests/") or change.equivalent
         return Planted(change.room, change.error, change.file, outcome, by, time.perf_counter() - started)
+
+    def _check_green(self, failed: str, tests: Iterable[str]) -> None:
+        """Believes a test that has failed only if it passes without an error."""
+        named = [failed] if failed.partition("::")[0].endswith(".py") else [*tests] if failed else []
+        for test in named:
+            if test not in self._green and (still := self.failing([test])):
+                raise RuntimeError(f"{still} fails without an error too")
+            self._green.add(test)
 
     def failing(self, tests: Iterable[str], own_kernels: bool = False) -> str:
         """Gives the first of the tests that fails, "" where none does.
@@ -104,7 +118,7 @@ class Copy:
             return ""
         for line in done.stdout.splitlines():
             if line.startswith(("FAILED ", "ERROR ")):
-                return line.split(" - ")[0].split(" ", 1)[1].removeprefix("tests/")
+                return line.split(" - ")[0].split(" ", 1)[1]
         if done.returncode not in (FAILED, INTERRUPTED) and done.returncode > 0:
             raise RuntimeError(f"pytest says: {' '.join((done.stdout + done.stderr).split())[-300:]}")
         return f"the tests end with the status {done.returncode}"
