@@ -1,1 +1,8 @@
 """Agents: training and evaluation of policies on the environments, with Stable-Baselines3."""
+
+from importlib.util import find_spec
+
+EXTRA = ("stable_baselines3", "torch", "rich", "tqdm", "tensorboard")
+
+if _missing := [name for name in EXTRA if find_spec(name) is None]:
+    raise ImportError(f"training needs {', '.join(_missing)}: pip install 'flexman_gym[train]'")

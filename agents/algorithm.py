@@ -5,14 +5,10 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import stable_baselines3 as sb3
+import torch
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-
-try:
-    import stable_baselines3 as sb3
-except ImportError as _error:
-    raise ImportError("training needs Stable-Baselines3: pip install 'flexman_gym[train]'") from _error
-import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 

@@ -21,8 +21,8 @@ def open_curves(folder: Path, before: int, steps: int) -> Logger:
     """Opens the curves of a run that goes on after `steps`, the run in the folder before it having taken `before`.
 
     They are in progress-N.csv for N = before + steps > 0, else in progress.csv. Rows of the same run from there on,
-    which a process wrote that did not keep its steps, are taken out of the earlier files. Events of another run are in a
-    folder of their own.
+    which a process wrote that did not keep its steps, are taken out of the earlier files. Events of another run are in
+    a folder of their own.
     """
     for path in folder.glob("progress*.csv"):
         first = path.stem.removeprefix("progress").removeprefix("-") or "0"

@@ -60,7 +60,9 @@ def run_episodes(policy: Policy, environment: Description, seeds: Sequence[int])
     venv = gym.make_vec(environment.id, len(seeds), "vector_entry_point", **environment.keywords() | policy.interface)
     episodes, size = venv.unwrapped.episodes, venv.action_space.shape or ()  # type: ignore[attr-defined]
     view, (observations, infos) = episodes.view, venv.reset(seed=list(seeds))  # type: ignore[arg-type]
-    rows: dict[str, list[Array]] = {"tips": [infos["tip"]], "errors": [infos["tip_error"]], "actions": [], "rewards": []}
+    rows: dict[str, list[Array]] = {name: [] for name in ("tips", "errors", "actions", "rewards")}
+    rows["tips"].append(infos["tip"])
+    rows["errors"].append(infos["tip_error"])
     ends, failures = np.zeros(len(seeds), dtype=np.int64), [""] * len(seeds)
 
     def watch() -> None:
@@ -107,20 +109,21 @@ def evaluate(policy: Policy, environment: Description, seeds: Sequence[int]) -> 
 def common_environment(policies: Sequence[Policy], named: Description | None) -> Description:
     """Gives the environment on which all policies are evaluated: the named one, or that of the trained ones.
 
+    Its PD, which is a baseline, has the gains of the first of them that has any.
+
     Raises:
         ValueError: for policies that were trained on different ones, when none is named.
     """
     if named is not None:
         return parted(named)[0]
-    trained = [policy for policy in policies if policy.environment is not None]
-    wholes = [policy.environment.whole() for policy in trained if policy.environment is not None]
-    if not trained or trained[0].environment is None:
-        return Description()
-    for policy, whole in zip(trained, wholes, strict=True):
-        if whole != wholes[0]:
-            allowed = f"policies of one environment, or name one with --env: {trained[0].name} knows another"
-            raise refusal("policy", policy.name, allowed)
-    return trained[0].environment
+    trained = {policy.name: policy.environment for policy in policies if policy.environment is not None}
+    wholes = {name: environment.whole() for name, environment in trained.items()}
+    for first, name in zip([*trained][:1] * len(trained), trained, strict=True):
+        if {**wholes[name], "gains": None} != {**wholes[first], "gains": None}:
+            allowed = f"policies of one environment, or name one with --env: {first} knows another"
+            raise refusal("policy", name, allowed)
+    with_gains = [trained[name] for name, whole in wholes.items() if whole.get("gains")]
+    return next(iter([*with_gains, *trained.values()]), Description())
 
 
 def changed_environment(environment: Description, changes: Sequence[str]) -> Description:

@@ -34,9 +34,14 @@ class Policy:
 
 
 def parted(described: Description) -> tuple[Description, dict[str, Any]]:
-    """Parts a description into what is moved and the settings of what acts on it."""
+    """Parts a description into what is moved and the settings of what acts on it.
+
+    The gains of a PD are in both: those with which a policy learned are its own, and the environment has a PD too.
+    """
     moved = dict(described.settings or {})
     interface = {name: moved.pop(name) for name in INTERFACE if name in moved}
+    if interface.get("base") == "pd":
+        interface["gains"] = described.whole()["gains"]
     return Description(described.id, moved, described.folder), interface
 
 

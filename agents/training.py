@@ -252,7 +252,7 @@ def _check_new(folder: Path) -> None:
 
 
 def _keep_settings(settings: Settings, folder: Path, done: int) -> None:
-    """Writes the settings of a run that goes on after `done` steps, with the versions that it began and went on with."""
+    """Writes the settings of a run that goes on after `done` steps, with the versions of all its parts."""
     now = {name: version(name) for name in PACKAGES} | {"python": platform.python_version()}
     path = folder / SETTINGS
     kept = json.loads(path.read_bytes()) if path.is_file() else {}

@@ -4,6 +4,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 from gymnasium.envs.registration import register
 
+from flexman_gym import draw, metrics
 from flexman_gym.envs import NAMED, Limits, Randomisation, Slew
 from flexman_gym.fidelity import Choice, choose_model
 from flexman_gym.model import (
@@ -62,12 +63,14 @@ __all__ = [
     "catalog",
     "choose_model",
     "curvature",
+    "draw",
     "frequencies",
     "generalised_alpha",
     "holding_torques",
     "inverse_dynamics",
     "linearize",
     "mass_matrix",
+    "metrics",
     "rest_state",
     "simulate",
     "simulate_all",

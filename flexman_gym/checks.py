@@ -6,7 +6,7 @@ does not allow.
 
 import math
 import numbers
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -112,7 +112,7 @@ def whole_number(name: str, value: object, low: int, high: int) -> int:
     return int(value)
 
 
-def bounded(name: str, values: Sequence[float], most: float, unit: str = "") -> None:
+def bounded(name: str, values: Iterable[float], most: float, unit: str = "") -> None:
     """Refuses numbers of which a magnitude is larger than `most`.
 
     Raises:

@@ -32,10 +32,11 @@ def every(steps: int, arms: int) -> None:
 
 def compare(steps: int) -> None:
     """Prints a line for each autoreset mode: arms alone and at once, with history, hold and all conditions."""
+    settings = all_conditions("FlexRRR-v0") | {"history": 4, "hold": 3, "limits": TIGHT}
     for mode in AutoresetMode:
-        settings = all_conditions("FlexRRR-v0") | {"history": 4, "hold": 3, "limits": TIGHT}
-        failures = alike("FlexRRR-v0", steps // len(AutoresetMode), FEW, mode, **settings)
-        print(f"{mode.value}: {steps // len(AutoresetMode):,} steps alike to the bit, {failures:,} failures", flush=True)
+        count = steps // len(AutoresetMode)
+        failures = alike("FlexRRR-v0", count, FEW, mode, **settings)
+        print(f"{mode.value}: {count:,} steps alike to the bit, {failures:,} failures", flush=True)
 
 
 def main() -> None:

@@ -34,10 +34,10 @@ FLOORS = {
     "scripts": "flexman_gym agents studies envs draw fidelity simulation model scene arrays checks",
     "__main__": "flexman_gym agents studies envs draw fidelity simulation model scene kernels arrays checks",
 }
-PUBLIC = "envs control draw fidelity simulation model scene"  # what flexman_gym/__init__.py gathers
+PUBLIC = "envs control draw fidelity metrics simulation model scene"  # what flexman_gym/__init__.py gathers
 INSIDE_KERNELS = {"numba", "llvmlite", "numpy", "math", "operator", "typing", "collections", "functools"}
 # what names the folder of the binaries, and keeps them there
-CACHE_ROOM = {"hashlib", "os", "sys", "tempfile", "pathlib", "pickle", "stat"}
+CACHE_ROOM = {"hashlib", "os", "sys", "tempfile", "pathlib", "pickle", "shutil", "stat"}
 HEAVY = {"torch", "stable_baselines3", "matplotlib", "pyvista", "ray"}
 
 FILES = sorted(path for folder in (PACKAGE, ROOT / "agents", ROOT / "scripts") for path in folder.rglob("*.py"))

@@ -1,12 +1,12 @@
 """LQR: linear-quadratic control of the whole state, at the goal or along a slew to it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array, IntArray
+from flexman_gym.arrays import Array, IntArray, Vector
 from flexman_gym.checks import positive
 from flexman_gym.control.discrete import Weights, optimal_gain
 from flexman_gym.control.pd import torque_limits
@@ -39,7 +39,7 @@ class LQR:
     sensors: tuple[str, ...] = ("state",)
 
     def __init__(
-        self, model: Model, torque_limit: float | Sequence[float], period: float, weights: Weights | None = None
+        self, model: Model, torque_limit: float | Vector, period: float, weights: Weights | None = None
     ) -> None:
         checked_model(model)
         n, d, reach = model.n_joints, model.n_dof, float(model.constants.length.sum())
@@ -103,7 +103,7 @@ class TrackingLQR(LQR):
     kept = ("_now",)
 
     def __init__(
-        self, model: Model, torque_limit: float | Sequence[float], period: float, weights: Weights | None = None
+        self, model: Model, torque_limit: float | Vector, period: float, weights: Weights | None = None
     ) -> None:
         super().__init__(model, torque_limit, period, weights)
         self._plans: list[Plan] = []

@@ -1,11 +1,11 @@
 """PD: proportional-derivative control of the motors."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array, IntArray
+from flexman_gym.arrays import Array, IntArray, Vector
 from flexman_gym.checks import non_negative, physical, vector
 from flexman_gym.model.instant import mass_matrix
 from flexman_gym.model.model import Model, checked_model
@@ -34,9 +34,9 @@ class PD:
 
     def __init__(
         self,
-        stiffness: Sequence[float],
-        damping: Sequence[float],
-        torque_limit: float | Sequence[float],
+        stiffness: Vector,
+        damping: Vector,
+        torque_limit: float | Vector,
         gravity_model: Model | None = None,
     ) -> None:
         checked = vector("PD.stiffness", stiffness, unit="N m/rad")

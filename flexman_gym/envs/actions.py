@@ -10,6 +10,8 @@ from flexman_gym.arrays import Array
 from flexman_gym.checks import number_array, refusal
 from flexman_gym.model.model import Model
 
+ROUNDING = 1e-6  # of float32 and of what is computed in it, on numbers near 1
+
 
 def action_space(model: Model) -> spaces.Space[Any]:
     """The space of actions of one arm."""
@@ -17,13 +19,18 @@ def action_space(model: Model) -> spaces.Space[Any]:
 
 
 def checked_actions(name: str, value: object, shape: tuple[int, ...], allowed: str) -> Array:
-    """The actions as an array of floats; raises ValueError for another shape and for numbers outside -1 to 1."""
+    """The actions as an array of floats; raises ValueError for another shape and for numbers outside -1 to 1.
+
+    Numbers beyond by what float32 may round, less than 1e-6, count as -1 or 1.
+    """
     if isinstance(value, np.ndarray) and value.shape == shape and value.dtype.kind == "f":
         actions = value.astype(np.float64, copy=False)
     else:
         actions = number_array(name, value, shape, allowed)
     if np.count_nonzero(np.abs(actions) <= 1.0) == actions.size:  # neither is what is no number
         return actions
+    if np.count_nonzero(np.abs(actions) < 1.0 + ROUNDING) == actions.size:
+        return np.clip(actions, -1.0, 1.0)
     raise refusal(name, value, allowed)
 
 

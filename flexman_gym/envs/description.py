@@ -123,9 +123,14 @@ class Description:
         return {name: makers[name](value) if name in makers else value for name, value in settings.items()}
 
     def whole(self) -> dict[str, Any]:
-        """The mapping from which `from_dict` gives the same environment anywhere: with the whole arm, without files."""
-        settings = self.whole_settings()
-        return {"id": self.id, **settings, "arm": plain(self.setup().arm)}
+        """The mapping from which `from_dict` gives the same environment anywhere and later.
+
+        It has the whole arm in place of a file, and the gains of base="pd".
+        """
+        settings, setup = self.whole_settings(), self.setup()
+        if setup.base == "pd":
+            settings["gains"] = _plain("gains", setup.gains)
+        return {"id": self.id, **settings, "arm": plain(setup.arm)}
 
     def changed(self, changes: Sequence[str]) -> Self:
         """The same with changes "name=value", values as in a file; names with dots lead into mappings and the arm.
@@ -217,6 +222,8 @@ def _plain(name: str, value: Any) -> Any:
         return {"kind": kind, **asdict(value)}
     if name == "sensors":
         return plain_sensors(value)
+    if name == "gains" and value is not None:
+        return {each: list(numbers) for each, numbers in value.items()}
     if value is None or isinstance(value, bool | int | float | str | tuple | list):
         return value
     raise refusal(name, value, "something with a name: an object of one's own cannot be kept in a file")

@@ -33,12 +33,14 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
 
     Arm
         The paper's three-link arm of 8.5 m, flexible links and joints (K 5000 N m/rad), no gravity, 0.5 % modal damping
-        in the links, none in the joints (`arm=catalog.paper_rrr(rotor_inertia=10)` gives the paper's undamped arm). Its
-        rotors have 10 kg m^2: with the 1 kg m^2 of the paper's scene no motor controller at 50 Hz can damp it.
+        in the links, none in the joints (`arm=catalog.paper_rrr(rotor_inertia=10, torque_limit=400)` gives the paper's
+        undamped arm). Its rotors have 10 kg m^2: with the 1 kg m^2 of the paper's scene no motor controller at 50 Hz
+        can damp it.
 
     Actions
         Box(-1, 1, (n,)): motor torques as parts of the torque limits (400 N m each), constant during a control period
-        of 20 ms. An action outside the box is refused.
+        of 20 ms. An action outside the box is refused; one that is beyond it by less than 1e-6, as float32 rounds,
+        counts as its edge.
 
     Observations
         Box (36,) float32; `env.unwrapped.sensors` has the same as `slices`, `units` and `bound`:

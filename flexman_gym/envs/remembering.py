@@ -24,6 +24,7 @@ class Remembering:
     kept: ClassVar[tuple[str, ...]]
     spaces: ClassVar[tuple[str, ...]]
     episodes: Episodes
+    spec: Any
     _made: dict[str, Any]  # arguments of the constructor
 
     def get_state(self) -> dict[str, Any]:
@@ -75,9 +76,10 @@ class Remembering:
             raise
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        other = type(self)(**deepcopy(self._made, memo))
-        other.set_state(self.get_state())
-        return other
+        return _made_again(type(self), deepcopy(self._made, memo), self.spec, self.get_state())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _made_again, (type(self), self._made, self.spec, self.get_state())  # for pickle
 
     def __copy__(self) -> Self:
         return deepcopy(self)  # two environments never share arms
@@ -85,6 +87,14 @@ class Remembering:
     def _generators(self, own: dict[str, Any]) -> list[np.random.Generator | None]:
         """The generator of each arm among what was given back."""
         raise NotImplementedError
+
+
+def _made_again(kind: type[Any], made: dict[str, Any], spec: Any, state: dict[str, Any]) -> Any:
+    """An environment like another one, with its state."""
+    other = kind(**made)
+    other.spec = spec
+    other.set_state(state)
+    return other
 
 
 def _space(env: object, name: str) -> Space[Any]:

@@ -1,17 +1,16 @@
 """Setup: what an environment is made of, checked, and the model that its fidelity asks for."""
 
-import math
 import warnings
 from collections.abc import Collection
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from typing import Any, NamedTuple
 
-from flexman_gym.checks import mapping, one_of, positive, refusal, sequence, store, text, whole_number
+from flexman_gym.checks import mapping, one_of, positive, refusal, sequence, store, text, vector, whole_number
 from flexman_gym.control.controller import Controller
 from flexman_gym.control.lqr import LQR, TrackingLQR
 from flexman_gym.control.pd import PD, torque_limits
-from flexman_gym.envs.catalog import DEFAULT, NAMED, Named
+from flexman_gym.envs.catalog import DEFAULT, NAMED
 from flexman_gym.envs.history import checked_history
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.randomisation import Randomisation
@@ -25,6 +24,8 @@ from flexman_gym.scene.drive import SineTorque
 from flexman_gym.scene.scene import Initial, Scene
 from flexman_gym.simulation.energy import ENERGY_ALARM
 from flexman_gym.simulation.families import Method
+from flexman_gym.simulation.methods import DEFAULT as DEFAULT_METHOD
+from flexman_gym.simulation.run import default_step
 
 CHOSEN = ("elements", "modes", "method", "step", "stiffening")  # by fidelity="auto"
 BASES = ("pd", "lqr", "lqr-tracking")
@@ -54,7 +55,8 @@ class Setup:
             of the named environment, "lqr" or "lqr-tracking" for the optimal ones that know the true state, or a
             Controller of one's own; None for nothing. The sum of both saturates.
         gains: of base="pd", a mapping with "stiffness" (N m/rad) and "damping" (N m s/rad), one for each joint; None
-            takes those that were tuned.
+            takes those that were tuned for the arm of the named environment, which no arm with other links or motors
+            has.
         hold: control periods for which the agent's part of an action is kept. A step then takes so many: its reward is
             the mean of theirs, its info that of the last; an episode that ends on the way ends there.
         fidelity: "default" or "auto"; the latter with a tolerance, and without the next four.
@@ -87,7 +89,7 @@ class Setup:
     tolerance: float | None = None
     elements: int | tuple[int, ...] = 2
     modes: int | tuple[int | tuple[int, ...], ...] | str | None = "assembled"
-    method: str | Method = "implicit_midpoint_3"
+    method: str | Method = DEFAULT_METHOD
     step: float | None = None
     stiffening: bool = False
     spinning_rotors: bool = False
@@ -115,7 +117,7 @@ class Setup:
         store(
             self,
             sensors=find_sensors(named.sensors if self.sensors is None else self.sensors),
-            torque_limit=self._torque_limits(named),
+            torque_limit=self._torque_limits(),
             control_period=_period(period),
             energy_alarm=positive("energy_alarm", self.energy_alarm),
             randomisation=_randomisation(self.randomisation),
@@ -131,15 +133,15 @@ class Setup:
         elif self.base is not None and (not isinstance(self.base, Controller) or isinstance(self.base, type)):
             allowed = f"None, one of {', '.join(BASES)}, or a Controller: an object with sensors, reset and act"
             raise refusal("base", self.base, allowed)
+        if self.base == "pd":
+            store(self, gains=self.pd_gains)
         self._check_fidelity()
 
-    def _torque_limits(self, named: Named) -> tuple[float, ...]:
-        """What is given, or what the joints say, or, for an arm of the same reach, what those of the named arm say."""
+    def _torque_limits(self) -> tuple[float, ...]:
+        """What is given, or what the joints say."""
         arm, own = self.arm, [joint.torque_limit for joint in self.arm.joints]
         if self.torque_limit is not None:
             return torque_limits("torque_limit", self.torque_limit, arm.n_joints)
-        if None in own and _size(arm) == _size(named.arm()):
-            own = [joint.torque_limit for joint in named.arm().joints]
         if None in own:
             allowed = "one number (N m), or one for each joint: the joints of this arm have no torque_limit"
             raise refusal("torque_limit", None, allowed)
@@ -171,24 +173,28 @@ class Setup:
         """Control periods after which an episode is truncated."""
         return max(1, round(self.horizon / self.control_period))
 
-    def pd(self, model: Model) -> PD:
-        """The PD controller of `gains`, or that which was tuned for the arm of the named environment.
-
-        With gravity it holds the arm of the model.
+    @property
+    def pd_gains(self) -> dict[str, tuple[float, ...]]:
+        """The `gains`, or those that were tuned for the arm of the named environment.
 
         Raises:
-            ValueError: for another arm without gains of its own.
+            ValueError: for another arm without gains of its own; a payload or friction makes no other arm.
         """
         named, gains = NAMED[self.name], self.gains
         if gains is None:
-            if _size(self.arm) != _size(named.arm()):
-                allowed = f"one of the links of {self.name}, whose PD gains belong to them; or give gains"
-                raise refusal("arm", f"{self.arm.n_joints} links", allowed)
-            gains = named.pd
+            if _links_and_motors(self.arm) != _links_and_motors(named.arm()):
+                allowed = f"those of this arm, which scripts/tune.py finds: {self.name} has other links or motors"
+                raise refusal("gains", None, allowed)
+            return dict(named.pd)
         gains = mapping("gains", gains, ("stiffness", "damping"))
         if len(gains) < 2:
             raise refusal("gains", gains, "a mapping with stiffness (N m/rad) and damping (N m s/rad)")
-        return PD(**gains, torque_limit=self.torque_limit, gravity_model=model if any(self.arm.gravity) else None)
+        return {name: vector(f"gains.{name}", each, self.arm.n_joints) for name, each in gains.items()}
+
+    def pd(self, model: Model) -> PD:
+        """The PD controller of the `pd_gains`; with gravity it holds the arm of the model."""
+        gravity_model = model if any(self.arm.gravity) else None
+        return PD(**self.pd_gains, torque_limit=self.torque_limit, gravity_model=gravity_model)
 
     def base_controller(self, model: Model) -> Controller | None:
         """What acts beside the agent, for the model of the environment.
@@ -214,11 +220,6 @@ def _period(value: object) -> float:
     if not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
         raise refusal("control_period", value, f"a number from {SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} (s)")
     return period
-
-
-def default_step(control_period: float, longest: float) -> float:
-    """Gives the longest step (s) up to a `longest` one that divides a control period (s)."""
-    return control_period / math.ceil(control_period / longest - 1e-9)
 
 
 class Fidelity(NamedTuple):
@@ -277,8 +278,9 @@ def _chosen(setup: Setup) -> Choice:
     return choose_model(scene, tolerance, longest_step=setup.control_period)
 
 
-def _size(arm: Arm) -> tuple[float, ...]:
-    return tuple(link.length for link in arm.links)
+def _links_and_motors(arm: Arm) -> tuple[object, ...]:
+    """What gains of a PD are tuned for."""
+    return arm.links, [(joint.axis, joint.rotor_inertia, joint.stiffness) for joint in arm.joints]
 
 
 def _randomisation(value: object) -> Randomisation | None:

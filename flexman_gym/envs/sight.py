@@ -37,7 +37,7 @@ class Sight:
             self._measured = Measured(view, setup.limits, measured_names([*parts, *own]))
         source = self._measured or view
         self.sensors = Sensors(parts, source, setup.limits)  # type: ignore[arg-type]
-        self._base_sensors = Sensors(own, source, setup.limits, "base")  # type: ignore[arg-type]
+        self._base_sensors = Sensors(own, source, setup.limits, "base", self.sensors)  # type: ignore[arg-type]
         self._history: History | None = None
         size, parts_of_history = len(self.sensors.bound), 1
         if setup.history != 1:

@@ -1,10 +1,9 @@
 """Ranks: the order in which modes are left out."""
 
-from collections.abc import Sequence
 
 import numpy as np
 
-from flexman_gym.arrays import Array
+from flexman_gym.arrays import Array, Vector
 from flexman_gym.fidelity.candidates import Candidate
 from flexman_gym.model.instant import mass_matrix, stiffness_matrix, tip_jacobian
 from flexman_gym.model.model import Model
@@ -37,7 +36,7 @@ def tip_parts(model: Model, full: Candidate, states: Array) -> dict[tuple[int, i
     return dict(sorted(parts.items(), key=lambda item: item[1]))
 
 
-def stiffest(model: Model, full: Candidate, angles: Sequence[float]) -> list[tuple[int, int]]:
+def stiffest(model: Model, full: Candidate, angles: Vector) -> list[tuple[int, int]]:
     """Gives the modes (link, number) in an order that lowers the highest frequency of the arm fast.
 
     Each is the mode with the largest part in the highest vibration of the arm without the modes before it.

@@ -1,10 +1,10 @@
 """Instant: accelerations, forces and natural frequencies of a model at a state."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
-from flexman_gym.arrays import Array, Flags
+from flexman_gym.arrays import Array, Flags, Vector
 from flexman_gym.checks import bounded, flag, refusal, vector
 from flexman_gym.kernels import dynamics, inverse, outputs, tip
 from flexman_gym.kernels.layout import (
@@ -24,7 +24,7 @@ RICHARDSON = ((1, 1.5), (2, -0.6), (3, 0.1))
 SECOND_STEP = 0.02  # rad, for a second derivative: its truncation is just below rounding
 
 
-def acceleration(model: Model, state: Sequence[float] | Array, torque: Sequence[float] | Array) -> Array:
+def acceleration(model: Model, state: Vector, torque: Vector) -> Array:
     """Gives the generalised accelerations (d,) (Eq. 45 with Eq. 23).
 
     Args:
@@ -43,7 +43,7 @@ def acceleration(model: Model, state: Sequence[float] | Array, torque: Sequence[
     return out
 
 
-def mass_matrix(model: Model, state: Sequence[float] | Array) -> Array:
+def mass_matrix(model: Model, state: Vector) -> Array:
     """Gives the generalised mass matrix (d, d) at a state (2 d,), rotors included (Eq. 46 with Eq. 23).
 
     Raises:
@@ -67,7 +67,7 @@ def damping_matrix(model: Model) -> Array:
     return matrix
 
 
-def frequencies(model: Model, joint_angles: Sequence[float] | None = None, lock_joints: bool = False) -> Array:
+def frequencies(model: Model, joint_angles: Vector | None = None, lock_joints: bool = False) -> Array:
     """Gives the undamped natural frequencies of the unloaded arm at rest, ascending, Hz; gravity is left out.
 
     Args:
@@ -99,7 +99,7 @@ def frequencies(model: Model, joint_angles: Sequence[float] | None = None, lock_
     return np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi)
 
 
-def tip_acceleration(model: Model, state: Sequence[float] | Array, torque: Sequence[float] | Array) -> Array:
+def tip_acceleration(model: Model, state: Vector, torque: Vector) -> Array:
     """Gives the acceleration (3,) of the tip in the base frame, m/s^2.
 
     It is the second derivative of the tip's position (Eq. 32, 33), exact up to rounding. An accelerometer on the tip
@@ -121,11 +121,11 @@ def tip_acceleration(model: Model, state: Sequence[float] | Array, torque: Seque
 
 def inverse_dynamics(
     model: Model,
-    joint_angles: Sequence[float] | Array,
-    joint_rates: Sequence[float] | Array,
-    joint_accelerations: Sequence[float] | Array,
-    joint_jerks: Sequence[float] | Array | None = None,
-    joint_snaps: Sequence[float] | Array | None = None,
+    joint_angles: Vector,
+    joint_rates: Vector,
+    joint_accelerations: Vector,
+    joint_jerks: Vector | None = None,
+    joint_snaps: Vector | None = None,
 ) -> Array:
     """Gives the motor torques (n,) in N m for a motion of the joints (link side) of an arm of rigid links.
 
@@ -192,12 +192,12 @@ def _check_invertible(model: Model, sprung: Flags) -> None:
         raise refusal("model.choice.spinning_rotors", True, "False where joints are flexible")
 
 
-def _drive(model: Model, torque: Sequence[float] | Array) -> Array:
+def _drive(model: Model, torque: Vector) -> Array:
     """Gives the drive (n + 6,) of motor torques (n,) without disturbances."""
     return np.r_[vector("torque", torque, model.n_joints, "N m"), np.zeros(6)]
 
 
-def split_state(model: Model, state: Sequence[float] | Array) -> tuple[Array, Array]:
+def split_state(model: Model, state: Vector) -> tuple[Array, Array]:
     """Gives coordinates (d,) and speeds (d,) of a state (2 d,).
 
     Raises:

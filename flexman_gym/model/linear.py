@@ -1,11 +1,11 @@
 """Linear: the linear model of an arm about a state."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.arrays import Array
+from flexman_gym.arrays import Array, Vector
 from flexman_gym.checks import refusal
 from flexman_gym.model.element import NODE_COORDINATES
 from flexman_gym.model.instant import (
@@ -45,9 +45,9 @@ class LinearModel(NamedTuple):
 
 def linearize(
     model: Model,
-    joint_angles: Sequence[float] | Array | None = None,
-    state: Sequence[float] | Array | None = None,
-    torque: Sequence[float] | Array | None = None,
+    joint_angles: Vector | None = None,
+    state: Vector | None = None,
+    torque: Vector | None = None,
 ) -> LinearModel:
     """Gives the linear model about the undeformed arm at rest, or about a whole state.
 
@@ -95,7 +95,7 @@ def linearize(
     )
 
 
-def _demands(model: Model, state: Sequence[float] | Array, torque: Sequence[float] | Array) -> Array:
+def _demands(model: Model, state: Vector, torque: Vector) -> Array:
     """Gives slopes (d, 2 d + n), by coordinates, speeds and torques, of the forces that accelerate the arm."""
     (x, v), caused, forces = split_state(model, state), acceleration(model, state, torque), inertial_forces(model)
     d, n, size = model.n_dof, model.n_joints, coordinate_sizes(model)

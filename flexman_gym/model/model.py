@@ -1,12 +1,11 @@
 """Model: an arm turned into the constants that the kernels read."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from flexman_gym.arrays import Array
+from flexman_gym.arrays import Array, Vector
 from flexman_gym.checks import bounded, instance, refusal, vector
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import LANES
@@ -77,7 +76,7 @@ class Model:
         return beam_elements(self.arm.links[link], _each("elements", self.choice.elements, self.n_joints)[link])
 
     def initial_state(
-        self, joint_angles: Sequence[float] | Array, joint_rates: Sequence[float] | Array | None = None
+        self, joint_angles: Vector, joint_rates: Vector | None = None
     ) -> Array:
         """Gives the state (2 d,) of the undeformed arm, with the motors at the angles and rates of the joints.
 

@@ -1,11 +1,10 @@
 """Statics: how an arm rests under gravity, and the torques that hold it there."""
 
-from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
 
-from flexman_gym.arrays import Array, IntArray
+from flexman_gym.arrays import Array, IntArray, Vector
 from flexman_gym.checks import refusal, vector
 from flexman_gym.kernels import outputs, statics
 from flexman_gym.kernels.layout import OUTPUTS, TIP, Work, make_work
@@ -34,7 +33,7 @@ def rest_states(model: Model, postures: Array) -> Array:
     return states
 
 
-def rest_state(model: Model, motor_angles: Sequence[float] | Array) -> Array:
+def rest_state(model: Model, motor_angles: Vector) -> Array:
     """State (2 d,) of an arm that rests with its motors held at angles (n,) rad, see `rest_states`.
 
     Raises:
@@ -56,7 +55,7 @@ def _structure(model: Model) -> tuple[Work, IntArray, Array, Array]:
     return make_work(model.constants), free, stiffness, np.linalg.inv(stiffness[np.ix_(free, free)])
 
 
-def holding_torques(model: Model, motor_angles: Sequence[float] | Array) -> Array:
+def holding_torques(model: Model, motor_angles: Vector) -> Array:
     """Motor torques (n,) in N m that hold an arm at rest with its motors at angles (n,) rad; zero without gravity.
 
     Raises:

@@ -1,16 +1,15 @@
 """Strain: bending, twist and stretch of a link at a place along it."""
 
-from collections.abc import Sequence
 
 import numpy as np
 
-from flexman_gym.arrays import Array
+from flexman_gym.arrays import Array, Vector
 from flexman_gym.checks import finite, refusal, vector, whole_number
 from flexman_gym.model.element import NODE_COORDINATES, find_element
 from flexman_gym.model.model import Model, checked_model
 
 
-def curvature(model: Model, state: Sequence[float] | Array, link: int, position: float) -> Array:
+def curvature(model: Model, state: Vector, link: int, position: float) -> Array:
     """Gives twist rate phi', curvature about y, -w'', and about z, v'', of a link, (3,) rad/m, in its beam frame.
 
     They are derivatives of the finite elements, linear along each element and exact under forces and moments at nodes.
@@ -30,7 +29,7 @@ def curvature(model: Model, state: Sequence[float] | Array, link: int, position:
 
 
 def strain(
-    model: Model, state: Sequence[float] | Array, link: int, position: float, y: float = 0.0, z: float = 0.0
+    model: Model, state: Vector, link: int, position: float, y: float = 0.0, z: float = 0.0
 ) -> float:
     """Gives the axial strain u' - y v'' - z w'' at a point of a link's section, as a strain gauge there measures it.
 
@@ -83,7 +82,7 @@ def root_gauges(model: Model) -> Array:
     return found
 
 
-def _deformation(model: Model, state: Sequence[float] | Array, link: int, position: float) -> Array:
+def _deformation(model: Model, state: Vector, link: int, position: float) -> Array:
     """Gives u', phi', -w'' and v'' (4,) at a position of a link."""
     x = np.array(vector("state", state, 2 * checked_model(model).n_dof))
     i = whole_number("link", link, 0, model.n_joints - 1)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from flexman_gym.arrays import Matrix, Vector
 from flexman_gym.checks import (
     MOST,
     bounded,
@@ -66,7 +67,7 @@ class Link:
     youngs_modulus: float
     shear_modulus: float
     density: float
-    orientation: Sequence[Sequence[float]] = IDENTITY
+    orientation: Matrix = IDENTITY
 
     def __post_init__(self) -> None:
         store(self, **{name: physical(f"Link.{name}", getattr(self, name), unit) for name, unit in _LINK_UNITS.items()})
@@ -107,7 +108,7 @@ class NonUniformLink:
     """
 
     sections: Sequence[Link]
-    orientation: Sequence[Sequence[float]] = IDENTITY
+    orientation: Matrix = IDENTITY
 
     def __post_init__(self) -> None:
         sections = _chain("NonUniformLink.sections", self.sections, Link)
@@ -152,7 +153,7 @@ class Joint:
             damper without a spring, and for a spring without a rotor (its coordinate would have no mass).
     """
 
-    axis: Sequence[float]
+    axis: Vector
     rotor_inertia: float = 0.0
     stiffness: float | None = None
     damping: float = 0.0
@@ -199,8 +200,8 @@ class Payload:
     """
 
     mass: float
-    inertia: Sequence[Sequence[float]] | None = None
-    offset: Sequence[float] | None = None
+    inertia: Matrix | None = None
+    offset: Vector | None = None
 
     def __post_init__(self) -> None:
         store(self, mass=physical("Payload.mass", self.mass, "kg", zero=True))
@@ -233,7 +234,7 @@ class Arm:
     links: Sequence[Link | NonUniformLink]
     joints: Sequence[Joint]
     payload: Payload | None = None
-    gravity: Sequence[float] = (0.0, 0.0, 0.0)
+    gravity: Vector = (0.0, 0.0, 0.0)
     stiffness_proportional_damping: float = 0.0
     modal_damping_ratio: float = 0.0
 

@@ -4,8 +4,8 @@
 """
 
 import warnings
-from collections.abc import Sequence
 
+from flexman_gym.arrays import Matrix, Vector
 from flexman_gym.checks import one_of
 from flexman_gym.scene.arm import IDENTITY, Arm, Joint, Link, Payload
 from flexman_gym.scene.choice import ModelChoice
@@ -28,7 +28,7 @@ def paper_rrr(
     joint_stiffness: float | None = 5000.0,
     joint_damping: float = 0.0,
     payload: Payload | None = None,
-    gravity: Sequence[float] = (0.0, 0.0, 0.0),
+    gravity: Vector = (0.0, 0.0, 0.0),
     *,
     torque_limit: float | None = None,
     **damping: float,
@@ -72,7 +72,7 @@ def _paper_link(
     area: float,
     second_moment: float,
     polar_moment: float,
-    orientation: Sequence[Sequence[float]] = IDENTITY,
+    orientation: Matrix = IDENTITY,
 ) -> Link:
     """Builds a link from one column of Table 1, in m, m^2, m^4 and m^4."""
     with warnings.catch_warnings():
@@ -91,11 +91,11 @@ def _paper_link(
 
 
 def one_link(
-    axis: Sequence[float] = (0.0, 0.0, 1.0),
+    axis: Vector = (0.0, 0.0, 1.0),
     rotor_inertia: float = 0.0,
     joint_stiffness: float | None = None,
     payload: Payload | None = None,
-    gravity: Sequence[float] = (0.0, 0.0, 0.0),
+    gravity: Vector = (0.0, 0.0, 0.0),
     **damping: float,
 ) -> Arm:
     """Builds a slender aluminium link of 2 m on a hub, along +X at a zero angle.
@@ -121,7 +121,7 @@ def planar_2r(
     rotor_inertia: float = 0.1,
     joint_stiffness: float | None = None,
     payload: Payload | None = None,
-    gravity: Sequence[float] = (0.0, 0.0, 0.0),
+    gravity: Vector = (0.0, 0.0, 0.0),
     **damping: float,
 ) -> Arm:
     """Builds two aluminium strips of 0.5 m in a horizontal plane: axes +Z, both links along +X at zero angles.
@@ -143,7 +143,7 @@ def planar_2r(
     return Arm([link, link], [joint, joint], payload, gravity, **damping)
 
 
-def vertical_2r(payload: Payload | None = TOOL, gravity: Sequence[float] = (0.0, 0.0, -9.81), **damping: float) -> Arm:
+def vertical_2r(payload: Payload | None = TOOL, gravity: Vector = (0.0, 0.0, -9.81), **damping: float) -> Arm:
     """Builds two aluminium strips of 0.5 m that move in the vertical x-z plane, on elastic joints, with their motors.
 
     Args:
@@ -166,7 +166,7 @@ def vertical_2r(payload: Payload | None = TOOL, gravity: Sequence[float] = (0.0,
 
 
 def one_joint(
-    payload: Payload | None = LIGHT_TOOL, gravity: Sequence[float] = (0.0, 0.0, 0.0), **damping: float
+    payload: Payload | None = LIGHT_TOOL, gravity: Vector = (0.0, 0.0, 0.0), **damping: float
 ) -> Arm:
     """Builds an aluminium strip of 0.8 m on one elastic joint, which turns it in a horizontal plane about +Z.
 

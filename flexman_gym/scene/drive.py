@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from flexman_gym.arrays import Vector
 from flexman_gym.checks import finite, non_negative, refusal, sequence, store, vector
 
 
@@ -61,7 +62,7 @@ class ConstantTorque:
     """
 
     kind: ClassVar[str] = "constant"
-    value: Sequence[float]
+    value: Vector
 
     def __post_init__(self) -> None:
         store(self, value=vector("ConstantTorque.value", self.value, unit="N m"))
@@ -90,9 +91,9 @@ class SineTorque:
     """
 
     kind: ClassVar[str] = "sine"
-    amplitude: Sequence[float]
-    frequency_hz: Sequence[float]
-    phase: Sequence[float]
+    amplitude: Vector
+    frequency_hz: Vector
+    phase: Vector
 
     def __post_init__(self) -> None:
         amplitude = vector("SineTorque.amplitude", self.amplitude, unit="N m")

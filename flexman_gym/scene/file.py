@@ -1,4 +1,4 @@
-"""Scene file: strict JSON or YAML on disk, as dicts, lists, texts, numbers, booleans and None."""
+"""File: strict JSON or YAML on disk, as dicts, lists, texts, numbers, booleans and None."""
 
 import json
 import re
@@ -53,7 +53,7 @@ def read(path: Path) -> Any:
     Raises:
         FileNotFoundError: when there is no such file.
         ValueError: for another suffix, for a file that is not a plain file of at most 1 MB or not UTF-8, for broken
-            text, for a repeated key, and for a nesting too deep for a scene; one line says which.
+            text, for a repeated key, and for a nesting without end; one line says which.
     """
     suffix = _suffix(path)
     if not path.exists():
@@ -70,7 +70,7 @@ def read(path: Path) -> Any:
     try:
         return _tree("", _parse(text, suffix))
     except RecursionError:
-        raise ValueError("lists or mappings are nested too deeply; give a scene") from None
+        raise ValueError("lists or mappings are nested too deeply; give fewer levels") from None
 
 
 def parse(text: str) -> Any:
@@ -119,7 +119,7 @@ def _tree(path: str, data: Any) -> Any:
         tree: dict[str, Any] = {}
         for key, value in data:
             if not isinstance(key, str) or not key.isidentifier():
-                raise ValueError(f"{path or 'scene'}: the key {shown(key)} is not allowed; give a name")
+                raise ValueError(f"{path or 'the file'}: the key {shown(key)} is not allowed; give a name")
             field = f"{path}.{key}" if path else key
             if key in tree:
                 raise ValueError(f"{field}: {shown(value)} is not allowed; this key was given before, give it once")

@@ -8,6 +8,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from flexman_gym.arrays import Vector
 from flexman_gym.checks import (
     positive,
     refusal,
@@ -39,9 +40,9 @@ class Initial:
         ValueError: for an attribute that is not a list of finite numbers, and for lists of different length.
     """
 
-    joint_angles: Sequence[float]
-    joint_rates: Sequence[float]
-    state: Sequence[float] | None = None
+    joint_angles: Vector
+    joint_rates: Vector
+    state: Vector | None = None
 
     def __post_init__(self) -> None:
         angles = vector("Initial.joint_angles", self.joint_angles, unit="rad")

@@ -6,13 +6,14 @@ from typing import NoReturn
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags
-from flexman_gym.checks import bounded, parts, positive, refusal, whole_number
+from flexman_gym.checks import bounded, positive, refusal, whole_number
 from flexman_gym.kernels import layout, outputs
 from flexman_gym.model.model import Model, checked_model
 from flexman_gym.simulation.families import LinearlyImplicit, Method, Midpoint
+from flexman_gym.simulation.methods import DEFAULT
 from flexman_gym.simulation.movers import Abreast, OneByOne
 from flexman_gym.simulation.parameters import nominal_parameters, varied_constants
-from flexman_gym.simulation.run import MOST_STEPS, Run, find_method, find_tolerance, prescribed_flags
+from flexman_gym.simulation.run import Run, find_method, find_substeps, find_tolerance, prescribed_flags
 
 MOST_ARMS, MOST_THREADS = 65536, 256
 RESTING = -1  # a status that only movers see
@@ -48,8 +49,8 @@ class Batch:
     def __init__(
         self,
         model: Model,
-        method: str | Method = "ros2",
-        step: float | None = 0.005,
+        method: str | Method = DEFAULT,
+        step: float | str | None = "auto",
         control_period: float = 0.02,
         rtol: float = 1e-6,
         atol: float = 1e-9,
@@ -61,12 +62,12 @@ class Batch:
         self.model = checked_model(model)
         self.method = find_method(method)
         self.control_period = positive("control_period", control_period, "s")
-        allowed = "a number of seconds that divides the control period"
-        self.substeps = 1 if step is None else parts("step", step, self.control_period, allowed, MOST_STEPS)
+        self.substeps = find_substeps(step, self.control_period)
         n, count = model.n_joints, whole_number("arms", arms, 1, MOST_ARMS)
         whole_number("threads", threads, 1, MOST_THREADS)
         joints = _joints(prescribed, n)
-        tolerance = find_tolerance(self.method, step, rtol, atol)
+        fixed = None if step is None else self.control_period / self.substeps
+        tolerance = find_tolerance(self.method, fixed, rtol, atol)
         self._bound = tolerance, joints
         period = self.control_period, self.substeps
         self._mover: OneByOne | Abreast

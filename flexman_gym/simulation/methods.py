@@ -69,4 +69,5 @@ def _implicit() -> tuple[Method, ...]:
     return midpoint, *sweeps, generalised_alpha(0.9), radau
 
 
+DEFAULT = "implicit_midpoint_3"  # wherever steps are fixed and no method is named
 METHODS: dict[str, Method] = {method.name: method for method in (*_explicit(), *_linearly_implicit(), *_implicit())}

@@ -1,12 +1,13 @@
 """Run: a method bound to a model and its work space, as a call that moves a state through time."""
 
+import math
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import one_of, positive, refusal
+from flexman_gym.checks import one_of, parts, positive, refusal
 from flexman_gym.kernels import arms, explicit, implicit, layout, linearly_implicit, midpoint, outputs, stages
 from flexman_gym.kernels.arms import addresses, sequences_array
 from flexman_gym.kernels.lanes import SEQUENCES
@@ -18,6 +19,7 @@ from flexman_gym.simulation.families import Explicit, Implicit, LinearlyImplicit
 from flexman_gym.simulation.methods import METHODS
 
 MOST_STEPS = 100_000  # between two outputs, and in a control period
+LONGEST_STEP = 0.005  # s, where none is named
 # The kernel of each family; SciPy runs the others.
 KERNELS: dict[type, Callable[..., tuple[int, int, int]]] = {
     Explicit: explicit.run_explicit,
@@ -53,6 +55,24 @@ def find_tolerance(method: Method, step: float | None, rtol: float, atol: float)
     if step is None and not method.estimates:
         raise refusal("step", None, f"a number > 0 (s): {method.name} takes fixed steps")
     return given if step is None or method.adaptive else None
+
+
+def default_step(control_period: float, longest: float = LONGEST_STEP) -> float:
+    """Gives the longest step (s) up to a `longest` one that divides a control period (s)."""
+    return control_period / math.ceil(control_period / longest - 1e-9)
+
+
+def find_substeps(step: float | str | None, control_period: float) -> int:
+    """Gives the steps in a control period (s): one for None, where the method chooses, and some for "auto".
+
+    Raises:
+        ValueError: for anything else that does not divide the control period.
+    """
+    if step is None:
+        return 1
+    if isinstance(step, str):
+        step = default_step(control_period) if step == "auto" else step
+    return parts("step", step, control_period, "a number of seconds that divides the control period", MOST_STEPS)  # type: ignore[arg-type]
 
 
 def prescribed_flags(joints: int, prescribed: Collection[int]) -> IntArray:

@@ -14,6 +14,7 @@ from flexman_gym.model.model import Model, checked_model, scene_model
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.explanation import Failure, explain, explain_energy
 from flexman_gym.simulation.families import Method
+from flexman_gym.simulation.methods import DEFAULT
 from flexman_gym.simulation.run import MOST_STEPS, Run, find_method, find_tolerance
 from flexman_gym.simulation.trajectory import Trajectory, trajectory
 
@@ -31,8 +32,8 @@ def simulate(
     Args:
         scene: arm, torque, initial state, duration.
         model: None takes the model that the scene asks for.
-        method: a Method or a name from `METHODS`. "auto" takes "ros2" with a step and the reference "dop853" without
-            one.
+        method: a Method or a name from `METHODS`. "auto" takes "implicit_midpoint_3" with a step and the
+            reference "dop853" without one.
         step: s. It divides the output step of the scene, into at most 100000 steps, or is a multiple of it; a multiple
             gives an output after every step. None lets a method that estimates its error choose its steps. A reference
             always chooses its steps; the given step is its first guess.
@@ -76,7 +77,7 @@ def find_plan(
     model = scene_model(scene) if model is None else checked_model(model)
     if model.n_joints != scene.arm.n_joints:
         raise refusal("model", f"{model.n_joints} joints", f"a model of the scene's arm, {scene.arm.n_joints} joints")
-    automatic = "dop853" if step is None else "ros2"
+    automatic = "dop853" if step is None else DEFAULT
     chosen = find_method(automatic if isinstance(method, str) and method == "auto" else method)
     interval, substeps = _output_interval(chosen, step, scene.output_step)
     rows = parts("step", interval, scene.duration, "a number of seconds that divides the duration")

@@ -1,10 +1,10 @@
 """Simulator: a model moved through time, one control period after another."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 
 import numpy as np
 
-from flexman_gym.arrays import Array
+from flexman_gym.arrays import Array, Vector
 from flexman_gym.checks import bounded, number_array, refusal, vector
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import STATUS
@@ -14,13 +14,16 @@ from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.energy import alarm
 from flexman_gym.simulation.explanation import Failure, explain, explain_energy
 from flexman_gym.simulation.families import Method
+from flexman_gym.simulation.methods import DEFAULT
 from flexman_gym.simulation.run import prescribed_flags
 
 
 class Simulator:
     """A model that is moved by one control period at a time, under torques that are constant during it.
 
-    Motors (joints where they are rigid) in `prescribed` follow accelerations instead of torques.
+    Motors (joints where they are rigid) in `prescribed` follow accelerations instead of torques. The step (s) divides
+    the control period; "auto" takes the longest that does and is at most 5 ms, None lets the method choose by rtol and
+    atol.
 
     Attributes:
         batch: the Batch of this one arm.
@@ -40,8 +43,8 @@ class Simulator:
     def __init__(
         self,
         model: Model,
-        method: str | Method = "ros2",
-        step: float | None = 0.005,
+        method: str | Method = DEFAULT,
+        step: float | str | None = "auto",
         control_period: float = 0.02,
         rtol: float = 1e-6,
         atol: float = 1e-9,
@@ -56,9 +59,9 @@ class Simulator:
 
     def reset(
         self,
-        joint_angles: Sequence[float] | Array | None = None,
-        joint_rates: Sequence[float] | Array | None = None,
-        state: Sequence[float] | Array | None = None,
+        joint_angles: Vector | None = None,
+        joint_rates: Vector | None = None,
+        state: Vector | None = None,
     ) -> None:
         """Starts anew at time 0, undeformed at joint angles and rates, or at a whole state.
 
@@ -83,10 +86,10 @@ class Simulator:
 
     def step(
         self,
-        torque: Sequence[float] | Array,
-        acceleration: Sequence[float] | Array | None = None,
-        tip_force: Sequence[float] | Array | None = None,
-        base_acceleration: Sequence[float] | Array | None = None,
+        torque: Vector,
+        acceleration: Vector | None = None,
+        tip_force: Vector | None = None,
+        base_acceleration: Vector | None = None,
     ) -> str:
         """Moves on by one control period, during which everything that drives the arm is constant.
 
@@ -117,7 +120,7 @@ class Simulator:
         self.batch.step(self._drive)
         return self.status
 
-    def _prescribe(self, drive: Array, acceleration: Sequence[float] | Array | None) -> None:
+    def _prescribe(self, drive: Array, acceleration: Vector | None) -> None:
         """Writes the accelerations of prescribed motors over their torques, which must be zero."""
         given = np.zeros(len(drive)) if acceleration is None else acceleration
         given = _numbers("acceleration", given, len(drive), "rad/s^2")
@@ -197,6 +200,6 @@ class Simulator:
         return float(self.batch.energy_residual[0])
 
 
-def _numbers(name: str, value: Sequence[float] | Array, count: int, unit: str) -> Array:
+def _numbers(name: str, value: Vector, count: int, unit: str) -> Array:
     """Gives the value as an array of finite numbers."""
     return number_array(name, value, (count,), f"{count} finite numbers ({unit})")

@@ -45,7 +45,8 @@ def test_an_environment_file_and_changes_reach_the_run_and_its_evaluation(run, t
     assert (settings.seed, settings.steps, settings.envs, settings.algo) == (4, 256, 2, "ppo")
     assert (setup.arm.payload.mass, setup.base, setup.hold, setup.name) == (0.2, "pd", 5, "FlexOne-v0")
     code, out, err = run("evaluate", folder, "pd", "zero", "--episodes", 2)
-    assert code == 0 and err == "" and out.startswith("2 episodes of FlexOne-v0 (arm, horizon), the same for all")
+    assert code == 0 and err == ""
+    assert out.startswith("2 episodes of FlexOne-v0 (arm, gains, horizon), the same for all")
     assert [line.split()[0] for line in out.splitlines()[2:-1]] == [str(folder), "pd", "zero"]
     other = run("evaluate", folder, "pd", "--episodes", 2, "--set", "horizon=1.2")[1]
     assert other.splitlines()[2:] != out.splitlines()[2:]

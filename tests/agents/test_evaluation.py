@@ -20,6 +20,7 @@ from flexman_agents.evaluation import (
 from flexman_agents.policies import BASELINES, Policy, find_policy
 from flexman_agents.settings import Settings
 from flexman_agents.training import train
+from flexman_gym.envs import NAMED
 from flexman_gym.envs.description import Description
 from flexman_gym.metrics import BAND
 
@@ -45,7 +46,9 @@ def test_a_policy_is_evaluated_on_the_environment_that_it_was_trained_on(run):
     environment = common_environment([policy, find_policy("pd")], None)
     setup = environment.setup()
     assert (environment.id, setup.arm.payload.mass, setup.horizon) == ("FlexPlanar-v0", 0.3, 1.5)
-    assert policy.interface == {"base": "pd", "hold": 5, "sensors": ["full", "fine"]}, "which go with the policy"
+    gains = {name: list(each) for name, each in NAMED["FlexPlanar-v0"].pd.items()}
+    expected = {"base": "pd", "gains": gains, "hold": 5, "sensors": ["full", "fine"]}
+    assert policy.interface == expected, "which go with the policy"
     assert setup.base is None and setup.hold == 1
     records, period = run_episodes(policy, environment, SEEDS)
     assert period == 0.01 and all(len(record.actions) == 150 for record in records)
@@ -68,6 +71,18 @@ def test_a_policy_acts_as_in_an_environment_with_its_own_hold_and_base(run):
         rewards.append(reward)
     assert ended and np.array_equal(record.errors[::5], errors)
     assert record.rewards.reshape(-1, 5).mean(axis=1) == pytest.approx(rewards, rel=1e-12)
+
+
+def test_a_policy_keeps_the_gains_that_it_learned_on(run):
+    """Under a condition with another PD, which is the baseline beside it."""
+    learned = NAMED["FlexPlanar-v0"].pd
+    delayed = Description.find("FlexPlanar-v0/D")
+    assert delayed.setup().gains != learned
+    environments = delayed, Description("FlexPlanar-v0", {**delayed.settings, "gains": learned})
+    for name in (str(run), "pd"):
+        policy = find_policy(name)
+        both = [run_episodes(policy, common_environment([policy], each), [9001])[0][0] for each in environments]
+        assert np.array_equal(both[0].actions, both[1].actions) == (name != "pd"), "the baseline has the condition's"
 
 
 def test_a_policy_with_a_history_sees_what_it_saw_in_training():

@@ -2,6 +2,7 @@
 
 import copy
 import json
+import pickle
 
 import gymnasium as gym
 import numpy as np
@@ -78,7 +79,11 @@ def test_an_environment_made_alike_goes_on_from_a_state(settings, many):
     assert same(played(env), played(other))
 
 
-@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy])
+def pickled(env):
+    return pickle.loads(pickle.dumps(env))
+
+
+@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, pickled])
 @pytest.mark.parametrize("many", [0, 1])
 def test_a_copy_goes_on_alike_and_alone(many, duplicate):
     env = begun(makers({"randomisation": EVERYTHING, "base": "pd"})[many]).unwrapped

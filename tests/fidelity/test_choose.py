@@ -154,7 +154,7 @@ def test_the_default_environment_has_the_slow_vibrations_of_the_full_arm():
 
 @pytest.mark.parametrize("number", range(5))
 def test_the_default_environment_keeps_an_undamped_vibration_for_10_s(number):
-    env = FlexManEnv(arm=fm.catalog.paper_rrr(rotor_inertia=10.0))
+    env = FlexManEnv(arm=fm.catalog.paper_rrr(rotor_inertia=10.0, torque_limit=400.0))
     simulator, model = env.simulator, env.simulator.model
     squares, shapes = eigh(stiffness_matrix(model), fm.mass_matrix(model, np.zeros(2 * model.n_dof)))
     simulator.reset(state=[*(1e-3 * shapes[:, 3 + number]), *np.zeros(model.n_dof)])

@@ -134,6 +134,7 @@ DESCRIBED = {
     "task": {"kind": "slew", "start": 0.3},
     "limits": {"angle": 4.0}, "sensors": [{"kind": "lab", "noise": 0.01, "delay": 1}], "horizon": 2.0,
     "randomisation": {"payload_mass": [0.0, 0.1]}, "modes": [3], "history": 2, "base": "pd",
+    "gains": {"stiffness": [5.0], "damping": [2.0]},
 }  # fmt: skip
 TRAINING = {
     "algo": "ppo", "environment": DESCRIBED, "steps": 1000, "seed": 1, "envs": 2, "normalise_reward": True,

@@ -159,7 +159,7 @@ def test_the_simulator_takes_the_same_drive_period_by_period(model):
     pushed = {"tip_force": [fm.Signal(20.0), fm.Signal(), fm.Signal()]}
     scene = replace(SCENE, torque=REPLACED["torque"], prescribed=[fm.Signal(1.5), None, None], **pushed)
     scene = replace(scene, base_acceleration=[fm.Signal(), fm.Signal(0.5), fm.Signal()], output_step=0.02)
-    expected = fm.simulate(scene, model, method="ros2", step=0.002)
+    expected = fm.simulate(scene, model, step=0.002)
     for row in range(1, 6):
         simulator.step([0.0, 400.0, 400.0], [1.5, 0.0, 0.0], [20.0, 0.0, 0.0], [0.0, 0.5, 0.0])
         np.testing.assert_allclose(simulator.state, expected.states[row], atol=1e-9)

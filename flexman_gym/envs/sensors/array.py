@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from copy import copy
+from typing import Any
 
 import numpy as np
 
@@ -23,12 +24,14 @@ class Sensors:
         view: what they read, a View or what is measured of it.
         limits: of the arm.
         label: by which their random streams are known.
+        beside: the Sensors of an agent. What its instruments measure is what perfect sensors here read.
 
     Attributes:
         slices, units: name -> slice of the observation, and unit.
         bound: (size,) largest magnitude of each number.
         observations: (b, size) of the last reading, which the next one overwrites.
         readings: name -> (b, ...) its part of that entry.
+        shared: a view in which each quantity is what the first of the sensors measures of it.
 
     Raises:
         ValueError: for something else than sensors, and for two entries of one name.
@@ -36,7 +39,15 @@ class Sensors:
 
     kept = ("_instruments", "_streams")
 
-    def __init__(self, parts: Sequence[object], view: View, limits: Limits, label: str = "sensors") -> None:
+    def __init__(
+        self,
+        parts: Sequence[object],
+        view: View,
+        limits: Limits,
+        label: str = "sensors",
+        beside: "Sensors | None" = None,
+    ) -> None:
+        seen: View = beside.shared if beside else view
         self.slices: dict[str, slice] = {}
         self.units: dict[str, str] = {}
         self._instruments: list[Instrument] = []
@@ -47,7 +58,7 @@ class Sensors:
                 raise refusal("sensors", part, "a Sensor: an object with the methods entries and read")
             own = part.fresh() if isinstance(part, Instrument) else copy(part)
             first = end
-            for name, size, unit, bound in own.entries(view, limits):
+            for name, size, unit, bound in own.entries(view if isinstance(own, Instrument) else seen, limits):
                 if name in self.slices:
                     raise refusal("sensors", name, "every entry once: two of them read this")
                 self.slices[name], self.units[name], end = slice(end, end + size), unit, end + size
@@ -57,7 +68,8 @@ class Sensors:
         self.bound: Array = np.concatenate(bounds)
         self.observations = np.zeros((len(view.motion), end))
         self.readings = {name: self.observations[:, place] for name, place in self.slices.items()}
-        self._view, self._outs = view, [(part, self.observations[:, place]) for part, place in places]
+        self.shared: Any = Shared(view, [own for own, _ in places])
+        self._view, self._outs = seen, [(part, self.observations[:, place]) for part, place in places]
         self._streams = Streams([f"{label}.{i}" for i in range(len(self._instruments))], len(view.motion))
 
     def begin(self, arms: IntArray, randoms: Sequence[np.random.Generator]) -> None:
@@ -84,6 +96,25 @@ class Sensors:
         for instrument in self._instruments:
             instrument.renew()
         self.read()
+
+
+class Shared:
+    """A view of which the quantities that sensors measure are as their instruments give them, the rest as it is.
+
+    Where two sensors measure a quantity, the first counts.
+    """
+
+    def __init__(self, view: View, parts: Sequence[object]) -> None:
+        self._view, self._sources = view, dict[str, object]()
+        for part in parts:
+            source, names = view, getattr(part, "measures", EVERYTHING)
+            if isinstance(part, Instrument):
+                source, names = part.measured, part.measured.names  # type: ignore[assignment]
+            for name in [*names, *(view.places if "motion" in names else ())]:
+                self._sources.setdefault(name, source)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.__dict__["_sources"].get(name, self.__dict__["_view"]), name)
 
 
 def measured_names(parts: Sequence[object]) -> list[str]:

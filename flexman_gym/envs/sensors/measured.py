@@ -10,6 +10,7 @@ from flexman_gym.envs.limits import Limits
 from flexman_gym.simulation.view import View
 
 EVERYTHING = ("motion", "tip", "deflection", "deflection_rate")  # what a sensor measures that does not say it
+DERIVED = {"tip": ("target_error", "tip_error"), "deflection_rate": ("tip_vibration",)}
 STRAIN = 2.0  # times the root strain of a link that a force on its tip bends to the limit
 GRAVITIES = 51.0  # largest acceleration that is measured, 500 m/s^2
 
@@ -22,6 +23,7 @@ class Measured:
     Attributes:
         values: (b, size) the measured quantities side by side; code that measures overwrites them, then calls `settle`.
         bound: (size,) the largest magnitude that is measured of each.
+        names: of all that follows from what is measured.
     """
 
     kept = ("values",)
@@ -45,6 +47,8 @@ class Measured:
             for name, place in view.places.items():
                 setattr(self, name, self.motion[:, place])
         self._derive = {"tip": self._errors, "deflection_rate": self._vibration}
+        derived = [each for name in self._names for each in DERIVED.get(name, ())]
+        self.names = (*self._names, *(view.places if "motion" in self._names else ()), *derived)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.__dict__["_view"], name)

@@ -1,12 +1,12 @@
 """Hold: the task to keep the tip still while it is pushed, loaded and shaken."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
-from flexman_gym.arrays import Array
+from flexman_gym.arrays import Array, Vector
 from flexman_gym.checks import non_negative, positive, store, vector
 from flexman_gym.envs.sensors.sensor import Sensor
 from flexman_gym.envs.tasks.rewards import distance_reward
@@ -63,9 +63,9 @@ class Hold:
     """
 
     start: float = 0.8
-    impulse: Sequence[float] = (2.0, 10.0)
-    load: Sequence[float] = (0.0, 10.0)
-    sway: Sequence[float] = (0.0, 0.1)
+    impulse: Vector = (2.0, 10.0)
+    load: Vector = (0.0, 10.0)
+    sway: Vector = (0.0, 0.1)
     gap: float = 3.0
     failure_penalty: float = 10.0
     sensors: ClassVar[tuple[Sensor, ...]] = ()

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from flexman_gym.arrays import Array
+from flexman_gym.arrays import Array, Vector
 from flexman_gym.checks import non_negative, one_of, positive, refusal, sequence, store, vector
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.sensors.sensor import Entry, Sensor
@@ -71,8 +71,8 @@ class Track:
 
     path: str = ANY
     size: float = 0.06
-    period: Sequence[float] = (2.5, 5.0)
-    preview: Sequence[float] = ()
+    period: Vector = (2.5, 5.0)
+    preview: Vector = ()
     middle: float = 0.8
     failure_penalty: float = 10.0
     moves: ClassVar[bool] = True
@@ -127,7 +127,7 @@ class Preview:
 
     measures: ClassVar[tuple[str, ...]] = ()
 
-    def __init__(self, times: Sequence[float]) -> None:
+    def __init__(self, times: Vector) -> None:
         self._ahead = np.array(times)
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:

@@ -14,8 +14,8 @@ from flexman_agents.settings import Settings
 from flexman_agents.training import train
 from flexman_gym.envs.catalog import NAMED
 from flexman_gym.envs.description import Description
-from flexman_gym.envs.setup import default_step
 from flexman_gym.envs.vector_env import FlexManVectorEnv
+from flexman_gym.simulation.run import default_step
 from flexman_gym.studies.learning.cases import CONTROLLERS, Case
 from flexman_gym.studies.watch import Watch
 

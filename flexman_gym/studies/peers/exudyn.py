@@ -17,7 +17,6 @@ is not exactly the rate of its rotation; in a plane both agree.
 import io
 import sys
 import time
-from collections.abc import Sequence
 from contextlib import redirect_stdout, suppress
 from importlib import import_module
 from typing import Any
@@ -26,7 +25,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 import flexman_gym as fm
-from flexman_gym.arrays import Array
+from flexman_gym.arrays import Array, Vector
 from flexman_gym.model.beam import Beam, build_beam
 from flexman_gym.model.element import section_points
 from flexman_gym.studies.peers.runs import PeerRun, Timer, output_count, row
@@ -49,7 +48,7 @@ LOOSE = 1e-3  # such a tolerance that changes the tip by less than the step does
 class System:
     """A `MainSystem` of an arm at rest at zero angles, with a sensor of its tip; `torque` (n,) N m on its motors."""
 
-    def __init__(self, arm: fm.Arm, torque: Sequence[float], elements: int = ELEMENTS) -> None:
+    def __init__(self, arm: fm.Arm, torque: Vector, elements: int = ELEMENTS) -> None:
         if arm.payload is not None or any(joint.stiffness is None for joint in arm.joints):
             raise ValueError("arm: this model has no payload, and springs in all joints")
         self.container = exudyn.SystemContainer()
@@ -71,7 +70,7 @@ class System:
         """(T, 3) m, the tip at the output times of the last run, those that it reached."""
         return np.asarray(self.main.GetSensorStoredData(self.sensor))[:, 1:]
 
-    def _link(self, link: Any, beam: Beam, place: Array, gravity: Sequence[float]) -> tuple[int, int]:
+    def _link(self, link: Any, beam: Beam, place: Array, gravity: Vector) -> tuple[int, int]:
         """Adds a link; returns the numbers of a rigid body in its frame and of the marker of its tip."""
         turn, (masses, positions, shapes) = np.array(link.orientation), _mesh(link, beam)
         mesh, count = fem.FEMinterface(), 3 * len(masses)

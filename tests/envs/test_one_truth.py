@@ -1,0 +1,108 @@
+"""One truth: base and agent read the same instruments, gains and limits belong to the arm, and defaults agree."""
+
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import flexman_gym as fm
+from flexman_gym.control import PD
+from flexman_gym.envs.catalog import NAMED, flex_rrr
+from flexman_gym.envs.env import FlexManEnv
+from flexman_gym.envs.sensors import Instrument
+from flexman_gym.envs.sensors.servo import Servo
+from flexman_gym.simulation.batch import Batch
+
+from oracles.refusals import refusal
+
+FLAWS = {"noise": 0.01, "bias": 0.02, "delay": 2}
+
+
+def watched(sensors, own=("servo",)):
+    """What an agent with some sensors and a base beside it read in 20 periods, and the rates that the base read."""
+
+    class Watching(PD):
+        def act(self, readings):
+            read.append({name: values.copy() for name, values in readings.items()})
+            return super().act(readings)
+
+    base, read, seen = Watching((500.0,) * 3, (100.0,) * 3, 400.0), [], []
+    base.sensors = own
+    env = FlexManEnv(sensors=sensors, base=base)
+    observation, _ = env.reset(seed=1)
+    for _ in range(20):
+        seen.append({name: observation[place] for name, place in env.sensors.slices.items()})
+        observation, *_ = env.step(np.full(3, 0.1))
+    return seen, read, np.array([each["motor_rates"] for each in read])
+
+
+@pytest.mark.parametrize("kind", ["full", "lab", "motor_encoders"])
+def test_flaws_of_an_agents_instruments_act_on_the_base_beside_it(kind):
+    seen, read, rates = watched({"kind": kind, **FLAWS})
+    goals = [base["posture_errors"][0] + agent["motor_angles"] for agent, base in zip(seen, read, strict=True)]
+    assert np.ptp(goals, axis=0) == pytest.approx(0.0, abs=1e-6), "goal - angle, where the goal stays"
+    assert rates[:, 0] == pytest.approx(np.array([agent["motor_rates"] for agent in seen]), abs=1e-6)
+    assert np.abs(rates - watched(kind)[2]).max() > 0.05
+
+
+def test_a_base_reads_the_truth_of_what_no_instrument_of_the_agent_measures():
+    perfect = watched("strain")[2]
+    assert np.array_equal(watched({"kind": "strain", **FLAWS})[2], perfect)
+    assert (watched("full", (Instrument(Servo(), noise=0.01),))[2] != perfect).any(), "but for flaws of its own"
+
+
+def test_an_arm_of_the_same_lengths_is_not_the_named_arm():
+    named = flex_rrr()
+    light = replace(named, links=[replace(link, density=0.5 * link.density) for link in named.links])
+    quick = replace(named, joints=[replace(joint, rotor_inertia=1.0) for joint in named.joints])
+    for arm in (light, quick):
+        line = refusal(lambda arm=arm: FlexManEnv(arm=arm, base="pd"))
+        assert line.startswith("gains: None is not allowed; give those of this arm")
+    unlimited = replace(named, joints=[replace(joint, torque_limit=None) for joint in named.joints])
+    assert refusal(lambda: FlexManEnv(arm=unlimited)).startswith("torque_limit: None is not allowed")
+    gains = NAMED["FlexRRR-v0"].pd
+    rubbing = [replace(joint, viscous_friction=5.0, coulomb_friction=10.0) for joint in named.joints]
+    for arm in (named, replace(named, payload=fm.Payload(5.0)), replace(named, joints=rubbing)):
+        assert FlexManEnv(arm=arm, base="pd").setup.gains == gains
+    assert FlexManEnv(arm=light, base="pd", gains=gains).setup.gains == gains
+
+
+@pytest.mark.parametrize("period", [0.002, 0.005, 0.02, 0.03])
+def test_there_is_one_default_wherever_steps_are_fixed(period):
+    model = fm.build_model(fm.catalog.planar_2r(joint_stiffness=20.0), 1)
+    default = FlexManEnv().simulator.method
+    simulator, batch = fm.Simulator(model, control_period=period), Batch(model, control_period=period)
+    assert simulator.method is batch.method is default
+    assert simulator.control_period / simulator.substeps <= 0.005 + 1e-12
+    assert simulator.step([0.0, 0.0]) == "ok"
+    torque, start = fm.ConstantTorque([0.1, 0.0]), fm.Initial([0.1, -0.2], [0.0, 0.0])
+    scene = fm.Scene(fm.catalog.planar_2r(joint_stiffness=20.0), fm.ModelChoice(True, 1), torque, start, 0.1, 0.01)
+    assert np.array_equal(
+        fm.simulate(scene, step=0.005).states, fm.simulate(scene, method=default, step=0.005).states
+    )
+
+
+def test_actions_beyond_their_range_by_rounding_count_as_its_edge():
+    beyond, edge = FlexManEnv(), FlexManEnv()
+    beyond.reset(seed=0)
+    edge.reset(seed=0)
+    rounded = np.nextafter(np.float32(1.0), np.float32(2.0))
+    seen, *_, info = beyond.step(np.array([rounded, -rounded, 1.0], dtype=np.float32))
+    assert np.array_equal(seen, edge.step(np.array([1.0, -1.0, 1.0]))[0]) and info["status"] == "ok"
+    for number in (1.0 + 2e-6, -1.0 - 2e-6, np.nan):
+        assert refusal(beyond.step, np.array([number, 0.0, 0.0])).startswith("action: ")
+
+
+def test_pictures_and_metrics_are_there_without_an_import_of_their_own():
+    assert callable(fm.draw.arm_frame) and callable(fm.metrics.peak_to_peak)
+
+
+def test_environments_that_are_made_by_name_keep_their_spec_in_copies():
+    import copy
+    import pickle
+
+    env = gym.make("FlexOne-v0", hold=2)
+    env.reset(seed=0)
+    for other in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
+        assert other.unwrapped.spec == env.unwrapped.spec and other.unwrapped.spec.id == "FlexOne-v0"
