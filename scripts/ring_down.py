@@ -5,19 +5,19 @@ import argparse
 from flexman_gym.envs.setup import Setup, build
 from flexman_gym.studies.machine import machine_text
 from flexman_gym.studies.places import folder
-from flexman_gym.studies.ringdown.cases import DURATION
 from flexman_gym.studies.ringdown.charts import draw
+from flexman_gym.studies.ringdown.default import errors_of_default
 from flexman_gym.studies.ringdown.measure import Row, rows
-from flexman_gym.studies.ringdown.page import page
+from flexman_gym.studies.ringdown.page import TITLES, page
 from flexman_gym.studies.table import read_comment, read_rows, write_rows
 
-ARMS, FEW, THEIRS = 128, 12, 6  # of methods in lanes, of others, and of MuJoCo
+ARMS, FEW, THEIRS, MANY = 128, 12, 6, 300  # of methods in lanes, of others, of MuJoCo, and of the default
 
 
 def compute(quick: bool) -> list[Row]:
     """Measures all kinds, or a few arms."""
     arms, few, theirs = (2, 1, 1) if quick else (ARMS, FEW, THEIRS)
-    found = [row for kind in DURATION for row in rows(kind, arms, few)]
+    found = [row for kind in TITLES for row in rows(kind, arms, few)]
     try:
         from flexman_gym.studies.ringdown import mujoco
     except ModuleNotFoundError:
@@ -32,8 +32,12 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="a few arms")
     parser.add_argument("--redraw", action="store_true", help="only draw and write about the rows of an earlier run")
     parser.add_argument("--folder", type=folder, default="out", help="where rows, picture and page go")
+    parser.add_argument("--default", action="store_true", help="only the default method, on many arms")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
+    if options.default:
+        write_rows(errors_of_default(2 if options.quick else MANY), options.folder / "accuracy.csv", 3, machine_text())
+        return
     file = options.folder / "ring_down.csv"
     if not options.redraw:
         write_rows(compute(options.quick), file, comment=machine_text())
