@@ -45,6 +45,13 @@ class Recorder:
         return np.full((len(next(iter(readings.values()))), 3), self.asked)
 
 
+class Asking(fm.Slew):
+    """The slew, which also tells what the motors were asked for."""
+
+    def info(self, view):
+        return super().info(view) | {"asked": view.action}
+
+
 @pytest.mark.parametrize("base", [None, "pd"])
 @pytest.mark.parametrize("randomisation", [None, NOISELESS], ids=["plain", "randomised"])
 @pytest.mark.parametrize("hold", [2, 5])
@@ -80,7 +87,7 @@ def test_a_held_action_is_the_same_action_so_many_times(hold, base, randomisatio
     ("hold", "mode", "settings"),
     [
         *((3, mode, {"base": "pd"}) for mode in MODES),
-        *((5, mode, {"base": "pd", "randomisation": EVERYTHING}) for mode in MODES),
+        *((5, mode, {"base": "pd", "randomisation": EVERYTHING, "task": Asking()}) for mode in MODES),
         (1, MODES[0], {"base": "pd", "randomisation": EVERYTHING}),
         (1, MODES[1], {"base": "pd"}),
         (5, MODES[0], {"sensors": ("full", "fine"), "task": fm.Slew(reward="distance")}),
