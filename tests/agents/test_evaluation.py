@@ -196,6 +196,7 @@ def test_a_task_that_does_not_settle_is_judged_by_its_rms_error():
     record = Record(np.zeros((3, 3)), np.array([0.3, 0.4, 0.0]), np.zeros((2, 3)), np.zeros(2), "")
     assert figures(record, 0.02, 0.01).rms_error == pytest.approx(np.sqrt(0.25 / 3.0))
 
+
 def test_reward_and_effort_are_means_as_the_table_says():
     """Of episodes whose medians are others."""
     episodes = [Episode(reward, 1.0, 0.001, 0.001, effort, "") for reward, effort in ((0, 0.1), (1, 0.2), (11, 0.9))]

@@ -249,6 +249,7 @@ def test_the_judge_warns_once_when_a_policy_has_become_much_worse(monkeypatch, c
         "after 600 steps the policy is worse than before: 10% settle instead of 100%; the best one is kept",
     ]
 
+
 def test_two_judgements_are_never_nearer_than_asked_for(monkeypatch):
     """Rollouts of 60 steps, each better than the one before; after the first that is too long none makes up for it."""
     kept, _ = judge_with(monkeypatch, [(1.0, float(reward)) for reward in range(8)], rollout=60)
