@@ -66,7 +66,7 @@ def test_modes_of_a_round_link_bend_along_one_axis():
         assert moved[:4] == [bending_y, bending_z] * 2
 
 
-@pytest.mark.parametrize("change", [-1e-12, 0.0, 1e-12])
+@pytest.mark.parametrize("change", [-1e-12, 1e-12])
 def test_rounding_does_not_choose_which_of_two_equal_modes_comes_first(change):
     """A round link whose moments differ as rounding makes them differ: its modes stay in their order."""
     link = fm.catalog.paper_rrr().links[1]
