@@ -106,6 +106,14 @@ LABORATORY = (
         ("one iteration", "ITERATIONS = 8", "ITERATIONS = 1"),
     ),
     *changes(
+        "laboratory", "kernels/paths.py", "kernels/test_paths.py",
+        ("turns of any size in an iteration", "min(max(turn, -TURN), TURN)", "turn"),
+    ),
+    *changes(
+        "laboratory", "envs/conditions/planar/G.yaml", "envs/test_conditions.py",
+        ("ten times the noise of condition G", "sensor_noise: [0.001, 0.001]", "sensor_noise: [0.01, 0.01]"),
+    ),
+    *changes(
         "laboratory", "envs/tasks/paths.py", PATHS,
         ("a target that starts at full speed", "(time - ramp * np.tanh(time / ramp))", "(time + 0.0 * ramp)"),
         ("paths that do not sag", "curve += _series(view.rest_tips(places) - view.rigid_tips(places), HARMONICS)",
