@@ -144,6 +144,40 @@ def test_an_episode_that_fails_ends_there_and_the_arms_beside_it_go_on():
     assert figures(failed, period, 1.0).stabilisation_time == figures(failed, period, 1.0).vibration == np.inf
 
 
+def test_a_failed_episode_is_counted_to_its_last_period():
+    """As a user counts it who steps the environment by hand: with the reward of the failure, which is not the least."""
+
+    def act(observations, shape):
+        return np.ones(shape)
+
+    environment = Description("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
+    (record,), period = run_episodes(Policy("push", act), environment, [9000])
+    env, rewards, failed = gym.make(environment.id, **environment.keywords()), [], False
+    errors = [env.reset(seed=9000)[1]["tip_error"]]
+    while not failed:
+        _, reward, failed, _, info = env.step(np.ones(1, dtype=np.float32))
+        rewards.append(reward)
+        errors.append(info["tip_error"])
+    found = figures(record, period, 1.0)
+    assert found.failure == info["failure"] and len(record.rewards) == len(rewards)
+    assert found.reward == pytest.approx(sum(rewards), rel=1e-9) and abs(rewards[-1]) > 1e-3 * abs(found.reward)
+    assert found.rms_error == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=1e-9)
+    assert found.effort == 1.0, "full torque in all of them"
+
+
+def test_the_band_is_a_part_of_the_reach():
+    """Of two links of half a metre: an episode settles in the band that the head of the table names, in mm."""
+    environment = Description("FlexPlanar-v0", {"horizon": 3.0})
+    records, period = run_episodes(find_policy("lqr-tracking"), environment, SEEDS)
+    episodes = evaluate(find_policy("lqr-tracking"), environment, SEEDS)
+    head = table({"lqr-tracking": episodes}, environment).splitlines()[1]
+    band = 1e-3 * float(head.split("in ")[1].split(" mm")[0])
+    assert band == pytest.approx(0.02 / 8.5 * 1.0, rel=1e-2), "20 mm where the reach is 8.5 m"
+    for record, episode in zip(records, episodes, strict=True):
+        after = round(episode.stabilisation_time / period)
+        assert (record.errors[after:] <= 1.01 * band).all() and record.errors[after - 1] > 0.99 * band
+
+
 def test_figures_are_those_of_the_metrics():
     time = 0.02 * np.arange(501)
     tips = np.zeros((501, 3))
@@ -195,3 +229,11 @@ def test_a_task_that_does_not_settle_is_judged_by_its_rms_error():
     assert "RMS error, mm" in text and "12.3" in text and "stabilised" not in text
     record = Record(np.zeros((3, 3)), np.array([0.3, 0.4, 0.0]), np.zeros((2, 3)), np.zeros(2), "")
     assert figures(record, 0.02, 0.01).rms_error == pytest.approx(np.sqrt(0.25 / 3.0))
+
+
+def test_reward_and_effort_are_means_as_the_table_says():
+    """Of episodes whose medians are others."""
+    episodes = [Episode(reward, 1.0, 0.001, 0.001, effort, "") for reward, effort in ((0, 0.1), (1, 0.2), (11, 0.9))]
+    found = summary(episodes)
+    assert (found["reward"], found["effort"]) == pytest.approx((4.0, 0.4))
+    assert "reward and effort are means" in table({"pd": episodes}, ONE).splitlines()[-1]

@@ -4,6 +4,7 @@ import csv
 import json
 import os
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -65,6 +66,20 @@ def test_a_run_that_was_interrupted_twice_is_the_run_that_was_not(algo, tmp_path
     assert (whole / BEST).read_bytes() != b"" and sorted(read_data(whole / BEST)) == sorted(read_data(parts / BEST))
     seen = np.linspace(-1.0, 1.0, 3 * 32).reshape(3, 32).astype(np.float32)
     assert np.array_equal(load_policy(whole)[1](seen, (3, 1)), load_policy(parts)[1](seen, (3, 1)))
+
+
+def test_a_memory_that_is_full_is_drawn_from_whole_after_a_resumption(tmp_path, interrupt):
+    """It holds eight rows of three arms; the run stops in the fourteenth of twenty."""
+    chosen = {"learning_starts": 12, "batch_size": 8, "buffer_size": 24, "net_arch": [8]}
+    settings = replace(RUNS["sac"], steps=60, hyperparameters=chosen, judge_every=0)
+    train(settings, tmp_path / "whole", progress=False)
+    interrupt(13)
+    with pytest.raises(Interrupted):
+        train(settings, tmp_path / "run", progress=False)
+    assert read_data(tmp_path / "run" / NEWEST)["training"]["replay"]["full"]
+    interrupt(-1)
+    resume(tmp_path / "run", progress=False)
+    assert same(tmp_path / "whole", tmp_path / "run")
 
 
 def test_a_run_that_was_interrupted_before_its_first_rollout_goes_on(tmp_path, monkeypatch):

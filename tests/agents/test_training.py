@@ -98,6 +98,19 @@ def test_a_finished_run_goes_on_as_another_run(trained, tmp_path, capsys):
         assert len(list(csv.DictReader(lines))) == 2
 
 
+def test_the_curves_of_every_further_run_begin_after_all_steps_before(tmp_path):
+    """Three runs of different lengths in one folder, none of which overwrites what another has drawn."""
+    chosen = {"n_steps": 16, "batch_size": 32, "net_arch": [8]}
+    train(replace(SHORT, steps=32, hyperparameters=chosen, schedules={}), tmp_path / "run", progress=False)
+    for steps in (96, 64):
+        resume(tmp_path / "run", steps, progress=False)
+    lasts = {}
+    for path in (tmp_path / "run").glob("progress*.csv"):
+        with path.open() as lines:
+            lasts[path.name] = int(list(csv.DictReader(lines))[-1]["time/total_timesteps"])
+    assert lasts == {"progress.csv": 32, "progress-32.csv": 96, "progress-128.csv": 64}
+
+
 def test_a_run_that_keeps_its_best_policy_goes_on_only_where_it_is_judged(trained, tmp_path, monkeypatch):
     """The best so far is remembered: a worse one later does not take its place."""
     folder = tmp_path / "run"
@@ -200,7 +213,7 @@ def test_missing_and_broken_runs_give_one_line(trained, tmp_path):
 # The judge
 
 
-def judge_with(monkeypatch, outcomes):
+def judge_with(monkeypatch, outcomes, rollout=50):
     """A judge of a policy whose shares of settled episodes and rewards are given, one pair at every 100 steps."""
     kept, logged, results = [], [], iter(outcomes)
 
@@ -215,7 +228,7 @@ def judge_with(monkeypatch, outcomes):
     monkeypatch.setattr(callbacks, "evaluate", evaluate)
     judge = Judge(replace(SHORT, judge_every=100), None, lambda: kept.append(judge.num_timesteps))
     judge.model = SimpleNamespace(logger=SimpleNamespace(record=lambda name, value: logged.append((name, value))))
-    for step in range(50, 50 * (2 * len(outcomes) + 1), 50):
+    for step in range(rollout, 100 * len(outcomes) + 1, rollout):
         judge.num_timesteps = step
         judge._on_rollout_end()
     return kept, logged
@@ -236,3 +249,9 @@ def test_the_judge_warns_once_when_a_policy_has_become_much_worse(monkeypatch, c
         "after 300 steps the policy is worse than before: 60% settle instead of 90%; the best one is kept",
         "after 600 steps the policy is worse than before: 10% settle instead of 100%; the best one is kept",
     ]
+
+
+def test_two_judgements_are_never_nearer_than_asked_for(monkeypatch):
+    """Rollouts of 60 steps, each better than the one before; after the first that is too long none makes up for it."""
+    kept, _ = judge_with(monkeypatch, [(1.0, float(reward)) for reward in range(8)], rollout=60)
+    assert kept[0] == 120 and np.diff(kept).min() >= 100 and len(kept) > 3

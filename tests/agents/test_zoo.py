@@ -59,3 +59,5 @@ def test_an_entry_makes_the_same_environment_and_the_same_algorithm(name):
 def test_a_schedule_that_rl_zoo3_cannot_say_is_refused():
     settings = replace(find_recipe("ppo_alone"), schedules={"learning_rate": {"start": 1e-3, "end": 1e-4}})
     assert refusal(zoo, settings).startswith("schedules.learning_rate: Schedule(start=0.001, end=0.0001, until=1.0) is")
+    early = replace(settings, schedules={"learning_rate": {"start": 1e-3, "end": 0.0, "until": 0.5}})
+    assert "falls to zero at the end, for rl_zoo3" in refusal(zoo, early), "it falls to zero half way"

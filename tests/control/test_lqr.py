@@ -7,6 +7,8 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.control import LQR, Controller, TrackingLQR
 from flexman_gym.control.discrete import Weights, zero_order_hold
+from flexman_gym.control.lqr import SHARE
+from flexman_gym.control.reference import plan_slew
 from flexman_gym.envs.catalog import NAMED
 from flexman_gym.envs.sensors import SENSORS
 from flexman_gym.envs.setup import build, setup_of
@@ -82,6 +84,31 @@ def test_a_new_episode_of_one_arm_changes_nothing_for_the_others(kind):
     fresh = designed(kind)
     fresh.reset(np.array([0]), goals[1:2], starts[1:2])
     assert np.array_equal(fresh.torques(states[1:2])[0], again[1]), "it begins at the beginning"
+
+
+def followed_gains(controller, start, goal):
+    """The gains (T + 1, 2 d) in the periods of a slew of one joint, and the motor angles (T + 1,) of its plan.
+
+    They are what the torques of arms that are off the plan in one number each differ by.
+    """
+    model, size = controller.model, 2 * controller.model.n_dof
+    slew = plan_slew(model, start, goal, controller.limits, SHARE, controller.period)
+    off = np.vstack([np.zeros(size), np.eye(size)])
+    controller.reset(np.arange(size + 1), np.repeat(start[None], size + 1, 0), np.repeat(goal[None], size + 1, 0))
+    torques = np.array([controller.torques(state + off)[:, 0] for state in slew.states])
+    return torques[:, :1] - torques[:, 1:], slew.states[:, model.motor_columns[0]]
+
+
+def test_gains_on_the_way_lie_between_those_of_start_middle_and_goal():
+    """By how far the motor has come, which is late at first and early at last: gains change with the posture."""
+    one = fm.build_model(fm.catalog.one_link((0.0, -1.0, 0.0), 0.3, 5e3, gravity=(0.0, 0.0, -9.81)), 1, modes=2)
+    controller, start, goal = TrackingLQR(one, 60.0, 0.02), np.array([-1.2]), np.array([0.4])
+    found, angles = followed_gains(controller, start, goal)
+    ways = (angles - start[0]) / (goal[0] - start[0])
+    designs = np.array([controller.gain(posture)[0] for posture in (start, 0.5 * (start + goal), goal)])
+    expected = np.array([np.interp(ways, [0.0, 0.5, 1.0], column) for column in designs.T]).T
+    assert np.abs(ways - np.linspace(0.0, 1.0, len(ways))).max() > 0.08, "way is not time"
+    assert np.abs(found - expected).max() <= 1e-3 * np.abs(np.diff(designs, axis=0)).max()
 
 
 def test_on_its_plan_the_tracking_one_only_feeds_forward():

@@ -9,6 +9,7 @@ import flexman_gym as fm
 from flexman_gym.control.reference import Path, minimum_jerk, plan_slew
 from flexman_gym.envs.catalog import NAMED
 from flexman_gym.envs.setup import build, setup_of
+from flexman_gym.model.instant import inertial_forces, stiffness_matrix
 
 from oracles.chains import QUICK
 from oracles.refusals import refusal
@@ -79,6 +80,27 @@ def test_a_slew_keeps_to_its_share_of_the_limits_and_takes_all_of_it(name):
         path, duration = Path(model, start, goal), setup.control_period * len(slew.torques)
         assert path.peak(duration, limits) <= SHARE < path.peak(duration - setup.control_period, limits)
         assert slew.states.shape == (len(slew.torques) + 1, 2 * model.n_dof)
+
+
+@pytest.mark.parametrize("name", ["FlexOne-v0", "FlexPlanar-v0", "FlexRRR-v0"])
+def test_links_on_the_way_are_bent_as_far_as_inertia_and_weight_ask(name):
+    """Their elastic forces balance what the motion demands of the bent arm, to a ten-thousandth of it."""
+    setup = setup_of({"name": name})
+    model, limits, random = build(setup).model, np.array(setup.torque_limit), np.random.default_rng(1)
+    start, goal = random.uniform(-0.8, 0.8, (2, model.n_joints))
+    duration = setup.control_period * len(plan_slew(model, start, goal, limits, SHARE, setup.control_period).torques)
+    n, path, elastic = model.n_joints, Path(model, start, goal), slice(model.n_joints + model.n_motors, model.n_dof)
+    way = (fm.rest_state(model, goal) - fm.rest_state(model, start))[:n]
+    for part in np.linspace(0.0, 1.0, 9):
+        _, speed, change = minimum_jerk(np.array(part))
+        rates, changes = np.zeros((2, model.n_dof))
+        rates[:n] = rates[model.motor_columns] = speed / duration * way
+        changes[:n] = changes[model.motor_columns] = change / duration**2 * way
+        x, torques = path.at(part, duration)
+        demand, restoring = inertial_forces(model)(x, rates, changes), stiffness_matrix(model) @ x
+        assert np.abs(demand + restoring)[elastic].max() <= 1e-4 * np.abs(demand[elastic]).max() + 1e-12
+        balance = (demand + restoring)[model.motor_columns]
+        assert torques == pytest.approx(balance, abs=1e-3 * np.abs(limits).max())
 
 
 def test_a_slow_slew_is_a_sequence_of_places_of_rest():

@@ -7,9 +7,11 @@ import pytest
 from matplotlib.image import imread
 
 from flexman_gym.draw.figures import paper_figures
-from flexman_gym.draw.frames import FramePainter, arm_frame, arm_lines
+from flexman_gym.draw.frames import AZIMUTH, ELEVATION, FramePainter, arm_frame, arm_lines
+from flexman_gym.draw.style import BLUE, ORANGE
 from flexman_gym.model.model import build_model
 from flexman_gym.scene import catalog
+from flexman_gym.scene.arm import Arm, Joint
 from flexman_gym.scene.choice import ModelChoice
 from flexman_gym.scene.drive import ConstantTorque
 from flexman_gym.scene.scene import Initial, Scene
@@ -18,6 +20,7 @@ from flexman_gym.simulation.simulator import Simulator
 
 ARM = catalog.paper_rrr()
 ANGLES = (0.4, 0.5, -0.8)
+SHADOW = "#c9ccd2"
 
 
 def trajectory(flexible_links, flexible_joints, output_step=0.01, arm=ARM):
@@ -152,3 +155,42 @@ def test_without_matplotlib_one_line_names_the_extra(cases, monkeypatch, tmp_pat
     for attempt in (lambda: FramePainter(build_model(ARM, modes=0)), lambda: paper_figures(*cases, tmp_path)):
         with pytest.raises(ImportError, match=r"^pictures need Matplotlib: pip install 'flexman_gym\[render\]'$"):
             attempt()
+
+
+# What is seen
+
+
+def of_colour(frame, text):
+    """Where a frame (height, width, 3) has exactly a colour such as "#0072b2"."""
+    return (frame == [int(text[i : i + 2], 16) for i in (1, 3, 5)]).all(axis=2)
+
+
+def folded(angle):
+    """A frame of two links in one plane with the camera: the first to the right, the second turned by an angle."""
+    link, right = catalog.one_link().links[0], np.array([-np.sin(AZIMUTH), np.cos(AZIMUTH), 0.0])
+    along, across = np.cos(ELEVATION) * np.cos(AZIMUTH), np.cos(ELEVATION) * np.sin(AZIMUTH)
+    towards = np.array([along, across, np.sin(ELEVATION)])
+    first = np.array([right, [-right[1], right[0], 0.0], [0.0, 0.0, 1.0]])  # axes of the first link, as rows
+    arm = Arm([link, link], [Joint((0.0, 0.0, 1.0), 1.0), Joint(first @ np.cross(right, towards), 1.0)])
+    model = build_model(arm, flexible_links=False)
+    return arm_frame(model, model.initial_state((np.arctan2(right[1], right[0]), angle)))
+
+
+@pytest.mark.parametrize(("angle", "above", "below"), [(np.pi - 0.4, ORANGE, BLUE), (0.4 - np.pi, BLUE, ORANGE)])
+def test_where_two_links_overlap_the_nearer_one_is_on_top(angle, above, below):
+    """The second, orange one comes back over the first, blue one, nearer to the camera or farther from it."""
+    frame = folded(angle)
+    assert of_colour(frame, above).sum() > 300 > 30 > of_colour(frame, below).sum()
+
+
+def test_the_shadow_lies_on_the_ground_below_the_arm():
+    """That of a raised link lies where a lying one would, as long as the cosine says; one that points up has none."""
+    model = build_model(catalog.one_link((0.0, -1.0, 0.0)), flexible_links=False)
+    flat, raised, upright = (arm_frame(model, model.initial_state((angle,))) for angle in (0.0, 1.0, np.pi / 2))
+    shadow, lying = of_colour(raised, SHADOW), (flat != upright).any(axis=2)
+    assert shadow.sum() > 200 and not (shadow & ~lying).any()
+    columns, whole = np.flatnonzero(shadow.any(axis=0)), np.flatnonzero(of_colour(flat, BLUE).any(axis=0))
+    assert np.ptp(columns) == pytest.approx(np.cos(1.0) * np.ptp(whole), rel=0.15), "seen from somewhat nearer"
+    link = np.argwhere(of_colour(raised, BLUE))
+    assert link[link[:, 1] == columns[-1], 0].max() < np.flatnonzero(shadow[:, columns[-1]]).min(), "the link is above"
+    assert not of_colour(upright, SHADOW).any()

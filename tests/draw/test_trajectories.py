@@ -8,7 +8,7 @@ import pytest
 from matplotlib.image import imread
 
 import flexman_gym as fm
-from flexman_gym.draw import trajectory_figure
+from flexman_gym.draw import trajectories, trajectory_figure
 
 CHOICE = fm.ModelChoice(True, 1, modes=0)
 
@@ -34,6 +34,50 @@ def test_another_trajectory_gives_another_picture_and_one_without_motion_can_be_
     pictures = [imread(trajectory_figure(run(torque=torque), tmp_path / "a.png")) for torque in (5.0, 5.0, 6.0, 0.0)]
     assert np.array_equal(pictures[0], pictures[1])
     assert all(not np.array_equal(pictures[0], other) for other in pictures[2:])
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """The axes of a figure, made from now on, by the label on their left."""
+    made, new_figure = [], trajectories.new_figure
+
+    def kept(*given, **named):
+        made.append(new_figure(*given, **named))
+        return made[-1]
+
+    monkeypatch.setattr(trajectories, "new_figure", kept)
+    return lambda: {axes.get_ylabel(): axes for axes in made[-1].axes}
+
+
+def curves(axes):
+    """What the lines (T, count) of some axes show, without that of zero."""
+    return np.array([line.get_ydata() for line in axes.get_lines() if len(line.get_ydata()) > 2]).T
+
+
+def test_the_axes_show_what_is_written_on_them(drawn, tmp_path):
+    """A motor that is pushed winds its spring up before the link follows: motor less joint is positive at first."""
+    arm, still = fm.catalog.planar_2r(joint_stiffness=50.0), fm.Initial((0.0, 0.0), (0.0, 0.0))
+    whole = fm.simulate(fm.Scene(arm, CHOICE, fm.ConstantTorque((5.0, 5.0)), still, 0.1, 0.01))
+    trajectory_figure(whole, tmp_path / "a.png")
+    axes = drawn()
+    assert np.array_equal(curves(axes["tip (m)"]), whole.tip)
+    assert np.array_equal(curves(axes["angle (rad)"]), np.hstack([whole.joint_angles, whole.motor_angles]))
+    twists = curves(axes["motor - joint (rad)"])
+    assert np.array_equal(twists, whole.motor_angles - whole.joint_angles)
+    assert (twists[1] > 0.0).all()
+
+
+def test_the_residual_is_a_part_of_what_was_turned_over_or_in_joules_where_nothing_was(drawn, tmp_path):
+    moved, still = run(), run(torque=0.0)
+    for trajectory, unit, whole in (
+        (moved, "part of the turnover", moved.energy_turnover[-1]),
+        (still, "J", 1.0),
+        (replace(still, work=np.linspace(0.0, 3.0, 11), moving_energy=np.zeros(11)), "part of the turnover", 3.0),
+    ):
+        trajectory_figure(trajectory, tmp_path / "a.png")
+        found = curves(drawn()[f"energy residual\n({unit})"])[:, 0]
+        assert found == pytest.approx(trajectory.energy_residual / whole, rel=1e-12, abs=0.0)
+    assert moved.energy_turnover[-1] > 0.0 == still.energy_turnover[-1] and found[-1] == pytest.approx(1.0)
 
 
 def test_a_solution_that_ended_early_is_drawn_to_its_end(tmp_path):

@@ -13,6 +13,7 @@ from flexman_gym.control.discrete import zero_order_hold
 from flexman_gym.control.pd import PD, stability_limit
 from flexman_gym.envs import NAMED
 from flexman_gym.envs.description import CONDITIONS, FILES, Description
+from flexman_gym.envs.randomisation import Randomisation
 
 from oracles.refusals import refusal
 
@@ -107,6 +108,15 @@ def test_what_a_condition_draws_is_in_its_file():
         "motor_angles", "motor_rates", "joint_twists", "joint_twist_rates", "root_strains", "posture_command",
         "rate_command", "tip_command", "tip_velocity_command",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_g_is_all_that_p_s_and_d_draw_and_noise_of_a_thousandth_of_the_ranges(folder):
+    own, drawn = {}, {name: Description.find(f"{FOLDERS[folder]}/{name}").setup().randomisation for name in CONDITIONS}
+    for name in "PSD":
+        own |= {field: getattr(drawn[name], field) for field in drawn[name].given}
+    assert own.keys() == {"payload_mass", "joint_stiffness", "link_stiffness", "delay"}
+    assert drawn["G"] == drawn["G-lab"] == Randomisation(**own, sensor_noise=(0.001, 0.001))
 
 
 @pytest.mark.parametrize("folder", FOLDERS)

@@ -96,6 +96,7 @@ def test_an_arm_is_a_name_a_mapping_a_file_of_an_arm_or_of_a_scene(tmp_path):
 
 
 def test_changes_lead_into_mappings_and_into_the_arm_and_change_nothing_else():
+    kept = json.dumps(OWN)
     before = Description.from_dict(OWN)
     after = before.changed(
         ["control_period=0.02", "arm.payload.mass=0.5", "task.start=0.1", "randomisation.delay=[1, 1]"]
@@ -105,6 +106,7 @@ def test_changes_lead_into_mappings_and_into_the_arm_and_change_nothing_else():
     assert other.randomisation.delay == (1, 1) and other.randomisation.sensor_noise == (0.0, 0.01)
     assert other.arm.links == one.arm.links and other.task.reward == "distance" and other.limits == one.limits
     assert before.settings == {name: value for name, value in OWN.items() if name != "id"}, "the first one stays"
+    assert json.dumps(OWN) == kept, "and so do the mappings that it was made from"
     assert like(before.changed([]).setup()) == like(one)
 
 

@@ -21,18 +21,22 @@ def test_history_is_the_last_observations_the_newest_first():
     assert env.observation_space.shape == (3 * size,) and np.array_equal(seen[:size], past[0])
 
 
-def test_averages_fade_with_their_times():
-    """A motor angle that rises evenly lags behind by the time of the average, once it has forgotten the start."""
-    times = (0.1, 0.4)
-    env = FlexManEnv(sensors="motor_encoders", history=times)
-    plain = FlexManEnv(sensors="motor_encoders")
+@pytest.mark.parametrize("hold", [1, 4])
+def test_averages_fade_with_their_times(hold):
+    """A motor angle that rises evenly lags behind by the time of the average, once it has forgotten the start.
+
+    An action that is held for longer leaves more time to fade between two observations.
+    """
+    times, interval = (0.1, 0.4), 0.02 * hold
+    env = FlexManEnv(sensors="motor_encoders", history=times, hold=hold)
+    plain = FlexManEnv(sensors="motor_encoders", hold=hold)
     seen, now = env.reset(seed=2)[0], plain.reset(seed=2)[0].astype(float)
     expected = [now, now]
-    for _ in range(30):
+    for _ in range(40 // hold):
         found = seen.reshape(3, -1)
         assert found[0] == pytest.approx(now, abs=1e-6) and found[1:] == pytest.approx(np.array(expected), abs=1e-5)
-        seen, now = env.step(np.full(3, 0.4))[0], plain.step(np.full(3, 0.4))[0].astype(float)
-        expected = [np.exp(-0.02 / time) * old + (1 - np.exp(-0.02 / time)) * now
+        seen, now = env.step(np.full(3, 0.2))[0], plain.step(np.full(3, 0.2))[0].astype(float)
+        expected = [np.exp(-interval / time) * old + (1 - np.exp(-interval / time)) * now
                     for time, old in zip(times, expected, strict=True)]  # fmt: skip
 
 

@@ -45,6 +45,13 @@ class Recorder:
         return np.full((len(next(iter(readings.values()))), 3), self.asked)
 
 
+class Asking(fm.Slew):
+    """The slew, which also tells what the motors were asked for."""
+
+    def info(self, view):
+        return super().info(view) | {"asked": view.action}
+
+
 @pytest.mark.parametrize("base", [None, "pd"])
 @pytest.mark.parametrize("randomisation", [None, NOISELESS], ids=["plain", "randomised"])
 @pytest.mark.parametrize("hold", [2, 5])
@@ -106,6 +113,23 @@ def test_it_is_many_single_environments_bit_for_bit(hold, mode, settings):
             for found, expected in zip(*both, strict=True):
                 same(found, expected, f"{step} reset")
     assert terminated and truncated, "both ways to end were seen"
+
+
+def test_what_the_motors_of_an_arm_that_is_over_were_asked_for_stays():
+    """Of three arms that end within an action, in different periods of it, each tells what an arm alone tells."""
+    settings = {"hold": 5, "base": "pd", "limits": TIGHT, "horizon": 0.5, "task": Asking()}
+    ours = gym.make_vec("FlexRRR-v0", 3, "vector_entry_point", autoreset_mode="Disabled", **settings)
+    singles = {"autoreset_mode": AutoresetMode.DISABLED}
+    theirs = gym.make_vec("FlexRRR-v0", 3, "sync", vector_kwargs=singles, **settings)
+    ended, failures = np.ones(3, dtype=bool), 0
+    for step, action in enumerate(actions(3, 60)):
+        if ended.any():
+            for env in (ours, theirs):
+                env.reset(seed=step, options={"reset_mask": ended.copy()})
+        _, _, failed, late, infos = ours.step(action)
+        assert infos["asked"] == pytest.approx(theirs.step(action)[4]["asked"], rel=1e-6, abs=1e-9), step
+        failures, ended = failures + int(failed.sum()), failed | late
+    assert failures > 5
 
 
 @pytest.mark.parametrize("name", ["FlexRRR-v0", "FlexPlanar-v0", "FlexOne-v0"])

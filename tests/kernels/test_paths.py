@@ -29,3 +29,11 @@ def test_what_is_left_of_a_place_out_of_reach_is_said():
     view = VIEWS["FlexRRR-v0"]
     _, left = view.reaching(np.array([[20.0, 0.0, 0.0]]), np.array([0.0, 0.3, 0.4]))
     assert left > 11.0
+
+
+@pytest.mark.parametrize("bent", [0.01, 0.03, 0.05])
+def test_from_a_posture_that_is_nearly_straight_the_near_one_is_found(bent):
+    """The elbow barely moves the tip along the arm: a step as long as the slope asks for would turn joints around."""
+    view, posture = VIEWS["FlexPlanar-v0"], np.array([[0.2, 1.0]])
+    found, left = view.reaching(view.rigid_tips(posture), np.array([0.2 + 0.5 * (1.0 - bent), bent]))
+    assert left <= 1e-9 * view.reach and found == pytest.approx(posture, abs=1e-6)

@@ -68,6 +68,20 @@ def test_one_elastic_joint_has_its_closed_form():
     assert found == pytest.approx([expected], rel=1e-9)
 
 
+def test_friction_of_the_motors_is_added_to_what_the_links_ask_for():
+    """At any rate, of which Coulomb friction knows little more than the sign."""
+    smooth, rates = fm.catalog.paper_rrr(joint_stiffness=None), np.array([1.5, -0.004, 0.3])
+    numbers = {"viscous_friction": (3.0, 5.0, 7.0), "coulomb_friction": (20.0, 40.0, 60.0), "coulomb_rate": (0.01,) * 3}
+    rough = [replace(joint, **dict(zip(numbers, each, strict=True)))
+             for joint, each in zip(smooth.joints, zip(*numbers.values(), strict=True), strict=True)]  # fmt: skip
+    found, without = (
+        fm.inverse_dynamics(fm.build_model(arm, flexible_links=False), [0.3, -0.4, 0.5], rates, [2.0, -3.0, 4.0])
+        for arm in (replace(smooth, joints=rough), smooth)
+    )
+    viscous, coulomb, width = (np.array(each) for each in numbers.values())
+    assert found - without == pytest.approx(viscous * rates + coulomb * np.tanh(rates / width), rel=1e-9)
+
+
 def test_a_motor_at_rest_carries_the_weight():
     gravity = 9.81
     for stiffness in (None, 50.0):

@@ -1,7 +1,10 @@
 """Payload: a rigid body at the tip, against a rigid link that is held there and against its own identities."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import flexman_gym as fm
 
@@ -46,6 +49,21 @@ def test_energy_is_kept_with_a_heavy_body_off_the_tip():
     assert trajectory.status == "ok"
     assert np.linalg.norm(trajectory.tip_velocity[-1]) > 0.5
     assert np.abs(trajectory.energy_residual).max() < 1e-7 * kinetic_scale
+
+
+def test_a_payload_off_the_tip_weighs_where_its_centre_is():
+    """Against the same mass at the tip of a rigid arm, in any posture."""
+    arm, offset, mass = fm.catalog.paper_rrr(gravity=GRAVITY), np.array([0.3, -0.2, 0.1]), 4.0
+    energies = []
+    for payload in (fm.Payload(mass, None, offset), fm.Payload(mass)):
+        simulator = fm.Simulator(fm.build_model(replace(arm, payload=payload), flexible_links=False))
+        simulator.reset((0.4, -0.7, 1.1))
+        energies.append(simulator.energy)
+    turn = np.eye(3)
+    for joint, angle in zip(arm.joints, (0.4, -0.7, 1.1), strict=True):
+        turn = turn @ Rotation.from_rotvec(angle * np.array(joint.axis)).as_matrix()
+    height = -np.array(GRAVITY) @ turn @ offset
+    assert energies[0] - energies[1] == pytest.approx(mass * height, rel=1e-9) and abs(height) > 0.5
 
 
 def test_a_point_payload_may_be_written_with_its_zeros():

@@ -131,6 +131,23 @@ def test_a_base_that_accelerates_upward_is_gravity(model):
     assert_balanced(found)
 
 
+def test_the_work_of_the_base_is_what_the_gravity_that_it_feels_like_gives():
+    """A link that vibrates across on a heavy hub, whose momentum is that of its bending, with a base that speeds up."""
+    arm = fm.catalog.one_link(rotor_inertia=1e4)
+    model = fm.build_model(arm, 1)
+    state = np.zeros(2 * model.n_dof)
+    state[model.n_dof + model.elastic_columns(0).start + 1] = 2.0  # m/s of the tip along y
+    start = fm.Initial([0.0], [0.0], state)
+    scene = fm.Scene(arm, model.choice, fm.ConstantTorque([0.0]), start, 0.1, 0.01)
+    moved = truth(replace(scene, base_acceleration=[fm.Signal(), fm.Signal(3.0), fm.Signal()]), model)
+    pulled = replace(arm, gravity=(0.0, -3.0, 0.0))
+    weighed = truth(replace(scene, arm=pulled), fm.build_model(pulled, 1))
+    given = weighed.moving_energy - weighed.energy
+    given -= given[0]
+    assert np.abs(given).max() > 0.05
+    np.testing.assert_allclose(moved.work, given, rtol=0.0, atol=1e-6 * np.abs(given).max())
+
+
 @both
 def test_a_force_on_the_tip_acts_through_the_tips_jacobian(model):
     state = model.initial_state([0.3, -0.4, 0.8])

@@ -69,6 +69,18 @@ def test_a_link_that_is_spun_past_its_first_frequency_is_told_of_foreshortening(
     assert "stiffening" not in fm.simulate(scene(torque=(0.1, 0.1)), method="rk4", step=1e-3).explanation()
 
 
+@pytest.mark.parametrize(("part", "told"), [(0.45, False), (0.55, True)])
+def test_foreshortening_is_advised_from_half_of_the_first_frequency_on(part, told):
+    """Spun so fast a link without it has a quarter less of the stiffness of its first mode; it hardly bends here."""
+    model = fm.build_model(replace(ARM, links=[BEAM], joints=[HUB]), 1)
+    state, columns = np.zeros(2 * model.n_dof), model.elastic_columns(0)
+    state[columns.start] = 1e-3
+    state[model.n_dof] = part * 2.0 * np.pi * fm.frequencies(model, lock_joints=True)[0]
+    spun = fm.Scene(model.arm, model.choice, fm.ConstantTorque([0.0]), fm.Initial([0.0], [0.0], state), 0.5, 0.05)
+    failed = fm.simulate(spun, method="rk4", step=1e-3)
+    assert failed.status == "diverged" and ("stiffening=True" in failed.explanation()) == told
+
+
 def test_an_energy_alarm_names_the_coordinate_that_vibrates():
     """One soft spring of two, wound up and let go, with a step that loses its energy."""
     soft = replace(ARM, joints=[replace(HUB, stiffness=1e7), replace(HUB, stiffness=50.0)])

@@ -186,6 +186,19 @@ def test_an_implicit_step_that_does_not_converge_is_a_status(name):
     assert fm.simulate(fast, method=name, step=DURATION).status in ("not converged", "diverged")
 
 
+@pytest.mark.parametrize("name", ["implicit_midpoint", "generalised_alpha"])
+def test_a_stiff_spring_that_has_turned_often_does_not_stop_an_implicit_method(name):
+    """After a hundred turns the last digits of its twist are large torques; the arm speeds up as a rigid one does."""
+    stiff, turns, rate = fm.catalog.one_link(rotor_inertia=0.1, joint_stiffness=1e9), 100, 0.1
+    model = fm.build_model(stiff, flexible_links=False)
+    simulator = fm.Simulator(model, name, step=1e-4, control_period=1e-4)
+    simulator.reset((2.0 * np.pi * turns,), (rate,))
+    assert [simulator.step([1.0]) for _ in range(20)] == ["ok"] * 20
+    inertia = fm.mass_matrix(model, np.zeros(4)).sum()
+    momentum = fm.mass_matrix(model, np.zeros(4)).sum(axis=0) @ simulator.state[2:]
+    assert momentum == pytest.approx(inertia * rate + 20e-4, rel=1e-4)
+
+
 @pytest.mark.parametrize("order", range(3, 9))
 def test_extrapolation_weights_eliminate_powers(order):
     tableau = METHODS[f"extrapolated_euler_{order}"].tableau

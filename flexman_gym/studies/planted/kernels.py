@@ -4,6 +4,7 @@ from flexman_gym.studies.planted.change import changes
 
 STEP, EFFECTS = "simulation/test_implicit_step.py", "simulation/test_effects.py"
 ENERGY = f"{EFFECTS} simulation/test_drive.py"
+BASE = "simulation/test_drive.py::test_the_work_of_the_base_is_what_the_gravity_that_it_feels_like_gives"
 
 JOINTS_AND_FORCES = (
     *changes(
@@ -49,6 +50,11 @@ JOINTS_AND_FORCES = (
         ("the payload has no momentum", "add_scaled(total, constants.payload_mass[0], load(work.tip_velocity, 0))",
          "add_scaled(total, 0.0, load(work.tip_velocity, 0))"),
         ("the base pulls the wrong way", "gravity[2]), -1.0, base))", "gravity[2]), 1.0, base))"),
+    ),
+    *changes(
+        "kernels", "kernels/forces.py", BASE,
+        ("the base does no work on what vibrates", "own = add_scaled(own, v[elastic + a],",
+         "own = add_scaled(own, 0.0,"),
     ),
     *changes(
         "kernels", "kernels/elastic.py", f"{STEP} {EFFECTS}",
@@ -134,6 +140,14 @@ MOTION = (
         ("the payload's moment has no kinetic energy", "dot(velocity, velocity) + dot(velocity, cross(spin, moment))",
          "dot(velocity, velocity)"),
         ("the payload weighs nothing", "-dot(gravity, add_scaled(lifted, payload, origin))", "-dot(gravity, lifted)"),
+    ),
+    *changes(
+        "kernels", "kernels/outputs.py", "scene/test_payload.py",
+        ("a payload off the tip weighs at the tip", "add(lifted, apply(frame, moment))", "lifted"),
+    ),
+    *changes(
+        "kernels", "kernels/outputs.py", "kernels/test_outputs.py",
+        ("a turnover that is no number does not stay", "value > found[b] or value != value", "value > found[b]"),
     ),
     *changes(
         "kernels", "kernels/outputs.py", "kernels/test_outputs.py envs/test_env_refusals.py",

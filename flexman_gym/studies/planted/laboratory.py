@@ -64,7 +64,7 @@ LABORATORY = (
          "out[:, :n], out[:, n : 2 * n] = view.posture, 0.0"),
     ),
     *changes(
-        "laboratory", "envs/history.py", INSTRUMENTS,
+        "laboratory", "envs/history.py", "envs/test_history.py",
         ("the oldest first", "memory[arms, 0] = observations\n        return",
          "memory[arms, -1] = observations\n        return"),
         ("averages of twice the time",
@@ -104,6 +104,14 @@ LABORATORY = (
          "fused(series[r, s, h + 1], sine, value)",
          "fused(-series[r, s, h + 1], sine, value)"),
         ("one iteration", "ITERATIONS = 8", "ITERATIONS = 1"),
+    ),
+    *changes(
+        "laboratory", "kernels/paths.py", "kernels/test_paths.py",
+        ("turns of any size in an iteration", "min(max(turn, -TURN), TURN)", "turn"),
+    ),
+    *changes(
+        "laboratory", "envs/conditions/planar/G.yaml", "envs/test_conditions.py",
+        ("ten times the noise of condition G", "sensor_noise: [0.001, 0.001]", "sensor_noise: [0.01, 0.01]"),
     ),
     *changes(
         "laboratory", "envs/tasks/paths.py", PATHS,

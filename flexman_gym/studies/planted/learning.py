@@ -52,6 +52,20 @@ ENVIRONMENT = (
         "environment", "envs/limits.py", "envs/test_description.py envs/test_env.py envs/test_slew.py",
         ("the limit of deflection in metres", "self.deflection * np.repeat(view.lengths, 2)", "self.deflection"),
     ),
+    *changes(
+        "environment", "envs/description.py", "envs/test_description.py",
+        ("a change reaches the description that it came from", "dict(inner) if isinstance(inner, dict)",
+         "inner if isinstance(inner, dict)"),
+    ),
+    *changes(
+        "environment", "envs/episodes.py", "envs/test_hold.py",
+        ("the action of an arm that is over changes", "view.action[playing] = actions[playing]",
+         "view.action[:] = actions"),
+    ),
+    *changes(
+        "environment", "envs/sight.py", "envs/test_history.py",
+        ("averages do not know the hold", "setup.hold * setup.control_period", "setup.control_period"),
+    ),
 )  # fmt: skip
 
 TASKS = (
@@ -106,11 +120,15 @@ CONTROL = (
         "control", "control/lqr.py", "control/test_lqr.py",
         ("feedback has the wrong sign", "self._held - np.vecdot(", "self._held + np.vecdot("),
         ("a slew's plan does not move on", "self._now += 1", "self._now += 0"),
+        ("gains jump", "plan.gains[lower] + part * (plan.gains[upper] - plan.gains[lower])", "plan.gains[lower]"),
+        ("gains change with time, not with the way", "(GAINS - 1) * np.clip(way, 0.0, 1.0)",
+         "(GAINS - 1) * np.linspace(0.0, 1.0, len(way))"),
     ),
     *changes(
         "control", "control/reference.py", "control/test_reference.py",
         ("the jerk is not least", "(10.0 - 15.0 * s + 6.0 * s**2)", "(10.0 - 14.0 * s + 5.0 * s**2)"),
         ("rotors need no torque", "return x, links + rotors", "return x, links"),
+        ("bending is solved for once", "PASSES = 3", "PASSES = 1"),
     ),
 )  # fmt: skip
 
@@ -152,6 +170,35 @@ AGENTS = (
         ("a policy acts in every period", "environment.keywords() | policy.interface)",
          "environment.keywords() | policy.interface | {\"hold\": 1})"),
         ("seeds are counted anew", "venv.reset(seed=list(seeds))", "venv.reset(seed=list(range(len(seeds))))"),
+        ("the band is a part of the longest link", "BAND * sum(link.length for link in arm.links)",
+         "BAND * max(link.length for link in arm.links)"),
+        ("a failed episode ends one period early", "= len(rows[\"actions\"]), episodes",
+         "= len(rows[\"actions\"]) - 1, episodes"),
+        ("the median of the effort", '"effort": float(np.mean(', '"effort": float(np.median('),
+    ),
+    *changes(
+        "agents", "agents/tuning.py", "agents/test_tuning.py",
+        ("gains are stable with the least delay", "stability_limit(int(delay[1])", "stability_limit(int(delay[0])"),
+        ("rewards of the next episodes count", "np.where(playing, rewards, 0.0)", "rewards"),
+    ),
+    *changes(
+        "agents", "agents/zoo.py", "agents/test_zoo.py",
+        ("a rate that falls early is written as one that falls late", "rate.end != 0.0 or rate.until != 1.0",
+         "rate.end != 0.0"),
+    ),
+    *changes(
+        "agents", "agents/memory.py", "agents/test_resume.py",
+        ("a full memory is taken for one that is not", 'buffer.pos, buffer.full = data["pos"], data["full"]',
+         'buffer.pos = data["pos"]'),
+    ),
+    *changes(
+        "agents", "agents/training.py", "agents/test_training.py",
+        ("a third run counts the steps of the second only", "self._before += count", "self._before = count"),
+    ),
+    *changes(
+        "agents", "agents/callbacks.py", "agents/test_training.py",
+        ("judged more often after long rollouts", "self._next = self.num_timesteps + self._every\n        found",
+         "self._next += self._every\n        found"),
     ),
     *changes(
         "agents", "agents/vector.py", "agents/test_vector.py",

@@ -59,7 +59,14 @@ MODEL = (
         ("inverse dynamics forgets friction", "+ constants.viscous_friction * motion[1]", "+ 0.0 * motion[1]"),
     ),
     *changes(
-        "model", "model/instant.py", "model/test_instant.py",
+        "model", "model/instant.py", "model/test_inverse_dynamics.py",
+        ("inverse dynamics forgets Coulomb friction", "torques += constants.coulomb_friction *",
+         "torques += 0.0 * constants.coulomb_friction *"),
+    ),
+    *changes(
+        "model", "model/modes.py", "model/test_modes.py",
+        ("rounding orders equal modes", 'np.argsort([float(f"{frequency:.9g}") for frequency in frequencies],',
+         "np.argsort(frequencies,"),
     ),
     *changes(
         "model", "model/linear.py", "model/test_linearization.py simulation/test_friction.py",
@@ -147,6 +154,7 @@ SIMULATION = (
         "simulation", "simulation/explanation.py", "simulation/test_explanation.py",
         ("what went last is named", "row = int(late[0]) if", "row = int(late[-1]) if"),
         ("the stable step is twice too long", "stable = limit / (2.0", "stable = limit / (1.0"),
+        ("links may spin far beyond their frequency", "spins > np.pi * locked[0]", "spins > 100.0 * locked[0]"),
     ),
     *changes(
         "simulation", "scene/drive.py", "simulation/test_drive.py scene/test_parts.py",

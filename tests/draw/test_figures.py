@@ -1,0 +1,46 @@
+"""Figures of the paper: each shows what its title and its axis say, with the sign that they say."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import flexman_gym as fm
+from flexman_gym.draw import figures, paper_figures
+
+
+@pytest.fixture(scope="module")
+def cases():
+    """The paper's cases for a tenth of a second."""
+    scenes = [replace(fm.catalog.paper_scene(name), duration=0.1, output_step=0.02) for name in ("rr", "fr", "ff")]
+    return [fm.simulate(scene, method="ros2", step=1e-3) for scene in scenes]
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """The Matplotlib figures that are made from now on."""
+    made, new_figure = [], figures.new_figure
+
+    def kept(*given, **named):
+        made.append(new_figure(*given, **named))
+        return made[-1]
+
+    monkeypatch.setattr(figures, "new_figure", kept)
+    return made
+
+
+def test_every_curve_is_the_flexible_arm_less_the_rigid_one(cases, drawn, tmp_path):
+    """Figures 6 to 8 are of the tip along x, y and z, 9 to 11 of the three joints; the page of all repeats them."""
+    rigid, *flexible = cases
+    paper_figures(*cases, tmp_path)
+    whole = [figure.axes[0] for figure in drawn[:6]], drawn[6].axes
+    for number, pair in enumerate(zip(*whole, strict=True), start=6):
+        kind, column = ("tip", number - 6) if number < 9 else ("joint_angles", number - 9)
+        for axes in pair:
+            curves = {line.get_label(): line.get_data() for line in axes.get_lines() if line.get_label()[0] != "_"}
+            assert axes.get_title().startswith(f"Figure {number}: ")
+            assert list(curves) == ["flexible links, rigid joints", "flexible links and joints"]
+            for (time, values), case in zip(curves.values(), flexible, strict=True):
+                assert np.array_equal(time, case.time)
+                assert values == pytest.approx(getattr(case, kind)[:, column] - getattr(rigid, kind)[:, column], abs=0)
+        assert pair[0].get_ylabel() == f"difference to the rigid arm ({'m' if number < 9 else 'rad'})"
