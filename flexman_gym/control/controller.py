@@ -14,8 +14,8 @@ class Controller(Protocol):
     """The protocol of everything that acts on b arms of n joints. A class with these members needs no base class.
 
     A controller is built from a model, which may be wrong on purpose, and never from an environment. Its action on an
-    arm must not depend on the other arms, to the last bit. Products therefore go row by row (`np.vecdot`, elementwise):
-    products of BLAS have other last digits for other numbers of arms.
+    arm must not depend on the other arms, to the last bit. Products therefore go row by row (`arrays.row_dots`,
+    elementwise): products of BLAS have other last digits for other numbers of arms.
 
     One that remembers more of an episode than `reset` gives it names these attributes, arrays or numbers, in a further
     one, `kept`: states of environments then hold them.

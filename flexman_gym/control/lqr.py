@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array, IntArray, Vector
+from flexman_gym.arrays import Array, IntArray, Vector, row_dots
 from flexman_gym.checks import positive
 from flexman_gym.control.discrete import Weights, optimal_gain
 from flexman_gym.control.pd import torque_limits
@@ -74,7 +74,7 @@ class LQR:
 
     def torques(self, states: Array) -> Array:
         """Gives torques (b, n) N m for states (b, 2 d), product by product of one arm."""
-        return self._held - np.vecdot(self._gains, (states - self._rest)[:, None])
+        return self._held - row_dots(self._gains, (states - self._rest)[:, None])
 
 
 class Plan(NamedTuple):
@@ -119,7 +119,7 @@ class TrackingLQR(LQR):
             slew = plan_slew(self.model, first, last, self.limits, SHARE, self.period)
             gains = np.array([self.gain(first + way * (last - first)) for way in np.linspace(0.0, 1.0, GAINS)])
             moved = slew.states[:, motors] - slew.states[0, motors]
-            way = np.vecdot(moved, moved[-1]) / max(moved[-1] @ moved[-1], 1e-12)
+            way = row_dots(moved, moved[-1]) / max(moved[-1] @ moved[-1], 1e-12)
             torques = np.vstack([slew.torques, holding_torques(self.model, last)])
             self._keep(int(arm), Plan(slew.states, torques, gains, (GAINS - 1) * np.clip(way, 0.0, 1.0)))
 
@@ -154,7 +154,7 @@ class TrackingLQR(LQR):
             lower = min(int(plan.places[row]), max(len(plan.gains) - 2, 0))
             upper, part = min(lower + 1, len(plan.gains) - 1), plan.places[row] - lower
             gain = plan.gains[lower] + part * (plan.gains[upper] - plan.gains[lower])
-            found[arm] = plan.torques[row] - np.vecdot(gain, state - plan.states[row])
+            found[arm] = plan.torques[row] - row_dots(gain, state - plan.states[row])
         self._now += 1
         return found
 

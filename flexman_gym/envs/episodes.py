@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.arrays import Array, Flags, IntArray
+from flexman_gym.arrays import Array, Flags, IntArray, row_dots
 from flexman_gym.checks import one_of, refusal
 from flexman_gym.envs.actions import Motors
 from flexman_gym.envs.effects import Stage
@@ -218,7 +218,7 @@ class Episodes:
             self.effects.disturb(self.motors.forces, self.motors.accelerations, self.over)
         self.batch.step(self.motors.drive(arriving), playing)
         self._ages += 1 if playing is None else playing
-        view, effort = self.view, np.vecdot(actions, actions) / actions.shape[1]
+        view, effort = self.view, row_dots(actions, actions) / actions.shape[1]
         if playing is None:
             view.effort, view.action[:] = effort, actions
         else:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.arrays import Array, IntArray
+from flexman_gym.arrays import Array, IntArray, row_dots
 from flexman_gym.envs.limits import Limits
 from flexman_gym.simulation.view import View
 
@@ -76,10 +76,10 @@ class Measured:
 
     def _errors(self) -> None:
         self.target_error = self._view.target - self.tip
-        self.tip_error = np.sqrt(np.vecdot(self.target_error, self.target_error))
+        self.tip_error = np.sqrt(row_dots(self.target_error, self.target_error))
 
     def _vibration(self) -> None:
-        self.tip_vibration = np.sqrt(np.vecdot(self.deflection_rate, self.deflection_rate))
+        self.tip_vibration = np.sqrt(row_dots(self.deflection_rate, self.deflection_rate))
 
 
 def measuring_ranges(view: View, limits: Limits) -> dict[str, Array]:

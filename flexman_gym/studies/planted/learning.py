@@ -81,7 +81,7 @@ TASKS = (
     ),
     *changes(
         "tasks", "envs/tasks/rewards.py", "envs/test_slew.py",
-        ("the distance does not look ahead", "+ np.vecdot(moving, moving)", ""),
+        ("the distance does not look ahead", "+ row_dots(moving, moving)", ""),
     ),
 )  # fmt: skip
 
@@ -118,7 +118,7 @@ CONTROL = (
     ),
     *changes(
         "control", "control/lqr.py", "control/test_lqr.py",
-        ("feedback has the wrong sign", "self._held - np.vecdot(", "self._held + np.vecdot("),
+        ("feedback has the wrong sign", "self._held - row_dots(", "self._held + row_dots("),
         ("a slew's plan does not move on", "self._now += 1", "self._now += 0"),
         ("gains jump", "plan.gains[lower] + part * (plan.gains[upper] - plan.gains[lower])", "plan.gains[lower]"),
         ("gains change with time, not with the way", "(GAINS - 1) * np.clip(way, 0.0, 1.0)",
