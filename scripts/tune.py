@@ -10,7 +10,7 @@ from flexman_gym.envs.description import Description
 def main() -> int:
     """Reads the command line and prints gains; returns the exit code."""
     parser = argparse.ArgumentParser(description="Search for the gains of a PD controller with the highest reward.")
-    parser.add_argument("env", help="an id, an id and a condition such as FlexRRR-v0/D, or the path of a file")
+    parser.add_argument("env", help="an id, an id and a condition such as FlexRRR-v0/delay, or the path of a file")
     parser.add_argument("--seed", type=int, default=0, help="of the search")
     options = parser.parse_args()
     try:

@@ -1,6 +1,6 @@
 """Description: an environment as plain data, from a file, the command line or a run, and back."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Self
@@ -18,8 +18,9 @@ from flexman_gym.scene.plain import arm_of, part_of, plain
 
 ARMS = ("paper_rrr", "planar_2r", "one_link", "vertical_2r", "one_joint")  # functions of the catalog
 WHOLE = ("arm", "task", "limits")  # what a named environment has before a change leads into it
-CONDITIONS = ("N", "P", "S", "D", "DD", "F", "G", "G-lab")
-FILES = Path(__file__).parent / "conditions"  # a folder for each arm
+NOMINAL = "nominal"  # the condition without changes
+CONDITIONS = (NOMINAL, "payload", "stiffness", "delay", "random-delay", "friction", "unknown", "unknown-lab")
+FILES = Path(__file__).parent / "conditions"  # a folder for each arm, with a file of changes for each condition
 SUFFIXES = (".json", ".yaml", ".yml")
 
 
@@ -32,7 +33,7 @@ class Description:
         settings: keyword arguments of `gym.make`, plain. An arm is the name of a function of the catalog, a mapping
             with its name at "catalog" and its arguments, the path of a file with an arm or a scene, or a mapping as in
             a scene file. A task is its name, or a mapping with its name at "kind" and its arguments; limits and
-            randomisation are mappings.
+            randomisation are mappings. Settings beside a "condition" go before what it changes.
         folder: against which paths of files are meant.
 
     Raises:
@@ -61,7 +62,7 @@ class Description:
 
     @classmethod
     def find(cls, name: str) -> Self:
-        """Gives a named environment, one under a condition such as "FlexRRR-v0/G", or that of a file.
+        """Gives a named environment, one under a condition such as "FlexRRR-v0/unknown", or that of a file.
 
         Raises:
             FileNotFoundError, ValueError: one line, also where it is neither.
@@ -77,7 +78,7 @@ class Description:
 
     @classmethod
     def under(cls, name: str, condition: str) -> Self:
-        """Gives a named environment under one of the CONDITIONS, whose files say what they are.
+        """Gives a named environment under one of the CONDITIONS, whose files say what they change.
 
         Raises:
             ValueError: for another condition, and for an environment without conditions.
@@ -86,8 +87,14 @@ class Description:
         if not folder:
             known = [each for each, named in NAMED.items() if named.conditions]
             raise refusal("condition", f"{name}/{condition}", f"one for {', '.join(known)}")
-        path = FILES / folder / f"{one_of('condition', condition, CONDITIONS)}.yaml"
-        return cls.from_dict({**cls.load(path).whole_settings(), "id": name}, path.parent)
+        if one_of("condition", condition, CONDITIONS) == NOMINAL:
+            return cls(name)
+        changes, named = file.read(FILES / folder / f"{condition}.yaml"), cls(name)
+        settings = {
+            key: _merged(_plain(key, named._value(key, {"id": name})) if key in WHOLE else {}, change)
+            for key, change in changes.items()
+        }
+        return cls.from_dict({"id": name, **settings})
 
     @classmethod
     def from_dict(cls, data: object, folder: Path = Path()) -> Self:
@@ -104,8 +111,12 @@ class Description:
         return found
 
     def whole_settings(self) -> dict[str, Any]:
-        """A copy of the settings."""
-        return dict(self.settings or {})
+        """A copy of the settings, with those of a condition that they name in its place."""
+        settings = dict(self.settings or {})
+        condition = settings.pop("condition", NOMINAL)
+        if condition == NOMINAL:
+            return settings
+        return {**self.under(self.id, condition).whole_settings(), **settings}
 
     def setup(self) -> Setup:
         """The setup that it describes."""
@@ -163,6 +174,15 @@ class Description:
         return Description(data["id"], {name: data[name]}, self.folder).keywords()[name]
 
 
+def find_setup(settings: Mapping[str, Any], others: Collection[str] = ()) -> Setup:
+    """The setup of keyword arguments of `gym.make`, of which "condition" names changes; `others` see `setup_of`."""
+    given = dict(settings)
+    condition = given.pop("condition", NOMINAL)
+    if condition != NOMINAL:
+        given = Description.under(given.get("name", DEFAULT), condition).keywords() | given
+    return setup_of(given, ("condition", *others))
+
+
 def described(setup: Setup) -> dict[str, Any]:
     """The mapping of a setup that was made with objects.
 
@@ -199,6 +219,18 @@ def read_arm(value: object, folder: Path = Path()) -> Arm:
 def _tuples(value: object) -> object:
     """Lists as tuples, all the way down."""
     return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+def _merged(old: object, change: object) -> object:
+    """A value with a change: mappings merge; of a list of mappings each takes its own of the numbers in a list."""
+    if isinstance(old, dict) and isinstance(change, dict):
+        return {**old, **{name: _merged(old.get(name, {}), each) for name, each in change.items()}}
+    if isinstance(old, list) and isinstance(change, dict):
+        return [
+            {**entry, **{name: each[i] if isinstance(each, list) else each for name, each in change.items()}}
+            for i, entry in enumerate(old)
+        ]
+    return change
 
 
 def _put(data: dict[str, Any], path: list[str], value: object) -> None:

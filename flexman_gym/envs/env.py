@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from flexman_gym.checks import one_of, whole_number
 from flexman_gym.envs.actions import action_space, checked_actions
+from flexman_gym.envs.description import find_setup
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.options import check_parameters
 from flexman_gym.envs.remembering import Remembering
-from flexman_gym.envs.setup import build, setup_of
+from flexman_gym.envs.setup import build
 from flexman_gym.kernels import layout
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.simulator import Simulator
@@ -93,7 +94,8 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
     Args:
         render_mode: None or "rgb_array".
         render_size: width and height of a frame in pixels.
-        settings: the attributes of `Setup`: arm, task, limits, fidelity and so on.
+        settings: the attributes of `Setup`: arm, task, limits, fidelity and so on; and "condition", one of
+            `envs.description.CONDITIONS`, which changes some of those that are not given.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
@@ -107,7 +109,7 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
     ) -> None:
         self.render_mode = checked_mode(render_mode)
         self._made = {"render_mode": render_mode, "render_size": render_size, **settings}
-        setup = setup_of(settings, ("render_mode", "render_size"))
+        setup = find_setup(settings, ("render_mode", "render_size"))
         model, method, step, self.choice = build(setup)
         self.simulator = Simulator(model, method, step, setup.control_period)
         self.setup, self.task, self.torque_limit = setup, setup.task, np.array(setup.torque_limit)

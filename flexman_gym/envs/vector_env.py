@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from flexman_gym.arrays import Array, Flags, IntArray
 from flexman_gym.checks import one_of, refusal, sequence, whole_number
 from flexman_gym.envs.actions import action_space, checked_actions
+from flexman_gym.envs.description import find_setup
 from flexman_gym.envs.env import LARGEST_SEED, FlexManEnv, checked_mode, observation_space, painter
 from flexman_gym.envs.episodes import Episodes, Observations
 from flexman_gym.envs.options import check_parameters
 from flexman_gym.envs.remembering import Remembering
-from flexman_gym.envs.setup import build, setup_of
+from flexman_gym.envs.setup import build
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import MOST_ARMS, Batch
 
@@ -43,7 +44,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
         max_episode_steps: steps after which an episode is truncated; None takes the `horizon`.
         autoreset_mode: an AutoresetMode of Gymnasium, or its value.
         render_mode, render_size: see `FlexManEnv`; a frame of each arm.
-        settings: the attributes of `Setup`.
+        settings: the attributes of `Setup`, and "condition"; see `FlexManEnv`.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
@@ -70,7 +71,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
         self.render_mode = checked_mode(render_mode)
         given = num_envs, threads, max_episode_steps, autoreset_mode, render_mode, render_size
         self._made = dict(zip(OWN, given, strict=True)) | settings
-        setup = setup_of(settings, OWN)
+        setup = find_setup(settings, OWN)
         model, method, step, self.choice = build(setup)
         self._painter = painter(render_mode, model, render_size)
         period = setup.control_period

@@ -76,7 +76,7 @@ def test_a_policy_acts_as_in_an_environment_with_its_own_hold_and_base(run):
 def test_a_policy_keeps_the_gains_that_it_learned_on(run):
     """Under a condition with another PD, which is the baseline beside it."""
     learned = NAMED["FlexPlanar-v0"].pd
-    delayed = Description.find("FlexPlanar-v0/D")
+    delayed = Description.find("FlexPlanar-v0/delay")
     assert delayed.setup().gains != learned
     environments = delayed, Description("FlexPlanar-v0", {**delayed.settings, "gains": learned})
     for name in (str(run), "pd"):

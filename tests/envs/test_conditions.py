@@ -1,4 +1,4 @@
-"""Conditions: environment files of the package, in each of which the PD of the environment is stable."""
+"""Conditions: changes of a named environment, in each of which the PD of the environment is stable."""
 
 import warnings
 from dataclasses import replace
@@ -96,8 +96,8 @@ def test_a_condition_suits_every_task_of_its_arm(name, condition):
 
 
 def test_what_a_condition_draws_is_in_its_file():
-    lab = Description.find("FlexRRR-v0/G-lab").setup()
-    full = Description.find("FlexRRR-v0/G").setup()
+    lab = Description.find("FlexRRR-v0/unknown-lab").setup()
+    full = Description.find("FlexRRR-v0/unknown").setup()
     assert lab.randomisation == full.randomisation and lab.gains == full.gains
     assert set(full.randomisation.effects) == {
         "payload_mass", "joint_stiffness", "link_stiffness", "delay", "sensor_noise",
@@ -111,19 +111,19 @@ def test_what_a_condition_draws_is_in_its_file():
 
 
 @pytest.mark.parametrize("folder", FOLDERS)
-def test_g_is_all_that_p_s_and_d_draw_and_noise_of_a_thousandth_of_the_ranges(folder):
+def test_unknown_is_payload_stiffness_and_delay_and_noise_of_a_thousandth_of_the_ranges(folder):
     own, drawn = {}, {name: Description.find(f"{FOLDERS[folder]}/{name}").setup().randomisation for name in CONDITIONS}
-    for name in "PSD":
+    for name in ("payload", "stiffness", "delay"):
         own |= {field: getattr(drawn[name], field) for field in drawn[name].given}
     assert own.keys() == {"payload_mass", "joint_stiffness", "link_stiffness", "delay"}
-    assert drawn["G"] == drawn["G-lab"] == Randomisation(**own, sensor_noise=(0.001, 0.001))
+    assert drawn["unknown"] == drawn["unknown-lab"] == Randomisation(**own, sensor_noise=(0.001, 0.001))
 
 
 @pytest.mark.parametrize("folder", FOLDERS)
-def test_friction_is_all_that_the_arm_of_f_has_beside_its_own(folder):
+def test_friction_is_all_that_its_arm_has_beside_its_own(folder):
     """In parts of the torque limits that of the PUMA 560, see the file."""
     name = FOLDERS[folder]
-    arm, own = Description.find(f"{name}/F").setup().arm, NAMED[name].arm()
+    arm, own = Description.find(f"{name}/friction").setup().arm, NAMED[name].arm()
     bare = [replace(joint, viscous_friction=0.0, coulomb_friction=0.0, coulomb_rate=0.01) for joint in arm.joints]
     assert replace(arm, joints=bare) == own
     gears, most = np.array([62.6111, 107.815, 53.7063]), np.array([97.6, 186.4, 89.4])
@@ -137,18 +137,34 @@ def test_friction_is_all_that_the_arm_of_f_has_beside_its_own(folder):
 
 def test_all_files_are_there_and_no_others():
     for folder in FOLDERS:
-        assert {path.stem for path in (FILES / folder).iterdir()} == set(CONDITIONS)
+        assert {path.stem for path in (FILES / folder).iterdir()} == {*CONDITIONS} - {"nominal"}
 
 
 @pytest.mark.parametrize(
     ("name", "line"),
     [
-        ("FlexRRR-v0/X", "condition: 'X' is not allowed; give one of N, P, S, D, DD, F, G, G-lab"),
-        ("FlexOne-v0/G", "condition: 'FlexOne-v0/G' is not allowed; give one for FlexRRR-v0, FlexRRR-Track-v0"),
+        ("FlexRRR-v0/X", "condition: 'X' is not allowed; give one of nominal, payload, stiffness, delay, random-"),
+        ("FlexOne-v0/unknown", "condition: 'FlexOne-v0/unknown' is not allowed; give one for FlexRRR-v0, "),
     ],
 )
 def test_what_there_is_not_is_refused_in_one_line(name, line):
     assert refusal(Description.find, name).startswith(line)
+
+
+@pytest.mark.parametrize("condition", CONDITIONS)
+def test_a_condition_is_a_keyword_too_and_what_is_given_beside_it_goes_before(condition):
+    expected = Description.find(f"FlexPlanar-v0/{condition}").setup()
+    for made in (
+        gym.make("FlexPlanar-v0", condition=condition, hold=2),
+        gym.make_vec("FlexPlanar-v0", 2, "vector_entry_point", condition=condition, hold=2),
+    ):
+        setup = made.unwrapped.setup
+        assert (setup.arm, setup.randomisation, setup.gains) == (expected.arm, expected.randomisation, expected.gains)
+        assert setup.sensors == expected.sensors and setup.hold == 2
+    own = gym.make("FlexPlanar-v0", condition=condition, randomisation={"delay": (3, 3)}).unwrapped.setup
+    assert own.randomisation == Randomisation(delay=(3, 3)) and own.arm == expected.arm
+    described = Description("FlexPlanar-v0", {"condition": condition, "horizon": 1.0})
+    assert described.setup().arm == expected.arm and "condition" not in described.whole()
 
 
 # A PD that says when it is unstable

@@ -178,7 +178,7 @@ TARGETS = {
     "venv.reset": Target(MANY.reset, {"seed": [3, 4], "options": OPTIONS}, weight=5.0),
     "venv.step": Target(played_many, {"actions": np.zeros((2, 1), np.float32)}, ("actions",), weight=3.0),
     "Description": Target(Description.from_dict, {"data": DESCRIBED}, weight=4.0),
-    "Description.find": Target(lambda name: Description.find(name).setup(), {"name": "FlexRRR-v0/G"}),
+    "Description.find": Target(lambda name: Description.find(name).setup(), {"name": "FlexRRR-v0/unknown"}),
     "Description.changed": Target(
         lambda changes: Description.from_dict(DESCRIBED).changed(changes),
         {"changes": ["horizon=2.0", "arm.payload.mass=0.1"]}, weight=2.0,

@@ -82,8 +82,8 @@ def actions(arms: int, joints: int, random: np.random.Generator) -> np.ndarray:
 
 
 def all_conditions(name: str) -> dict[str, Any]:
-    """Keywords of a named environment with all of its conditions at once: P, S, DD, F and the noise of G."""
-    friction, general = (Description.find(f"{name}/{condition}") for condition in ("F", "G"))
+    """Keywords of a named environment with all of its conditions at once."""
+    friction, general = (Description.find(f"{name}/{condition}") for condition in ("friction", "unknown"))
     return {
         "arm": friction.setup().arm,
         "randomisation": {**general.whole_settings()["randomisation"], "delay": (0, 2)},

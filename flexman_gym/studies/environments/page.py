@@ -7,7 +7,7 @@ import gymnasium as gym
 import numpy as np
 
 from flexman_gym.envs.catalog import NAMED
-from flexman_gym.envs.description import CONDITIONS, FILES
+from flexman_gym.envs.description import CONDITIONS, FILES, NOMINAL
 from flexman_gym.envs.sensors import SETS
 from flexman_gym.model.instant import frequencies
 from flexman_gym.studies.environments.episode import BASES, SEEDS, Run
@@ -143,12 +143,12 @@ def _conditions(name: str) -> list[str]:
     folder = NAMED[name].conditions
     if not folder:
         return ["There are none for this arm."]
-    rows = []
-    for each in CONDITIONS:
+    rows = [(f"`{NOMINAL}`", "The environment as it is.")]
+    for each in CONDITIONS[1:]:
         said = (FILES / folder / f"{each}.yaml").read_text(encoding="utf-8").splitlines()[0]
-        rows.append((f"`{name}/{each}`", said.removeprefix("# ").partition(": ")[2]))
+        rows.append((f"`{each}`", said.removeprefix("# ")))
     return [
-        f'Environment files of the package, for `--env` of the scripts and for `Description.find("{name}/G")`:',
+        f'`gym.make("{name}", condition="unknown")`, and `{name}/unknown` where a command takes an environment:',
         "",
         *markdown_table(("", ""), rows),
     ]

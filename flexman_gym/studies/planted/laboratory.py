@@ -110,7 +110,7 @@ LABORATORY = (
         ("turns of any size in an iteration", "min(max(turn, -TURN), TURN)", "turn"),
     ),
     *changes(
-        "laboratory", "envs/conditions/planar/G.yaml", "envs/test_conditions.py",
+        "laboratory", "envs/conditions/planar/unknown.yaml", "envs/test_conditions.py",
         ("ten times the noise of condition G", "sensor_noise: [0.001, 0.001]", "sensor_noise: [0.01, 0.01]"),
     ),
     *changes(
