@@ -132,6 +132,7 @@ def test_rows_on_different_environments_are_refused_and_a_named_one_settles_it(r
 
 def test_the_pd_beside_policies_has_the_gains_of_the_first_that_learned_on_one():
     """Gains belong to a policy: other ones make no other environment."""
+
     def learned(name, damping):
         gains = {"stiffness": [2.0], "damping": [damping]}
         environment, interface = parted(Description(ONE.id, {**ONE.settings, "base": "pd", "gains": gains}))

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import flexman_gym as fm
-from flexman_gym.control.reference import Path, minimum_jerk, plan_path, plan_slew
+from flexman_gym.control.reference import GiveWay, Path, minimum_jerk, plan_path, plan_slew
 from flexman_gym.envs.catalog import NAMED
 from flexman_gym.envs.setup import build, setup_of
 from flexman_gym.model.instant import inertial_forces, stiffness_matrix
@@ -134,3 +134,12 @@ def test_the_torques_of_a_path_are_those_of_the_middle_of_each_period():
     middles = (np.arange(periods) + 0.5) / periods
     expected = inertia / duration**2 * minimum_jerk(middles)[2]
     assert np.abs(slew.torques[:, 0] - expected)[20:-20].max() < 2e-3 * np.abs(expected).max()
+
+
+def test_joints_do_not_turn_far_for_what_an_outstretched_arm_cannot_reach():
+    """The least turn that closes the gap across the arm; that along it would take tens of radians, to first order."""
+    arm = fm.catalog.planar_2r()
+    model, (first, second) = fm.build_model(arm, flexible_links=False), (link.length for link in arm.links)
+    rest, place = (fm.rest_state(model, np.array([0.0, elbow]))[: model.n_dof] for elbow in (0.3, 1e-3))
+    slopes, across = np.array([first + second, second]), second * (np.sin(0.3) - np.sin(1e-3))
+    assert GiveWay(model).turn(rest, place) == pytest.approx(across * slopes / (slopes @ slopes), rel=5e-3)
