@@ -1,5 +1,7 @@
 """Evaluation: the same episodes for all, on the environment that a policy was trained on, in one table."""
 
+import re
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ import flexman_gym  # noqa: F401  registers the environments
 from flexman_agents.evaluation import (
     Episode,
     Record,
+    changed_environment,
     common_environment,
     evaluate,
     figures,
@@ -17,7 +20,7 @@ from flexman_agents.evaluation import (
     summary,
     table,
 )  # fmt: skip
-from flexman_agents.policies import BASELINES, Policy, find_policy
+from flexman_agents.policies import BASELINES, Policy, find_policy, parted
 from flexman_agents.settings import Settings
 from flexman_agents.training import train
 from flexman_gym.envs import NAMED
@@ -127,6 +130,33 @@ def test_rows_on_different_environments_are_refused_and_a_named_one_settles_it(r
     assert common_environment([one, same], None) == one.environment, "another hold is not another environment"
 
 
+def test_the_pd_beside_policies_has_the_gains_of_the_first_that_learned_on_one():
+    """Gains belong to a policy: other ones make no other environment."""
+
+    def learned(name, damping):
+        gains = {"stiffness": [2.0], "damping": [damping]}
+        environment, interface = parted(Description(ONE.id, {**ONE.settings, "base": "pd", "gains": gains}))
+        return Policy(name, find_policy("zero").act, interface, environment)
+
+    alone = Policy("alone", find_policy("zero").act, {}, ONE)
+    found = common_environment([alone, learned("soft", 0.1), learned("hard", 0.2), find_policy("pd")], None)
+    assert found.setup().pd_gains == {"stiffness": (2.0,), "damping": (0.1,)}
+    assert found.setup().horizon == 1.5
+
+
+def test_what_a_policy_was_trained_with_is_not_changed_in_part_either():
+    assert changed_environment(ONE, ["arm.payload.mass=0.1"]).setup().arm.payload.mass == 0.1
+    for change in ("sensors.kind=fine", "hold=2", "base=pd"):
+        line = refusal(changed_environment, ONE, [change])
+        assert line.startswith(f"--set: '{change}' is not allowed; give a setting of what is moved: base, hold, ")
+
+
+def test_random_torques_go_both_ways():
+    found = find_policy("random").act(np.zeros((200, 3), dtype=np.float32), (200, 2))
+    assert found.shape == (200, 2) and -1.0 <= found.min() < -0.9 and 0.9 < found.max() <= 1.0
+    assert np.abs(found.mean(axis=0)).max() < 0.2, "five deviations of the mean of so many"
+
+
 def test_an_episode_that_fails_ends_there_and_the_arms_beside_it_go_on():
     """One arm gets full torque, the others none."""
 
@@ -188,6 +218,13 @@ def test_figures_are_those_of_the_metrics():
     assert found.stabilisation_time == pytest.approx(4.0) and found.vibration == pytest.approx(0.06, rel=1e-9)
 
 
+def test_the_error_at_the_end_is_the_median_of_its_last_second():
+    """Neither the last sample nor what was before."""
+    errors = np.concatenate([np.full(450, 1.0), np.full(50, 0.01), [0.5]])
+    record = Record(np.zeros((501, 3)), errors, np.zeros((500, 1)), np.zeros(500), "")
+    assert figures(record, 0.02, 0.02).error == 0.01
+
+
 # The table
 
 
@@ -237,3 +274,15 @@ def test_reward_and_effort_are_means_as_the_table_says():
     found = summary(episodes)
     assert (found["reward"], found["effort"]) == pytest.approx((4.0, 0.4))
     assert "reward and effort are means" in table({"pd": episodes}, ONE).splitlines()[-1]
+
+
+def test_every_figure_stands_below_its_name():
+    """Three episodes, of which one fails: an interval goes from its low to its high end around the median."""
+    numbers = (2.5, 0.001, 0.004, ""), (3.5, 0.002, 0.005, ""), (np.inf, 0.003, 0.006, "rate")
+    episodes = [Episode(100.0, time, vibration, error, 0.25, failure) for time, vibration, error, failure in numbers]
+    head, line = table({"pd": episodes}, ONE).splitlines()[1:3]
+    found = dict(zip(re.split(r" {2,}", head), re.split(r" {2,}", line), strict=True))
+    assert found == {
+        "policy": "pd", "reward": "100.0", f"in {20.0 * 0.8 / 8.5:.3g} mm": "67%", "stabilised, s": "3.5 (2.5--)",
+        "p-p, mm": "2 (1-3)", "error, mm": "5 (4-6)", "effort": "0.250", "failed": "33%",
+    }  # fmt: skip

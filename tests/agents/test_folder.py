@@ -54,6 +54,16 @@ def test_a_file_is_whole_or_not_there(tmp_path):
     assert path.read_bytes() == b"first" and list(tmp_path.iterdir()) == [path]
 
 
+def test_a_file_takes_its_place_when_all_of_it_is_on_the_disk(tmp_path, monkeypatch):
+    """So that a computer that goes off leaves the file of before or the new one, not an empty one."""
+    replace_file, flushed, placed = os.replace, {}, []
+    monkeypatch.setattr(os, "fsync", lambda file: flushed.update({os.fstat(file).st_ino: os.fstat(file).st_size}))
+    monkeypatch.setattr(os, "replace", lambda *paths: placed.append(os.stat(paths[0])) or replace_file(*paths))
+    write(tmp_path / "file", lambda file: file.write(b"all of it"))
+    assert [flushed[each.st_ino] for each in placed] == [9] and (tmp_path / "file").read_bytes() == b"all of it"
+    assert tmp_path.stat().st_ino in flushed, "its name too"
+
+
 @pytest.mark.parametrize("name", [LOCK, ".newest.npz.part", ".settings.json.part", "progress.csv"])
 def test_what_a_link_in_a_run_folder_points_to_stays(tmp_path, name):
     precious, folder = tmp_path / "precious", tmp_path / "run"

@@ -6,8 +6,10 @@ import pytest
 pytest.importorskip("matplotlib")
 pytest.importorskip("rich")
 
+from matplotlib.cbook import STEP_LOOKUP_MAP
 from matplotlib.image import imread
 
+from flexman_agents import pictures
 from flexman_agents.evaluation import Record
 from flexman_agents.pictures import draw_episodes
 
@@ -36,3 +38,29 @@ def test_a_picture_shows_errors_and_actions_of_every_policy(tmp_path):
 def test_no_error_at_all_can_be_drawn(tmp_path):
     draw_episodes({"still": record(0.0, 0.0)}, 0.02, tmp_path / "a.png")
     assert (tmp_path / "a.png").stat().st_size > 5_000
+
+
+@pytest.fixture
+def axes(monkeypatch):
+    """The axes of the figure that is drawn."""
+    made, new_figure = [], pictures.new_figure
+    monkeypatch.setattr(
+        pictures, "new_figure", lambda *given, **named: made.append(new_figure(*given, **named)) or made[-1]
+    )
+    return lambda: made[-1].axes
+
+
+def test_a_torque_is_drawn_over_the_period_in_which_it_acts(axes, tmp_path):
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 2))
+    draw_episodes({"a": Record(np.zeros((51, 3)), np.ones(51), actions, np.zeros(50), "")}, 0.02, tmp_path / "a.png")
+    middles = 0.02 * (np.arange(50) + 0.5)
+    for motor in range(2):
+        curve = axes()[1 + motor].get_lines()[0]
+        found = np.interp(middles, *STEP_LOOKUP_MAP[curve.get_drawstyle()](*curve.get_data()))
+        assert found[1:] == pytest.approx(actions[1:, motor]), "the first has no width"
+
+
+def test_the_line_of_the_band_is_at_the_band_and_says_so(axes, tmp_path):
+    draw_episodes({"a": record(1.0, 0.5)}, 0.02, tmp_path / "a.png", band=0.005)
+    (line,) = (line for line in axes()[0].get_lines() if line.get_linestyle() == "--")
+    assert set(line.get_ydata()) == {0.005} and [text.get_text() for text in axes()[0].texts] == ["5 mm"]

@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import random
 import signal
 from dataclasses import replace
 
@@ -56,6 +57,7 @@ def test_a_run_that_was_interrupted_twice_is_the_run_that_was_not(algo, tmp_path
     done = read_data(parts / NEWEST)["training"]["counts"]["num_timesteps"]
     assert 57 <= done <= 75
     np.random.seed(99)  # noqa: NPY002, what happens in between does not matter
+    random.seed(99)
     interrupt(11)
     with pytest.raises(Interrupted):
         resume(parts, progress=False)
@@ -190,3 +192,13 @@ def test_versions_that_changed_are_said_and_kept(tmp_path, interrupt, monkeypatc
     resume(tmp_path, 24, progress=False)
     assert "instead of" not in capsys.readouterr().err
     assert json.loads((tmp_path / SETTINGS).read_text())["earlier_versions"] == after["earlier_versions"]
+
+
+def test_versions_of_every_part_of_a_run_are_kept(tmp_path, monkeypatch):
+    """Three parts, each with other versions."""
+    for part in range(3):
+        monkeypatch.setattr("flexman_agents.training.version", lambda name, part=part: f"{part}.0")
+        run = replace(RUNS["ppo"], steps=24, judge_every=0)
+        resume(tmp_path, 24, progress=False) if part else train(run, tmp_path, progress=False)
+    record = json.loads((tmp_path / SETTINGS).read_text())
+    assert [each["numpy"] for each in [*record["earlier_versions"], record["versions"]]] == ["0.0", "1.0", "2.0"]

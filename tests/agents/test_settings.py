@@ -56,6 +56,10 @@ def test_another_seed_changes_nothing_else():
     assert other.seed == 8 and other.with_seed(7) == settings != other
 
 
+def test_sac_may_learn_from_its_first_step():
+    assert Settings("sac", hyperparameters={"learning_starts": 0}).hyperparameters == {"learning_starts": 0}
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_every_recipe_can_be_read_and_trained(name):
     settings = find_recipe(name)

@@ -6,17 +6,19 @@ import shutil
 from dataclasses import replace
 from types import SimpleNamespace
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 pytest.importorskip("stable_baselines3")
 
 from flexman_agents import callbacks
-from flexman_agents.algorithm import hyperparameters
+from flexman_agents.algorithm import hyperparameters, make_model
 from flexman_agents.callbacks import Judge
 from flexman_agents.evaluation import Episode
 from flexman_agents.folder import BEST, NEWEST, SETTINGS, read_data, write_data
 from flexman_agents.policies import find_policy
+from flexman_agents.seeds import training_seed
 from flexman_agents.settings import Settings
 from flexman_agents.training import load_policy, load_settings, resume, train
 
@@ -179,6 +181,21 @@ def test_hyperparameters_are_those_of_the_settings_before_the_defaults():
     assert chosen["policy_kwargs"]["net_arch"] == [128, 128] and "activation" not in chosen
 
 
+@pytest.mark.parametrize("normalised", [True, False])
+def test_rewards_are_normalised_where_they_should_be_and_by_returns_of_the_same_discount(normalised):
+    model = make_model(replace(SHORT, normalise_reward=normalised, hyperparameters={"gamma": 0.9, "net_arch": [8]}))
+    statistics = model.get_vec_normalize_env()
+    assert (statistics.norm_reward, statistics.gamma, model.gamma) == (normalised, 0.9, 0.9)
+
+
+def test_a_training_begins_with_seeds_of_its_own(trained):
+    """Those that no judge and no table sees, one after the other for the arms."""
+    model, env = make_model(SHORT), gym.make(PD["id"], **SHORT.description.keywords())
+    model.get_env().reset()
+    for arm, seen in enumerate(model.get_vec_normalize_env().get_original_obs()):
+        assert np.array_equal(seen, env.reset(seed=training_seed(SHORT.seed) + arm)[0])
+
+
 # What is refused
 
 
@@ -255,3 +272,16 @@ def test_two_judgements_are_never_nearer_than_asked_for(monkeypatch):
     """Rollouts of 60 steps, each better than the one before; after the first that is too long none makes up for it."""
     kept, _ = judge_with(monkeypatch, [(1.0, float(reward)) for reward in range(8)], rollout=60)
     assert kept[0] == 120 and np.diff(kept).min() >= 100 and len(kept) > 3
+
+
+def test_the_curves_show_medians_of_what_the_judge_has_seen(monkeypatch):
+    """Of three episodes whose figures are apart, the middle ones, not an end of their interval."""
+    logged = {}
+    seen = [Episode(0.0, number, 0.1 * number, 0.01 * number, 0.0, "") for number in (1.0, 2.0, 4.0)]
+    monkeypatch.setattr(callbacks, "evaluate", lambda *given: seen)
+    judge = Judge(replace(SHORT, judge_every=1), None, lambda: None)
+    judge.model = SimpleNamespace(logger=SimpleNamespace(record=logged.__setitem__))
+    judge.num_timesteps = 1
+    judge._on_rollout_end()
+    names = "stabilisation_time_s", "vibration_m", "error_m"
+    assert [logged[f"selection/{name}"] for name in names] == pytest.approx([2.0, 0.2, 0.02])

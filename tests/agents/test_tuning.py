@@ -42,3 +42,19 @@ def test_the_reward_is_that_of_whole_episodes_and_of_no_others():
         periods.append(len(own))
     assert found.reward == pytest.approx(np.mean(rewards), rel=1e-9)
     assert len(set(periods)) > 1, periods
+
+
+def test_the_second_search_is_around_the_best_of_the_first(monkeypatch):
+    """A reward with one peak: candidates of the second search are some 15 % away from the best so far."""
+    peak, tried = np.log([0.3, 0.02]), []
+
+    def rewards(environment, gains, episodes):
+        tried.append(np.log(gains))
+        return -((tried[-1] - peak) ** 2).sum(axis=1)
+
+    monkeypatch.setattr(tuning, "_rewards", rewards)
+    found = tuning.tune(Description("FlexOne-v0"))
+    first, near = tried
+    best = first[((first - peak) ** 2).sum(axis=1).argmin()]
+    assert np.abs(near - best).max() < 5 * 0.15 and len(near) == 60
+    assert -found.reward < ((best - peak) ** 2).sum(), "which finds a better one"

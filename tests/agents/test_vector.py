@@ -47,6 +47,25 @@ def test_arms_are_single_environments_side_by_side(hold, normalised, base):
     assert ends == {False, True}
 
 
+def test_seeds_hold_for_one_reset():
+    both = arms_and_singles(2)
+    seen = []
+    for each in both:
+        each.seed(4)
+        seen.append([each.reset().copy() for _ in range(3)])
+    assert np.array_equal(*seen) and (seen[0][0] != seen[0][1]).any(), "the next episodes are others"
+
+
+def test_there_is_a_picture_of_each_arm():
+    env = gym.make_vec("FlexRRR-v0", 2, "vector_entry_point", autoreset_mode="SameStep", render_mode="rgb_array",
+                       render_size=(48, 36))  # fmt: skip
+    arms = Arms(env)
+    arms.seed(0)
+    arms.reset()
+    one, other = arms.get_images()
+    assert one.shape == other.shape == (36, 48, 3) and (one != other).any()
+
+
 def test_arms_tell_what_they_share_and_refuse_what_they_do_not_have():
     arms, _ = arms_and_singles(2, hold=3)
     assert arms.get_attr("max_episode_steps") == [7, 7] and arms.get_attr("max_episode_steps", [1]) == [7]

@@ -61,3 +61,9 @@ def test_a_schedule_that_rl_zoo3_cannot_say_is_refused():
     assert refusal(zoo, settings).startswith("schedules.learning_rate: Schedule(start=0.001, end=0.0001, until=1.0) is")
     early = replace(settings, schedules={"learning_rate": {"start": 1e-3, "end": 0.0, "until": 0.5}})
     assert "falls to zero at the end, for rl_zoo3" in refusal(zoo, early), "it falls to zero half way"
+
+
+def test_a_rate_that_stays_is_written_as_a_number():
+    settings = replace(find_recipe("ppo_alone"), schedules={"learning_rate": {"start": 1e-3, "end": 1e-3}})
+    (entry,) = zoo(settings).values()
+    assert entry["learning_rate"] == 1e-3

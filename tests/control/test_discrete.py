@@ -93,6 +93,16 @@ def test_no_gain_nearby_costs_less():
         assert cost(linear, gain * (1 + np.array(change)), weights, limit, x) > best * (1 + 1e-6)
 
 
+def test_the_angle_of_a_motor_weighs_wherever_it_stands_in_the_state():
+    """Beside a coordinate that nothing moves, which comes to rest by itself, its gain is that of the motor alone."""
+    weights, limit = Weights(0.2, 1.0, 0.5), np.array([3.0])
+    alone = optimal_gain(double_integrator(0.5, 0.0), np.array([0]), limit, weights, PERIOD)
+    A = [[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0], [-9.0, 0.0, -3.0, 0.0], [0.0, 0.0, 0.0, 0.0]]
+    beside = linear_model(A, [[0.0], [0.0], [0.0], [1 / 0.5]], np.zeros((3, 2)))
+    gain = optimal_gain(beside, np.array([1]), limit, weights, PERIOD)
+    assert gain[:, [1, 3]] == pytest.approx(alone, rel=1e-8) and gain[:, [0, 2]] == pytest.approx(0.0, abs=1e-9)
+
+
 def test_units_of_torque_do_not_matter():
     """Inertia and limits a thousand times as large ask for a thousand times the torque."""
     weights = Weights(0.2, 1.0, 0.5)

@@ -8,7 +8,7 @@ import flexman_gym as fm
 from flexman_gym.control import LQR, Controller, TrackingLQR
 from flexman_gym.control.discrete import Weights, zero_order_hold
 from flexman_gym.control.lqr import SHARE
-from flexman_gym.control.reference import plan_slew
+from flexman_gym.control.reference import minimum_jerk, plan_path, plan_slew
 from flexman_gym.envs.catalog import NAMED
 from flexman_gym.envs.sensors import SENSORS
 from flexman_gym.envs.setup import build, setup_of
@@ -109,6 +109,46 @@ def test_gains_on_the_way_lie_between_those_of_start_middle_and_goal():
     expected = np.array([np.interp(ways, [0.0, 0.5, 1.0], column) for column in designs.T]).T
     assert np.abs(ways - np.linspace(0.0, 1.0, len(ways))).max() > 0.08, "way is not time"
     assert np.abs(found - expected).max() <= 1e-3 * np.abs(np.diff(designs, axis=0)).max()
+
+
+def test_an_arm_that_starts_at_its_goal_is_held_more_tightly():
+    """Than by the one at the goal, and than at the end of a slew."""
+    regulator, holding, slewing = designed(LQR), designed(TrackingLQR), designed(TrackingLQR)
+    goal = np.array([[0.3, -0.2]])
+    off = fm.rest_state(regulator.model, goal[0])[None]
+    off[0, regulator.model.motor_columns] += 0.01
+    for controller, start in ((regulator, goal), (holding, goal), (slewing, goal - 0.1)):
+        controller.reset(np.array([0]), start, goal)
+    slewing._now += 10**6
+    loose, tight, after = (each.torques(off)[0] - regulator._held[0] for each in (regulator, holding, slewing))
+    assert (loose < 0.0).all() and (tight < 1.2 * loose).all() and after == pytest.approx(loose, rel=1e-6)
+
+
+def test_feed_forward_leaves_a_part_of_the_limits_for_feedback():
+    controller = designed(TrackingLQR)
+    starts, goals = postures(controller, 1)
+    controller.reset(np.array([0]), starts, goals)
+    asked = np.array([controller.act({"state": state}) for state in controller._plans[0].states])
+    assert 0.9 * SHARE < np.abs(asked).max() <= 1.01 * SHARE < 0.97
+
+
+def test_along_a_path_gains_and_torques_are_those_of_the_moment():
+    """A path that turns steadily: half way on, the gain is that of half of the turn and the torque that of a plan."""
+    controller = designed(TrackingLQR)
+    model, periods = controller.model, 48  # a design at every other period
+    way = minimum_jerk(np.linspace(0.0, 1.0, periods + 1))[0]
+    path, one = way[:, None] * [0.4, -0.8], np.array([0])
+    controller.follow(one, path[None])
+    slew = plan_path(model, path, controller.period)
+    on_it = np.array([controller.torques(state[None])[0] for state in slew.states])
+    assert on_it[:-1] == pytest.approx(slew.torques, abs=1e-9)
+    for period in (0, 24, 48):
+        found = []
+        for off in 1e-3 * np.eye(2 * model.n_dof):
+            controller._now[0] = period
+            found.append(1e3 * (on_it[period] - controller.torques((slew.states[period] + off)[None])[0]))
+        expected = controller.gain(path[period]).T
+        assert np.abs(np.array(found) - expected).max() <= 1e-6 * np.abs(expected).max()
 
 
 def test_on_its_plan_the_tracking_one_only_feeds_forward():

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 import flexman_gym  # noqa: F401  registers the environments
 from flexman_gym.control import PD, Controller
 from flexman_gym.envs.sensors import SENSORS
+from flexman_gym.envs.setup import build, setup_of
 from flexman_gym.model import holding_torques
 
 numbers = st.floats(-10, 10)
@@ -25,6 +26,38 @@ def test_pd_is_linear_until_the_motors_saturate(values):
         np.testing.assert_allclose(action, np.clip(expected / np.array(limit), -1.0, 1.0), rtol=1e-6, atol=1e-7)
         many = pd.act({name: np.array([value, -value, value]) for name, value in readings.items()})
         np.testing.assert_array_equal(many, [action, -action, action])
+
+
+def test_damping_brakes_the_motion_beside_that_of_the_posture():
+    """A motor that turns as fast as its posture and where it is needs no torque, a resting one is pulled along."""
+    pd, still = PD((100.0,), (10.0,), 400.0), np.zeros(1)
+    readings = {"posture_errors": still, "motor_rates": np.array([3.0]), "posture_rates": np.array([3.0])}
+    assert pd.act(readings) == [0.0] and pd.act(readings | {"motor_rates": still}) == pytest.approx([30.0 / 400.0])
+
+
+def test_arms_that_come_later_change_nothing_for_those_before():
+    model = build(setup_of({"name": "FlexPlanar-v0"})).model
+    postures, pd = np.array([[0.0, 0.0], [0.5, -0.8], [-0.7, 0.3]]), PD((1.0, 1.0), (0.0, 0.0), 12.0, model)
+    for arm in range(3):
+        pd.reset(np.array([arm]), postures[arm : arm + 1], postures[arm : arm + 1])
+    held = np.array([holding_torques(model, posture) for posture in postures])
+    still = {"posture_errors": np.zeros((3, 2)), "motor_rates": np.zeros((3, 2))}
+    assert pd.act(still) == pytest.approx(held / 12.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("delay", [0, 2])
+def test_the_damping_that_a_warning_names_is_the_most_that_it_does_not_warn_of(delay):
+    """Of each motor its own: their rotors are not alike."""
+    model = build(setup_of({"name": "FlexPlanar-v0"})).model
+    for motor in range(2):
+        damping = np.zeros(2)
+        damping[motor] = 1e3
+        said = PD((1.0, 1.0), damping, 12.0).unstable(model, 0.01, delay)
+        assert said.startswith(f"PD.damping[{motor}]: ")
+        named = float(said.split("which is ")[1].split(" N m s/rad")[0])
+        for part, silent in ((0.99, True), (1.01, False)):
+            damping[motor] = part * named
+            assert (PD((1.0, 1.0), damping, 12.0).unstable(model, 0.01, delay) == "") == silent
 
 
 def test_pd_is_a_controller_and_reads_sensors_that_there_are():

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import flexman_gym as fm
-from flexman_gym.control.reference import Path, minimum_jerk, plan_slew
+from flexman_gym.control.reference import GiveWay, Path, minimum_jerk, plan_path, plan_slew
 from flexman_gym.envs.catalog import NAMED
 from flexman_gym.envs.setup import build, setup_of
 from flexman_gym.model.instant import inertial_forces, stiffness_matrix
@@ -122,3 +122,24 @@ def test_a_goal_whose_weight_is_too_much_is_refused_in_one_line():
     arguments = build(setup).model, np.array([np.pi / 2, 0.0]), np.zeros(2), np.array([3.0, 1.0]), SHARE, 0.01
     line = refusal(plan_slew, *arguments)
     assert line == "goal: [0.0, 0.0] is not allowed; give a posture that 95% of the torque limits can hold"
+
+
+def test_the_torques_of_a_path_are_those_of_the_middle_of_each_period():
+    """A rigid link on a minimum-jerk path: inertia times the acceleration then, as splines have it."""
+    model, periods, duration = rigid(), 200, 2.0
+    period = duration / periods
+    path = minimum_jerk(np.linspace(0.0, 1.0, periods + 1))[0][:, None]
+    slew = plan_path(model, path, period)
+    inertia = fm.mass_matrix(model, np.zeros(2))[0, 0]
+    middles = (np.arange(periods) + 0.5) / periods
+    expected = inertia / duration**2 * minimum_jerk(middles)[2]
+    assert np.abs(slew.torques[:, 0] - expected)[20:-20].max() < 2e-3 * np.abs(expected).max()
+
+
+def test_joints_do_not_turn_far_for_what_an_outstretched_arm_cannot_reach():
+    """The least turn that closes the gap across the arm; that along it would take tens of radians, to first order."""
+    arm = fm.catalog.planar_2r()
+    model, (first, second) = fm.build_model(arm, flexible_links=False), (link.length for link in arm.links)
+    rest, place = (fm.rest_state(model, np.array([0.0, elbow]))[: model.n_dof] for elbow in (0.3, 1e-3))
+    slopes, across = np.array([first + second, second]), second * (np.sin(0.3) - np.sin(1e-3))
+    assert GiveWay(model).turn(rest, place) == pytest.approx(across * slopes / (slopes @ slopes), rel=5e-3)

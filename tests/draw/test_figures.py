@@ -44,3 +44,14 @@ def test_every_curve_is_the_flexible_arm_less_the_rigid_one(cases, drawn, tmp_pa
                 assert np.array_equal(time, case.time)
                 assert values == pytest.approx(getattr(case, kind)[:, column] - getattr(rigid, kind)[:, column], abs=0)
         assert pair[0].get_ylabel() == f"difference to the rigid arm ({'m' if number < 9 else 'rad'})"
+
+
+def test_a_case_that_ended_early_is_drawn_to_its_end_and_its_label_says_when(cases, drawn, tmp_path):
+    rigid, links, both = cases
+    parts = {name: value[:3] for name, value in vars(both).items() if isinstance(value, np.ndarray)}
+    paper_figures(rigid, links, replace(both, **parts, status="diverged"), tmp_path)
+    for figure in drawn:
+        for axes in figure.axes:
+            curve = axes.get_lines()[-1]
+            assert curve.get_label() == "flexible links and joints (diverged after 0.04 s)"
+            assert curve.get_xdata().tolist() == rigid.time[:3].tolist()

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from flexman_gym.draw import frames
 from flexman_gym.draw.figures import paper_figures
-from flexman_gym.draw.frames import AZIMUTH, ELEVATION, FramePainter, arm_frame, arm_lines
-from flexman_gym.draw.style import BLUE, ORANGE
+from flexman_gym.draw.frames import AZIMUTH, DISTANCE, ELEVATION, FramePainter, arm_frame, arm_lines
+from flexman_gym.draw.style import BLUE, LIGHT, ORANGE, RED
 from flexman_gym.model.model import build_model
 from flexman_gym.scene import catalog
 from flexman_gym.scene.arm import Arm, Joint
@@ -20,7 +21,7 @@ from flexman_gym.simulation.simulator import Simulator
 
 ARM = catalog.paper_rrr()
 ANGLES = (0.4, 0.5, -0.8)
-SHADOW = "#c9ccd2"
+SHADOW, GHOST = "#c9ccd2", "#6b7280"
 
 
 def trajectory(flexible_links, flexible_joints, output_step=0.01, arm=ARM):
@@ -81,6 +82,17 @@ def test_a_tip_load_bends_a_link_into_the_cubic_of_a_cantilever():
     sag = link.length**3 / (3.0 * link.youngs_modulus * link.second_moment_z)
     assert np.allclose(y, sag * (3.0 * along**2 - along**3) / 2.0, rtol=1e-9, atol=0.0)
     assert np.allclose(x, link.length * along) and np.allclose(z, 0.0)
+
+
+def test_a_bent_link_that_shortens_keeps_its_length_all_the_way_along_the_line():
+    """Its points stay as far apart as they were, to the fourth order of the slope."""
+    model, points = build_model(catalog.one_link(), elements=3, modes=1, stiffening=True), 200
+    state = model.initial_state([0.0])
+    state[model.elastic_columns(0)] = 1.0
+    state[model.elastic_columns(0)] = 0.1 * model.constants.length[0] / arm_lines(model, state)[0, -1, 1]
+    (line,) = arm_lines(model, state, points)
+    apart = np.linalg.norm(np.diff(line, axis=0), axis=1) * (points - 1) / model.constants.length[0]
+    assert abs(line[-1, 1]) > 0.09 * model.constants.length[0] and apart == pytest.approx(1.0, abs=1e-3)
 
 
 @pytest.mark.parametrize("size", [(480, 360), (333, 217), (200, 500)])
@@ -194,3 +206,65 @@ def test_the_shadow_lies_on_the_ground_below_the_arm():
     link = np.argwhere(of_colour(raised, BLUE))
     assert link[link[:, 1] == columns[-1], 0].max() < np.flatnonzero(shadow[:, columns[-1]]).min(), "the link is above"
     assert not of_colour(upright, SHADOW).any()
+
+
+def seen(places, reach):
+    """Where rays from a camera to places (p, 3) go through the plane of the base that the camera looks at."""
+    right, along = np.array([-np.sin(AZIMUTH), np.cos(AZIMUTH), 0.0]), np.array([np.cos(AZIMUTH), np.sin(AZIMUTH), 0.0])
+    towards = np.cos(ELEVATION) * along + np.sin(ELEVATION) * np.array([0.0, 0.0, 1.0])
+    camera = DISTANCE * reach * towards
+    rays = np.asarray(places) - camera
+    hits = camera - rays * (DISTANCE * reach / (rays @ towards))[:, None]
+    return np.column_stack([hits @ right, hits @ np.cross(towards, right)])
+
+
+@pytest.fixture
+def axes(monkeypatch):
+    """Gives the axes of a painter."""
+    made, new_figure = [], frames.new_figure
+    monkeypatch.setattr(frames, "new_figure", lambda *given: made.append(new_figure(*given)) or made[-1])
+
+    def painted(*given):
+        FramePainter(build_model(ARM, modes=1)).paint(*given)
+        return made[-1].axes[0]
+
+    return painted
+
+
+def curves(axes, colour):
+    """What the lines without markers of a colour show, in the order in which they were drawn."""
+    lines = [line for line in axes.get_lines() if line.get_color() == colour and line.get_marker() == "None"]
+    return [np.column_stack(line.get_data()) for line in lines]
+
+
+def test_the_thin_line_is_the_rigid_arm_at_the_motor_angles_as_a_camera_sees_it(axes):
+    """Joints are elsewhere, as far as springs are wound up."""
+    model = build_model(ARM, modes=1)
+    state = model.initial_state((0.0, 0.0, 0.0))
+    state[model.motor_columns] = ANGLES
+    places = arm_lines(model, model.initial_state(ANGLES), points=2).reshape(-1, 3)
+    (found,) = curves(axes(state), GHOST)
+    assert found == pytest.approx(seen(places, model.constants.length.sum()), abs=1e-9)
+
+
+def test_a_line_hangs_from_the_target_to_the_ground_below_it(axes):
+    model = build_model(ARM, modes=1)
+    found = curves(axes(model.initial_state(ANGLES), (3.0, 1.0, 2.0)), RED)[0]
+    assert found == pytest.approx(seen([(3.0, 1.0, 2.0), (3.0, 1.0, 0.0)], model.constants.length.sum()), abs=1e-9)
+
+
+def test_circles_and_axes_are_where_the_picture_says(axes):
+    model = build_model(ARM, modes=1)
+    reach, found = model.constants.length.sum(), axes(model.initial_state(ANGLES))
+    said = {text.get_text(): np.array(text.get_position()) for text in found.texts}
+    (note,) = (text for text in said if text.startswith("circles every "))
+    radii = float(note.split()[2]) * np.arange(1, 10)
+    radii = radii[radii < reach]
+    drawn = curves(found, LIGHT)
+    assert len(drawn) == len(radii) + 2 > 4
+    for radius, circle in zip(radii, drawn, strict=False):
+        turn = np.linspace(0.0, 2 * np.pi, len(circle))
+        places = radius * np.column_stack([np.cos(turn), np.sin(turn), 0.0 * turn])
+        assert circle == pytest.approx(seen(places, reach), abs=1e-9)
+    ends = seen([(reach, 0.0, 0.0), (0.0, reach, 0.0)], reach)
+    assert [np.linalg.norm(ends - said[name], axis=1).argmin() for name in "xy"] == [0, 1]

@@ -64,6 +64,8 @@ def test_the_axes_show_what_is_written_on_them(drawn, tmp_path):
     assert np.array_equal(curves(axes["angle (rad)"]), np.hstack([whole.joint_angles, whole.motor_angles]))
     twists = curves(axes["motor - joint (rad)"])
     assert np.array_equal(twists, whole.motor_angles - whole.joint_angles)
+    named = [text.get_text() for text in axes["angle (rad)"].get_legend().get_texts()]
+    assert named == ["joint 1", "joint 2", "motors"]
     assert (twists[1] > 0.0).all()
 
 
@@ -93,3 +95,10 @@ def test_what_cannot_be_drawn_is_refused(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(ImportError, match=r"pip install 'flexman_gym\[render\]'"):
         trajectory_figure(run(), tmp_path / "run.png")
+
+
+def test_the_title_says_when_a_solution_ended(drawn, tmp_path):
+    whole = run()
+    parts = {name: value[:5] for name, value in vars(whole).items() if isinstance(value, np.ndarray)}
+    trajectory_figure(replace(whole, **parts, status="diverged"), tmp_path / "a.png")
+    assert drawn()["tip (m)"].figure.get_suptitle() == "diverged after 0.04 s"

@@ -118,6 +118,7 @@ def test_changes_lead_into_mappings_and_into_the_arm_and_change_nothing_else():
         ("stiffening=true", lambda setup: setup.stiffening, True),
         ("method=rk4", lambda setup: setup.method, "rk4"),
         ("modes=[1, 2]", lambda setup: setup.modes, (1, 2)),
+        ("modes=[[0, 2], 1]", lambda setup: setup.modes, ((0, 2), 1)),
         ("modes=null", lambda setup: setup.modes, None),
         ("id=FlexOne-v0", lambda setup: setup.name, "FlexOne-v0"),
         ("arm.gravity=[0, 0, -1.62]", lambda setup: setup.arm.gravity, (0.0, 0.0, -1.62)),

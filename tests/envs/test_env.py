@@ -151,6 +151,17 @@ def test_the_time_limit_truncates_after_500_steps():
     assert env.unwrapped.simulator.time == pytest.approx(10.0, abs=1e-9)
 
 
+@pytest.mark.parametrize(("horizon", "period", "expected"), [(0.29, 0.01, 29), (0.7, 0.1, 7), (0.305, 0.02, 15)])
+def test_an_episode_lasts_its_horizon_to_half_a_period(horizon, period, expected):
+    """Also where a division rounds to less: 0.29 / 0.01 is 28.999... in doubles."""
+    assert abs(expected * period - horizon) < 0.5 * period
+    env, count, ended = FlexManEnv(horizon=horizon, control_period=period), 0, False
+    env.reset(seed=0)
+    while not ended:
+        count, ended = count + 1, env.step(np.zeros(3))[3]
+    assert count == expected
+
+
 def test_stepping_before_a_reset_is_refused():
     with pytest.raises(RuntimeError, match="reset the environment first"):
         FlexManEnv().step(np.zeros(3))

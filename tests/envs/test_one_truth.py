@@ -12,6 +12,8 @@ from flexman_gym.envs.catalog import NAMED, flex_rrr
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.sensors import Instrument
 from flexman_gym.envs.sensors.servo import Servo
+from flexman_gym.envs.setup import build, setup_of
+from flexman_gym.fidelity.choose import assembled_modes
 from flexman_gym.simulation.batch import Batch
 
 from oracles.refusals import refusal
@@ -52,11 +54,28 @@ def test_a_base_reads_the_truth_of_what_no_instrument_of_the_agent_measures():
     assert (watched("full", (Instrument(Servo(), noise=0.01),))[2] != perfect).any(), "but for flaws of its own"
 
 
+def test_of_two_sensors_that_measure_the_same_the_base_reads_the_first():
+    """A fine one measures all motion, so that it comes before encoders of the motors beside it, or after them."""
+    flawed = {"kind": "motor_encoders", **FLAWS}
+    perfect = watched("fine")[2]
+    assert np.array_equal(watched(("fine", flawed))[2], perfect)
+    assert np.array_equal(watched((flawed, "fine"))[2], watched(flawed)[2])
+    assert np.abs(watched(flawed)[2] - perfect).max() > 0.05
+
+
+def test_an_instrument_of_a_base_measures_in_every_period():
+    """It comes two periods late to the base, and at once to the agent."""
+    seen, _, rates = watched("full", (Instrument(Servo(), delay=2),))
+    true = np.array([each["motor_rates"] for each in seen])
+    assert rates[2:, 0] == pytest.approx(true[:-2], abs=1e-6) and np.ptp(true, axis=0).min() > 0.01
+
+
 def test_an_arm_of_the_same_lengths_is_not_the_named_arm():
     named = flex_rrr()
     light = replace(named, links=[replace(link, density=0.5 * link.density) for link in named.links])
     quick = replace(named, joints=[replace(joint, rotor_inertia=1.0) for joint in named.joints])
-    for arm in (light, quick):
+    soft = replace(named, joints=[replace(joint, stiffness=0.5 * joint.stiffness) for joint in named.joints])
+    for arm in (light, quick, soft):
         line = refusal(lambda arm=arm: FlexManEnv(arm=arm, base="pd"))
         assert line.startswith("gains: None is not allowed; give those of this arm")
     unlimited = replace(named, joints=[replace(joint, torque_limit=None) for joint in named.joints])
@@ -81,6 +100,16 @@ def test_there_is_one_default_wherever_steps_are_fixed(period):
     assert np.array_equal(
         fm.simulate(scene, step=0.005).states, fm.simulate(scene, method=default, step=0.005).states
     )
+
+
+@pytest.mark.parametrize(("name", "period"), [("FlexOne-v0", 0.02), ("FlexOne-v0", 0.005), ("FlexPlanar-v0", 0.01)])
+def test_an_arm_has_the_modes_of_vibrations_below_half_the_control_frequency(name, period):
+    """And not those of vibrations below all of it, which are more."""
+    setup = setup_of({"name": name, "control_period": period})
+    half, all_of_it = (assembled_modes(setup.arm, 2, part / period) for part in (0.5, 1.0))
+    found, expected = build(setup).model, fm.build_model(setup.arm, 2, half)
+    assert half != all_of_it and found.n_dof == expected.n_dof
+    assert all(np.array_equal(*bases) for bases in zip(found.bases, expected.bases, strict=True))
 
 
 def test_actions_beyond_their_range_by_rounding_count_as_its_edge():

@@ -110,6 +110,14 @@ def test_a_state_is_nobody_elses_memory():
     assert all(np.array_equal(one[name], other[name], equal_nan=True) for name in one.keys() | other.keys())
 
 
+def test_what_a_state_shows_stays_as_it_was():
+    env = begun(makers({})[1]).unwrapped
+    seen = env.set_state(env.get_state())
+    before = seen.copy()
+    played(env)
+    assert np.array_equal(seen, before)
+
+
 def test_an_environment_that_was_never_reset_has_a_state():
     make = makers({})[0]
     env, other = make(), begun(make)

@@ -7,10 +7,11 @@ import shutil
 import stat
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
-from flexman_gym.kernels.cache import SealedFiles
+from flexman_gym.kernels.cache import SealedFiles, find_folder, quiet
 
 from oracles.small_package import CALL, copied, process, run
 
@@ -166,3 +167,38 @@ def test_settings_that_change_the_code_have_a_folder_of_their_own(package, cache
     setting = {f"NUMBA_{name}": another if os.environ.get(f"NUMBA_{name}") == value else value}
     words = run(package, cache, CALL, **setting)
     assert words[:2] == ["2", "0"] and len(list(cache.glob("flexman_gym/*"))) == 2
+
+
+# In this process
+
+
+@pytest.mark.parametrize("name", ["OPT", "CPU_NAME", "CPU_FEATURES", "ENABLE_AVX", "LOOP_VECTORIZE", "SLP_VECTORIZE"])
+def test_every_setting_of_the_code_makes_another_folder(tmp_path, monkeypatch, name):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    before = find_folder()
+    monkeypatch.setattr(numba.config, name, "another")
+    assert find_folder() != before
+
+
+@pytest.mark.parametrize("mode", [0o770, 0o707, 0o777])
+def test_a_folder_in_which_the_group_or_all_may_write_is_emptied(tmp_path, monkeypatch, mode):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    folder = Path(find_folder())
+    (folder / "theirs").write_text("")
+    folder.chmod(mode)
+    assert find_folder() == str(folder) and not list(folder.iterdir())
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+
+
+def test_the_folder_for_numba_goes_before_the_one_for_everything(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "numba"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "all"))
+    assert Path(find_folder()).is_relative_to(tmp_path / "numba")
+    monkeypatch.delenv("NUMBA_CACHE_DIR")
+    assert Path(find_folder()).is_relative_to(tmp_path / "all")
+
+
+@pytest.mark.parametrize(("value", "silent"), [("1", True), ("yes", True), ("0", False), ("", False)])
+def test_nothing_and_zero_do_not_silence(monkeypatch, value, silent):
+    monkeypatch.setenv("FLEXMAN_QUIET", value)
+    assert quiet() == silent

@@ -4,6 +4,7 @@ from flexman_gym.studies.planted.change import changes
 
 STEP, EFFECTS = "simulation/test_implicit_step.py", "simulation/test_effects.py"
 ENERGY = f"{EFFECTS} simulation/test_drive.py"
+CACHED = "kernels/test_cached_files.py::test_"
 BASE = "simulation/test_drive.py::test_the_work_of_the_base_is_what_the_gravity_that_it_feels_like_gives"
 
 JOINTS_AND_FORCES = (
@@ -154,5 +155,17 @@ MOTION = (
         ("a number that is none is within its limit", "if not abs(motion[b, j]) <= limits[j]:",
          "if abs(motion[b, j]) > limits[j]:"),
         ("an observation beyond its bound is fine", "if not abs(observations[b, j]) <= bound[j]:", "if False:"),
+    ),
+    *changes(
+        "kernels", "kernels/cache.py", f"{CACHED}every_setting_of_the_code_makes_another_folder "
+        f"{CACHED}a_folder_in_which_the_group_or_all_may_write_is_emptied "
+        f"{CACHED}the_folder_for_numba_goes_before_the_one_for_everything {CACHED}nothing_and_zero_do_not_silence",
+        ("kernels with and without vectors share a folder", '"LOOP_VECTORIZE", ', ""),
+        ("a folder in which the group may write is read", "(stat.S_IWGRP | stat.S_IWOTH)", "stat.S_IWOTH"),
+        ("the cache of everything goes before that of Numba",
+         'os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")',
+         'os.environ.get("XDG_CACHE_HOME") or os.environ.get("NUMBA_CACHE_DIR")'),
+        ("FLEXMAN_QUIET=0 silences", 'os.environ.get("FLEXMAN_QUIET", "0") not in ("", "0")',
+         'bool(os.environ.get("FLEXMAN_QUIET"))'),
     ),
 )  # fmt: skip

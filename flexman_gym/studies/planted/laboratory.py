@@ -4,7 +4,7 @@ from flexman_gym.studies.planted.change import changes
 
 INSTRUMENTS = "envs/test_sensors.py"
 PATHS = "envs/test_track.py"
-HOLDING = "envs/test_holding.py"
+HOLDING, TRUTH = "envs/test_holding.py", "envs/test_one_truth.py"
 
 LABORATORY = (
     *changes(
@@ -161,5 +161,33 @@ LABORATORY = (
          "Randomisation(**task | (own.given if own else {}))",
          "Randomisation(**(own.given if own else {}) | task)"),
         ("no warning of an unstable PD", "            if said:\n", "            if False:\n"),
+        ("a warning of the least delay only", "int(latest[1]) if latest else 0", "int(latest[0]) if latest else 0"),
+    ),
+    *changes(
+        "laboratory", "envs/setup.py",
+        f"{TRUTH} envs/test_env.py::test_an_episode_lasts_its_horizon_to_half_a_period",
+        ("an episode is a period short where a division rounds down", "max(1, round(self.horizon",
+         "max(1, int(self.horizon"),
+        ("modes of vibrations up to the control frequency", "0.5 / setup.control_period", "1.0 / setup.control_period"),
+        ("gains suit an arm with other springs", "joint.rotor_inertia, joint.stiffness)", "joint.rotor_inertia)"),
+    ),
+    *changes(
+        "laboratory", "envs/sensors/array.py", TRUTH,
+        ("of two sensors the base reads the last", "self._sources.setdefault(name, source)",
+         "self._sources[name] = source"),
+        ("who measures motion does not measure its parts", '*(view.places if "motion" in names else ())', ""),
+    ),
+    *changes(
+        "laboratory", "envs/sight.py", TRUTH,
+        ("instruments of a base measure once", "        self._base_sensors.sample(arms)\n", ""),
+    ),
+    *changes(
+        "laboratory", "envs/remembering.py", "envs/test_state.py",
+        ("what a state shows changes with the next step", "return self.episodes.sight.seen.copy()",
+         "return self.episodes.sight.seen"),
+    ),
+    *changes(
+        "laboratory", "envs/description.py", "envs/test_description.py",
+        ("only the outer list becomes a tuple", "tuple(map(_tuples, value)) if", "tuple(value) if"),
     ),
 )  # fmt: skip

@@ -1,8 +1,9 @@
-"""Learning: planted errors in environments, tasks, sensors, controllers, metrics and agents."""
+"""Learning: planted errors in environments, tasks, sensors, controllers and metrics."""
 
 from flexman_gym.studies.planted.change import changes
 
 STREAMS = "envs/test_random_streams.py envs/test_randomisation.py"
+ON_A_PATH = "control/test_lqr.py::test_along_a_path_gains_and_torques_are_those_of_the_moment"
 
 ENVIRONMENT = (
     *changes(
@@ -129,6 +130,33 @@ CONTROL = (
         ("the jerk is not least", "(10.0 - 15.0 * s + 6.0 * s**2)", "(10.0 - 14.0 * s + 5.0 * s**2)"),
         ("rotors need no torque", "return x, links + rotors", "return x, links"),
         ("bending is solved for once", "PASSES = 3", "PASSES = 1"),
+        ("torques along a path are those where a period begins", "all_times[:-1] + 0.5 * period", "all_times[:-1]"),
+        ("joints give way into directions that take far", "SINGULAR = 0.05", "SINGULAR = 1e-9"),
+    ),
+    *changes(
+        "control", "control/pd.py", "control/test_pd.py",
+        ("damping brakes on a path too", 'rate = rate - readings["posture_rates"]', "pass"),
+        ("arms that come later let the others sink",
+         "np.vstack([self._holding, np.zeros((more, self._holding.shape[1]))])",
+         "np.zeros((len(self._holding) + more, self._holding.shape[1]))"),
+        ("a warning names the damping of the first motor", "limit * inertia[i] / period",
+         "limit * inertia[0] / period"),
+    ),
+    *changes(
+        "control", "control/discrete.py", "control/test_discrete.py",
+        ("joint angles weigh, not those of the motors", "outputs[6:, motors] = np.eye(n)",
+         "outputs[6:, :n] = np.eye(n)"),
+    ),
+    *changes(
+        "control", "control/lqr.py", f"control/test_lqr.py::test_an_arm_that_starts_at_its_goal_is_held_more_tightly "
+        f"control/test_lqr.py::test_feed_forward_leaves_a_part_of_the_limits_for_feedback {ON_A_PATH}",
+        ("an arm that starts at its goal is held loosely", "HOLDING = 0.25", "HOLDING = 4.0"),
+        ("feed-forward leaves nothing for feedback", "self.limits, SHARE, self.period",
+         "self.limits, 1.0, self.period"),
+        ("a path has the gains of its start", "self.gain(path[row]) for row in rows",
+         "self.gain(path[0]) for row in rows"),
+        ("torques along a path come a period late", "np.vstack([slew.torques, slew.torques[-1:]])",
+         "np.vstack([slew.torques[:1], slew.torques])"),
     ),
 )  # fmt: skip
 
@@ -158,52 +186,5 @@ METRICS = (
     *changes(
         "metrics", "metrics/samples.py", "metrics/test_vibration.py metrics/test_settling.py",
         ("a window that is one sample short", "array[-round(count) - 1 :]", "array[-round(count) :]"),
-    ),
-)  # fmt: skip
-
-AGENTS = (
-    *changes(
-        "agents", "agents/evaluation.py", "agents/test_evaluation.py",
-        ("a failed episode may settle", "    if not record.failure:\n", "    if True:\n"),
-        ("rewards after the end count", "own = {name: values[: end + (name in",
-         "own = {name: values[: len(values) + (name in"),
-        ("a policy acts in every period", "environment.keywords() | policy.interface)",
-         "environment.keywords() | policy.interface | {\"hold\": 1})"),
-        ("seeds are counted anew", "venv.reset(seed=list(seeds))", "venv.reset(seed=list(range(len(seeds))))"),
-        ("the band is a part of the longest link", "BAND * sum(link.length for link in arm.links)",
-         "BAND * max(link.length for link in arm.links)"),
-        ("a failed episode ends one period early", "= len(rows[\"actions\"]), episodes",
-         "= len(rows[\"actions\"]) - 1, episodes"),
-        ("the median of the effort", '"effort": float(np.mean(', '"effort": float(np.median('),
-    ),
-    *changes(
-        "agents", "agents/tuning.py", "agents/test_tuning.py",
-        ("gains are stable with the least delay", "stability_limit(int(delay[1])", "stability_limit(int(delay[0])"),
-        ("rewards of the next episodes count", "np.where(playing, rewards, 0.0)", "rewards"),
-    ),
-    *changes(
-        "agents", "agents/zoo.py", "agents/test_zoo.py",
-        ("a rate that falls early is written as one that falls late", "rate.end != 0.0 or rate.until != 1.0",
-         "rate.end != 0.0"),
-    ),
-    *changes(
-        "agents", "agents/memory.py", "agents/test_resume.py",
-        ("a full memory is taken for one that is not", 'buffer.pos, buffer.full = data["pos"], data["full"]',
-         'buffer.pos = data["pos"]'),
-    ),
-    *changes(
-        "agents", "agents/training.py", "agents/test_training.py",
-        ("a third run counts the steps of the second only", "self._before += count", "self._before = count"),
-    ),
-    *changes(
-        "agents", "agents/callbacks.py", "agents/test_training.py",
-        ("judged more often after long rollouts", "self._next = self.num_timesteps + self._every\n        found",
-         "self._next += self._every\n        found"),
-    ),
-    *changes(
-        "agents", "agents/vector.py", "agents/test_vector.py",
-        ("a failure counts as the end of time", "bool(truncations[arm] and not terminations[arm])",
-         "bool(truncations[arm] or terminations[arm])"),
-        ("truncated episodes go on", "dones = terminations | truncations", "dones = terminations.copy()"),
     ),
 )  # fmt: skip

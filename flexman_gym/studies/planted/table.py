@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from flexman_gym.studies.planted import kernels, laboratory, learning, models, showing, steps
+from flexman_gym.studies.planted import agents, kernels, laboratory, learning, models, showing, steps
 from flexman_gym.studies.planted.change import Change
 from flexman_gym.studies.planted.planting import Planted
 from flexman_gym.studies.table import read_rows
@@ -18,7 +18,7 @@ ROOMS: dict[str, list[Change]] = {
     "laboratory": list(laboratory.LABORATORY),
     "control": list(learning.CONTROL),
     "metrics": list(learning.METRICS),
-    "agents": list(learning.AGENTS),
+    "agents": list(agents.AGENTS),
     "draw": list(showing.DRAW),
     "fidelity": list(showing.FIDELITY),
     "command": list(showing.COMMAND),
