@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-from flexman_agents.policies import Act
-from flexman_agents.seeds import training_seed
 from flexman_agents.settings import HYPERPARAMETERS, Settings
 from flexman_agents.vector import Arms
 from flexman_gym.checks import one_of, refusal
+from flexman_gym.evaluation.entrants import Act
+from flexman_gym.evaluation.seeds import training_seed
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": sb3.PPO, "sac": sb3.SAC}
 NET_ARCH, LOG_STD = [128, 128], {"ppo": -3.0, "sac": -3.0}  # louder noise shakes the arm for seconds

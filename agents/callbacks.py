@@ -8,11 +8,12 @@ import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
 
-from flexman_agents.evaluation import evaluate, summary
-from flexman_agents.policies import Act, Policy, parted
-from flexman_agents.seeds import SELECTION
 from flexman_agents.settings import Schedule, Settings
+from flexman_gym.evaluation.entrants import Act, Entrant, parted
+from flexman_gym.evaluation.figures import FIGURES, evaluate
+from flexman_gym.evaluation.seeds import SELECTION
 
+CURVES = ("settling_time", "vibration", "error", "reward", "settled", "roughness", "failed")
 WORSE = 0.2  # share of settled episodes that may be lost before a warning
 
 
@@ -82,7 +83,7 @@ class Judge(BaseCallback):
     def __init__(self, settings: Settings, act: Act, keep: Callable[[], None]) -> None:
         super().__init__()
         self._environment, interface = parted(settings.description)
-        self._policy = Policy("training", act, interface)
+        self._entrant = Entrant("training", act, interface)
         self._every, self._keep = settings.judge_every, keep
         self._best = [-math.inf, 0.0]  # reward, and share that settled
         self.begin()
@@ -98,12 +99,10 @@ class Judge(BaseCallback):
         if self.num_timesteps < self._next:
             return
         self._next = self.num_timesteps + self._every
-        found = summary(evaluate(self._policy, self._environment, SELECTION))
-        names = {"stabilisation_time": "stabilisation_time_s", "vibration": "vibration_m", "error": "error_m"}
-        for key, name in names.items():
-            self.logger.record(f"selection/{name}", found[key][0])
-        for key in ("reward", "settled", "failed"):
-            self.logger.record(f"selection/{key}", found[key])
+        found = evaluate(self._entrant, self._environment, SELECTION)
+        for name in CURVES:
+            unit = FIGURES[name].unit
+            self.logger.record(f"selection/{name}_{unit}" if unit else f"selection/{name}", found[name])
         if found["reward"] > self._best[0]:
             self._best, self._warned = [found["reward"], found["settled"]], False
             self._keep()

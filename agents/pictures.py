@@ -5,30 +5,29 @@ from pathlib import Path
 
 import numpy as np
 
-from flexman_agents.evaluation import Record
 from flexman_gym.draw.style import BLUE, DARK, GREEN, LIGHT, MIDDLE, ORANGE, RED, SKY, new_figure
+from flexman_gym.evaluation.rollout import Record
 
 COLOURS = (BLUE, RED, ORANGE, GREEN, SKY, MIDDLE)
 LEAST = 1e-5  # m, what the picture shows at least
 
 
-def draw_episodes(records: Mapping[str, Record], period: float, path: Path, band: float = 0.02) -> None:
+def draw_episodes(records: Mapping[str, Record], path: Path) -> None:
     """Draws one episode of each policy.
 
     Args:
         records: name of a policy -> its episode.
-        period: between two samples, s.
         path: of the PNG file.
-        band: m around the target, drawn as a line.
 
     Raises:
         ImportError: without Matplotlib.
     """
-    joints = next(iter(records.values())).actions.shape[1]
+    first = next(iter(records.values()))
+    joints, band = first.actions.shape[1], first.band
     figure = new_figure((10.0, 3.6 + 1.3 * joints), 110.0, layout="constrained")
     axes = figure.subplots(1 + joints, 1, sharex=True, height_ratios=[3.0, *[1.0] * joints])
     for (name, record), colour in zip(records.items(), COLOURS, strict=False):
-        times = period * np.arange(len(record.errors))
+        times = record.period * np.arange(len(record.errors))
         axes[0].semilogy(times, np.maximum(record.errors, LEAST), color=colour, linewidth=1.5, label=name)
         for joint in range(joints):
             axes[1 + joint].step(times[1:], record.actions[:, joint], color=colour, linewidth=1.0, where="pre")

@@ -19,14 +19,22 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from flexman_agents.algorithm import acting, make_model
 from flexman_agents.callbacks import Checkpoints, Exploration, Judge
 from flexman_agents.curves import open_curves
-from flexman_agents.folder import BEST, NEWEST, SETTINGS, existing, locked, read_data, write, write_data
 from flexman_agents.memory import give_policy, give_training, take_policy, take_training
-from flexman_agents.policies import Act
 from flexman_agents.settings import EXPLORATION, MOST_STEPS, Settings
 from flexman_gym.checks import refusal, whole_number
 from flexman_gym.envs.snapshot import give, take
+from flexman_gym.evaluation.folder import (
+    BEST,
+    NEWEST,
+    SETTINGS,
+    check_settings,
+    existing,
+    locked,
+    read_data,
+    write,
+    write_data,
+)
 
-FREE = ("steps", "judge_every")  # settings that may be others where a run goes on
 PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
 
 
@@ -87,7 +95,7 @@ def resume(
     with locked(folder):
         data = read_data(folder / NEWEST) if (folder / NEWEST).is_file() else None
         if data is not None:
-            _check_settings(folder / NEWEST, data, settings)
+            check_settings(folder / NEWEST, data, json.loads(json.dumps(settings.plain())))
         done = 0 if data is None else _steps_done(folder / NEWEST, data)
         finished = data is not None and done >= settings.steps
         settings = _further(settings, folder, steps, done, finished)
@@ -113,26 +121,6 @@ def load_settings(folder: Path) -> Settings:
     """
     path = existing(folder / SETTINGS)
     return Settings.from_json(path, path.read_bytes().decode("utf-8", errors="replace"))
-
-
-def load_policy(folder: Path) -> tuple[Settings, Act]:
-    """Loads the policy of a run: its best one where there is one, else its newest; nothing in its files is run.
-
-    Raises:
-        FileNotFoundError, ValueError: one clear line.
-    """
-    settings = load_settings(folder)
-    path = folder / BEST if (folder / BEST).is_file() else existing(folder / NEWEST)
-    data = read_data(path)
-    _check_settings(path, data, settings)
-    model = make_model(replace(settings, envs=1))
-    try:
-        give_policy(model, data)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
-    statistics = model.get_vec_normalize_env()
-    assert statistics is not None
-    return settings, acting(model, statistics)
 
 
 class _Run:
@@ -206,27 +194,6 @@ class _Run:
     def _policy(self) -> dict[str, Any]:
         """The policy with the settings that it belongs to."""
         return take_policy(self.model) | {"settings": self.settings.plain()}
-
-
-def _check_settings(path: Path, data: Any, settings: Settings) -> None:
-    """Refuses a file that belongs to other settings than those beside it, which somebody has changed."""
-    kept = data.get("settings") if isinstance(data, dict) else None
-    if not isinstance(kept, dict):
-        raise ValueError(f"{path}: this is not what a training run has written (it has no settings)")
-    now = json.loads(json.dumps(settings.plain()))
-    names = (now.keys() | kept.keys()) - set(FREE)
-    changed = [name for name in names if not _alike(now.get(name), kept.get(name))]
-    if changed:
-        allowed = f"the settings with which {path.name} was written: {', '.join(sorted(changed))} is another now"
-        raise ValueError(f"{path.parent / SETTINGS}: this was changed; give {allowed}")
-
-
-def _alike(setting: object, kept: object) -> bool:
-    """Whether a setting is what was kept of it, which may be an array where somebody wrote the file anew."""
-    try:
-        return bool(setting == kept)
-    except ValueError:
-        return False
 
 
 def _steps_done(path: Path, data: Any) -> int:

@@ -6,6 +6,7 @@ from gymnasium.envs.registration import register
 
 from flexman_gym import draw, metrics
 from flexman_gym.envs import NAMED, Limits, Randomisation, Slew
+from flexman_gym.evaluation import evaluate, rollout
 from flexman_gym.fidelity import Choice, choose_model
 from flexman_gym.model import (
     Model,
@@ -64,6 +65,7 @@ __all__ = [
     "choose_model",
     "curvature",
     "draw",
+    "evaluate",
     "frequencies",
     "generalised_alpha",
     "holding_torques",
@@ -72,6 +74,7 @@ __all__ = [
     "mass_matrix",
     "metrics",
     "rest_state",
+    "rollout",
     "simulate",
     "simulate_all",
     "strain",

@@ -8,13 +8,13 @@ import numpy as np
 from matplotlib.image import imsave
 
 import flexman_gym as fm
-from flexman_agents.evaluation import common_environment, evaluate, run_episodes, table
 from flexman_agents.pictures import draw_episodes
-from flexman_agents.policies import find_policy
 from flexman_agents.recipes import find_recipe
-from flexman_agents.seeds import TEST
 from flexman_agents.training import train
 from flexman_gym import draw
+from flexman_gym.evaluation import find_entrant, rollout, table
+from flexman_gym.evaluation.entrants import common_environment
+from flexman_gym.evaluation.seeds import TEST
 from flexman_gym.model import scene_model
 
 OUT = Path("out")
@@ -64,13 +64,12 @@ def draw_cases(trajectories: dict[str, fm.Trajectory]) -> None:
 
 def compare() -> None:
     """Prints the figures of all policies, and draws the first test episode of each."""
-    policies = {"PPO on PD": find_policy(str(OUT / "ppo"))}
-    policies |= {name: find_policy(name) for name in ("lqr-tracking", "lqr", "pd", "zero")}
-    environment = common_environment(list(policies.values()), None)
-    print(table({name: evaluate(policy, environment, TEST) for name, policy in policies.items()}, environment))
-    runs = {name: run_episodes(policy, environment, TEST[:1]) for name, policy in policies.items()}
-    records = {name: records[0] for name, (records, _) in runs.items()}
-    draw_episodes(records, runs["pd"][1], OUT / "episode.png")
+    entrants = {"PPO on PD": find_entrant(str(OUT / "ppo"))}
+    entrants |= {name: find_entrant(name) for name in ("lqr-tracking", "lqr", "pd", "zero")}
+    environment = common_environment(list(entrants.values()), None)
+    records = {name: rollout(each, environment, TEST).records for name, each in entrants.items()}
+    print(table(records, environment))
+    draw_episodes({name: each[0] for name, each in records.items()}, OUT / "episode.png")
     print(f"   {OUT}/episode.png shows the first of them: tip error over time, and the torques.")
 
 

@@ -2,18 +2,20 @@
 
 import argparse
 import sys
+from pathlib import Path
 
-from flexman_agents.evaluation import changed_environment, common_environment, evaluate, table
-from flexman_agents.policies import BASELINES, find_policy
-from flexman_agents.seeds import TEST
 from flexman_gym.envs import NAMED
 from flexman_gym.envs.description import Description
+from flexman_gym.evaluation import rollout, table
+from flexman_gym.evaluation.entrants import BASELINES, Entrant, changed_environment, common_environment, find_entrant
+from flexman_gym.evaluation.folder import BEST, FOREIGN, NEWEST
+from flexman_gym.evaluation.seeds import TEST
 
 
 def main() -> int:
     """Reads the command line and prints one table; returns the exit code."""
     parser = argparse.ArgumentParser(description="Evaluate policies on the same episodes of one environment.")
-    parser.add_argument("policy", nargs="+", help=f"folder of a training run, or {', '.join(BASELINES)}")
+    parser.add_argument("entrant", nargs="+", help=f"folder of a training run, or {', '.join(BASELINES)}")
     parser.add_argument("--episodes", type=int, default=len(TEST))
     parser.add_argument("--seed", type=int, default=TEST.start, help="of the first episode; the next follow")
     parser.add_argument("--env", help=f"a file that describes an environment, or one of {', '.join(sorted(NAMED))}; "
@@ -24,16 +26,26 @@ def main() -> int:
     if options.episodes < 1:
         parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
     try:
-        policies = {name: find_policy(name, options.trust) for name in options.policy}
+        entrants = {name: found(name, options.trust) for name in options.entrant}
         named = Description.find(options.env) if options.env else None
-        environment = changed_environment(common_environment(list(policies.values()), named), options.set)
+        environment = changed_environment(common_environment(list(entrants.values()), named), options.set)
         seeds = range(options.seed, options.seed + options.episodes)
-        results = {name: evaluate(policy, environment, seeds) for name, policy in policies.items()}
+        results = {name: rollout(each, environment, seeds).records for name, each in entrants.items()}
     except (ValueError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
     print(table(results, environment))
     return 0
+
+
+def found(name: str, trust: bool) -> Entrant:
+    """Finds an entrant; files of Stable-Baselines3 only where they are trusted, as reading them runs code."""
+    folder = Path(name)
+    if trust and (folder / FOREIGN).is_file() and not any((folder / each).is_file() for each in (BEST, NEWEST)):
+        from flexman_agents.foreign import load_foreign
+
+        return load_foreign(folder)
+    return find_entrant(name)
 
 
 if __name__ == "__main__":

@@ -3,8 +3,8 @@
 import argparse
 import sys
 
-from flexman_agents.tuning import tune
 from flexman_gym.envs.description import Description
+from flexman_gym.evaluation.tuning import tune
 
 
 def main() -> int:

@@ -91,7 +91,7 @@ def test_numbers_of_odd_sizes_and_types_are_numbers():
     decay = np.exp(-0.01 * np.arange(100.0)) * np.cos(np.arange(100.0))
     tiny = metrics.damping_ratio(2.0**-1040 * decay)
     assert metrics.damping_ratio(decay) == pytest.approx(tiny, rel=1e-3)  # of ten digits that are left
-    assert metrics.stabilisation_time([1.0, 0.0], 0.5, np.uint64(2**63)) == np.inf
+    assert metrics.settling_time([1.0, 0.0], 0.5, np.uint64(2**63)) == np.inf
     assert fm.simulate(SCENE, method="dop853", step=5e-324).status == "ok"
 
 

@@ -29,12 +29,13 @@ FLOORS = {
     "draw": "simulation model scene kernels arrays checks",
     "envs": "draw control fidelity simulation model scene kernels arrays checks",
     "metrics": "arrays checks",
-    "agents": "flexman_gym envs metrics draw control simulation scene arrays checks",
-    "studies": "flexman_gym agents metrics envs draw fidelity simulation model scene kernels arrays checks",
-    "scripts": "flexman_gym agents studies envs draw fidelity simulation model scene arrays checks",
+    "evaluation": "metrics envs control simulation scene arrays checks",
+    "agents": "flexman_gym evaluation envs metrics draw control simulation scene arrays checks",
+    "studies": "flexman_gym agents evaluation metrics envs draw fidelity simulation model scene kernels arrays checks",
+    "scripts": "flexman_gym agents studies evaluation envs draw fidelity simulation model scene arrays checks",
     "__main__": "flexman_gym agents studies envs draw fidelity simulation model scene kernels arrays checks",
 }
-PUBLIC = "envs control draw fidelity metrics simulation model scene"  # what flexman_gym/__init__.py gathers
+PUBLIC = "evaluation envs control draw fidelity metrics simulation model scene"  # what flexman_gym/__init__.py gathers
 INSIDE_KERNELS = {"numba", "llvmlite", "numpy", "math", "operator", "typing", "collections", "functools"}
 # what names the folder of the binaries, and keeps them there
 CACHE_ROOM = {"hashlib", "os", "sys", "tempfile", "pathlib", "pickle", "shutil", "stat"}

@@ -3,7 +3,7 @@
 Times begin with the first sample, which is that of the reset. Errors are distances of tip and target.
 """
 
-from flexman_gym.metrics.actions import effort, power_above
+from flexman_gym.metrics.actions import effort, power_above, roughness
 from flexman_gym.metrics.intervals import median_interval
 from flexman_gym.metrics.settling import (
     BAND,
@@ -13,7 +13,7 @@ from flexman_gym.metrics.settling import (
     band_of_move,
     final_error,
     overshoot,
-    stabilisation_time,
+    settling_time,
 )
 from flexman_gym.metrics.sizes import rms, squared_acceleration
 from flexman_gym.metrics.vibration import VIBRATING, damping_ratio, energy_left, peak_to_peak, residual_vibration
@@ -35,6 +35,7 @@ __all__ = [
     "power_above",
     "residual_vibration",
     "rms",
+    "roughness",
+    "settling_time",
     "squared_acceleration",
-    "stabilisation_time",
 ]

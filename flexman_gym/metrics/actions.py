@@ -15,6 +15,15 @@ def effort(actions: Array) -> float:
     return float(np.mean(np.square(samples("actions", actions, 2))))
 
 
+def roughness(actions: Array) -> float:
+    """Gives the root mean square of the change of actions (T, n), parts of the torque limits, from period to period.
+
+    A single action has none.
+    """
+    found = samples("actions", actions, 2)
+    return float(np.sqrt(np.mean(np.square(np.diff(found, axis=0))))) if len(found) > 1 else 0.0
+
+
 def power_above(actions: Array, period: float, frequency: float) -> float:
     """Gives the part of the variance of actions that lies above a frequency, from 0 to 1.
 

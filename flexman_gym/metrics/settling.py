@@ -12,7 +12,7 @@ STAY = 1.0  # s, for which it must have stayed there at least
 START, ENTRY = "start", "entry"
 
 
-def stabilisation_time(errors: Array, band: float, period: float, since: str = START) -> float:
+def settling_time(errors: Array, band: float, period: float, since: str = START) -> float:
     """Gives the time (s) after which the tip stays within a band of the target to the end.
 
     It is infinite where the tip has not stayed within the band for at least the last second.

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from flexman_agents.folder import NEWEST, SETTINGS, read_data
 from flexman_gym.envs.snapshot import parted
+from flexman_gym.evaluation.folder import NEWEST, SETTINGS, read_data
 from flexman_gym.scene import file
 from flexman_gym.studies.markdown import markdown_table
 

@@ -8,11 +8,11 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from flexman_agents import tuning
-from flexman_agents.folder import SETTINGS
 from flexman_agents.training import load_settings
 from flexman_gym.envs import NAMED
 from flexman_gym.envs.description import Description
+from flexman_gym.evaluation import tuning
+from flexman_gym.evaluation.folder import SETTINGS
 from flexman_gym.scene import file
 
 from oracles.files import command
@@ -69,7 +69,7 @@ def test_a_recipe_is_a_start_and_options_go_before_it(run, tmp_path):
 @pytest.mark.parametrize(
     ("script", "arguments", "line"),
     [
-        ("evaluate", ["no_such_run"], "policy: no_such_run is not allowed; give the folder of a training run, or one"),
+        ("evaluate", ["no_such_run"], "entrant: no_such_run is not allowed; give the folder of a training run, or one"),
         ("evaluate", ["pd", "--env", "nowhere.yaml"], "nowhere.yaml: there is no such file"),
         ("evaluate", ["pd", "--set", "horizon"], "--set: 'horizon' is not allowed; give name=value, such as"),
         ("evaluate", ["pd", "--set", "horizont=3"], "horizont: 3 is not allowed; give a known setting: the nearest is"),

@@ -13,9 +13,9 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from flexman_agents.algorithm import make_model
-from flexman_agents.folder import LOCK, NEWEST, SETTINGS, locked, read_data, write, write_data
-from flexman_agents.policies import find_policy
-from flexman_agents.training import load_policy, load_settings, resume, train
+from flexman_agents.training import load_settings, resume, train
+from flexman_gym.evaluation.entrants import find_entrant
+from flexman_gym.evaluation.folder import FOREIGN, LOCK, NEWEST, SETTINGS, locked, read_data, write, write_data
 
 from oracles.refusals import refusal
 from oracles.runs import RUNS
@@ -23,7 +23,7 @@ from oracles.runs import RUNS
 
 def test_a_folder_is_trained_in_by_one_process(tmp_path, capsys):
     train(replace(RUNS["ppo"], judge_every=0), tmp_path, progress=False)
-    held = "import sys; from pathlib import Path; from flexman_agents.folder import locked\n" \
+    held = "import sys; from pathlib import Path; from flexman_gym.evaluation.folder import FOREIGN, locked\n" \
            f"with locked(Path({str(tmp_path)!r})): print('held', flush=True); sys.stdin.read()"  # fmt: skip
     with subprocess.Popen([sys.executable, "-c", held], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
         assert other.stdout.readline() == b"held\n"
@@ -125,7 +125,7 @@ def test_nothing_that_is_read_runs(run, tmp_path):
     np.array([Bomb()], dtype=object).dump(tmp_path / "bomb.pkl")
     for bomb in ("bomb.npz", "bomb.pkl"):
         (tmp_path / NEWEST).write_bytes((tmp_path / bomb).read_bytes())
-        line = refusal(find_policy, str(tmp_path))
+        line = refusal(find_entrant, str(tmp_path))
         assert "this is not what a training run has written" in line and "FLEXMAN_BOMB" not in os.environ
 
 
@@ -143,7 +143,7 @@ def test_a_policy_of_no_numbers_is_refused(run, tmp_path, name, value, said):
         arrays = {each: found[each] for each in found.files}
     arrays[name].flat[0] = value
     np.savez(tmp_path / NEWEST, **arrays)
-    line = refusal(find_policy, str(tmp_path))
+    line = refusal(find_entrant, str(tmp_path))
     assert line.startswith(f"{tmp_path / NEWEST}: {said}") and "give finite numbers" in line
 
 
@@ -151,23 +151,23 @@ def test_settings_that_are_arrays_are_other_ones(run, tmp_path):
     (tmp_path / SETTINGS).write_bytes((run / SETTINGS).read_bytes())
     data = read_data(run / NEWEST)
     write_data(tmp_path / NEWEST, data | {"settings": data["settings"] | {"seed": np.zeros(2)}})
-    assert "seed is another now" in refusal(find_policy, str(tmp_path))
+    assert "seed is another now" in refusal(find_entrant, str(tmp_path))
 
 
 def test_files_of_stable_baselines3_need_trust(run, tmp_path):
     from flexman_agents.algorithm import make_model
-    from flexman_agents.foreign import MODEL, STATISTICS
+    from flexman_agents.foreign import STATISTICS, load_foreign
 
     model = make_model(RUNS["ppo"])
     (tmp_path / SETTINGS).write_bytes((run / SETTINGS).read_bytes())
-    model.save(tmp_path / MODEL)
+    model.save(tmp_path / FOREIGN)
     model.get_vec_normalize_env().save(str(tmp_path / STATISTICS))
-    line = refusal(find_policy, str(tmp_path))
+    line = refusal(find_entrant, str(tmp_path))
     assert "--trust" in line and "run any code" in line
     seen = np.zeros((2, 32), dtype=np.float32)
-    assert find_policy(str(tmp_path), trust=True).act(seen, (2, 1)).shape == (2, 1)
-    (tmp_path / MODEL).write_bytes(b"noise")
-    assert "this is not a run of Stable-Baselines3" in refusal(find_policy, str(tmp_path), True)
+    assert load_foreign(tmp_path).act(seen, (2, 1)).shape == (2, 1)
+    (tmp_path / FOREIGN).write_bytes(b"noise")
+    assert "this is not a run of Stable-Baselines3" in refusal(load_foreign, tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -187,7 +187,7 @@ def test_settings_that_were_changed_give_one_line(run, tmp_path, name, change):
         record |= {"schedules": {}, "hyperparameters": {}}
     (tmp_path / SETTINGS).write_text(json.dumps(record))
     (tmp_path / NEWEST).write_bytes((run / NEWEST).read_bytes())
-    for call in (lambda: find_policy(str(tmp_path)), lambda: resume(tmp_path, 20)):
+    for call in (lambda: find_entrant(str(tmp_path)), lambda: resume(tmp_path, 20)):
         line = refusal(call)
         assert line.startswith(f"{tmp_path / SETTINGS}: this was changed") and name in line
 
@@ -196,7 +196,7 @@ def test_settings_that_were_changed_give_one_line(run, tmp_path, name, change):
 def test_broken_settings_give_one_line(run, tmp_path, text):
     (tmp_path / SETTINGS).write_bytes(text.encode("utf-8", errors="surrogateescape"))
     (tmp_path / NEWEST).write_bytes((run / NEWEST).read_bytes())
-    assert "give the settings of a training run" in refusal(find_policy, str(tmp_path))
+    assert "give the settings of a training run" in refusal(find_entrant, str(tmp_path))
 
 
 @pytest.mark.parametrize("seed", range(25))
@@ -216,11 +216,11 @@ def test_mutated_runs_give_one_line_or_act_as_they_did(run, tmp_path, seed):
         (tmp_path / name).write_bytes(content)
     seen = np.linspace(-1.0, 1.0, 3 * 32).reshape(3, 32).astype(np.float32)
     try:
-        act = find_policy(str(tmp_path)).act
+        act = find_entrant(str(tmp_path)).act
     except (ValueError, FileNotFoundError) as error:
         assert "\n" not in str(error) and str(tmp_path) in str(error)
     else:
-        assert np.array_equal(act(seen, (3, 1)), load_policy(run)[1](seen, (3, 1)))
+        assert np.array_equal(act(seen, (3, 1)), find_entrant(str(run)).act(seen, (3, 1)))
 
 
 def test_broken_files_give_one_line(run, tmp_path):
@@ -230,8 +230,8 @@ def test_broken_files_give_one_line(run, tmp_path):
     noise = np.random.default_rng(0).bytes(500)
     for content in (b"", whole[: len(whole) // 2], noise, whole[:200] + noise + whole[700:]):
         (tmp_path / NEWEST).write_bytes(content)
-        assert NEWEST in refusal(find_policy, str(tmp_path))
-    first = next(iter(data["policy"]))
+        assert NEWEST in refusal(find_entrant, str(tmp_path))
+    first = "action_net.weight"
     for broken in (
         {**data, "policy": {**data["policy"], first: np.zeros(3, dtype=np.float32)}},
         {**data, "policy": {}},
@@ -240,7 +240,7 @@ def test_broken_files_give_one_line(run, tmp_path):
         {**data, "settings": None},
     ):
         write_data(tmp_path / NEWEST, broken)
-        assert NEWEST in refusal(find_policy, str(tmp_path))
+        assert NEWEST in refusal(find_entrant, str(tmp_path))
     for name in ("environment", "random", "optimizers", "last", "counts"):
         write_data(tmp_path / NEWEST, {**data, "training": {**data["training"], name: {}}})
         assert NEWEST in refusal(resume, tmp_path, 20, 0, False), name

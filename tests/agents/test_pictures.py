@@ -4,25 +4,26 @@ import numpy as np
 import pytest
 
 pytest.importorskip("matplotlib")
-pytest.importorskip("rich")
+pytest.importorskip("stable_baselines3")
 
 from matplotlib.cbook import STEP_LOOKUP_MAP
 from matplotlib.image import imread
 
 from flexman_agents import pictures
-from flexman_agents.evaluation import Record
 from flexman_agents.pictures import draw_episodes
+from flexman_gym.evaluation import Record
 
 
 def record(error, action):
     """An episode of 1 s whose error fades and whose action stays."""
     times = np.linspace(0.0, 1.0, 51)
-    return Record(np.zeros((51, 3)), error * np.exp(-5.0 * times), np.full((50, 2), action), np.zeros(50), "")
+    errors, actions = error * np.exp(-5.0 * times), np.full((50, 2), action)
+    return Record(np.zeros((51, 3)), errors, actions, np.zeros(50), "", 0.02, 0.005)
 
 
 def test_a_picture_shows_errors_and_actions_of_every_policy(tmp_path):
     def picture(**records):
-        draw_episodes(records, 0.02, tmp_path / "folder" / "a.png")
+        draw_episodes(records, tmp_path / "folder" / "a.png")
         return imread(tmp_path / "folder" / "a.png")
 
     first = picture(a=record(1.0, 0.5), b=record(0.5, -0.5))
@@ -36,7 +37,7 @@ def test_a_picture_shows_errors_and_actions_of_every_policy(tmp_path):
 
 
 def test_no_error_at_all_can_be_drawn(tmp_path):
-    draw_episodes({"still": record(0.0, 0.0)}, 0.02, tmp_path / "a.png")
+    draw_episodes({"still": record(0.0, 0.0)}, tmp_path / "a.png")
     assert (tmp_path / "a.png").stat().st_size > 5_000
 
 
@@ -52,7 +53,8 @@ def axes(monkeypatch):
 
 def test_a_torque_is_drawn_over_the_period_in_which_it_acts(axes, tmp_path):
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 2))
-    draw_episodes({"a": Record(np.zeros((51, 3)), np.ones(51), actions, np.zeros(50), "")}, 0.02, tmp_path / "a.png")
+    made = Record(np.zeros((51, 3)), np.ones(51), actions, np.zeros(50), "", 0.02, 0.02)
+    draw_episodes({"a": made}, tmp_path / "a.png")
     middles = 0.02 * (np.arange(50) + 0.5)
     for motor in range(2):
         curve = axes()[1 + motor].get_lines()[0]
@@ -61,6 +63,6 @@ def test_a_torque_is_drawn_over_the_period_in_which_it_acts(axes, tmp_path):
 
 
 def test_the_line_of_the_band_is_at_the_band_and_says_so(axes, tmp_path):
-    draw_episodes({"a": record(1.0, 0.5)}, 0.02, tmp_path / "a.png", band=0.005)
+    draw_episodes({"a": record(1.0, 0.5)}, tmp_path / "a.png")
     (line,) = (line for line in axes()[0].get_lines() if line.get_linestyle() == "--")
     assert set(line.get_ydata()) == {0.005} and [text.get_text() for text in axes()[0].texts] == ["5 mm"]

@@ -14,9 +14,10 @@ pytest.importorskip("stable_baselines3")
 from tensorboard.backend.event_processing import event_accumulator
 
 from flexman_agents.curves import STEPS, open_curves
-from flexman_agents.folder import BEST, NEWEST, SETTINGS, read_data, write_data
-from flexman_agents.training import Interrupted, load_policy, resume, train
+from flexman_agents.training import Interrupted, resume, train
 from flexman_agents.vector import Arms
+from flexman_gym.evaluation.entrants import load_run
+from flexman_gym.evaluation.folder import BEST, NEWEST, SETTINGS, read_data, write_data
 from flexman_gym.studies.faults import same
 
 from oracles.refusals import refusal
@@ -67,7 +68,7 @@ def test_a_run_that_was_interrupted_twice_is_the_run_that_was_not(algo, tmp_path
     assert read_data(whole / NEWEST)["training"]["counts"]["num_timesteps"] >= RUNS[algo].steps
     assert (whole / BEST).read_bytes() != b"" and sorted(read_data(whole / BEST)) == sorted(read_data(parts / BEST))
     seen = np.linspace(-1.0, 1.0, 3 * 32).reshape(3, 32).astype(np.float32)
-    assert np.array_equal(load_policy(whole)[1](seen, (3, 1)), load_policy(parts)[1](seen, (3, 1)))
+    assert np.array_equal(load_run(whole).act(seen, (3, 1)), load_run(parts).act(seen, (3, 1)))
 
 
 def test_a_memory_that_is_full_is_drawn_from_whole_after_a_resumption(tmp_path, interrupt):

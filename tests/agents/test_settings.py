@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flexman_agents.recipes import FOLDER, NAMES, find_recipe
-from flexman_agents.seeds import SELECTION, TEST, TRAINING, training_seed
 from flexman_agents.settings import ENVS, MOST_ENVS, MOST_SEED, Schedule, Settings
 from flexman_gym.envs.catalog import flex_rrr
+from flexman_gym.evaluation.seeds import SELECTION, TEST, TRAINING, training_seed
 from flexman_gym.scene import file
 
 from oracles.refusals import refusal

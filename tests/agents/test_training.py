@@ -15,12 +15,12 @@ pytest.importorskip("stable_baselines3")
 from flexman_agents import callbacks
 from flexman_agents.algorithm import hyperparameters, make_model
 from flexman_agents.callbacks import Judge
-from flexman_agents.evaluation import Episode
-from flexman_agents.folder import BEST, NEWEST, SETTINGS, read_data, write_data
-from flexman_agents.policies import find_policy
-from flexman_agents.seeds import training_seed
 from flexman_agents.settings import Settings
-from flexman_agents.training import load_policy, load_settings, resume, train
+from flexman_agents.training import load_settings, resume, train
+from flexman_gym.evaluation.entrants import find_entrant
+from flexman_gym.evaluation.figures import FIGURES
+from flexman_gym.evaluation.folder import BEST, NEWEST, SETTINGS, read_data, write_data
+from flexman_gym.evaluation.seeds import training_seed
 
 from oracles.refusals import refusal
 
@@ -35,7 +35,7 @@ SIZE = 18 + 14  # numbers that a FlexOne agent sees with both sensors
 def acts(folder):
     """What the policy of a run does with some observations."""
     observations = np.linspace(-0.5, 0.5, 3 * SIZE).reshape(3, SIZE).astype(np.float32)
-    return load_policy(folder)[1](observations, (3, 1))
+    return find_entrant(str(folder)).act(observations, (3, 1))
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def test_curves_are_in_a_csv_and_in_events(trained):
     assert [int(row["time/total_timesteps"]) for row in rows] == [256, 512]
     judged = {name for name in rows[0] if name.startswith("selection/")}
     assert judged == {f"selection/{name}" for name in (
-        "settled", "stabilisation_time_s", "vibration_m", "error_m", "reward", "failed")}  # fmt: skip
+        "settled", "settling_time_s", "vibration_m", "error_m", "roughness", "reward", "failed")}  # fmt: skip
     assert all(rows[-1][name] for name in judged)
     assert "rollout/ep_rew_mean" in rows[0]
 
@@ -122,11 +122,8 @@ def test_a_run_that_keeps_its_best_policy_goes_on_only_where_it_is_judged(traine
         line
         == f"judge_every: 0 is not allowed; give the steps between evaluations, > 0: {folder} keeps its best policy"
     )
-    found = {"settled": 1.0, "failed": 0.0} | dict.fromkeys(
-        ("stabilisation_time", "vibration", "error"), (1.0, 1.0, 1.0)
-    )
     rewards = iter([-1e6, 1e6])
-    monkeypatch.setattr("flexman_agents.callbacks.summary", lambda episodes: found | {"reward": next(rewards)})
+    monkeypatch.setattr(callbacks, "evaluate", lambda *given: dict.fromkeys(FIGURES, 1.0) | {"reward": next(rewards)})
     kept = []
     monkeypatch.setattr(
         "flexman_agents.training.write_data", lambda path, data: kept.append((path.name, data.get("before")))
@@ -214,15 +211,15 @@ def test_a_refused_training_leaves_no_folder(tmp_path):
 
 def test_missing_and_broken_runs_give_one_line(trained, tmp_path):
     with pytest.raises(FileNotFoundError, match="is not allowed; give the folder of a training run, or one of pd, lqr"):
-        find_policy(str(tmp_path / "nothing"))
+        find_entrant(str(tmp_path / "nothing"))
     with pytest.raises(FileNotFoundError, match=f"{SETTINGS}: no such file; give a folder"):
-        find_policy(str(tmp_path))
+        find_entrant(str(tmp_path))
     (tmp_path / SETTINGS).write_text("{}")
     with pytest.raises(ValueError, match="give the settings of a training run"):
-        find_policy(str(tmp_path))
+        find_entrant(str(tmp_path))
     (tmp_path / SETTINGS).write_text((trained[0] / SETTINGS).read_text())
     with pytest.raises(FileNotFoundError, match=f"{NEWEST}: no such file"):
-        find_policy(str(tmp_path))
+        find_entrant(str(tmp_path))
     with pytest.raises(FileNotFoundError, match=f"{SETTINGS}: no such file"):
         resume(tmp_path / "nothing", 64)
 
@@ -234,13 +231,12 @@ def judge_with(monkeypatch, outcomes, rollout=50):
     """A judge of a policy whose shares of settled episodes and rewards are given, one pair at every 100 steps."""
     kept, logged, results = [], [], iter(outcomes)
 
-    def evaluate(policy, environment, seeds):
+    def evaluate(entrant, environment, seeds):
         share, reward = next(results)
-        assert policy.interface.items() >= {"base": "pd", "hold": 5, "sensors": ["full", "fine"]}.items()
+        assert entrant.interface.items() >= {"base": "pd", "hold": 5, "sensors": ["full", "fine"]}.items()
         assert seeds == range(5000, 5100)
         assert environment.id == "FlexOne-v0" and not {"base", "hold", "sensors"} & environment.settings.keys()
-        times = [1.0] * round(100 * share) + [np.inf] * round(100 * (1 - share))
-        return [Episode(reward, time, 0.0, 0.0, 0.0, "") for time in times]
+        return dict.fromkeys(FIGURES, 0.0) | {"settled": share, "reward": reward}
 
     monkeypatch.setattr(callbacks, "evaluate", evaluate)
     judge = Judge(replace(SHORT, judge_every=100), None, lambda: kept.append(judge.num_timesteps))
@@ -274,14 +270,13 @@ def test_two_judgements_are_never_nearer_than_asked_for(monkeypatch):
     assert kept[0] == 120 and np.diff(kept).min() >= 100 and len(kept) > 3
 
 
-def test_the_curves_show_medians_of_what_the_judge_has_seen(monkeypatch):
-    """Of three episodes whose figures are apart, the middle ones, not an end of their interval."""
+def test_the_curves_show_what_the_judge_has_seen_with_its_units(monkeypatch):
     logged = {}
-    seen = [Episode(0.0, number, 0.1 * number, 0.01 * number, 0.0, "") for number in (1.0, 2.0, 4.0)]
+    seen = dict.fromkeys(FIGURES, 0.0) | {"settling_time": 2.0, "vibration": 0.2, "error": 0.02}
     monkeypatch.setattr(callbacks, "evaluate", lambda *given: seen)
     judge = Judge(replace(SHORT, judge_every=1), None, lambda: None)
     judge.model = SimpleNamespace(logger=SimpleNamespace(record=logged.__setitem__))
     judge.num_timesteps = 1
     judge._on_rollout_end()
-    names = "stabilisation_time_s", "vibration_m", "error_m"
+    names = "settling_time_s", "vibration_m", "error_m"
     assert [logged[f"selection/{name}"] for name in names] == pytest.approx([2.0, 0.2, 0.02])

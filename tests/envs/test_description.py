@@ -191,8 +191,8 @@ def test_objects_of_ones_own_cannot_be_described():
 def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
     """From gym.make, gym.make_vec and an evaluation, whose records are period by period."""
     pytest.importorskip("stable_baselines3")
-    from flexman_agents.evaluation import common_environment, run_episodes
-    from flexman_agents.policies import Policy, find_policy
+    from flexman_gym.evaluation.entrants import Entrant, common_environment, find_entrant
+    from flexman_gym.evaluation.rollout import rollout
 
     file.write(tmp_path / "own.yaml", OWN)
     found, seed = Description.load(tmp_path / "own.yaml"), 9003
@@ -208,8 +208,8 @@ def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
         errors.append(info["tip_error"])
         assert np.array_equal(seen, others[1]) and infos["tip_error"][1] == errors[-1]
     assert ended
-    policy = Policy("pd", find_policy("zero").act, {key: OWN[key] for key in ("base", "hold", "sensors")})
-    (_, record), _ = run_episodes(policy, common_environment([policy], found), [7, seed])
+    policy = Entrant("pd", find_entrant("zero").act, {key: OWN[key] for key in ("base", "hold", "sensors")})
+    (_, record) = rollout(policy, common_environment([policy], found), [7, seed]).records
     assert np.array_equal(record.errors[::2], errors)
 
 
@@ -217,8 +217,8 @@ def test_a_training_starts_with_the_episode_that_its_environment_gives():
     """The arms of a training are those of gym.make_vec with the training's seed."""
     pytest.importorskip("stable_baselines3")
     from flexman_agents.algorithm import environments
-    from flexman_agents.seeds import training_seed
     from flexman_agents.settings import Settings
+    from flexman_gym.evaluation.seeds import training_seed
 
     arms = environments(Settings(environment=OWN, seed=2, envs=3))
     arms.seed(training_seed(2))

@@ -14,7 +14,7 @@ from flexman_gym.envs import NAMED
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.setup import Setup, setup_of
 from flexman_gym.envs.vector_env import OWN, FlexManVectorEnv
-from flexman_gym.metrics import stabilisation_time
+from flexman_gym.metrics import settling_time
 
 from oracles.equality import same_alone_and_among_others
 from oracles.refusals import refusal
@@ -178,7 +178,7 @@ def test_pd_settles_and_doing_nothing_earns_little(name):
     reach = sum(link.length for link in NAMED[name].arm().links)
     rewards, errors, lasted = episodes(name, 50, still, base="pd")
     assert (lasted == NAMED[name].horizon / NAMED[name].control_period).all()
-    settled = [stabilisation_time(error, 0.01 * reach, NAMED[name].control_period) for error in errors.T]
+    settled = [settling_time(error, 0.01 * reach, NAMED[name].control_period) for error in errors.T]
     assert np.isfinite(settled).mean() >= 0.5
     nothing = episodes(name, 50, still)[0]
     assert nothing.sum() < 0.4 * rewards.sum() and rewards.sum() > 0

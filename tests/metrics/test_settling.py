@@ -11,7 +11,7 @@ from flexman_gym.metrics import (
     band_of_move,
     final_error,
     overshoot,
-    stabilisation_time,
+    settling_time,
 )
 
 from oracles.refusals import refusal
@@ -21,8 +21,8 @@ TIME = PERIOD * np.arange(501)  # 10 s
 
 
 def test_a_tip_that_stands_still_on_its_target_has_stabilised_at_once():
-    assert stabilisation_time(np.zeros(501), 0.02, PERIOD) == 0.0
-    assert stabilisation_time(np.zeros(501), 0.02, PERIOD, since="entry") == 0.0
+    assert settling_time(np.zeros(501), 0.02, PERIOD) == 0.0
+    assert settling_time(np.zeros(501), 0.02, PERIOD, since="entry") == 0.0
     assert overshoot(np.zeros(501), 0.02) == 0.0
     assert final_error(np.full(501, 0.3), PERIOD) == 0.3
 
@@ -30,31 +30,31 @@ def test_a_tip_that_stands_still_on_its_target_has_stabilised_at_once():
 @given(st.integers(0, 450), st.floats(0.001, 0.1))
 def test_a_step_into_the_band_stabilises_at_its_first_sample_within(entry, band):
     errors = np.where(np.arange(501) < entry, 2 * band, band)  # on the edge is within
-    assert stabilisation_time(errors, band, PERIOD) == entry * PERIOD
+    assert settling_time(errors, band, PERIOD) == entry * PERIOD
     errors[-1] = 2 * band
-    assert stabilisation_time(errors, band, PERIOD) == np.inf
+    assert settling_time(errors, band, PERIOD) == np.inf
 
 
 def test_a_decaying_vibration_stabilises_when_its_envelope_has_fallen_to_the_band():
     """|exp(-t) cos(50 pi t)|: a peak at every sample, so that the samples are the envelope."""
     errors = np.abs(np.exp(-TIME) * np.cos(50 * np.pi * TIME))
     expected = PERIOD * np.ceil(np.log(1 / 0.02) / PERIOD)
-    assert stabilisation_time(errors, 0.02, PERIOD) == pytest.approx(expected)
+    assert settling_time(errors, 0.02, PERIOD) == pytest.approx(expected)
 
 
 def test_only_who_stays_a_whole_second_has_stabilised():
     for last, expected in ((450, 9.0), (451, np.inf)):
-        assert stabilisation_time(np.where(np.arange(501) < last, 1.0, 0.0), 0.02, PERIOD) == expected
-    assert stabilisation_time(np.zeros(50), 0.02, PERIOD) == np.inf, "less than a second was seen"
-    assert stabilisation_time(np.zeros(51), 0.02, PERIOD) == 0.0
+        assert settling_time(np.where(np.arange(501) < last, 1.0, 0.0), 0.02, PERIOD) == expected
+    assert settling_time(np.zeros(50), 0.02, PERIOD) == np.inf, "less than a second was seen"
+    assert settling_time(np.zeros(51), 0.02, PERIOD) == 0.0
 
 
 def test_an_error_that_is_no_number_is_outside_the_band():
     errors = np.zeros(501)
     errors[200] = np.nan
-    assert stabilisation_time(errors, 0.02, PERIOD) == pytest.approx(201 * PERIOD)
+    assert settling_time(errors, 0.02, PERIOD) == pytest.approx(201 * PERIOD)
     errors[200] = np.inf
-    assert stabilisation_time(errors, 0.02, PERIOD) == pytest.approx(201 * PERIOD)
+    assert settling_time(errors, 0.02, PERIOD) == pytest.approx(201 * PERIOD)
 
 
 def test_the_final_error_is_the_median_of_the_last_second():
@@ -73,17 +73,17 @@ def test_since_the_entry_the_time_of_the_move_does_not_count(entry, inside, outs
     errors = np.full(501, 0.01)
     errors[:entry], errors[entry + inside : entry + inside + outside] = 1.0, 0.05
     last = entry + inside + outside
-    assert stabilisation_time(errors, 0.02, PERIOD) == pytest.approx(last * PERIOD)
-    assert stabilisation_time(errors, 0.02, PERIOD, since="entry") == pytest.approx((last - entry) * PERIOD)
+    assert settling_time(errors, 0.02, PERIOD) == pytest.approx(last * PERIOD)
+    assert settling_time(errors, 0.02, PERIOD, since="entry") == pytest.approx((last - entry) * PERIOD)
     assert overshoot(errors, 0.02) == 0.05
-    assert stabilisation_time(errors, 0.06, PERIOD, since="entry") == 0.0 == overshoot(errors, 0.06)
+    assert settling_time(errors, 0.06, PERIOD, since="entry") == 0.0 == overshoot(errors, 0.06)
 
 
-def test_a_tip_that_never_enters_the_band_or_does_not_stay_has_no_stabilisation_time():
+def test_a_tip_that_never_enters_the_band_or_does_not_stay_has_no_settling_time():
     far, leaving = np.ones(501), np.where(np.arange(501) == 500, 1.0, 0.0)
     for since in ("start", "entry"):
         for errors in (far, leaving):
-            assert stabilisation_time(errors, 0.02, PERIOD, since) == np.inf
+            assert settling_time(errors, 0.02, PERIOD, since) == np.inf
     assert overshoot(far, 0.02) == np.inf and overshoot(leaving, 0.02) == 1.0
 
 
@@ -98,7 +98,7 @@ def test_the_overshoot_of_a_second_order_step_response_is_that_of_the_textbook(r
     assert overshoot(errors, 0.02) == pytest.approx(expected, rel=1e-4)
     assert overshoot(errors, 1.01 * expected) == 0.0, "it stays within a band that is as wide"
     first = np.flatnonzero(errors <= 0.02)[0] * period
-    start, entry = (stabilisation_time(errors, 0.02, period, since) for since in ("start", "entry"))
+    start, entry = (settling_time(errors, 0.02, period, since) for since in ("start", "entry"))
     assert 0.0 < entry == pytest.approx(start - first)
     assert errors[round(start / period) :].max() <= 0.02 < errors[round(start / period) - 1]
 
@@ -129,18 +129,18 @@ def test_bands_of_a_move_are_parts_of_its_distance():
     assert MOVE_BANDS == (0.01, 0.05)
     assert [band_of_move(errors, part) for part in MOVE_BANDS] == pytest.approx([0.02, 0.1])
     errors = 2.0 * np.exp(-TIME)
-    found = [stabilisation_time(errors, band_of_move(errors, part), PERIOD) for part in MOVE_BANDS]
+    found = [settling_time(errors, band_of_move(errors, part), PERIOD) for part in MOVE_BANDS]
     assert found == pytest.approx(PERIOD * np.ceil(-np.log(MOVE_BANDS) / PERIOD))
 
 
 @pytest.mark.parametrize(
     ("call", "line"),
     [
-        (lambda: stabilisation_time(np.zeros(0), 0.02, 0.1), "errors: array([], dtype=float64) is not allowed; give"),
-        (lambda: stabilisation_time(np.zeros((2, 2)), 0.02, 0.1), "errors: array([[0., 0.], [0., 0.]]) is not"),
-        (lambda: stabilisation_time(np.zeros(9), 0.0, 0.1), "band: 0.0 is not allowed; give a finite number > 0 (m)"),
-        (lambda: stabilisation_time(np.zeros(9), 0.1, -1.0), "period: -1.0 is not allowed; give a finite number > 0"),
-        (lambda: stabilisation_time(np.zeros(9), 0.1, 0.1, "end"), "since: 'end' is not allowed; give one of start"),
+        (lambda: settling_time(np.zeros(0), 0.02, 0.1), "errors: array([], dtype=float64) is not allowed; give"),
+        (lambda: settling_time(np.zeros((2, 2)), 0.02, 0.1), "errors: array([[0., 0.], [0., 0.]]) is not"),
+        (lambda: settling_time(np.zeros(9), 0.0, 0.1), "band: 0.0 is not allowed; give a finite number > 0 (m)"),
+        (lambda: settling_time(np.zeros(9), 0.1, -1.0), "period: -1.0 is not allowed; give a finite number > 0"),
+        (lambda: settling_time(np.zeros(9), 0.1, 0.1, "end"), "since: 'end' is not allowed; give one of start"),
         (lambda: overshoot(np.zeros((2, 2)), 0.02), "errors: array([[0., 0.], [0., 0.]]) is not"),
         (lambda: overshoot(np.zeros(9), np.nan), "band: nan is not allowed; give a finite number > 0 (m)"),
         (lambda: attained_distances(np.zeros(9), 0.1), "tips: array([0., 0., 0., 0., 0., 0., 0., 0., 0.]) is not allo"),

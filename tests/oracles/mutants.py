@@ -51,8 +51,8 @@ TEXTS = {
 def policy():
     """The files of a policy that has not learned yet."""
     from flexman_agents.algorithm import make_model
-    from flexman_agents.folder import NEWEST, SETTINGS, write_data
     from flexman_agents.memory import take_policy
+    from flexman_gym.evaluation.folder import NEWEST, SETTINGS, write_data
 
     settings = RUNS["ppo"]
     with tempfile.TemporaryDirectory() as folder:
@@ -63,9 +63,9 @@ def policy():
 
 def read_policy(folder):
     """What the policy of a folder does when all it sees is zero."""
-    from flexman_agents.training import load_policy
+    from flexman_gym.evaluation.entrants import load_run
 
-    _, act = load_policy(folder)
+    act = load_run(folder).act
     size = len(np.load(io.BytesIO(policy()["newest.npz"]))["/statistics/mean"])
     return act(np.zeros((1, size), np.float32), (1, 1))
 

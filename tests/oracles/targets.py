@@ -183,8 +183,8 @@ TARGETS = {
         lambda changes: Description.from_dict(DESCRIBED).changed(changes),
         {"changes": ["horizon=2.0", "arm.payload.mass=0.1"]}, weight=2.0,
     ),
-    "stabilisation_time": Target(
-        metrics.stabilisation_time, {"errors": 1.0 / (1.0 + TIMES), "band": 0.5, "period": 0.02, "since": "start"},
+    "settling_time": Target(
+        metrics.settling_time, {"errors": 1.0 / (1.0 + TIMES), "band": 0.5, "period": 0.02, "since": "start"},
         ("band", "period"), open_to=True,
     ),
     "overshoot": Target(metrics.overshoot, {"errors": np.abs(WAVE), "band": 0.5}, ("band",), open_to=True),

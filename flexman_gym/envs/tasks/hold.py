@@ -10,7 +10,7 @@ from flexman_gym.arrays import Array, Vector
 from flexman_gym.checks import non_negative, positive, store, vector
 from flexman_gym.envs.sensors.sensor import Sensor
 from flexman_gym.envs.tasks.rewards import distance_reward
-from flexman_gym.envs.tasks.task import Goal
+from flexman_gym.envs.tasks.task import MOVING, Goal
 from flexman_gym.simulation.view import Number, View
 
 
@@ -70,6 +70,7 @@ class Hold:
     failure_penalty: float = 10.0
     sensors: ClassVar[tuple[Sensor, ...]] = ()
     moves: ClassVar[bool] = False
+    figures: ClassVar[tuple[str, ...]] = MOVING
 
     def __post_init__(self) -> None:
         store(

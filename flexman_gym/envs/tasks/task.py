@@ -9,6 +9,9 @@ from flexman_gym.arrays import Array
 from flexman_gym.envs.sensors.sensor import Sensor
 from flexman_gym.simulation.view import Number, View
 
+# figures that matter where the goal moves, or the arm is to stay at it
+MOVING = ("reward", "settled", "vibration", "rms_error", "roughness", "effort", "failed")
+
 
 class Goal(NamedTuple):
     """Where arms should be: the target of the tip, (r, 3) m in the base frame, and the posture, (r, n) rad."""
@@ -27,6 +30,9 @@ class Task(Protocol):
     Attributes:
         sensors: what of the goal is observed beside the sensors of the environment; () for nothing.
         moves: whether the goal changes during an episode; `goal` is then asked before every observation.
+
+    A further attribute `figures`, names of `evaluation.FIGURES`, may say which of them matter; without it they are
+    those of a slew.
     """
 
     @property

@@ -12,7 +12,7 @@ from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.sensors.sensor import Entry, Sensor
 from flexman_gym.envs.tasks.paths import SHAPES, on_series, phase, place_path
 from flexman_gym.envs.tasks.rewards import distance_reward
-from flexman_gym.envs.tasks.task import Goal
+from flexman_gym.envs.tasks.task import MOVING, Goal
 from flexman_gym.simulation.view import Number, View
 
 ANY = "any"
@@ -76,6 +76,7 @@ class Track:
     middle: float = 0.8
     failure_penalty: float = 10.0
     moves: ClassVar[bool] = True
+    figures: ClassVar[tuple[str, ...]] = MOVING
 
     def __post_init__(self) -> None:
         times = sequence("Track.preview", self.preview, "times (s)")

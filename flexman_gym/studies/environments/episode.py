@@ -9,6 +9,8 @@ import numpy as np
 from flexman_gym.arrays import Array
 from flexman_gym.draw.frames import FramePainter
 from flexman_gym.draw.style import BLUE, LIGHT, MIDDLE, ORANGE, RED, new_figure
+from flexman_gym.envs.episodes import Episodes
+from flexman_gym.evaluation import rollout
 from flexman_gym.metrics import rms
 
 BASES = {None: "no torque", "pd": "PD", "lqr-tracking": "tracking LQR"}  # the latter knows the arm and its state
@@ -38,25 +40,20 @@ class Run:
 
 def run(name: str, base: str | None) -> Run:
     """Runs an episode from each of the seeds."""
-    made = gym.make_vec(name, len(SEEDS), "vector_entry_point", base=base, autoreset_mode="Disabled")
-    env = made.unwrapped
-    env.reset(seed=list(SEEDS))  # type: ignore[arg-type]
-    view = env.episodes.view  # type: ignore[attr-defined]
-    errors, states, targets, actions = [view.tip_error.copy()], [view.state[0].copy()], [view.target[0].copy()], []
-    over = np.zeros(len(SEEDS), dtype=bool)
-    still = np.zeros(env.action_space.shape or (), dtype=np.float32)
-    for _ in range(env.max_episode_steps):  # type: ignore[attr-defined]
-        _, _, failed, truncated, _ = env.step(still)
-        over |= failed
-        errors.append(np.where(over, np.nan, view.tip_error))
-        if not over[0]:
-            states.append(view.state[0].copy())
-            targets.append(view.target[0].copy())
-            actions.append(view.action[0].copy())
-        if failed.any() and not truncated.all():
-            env.reset(options={"reset_mask": failed})
-    arrays = np.array(errors), np.array(states), np.array(targets), np.array(actions)
-    return Run(*arrays, failed=float(over.mean()))
+    states, targets = [], []
+
+    def watch(episodes: Episodes) -> None:
+        """Keeps what the first arm does."""
+        states.append(episodes.view.state[0].copy())
+        targets.append(episodes.view.target[0].copy())
+
+    found = rollout(base or "zero", name, SEEDS, watch)
+    end = found.lengths[0] + (found.failures[0] == "")  # of one that failed the last state is beyond the limits
+    failed = np.array([failure != "" for failure in found.failures])
+    errors = found.errors.T.copy()
+    errors[found.lengths[failed], np.flatnonzero(failed)] = np.nan
+    actions = found.actions[0, : end - 1]
+    return Run(errors, np.array(states)[:end], np.array(targets)[:end], actions, failed=float(failed.mean()))
 
 
 def draw(name: str, runs: dict[str | None, Run], path: Path) -> None:

@@ -7,14 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from flexman_agents.evaluation import evaluate, summary
-from flexman_agents.policies import Policy, find_policy
-from flexman_agents.seeds import TEST
 from flexman_agents.settings import Settings
 from flexman_agents.training import train
 from flexman_gym.envs.catalog import NAMED
 from flexman_gym.envs.description import Description
 from flexman_gym.envs.vector_env import FlexManVectorEnv
+from flexman_gym.evaluation.entrants import Entrant, find_entrant
+from flexman_gym.evaluation.figures import FIGURES
+from flexman_gym.evaluation.rollout import rollout
+from flexman_gym.evaluation.seeds import TEST
 from flexman_gym.simulation.run import default_step
 from flexman_gym.studies.learning.cases import CONTROLLERS, Case
 from flexman_gym.studies.watch import Watch
@@ -64,7 +65,7 @@ def controllers() -> Iterator[Row]:
     for id, names in CONTROLLERS.items():
         for name in names:
             for where, environment in places(Description(id, {"task": TASK})).items():
-                yield _row("controller", f"{name}, {id}", None, where, {}, find_policy(name), environment)
+                yield _row("controller", f"{name}, {id}", None, where, {}, find_entrant(name), environment)
 
 
 def runs(case: Case, folder: Path) -> Iterator[Row]:
@@ -72,7 +73,7 @@ def runs(case: Case, folder: Path) -> Iterator[Row]:
     for seed in range(case.seeds):
         place = folder / case.kind / case.name / f"seed-{seed}"
         cost = trained(case.settings.with_seed(seed), place)
-        policy = find_policy(str(place))
+        policy = find_entrant(str(place))
         assert policy.environment is not None
         for where, environment in places(policy.environment).items():
             if case.kind == "recipe" or where == AS_TRAINED:
@@ -105,13 +106,14 @@ def places(environment: Description) -> dict[str, Description]:
 
 
 def _row(
-    kind: str, name: str, seed: int | None, where: str, cost: dict[str, float], policy: Policy, environment: Description
+    kind: str, name: str, seed: int | None, where: str, costs: dict[str, float], who: Entrant, environment: Description
 ) -> Row:
-    found = summary(evaluate(policy, environment, TEST))
-    time, low, high = found["stabilisation_time"]
-    costs: dict[str, Any] = {key: cost.get(key) for key in ("steps", "cpu", "rate", "share")}
+    records = rollout(who, environment, TEST).records
+    found = {name: figure.sum_up(records) for name, figure in FIGURES.items()}
+    time, low, high = FIGURES["settling_time"].interval(records)
+    known: dict[str, Any] = {key: costs.get(key) for key in ("steps", "cpu", "rate", "share")}
     return Row(
-        **costs,
+        **known,
         kind=kind,
         name=name,
         seed=seed,
@@ -119,7 +121,7 @@ def _row(
         time=time,
         time_low=low,
         time_high=high,
-        vibration=found["vibration"][0],
-        error=found["error"][0],
+        vibration=found["vibration"],
+        error=found["error"],
         **{key: found[key] for key in ("settled", "reward", "effort", "failed")},
     )

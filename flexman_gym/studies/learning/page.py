@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from statistics import median
 
-from flexman_agents.seeds import SELECTION, TEST, TRAINING
+from flexman_gym.evaluation.seeds import SELECTION, TEST, TRAINING
 from flexman_gym.studies.learning.cases import ABLATED, ABLATION_SEEDS, ABLATIONS, SEEDS
 from flexman_gym.studies.learning.measure import AS_TRAINED, FINER, FINER_ELEMENTS, FINER_STEPS, LONG, LONGER, Row
 from flexman_gym.studies.markdown import bullets, markdown_table

@@ -2,50 +2,57 @@
 
 from flexman_gym.studies.planted.change import changes
 
-TRAINING, EVALUATION = "agents/test_training.py::test_", "agents/test_evaluation.py::test_"
+TRAINING = "agents/test_training.py::test_"
 RESUMED = "agents/test_resume.py::test_a_run_that_was_interrupted_twice_is_the_run_that_was_not"
 
 AGENTS = (
     *changes(
-        "agents", "agents/evaluation.py", "agents/test_evaluation.py",
-        ("a failed episode may settle", "    if not record.failure:\n", "    if True:\n"),
-        ("rewards after the end count", "own = {name: values[: end + (name in",
-         "own = {name: values[: len(values) + (name in"),
-        ("a policy acts in every period", "environment.keywords() | policy.interface)",
-         "environment.keywords() | policy.interface | {\"hold\": 1})"),
+        "agents", "evaluation/rollout.py", "evaluation/test_rollout.py",
+        ("a policy acts in every period", "described.keywords() | player.interface)",
+         "described.keywords() | player.interface | {\"hold\": 1})"),
         ("seeds are counted anew", "venv.reset(seed=list(seeds))", "venv.reset(seed=list(range(len(seeds))))"),
-        ("the band is a part of the longest link", "BAND * sum(link.length for link in arm.links)",
-         "BAND * max(link.length for link in arm.links)"),
-        ("a failed episode ends one period early", "= len(rows[\"actions\"]), episodes",
-         "= len(rows[\"actions\"]) - 1, episodes"),
-        ("the median of the effort", '"effort": float(np.mean(', '"effort": float(np.median('),
-        ("vibration of the whole episode", "peak_to_peak(record.tips, period)", "peak_to_peak(record.tips, 1.0)"),
+        ("a failed episode ends one period early", "= len(self._rows[\"actions\"]), episodes",
+         "= len(self._rows[\"actions\"]) - 1, episodes"),
+        ("what an arm does after its episode is shown", "values[arm, end + (name in (\"tips\", \"errors\")) :] = np.nan",
+         "pass"),
+        ("the episode after a failure counts", "(self.ends == 0)", "(self.ends >= 0)"),
+        ("the band is a part of the longest link", "BAND * view.reach", "BAND * view.lengths.max()"),
     ),
     *changes(
-        "agents", "agents/evaluation.py", f"{EVALUATION}every_figure_stands_below_its_name",
-        ("the shares of settled and failed episodes are exchanged",
-         "f\"{found['settled']:.0%}\", f\"{found['failed']:.0%}\"",
-         "f\"{found['failed']:.0%}\", f\"{found['settled']:.0%}\""),
-        ("vibration and error stand below each other's name", '("vibration", "error" if slew else "rms_error")]',
-         '("error" if slew else "rms_error", "vibration")]'),
-        ("an interval from its high to its low end", "{middle} ({low}-{high})", "{middle} ({high}-{low})"),
+        "agents", "evaluation/figures.py", "evaluation/test_figures.py evaluation/test_rollout.py",
+        ("a failed episode may settle", "np.inf if record.failure else settling_time", "settling_time"),
+        ("the median of the effort", "effort(record.actions), MEAN)", "effort(record.actions), MEDIAN)"),
+        ("vibration of the whole episode", "peak_to_peak(record.tips, record.period)", "peak_to_peak(record.tips, 1.0)"),
+        ("the error of the last moment", "final_error(record.errors, record.period)", "float(record.errors[-1])"),
+        ("an end of the interval, not the median", "self.interval(records)[0]", "self.interval(records)[1]"),
+        ("a rough torque is better", '"low", lambda record: roughness', '"high", lambda record: roughness'),
     ),
     *changes(
-        "agents", "agents/evaluation.py",
-        f"{EVALUATION}the_pd_beside_policies_has_the_gains_of_the_first_that_learned_on_one "
-        f"{EVALUATION}what_a_policy_was_trained_with_is_not_changed_in_part_either "
-        f"{EVALUATION}the_error_at_the_end_is_the_median_of_its_last_second",
-        ("the error of the last moment", "final_error(record.errors, period), effort",
-         "float(record.errors[-1]), effort"),
+        "agents", "evaluation/table.py", "evaluation/test_table.py",
+        ("shares of episodes in parts", 'return f"{found:.0%}"', 'return f"{0.01 * found:.0%}"'),
+        ("metres below the name of millimetres", "figure.scale * value", "value"),
+        ("an interval from its high to its low end", "({low} to {high})", "({high} to {low})"),
+        ("a name is cut off at its end", 'f"...{name[3 - LONGEST_NAME :]}"', "name"),
+    ),
+    *changes(
+        "agents", "evaluation/entrants.py", "evaluation/test_entrants.py",
         ("the PD beside a policy has gains that it did not learn on", 'if whole.get("gains")]', "if False]"),
         ("other gains make another environment", '{**wholes[name], "gains": None} != {**wholes[first], "gains": None}',
          "wholes[name] != wholes[first]"),
         ("a part of what a policy was trained with is changed", 'change.split("=")[0].split(".")[0] in',
          'change.split("=")[0] in'),
+        ("random torques of one sign", "random.uniform(-1.0, 1.0, shape)", "random.uniform(0.0, 1.0, shape)"),
+        ("a policy leaves its gains to the environment", '        interface["gains"] = described.whole()["gains"]\n',
+         "        pass\n"),
     ),
     *changes(
-        "agents", "agents/policies.py", f"{EVALUATION}random_torques_go_both_ways",
-        ("random torques of one sign", "random.uniform(-1.0, 1.0, shape)", "random.uniform(0.0, 1.0, shape)"),
+        "agents", "control/network.py", "control/test_network.py",
+        ("observations are not limited", "-LARGEST, LARGEST)", "-1e9, 1e9)"),
+        ("normalised by the variance", "1.0 / np.sqrt(", "1.0 / np.square("),
+        ("the last layer bends too", "for weights, bias in self._layers[:-1]:", "for weights, bias in self._layers:"),
+        ("SAC acts without its end", '"relu", np.tanh)', '"relu", lambda values: np.clip(values, -1.0, 1.0))'),
+        ("the tenth layer comes before the second", "sorted({int(name[len(first) :].split(\".\")[0])",
+         "sorted({name[len(first) :].split(\".\")[0]"),
     ),
     *changes(
         "agents", "agents/algorithm.py", f"{TRAINING}a_training_begins_with_seeds_of_its_own "
@@ -60,7 +67,7 @@ AGENTS = (
         ("SAC may not learn from its first step", 'value, 1 - (name == "learning_starts")', "value, 1"),
     ),
     *changes(
-        "agents", "agents/folder.py",
+        "agents", "evaluation/folder.py",
         "agents/test_folder.py::test_a_file_takes_its_place_when_all_of_it_is_on_the_disk",
         ("a file takes its place before it is on the disk", "            os.fsync(file.fileno())\n", ""),
     ),
@@ -70,9 +77,10 @@ AGENTS = (
          "float(row[column]) < steps]"),
     ),
     *changes(
-        "agents", "agents/tuning.py", "agents/test_tuning.py",
+        "agents", "evaluation/tuning.py", "evaluation/test_tuning.py",
         ("gains are stable with the least delay", "stability_limit(int(delay[1])", "stability_limit(int(delay[0])"),
-        ("rewards of the next episodes count", "np.where(playing, rewards, 0.0)", "rewards"),
+        ("gains are judged on one episode", "np.tile(np.arange(episodes), len(gains))",
+         "np.zeros(episodes * len(gains), dtype=int)"),
         ("the second search is around the first gains drawn", "best = np.log(gains[np.argmax(rewards)])",
          "best = np.log(gains[0])"),
     ),
@@ -110,8 +118,8 @@ AGENTS = (
          "self._next += self._every\n        found"),
     ),
     *changes(
-        "agents", "agents/callbacks.py", f"{TRAINING}the_curves_show_medians_of_what_the_judge_has_seen",
-        ("curves show an end of the interval, not the median", "found[key][0])", "found[key][1])"),
+        "agents", "agents/callbacks.py", f"{TRAINING}the_curves_show_what_the_judge_has_seen_with_its_units",
+        ("curves without their units", "if unit else", "if False else"),
     ),
     *changes(
         "agents", "agents/vector.py", "agents/test_vector.py",

@@ -4,12 +4,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-pytest.importorskip("stable_baselines3")
-
 import flexman_gym  # noqa: F401  registers the environments
-from flexman_agents import tuning
 from flexman_gym.control import PD
 from flexman_gym.envs.description import Description
+from flexman_gym.evaluation import tuning
 
 
 def test_no_gains_are_tried_that_the_largest_delay_makes_unstable(monkeypatch):

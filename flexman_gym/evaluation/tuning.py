@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 
-import gymnasium as gym
 import numpy as np
 
 from flexman_gym.arrays import Array
 from flexman_gym.control.pd import PD, stability_limit
 from flexman_gym.envs.description import Description
+from flexman_gym.envs.setup import build
+from flexman_gym.evaluation.rollout import rollout
 
 SAMPLING = 0.95  # of the damping from which on a sampled motor is unstable
 
@@ -46,18 +47,11 @@ def tune(environment: Description, first: int = 200, around: int = 60, episodes:
 
 def _rewards(environment: Description, gains: Array, episodes: int) -> Array:
     """Mean reward (c,) of the first episodes with each of the gains (c, 2 n)."""
-    arms, n = len(gains) * episodes, gains.shape[1] // 2
+    n = gains.shape[1] // 2
     stiffness, damping = np.split(np.repeat(gains, episodes, axis=0), 2, axis=1)
-    limits = environment.setup().torque_limit
-    model = gym.make(environment.id, **environment.keywords()).unwrapped.simulator.model  # type: ignore[attr-defined]
-    base = PD([0.0] * n, [0.0] * n, limits, model if model.constants.gravity.any() else None)
+    setup = environment.setup()
+    model = build(setup).model if any(setup.arm.gravity) else None
+    base = PD([0.0] * n, [0.0] * n, setup.torque_limit, model)
     base.stiffness, base.damping = stiffness, damping
-    venv = gym.make_vec(environment.id, arms, "vector_entry_point", **environment.keywords() | {"base": base})
-    venv.reset(seed=np.tile(np.arange(episodes), len(gains)).tolist())
-    still = np.zeros(venv.action_space.shape or (), dtype=np.float32)
-    total, playing = np.zeros(arms), np.ones(arms, dtype=bool)  # next episodes do not count
-    while playing.any():
-        _, rewards, terminated, truncated, _ = venv.step(still)
-        total += np.where(playing, rewards, 0.0)
-        playing &= ~(terminated | truncated)
-    return total.reshape(len(gains), episodes).mean(axis=1)
+    rewards = rollout(base, environment, np.tile(np.arange(episodes), len(gains)).tolist()).rewards
+    return np.nansum(rewards, axis=1).reshape(len(gains), episodes).mean(axis=1)

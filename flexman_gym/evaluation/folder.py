@@ -7,7 +7,7 @@ import struct
 import sys
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -17,6 +17,8 @@ import numpy as np
 from flexman_gym.envs.snapshot import joined, parted
 
 SETTINGS, NEWEST, BEST, LOCK = "settings.json", "newest.npz", "best.npz", "lock"
+FOREIGN = "model.zip"  # of Stable-Baselines3
+FREE = ("steps", "judge_every")  # settings that may be others where a run goes on
 BROKEN = (
     ValueError, KeyError, TypeError, AttributeError, EOFError, OSError, MemoryError, RecursionError, OverflowError,
     NotImplementedError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error,
@@ -83,6 +85,26 @@ def existing(path: Path) -> Path:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file; give a folder that a training run has written")
     return path
+
+
+def check_settings(path: Path, data: Any, settings: Mapping[str, Any]) -> None:
+    """Refuses a file that belongs to other settings than those beside it, which somebody has changed."""
+    kept = data.get("settings") if isinstance(data, dict) else None
+    if not isinstance(kept, dict):
+        raise ValueError(f"{path}: this is not what a training run has written (it has no settings)")
+    names = kept.keys() - set(FREE)
+    changed = [name for name in names if not _alike(settings.get(name), kept.get(name))]
+    if changed:
+        allowed = f"the settings with which {path.name} was written: {', '.join(sorted(changed))} is another now"
+        raise ValueError(f"{path.parent / SETTINGS}: this was changed; give {allowed}")
+
+
+def _alike(setting: object, kept: object) -> bool:
+    """Whether a setting is what was kept of it, which may be an array where somebody wrote the file anew."""
+    try:
+        return bool(setting == kept)
+    except ValueError:
+        return False
 
 
 @contextmanager

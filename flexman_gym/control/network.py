@@ -1,0 +1,90 @@
+"""Network: a learned policy as NumPy runs it, its layers and the statistics that normalise what it sees."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexman_gym.arrays import Array, row_dots
+from flexman_gym.checks import one_of, refusal
+
+FUNCTIONS: dict[str, Callable[[Array], Array]] = {"tanh": np.tanh, "relu": lambda values: np.maximum(values, 0.0)}
+LARGEST, LEAST = 10.0, 1e-8  # of what is normalised, and variance beside the one that was seen
+# algorithm -> where its layers begin, its last one, the function between them where none is named, and at the end
+NAMES: dict[str, tuple[str, str, str, Callable[[Array], Array]]] = {
+    "ppo": ("mlp_extractor.policy_net.", "action_net", "tanh", lambda values: np.clip(values, -1.0, 1.0)),
+    "sac": ("actor.latent_pi.", "actor.mu", "relu", np.tanh),
+}
+
+
+class Network:
+    """Layers f(W x + b) on normalised observations, and a last one whose actions end at -1 and 1.
+
+    Every row has the bits that it has alone.
+
+    Args:
+        algo: "ppo" or "sac", by which parameters are named.
+        activation: "tanh" or "relu"; None takes that of the algorithm.
+        parameters: name -> array, as Stable-Baselines3 names them.
+        statistics: "mean" and "var" of observations, (size,) each.
+
+    Attributes:
+        size: of an observation.
+        joints: n, of an action.
+
+    Raises:
+        ValueError: one line, for arrays that are missing, of shapes that do not follow on each other, or not finite.
+    """
+
+    def __init__(self, algo: str, activation: str | None, parameters: object, statistics: object) -> None:
+        first, last, usual, self._end = NAMES[one_of("algo", algo, NAMES)]
+        self._function = FUNCTIONS[one_of("activation", activation or usual, FUNCTIONS)]
+        found = {name: _finite(f"policy.{name}", each) for name, each in _mapping("policy", parameters).items()}
+        moments = _mapping("statistics", statistics)
+        self._mean = _finite("statistics.mean", moments.get("mean"))
+        self._scale = 1.0 / np.sqrt(_finite("statistics.var", moments.get("var"), 0.0) + LEAST)
+        numbers = sorted({int(name[len(first) :].split(".")[0]) for name in found if _is_layer(name, first)})
+        self._layers = [_layer(found, name) for name in (*(f"{first}{number}" for number in numbers), last)]
+        sizes = [self._mean.size, *(len(bias) for _, bias in self._layers)]
+        for (weights, _), size in zip(self._layers, sizes, strict=False):
+            if weights.shape[1] != size:
+                raise refusal("policy", f"a layer of {weights.shape[1]} numbers", f"one of {size}")
+        if self._scale.shape != self._mean.shape or self._mean.ndim != 1:
+            raise refusal("statistics.var", f"an array {self._scale.shape}", f"one of {self._mean.shape}")
+        self.size, self.joints = sizes[0], sizes[-1]
+
+    def __call__(self, observations: NDArray[np.floating]) -> Array:
+        """Gives the actions (b, n) for observations (b, size)."""
+        values = np.clip((observations - self._mean) * self._scale, -LARGEST, LARGEST)
+        for weights, bias in self._layers[:-1]:
+            values = self._function(row_dots(values[:, None], weights) + bias)
+        weights, bias = self._layers[-1]
+        actions: Array = self._end(row_dots(values[:, None], weights) + bias)
+        return actions
+
+
+def _is_layer(name: str, first: str) -> bool:
+    return name.startswith(first) and name[len(first) :].split(".")[0].isdigit()
+
+
+def _mapping(field: str, value: object) -> Mapping[str, Any]:
+    if not isinstance(value, dict):
+        raise refusal(field, type(value).__name__, "a mapping of arrays")
+    return value
+
+
+def _layer(found: Mapping[str, Array], name: str) -> Sequence[Array]:
+    weights, bias = (found.get(f"{name}.{part}", np.zeros(0)) for part in ("weight", "bias"))
+    if weights.ndim != 2 or bias.shape != weights.shape[:1]:
+        raise refusal(f"policy.{name}", f"arrays {weights.shape} and {bias.shape}", "weights (m, k) and a bias (m,)")
+    return weights, bias
+
+
+def _finite(field: str, value: object, least: float = -np.inf) -> Array:
+    """The array as floats, once all of its numbers are finite and none is below the least."""
+    if not isinstance(value, np.ndarray) or value.dtype.kind != "f":
+        raise refusal(field, type(value).__name__, "an array of numbers")
+    if not (np.isfinite(value) & (value >= least)).all():
+        raise refusal(field, "another number", "finite numbers" if least < 0.0 else "finite numbers >= 0")
+    return value.astype(np.float64)

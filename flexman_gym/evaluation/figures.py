@@ -1,0 +1,94 @@
+"""Figures: what an episode is worth, one number each, and what many episodes are worth together."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from flexman_gym.arrays import Array
+from flexman_gym.control.controller import Controller
+from flexman_gym.envs.description import Description
+from flexman_gym.evaluation.entrants import Entrant
+from flexman_gym.evaluation.rollout import Record, rollout
+from flexman_gym.metrics import effort, final_error, median_interval, peak_to_peak, rms, roughness, settling_time
+
+MEAN, MEDIAN, SHARE = "mean", "median", "share"
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A number that an episode has.
+
+    Attributes:
+        name: by which it is known.
+        head: of its column in a table.
+        unit: of the number, "" for none.
+        better: "high" or "low".
+        of: function of a Record.
+        many: how many episodes are summed up, by "mean", "median" (with an interval) or "share" (a mean in percent).
+        scale: of the number in a table, beside its unit there.
+    """
+
+    name: str
+    head: str
+    unit: str
+    better: str
+    of: Callable[[Record], float]
+    many: str
+    scale: float = 1.0
+
+    def sum_up(self, records: Sequence[Record]) -> float:
+        """Gives the mean or the median of episodes; of an even number of them the upper of the middle two."""
+        return self.interval(records)[0] if self.many == MEDIAN else float(np.mean(self.each(records)))
+
+    def each(self, records: Sequence[Record]) -> Array:
+        """Gives the number of each of the episodes, (b,)."""
+        return np.array([self.of(record) for record in records])
+
+    def interval(self, records: Sequence[Record]) -> tuple[float, float, float]:
+        """Gives the median of episodes and its bootstrap interval."""
+        return median_interval(self.each(records))
+
+
+def _settled(record: Record) -> float:
+    return np.inf if record.failure else settling_time(record.errors, record.band, record.period)
+
+
+def _vibration(record: Record) -> float:
+    return np.inf if record.failure else peak_to_peak(record.tips, record.period)
+
+
+# One that failed never settles and vibrates without end.
+FIGURES = {figure.name: figure for figure in (
+    Figure("reward", "reward", "", "high", lambda record: float(record.rewards.sum()), MEAN),
+    Figure("settled", "settled", "", "high", lambda record: float(np.isfinite(_settled(record))), SHARE),
+    Figure("settling_time", "settling, s", "s", "low", _settled, MEDIAN),
+    Figure("vibration", "p-p, mm", "m", "low", _vibration, MEDIAN, 1e3),
+    Figure("error", "error, mm", "m", "low", lambda record: final_error(record.errors, record.period), MEDIAN, 1e3),
+    Figure("rms_error", "RMS error, mm", "m", "low", lambda record: rms(record.errors), MEDIAN, 1e3),
+    Figure("roughness", "roughness", "", "low", lambda record: roughness(record.actions), MEAN),
+    Figure("effort", "effort", "", "low", lambda record: effort(record.actions), MEAN),
+    Figure("failed", "failed", "", "low", lambda record: float(record.failure != ""), SHARE),
+)}  # fmt: skip
+USUAL = ("reward", "settled", "settling_time", "vibration", "error", "roughness", "effort", "failed")  # of a task
+
+
+def figures_of(task: Any) -> tuple[Figure, ...]:
+    """Gives the figures that matter for a task: those that it names in `figures`, or those of a slew."""
+    return tuple(FIGURES[name] for name in getattr(task, "figures", USUAL))
+
+
+def evaluate(
+    entrant: str | Entrant | Controller, environment: str | Description, seeds: Sequence[int]
+) -> dict[str, float]:
+    """Gives every figure of FIGURES, summed up over an episode from each seed.
+
+    Args:
+        entrant, environment, seeds: see `rollout`.
+
+    Raises:
+        FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
+    """
+    records = rollout(entrant, environment, seeds).records
+    return {name: figure.sum_up(records) for name, figure in FIGURES.items()}

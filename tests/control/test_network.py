@@ -1,0 +1,74 @@
+"""Network: NumPy acts as the algorithm that learned, row by row."""
+
+import numpy as np
+import pytest
+
+from flexman_gym.control.network import Network
+
+from oracles.refusals import refusal
+
+SEEN = np.random.default_rng(0).normal(scale=2.0, size=(50, 6)).astype(np.float32)
+
+
+def parameters(algo, random=None):
+    """Made-up layers of 6, 5, 4 and 2 numbers."""
+    random = random or np.random.default_rng(1)
+    first, last = {"ppo": ("mlp_extractor.policy_net.", "action_net"), "sac": ("actor.latent_pi.", "actor.mu")}[algo]
+    sizes = {f"{first}0": (5, 6), f"{first}2": (4, 5), last: (2, 4)}
+    return {f"{name}.{part}": random.normal(size=shape[: 2 - (part == "bias")])
+            for name, shape in sizes.items() for part in ("weight", "bias")}  # fmt: skip
+
+
+STATISTICS = {"mean": np.linspace(-1.0, 1.0, 6), "var": np.linspace(0.0, 4.0, 6)}
+
+
+@pytest.mark.parametrize(("algo", "function", "end"), [
+    ("ppo", np.tanh, lambda x: np.clip(x, -1.0, 1.0)), ("sac", lambda x: np.maximum(x, 0.0), np.tanh),
+])  # fmt: skip
+def test_it_is_what_its_definition_says(algo, function, end):
+    arrays = parameters(algo)
+    found = Network(algo, None, arrays, STATISTICS)
+    values = np.clip((SEEN - STATISTICS["mean"]) / np.sqrt(STATISTICS["var"] + 1e-8), -10.0, 10.0)
+    names = list(dict.fromkeys(name.rsplit(".", 1)[0] for name in arrays))
+    for name in names:
+        values = values @ arrays[f"{name}.weight"].T + arrays[f"{name}.bias"]
+        values = function(values) if name != names[-1] else end(values)
+    assert found(SEEN) == pytest.approx(values, abs=1e-12) and (found.size, found.joints) == (6, 2)
+    assert all(np.array_equal(found(SEEN[i : i + 1])[0], found(SEEN)[i]) for i in range(50)), "bits of a row alone"
+
+
+@pytest.mark.parametrize("algo", ["ppo", "sac"])
+@pytest.mark.parametrize("activation", ["tanh", "relu"])
+def test_it_acts_as_the_policy_that_was_trained(algo, activation, tmp_path):
+    pytest.importorskip("stable_baselines3")
+    from flexman_agents.algorithm import acting, make_model
+    from flexman_agents.memory import take_policy
+    from flexman_agents.settings import Settings
+
+    environment = {"id": "FlexOne-v0", "base": "pd"}
+    settings = Settings(algo, environment, envs=1, hyperparameters={"net_arch": [7, 5], "activation": activation})
+    model = make_model(settings)
+    statistics = model.get_vec_normalize_env()
+    size = len(statistics.obs_rms.mean)
+    statistics.obs_rms.mean, statistics.obs_rms.var = np.linspace(-1, 1, size), np.linspace(0.1, 2, size)
+    data = take_policy(model)
+    seen = np.random.default_rng(0).normal(size=(20, size)).astype(np.float32)
+    found = Network(algo, activation, data["policy"], data["statistics"])
+    assert found(seen) == pytest.approx(acting(model, statistics)(seen, (20, 1)), abs=2e-6)
+
+
+@pytest.mark.parametrize(("change", "line"), [
+    ({"action_net.bias": np.zeros(3)}, "policy.action_net: 'arrays (2, 4) and (3,)' is not allowed"),
+    ({"action_net.weight": np.zeros((2, 7))}, "policy: 'a layer of 7 numbers' is not allowed; give 'one of 4'"),
+    ({"mlp_extractor.policy_net.0.weight": np.full((5, 6), np.nan)}, "policy.mlp_extractor.policy_net.0.weight: "),
+    ({"action_net.weight": "text"}, "policy.action_net.weight: 'str' is not allowed; give an array of numbers"),
+])  # fmt: skip
+def test_layers_that_do_not_follow_on_each_other_are_refused(change, line):
+    said = refusal(Network, "ppo", None, parameters("ppo") | change, STATISTICS)
+    assert said.startswith(line.replace("give 'one of 4'", "give one of 4"))
+
+
+def test_missing_parts_are_refused():
+    assert refusal(Network, "sac", None, parameters("ppo"), STATISTICS).startswith("policy.actor.mu: ")
+    assert refusal(Network, "ppo", None, parameters("ppo"), {"mean": STATISTICS["mean"]}).startswith("statistics.var")
+    assert refusal(Network, "ppo", "sigmoid", parameters("ppo"), STATISTICS).startswith("activation: 'sigmoid'")

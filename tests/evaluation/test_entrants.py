@@ -1,0 +1,140 @@
+"""Entrants: who acts, on the environment that a policy was trained on, with the gains that it learned on."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import flexman_gym as fm
+from flexman_gym.control import PD
+from flexman_gym.envs import NAMED
+from flexman_gym.envs.description import Description
+from flexman_gym.evaluation import BASELINES, Entrant, evaluate, find_entrant, rollout
+from flexman_gym.evaluation.entrants import changed_environment, common_environment, parted
+
+from oracles.refusals import refusal
+
+ARM = {"catalog": "vertical_2r", "payload": {"mass": 0.3}}
+TRAINED = {"id": "FlexPlanar-v0", "arm": ARM, "horizon": 1.5, "base": "pd", "hold": 5, "sensors": ["full", "fine"]}
+ONE = Description("FlexOne-v0", {"horizon": 1.5})
+SEEDS = range(9000, 9003)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A run on a planar arm that carries three times as much as the named one."""
+    pytest.importorskip("stable_baselines3")
+    from flexman_agents.settings import Settings
+    from flexman_agents.training import train
+
+    folder = tmp_path_factory.mktemp("runs") / "planar"
+    settings = Settings(environment=TRAINED, steps=256, envs=2, hyperparameters={"net_arch": [8]})
+    train(settings, folder, progress=False)
+    return folder
+
+
+def test_a_policy_is_evaluated_on_the_environment_that_it_was_trained_on(run):
+    policy = find_entrant(str(run))
+    environment = common_environment([policy, find_entrant("pd")], None)
+    setup = environment.setup()
+    assert (environment.id, setup.arm.payload.mass, setup.horizon) == ("FlexPlanar-v0", 0.3, 1.5)
+    gains = {name: list(each) for name, each in NAMED["FlexPlanar-v0"].pd.items()}
+    expected = {"base": "pd", "gains": gains, "hold": 5, "sensors": ["full", "fine"]}
+    assert policy.interface == expected, "which go with the policy"
+    assert setup.base is None and setup.hold == 1
+    found = rollout(policy, environment, SEEDS)
+    assert found.period == 0.01 and found.lengths.tolist() == [150] * 3
+    for record, held in zip(found.records, rollout("pd", environment, SEEDS).records, strict=True):
+        assert np.array_equal(record.tips[0], held.tips[0]), "the same episodes for both"
+        assert (record.actions[1:] != held.actions[1:]).any(), "the agent does something beside its base"
+
+
+def test_a_policy_acts_as_in_an_environment_with_its_own_hold_and_base(run):
+    """What is recorded period by period is what happens in the environment of the training."""
+    policy = find_entrant(str(run))
+    (record,) = rollout(policy, common_environment([policy], None), [9001]).records
+    described = Description.from_dict(TRAINED)
+    env = gym.make(described.id, **described.keywords())
+    seen, info = env.reset(seed=9001)
+    errors, rewards = [info["tip_error"]], []
+    for _ in range(30):
+        seen, reward, _, ended, info = env.step(policy.act(seen[None], (1, 2))[0])
+        errors.append(info["tip_error"])
+        rewards.append(reward)
+    assert ended and np.array_equal(record.errors[::5], errors)
+    assert record.rewards.reshape(-1, 5).mean(axis=1) == pytest.approx(rewards, rel=1e-12)
+
+
+def test_a_policy_keeps_the_gains_that_it_learned_on(run):
+    """Under a condition with another PD, which is the baseline beside it."""
+    learned = NAMED["FlexPlanar-v0"].pd
+    delayed = Description.find("FlexPlanar-v0/delay")
+    assert delayed.setup().gains != learned
+    environments = delayed, Description("FlexPlanar-v0", {**delayed.settings, "gains": learned})
+    for name in (str(run), "pd"):
+        policy = find_entrant(name)
+        both = [rollout(policy, common_environment([policy], each), [9001]) for each in environments]
+        assert np.array_equal(both[0].actions, both[1].actions) == (name != "pd"), "the baseline has the condition's"
+
+
+def test_baselines_run_on_the_environment_that_is_named():
+    described = Description("FlexPlanar-v0", {"arm": ARM, "horizon": 1.5, "base": "lqr", "hold": 3, "sensors": "fine"})
+    environment = common_environment([find_entrant("pd"), find_entrant("zero")], described)
+    assert environment.settings == {"arm": ARM, "horizon": 1.5}, "base, hold and sensors belong to what acts"
+    results = {name: evaluate(name, environment, SEEDS) for name in BASELINES}
+    rewards = {name: found["reward"] for name, found in results.items()}
+    assert rewards["lqr-tracking"] > rewards["pd"] > max(rewards["zero"], rewards["random"])
+    assert evaluate("zero", environment, SEEDS) == results["zero"]
+    assert common_environment([find_entrant("pd")], None) == Description()
+
+
+def test_rows_on_different_environments_are_refused_and_a_named_one_settles_it(run):
+    one = find_entrant(str(run))
+    other = Entrant("other", one.act, one.interface, Description("FlexPlanar-v0"))
+    line = refusal(common_environment, [one, find_entrant("pd"), other], None)
+    assert line.startswith("entrant: 'other' is not allowed; give policies of one environment")
+    assert line.endswith("or name one with --env: planar knows another")
+    assert common_environment([one, other], ONE) == ONE
+    same = Entrant("same", one.act, {"hold": 1}, one.environment)
+    assert common_environment([one, same], None) == one.environment, "another hold is not another environment"
+
+
+def test_the_pd_beside_policies_has_the_gains_of_the_first_that_learned_on_one():
+    """Gains belong to a policy: other ones make no other environment."""
+
+    def learned(name, damping):
+        gains = {"stiffness": [2.0], "damping": [damping]}
+        environment, interface = parted(Description(ONE.id, {**ONE.settings, "base": "pd", "gains": gains}))
+        return Entrant(name, find_entrant("zero").act, interface, environment)
+
+    alone = Entrant("alone", find_entrant("zero").act, {}, ONE)
+    found = common_environment([alone, learned("soft", 0.1), learned("hard", 0.2), find_entrant("pd")], None)
+    assert found.setup().pd_gains == {"stiffness": (2.0,), "damping": (0.1,)}
+    assert found.setup().horizon == 1.5
+
+
+def test_what_a_policy_was_trained_with_is_not_changed_in_part_either():
+    assert changed_environment(ONE, ["arm.payload.mass=0.1"]).setup().arm.payload.mass == 0.1
+    for change in ("sensors.kind=fine", "hold=2", "base=pd"):
+        line = refusal(changed_environment, ONE, [change])
+        assert line.startswith(f"--set: '{change}' is not allowed; give a setting of what is moved: base, hold, ")
+
+
+def test_random_torques_go_both_ways():
+    found = find_entrant("random").act(np.zeros((200, 3), dtype=np.float32), (200, 2))
+    assert found.shape == (200, 2) and -1.0 <= found.min() < -0.9 and 0.9 < found.max() <= 1.0
+    assert np.abs(found.mean(axis=0)).max() < 0.2, "five deviations of the mean of so many"
+
+
+def test_a_controller_of_ones_own_is_an_entrant_like_any_other():
+    setup = ONE.setup()
+    own = PD(**NAMED[ONE.id].pd, torque_limit=setup.torque_limit)
+    assert fm.evaluate(own, ONE, SEEDS) == fm.evaluate("pd", ONE, SEEDS)
+    assert find_entrant(own).name == "PD" and find_entrant(own).environment is None
+
+
+def test_what_acts_nowhere_is_refused_in_one_line(tmp_path):
+    for nobody in ("nobody", PD):
+        with pytest.raises(FileNotFoundError, match=r"^entrant: .* is not allowed; give the folder of a training"):
+            find_entrant(nobody)
+    with pytest.raises(FileNotFoundError, match="no such file"):
+        find_entrant(str(tmp_path))

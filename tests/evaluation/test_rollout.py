@@ -1,0 +1,96 @@
+"""Rollout: the same episodes for all, recorded in every control period, to the end of each."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import flexman_gym as fm
+from flexman_gym.envs.description import Description
+from flexman_gym.evaluation import FIGURES, Entrant, rollout
+from flexman_gym.metrics import BAND
+
+ONE = Description("FlexOne-v0", {"horizon": 1.5})
+SEEDS = range(9000, 9003)
+
+
+def test_a_policy_with_a_history_sees_what_it_saw_in_training():
+    """Readings a hold apart, also where all episodes are judged side by side."""
+    interface = {"base": "pd", "hold": 3, "history": 4, "sensors": ["full"]}
+    judged, seen = [], []
+
+    def act(observations, shape):
+        judged.append(observations.copy())
+        return np.tanh(observations[:, -shape[1] :])
+
+    rollout(Entrant("watching", act, interface), ONE, [9001, 9002])
+    env = gym.make(ONE.id, **ONE.keywords(), **interface)
+    observation, ended = env.reset(seed=9001)[0], False
+    while not ended:
+        seen.append(observation)
+        action = np.tanh(observation[-1:])
+        observation, _, _, ended, _ = env.step(action)
+    assert np.array_equal(np.array(judged)[:, 0], seen) and np.ptp(seen, axis=0).max() > 0.1
+
+
+def test_an_episode_that_fails_ends_there_and_the_arms_beside_it_go_on():
+    """One arm gets full torque, the others none."""
+
+    def act(observations, shape):
+        return np.array([[1.0]] + [[0.0]] * (shape[0] - 1))
+
+    environment = Description("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
+    together = rollout(Entrant("push", act), environment, SEEDS)
+    failed, *others = together.records
+    assert "rate" in failed.failure and len(failed.actions) < 75
+    assert len(failed.tips) == len(failed.errors) == len(failed.actions) + 1 == len(failed.rewards) + 1
+    (alone,) = rollout(Entrant("push", act), environment, [9000]).records
+    assert np.array_equal(alone.tips, failed.tips) and alone.failure == failed.failure
+    for record in others:
+        assert record.failure == "" and len(record.actions) == 75 and not record.actions.any()
+    assert FIGURES["settling_time"].of(failed) == FIGURES["vibration"].of(failed) == np.inf
+    assert np.isnan(together.tips[0, together.lengths[0] + 1 :]).all() and together.tips.shape == (3, 76, 3)
+    assert together.actions.shape == (3, 75, 1) and np.isnan(together.rewards[0, together.lengths[0] :]).all()
+
+
+def test_a_failed_episode_is_counted_to_its_last_period():
+    """As a user counts it who steps the environment by hand: with the reward of the failure, which is not the least."""
+
+    def act(observations, shape):
+        return np.ones(shape)
+
+    environment = Description("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
+    (record,) = rollout(Entrant("push", act), environment, [9000]).records
+    env, rewards, failed = gym.make(environment.id, **environment.keywords()), [], False
+    errors = [env.reset(seed=9000)[1]["tip_error"]]
+    while not failed:
+        _, reward, failed, _, info = env.step(np.ones(1, dtype=np.float32))
+        rewards.append(reward)
+        errors.append(info["tip_error"])
+    found = {name: figure.of(record) for name, figure in FIGURES.items()}
+    assert record.failure == info["failure"] and len(record.rewards) == len(rewards)
+    assert found["reward"] == pytest.approx(sum(rewards), rel=1e-9) and abs(rewards[-1]) > 1e-3 * abs(found["reward"])
+    assert found["rms_error"] == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=1e-9)
+    assert (found["effort"], found["roughness"]) == (1.0, 0.0), "full torque in all of them"
+
+
+def test_the_band_is_a_part_of_the_reach():
+    """Of two links of half a metre: an episode settles in the band that the head of the table names, in mm."""
+    environment = Description("FlexPlanar-v0", {"horizon": 3.0})
+    found = rollout("lqr-tracking", environment, SEEDS)
+    assert found.band == pytest.approx(BAND * 1.0) == pytest.approx(0.02 / 8.5), "20 mm where the reach is 8.5 m"
+    for record in found.records:
+        after = round(FIGURES["settling_time"].of(record) / record.period)
+        assert (record.errors[after:] <= record.band).all() and record.errors[after - 1] > record.band
+
+
+def test_an_environment_has_an_id_a_condition_or_a_file(tmp_path):
+    (tmp_path / "one.yaml").write_text("id: FlexOne-v0\nhorizon: 0.5\n")
+    assert fm.rollout("zero", str(tmp_path / "one.yaml"), [1]).lengths.tolist() == [25]
+    late, now = (fm.rollout("pd", f"FlexPlanar-v0/{condition}", [1]) for condition in ("delay", "nominal"))
+    assert (late.actions != now.actions).any() and np.array_equal(late.tips[:, 0], now.tips[:, 0])
+
+
+def test_who_watches_sees_the_reset_and_every_period():
+    seen = []
+    found = rollout("pd", ONE, SEEDS, lambda episodes: seen.append(episodes.view.tip.copy()))
+    assert np.array_equal(np.array(seen).swapaxes(0, 1), found.tips)
