@@ -37,6 +37,19 @@ def test_it_is_what_its_definition_says(algo, function, end):
     assert all(np.array_equal(found(SEEN[i : i + 1])[0], found(SEEN)[i]) for i in range(50)), "bits of a row alone"
 
 
+def test_layers_follow_on_each_other_by_their_numbers():
+    """Six of them, the last of which has the number 10: each turns two numbers a little further."""
+    turns = [np.array([[np.cos(a), -np.sin(a)], [np.sin(a), a]]) for a in np.linspace(0.1, 1.2, 7)]
+    names = [*(f"actor.latent_pi.{2 * i}" for i in range(6)), "actor.mu"]
+    arrays = {f"{name}.weight": turn for name, turn in zip(names, turns, strict=True)}
+    found = Network("sac", "tanh", arrays | {f"{name}.bias": np.zeros(2) for name in names},
+                    {"mean": np.zeros(2), "var": np.ones(2)})  # fmt: skip
+    values = SEEN[:, :2].astype(float)
+    for turn in turns:
+        values = np.tanh(values @ turn.T)
+    assert found(SEEN[:, :2]) == pytest.approx(values, abs=1e-7)
+
+
 @pytest.mark.parametrize("algo", ["ppo", "sac"])
 @pytest.mark.parametrize("activation", ["tanh", "relu"])
 def test_it_acts_as_the_policy_that_was_trained(algo, activation, tmp_path):
