@@ -5,7 +5,17 @@ import pytest
 
 from flexman_gym.kernels import layout
 from flexman_gym.studies.ringdown import measure
-from flexman_gym.studies.ringdown.cases import DURATION, IMPULSE, PERIOD, RELEASE, SLEW, UNDAMPED, cases, default_model
+from flexman_gym.studies.ringdown.cases import (
+    BENT,
+    DURATION,
+    IMPULSE,
+    PERIOD,
+    RELEASE,
+    SLEW,
+    UNDAMPED,
+    cases,
+    default_model,
+)
 from flexman_gym.studies.ringdown.charts import PICTURE, draw
 from flexman_gym.studies.ringdown.measure import PARTS, REFERENCE, Row, outcome, percentiles, row, settings
 from flexman_gym.studies.ringdown.page import page
@@ -24,7 +34,7 @@ def test_arms_start_with_the_energy_that_their_kind_names(kind):
     torques, forces = each.drives[:, :, :n], each.drives[:, :, n:]
     assert torques.any() == (kind == SLEW) and forces.any() == (kind == IMPULSE)
     bent = (each.states[:, default_model().elastic_columns(1)] != 0.0).any()
-    assert bent == (kind in (RELEASE, UNDAMPED))
+    assert bent == (kind in (RELEASE, UNDAMPED, BENT))
 
 
 def test_the_midpoint_rule_keeps_the_energy_that_ros2_loses():
