@@ -1,7 +1,7 @@
 """Control: controllers with one call signature."""
 
-from flexman_gym.control.controller import Controller
+from flexman_gym.control.controller import Controller, Episode
 from flexman_gym.control.lqr import LQR, TrackingLQR
 from flexman_gym.control.pd import PD
 
-__all__ = ["LQR", "PD", "Controller", "TrackingLQR"]
+__all__ = ["LQR", "PD", "Controller", "Episode", "TrackingLQR"]

@@ -1,12 +1,43 @@
-"""Controller: the one call signature of everything that acts on arms."""
+"""Controller: the one protocol of everything that acts on arms."""
 
-from collections.abc import Mapping
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from functools import cached_property
+from inspect import signature
+from typing import Any, Protocol, runtime_checkable
 
-import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array, IntArray
+from flexman_gym.arrays import Array, Flags, IntArray
+from flexman_gym.checks import refusal
+
+Readings = Mapping[str, NDArray[Any]]
+DEFAULTS: dict[str, Any] = {"kept": ()}  # optional members of a controller, and what stands for them
+CALLS = {"reset": ("arms", "episode"), "act": ("readings", "applied", "playing")}
+NEAR = 0.75  # likeness of a name to that of a member, from which on it is taken for a slip
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """What a controller is told of r arms whose episodes start.
+
+    Attributes:
+        start: (r, n) joint angles at the start, rad.
+        goal: (r, n) motor angles of the goal, of its first moment where it moves, rad.
+        period: of control, s.
+        path: makes the `reference`, None for a goal that stays.
+    """
+
+    start: Array
+    goal: Array
+    period: float
+    path: Callable[[], Array] | None = None
+
+    @cached_property
+    def reference(self) -> Array | None:
+        """Motor angles (r, T + 1, n) rad of a goal that moves, at each control period; None for one that stays."""
+        return None if self.path is None else self.path()
 
 
 @runtime_checkable
@@ -17,8 +48,8 @@ class Controller(Protocol):
     arm must not depend on the other arms, to the last bit. Products therefore go row by row (`arrays.row_dots`,
     elementwise): products of BLAS have other last digits for other numbers of arms.
 
-    One that remembers more of an episode than `reset` gives it names these attributes, arrays or numbers, in a further
-    one, `kept`: states of environments then hold them.
+    An optional member is `kept`, () by default: names of attributes, arrays or numbers, that it remembers of an episode
+    beside what `reset` gives it; states of environments then hold them.
 
     Attributes:
         sensors: names of the sensors that it reads.
@@ -29,20 +60,39 @@ class Controller(Protocol):
         """Names of the sensors that it reads."""
         ...
 
-    def reset(self, arms: IntArray, start: Array, posture: Array) -> None:
-        """Starts new episodes.
-
-        Args:
-            arms: indices (r,) of the arms that start.
-            start: (r, n) joint angles at the start, rad.
-            posture: (r, n) joint angles of the goal, rad.
-        """
+    def reset(self, arms: IntArray, episode: Episode) -> None:
+        """Starts new episodes of the arms with the indices (r,)."""
         ...
 
-    def act(self, readings: Mapping[str, NDArray[np.floating]]) -> NDArray[np.floating]:
+    def act(self, readings: Readings, applied: Array, playing: Flags) -> NDArray[Any]:
         """Gives the actions (b, n), parts of the torque limits from -1 to 1.
 
         Args:
-            readings: (b, size) of each sensor, by its name. Readings of a single arm, (size,), give its action (n,).
+            readings: (b, size) of each sensor, by its name.
+            applied: (b, n) what the motors were asked for in the last control period, parts of the torque limits: the
+                sum of all that acts, cut off at -1 and 1, before a delay or friction that nobody knows. 0 at first.
+            playing: (b,) whether the episode of an arm goes on.
         """
         ...
+
+
+def checked_controller(field: str, value: object) -> Controller:
+    """Gives a value that is a Controller.
+
+    Raises:
+        ValueError: one line, for anything else, for methods that take something else, and for a name that is nearly
+            that of an optional member.
+    """
+    if not isinstance(value, Controller) or isinstance(value, type):
+        raise refusal(field, value, "a Controller: an object with sensors, reset and act")
+    for name, wanted in CALLS.items():
+        try:
+            signature(getattr(value, name)).bind(*wanted)
+        except TypeError:
+            raise refusal(f"{field}.{name}", str(signature(getattr(value, name))), f"({', '.join(wanted)})") from None
+    known = {*DEFAULTS, *CALLS, "sensors"}
+    for name in {*vars(value), *vars(type(value))} - known:
+        near = [] if name.startswith("_") else get_close_matches(name, DEFAULTS, 1, NEAR)
+        if near:
+            raise refusal(f"{field}.{name}", getattr(value, name), f"{near[0]}, if it is meant, or another name")
+    return value

@@ -1,13 +1,13 @@
 """LQR: linear-quadratic control of the whole state, at the goal or along a slew to it."""
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array, IntArray, Vector, row_dots
+from flexman_gym.arrays import Array, Flags, IntArray, Vector, row_dots
 from flexman_gym.checks import positive
+from flexman_gym.control.controller import Episode, Readings
 from flexman_gym.control.discrete import Weights, optimal_gain
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.control.reference import plan_path, plan_slew
@@ -54,16 +54,18 @@ class LQR:
         linear = linearize(self.model, state=state, torque=held)
         return optimal_gain(linear, self.model.motor_columns, self.limits, weights or self.weights, self.period)
 
-    def reset(self, arms: IntArray, start: Array, posture: Array) -> None:
-        """Designs for new episodes of the arms (r,) with goal postures (r, n) rad."""
+    def reset(self, arms: IntArray, episode: Episode) -> None:
+        """Designs for new episodes of the arms (r,)."""
         self._gains, self._rest, self._held = (
             _grown(values, int(arms.max(initial=-1)) + 1) for values in (self._gains, self._rest, self._held)
         )
-        for arm, angles in zip(arms, posture, strict=True):
+        for arm, angles in zip(arms, episode.goal, strict=True):
             self._gains[arm] = self.gain(angles)
             self._rest[arm], self._held[arm] = rest_state(self.model, angles), holding_torques(self.model, angles)
 
-    def act(self, readings: Mapping[str, NDArray[np.floating]]) -> NDArray[np.floating]:
+    def act(
+        self, readings: Readings, applied: Array | None = None, playing: Flags | None = None
+    ) -> NDArray[np.floating]:
         """Gives actions (b, n), or (n,), for the state."""
         state = readings["state"]
         alone = state.ndim == 1
@@ -109,10 +111,13 @@ class TrackingLQR(LQR):
         self._plans: list[Plan] = []
         self._now = np.zeros(0, dtype=np.int64)
 
-    def reset(self, arms: IntArray, start: Array, posture: Array) -> None:
-        """Plans slews of the arms (r,) from joint angles to goal postures (r, n) rad."""
+    def reset(self, arms: IntArray, episode: Episode) -> None:
+        """Plans how the arms (r,) slew to their goals, or follow those that move."""
+        if episode.reference is not None:
+            self._follow(arms, episode.reference)
+            return
         motors = self.model.motor_columns
-        for arm, first, last in zip(arms, start, posture, strict=True):
+        for arm, first, last in zip(arms, episode.start, episode.goal, strict=True):
             if np.array_equal(first, last):
                 self._keep(int(arm), self._holding(last))
                 continue
@@ -129,7 +134,7 @@ class TrackingLQR(LQR):
         held = holding_torques(self.model, posture)[None]
         return Plan(rest_state(self.model, posture)[None], held, self.gain(posture, tight)[None], np.zeros(1))
 
-    def follow(self, arms: IntArray, postures: Array) -> None:
+    def _follow(self, arms: IntArray, postures: Array) -> None:
         """Plans how the arms (r,) follow goal postures (r, T + 1, n) rad, one for each control period."""
         for arm, path in zip(arms, postures, strict=True):
             slew = plan_path(self.model, path, self.period)

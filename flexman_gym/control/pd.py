@@ -1,12 +1,12 @@
 """PD: proportional-derivative control of the motors."""
 
-from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array, IntArray, Vector
+from flexman_gym.arrays import Array, Flags, IntArray, Vector
 from flexman_gym.checks import non_negative, physical, vector
+from flexman_gym.control.controller import Episode, Readings
 from flexman_gym.model.instant import mass_matrix
 from flexman_gym.model.model import Model, checked_model
 from flexman_gym.model.statics import holding_torques
@@ -49,14 +49,14 @@ class PD:
         self.gravity_model = None if gravity_model is None else checked_model(gravity_model)
         self._holding = np.zeros((1, n))  # torques of each arm
 
-    def reset(self, arms: IntArray, start: Array, posture: Array) -> None:
-        """Takes the torques that hold the arms at their goal postures (r, n) rad."""
+    def reset(self, arms: IntArray, episode: Episode) -> None:
+        """Takes the torques that hold the arms (r,) at their goals."""
         if self.gravity_model is None:
             return
         more = int(arms.max(initial=-1)) + 1 - len(self._holding)
         if more > 0:
             self._holding = np.vstack([self._holding, np.zeros((more, self._holding.shape[1]))])
-        for arm, angles in zip(arms, posture, strict=True):
+        for arm, angles in zip(arms, episode.goal, strict=True):
             self._holding[arm] = holding_torques(self.gravity_model, angles)
 
     def unstable(self, model: Model, period: float, delay: int = 0) -> str:
@@ -84,7 +84,9 @@ class PD:
             )
         return ""
 
-    def act(self, readings: Mapping[str, NDArray[np.floating]]) -> NDArray[np.float32]:
+    def act(
+        self, readings: Readings, applied: Array | None = None, playing: Flags | None = None
+    ) -> NDArray[np.float32]:
         """Gives the action (n,), or (b, n), for posture_errors, motor_rates and, where there are any, posture_rates."""
         error, rate = readings["posture_errors"], readings["motor_rates"]
         if "posture_rates" in readings:

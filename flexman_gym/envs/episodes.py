@@ -2,12 +2,14 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags, IntArray, row_dots
 from flexman_gym.checks import one_of, refusal
+from flexman_gym.control.controller import Episode
 from flexman_gym.envs.actions import Motors
 from flexman_gym.envs.effects import Stage
 from flexman_gym.envs.effects.effects import Effects
@@ -18,6 +20,7 @@ from flexman_gym.envs.sensors.measured import Measured
 from flexman_gym.envs.setup import Setup
 from flexman_gym.envs.sight import Observations, Sight, sight_parts
 from flexman_gym.envs.snapshot import give, take
+from flexman_gym.envs.tasks.task import goal_path
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.outputs import beyond
 from flexman_gym.simulation.batch import Batch
@@ -144,18 +147,15 @@ class Episodes:
         self.view.read()
         self.sight.begin(arms, randoms)
         self._begin(arms, options)
-        self._inform_base(arms, plan, self.view.posture[arms])
+        if self.base:
+            self._inform_base(arms, plan, self.view.posture[arms])
 
     def _inform_base(self, arms: IntArray, plan: Mapping[str, Array], posture: Array) -> None:
         """Tells the base of start and first goal (r, n) of new episodes, and of the path of a goal that moves."""
-        if not self.base:
-            return
-        self.base.reset(arms, plan["start"], posture)
-        if self.task.moves and hasattr(self.base, "follow"):
-            times: Array = self.view.control_period * np.arange(self.longest + 1.0)
-            alike = [{name: np.repeat(each[i : i + 1], len(times), 0) for name, each in plan.items()}
-                     for i in range(len(arms))]  # fmt: skip
-            self.base.follow(arms, np.array([self.task.goal(each, times, self.view).posture for each in alike]))
+        period = self.view.control_period
+        path = partial(goal_path, self.task, plan, period * np.arange(self.longest + 1.0), self.view)
+        assert self.base is not None
+        self.base.reset(arms, Episode(plan["start"], posture, period, path if self.task.moves else None))
 
     def _check_plan(self, plan: object) -> None:
         """Refuses what a task draws without a start that has an angle for each joint."""
@@ -211,7 +211,8 @@ class Episodes:
     def _period(self, actions: Array, playing: Flags | None) -> None:
         """Moves the arms that are playing, None for all, by one control period."""
         if self.base:
-            actions = np.clip(self._base_actions() + actions, -1.0, 1.0)
+            acted = self.base.act(self.sight.readings, self.view.action.copy(), ~self.over)
+            actions = np.clip(np.asarray(acted, dtype=np.float64) + actions, -1.0, 1.0)
         arriving = actions
         if self.effects is not None:
             arriving = self.effects.act(actions)
@@ -263,10 +264,6 @@ class Episodes:
         """Keeps what is seen now of the arms that have not failed."""
         failed = self.view.failed
         self.sight.next(np.flatnonzero(~failed) if np.count_nonzero(failed) else None)
-
-    def _base_actions(self) -> Array:
-        """What the base controller does, (b, n)."""
-        return np.asarray(self.base.act(self.sight.readings), dtype=np.float64) if self.base else np.zeros(0)
 
     def _fail(self, arms: IntArray) -> None:
         for arm in arms[~self.over[arms]].tolist():

@@ -7,7 +7,7 @@ from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 from flexman_gym.checks import mapping, one_of, positive, refusal, sequence, store, text, vector, whole_number
-from flexman_gym.control.controller import Controller
+from flexman_gym.control.controller import Controller, checked_controller
 from flexman_gym.control.lqr import LQR, TrackingLQR
 from flexman_gym.control.pd import PD, torque_limits
 from flexman_gym.envs.catalog import DEFAULT, NAMED
@@ -130,9 +130,11 @@ class Setup:
             raise refusal("horizon", horizon, f"1 to {MOST_PERIODS} control periods of {self.control_period} s")
         if isinstance(self.base, str):
             one_of("base", self.base, BASES)
-        elif self.base is not None and (not isinstance(self.base, Controller) or isinstance(self.base, type)):
-            allowed = f"None, one of {', '.join(BASES)}, or a Controller: an object with sensors, reset and act"
-            raise refusal("base", self.base, allowed)
+        elif self.base is not None:
+            if not isinstance(self.base, Controller) or isinstance(self.base, type):
+                allowed = f"None, one of {', '.join(BASES)}, or a Controller: an object with sensors, reset and act"
+                raise refusal("base", self.base, allowed)
+            checked_controller("base", self.base)
         if self.base == "pd":
             store(self, gains=self.pd_gains)
         self._check_fidelity()
@@ -257,7 +259,7 @@ def setup_of(settings: dict[str, Any], others: Collection[str] = ()) -> Setup:
     for name, value in settings.items():
         if name not in known:
             near = get_close_matches(name, known, 1, 0.0)[0]
-            raise refusal(name, value, f"a known setting: the nearest is {near}; the docstring of Setup has all")
+            raise refusal(name, value, f"a known setting: the nearest is {near}; all: {', '.join(sorted(known))}")
     return Setup(**settings)
 
 

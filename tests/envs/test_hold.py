@@ -35,13 +35,14 @@ class Recorder:
     sensors = ("full",)
 
     def __init__(self, asked=0.0, sensors=("full",)):
-        self.asked, self.sensors, self.readings, self.resets = asked, sensors, [], []
+        self.asked, self.sensors, self.readings, self.resets, self.told = asked, sensors, [], [], []
 
-    def reset(self, arms, start, posture):
-        self.resets.append((arms.copy(), start.copy(), posture.copy()))
+    def reset(self, arms, episode):
+        self.resets.append((arms.copy(), episode.start.copy(), episode.goal.copy()))
 
-    def act(self, readings):
+    def act(self, readings, applied, playing):
         self.readings.append({name: value.copy() for name, value in readings.items()})
+        self.told.append((applied.copy(), playing.copy()))
         return np.full((len(next(iter(readings.values()))), 3), self.asked)
 
 

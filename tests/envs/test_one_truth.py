@@ -25,7 +25,7 @@ def watched(sensors, own=("servo",)):
     """What an agent with some sensors and a base beside it read in 20 periods, and the rates that the base read."""
 
     class Watching(PD):
-        def act(self, readings):
+        def act(self, readings, applied, playing):
             read.append({name: values.copy() for name, values in readings.items()})
             return super().act(readings)
 

@@ -63,10 +63,10 @@ class Brake:
 
     sensors = ("full",)
 
-    def reset(self, arms, start, posture):
+    def reset(self, arms, episode):
         pass
 
-    def act(self, readings):
+    def act(self, readings, applied=None, playing=None):
         return np.clip(-0.5 * readings["motor_rates"], -1.0, 1.0)
 
 

@@ -166,10 +166,10 @@ def test_what_a_controller_remembers_is_kept():
         def __init__(self):
             self.way = np.ones(3)
 
-        def reset(self, arms, start, posture):
+        def reset(self, arms, episode):
             self.way[arms] = 1.0
 
-        def act(self, readings):
+        def act(self, readings, applied=None, playing=None):
             self.way = -self.way
             return 0.1 * self.way[:, None] * np.ones_like(readings["motor_rates"])
 

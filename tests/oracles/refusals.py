@@ -7,5 +7,5 @@ def refusal(action, *arguments) -> str:
     """Return the one line with which `action` refuses."""
     with pytest.raises(ValueError) as error:
         action(*arguments)
-    assert "\n" not in str(error.value) and len(str(error.value)) < 400
+    assert "\n" not in str(error.value) and len(str(error.value)) < 420
     return str(error.value)

@@ -67,3 +67,10 @@ class Task(Protocol):
     def info(self, view: View) -> dict[str, Number]:
         """What goes to `info` beside what every environment says; {} for nothing."""
         ...
+
+
+def goal_path(task: Task, plan: Mapping[str, Array], times: Array, view: View) -> Array:
+    """Gives the postures (r, T, n) rad of the goals of episodes with these plans, name -> (r, ...), at times (T,) s."""
+    count = len(next(iter(plan.values())))
+    alike = [{name: np.repeat(each[i : i + 1], len(times), 0) for name, each in plan.items()} for i in range(count)]
+    return np.array([task.goal(each, times, view).posture for each in alike])

@@ -64,6 +64,19 @@ LABORATORY = (
          "out[:, :n], out[:, n : 2 * n] = view.posture, 0.0"),
     ),
     *changes(
+        "laboratory", "envs/episodes.py", "envs/test_protocol.py",
+        ("a controller is not told what was applied", "self.view.action.copy(), ~self.over)",
+         "0.0 * self.view.action, ~self.over)"),
+        ("arms whose episode is over count as playing", "self.view.action.copy(), ~self.over)",
+         "self.view.action.copy(), self.over | True)"),
+        ("a goal that moves is told as one that stays", "path if self.task.moves else None", "None"),
+    ),
+    *changes(
+        "laboratory", "control/controller.py", "envs/test_protocol.py",
+        ("a controller that takes less is taken", "        except TypeError:", "        except OSError:"),
+        ("a name that is nearly kept is taken", "        if near:\n", "        if False:\n"),
+    ),
+    *changes(
         "laboratory", "envs/history.py", "envs/test_history.py",
         ("the oldest first", "memory[arms, 0] = observations\n        return",
          "memory[arms, -1] = observations\n        return"),
