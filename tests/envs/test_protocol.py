@@ -1,7 +1,5 @@
 """Protocol: what an environment tells the controller that acts beside an agent, and which controllers it takes."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
@@ -43,15 +41,17 @@ def test_a_controller_is_told_the_sum_that_was_asked_for_cut_off_and_before_what
 
 
 def test_a_controller_is_told_whose_episode_goes_on():
-    base = Listener()
-    env = FlexManVectorEnv(8, base=base, hold=4, limits=fm.Limits(rate=1.5), autoreset_mode="Disabled")
+    """Also within an action that is kept: an arm that fails then plays no more."""
+    base, over = Listener(), []
+    env = FlexManVectorEnv(8, base=base, hold=4, limits=fm.Limits(rate=1.5))
     env.reset(seed=1)
-    over = np.zeros(8, dtype=bool)
-    while not over.any():
-        _, _, over, _, _ = env.step(np.zeros((8, 3)))
-    ends = [playing for _, playing in base.told]
-    assert ends[0].all() and all((later <= sooner).all() for sooner, later in pairwise(ends))
-    assert (ends[-1] >= ~over).all() and not env.episodes.over[~over].any()
+    env.episodes.watch = lambda: over.append(env.episodes.over.copy())
+    for _ in range(30):
+        expected, first = [~env.episodes.over], len(base.told)
+        env.step(-np.linspace(0.0, 0.7, 8)[:, None] * np.ones(3))
+        expected += [~each for each in over[first:-1]]
+        assert np.array_equal([playing for _, playing in base.told[first:]], expected)
+    assert any(playing.any() and not playing.all() for _, playing in base.told)
 
 
 @pytest.mark.parametrize("name", ["FlexOne-v0", "FlexPlanar-Track-v0"])
