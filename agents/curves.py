@@ -13,7 +13,7 @@ class Events(TensorBoardOutputFormat):
     """TensorBoard events of a folder; those from `steps` on that an earlier process wrote are hidden."""
 
     def __init__(self, folder: Path, steps: int) -> None:
-        self.writer = SummaryWriter(str(folder), purge_step=steps or None)
+        self.writer = SummaryWriter(str(folder), purge_step=steps)
         self._is_closed = False
 
 

@@ -95,7 +95,7 @@ def resume(
     with locked(folder):
         data = read_data(folder / NEWEST) if (folder / NEWEST).is_file() else None
         if data is not None:
-            check_settings(folder / NEWEST, data, json.loads(json.dumps(settings.plain())))
+            check_settings(folder / NEWEST, data, json.loads((folder / SETTINGS).read_bytes()))
         done = 0 if data is None else _steps_done(folder / NEWEST, data)
         finished = data is not None and done >= settings.steps
         settings = _further(settings, folder, steps, done, finished)

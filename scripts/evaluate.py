@@ -18,8 +18,8 @@ def main() -> int:
     parser.add_argument("entrant", nargs="+", help=f"folder of a training run, or {', '.join(BASELINES)}")
     parser.add_argument("--episodes", type=int, default=len(TEST))
     parser.add_argument("--seed", type=int, default=TEST.start, help="of the first episode; the next follow")
-    parser.add_argument("--env", help=f"a file that describes an environment, or one of {', '.join(sorted(NAMED))}; "
-                        "without it that of the runs")  # fmt: skip
+    where = f"a file, an id and a condition such as FlexRRR-v0/delay, or one of {', '.join(sorted(NAMED))}"
+    parser.add_argument("--env", help=f"{where}; without it that of the runs")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the environment")
     parser.add_argument("--trust", action="store_true", help="read files of Stable-Baselines3, which can run any code")
     options = parser.parse_args()

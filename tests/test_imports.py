@@ -38,7 +38,7 @@ FLOORS = {
 PUBLIC = "evaluation envs control draw fidelity metrics simulation model scene"  # what flexman_gym/__init__.py gathers
 INSIDE_KERNELS = {"numba", "llvmlite", "numpy", "math", "operator", "typing", "collections", "functools"}
 # what names the folder of the binaries, and keeps them there
-CACHE_ROOM = {"hashlib", "os", "sys", "tempfile", "pathlib", "pickle", "shutil", "stat"}
+CACHE_ROOM = {"hashlib", "os", "sys", "tempfile", "pathlib", "pickle", "re", "shutil", "stat"}
 HEAVY = {"torch", "stable_baselines3", "matplotlib", "pyvista", "ray"}
 
 FILES = sorted(path for folder in (PACKAGE, ROOT / "agents", ROOT / "scripts") for path in folder.rglob("*.py"))

@@ -13,7 +13,7 @@ from flexman_gym.arrays import Array, Flags, IntArray
 from flexman_gym.checks import refusal
 
 Readings = Mapping[str, NDArray[Any]]
-DEFAULTS: dict[str, Any] = {"kept": ()}  # optional members of a controller, and what stands for them
+OPTIONAL = ("kept",)  # members that a controller may leave out
 CALLS = {"reset": ("arms", "episode"), "act": ("readings", "applied", "playing")}
 NEAR = 0.75  # likeness of a name to that of a member, from which on it is taken for a slip
 
@@ -86,13 +86,13 @@ def checked_controller(field: str, value: object) -> Controller:
     if not isinstance(value, Controller) or isinstance(value, type):
         raise refusal(field, value, "a Controller: an object with sensors, reset and act")
     for name, wanted in CALLS.items():
+        takes = signature(getattr(value, name))
         try:
-            signature(getattr(value, name)).bind(*wanted)
+            takes.bind(*wanted)
         except TypeError:
-            raise refusal(f"{field}.{name}", str(signature(getattr(value, name))), f"({', '.join(wanted)})") from None
-    known = {*DEFAULTS, *CALLS, "sensors"}
-    for name in {*vars(value), *vars(type(value))} - known:
-        near = [] if name.startswith("_") else get_close_matches(name, DEFAULTS, 1, NEAR)
+            raise refusal(f"{field}.{name}", str(takes), f"({', '.join(wanted)})") from None
+    for name in {*dir(value)} - {*OPTIONAL, *CALLS, "sensors"}:
+        near = [] if name.startswith("_") else get_close_matches(name, OPTIONAL, 1, NEAR)
         if near:
             raise refusal(f"{field}.{name}", getattr(value, name), f"{near[0]}, if it is meant, or another name")
     return value

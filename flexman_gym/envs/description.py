@@ -160,6 +160,9 @@ class Description:
                 value = file.parse(written)
             except (ValueError, RecursionError):
                 raise refusal("--set", change, "a value that is a number, a text, [a, list] or {a: mapping}") from None
+            if path == "condition":  # which goes before what was said of the same settings
+                data |= self.under(data["id"], value).whole_settings()
+                continue
             first, *rest = path.split(".")
             if rest and first in WHOLE:
                 data[first] = _plain(first, self._value(first, data))

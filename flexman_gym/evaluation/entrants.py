@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -47,7 +48,7 @@ def find_entrant(entrant: object) -> Entrant:
     if isinstance(entrant, Entrant):
         return entrant
     if isinstance(entrant, Controller) and not isinstance(entrant, type):
-        return Entrant(type(entrant).__name__, still, {"base": entrant})
+        return Entrant(type(entrant).__name__, still, {"base": deepcopy(entrant)})  # which may have acted elsewhere
     name = str(entrant)
     if name in BASES:
         return Entrant(name, still, {"base": name})
@@ -90,6 +91,10 @@ def load_run(folder: Path) -> Entrant:
     environment, interface = parted(described)
 
     def act(observations: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.floating]:
+        if (observations.shape[1], shape[1]) != (network.size, network.joints):
+            given = f"{observations.shape[1]} numbers for {shape[1]} motors"
+            allowed = f"{network.size} and {network.joints}, as it was trained"
+            raise refusal(f"observations of {folder.name}", given, allowed)
         return network(observations).astype(np.float32).reshape(shape)
 
     return Entrant(folder.name, act, interface, environment)
@@ -100,7 +105,7 @@ def parted(described: Description) -> tuple[Description, dict[str, Any]]:
 
     The gains of a PD are in both: those with which a policy learned are its own, and the environment has a PD too.
     """
-    moved = dict(described.settings or {})
+    moved = described.whole_settings()
     interface = {name: moved.pop(name) for name in INTERFACE if name in moved}
     if interface.get("base") == "pd":
         interface["gains"] = described.whole()["gains"]
@@ -117,14 +122,13 @@ def common_environment(entrants: Sequence[Entrant], named: Description | None) -
     """
     if named is not None:
         return parted(named)[0]
-    trained = {each.name: each.environment for each in entrants if each.environment is not None}
-    wholes = {name: environment.whole() for name, environment in trained.items()}
-    for first, name in zip([*trained][:1] * len(trained), trained, strict=True):
-        if {**wholes[name], "gains": None} != {**wholes[first], "gains": None}:
-            allowed = f"policies of one environment, or name one with --env: {first} knows another"
+    trained = [(each.name, each.environment, each.environment.whole()) for each in entrants if each.environment]
+    for name, _, whole in trained:
+        if {**whole, "gains": None} != {**trained[0][2], "gains": None}:
+            allowed = f"policies of one environment, or name one with --env: {trained[0][0]} knows another"
             raise refusal("entrant", name, allowed)
-    with_gains = [trained[name] for name, whole in wholes.items() if whole.get("gains")]
-    return next(iter([*with_gains, *trained.values()]), Description())
+    with_gains = [environment for _, environment, whole in trained if whole.get("gains")]
+    return next(iter([*with_gains, *(environment for _, environment, _ in trained)]), Description())
 
 
 def changed_environment(environment: Description, changes: Sequence[str]) -> Description:
@@ -137,7 +141,7 @@ def changed_environment(environment: Description, changes: Sequence[str]) -> Des
         if change.split("=")[0].split(".")[0] in INTERFACE:
             allowed = f"a setting of what is moved: {', '.join(INTERFACE)} are those that a policy was trained with"
             raise refusal("--set", change, allowed)
-    return environment.changed(changes)
+    return parted(environment.changed(changes))[0]
 
 
 def still(observations: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.floating]:

@@ -10,7 +10,7 @@ from flexman_gym.arrays import Array, IntArray
 from flexman_gym.control.controller import Controller
 from flexman_gym.envs.description import Description
 from flexman_gym.envs.episodes import Episodes
-from flexman_gym.evaluation.entrants import Entrant, find_entrant
+from flexman_gym.evaluation.entrants import Entrant, find_entrant, parted
 from flexman_gym.metrics import BAND
 
 
@@ -88,7 +88,8 @@ def rollout(
         FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
     """
     player, described = find_entrant(entrant), found_environment(environment)
-    venv = gym.make_vec(described.id, len(seeds), "vector_entry_point", **described.keywords() | player.interface)
+    keywords = parted(described)[0].keywords() | player.interface
+    venv = gym.make_vec(described.id, len(seeds), "vector_entry_point", **keywords)
     episodes, size = venv.unwrapped.episodes, venv.action_space.shape or ()  # type: ignore[attr-defined]
     recorder = _Recorder(episodes, watch)
     observations, _ = venv.reset(seed=list(seeds))  # type: ignore[arg-type]

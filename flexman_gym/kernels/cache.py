@@ -6,13 +6,14 @@ where the home cannot be written, the temporary folder are respected in this ord
 folder is made in the last.
 
 The files are pickles of Numba, which can run any code when they are read. They are read only from a folder that belongs
-to the user and in which nobody else may write or could have written: one that was open is emptied and closed. What is
+to the user and in which nobody else may write or could have written: kernels in one that was open go. What is
 damaged is compiled anew; what cannot be written is not kept.
 """
 
 import hashlib
 import os
 import pickle
+import re
 import shutil
 import stat
 import sys
@@ -24,6 +25,7 @@ from typing import Any
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
+NAME = re.compile("[0-9a-f]{16}")  # of a folder of kernels
 SEAL = hashlib.sha256().digest_size  # bytes in front of a file
 SETTINGS = ("BOUNDSCHECK", "CPU_NAME", "CPU_FEATURES", "OPT", "ENABLE_AVX", "LOOP_VECTORIZE", "SLP_VECTORIZE")
 
@@ -132,7 +134,10 @@ def _places() -> Iterator[tuple[Path, bool]]:
 
 
 def _belongs_to_us(folder: Path, strict: bool) -> bool:
-    """Whether a folder is the user's and nobody else may write in it; where we made it, it is closed and emptied."""
+    """Whether a folder is the user's and nobody else may write in it; one that was open is closed.
+
+    Folders of kernels, whose names are ours alone, are then thrown away; whatever else is there stays and is not read.
+    """
     found = folder.lstat() if strict else folder.stat()
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
         return False
@@ -140,12 +145,12 @@ def _belongs_to_us(folder: Path, strict: bool) -> bool:
         if strict:
             return False
         folder.chmod(0o700)
-        for inside in folder.iterdir():
-            if inside.is_dir() and not inside.is_symlink():
-                shutil.rmtree(inside)
-            else:
-                inside.unlink()
-        print(f"flexman_gym: others could write to {folder}; it is theirs no more, and emptied", file=sys.stderr)
+        for kernels in [folder] if NAME.fullmatch(folder.name) else list(folder.iterdir()):
+            if NAME.fullmatch(kernels.name):
+                kernels.unlink() if kernels.is_symlink() else shutil.rmtree(kernels)
+        folder.mkdir(mode=0o700, exist_ok=True)
+        if not quiet():
+            print(f"flexman_gym: others could write to {folder}; kernels there are compiled anew", file=sys.stderr)
     return True
 
 

@@ -59,7 +59,7 @@ def find_tolerance(method: Method, step: float | None, rtol: float, atol: float)
 
 def default_step(control_period: float, longest: float = LONGEST_STEP) -> float:
     """Gives the longest step (s) up to a `longest` one that divides a control period (s)."""
-    return control_period / math.ceil(control_period / longest - 1e-9)
+    return control_period / max(1, math.ceil(control_period / longest - 1e-9))
 
 
 def find_substeps(step: float | str | None, control_period: float) -> int:

@@ -167,6 +167,12 @@ def test_a_condition_is_a_keyword_too_and_what_is_given_beside_it_goes_before(co
     assert described.setup().arm == expected.arm and "condition" not in described.whole()
 
 
+def test_a_condition_that_is_set_later_takes_the_place_of_what_was_drawn_before():
+    described = Description("FlexPlanar-v0", {"condition": "payload", "hold": 2}).changed(["condition=delay"])
+    assert described.setup().randomisation == Randomisation(delay=(1, 1)) and described.setup().hold == 2
+    assert described.setup().gains == Description.find("FlexPlanar-v0/delay").setup().gains
+
+
 # A PD that says when it is unstable
 
 

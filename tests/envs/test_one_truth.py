@@ -87,7 +87,7 @@ def test_an_arm_of_the_same_lengths_is_not_the_named_arm():
     assert FlexManEnv(arm=light, base="pd", gains=gains).setup.gains == gains
 
 
-@pytest.mark.parametrize("period", [0.002, 0.005, 0.02, 0.03])
+@pytest.mark.parametrize("period", [1e-12, 0.002, 0.005, 0.02, 0.03])
 def test_there_is_one_default_wherever_steps_are_fixed(period):
     model = fm.build_model(fm.catalog.planar_2r(joint_stiffness=20.0), 1)
     default = FlexManEnv().simulator.method

@@ -86,6 +86,25 @@ class Forgetful(Listener):
     keep = ("told",)
 
 
+class Slotted:
+    """One without a dictionary of its own."""
+
+    __slots__ = ()
+    sensors = ("servo",)
+
+    def reset(self, arms, episode):
+        pass
+
+    def act(self, readings, applied, playing):
+        return np.zeros_like(readings["motor_rates"])
+
+
+def test_a_controller_needs_no_dictionary():
+    env = FlexManEnv(base=Slotted())
+    env.reset(seed=0)
+    assert env.step(np.zeros(3))[4]["status"] == "ok"
+
+
 @pytest.mark.parametrize(
     ("base", "line"),
     [

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control import PD
+from flexman_gym.control import LQR, PD, TrackingLQR
 from flexman_gym.envs import NAMED
 from flexman_gym.envs.description import Description
 from flexman_gym.evaluation import BASELINES, Entrant, evaluate, find_entrant, rollout
@@ -130,6 +130,36 @@ def test_a_controller_of_ones_own_is_an_entrant_like_any_other():
     own = PD(**NAMED[ONE.id].pd, torque_limit=setup.torque_limit)
     assert fm.evaluate(own, ONE, SEEDS) == fm.evaluate("pd", ONE, SEEDS)
     assert find_entrant(own).name == "PD" and find_entrant(own).environment is None
+
+
+def test_who_acts_brings_everything_that_it_wants_of_an_environment(run):
+    """Neither base nor hold, sensors or history of a description reach an entrant that has none."""
+    own = {"base": "pd", "hold": 3, "history": 2, "sensors": "lab"}
+    for name in ("zero", "pd", str(run)):
+        expected = evaluate(name, Description("FlexPlanar-v0", {"horizon": 1.5}), SEEDS)
+        assert evaluate(name, Description("FlexPlanar-v0", {"horizon": 1.5, **own}), SEEDS) == expected
+    environment, interface = parted(Description("FlexPlanar-v0", {"condition": "unknown-lab"}))
+    assert interface == {"sensors": "lab"} and environment.setup().randomisation is not None
+    bare = changed_environment(ONE, []), changed_environment(Description("FlexPlanar-v0"), ["condition=unknown-lab"])
+    assert bare[0] == ONE and "sensors" not in bare[1].settings and bare[1].setup().disturbed.delay == (1, 1)
+
+
+def test_runs_of_one_name_on_different_environments_are_refused():
+    still = find_entrant("zero").act
+    both = [Entrant("seed-0", still, {}, Description(name)) for name in ("FlexOne-v0", "FlexRRR-v0")]
+    assert refusal(common_environment, both, None).startswith("entrant: 'seed-0' is not allowed")
+
+
+def test_a_controller_may_act_on_fewer_arms_afterwards():
+    model = gym.make(ONE.id).unwrapped.simulator.model
+    for own in (LQR(model, 0.5, 0.02), TrackingLQR(model, 0.5, 0.02)):
+        many = rollout(own, ONE, range(3))
+        assert np.array_equal(rollout(own, ONE, range(2)).tips, many.tips[:2])
+
+
+def test_a_policy_refuses_what_it_was_not_trained_for(run):
+    line = refusal(find_entrant(str(run)).act, np.zeros((3, 5), dtype=np.float32), (3, 2))
+    assert line.startswith("observations of planar: '5 numbers for 2 motors' is not allowed; give ")
 
 
 def test_what_acts_nowhere_is_refused_in_one_line(tmp_path):

@@ -114,11 +114,13 @@ def test_what_others_could_write_is_not_read(package, cache, tmp_path, level):
     index.write_bytes(hashlib.sha256(content).digest() + content)
     (inner / "link").symlink_to(cache)
     opened = (inner.parent, inner)[level]
+    (inner.parent / "mine.txt").write_text("mine")
     opened.chmod(0o777)
     assert run(package, cache, CALL)[:2] == ["2", "0"], "compiled anew"
     assert not (tmp_path / "ran").exists() and not (inner / "link").exists()
     assert stat.S_IMODE(opened.stat().st_mode) == 0o700
     assert run(package, cache, CALL)[:2] == ["2", "1"]
+    assert (inner.parent / "mine.txt").read_text() == "mine", "a folder of that name may hold other things"
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can give a folder to somebody else")

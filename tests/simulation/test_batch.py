@@ -4,7 +4,6 @@ import copy
 import pickle
 from dataclasses import replace
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -255,8 +254,3 @@ def test_a_batch_refuses_to_be_copied(duplicate):
     """A copy would move the arrays of the first one, whose addresses its kernels know."""
     with pytest.raises(TypeError, match="cannot be copied or pickled"):
         duplicate(Batch(fm.build_model(ARM, modes=2)))
-
-
-def test_an_environment_refuses_to_be_pickled():
-    with pytest.raises(TypeError, match="cannot be copied or pickled"):
-        pickle.dumps(gym.make("FlexRRR-v0").unwrapped)

@@ -10,7 +10,7 @@ from flexman_gym.arrays import Array, IntArray
 from flexman_gym.checks import refusal
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.sensors.instrument import Instrument
-from flexman_gym.envs.sensors.measured import EVERYTHING
+from flexman_gym.envs.sensors.measured import DERIVED, EVERYTHING
 from flexman_gym.envs.sensors.sensor import Sensor
 from flexman_gym.envs.streams import Streams
 from flexman_gym.simulation.view import View
@@ -110,7 +110,8 @@ class Shared:
             source, names = view, getattr(part, "measures", EVERYTHING)
             if isinstance(part, Instrument):
                 source, names = part.measured, part.measured.names  # type: ignore[assignment]
-            for name in [*names, *(view.places if "motion" in names else ())]:
+            derived = [each for name in names for each in DERIVED.get(name, ())]
+            for name in [*names, *derived, *(view.places if "motion" in names else ())]:
                 self._sources.setdefault(name, source)
 
     def __getattr__(self, name: str) -> Any:

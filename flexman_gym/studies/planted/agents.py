@@ -8,8 +8,8 @@ RESUMED = "agents/test_resume.py::test_a_run_that_was_interrupted_twice_is_the_r
 AGENTS = (
     *changes(
         "agents", "evaluation/rollout.py", "evaluation/test_rollout.py",
-        ("a policy acts in every period", "described.keywords() | player.interface)",
-         "described.keywords() | player.interface | {\"hold\": 1})"),
+        ("a policy acts in every period", ".keywords() | player.interface\n",
+         ".keywords() | player.interface | {\"hold\": 1}\n"),
         ("seeds are counted anew", "venv.reset(seed=list(seeds))", "venv.reset(seed=list(range(len(seeds))))"),
         ("a failed episode ends one period early", "= len(self._rows[\"actions\"]), episodes",
          "= len(self._rows[\"actions\"]) - 1, episodes"),
@@ -38,8 +38,8 @@ AGENTS = (
     *changes(
         "agents", "evaluation/entrants.py", "evaluation/test_entrants.py",
         ("the PD beside a policy has gains that it did not learn on", 'if whole.get("gains")]', "if False]"),
-        ("other gains make another environment", '{**wholes[name], "gains": None} != {**wholes[first], "gains": None}',
-         "wholes[name] != wholes[first]"),
+        ("other gains make another environment", '{**whole, "gains": None} != {**trained[0][2], "gains": None}',
+         "whole != trained[0][2]"),
         ("a part of what a policy was trained with is changed", 'change.split("=")[0].split(".")[0] in',
          'change.split("=")[0] in'),
         ("random torques of one sign", "random.uniform(-1.0, 1.0, shape)", "random.uniform(0.0, 1.0, shape)"),
