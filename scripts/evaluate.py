@@ -8,7 +8,7 @@ from flexman_gym.envs import NAMED
 from flexman_gym.envs.description import Description
 from flexman_gym.evaluation import rollout, table
 from flexman_gym.evaluation.entrants import BASELINES, Entrant, changed_environment, common_environment, find_entrant
-from flexman_gym.evaluation.folder import BEST, FOREIGN, NEWEST
+from flexman_gym.evaluation.folder import is_foreign
 from flexman_gym.evaluation.seeds import TEST
 
 
@@ -26,7 +26,7 @@ def main() -> int:
     if options.episodes < 1:
         parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
     try:
-        entrants = {name: found(name, options.trust) for name in options.entrant}
+        entrants = {name: entrant(name, options.trust) for name in options.entrant}
         named = Description.find(options.env) if options.env else None
         environment = changed_environment(common_environment(list(entrants.values()), named), options.set)
         seeds = range(options.seed, options.seed + options.episodes)
@@ -38,13 +38,12 @@ def main() -> int:
     return 0
 
 
-def found(name: str, trust: bool) -> Entrant:
-    """Finds an entrant; files of Stable-Baselines3 only where they are trusted, as reading them runs code."""
-    folder = Path(name)
-    if trust and (folder / FOREIGN).is_file() and not any((folder / each).is_file() for each in (BEST, NEWEST)):
+def entrant(name: str, trust: bool) -> Entrant:
+    """Gives an entrant; files of Stable-Baselines3 only where they are trusted, as reading them runs code."""
+    if trust and is_foreign(Path(name)):
         from flexman_agents.foreign import load_foreign
 
-        return load_foreign(folder)
+        return load_foreign(Path(name))
     return find_entrant(name)
 
 

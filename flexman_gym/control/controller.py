@@ -76,15 +76,15 @@ class Controller(Protocol):
         ...
 
 
-def checked_controller(field: str, value: object) -> Controller:
-    """Gives a value that is a Controller.
+def checked_controller(field: str, value: object, others: str = "") -> Controller:
+    """Gives a value that is a Controller; `others` say what else is allowed in its place.
 
     Raises:
         ValueError: one line, for anything else, for methods that take something else, and for a name that is nearly
             that of an optional member.
     """
     if not isinstance(value, Controller) or isinstance(value, type):
-        raise refusal(field, value, "a Controller: an object with sensors, reset and act")
+        raise refusal(field, value, f"{others}a Controller: an object with sensors, reset and act")
     for name, wanted in CALLS.items():
         takes = signature(getattr(value, name))
         try:

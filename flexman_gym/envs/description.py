@@ -180,9 +180,9 @@ class Description:
 def find_setup(settings: Mapping[str, Any], others: Collection[str] = ()) -> Setup:
     """The setup of keyword arguments of `gym.make`, of which "condition" names changes; `others` see `setup_of`."""
     given = dict(settings)
-    condition = given.pop("condition", NOMINAL)
-    if condition != NOMINAL:
-        given = Description.under(given.get("name", DEFAULT), condition).keywords() | given
+    if "condition" in given:
+        named = Description(given.get("name", DEFAULT), {"condition": given.pop("condition")})
+        given = named.keywords() | given
     return setup_of(given, ("condition", *others))
 
 

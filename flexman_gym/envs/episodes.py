@@ -152,10 +152,9 @@ class Episodes:
 
     def _inform_base(self, arms: IntArray, plan: Mapping[str, Array], posture: Array) -> None:
         """Tells the base of start and first goal (r, n) of new episodes, and of the path of a goal that moves."""
-        period = self.view.control_period
-        path = partial(goal_path, self.task, plan, period * np.arange(self.longest + 1.0), self.view)
         assert self.base is not None
-        self.base.reset(arms, Episode(plan["start"], posture, period, path if self.task.moves else None))
+        path = partial(goal_path, self.task, plan, self.longest, self.view) if self.task.moves else None
+        self.base.reset(arms, Episode(plan["start"], posture, self.view.control_period, path))
 
     def _check_plan(self, plan: object) -> None:
         """Refuses what a task draws without a start that has an angle for each joint."""

@@ -15,7 +15,7 @@ from flexman_gym.control.controller import Controller
 from flexman_gym.control.network import Network
 from flexman_gym.envs.description import Description
 from flexman_gym.envs.setup import BASES
-from flexman_gym.evaluation.folder import BEST, FOREIGN, NEWEST, SETTINGS, check_settings, existing, read_data
+from flexman_gym.evaluation.folder import BEST, NEWEST, SETTINGS, check_settings, existing, is_foreign, read_data
 
 Act = Callable[[NDArray[np.float32], tuple[int, ...]], NDArray[np.floating]]
 INTERFACE = ("base", "hold", "sensors", "history")  # settings of what acts, not of what is moved
@@ -70,7 +70,7 @@ def load_run(folder: Path) -> Entrant:
     Raises:
         FileNotFoundError, ValueError: one clear line.
     """
-    if not any((folder / name).is_file() for name in (BEST, NEWEST)) and (folder / FOREIGN).is_file():
+    if is_foreign(folder):
         allowed = "--trust, if you trust whoever made them: they are pickles, which run any code when they are read"
         raise ValueError(f"entrant: the files of Stable-Baselines3 in {folder} are not read; give {allowed}")
     text = existing(folder / SETTINGS).read_bytes().decode("utf-8", errors="replace")

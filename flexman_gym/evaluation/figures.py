@@ -11,7 +11,16 @@ from flexman_gym.control.controller import Controller
 from flexman_gym.envs.description import Description
 from flexman_gym.evaluation.entrants import Entrant
 from flexman_gym.evaluation.rollout import Record, rollout
-from flexman_gym.metrics import effort, final_error, median_interval, peak_to_peak, rms, roughness, settling_time
+from flexman_gym.metrics import (
+    effort,
+    final_error,
+    median_interval,
+    peak_to_peak,
+    rms,
+    roughness,
+    settling_time,
+    upper_median,
+)
 
 MEAN, MEDIAN, SHARE = "mean", "median", "share"
 
@@ -40,7 +49,8 @@ class Figure:
 
     def sum_up(self, records: Sequence[Record]) -> float:
         """Gives the mean or the median of episodes; of an even number of them the upper of the middle two."""
-        return self.interval(records)[0] if self.many == MEDIAN else float(np.mean(self.each(records)))
+        found = self.each(records)
+        return upper_median(found) if self.many == MEDIAN else float(np.mean(found))
 
     def each(self, records: Sequence[Record]) -> Array:
         """Gives the number of each of the episodes, (b,)."""

@@ -87,6 +87,11 @@ def existing(path: Path) -> Path:
     return path
 
 
+def is_foreign(folder: Path) -> bool:
+    """Whether a folder holds a policy in files of Stable-Baselines3 and none of ours."""
+    return (folder / FOREIGN).is_file() and not any((folder / name).is_file() for name in (BEST, NEWEST))
+
+
 def check_settings(path: Path, data: Any, settings: Mapping[str, Any]) -> None:
     """Refuses a file that belongs to other settings than those beside it, which somebody has changed."""
     kept = data.get("settings") if isinstance(data, dict) else None

@@ -87,7 +87,7 @@ def rollout(
     Raises:
         FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
     """
-    player, described = find_entrant(entrant), found_environment(environment)
+    player, described = find_entrant(entrant), find_environment(environment)
     keywords = parted(described)[0].keywords() | player.interface
     venv = gym.make_vec(described.id, len(seeds), "vector_entry_point", **keywords)
     episodes, size = venv.unwrapped.episodes, venv.action_space.shape or ()  # type: ignore[attr-defined]
@@ -98,10 +98,10 @@ def rollout(
     while not recorder.ends.all():
         observations, *_ = venv.step(player.act(observations, size).astype(np.float32))
     venv.close()
-    return recorder.found()
+    return recorder.rollout()
 
 
-def found_environment(environment: str | Description) -> Description:
+def find_environment(environment: str | Description) -> Description:
     """Gives the description of an id, an id and a condition, or a file, or the description itself."""
     return environment if isinstance(environment, Description) else Description.find(environment)
 
@@ -134,7 +134,7 @@ class _Recorder:
         if self._watch is not None:
             self._watch(self._episodes)
 
-    def found(self) -> Rollout:
+    def rollout(self) -> Rollout:
         """Gives all of it, nothing where an episode was over."""
         arrays = {name: np.array(rows).swapaxes(0, 1).copy() for name, rows in self._rows.items()}
         for name, values in arrays.items():

@@ -4,7 +4,7 @@ Times begin with the first sample, which is that of the reset. Errors are distan
 """
 
 from flexman_gym.metrics.actions import effort, power_above, roughness
-from flexman_gym.metrics.intervals import median_interval
+from flexman_gym.metrics.intervals import median_interval, upper_median
 from flexman_gym.metrics.settling import (
     BAND,
     MOVE_BANDS,
@@ -38,4 +38,5 @@ __all__ = [
     "roughness",
     "settling_time",
     "squared_acceleration",
+    "upper_median",
 ]

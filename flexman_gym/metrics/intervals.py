@@ -9,6 +9,15 @@ from flexman_gym.metrics.samples import samples
 MOST_DRAWN = 10**8  # numbers in all samples
 
 
+def upper_median(values: Array) -> float:
+    """Gives the median of values (N,), which may be infinite; of an even number of them the upper of the middle two.
+
+    Raises:
+        ValueError: for values without a sample.
+    """
+    return float(_medians(samples("values", values, 1)[None])[0])
+
+
 def median_interval(values: Array, level: float = 0.95, draws: int = 2000) -> tuple[float, float, float]:
     """Gives the median of values (N,), which may be infinite, and its bootstrap interval (low, high).
 
@@ -27,7 +36,7 @@ def median_interval(values: Array, level: float = 0.95, draws: int = 2000) -> tu
     picked = np.random.default_rng(0).integers(len(found), size=(draws, len(found)))
     medians = np.sort(_medians(found[picked]))
     cut = round((1.0 - level) / 2.0 * (draws - 1))
-    return float(_medians(found[None])[0]), float(medians[cut]), float(medians[-1 - cut])
+    return upper_median(found), float(medians[cut]), float(medians[-1 - cut])
 
 
 def _medians(rows: Array) -> Array:

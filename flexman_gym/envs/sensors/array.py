@@ -10,7 +10,7 @@ from flexman_gym.arrays import Array, IntArray
 from flexman_gym.checks import refusal
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.sensors.instrument import Instrument
-from flexman_gym.envs.sensors.measured import DERIVED, EVERYTHING
+from flexman_gym.envs.sensors.measured import EVERYTHING, following
 from flexman_gym.envs.sensors.sensor import Sensor
 from flexman_gym.envs.streams import Streams
 from flexman_gym.simulation.view import View
@@ -107,11 +107,8 @@ class Shared:
     def __init__(self, view: View, parts: Sequence[object]) -> None:
         self._view, self._sources = view, dict[str, object]()
         for part in parts:
-            source, names = view, getattr(part, "measures", EVERYTHING)
-            if isinstance(part, Instrument):
-                source, names = part.measured, part.measured.names  # type: ignore[assignment]
-            derived = [each for name in names for each in DERIVED.get(name, ())]
-            for name in [*names, *derived, *(view.places if "motion" in names else ())]:
+            source = part.measured if isinstance(part, Instrument) else view
+            for name in following(getattr(part, "measures", EVERYTHING), view):
                 self._sources.setdefault(name, source)
 
     def __getattr__(self, name: str) -> Any:

@@ -23,7 +23,6 @@ class Measured:
     Attributes:
         values: (b, size) the measured quantities side by side; code that measures overwrites them, then calls `settle`.
         bound: (size,) the largest magnitude that is measured of each.
-        names: of all that follows from what is measured.
     """
 
     kept = ("values",)
@@ -47,8 +46,6 @@ class Measured:
             for name, place in view.places.items():
                 setattr(self, name, self.motion[:, place])
         self._derive = {"tip": self._errors, "deflection_rate": self._vibration}
-        derived = [each for name in self._names for each in DERIVED.get(name, ())]
-        self.names = (*self._names, *(view.places if "motion" in self._names else ()), *derived)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.__dict__["_view"], name)
@@ -80,6 +77,12 @@ class Measured:
 
     def _vibration(self) -> None:
         self.tip_vibration = np.sqrt(row_dots(self.deflection_rate, self.deflection_rate))
+
+
+def following(names: Sequence[str], view: View) -> list[str]:
+    """Names of quantities, and of all that follows from them once they are measured."""
+    derived = [each for name in names for each in DERIVED.get(name, ())]
+    return [*names, *derived, *(view.places if "motion" in names else ())]
 
 
 def measuring_ranges(view: View, limits: Limits) -> dict[str, Array]:

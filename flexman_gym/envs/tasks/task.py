@@ -69,8 +69,8 @@ class Task(Protocol):
         ...
 
 
-def goal_path(task: Task, plan: Mapping[str, Array], times: Array, view: View) -> Array:
-    """Gives the postures (r, T, n) rad of the goals of episodes with these plans, name -> (r, ...), at times (T,) s."""
-    count = len(next(iter(plan.values())))
+def goal_path(task: Task, plan: Mapping[str, Array], periods: int, view: View) -> Array:
+    """Gives the postures (r, T + 1, n) rad of goals for T control periods of episodes with plans, name -> (r, ...)."""
+    count, times = len(next(iter(plan.values()))), view.control_period * np.arange(periods + 1.0)
     alike = [{name: np.repeat(each[i : i + 1], len(times), 0) for name, each in plan.items()} for i in range(count)]
     return np.array([task.goal(each, times, view).posture for each in alike])

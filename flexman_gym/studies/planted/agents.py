@@ -25,7 +25,7 @@ AGENTS = (
         ("vibration of the whole episode", "peak_to_peak(record.tips, record.period)",
          "peak_to_peak(record.tips, 1.0)"),
         ("the error of the last moment", "final_error(record.errors, record.period)", "float(record.errors[-1])"),
-        ("an end of the interval, not the median", "self.interval(records)[0]", "self.interval(records)[1]"),
+        ("the mean of medians", "upper_median(found) if", "float(np.mean(found)) if"),
         ("a rough torque is better", '"low", lambda record: roughness', '"high", lambda record: roughness'),
     ),
     *changes(

@@ -69,7 +69,7 @@ LABORATORY = (
          "0.0 * self.view.action, ~self.over)"),
         ("arms whose episode is over count as playing", "self.view.action.copy(), ~self.over)",
          "self.view.action.copy(), self.over | True)"),
-        ("a goal that moves is told as one that stays", "path if self.task.moves else None", "None"),
+        ("a goal that moves is told as one that stays", "if self.task.moves else None", "if False else None"),
     ),
     *changes(
         "laboratory", "control/controller.py", "envs/test_protocol.py",
@@ -124,7 +124,7 @@ LABORATORY = (
     ),
     *changes(
         "laboratory", "envs/conditions/planar/unknown.yaml", "envs/test_conditions.py",
-        ("ten times the noise of condition G", "sensor_noise: [0.001, 0.001]", "sensor_noise: [0.01, 0.01]"),
+        ("ten times the noise of the unknown arm", "sensor_noise: [0.001, 0.001]", "sensor_noise: [0.01, 0.01]"),
     ),
     *changes(
         "laboratory", "envs/tasks/paths.py", PATHS,
@@ -188,6 +188,9 @@ LABORATORY = (
         "laboratory", "envs/sensors/array.py", TRUTH,
         ("of two sensors the base reads the last", "self._sources.setdefault(name, source)",
          "self._sources[name] = source"),
+    ),
+    *changes(
+        "laboratory", "envs/sensors/measured.py", TRUTH,
         ("who measures motion does not measure its parts", '*(view.places if "motion" in names else ())', ""),
     ),
     *changes(

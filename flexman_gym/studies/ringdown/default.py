@@ -2,13 +2,9 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from flexman_gym.arrays import Array
 from flexman_gym.envs.setup import Setup, build
-from flexman_gym.kernels import layout
 from flexman_gym.studies.ringdown.cases import BENT, DURATION, IMPULSE, PERIOD, RELEASE, SLEW, Cases, cases
-from flexman_gym.studies.ringdown.measure import FLOOR, REFERENCE, outcome, percentiles
+from flexman_gym.studies.ringdown.measure import REFERENCE, differences, outcome, percentiles
 
 KINDS, EARLY, WITHIN = (RELEASE, BENT, IMPULSE, SLEW), 1.0, 0.02  # s; part of the energy
 
@@ -48,9 +44,7 @@ def errors_of_default(count: int) -> list[Errors]:
             ours, truth = (
                 outcome(chosen.model, part, *how) for how in ((str(chosen.method), chosen.step), (REFERENCE, None))
             )
-            energy: Array = np.abs(ours.energy - truth.energy) / np.maximum(truth.energy, FLOOR * truth.first)
-            energy = np.where(ours.status != layout.OK, np.inf, energy)
-            tip = np.where(ours.status != layout.OK, np.inf, np.linalg.norm(ours.tip - truth.tip, axis=1))
+            energy, tip = differences(ours, truth)
             within = float((energy <= WITHIN).mean())
             found.append(Errors(kind, time, float(count), within, **percentiles(energy, tip)))
     return found
