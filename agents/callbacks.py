@@ -99,15 +99,15 @@ class Judge(BaseCallback):
         if self.num_timesteps < self._next:
             return
         self._next = self.num_timesteps + self._every
-        found = evaluate(self._entrant, self._environment, SELECTION)
+        result = evaluate(self._entrant, self._environment, SELECTION)
         for name in CURVES:
             unit = FIGURES[name].unit
-            self.logger.record(f"selection/{name}_{unit}" if unit else f"selection/{name}", found[name])
-        if found["reward"] > self._best[0]:
-            self._best, self._warned = [found["reward"], found["settled"]], False
+            self.logger.record(f"selection/{name}_{unit}" if unit else f"selection/{name}", result[name])
+        if result["reward"] > self._best[0]:
+            self._best, self._warned = [result["reward"], result["settled"]], False
             self._keep()
-        elif found["settled"] < self._best[1] - WORSE and not self._warned:
+        elif result["settled"] < self._best[1] - WORSE and not self._warned:
             self._warned = True
-            share = f"{found['settled']:.0%} settle instead of {self._best[1]:.0%}"
+            share = f"{result['settled']:.0%} settle instead of {self._best[1]:.0%}"
             said = f"after {self.num_timesteps} steps the policy is worse than before: {share}; the best one is kept"
             print(said, file=sys.stderr)

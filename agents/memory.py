@@ -42,7 +42,7 @@ def give_policy(model: BaseAlgorithm, data: Any) -> None:
 
 def take_training(model: BaseAlgorithm) -> dict[str, Any]:
     """Gives all that a model remembers at the beginning of a rollout, beside its policy."""
-    found: dict[str, Any] = {
+    result: dict[str, Any] = {
         "counts": {name: getattr(model, name) for name in _counts(model)},
         "last": {name: take(getattr(model, name)) for name in LAST},
         "optimizers": {name: _of_optimizer(each) for name, each in _optimizers(model).items()},
@@ -50,15 +50,15 @@ def take_training(model: BaseAlgorithm) -> dict[str, Any]:
         "random": _of_random(),
     }
     normaliser, monitor, arms = _layers(model)
-    found["returns"] = {"statistics": _of_statistics(normaliser.ret_rms), "running": normaliser.returns.copy()}
-    found["seen"] = {name: take(getattr(normaliser, name)) for name in SEEN}
-    found["monitor"] = {name: take(getattr(monitor, name)) for name in RETURNS}
-    found["environment"] = arms.env.unwrapped.get_state()  # type: ignore[attr-defined]
+    result["returns"] = {"statistics": _of_statistics(normaliser.ret_rms), "running": normaliser.returns.copy()}
+    result["seen"] = {name: take(getattr(normaliser, name)) for name in SEEN}
+    result["monitor"] = {name: take(getattr(monitor, name)) for name in RETURNS}
+    result["environment"] = arms.env.unwrapped.get_state()  # type: ignore[attr-defined]
     if isinstance(model, SAC):
         learned = model.log_ent_coef
-        found["entropy"] = None if learned is None else learned.detach().numpy().copy()
-        found["replay"] = _of_replay(model)
-    return found
+        result["entropy"] = None if learned is None else learned.detach().numpy().copy()
+        result["replay"] = _of_replay(model)
+    return result
 
 
 def give_training(model: BaseAlgorithm, data: Any) -> None:
@@ -104,9 +104,9 @@ def _layers(model: BaseAlgorithm) -> tuple[VecNormalize, VecMonitor, Arms]:
 
 
 def _normaliser(model: BaseAlgorithm) -> VecNormalize:
-    found = model.get_vec_normalize_env()
-    assert found is not None
-    return found
+    result = model.get_vec_normalize_env()
+    assert result is not None
+    return result
 
 
 def _counts(model: BaseAlgorithm) -> list[str]:
@@ -115,8 +115,8 @@ def _counts(model: BaseAlgorithm) -> list[str]:
 
 def _check(data: Any, names: Collection[str], field: str = "run") -> None:
     if not isinstance(data, dict) or not set(names) <= data.keys():
-        found = sorted(data) if isinstance(data, dict) else type(data).__name__
-        raise refusal(field, found, f"what a run remembers: {', '.join(names)}")
+        result = sorted(data) if isinstance(data, dict) else type(data).__name__
+        raise refusal(field, result, f"what a run remembers: {', '.join(names)}")
 
 
 def _of_tensors(tensors: Any) -> dict[str, Any]:
@@ -132,11 +132,11 @@ def _tensors(field: str, like: Any, arrays: Any) -> dict[str, torch.Tensor]:
 
 def _finite(field: str, old: NDArray[Any], data: Any, least: float = -np.inf) -> Any:
     """Gives data back to an array, once all of its numbers are finite and none is below the least."""
-    found = give(field, old, data)
-    if not (np.isfinite(found) & (np.asarray(found) >= least)).all():
+    result = give(field, old, data)
+    if not (np.isfinite(result) & (np.asarray(result) >= least)).all():
         allowed = "finite numbers" if least < 0.0 else "finite numbers >= 0"
         raise refusal(field, "another number", allowed)
-    return found
+    return result
 
 
 def _of_statistics(moments: Any) -> dict[str, Any]:
@@ -146,15 +146,15 @@ def _of_statistics(moments: Any) -> dict[str, Any]:
 def _give_statistics(field: str, moments: Any, data: Any) -> None:
     for name, value in _of_statistics(moments).items():
         given = data.get(name) if isinstance(data, dict) else None
-        found = _finite(f"{field}.{name}", value, given, -np.inf if name == "mean" else 0.0)
-        setattr(moments, name, found if found.ndim else found.item() if name == "count" else np.float64(found))
+        result = _finite(f"{field}.{name}", value, given, -np.inf if name == "mean" else 0.0)
+        setattr(moments, name, result if result.ndim else result.item() if name == "count" else np.float64(result))
 
 
 def _optimizers(model: BaseAlgorithm) -> dict[str, torch.optim.Optimizer]:
     if not isinstance(model, SAC):
         return {"policy": model.policy.optimizer}
-    found = {"actor": model.actor.optimizer, "critic": model.critic.optimizer}
-    return found | ({"entropy": model.ent_coef_optimizer} if model.ent_coef_optimizer else {})
+    result = {"actor": model.actor.optimizer, "critic": model.critic.optimizer}
+    return result | ({"entropy": model.ent_coef_optimizer} if model.ent_coef_optimizer else {})
 
 
 def _of_optimizer(optimizer: torch.optim.Optimizer) -> dict[str, Any]:

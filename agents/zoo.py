@@ -27,7 +27,7 @@ def zoo(settings: Settings) -> dict[str, Any]:
     words = [f"{name}={_word(value)}" for name, value in policy.items()]
     chosen["learning_rate"] = _rate(chosen["learning_rate"])
     described = settings.description
-    found = {
+    result = {
         "n_envs": settings.envs,
         "n_timesteps": settings.steps,
         "policy": "MlpPolicy",
@@ -38,8 +38,8 @@ def zoo(settings: Settings) -> dict[str, Any]:
     }
     for name in EXPLORATION:
         if name in settings.schedules:
-            found["callback"] = {CALLBACK: {"schedule": dict(settings.schedules[name]), "steps": settings.steps}}
-    return {described.id: found}
+            result["callback"] = {CALLBACK: {"schedule": dict(settings.schedules[name]), "steps": settings.steps}}
+    return {described.id: result}
 
 
 def write_zoo(folder: Path = ZOO) -> None:

@@ -22,8 +22,8 @@ def main() -> None:
     options.folder.mkdir(parents=True, exist_ok=True)
     file, known = options.folder / "peers.csv", truth(REFERENCE)
     if not options.redraw:
-        found = study(known)
-        write_rows(in_turns(ours(found) + theirs(found)), file)
+        result = study(known)
+        write_rows(in_turns(ours(result) + theirs(result)), file)
     text = publish(read_rows(file, Row), known.floor, options.folder)
     print("\n".join(text.splitlines()[-SHOWN:]))
 

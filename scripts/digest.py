@@ -67,9 +67,9 @@ def trajectory(name: str) -> str:
 
     scene = replace(fm.catalog.paper_scene("ff"), duration=0.2)
     step = {"explicit": 2e-5}.get(fm.METHODS[name].kind, None if fm.METHODS[name].kind == "reference" else 0.005)
-    digest, found = hashlib.sha256(), fm.simulate(scene, method=name, step=step)
-    taken(digest, {"states": found.states, "tip": found.tip, "energy": found.energy, "work": found.work})
-    taken(digest, {"status": found.status, "evaluations": found.evaluations})
+    digest, result = hashlib.sha256(), fm.simulate(scene, method=name, step=step)
+    taken(digest, {"states": result.states, "tip": result.tip, "energy": result.energy, "work": result.work})
+    taken(digest, {"status": result.status, "evaluations": result.evaluations})
     return digest.hexdigest()
 
 
@@ -77,13 +77,13 @@ def digests() -> dict[str, str]:
     """All of them, by what they are of."""
     import flexman_gym as fm
 
-    found = {f"simulate, {name}": trajectory(name) for name in fm.METHODS}
-    found |= {f"gym.make, seed {seed}": single(seed) for seed in SEEDS}
+    result = {f"simulate, {name}": trajectory(name) for name in fm.METHODS}
+    result |= {f"gym.make, seed {seed}": single(seed) for seed in SEEDS}
     for arms in ARMS:
         for seed in SEEDS:
             mode = ("NextStep", "SameStep", "NextStep")[seed % 3]
-            found[f"make_vec, {arms} arms, seed {seed}, {mode}"] = vector(arms, seed, mode)
-    return found
+            result[f"make_vec, {arms} arms, seed {seed}, {mode}"] = vector(arms, seed, mode)
+    return result
 
 
 def main() -> int:

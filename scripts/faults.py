@@ -18,16 +18,16 @@ def main() -> int:
         "--small", type=Path, help="an empty file system of some MB, to be filled; without it that is left out"
     )
     options = parser.parse_args()
-    found = []
+    result = []
     with TemporaryDirectory() as place:
         for fault in faults(Path(place), tuple(options.kills)):
             print(fault, flush=True)
-            found.append(fault)
+            result.append(fault)
         if options.small:
-            found.append(disk_full(Path(place), options.small))
-            print(found[-1], flush=True)
-    (options.folder / "faults.md").write_text(page(found), encoding="utf-8")
-    return int(any(fault.survived < fault.tried for fault in found))
+            result.append(disk_full(Path(place), options.small))
+            print(result[-1], flush=True)
+    (options.folder / "faults.md").write_text(page(result), encoding="utf-8")
+    return int(any(fault.survived < fault.tried for fault in result))
 
 
 if __name__ == "__main__":

@@ -19,12 +19,12 @@ def main() -> None:
     options = parser.parse_args()
     files = {"fidelity.csv": scenes(), "fidelity_open.csv": open_scenes()}
     for file, cases in files.items() if not options.redraw else ():
-        found: list[Row] = []
+        result: list[Row] = []
         for name, scene in cases.items():
             for row in rows(name, scene):
                 print(row, flush=True)
-                found.append(row)
-        write_rows(found, options.folder / file, DIGITS)
+                result.append(row)
+        write_rows(result, options.folder / file, DIGITS)
     known = [read_rows(options.folder / file, Row) if (options.folder / file).exists() else [] for file in files]
     (options.folder / "fidelity.md").write_text(page(*known), encoding="utf-8")
 

@@ -27,21 +27,21 @@ def main() -> int:
         print(f"case: {unknown[0]} is not allowed; give {CONTROLLERS}, {', '.join(known)}", file=sys.stderr)
         return 2
     for name in () if options.redraw else options.case or [CONTROLLERS, *known]:
-        found = []
+        result = []
         for row in controllers() if name == CONTROLLERS else runs(known[name], options.runs):
             print(row, flush=True)
-            found.append(row)
-        _keep(found, options.folder / "learning.csv")
+            result.append(row)
+        _keep(result, options.folder / "learning.csv")
     file = options.folder / "learning.csv"
     (options.folder / "learning.md").write_text(page(read_rows(file, Row), read_comment(file)), encoding="utf-8")
     return 0
 
 
-def _keep(found: list[Row], file: Path) -> None:
+def _keep(result: list[Row], file: Path) -> None:
     """Writes rows beside those of other cases that are there already."""
-    own = {(row.kind, row.name) for row in found}
+    own = {(row.kind, row.name) for row in result}
     others = [row for row in read_rows(file, Row) if (row.kind, row.name) not in own] if file.exists() else []
-    write_rows(others + found, file, comment=machine_text(("stable-baselines3", "torch")))
+    write_rows(others + result, file, comment=machine_text(("stable-baselines3", "torch")))
 
 
 if __name__ == "__main__":

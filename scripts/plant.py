@@ -38,16 +38,16 @@ def main() -> int:
             row = copy.plant(change)
             print(f"{row.outcome:10} {row.seconds:4.0f} s  {row.room}: {row.error} ({row.by})", flush=True)
             rows[row.room, row.error] = row
-            found = [rows[change.room, change.error] for room in ROOMS.values() for change in room
+            result = [rows[change.room, change.error] for room in ROOMS.values() for change in room
                      if (change.room, change.error) in rows]  # fmt: skip
-            write_rows(found, file, digits=2)
-            (options.folder / "planted.md").write_text(page(found), encoding="utf-8")
+            write_rows(result, file, digits=2)
+            (options.folder / "planted.md").write_text(page(result), encoding="utf-8")
     if not chosen:
         print("no error of the table is meant")
         return 0
-    for room, *numbers in counts(found):
+    for room, *numbers in counts(result):
         print(room, *numbers)
-    return int(any(row.outcome == SURVIVED for row in found))
+    return int(any(row.outcome == SURVIVED for row in result))
 
 
 if __name__ == "__main__":

@@ -17,13 +17,13 @@ ARMS, FEW, THEIRS, MANY = 128, 12, 6, 300  # of methods in lanes, of others, of 
 def compute(quick: bool) -> list[Row]:
     """Measures all kinds, or a few arms."""
     arms, few, theirs = (2, 1, 1) if quick else (ARMS, FEW, THEIRS)
-    found = [row for kind in TITLES for row in rows(kind, arms, few)]
+    result = [row for kind in TITLES for row in rows(kind, arms, few)]
     try:
         from flexman_gym.studies.ringdown import mujoco
     except ModuleNotFoundError:
         print("MuJoCo is missing, so it is left out: pip install 'flexman_gym[peers]'")
-        return found
-    return [*found, *(() if quick else mujoco.rows(theirs))]
+        return result
+    return [*result, *(() if quick else mujoco.rows(theirs))]
 
 
 def main() -> None:
@@ -41,10 +41,10 @@ def main() -> None:
     file = options.folder / "ring_down.csv"
     if not options.redraw:
         write_rows(compute(options.quick), file, comment=machine_text())
-    chosen, found = build(Setup()), read_rows(file, Row)
+    chosen, result = build(Setup()), read_rows(file, Row)
     default = str(chosen.method), chosen.step
-    draw(found, options.folder, default)
-    (options.folder / "ring_down.md").write_text(page(found, read_comment(file), default), encoding="utf-8")
+    draw(result, options.folder, default)
+    (options.folder / "ring_down.md").write_text(page(result, read_comment(file), default), encoding="utf-8")
 
 
 if __name__ == "__main__":

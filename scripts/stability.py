@@ -28,21 +28,21 @@ def main() -> int:
         parser.error("--folder: the page needs all rows; leave --quick out")
     warnings.filterwarnings("ignore", "Link.second_moment_y", UserWarning)  # of the paper's printed area of link 1
     started = perf_counter()
-    found = read_rows(options.rows, Row) if options.rows else list(all_rows(options.quick))
-    print(summary(found))
+    result = read_rows(options.rows, Row) if options.rows else list(all_rows(options.quick))
+    print(summary(result))
     print(f"{perf_counter() - started:.0f} s")
     if options.csv:
-        write_rows(found, options.csv, DIGITS, machine_text())
+        write_rows(result, options.csv, DIGITS, machine_text())
     if options.folder:
         from flexman_gym.studies.stability.charts import draw
 
         options.folder.mkdir(parents=True, exist_ok=True)
         file = options.rows or options.folder / "stability.csv"
         if not options.rows:
-            write_rows(found, file, DIGITS, machine_text())
-        found = read_rows(file, Row)
-        draw(found, options.folder)
-        (options.folder / "stability.md").write_text(page(read_comment(file), found), encoding="utf-8")
+            write_rows(result, file, DIGITS, machine_text())
+        result = read_rows(file, Row)
+        draw(result, options.folder)
+        (options.folder / "stability.md").write_text(page(read_comment(file), result), encoding="utf-8")
     return 0
 
 

@@ -49,22 +49,22 @@ def refuse_settings(options: argparse.Namespace) -> None:
 
 def parser() -> argparse.ArgumentParser:
     """What the command line takes."""
-    found = argparse.ArgumentParser(description="Train PPO or SAC on a flexible arm; the run is kept in a folder.")
-    found.add_argument("recipe", nargs="?", help=f"a file of settings, or one of {', '.join(NAMES)}")
-    found.add_argument("--algo", choices=ALGORITHMS, help="instead of the recipe's; ppo without one")
-    found.add_argument("--env", help=f"a file that describes an environment, or one of {', '.join(sorted(NAMED))}")
-    found.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the environment")
-    found.add_argument("--steps", type=int, help="actions of all arms together; with --resume those of another run")
-    found.add_argument("--seed", type=int, help="of the first run")
-    found.add_argument("--seeds", type=int, default=1, help="so many runs, each with the next seed, a folder each")
-    found.add_argument("--envs", type=int, help="arms side by side")
-    found.add_argument("--folder", type=Path, default=Path("runs/latest"))
-    found.add_argument("--resume", action="store_true", help="go on with the run in the folder to its end")
-    found.add_argument("--checkpoint-every", type=int, default=100_000, help="steps; 0: only at the end")
-    found.add_argument("--judge-every", type=int, help="steps between evaluations on the way; 0: none")
-    found.add_argument("--device", default="cpu", help="of the networks, as PyTorch names it")
-    found.add_argument("--quiet", action="store_true", help="no progress bar")
-    return found
+    result = argparse.ArgumentParser(description="Train PPO or SAC on a flexible arm; the run is kept in a folder.")
+    result.add_argument("recipe", nargs="?", help=f"a file of settings, or one of {', '.join(NAMES)}")
+    result.add_argument("--algo", choices=ALGORITHMS, help="instead of the recipe's; ppo without one")
+    result.add_argument("--env", help=f"a file that describes an environment, or one of {', '.join(sorted(NAMED))}")
+    result.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the environment")
+    result.add_argument("--steps", type=int, help="actions of all arms together; with --resume those of another run")
+    result.add_argument("--seed", type=int, help="of the first run")
+    result.add_argument("--seeds", type=int, default=1, help="so many runs, each with the next seed, a folder each")
+    result.add_argument("--envs", type=int, help="arms side by side")
+    result.add_argument("--folder", type=Path, default=Path("runs/latest"))
+    result.add_argument("--resume", action="store_true", help="go on with the run in the folder to its end")
+    result.add_argument("--checkpoint-every", type=int, default=100_000, help="steps; 0: only at the end")
+    result.add_argument("--judge-every", type=int, help="steps between evaluations on the way; 0: none")
+    result.add_argument("--device", default="cpu", help="of the networks, as PyTorch names it")
+    result.add_argument("--quiet", action="store_true", help="no progress bar")
+    return result
 
 
 def start(options: argparse.Namespace) -> list[Path]:

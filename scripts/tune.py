@@ -17,10 +17,10 @@ def main() -> int:
         environment = Description.find(options.env)
     except (ValueError, OSError) as error:
         parser.error(str(error))
-    found = tune(environment, seed=options.seed)
+    result = tune(environment, seed=options.seed)
     for name in ("stiffness", "damping"):
-        print(f"{name}: {', '.join(f'{gain:.3g}' for gain in getattr(found, name))}")
-    print(f"mean reward of 8 episodes: {found.reward:.1f}")
+        print(f"{name}: {', '.join(f'{gain:.3g}' for gain in getattr(result, name))}")
+    print(f"mean reward of 8 episodes: {result.reward:.1f}")
     return 0
 
 

@@ -25,13 +25,13 @@ def main() -> int:
         parser.error(f"--reference: {options.reference} is not allowed; give the folder of the reference solutions")
     warnings.filterwarnings("ignore", "Link.second_moment_y", UserWarning)  # of the paper's printed area of link 1
     started = perf_counter()
-    found = rows(options.reference, options.quick)
-    print(table(found))
+    result = rows(options.reference, options.quick)
+    print(table(result))
     print(f"{perf_counter() - started:.0f} s")
     for file, text in ((options.json, as_json), (options.markdown, page)):
         if file is not None:
-            file.write_text(text(found), encoding="utf-8")
-    return exit_code(found)
+            file.write_text(text(result), encoding="utf-8")
+    return exit_code(result)
 
 
 if __name__ == "__main__":

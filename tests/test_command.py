@@ -59,7 +59,7 @@ def test_check_says_versions_kernels_and_steps():
     run("-m", "flexman_gym", "compile", "one")
     done = run("-m", "flexman_gym", "check")
     assert done.returncode == 0, done.stderr
-    found = dict(line.split(": ", 1) for line in done.stdout.splitlines())
+    result = dict(line.split(": ", 1) for line in done.stdout.splitlines())
     assert {
         "python",
         "flexman_gym",
@@ -69,9 +69,9 @@ def test_check_says_versions_kernels_and_steps():
         "gymnasium",
         "processor",
         "cache folder",
-    } <= found.keys()
-    assert found["kernels of one arm alone"] == "compiled"
-    assert found["vector registers"].endswith(" bits") and found["steps of FlexRRR-v0"].endswith(" a second")
+    } <= result.keys()
+    assert result["kernels of one arm alone"] == "compiled"
+    assert result["vector registers"].endswith(" bits") and result["steps of FlexRRR-v0"].endswith(" a second")
 
 
 def test_check_says_which_kernels_are_not_compiled_yet(tmp_path, monkeypatch, capsys):

@@ -37,11 +37,11 @@ def public(body, prefix=""):
 def flaws(docstring, free_headings=()):
     """The lines of a docstring that break the form."""
     first, *rest = (docstring or "").split("\n")
-    found = [] if first.endswith((".", ":")) else [f"the first line is no sentence: {first!r}"]
-    found += [f"columns: {line!r}" for line in rest if TWO_COLUMNS.fullmatch(line)]
-    found += [f"errors outside a section: {line!r}" for line in rest if RAISES.fullmatch(line)]
+    result = [] if first.endswith((".", ":")) else [f"the first line is no sentence: {first!r}"]
+    result += [f"columns: {line!r}" for line in rest if TWO_COLUMNS.fullmatch(line)]
+    result += [f"errors outside a section: {line!r}" for line in rest if RAISES.fullmatch(line)]
     headings = [line for line, after in pairwise(rest) if HEADING.fullmatch(line) and after.startswith(" ")]
-    return found + [f"another section: {line!r}" for line in headings if line not in SECTIONS.union(free_headings)]
+    return result + [f"another section: {line!r}" for line in headings if line not in SECTIONS.union(free_headings)]
 
 
 def name_of(path):
@@ -51,16 +51,16 @@ def name_of(path):
 
 def files(folder):
     """The files of a folder, which has some."""
-    found = sorted(((ROOT if folder == "agents" else PACKAGE) / folder).rglob("*.py"))
-    assert found, folder
-    return found
+    result = sorted(((ROOT if folder == "agents" else PACKAGE) / folder).rglob("*.py"))
+    assert result, folder
+    return result
 
 
 @pytest.mark.parametrize("path", [path for folder in FOLDERS for path in files(folder)], ids=name_of)
 def test_docstrings_have_one_form(path):
     named = public(ast.parse(path.read_text(encoding="utf-8")).body)
-    found = {name: flaws(ast.get_docstring(node), FREE_HEADINGS.get(name, ())) for name, node in named}
-    assert {name: lines for name, lines in found.items() if lines} == {}
+    result = {name: flaws(ast.get_docstring(node), FREE_HEADINGS.get(name, ())) for name, node in named}
+    assert {name: lines for name, lines in result.items() if lines} == {}
 
 
 @pytest.mark.parametrize(

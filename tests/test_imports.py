@@ -107,11 +107,11 @@ def test_files_import_each_other_in_no_circle():
     names = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path for path in FILES}
     graph = {}
     for name, path in names.items():
-        found = set()
+        result = set()
         for module in modules(parsed(path)):
             known = module if module in names else module.rpartition(".")[0]
-            found |= {known} & names.keys() - {name}
-        graph[name] = found
+            result |= {known} & names.keys() - {name}
+        graph[name] = result
     tuple(TopologicalSorter(graph).static_order())  # raises CycleError
 
 

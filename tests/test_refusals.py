@@ -209,9 +209,9 @@ def test_a_refused_reset_leaves_nothing_behind():
     for parameters in bad:
         with pytest.raises(ValueError, match=r"^options\['parameters'\]\['\w+'\]: .* is not allowed; give "):
             envs[0].reset(seed=8, options={"parameters": parameters})
-    found, expected = (env.reset() for env in envs)
-    assert np.array_equal(found[0], expected[0])
-    assert np.array_equal(found[1]["drawn"]["payload_mass"], expected[1]["drawn"]["payload_mass"])
+    result, expected = (env.reset() for env in envs)
+    assert np.array_equal(result[0], expected[0])
+    assert np.array_equal(result[1]["drawn"]["payload_mass"], expected[1]["drawn"]["payload_mass"])
 
 
 def test_seeds_are_whole_numbers():

@@ -32,8 +32,8 @@ def zero_order_hold(linear: LinearModel, period: float) -> tuple[Array, Array]:
     size, n = linear.B.shape
     block = np.zeros((size + n, size + n))
     block[:size, :size], block[:size, size:] = linear.A, linear.B
-    found = expm(positive("period", period, "s") * block)
-    return found[:size, :size], found[:size, size:]
+    result = expm(positive("period", period, "s") * block)
+    return result[:size, :size], result[:size, size:]
 
 
 def optimal_gain(linear: LinearModel, motors: Array, limits: Array, weights: Weights, period: float) -> Array:

@@ -152,16 +152,16 @@ class TrackingLQR(LQR):
 
     def torques(self, states: Array) -> Array:
         """Gives torques (b, n) N m for states (b, 2 d), and moves on by a period."""
-        found = np.zeros((len(states), self.model.n_joints))
+        result = np.zeros((len(states), self.model.n_joints))
         for arm, state in enumerate(states):
             plan = self._plans[arm]
             row = min(self._now[arm], len(plan.states) - 1)
             lower = min(int(plan.places[row]), max(len(plan.gains) - 2, 0))
             upper, part = min(lower + 1, len(plan.gains) - 1), plan.places[row] - lower
             gain = plan.gains[lower] + part * (plan.gains[upper] - plan.gains[lower])
-            found[arm] = plan.torques[row] - row_dots(gain, state - plan.states[row])
+            result[arm] = plan.torques[row] - row_dots(gain, state - plan.states[row])
         self._now += 1
-        return found
+        return result
 
 
 def _grown(values: NDArray[Any], count: int) -> NDArray[Any]:

@@ -40,12 +40,12 @@ class Network:
     def __init__(self, algo: str, activation: str | None, parameters: object, statistics: object) -> None:
         first, last, usual, self._end = NAMES[one_of("algo", algo, NAMES)]
         self._function = FUNCTIONS[one_of("activation", activation or usual, FUNCTIONS)]
-        found = {name: _finite(f"policy.{name}", each) for name, each in _mapping("policy", parameters).items()}
+        result = {name: _finite(f"policy.{name}", each) for name, each in _mapping("policy", parameters).items()}
         moments = _mapping("statistics", statistics)
         self._mean = _finite("statistics.mean", moments.get("mean"))
         self._scale = 1.0 / np.sqrt(_finite("statistics.var", moments.get("var"), 0.0) + LEAST)
-        numbers = sorted({int(name[len(first) :].split(".")[0]) for name in found if _is_layer(name, first)})
-        self._layers = [_layer(found, name) for name in (*(f"{first}{number}" for number in numbers), last)]
+        numbers = sorted({int(name[len(first) :].split(".")[0]) for name in result if _is_layer(name, first)})
+        self._layers = [_layer(result, name) for name in (*(f"{first}{number}" for number in numbers), last)]
         sizes = [self._mean.size, *(len(bias) for _, bias in self._layers)]
         for (weights, _), size in zip(self._layers, sizes, strict=False):
             if weights.shape[1] != size:
@@ -74,8 +74,8 @@ def _mapping(field: str, value: object) -> Mapping[str, Any]:
     return value
 
 
-def _layer(found: Mapping[str, Array], name: str) -> Sequence[Array]:
-    weights, bias = (found.get(f"{name}.{part}", np.zeros(0)) for part in ("weight", "bias"))
+def _layer(result: Mapping[str, Array], name: str) -> Sequence[Array]:
+    weights, bias = (result.get(f"{name}.{part}", np.zeros(0)) for part in ("weight", "bias"))
     if weights.ndim != 2 or bias.shape != weights.shape[:1]:
         raise refusal(f"policy.{name}", f"arrays {weights.shape} and {bias.shape}", "weights (m, k) and a bias (m,)")
     return weights, bias

@@ -1,6 +1,5 @@
 """PD: proportional-derivative control of the motors."""
 
-
 import numpy as np
 from numpy.typing import NDArray
 

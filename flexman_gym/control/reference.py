@@ -154,8 +154,8 @@ def plan_path(model: Model, postures: Array, period: float) -> Slew:
     angles = rests[:, :n]
     for last in (False, True):
         motion = [CubicSpline(times, angles).derivative(order)(times) if order else angles for order in range(3)]
-        found = [bending.at(rest, each) for rest, each in zip(rests, zip(*motion, strict=True), strict=True)]
-        places, torques = (np.array(each) for each in zip(*found, strict=True))
+        result = [bending.at(rest, each) for rest, each in zip(rests, zip(*motion, strict=True), strict=True)]
+        places, torques = (np.array(each) for each in zip(*result, strict=True))
         if not last:
             angles = angles + np.array([give_way.turn(*both) for both in zip(rests, places, strict=True)])
     way, middles = CubicSpline(times, places), all_times[:-1] + 0.5 * period
@@ -174,8 +174,8 @@ class GiveWay:
         """Gives the turn (n,) rad, to first order, for coordinates (d,) each; none into directions that take far."""
         wanted, now = self._seen(rest, self._turns[0])[TIP].copy(), self._seen(place, self._turns[0])[TIP].copy()
         slopes = np.array([self._seen(place, turn)[TIP_VELOCITY].copy() for turn in self._turns]).T
-        found: Array = np.linalg.pinv(slopes, rcond=SINGULAR) @ (wanted - now)
-        return found
+        result: Array = np.linalg.pinv(slopes, rcond=SINGULAR) @ (wanted - now)
+        return result
 
     def _seen(self, x: Array, v: Array) -> Array:
         outputs.observe(self._model.constants, self._work, x, v, self._row)

@@ -106,9 +106,9 @@ class Description:
         if "name" in data:
             raise refusal("name", data["name"], "it as id")
         settings = {name: value for name, value in data.items() if name != "id"}
-        found = cls(data.get("id", DEFAULT), settings, folder)
-        found.setup()
-        return found
+        result = cls(data.get("id", DEFAULT), settings, folder)
+        result.setup()
+        return result
 
     def whole_settings(self) -> dict[str, Any]:
         """A copy of the settings, with those of a condition that they name in its place."""

@@ -43,8 +43,8 @@ class History:
         return self._seen(arms)
 
     def _seen(self, arms: IntArray) -> Array:
-        found: Array = self._memory[arms].reshape(len(arms), self._memory[0].size)  # of no arm too
-        return found
+        result: Array = self._memory[arms].reshape(len(arms), self._memory[0].size)  # of no arm too
+        return result
 
 
 def checked_history(value: object) -> int | tuple[float, ...]:

@@ -45,8 +45,8 @@ class Remembering:
         """
         names = {*self.kept, *self.spaces, "episodes", "base"}
         if not isinstance(state, dict) or state.keys() != names:
-            found = sorted(map(str, state)) if isinstance(state, dict) else state
-            raise refusal("state", found, f"what get_state gave: {', '.join(sorted(names))}")
+            result = sorted(map(str, state)) if isinstance(state, dict) else state
+            raise refusal("state", result, f"what get_state gave: {', '.join(sorted(names))}")
         own = {name: give(f"state.{name}", getattr(self, name), state[name]) for name in self.kept}
         spaces = {name: give(f"state.{name}", None, state[name]) for name in self.spaces}
         for name, random in {**own, **spaces}.items():
@@ -98,5 +98,5 @@ def _made_again(kind: type[Any], made: dict[str, Any], spec: Any, state: dict[st
 
 
 def _space(env: object, name: str) -> Space[Any]:
-    found: Space[Any] = getattr(env, name)
-    return found
+    result: Space[Any] = getattr(env, name)
+    return result

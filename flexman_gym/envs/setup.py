@@ -168,6 +168,12 @@ class Setup:
         return Randomisation(**task | (own.given if own else {}))
 
     @property
+    def latest_delay(self) -> int:
+        """Whole control periods by which torques may come late."""
+        delay = self.disturbed.delay if self.disturbed else None
+        return int(delay[1]) if delay else 0
+
+    @property
     def longest(self) -> int:
         """Control periods after which an episode is truncated."""
         return max(1, round(self.horizon / self.control_period))
@@ -201,12 +207,11 @@ class Setup:
         It warns (UserWarning) where sampling and delay make a PD unstable.
         """
         if self.base == "pd":
-            found = self.pd(model)
-            latest = self.disturbed.delay if self.disturbed else None
-            said = found.unstable(model, self.control_period, int(latest[1]) if latest else 0)
+            result = self.pd(model)
+            said = result.unstable(model, self.control_period, self.latest_delay)
             if said:
                 warnings.warn(said, stacklevel=2)
-            return found
+            return result
         if isinstance(self.base, str):
             kind = {"lqr": LQR, "lqr-tracking": TrackingLQR}[self.base]
             return kind(model, self.torque_limit, self.control_period)

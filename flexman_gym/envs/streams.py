@@ -54,9 +54,9 @@ class Noise:
         """The next numbers (r, size) of the arms (r,)."""
         for arm in arms[self._used[arms] == BLOCK].tolist():
             self._block[arm], self._used[arm] = _normal(self._inner[arm], self._block.shape[1:]), 0
-        found = self._block[arms, self._used[arms]]
+        result = self._block[arms, self._used[arms]]
         self._used[arms] += 1
-        return found
+        return result
 
 
 def _normal(random: np.random.Generator, shape: tuple[int, ...]) -> Array:

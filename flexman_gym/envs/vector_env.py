@@ -222,10 +222,10 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
 
 def _arrays(info: Infos) -> Infos:
     """The info of an arm alone, with an axis for the arms in front of every number and array."""
-    found = {}
+    result = {}
     for key, value in info.items():
-        found[key] = _arrays(value) if isinstance(value, dict) else np.array([value])
-    return found
+        result[key] = _arrays(value) if isinstance(value, dict) else np.array([value])
+    return result
 
 
 def _with_masks(infos: Infos, mask: Flags) -> Infos:

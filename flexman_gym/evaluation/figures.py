@@ -49,8 +49,8 @@ class Figure:
 
     def sum_up(self, records: Sequence[Record]) -> float:
         """Gives the mean or the median of episodes; of an even number of them the upper of the middle two."""
-        found = self.each(records)
-        return upper_median(found) if self.many == MEDIAN else float(np.mean(found))
+        result = self.each(records)
+        return upper_median(result) if self.many == MEDIAN else float(np.mean(result))
 
     def each(self, records: Sequence[Record]) -> Array:
         """Gives the number of each of the episodes, (b,)."""

@@ -66,9 +66,9 @@ def read_data(path: Path) -> Any:
         with zipfile.ZipFile(existing(path)) as parts:
             if sum(part.file_size for part in parts.infolist()) > path.stat().st_size:
                 raise ValueError("its arrays are packed")
-        with np.load(path, allow_pickle=False) as found:
-            text = found[TEXT].tobytes().decode("utf-8")
-            return joined(json.loads(text), found)
+        with np.load(path, allow_pickle=False) as result:
+            text = result[TEXT].tobytes().decode("utf-8")
+            return joined(json.loads(text), result)
     except FileNotFoundError:
         raise
     except BROKEN as error:

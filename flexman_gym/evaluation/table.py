@@ -40,10 +40,10 @@ def _cell(figure: Figure, records: Sequence[Record]) -> str:
             f"{figure.scale * value:.3g}" if np.isfinite(value) else "-" for value in figure.interval(records)
         )
         return f"{middle} ({low} to {high})"
-    found = figure.sum_up(records)
+    result = figure.sum_up(records)
     if figure.many == SHARE:
-        return f"{found:.0%}"
-    return f"{found:.1f}" if abs(found) >= 10.0 else f"{found:.3f}"
+        return f"{result:.0%}"
+    return f"{result:.1f}" if abs(result) >= 10.0 else f"{result:.3f}"
 
 
 def _short(name: str) -> str:

@@ -157,24 +157,24 @@ def _choose(scene: Scene, tolerance: float, longest: float) -> Choice:
 
 def _candidates(search: Search, parts: dict[tuple[int, int], float]) -> list[Candidate]:
     """Gives models that meet their share of the tolerance, the one with the fewest coordinates first."""
-    found, stiffest = {search.full}, search.stiffest() if search.softens else []
+    result, stiffest = {search.full}, search.stiffest() if search.softens else []
     for springs in {search.full.springs, False}:
         for stiffening in {False, search.full.stiffening}:
             start = search.full._replace(springs=springs, stiffening=stiffening)
             for share in search.shares:
                 budget = share * search.tolerance
                 if search.screen(start) <= budget:
-                    found.add(search.reduced(start, budget, list(parts)))
+                    result.add(search.reduced(start, budget, list(parts)))
             if search.softens and search.screen(start) <= budget:  # for explicit methods
                 softer = search.reduced(start, budget, stiffest)
-                found.add(search.reduced(softer, search.shares[0] * search.tolerance, list(parts)))
+                result.add(search.reduced(softer, search.shares[0] * search.tolerance, list(parts)))
     angles = search.scene.initial.joint_angles
 
     def fastest(candidate: Candidate) -> float:
         return frequencies(search.model(candidate), angles).max()
 
     smallest: list[Candidate] = []
-    for candidate in sorted(found, key=lambda each: (search.model(each).n_dof, each.stiffening)):
+    for candidate in sorted(result, key=lambda each: (search.model(each).n_dof, each.stiffening)):
         error = search.screen(candidate)
         speed = fastest(candidate)
         if not any(

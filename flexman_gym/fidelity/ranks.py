@@ -1,6 +1,5 @@
 """Ranks: the order in which modes are left out."""
 
-
 import numpy as np
 
 from flexman_gym.arrays import Array, Vector

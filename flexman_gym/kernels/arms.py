@@ -157,11 +157,11 @@ def proceed(constants, work, tableau, sweeps, clock, state):
 
 
 @released
-def advance_arms(tables, work_table, tableau, sweeps, drives, clock, rows, found, status):
+def advance_arms(tables, work_table, tableau, sweeps, drives, clock, rows, out, status):
     """Moves arms by steps of a linearly implicit method, or sweeps without one, under constant drives (b, n + 6).
 
     `tables` (groups, fields, 3) are the addresses of the constants of each group of ARMS_ABREAST arms. Overwrites rows
-    (b, 2 d + 2), state and ledger, and outputs `found` (b, OUTPUTS) of the arms whose status (b,) is OK and that do not
+    (b, 2 d + 2), state and ledger, and outputs `out` (b, OUTPUTS) of the arms whose status (b,) is OK and that do not
     diverge; it becomes DIVERGED for one that does.
     """
     work = work_of_arms(work_table)
@@ -179,11 +179,11 @@ def advance_arms(tables, work_table, tableau, sweeps, drives, clock, rows, found
                 status[arm] = DIVERGED
             if status[arm] == OK:
                 read_lane(state, arm - first, rows[arm])
-                read_lane(work.outputs, arm - first, found[arm])
+                read_lane(work.outputs, arm - first, out[arm])
 
 
 @released
-def advance_one(table, work_table, tableau, sweeps, drives, clock, rows, found, status):
+def advance_one(table, work_table, tableau, sweeps, drives, clock, rows, out, status):
     """The same for a single arm."""
     if status[0] != OK:
         return
@@ -195,14 +195,14 @@ def advance_one(table, work_table, tableau, sweeps, drives, clock, rows, found, 
         status[0] = DIVERGED
     else:
         copy(work.row, rows[0])
-        copy(work.outputs, found[0])
+        copy(work.outputs, out[0])
 
 
 @released
-def run_arms(tables, work_table, tableau, sweeps, drives, clock, rows, found, counts):
+def run_arms(tables, work_table, tableau, sweeps, drives, clock, rows, out, counts):
     """Runs of arms by fixed steps as in `proceed`, each under the table of its own drive (b, 6, n + 6).
 
-    Overwrites rows (b, r + 1, 2 d + 2) behind the first one, from which an arm starts, and outputs `found` (b, r + 1,
+    Overwrites rows (b, r + 1, 2 d + 2) behind the first one, from which an arm starts, and outputs `out` (b, r + 1,
     OUTPUTS). counts (b, 2) = how many rows are valid behind the first, and the steps that were taken.
     """
     work = work_of_arms(work_table)
@@ -230,7 +230,7 @@ def run_arms(tables, work_table, tableau, sweeps, drives, clock, rows, found, co
             for arm in range(first, end):
                 if counts[arm, 0] < 0:
                     read_lane(work.row, arm - first, rows[arm, r])
-                    read_lane(work.outputs, arm - first, found[arm, r])
+                    read_lane(work.outputs, arm - first, out[arm, r])
         for arm in range(first, end):
             if counts[arm, 0] < 0:
                 counts[arm, 0] = rows.shape[1] - 1

@@ -138,10 +138,10 @@ def _belongs_to_us(folder: Path, strict: bool) -> bool:
 
     Folders of kernels, whose names are ours alone, are then thrown away; whatever else is there stays and is not read.
     """
-    found = folder.lstat() if strict else folder.stat()
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
+    result = folder.lstat() if strict else folder.stat()
+    if not stat.S_ISDIR(result.st_mode) or result.st_uid != os.getuid():
         return False
-    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+    if result.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         if strict:
             return False
         folder.chmod(0o700)

@@ -105,31 +105,31 @@ def read_everything(motion, angles, velocity, posture, vectors, numbers, near, o
 
 
 @kernel
-def energies(outputs, found):
-    """found (b,) = kinetic + elastic + gravitational energy of arms with these outputs (b, OUTPUTS), J."""
-    for b in range(len(found)):
+def energies(outputs, out):
+    """out (b,) = kinetic + elastic + gravitational energy of arms with these outputs (b, OUTPUTS), J."""
+    for b in range(len(out)):
         moving = outputs[b, KINETIC] + outputs[b, JOINT_ENERGY]
-        found[b] = moving + (outputs[b, LINK_ENERGY] + outputs[b, GRAVITATIONAL])
+        out[b] = moving + (outputs[b, LINK_ENERGY] + outputs[b, GRAVITATIONAL])
 
 
 @kernel
-def residuals(rows, outputs, start, found):
-    """found (b,) = work - dissipation - change of energy since the energies (b,) of the start, J."""
-    energies(outputs, found)
+def residuals(rows, outputs, start, out):
+    """out (b,) = work - dissipation - change of energy since the energies (b,) of the start, J."""
+    energies(outputs, out)
     last = rows.shape[1] - 1
     for b in range(len(rows)):
-        found[b] = rows[b, last - 1] - rows[b, last] - (found[b] - start[b])
+        out[b] = rows[b, last - 1] - rows[b, last] - (out[b] - start[b])
 
 
 @kernel
-def turn_over(rows, outputs, found):
-    """found (b,) grows to kinetic + elastic energy, |work| and |dissipation|, where it is less than one of them, J."""
+def turn_over(rows, outputs, out):
+    """out (b,) grows to kinetic + elastic energy, |work| and |dissipation|, where it is less than one of them, J."""
     last = rows.shape[1] - 1
     for b in range(len(rows)):
         moving = outputs[b, KINETIC] + outputs[b, JOINT_ENERGY] + outputs[b, LINK_ENERGY]
         for value in (moving, abs(rows[b, last - 1]), abs(rows[b, last])):
-            if value > found[b] or value != value:  # what is no number stays there to be seen
-                found[b] = value
+            if value > out[b] or value != value:  # what is no number stays there to be seen
+                out[b] = value
 
 
 @kernel

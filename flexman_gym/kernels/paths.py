@@ -27,24 +27,24 @@ def on_series(series, phases, out):
 
 
 @kernel
-def reach(constants, wanted, x, slopes, accuracy, damping, found):
-    """found (r, n) = motor angles at which the tip of the rigid arm is at places wanted (r, 3), by Newton's method.
+def reach(constants, wanted, x, slopes, accuracy, damping, out):
+    """out (r, n) = motor angles at which the tip of the rigid arm is at places wanted (r, 3), by Newton's method.
 
-    It starts from what `found` holds, and turns least of all where a joint is more than the tip needs; slopes below the
+    It starts from what `out` holds, and turns least of all where a joint is more than the tip needs; slopes below the
     damping (m) turn nothing. Overwrites x (d,) and slopes (n, 3); returns the largest distance that is left (m).
     """
     n, left = len(constants.mass), 0.0
     for r in range(len(wanted)):
         far = 2.0 * accuracy
         for _ in range(ITERATIONS):
-            tip = turned_tip(constants, found, r, -1, x)
+            tip = turned_tip(constants, out, r, -1, x)
             missing = (wanted[r, 0] - tip[0], wanted[r, 1] - tip[1], wanted[r, 2] - tip[2])
             far = math.sqrt(dot(missing, missing))
             if not far > accuracy:
                 break
             rows = ((damping * damping, 0.0, 0.0), (0.0, damping * damping, 0.0), (0.0, 0.0, damping * damping))
             for i in range(n):
-                moved = turned_tip(constants, found, r, i, x)
+                moved = turned_tip(constants, out, r, i, x)
                 slope = ((moved[0] - tip[0]) / STEP, (moved[1] - tip[1]) / STEP, (moved[2] - tip[2]) / STEP)
                 slopes[i, 0], slopes[i, 1], slopes[i, 2] = slope
                 rows = (
@@ -55,7 +55,7 @@ def reach(constants, wanted, x, slopes, accuracy, damping, found):
             way = solved(rows, missing)
             for i in range(n):
                 turn = slopes[i, 0] * way[0] + slopes[i, 1] * way[1] + slopes[i, 2] * way[2]
-                found[r, i] += min(max(turn, -TURN), TURN)
+                out[r, i] += min(max(turn, -TURN), TURN)
         left = max(left, far)
     return left
 
@@ -76,5 +76,5 @@ def solved(rows, right):
     """The solution of three equations, by Cramer's rule."""
     a, b, c = cross(rows[1], rows[2]), cross(rows[2], rows[0]), cross(rows[0], rows[1])
     scale = 1.0 / dot(rows[0], a)
-    found = add_scaled(ZERO, right[0] * scale, a)
-    return add_scaled(add_scaled(found, right[1] * scale, b), right[2] * scale, c)
+    out = add_scaled(ZERO, right[0] * scale, a)
+    return add_scaled(add_scaled(out, right[1] * scale, b), right[2] * scale, c)

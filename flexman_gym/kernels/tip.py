@@ -49,8 +49,8 @@ def tip_accelerations(constants, work, x, v, drive, out):
 
 
 @released
-def sense_arms(tables, work_table, drives, rows, found):
-    """found (b, TIP_ACCELERATIONS) of arms with state and ledger in rows (b, 2 d + 2), under drives (b, n + 6).
+def sense_arms(tables, work_table, drives, rows, out):
+    """out (b, TIP_ACCELERATIONS) of arms with state and ledger in rows (b, 2 d + 2), under drives (b, n + 6).
 
     `tables` (groups, fields, 3) are the addresses of the constants of each group of ARMS_ABREAST arms.
     """
@@ -63,13 +63,13 @@ def sense_arms(tables, work_table, drives, rows, found):
         fill_lanes(drives, first, work.drive)
         sense(constants_of_arms(tables[group]), work, state[:d], state[d : 2 * d], work.outputs)
         for arm in range(first, min(first + ARMS_ABREAST, len(rows))):
-            read_lane(work.outputs, arm - first, found[arm])
+            read_lane(work.outputs, arm - first, out[arm])
 
 
 @released
-def sense_one(table, work_table, drives, rows, found):
+def sense_one(table, work_table, drives, rows, out):
     """The same for a single arm."""
     work = work_of_one(work_table)
     d = rows.shape[1] // 2 - 1
     copy(drives[0], work.drive)
-    sense(constants_of_one(table), work, rows[0, :d], rows[0, d : 2 * d], found[0])
+    sense(constants_of_one(table), work, rows[0, :d], rows[0, d : 2 * d], out[0])

@@ -20,8 +20,8 @@ def roughness(actions: Array) -> float:
 
     A single action has none.
     """
-    found = samples("actions", actions, 2)
-    return float(np.sqrt(np.mean(np.square(np.diff(found, axis=0))))) if len(found) > 1 else 0.0
+    result = samples("actions", actions, 2)
+    return float(np.sqrt(np.mean(np.square(np.diff(result, axis=0))))) if len(result) > 1 else 0.0
 
 
 def power_above(actions: Array, period: float, frequency: float) -> float:
@@ -41,17 +41,17 @@ def power_above(actions: Array, period: float, frequency: float) -> float:
         ValueError: for actions that are no such array of finite numbers or are shorter than 4 / frequency, a period
             that is not > 0, and a frequency that cannot be seen.
     """
-    found = finite_samples("actions", actions, 2, least=CYCLES)
+    result = finite_samples("actions", actions, 2, least=CYCLES)
     period, frequency = physical("period", period, "s"), positive("frequency", frequency, "Hz")
     fastest = 0.5 / period
     if not frequency < fastest:
         raise refusal("frequency", frequency, f"a number > 0 and < {fastest:.6g} (Hz), half the rate of the samples")
-    if len(found) * period * frequency < CYCLES * (1.0 - 1e-9):
+    if len(result) * period * frequency < CYCLES * (1.0 - 1e-9):
         raise refusal("actions", actions, f"at least {CYCLES / frequency:.6g} s: {CYCLES} cycles of the frequency")
-    window = np.sin(np.pi * np.arange(len(found)) / len(found))[:, None] ** 2
-    swing = window * (found - found.mean(axis=0))
+    window = np.sin(np.pi * np.arange(len(result)) / len(result))[:, None] ** 2
+    swing = window * (result - result.mean(axis=0))
     power = np.square(np.abs(np.fft.rfft(swing, axis=0)))
-    power[1 : (len(found) + 1) // 2] *= 2.0  # each stands for its negative frequency too
-    if power.sum() <= ROUNDING * len(found) * np.square(found).sum():
+    power[1 : (len(result) + 1) // 2] *= 2.0  # each stands for its negative frequency too
+    if power.sum() <= ROUNDING * len(result) * np.square(result).sum():
         return 0.0
-    return float(power[np.fft.rfftfreq(len(found), period) > frequency].sum() / power.sum())
+    return float(power[np.fft.rfftfreq(len(result), period) > frequency].sum() / power.sum())

@@ -28,15 +28,15 @@ def median_interval(values: Array, level: float = 0.95, draws: int = 2000) -> tu
         ValueError: for values without a sample, a level that is not above 0 and below 1, and for draws that are no
             whole number from 1 on or hold more than a hundred million numbers together.
     """
-    found = samples("values", values, 1)
+    result = samples("values", values, 1)
     level = positive("level", level)
     if not level < 1.0:
         raise refusal("level", level, "a number > 0 and < 1")
-    draws = whole_number("draws", draws, 1, max(1, MOST_DRAWN // len(found)))
-    picked = np.random.default_rng(0).integers(len(found), size=(draws, len(found)))
-    medians = np.sort(_medians(found[picked]))
+    draws = whole_number("draws", draws, 1, max(1, MOST_DRAWN // len(result)))
+    picked = np.random.default_rng(0).integers(len(result), size=(draws, len(result)))
+    medians = np.sort(_medians(result[picked]))
     cut = round((1.0 - level) / 2.0 * (draws - 1))
-    return upper_median(found), float(medians[cut]), float(medians[-1 - cut])
+    return upper_median(result), float(medians[cut]), float(medians[-1 - cut])
 
 
 def _medians(rows: Array) -> Array:

@@ -58,8 +58,8 @@ def overshoot(errors: Array, band: float) -> float:
     first = int(entered[0])
     if inside[first:].all():
         return 0.0
-    found = np.asarray(errors, dtype=np.float64)[first:]
-    return float(np.where(np.isnan(found), np.inf, found).max())
+    result = np.asarray(errors, dtype=np.float64)[first:]
+    return float(np.where(np.isnan(result), np.inf, result).max())
 
 
 def attained_distances(tips: Array, period: float) -> Array:
@@ -72,8 +72,8 @@ def attained_distances(tips: Array, period: float) -> Array:
     Raises:
         ValueError: for tips that are no such array of finite numbers, and a period that is not > 0.
     """
-    found = finite_samples("tips", tips, 2)
-    return np.linalg.norm(found - last(found, period, STAY).mean(axis=0), axis=1)
+    result = finite_samples("tips", tips, 2)
+    return np.linalg.norm(result - last(result, period, STAY).mean(axis=0), axis=1)
 
 
 def band_of_move(errors: Array, part: float) -> float:

@@ -31,5 +31,5 @@ def squared_acceleration(accelerations: Array, period: float) -> float:
     Raises:
         ValueError: for fewer than two samples, numbers that are not finite, and a period that is not > 0.
     """
-    found = np.square(lengths(finite_samples("accelerations", accelerations, 1, 2, least=2)))
-    return float(np.trapezoid(found, dx=physical("period", period, "s")))
+    result = np.square(lengths(finite_samples("accelerations", accelerations, 1, 2, least=2)))
+    return float(np.trapezoid(result, dx=physical("period", period, "s")))

@@ -72,12 +72,12 @@ def damping_ratio(signal: Array) -> float:
     Raises:
         ValueError: for fewer than three samples, and numbers that are not finite.
     """
-    found = finite_samples("signal", signal, 1, least=3)
-    found = np.ldexp(found, -np.frexp(np.abs(found).max())[1])  # of the size of 1, where nothing underflows
-    turns = _turning_points(found, LEAST_SWING * float(np.ptp(found)))
+    result = finite_samples("signal", signal, 1, least=3)
+    result = np.ldexp(result, -np.frexp(np.abs(result).max())[1])  # of the size of 1, where nothing underflows
+    turns = _turning_points(result, LEAST_SWING * float(np.ptp(result)))
     if len(turns) < 3:
         return np.nan
-    swings = np.abs(np.diff([_vertex(found[place - 1 : place + 2]) for place in turns]))
+    swings = np.abs(np.diff([_vertex(result[place - 1 : place + 2]) for place in turns]))
     decrement = -2.0 * float(np.polyfit(np.arange(len(swings)), np.log(swings), 1, w=swings)[0])
     return decrement / float(np.hypot(2.0 * np.pi, decrement))
 
@@ -93,11 +93,11 @@ def energy_left(energies: Array, of: str = "largest") -> float:
         ValueError: for energies that are no such array of finite numbers >= 0, where the largest or first one is 0, and
             for another `of`.
     """
-    found = finite_samples("energies", energies, 1)
-    whole = found.max() if one_of("of", of, ("largest", "first")) == "largest" else found[0]
-    if not (found >= 0.0).all() or whole == 0.0:
+    result = finite_samples("energies", energies, 1)
+    whole = result.max() if one_of("of", of, ("largest", "first")) == "largest" else result[0]
+    if not (result >= 0.0).all() or whole == 0.0:
         raise refusal("energies", energies, f"numbers >= 0 (J), of which the {of} is > 0")
-    return float(found[-1] / whole)
+    return float(result[-1] / whole)
 
 
 def _range(tips: Array) -> float:
@@ -106,12 +106,12 @@ def _range(tips: Array) -> float:
 
 def _after(name: str, tips: Array, period: float, field: str, end: float) -> Array:
     """The samples (T, 3) of tips from an end on."""
-    found = finite_samples(name, tips, 2, least=2)
+    result = finite_samples(name, tips, 2, least=2)
     period = physical("period", period, "s")
     first = np.ceil(non_negative(field, end, "s") / period - 1e-9)
-    if first > len(found) - 2:
-        raise refusal(field, end, f"a time (s) of at most {(len(found) - 2) * period:.6g}, two samples before the last")
-    return found[int(first) :]
+    if first > len(result) - 2:
+        raise refusal(field, end, f"a time (s) of at most {(len(result) - 2) * period:.6g}, two samples before the end")
+    return result[int(first) :]
 
 
 def _turning_points(signal: Array, least: float) -> list[int]:

@@ -75,9 +75,7 @@ class Model:
         """Gives the finite elements of a link (counted from 0), base to tip."""
         return beam_elements(self.arm.links[link], _each("elements", self.choice.elements, self.n_joints)[link])
 
-    def initial_state(
-        self, joint_angles: Vector, joint_rates: Vector | None = None
-    ) -> Array:
+    def initial_state(self, joint_angles: Vector, joint_rates: Vector | None = None) -> Array:
         """Gives the state (2 d,) of the undeformed arm, with the motors at the angles and rates of the joints.
 
         Args:

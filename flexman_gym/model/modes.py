@@ -69,9 +69,9 @@ def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
 
     tip = np.vstack([beam.tip_translation, beam.tip_rotation])
     mass, stiffness = beam.mass_matrix + tip.T @ outboard @ tip, beam.stiffness
-    frequencies, shapes, found = np.zeros(len(mass)), np.zeros_like(mass), 0
+    frequencies, shapes, count = np.zeros(len(mass)), np.zeros_like(mass), 0
     for group in uncoupled(mass, stiffness):
-        block, columns = np.ix_(group, group), slice(found, found + len(group))
+        block, columns = np.ix_(group, group), slice(count, count + len(group))
         try:
             squares, shapes[group, columns] = eigh(stiffness[block], mass[block])
             if not (squares > 0.0).all():  # of a clamped link they are, but for rounding
@@ -80,7 +80,7 @@ def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
             allowed = "links and loads whose masses are within fifteen digits of each other"
             raise refusal("arm", "this one", allowed) from None
         frequencies[columns] = np.sqrt(squares)
-        found += len(group)
+        count += len(group)
     # rounding must not decide which of two equal frequencies comes first
     order = np.argsort([float(f"{frequency:.9g}") for frequency in frequencies], kind="stable")
     return frequencies[order], shapes[:, order]

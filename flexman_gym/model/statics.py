@@ -40,8 +40,8 @@ def rest_state(model: Model, motor_angles: Vector) -> Array:
         ValueError: for wrong angles, and for an arm too soft to find its rest so.
     """
     angles = vector("motor_angles", motor_angles, checked_model(model).n_joints, "rad")
-    found: Array = rest_states(model, np.array([angles]))[0]
-    return found
+    result: Array = rest_states(model, np.array([angles]))[0]
+    return result
 
 
 @lru_cache(maxsize=16)

@@ -75,8 +75,8 @@ def _gauss_rule(places: Array, masses: Array, count: int) -> tuple[Array, Array]
         ahead = (places - diagonal[i]) * now - (beside[i - 1] if i else 0.0) * before
         beside[i] = np.sqrt(masses @ ahead**2)
         before, now = now, ahead / beside[i]
-    found, vectors = np.linalg.eigh(np.diag(diagonal) + np.diag(beside[:-1], -1))  # reads the lower triangle
-    return found, masses.sum() * vectors[0] ** 2
+    result, vectors = np.linalg.eigh(np.diag(diagonal) + np.diag(beside[:-1], -1))  # reads the lower triangle
+    return result, masses.sum() * vectors[0] ** 2
 
 
 def _lagrange(places: Array, points: Array) -> Array:

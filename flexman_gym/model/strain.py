@@ -1,6 +1,5 @@
 """Strain: bending, twist and stretch of a link at a place along it."""
 
-
 import numpy as np
 
 from flexman_gym.arrays import Array, Vector
@@ -28,9 +27,7 @@ def curvature(model: Model, state: Vector, link: int, position: float) -> Array:
     return _deformation(model, state, link, position)[1:]
 
 
-def strain(
-    model: Model, state: Vector, link: int, position: float, y: float = 0.0, z: float = 0.0
-) -> float:
+def strain(model: Model, state: Vector, link: int, position: float, y: float = 0.0, z: float = 0.0) -> float:
     """Gives the axial strain u' - y v'' - z w'' at a point of a link's section, as a strain gauge there measures it.
 
     Foreshortening is no strain: the centreline keeps its length.
@@ -69,7 +66,7 @@ def root_gauges(model: Model) -> Array:
     Args:
         model: the model.
     """
-    found = np.zeros((2 * model.n_dof, 3 * model.n_joints))
+    result = np.zeros((2 * model.n_dof, 3 * model.n_joints))
     for i, radii in enumerate(gauge_radii(model)):
         basis = model.bases[i]
         if basis.shape[1] == 0:
@@ -78,8 +75,8 @@ def root_gauges(model: Model) -> Array:
         nodes = np.vstack([np.zeros((NODE_COORDINATES, basis.shape[1])), basis])[root.nodes]
         _, twist, about_y, about_z = _derivatives(0.0, root.length) @ nodes
         rows = radii[:, None] * np.array([-about_z, about_y, twist])
-        found[model.elastic_columns(i), 3 * i : 3 * i + 3] = rows.T
-    return found
+        result[model.elastic_columns(i), 3 * i : 3 * i + 3] = rows.T
+    return result
 
 
 def _deformation(model: Model, state: Vector, link: int, position: float) -> Array:

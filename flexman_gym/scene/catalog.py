@@ -165,9 +165,7 @@ def vertical_2r(payload: Payload | None = TOOL, gravity: Vector = (0.0, 0.0, -9.
     return Arm([link, link], joints, payload, gravity, **({"modal_damping_ratio": 0.005} | damping))
 
 
-def one_joint(
-    payload: Payload | None = LIGHT_TOOL, gravity: Vector = (0.0, 0.0, 0.0), **damping: float
-) -> Arm:
+def one_joint(payload: Payload | None = LIGHT_TOOL, gravity: Vector = (0.0, 0.0, 0.0), **damping: float) -> Arm:
     """Builds an aluminium strip of 0.8 m on one elastic joint, which turns it in a horizontal plane about +Z.
 
     Args:

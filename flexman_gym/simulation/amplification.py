@@ -47,10 +47,10 @@ def amplification_factors(method: Method, angle: float | Array) -> NDArray[np.co
     if isinstance(method, LinearlyImplicit):
         weights, matrix = extrapolation_weights(method.sequence), method.a + method.coupling
         matrix = matrix + method.gamma * np.eye(len(method.b))
-        found = np.zeros(angle.shape, dtype=np.complex128)
+        result = np.zeros(angle.shape, dtype=np.complex128)
         for weight, parts in zip(weights, method.sequence, strict=True):
-            found += weight * _stability(matrix, method.b, 1j * angle / parts) ** parts
-        return found[..., None]
+            result += weight * _stability(matrix, method.b, 1j * angle / parts) ** parts
+        return result[..., None]
     if method.semi_implicit:
         return _eigenvalues(_matrices([[1.0 - angle**2, angle], [-angle, np.ones_like(angle)]]))
     return _stability(method.a, method.b, 1j * angle)[..., None]

@@ -190,9 +190,9 @@ class Batch:
     @property
     def energy_residual(self) -> Array:
         """Work - dissipation - change of energy since the reset (b,), J; see `Trajectory`."""
-        found = np.empty(len(self.rows))
-        outputs.residuals(self.rows, self.outputs, self._start_energy, found)
-        return found
+        result = np.empty(len(self.rows))
+        outputs.residuals(self.rows, self.outputs, self._start_energy, result)
+        return result
 
 
 def _joints(prescribed: object, count: int) -> list[int]:

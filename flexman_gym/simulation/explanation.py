@@ -53,8 +53,8 @@ def explain(failure: Failure) -> str:
     run, (time, step, substeps) = failure.run, failure.moment
     if run.tolerance[0] > 0.0:
         step, substeps = step * substeps / PIECES, PIECES
-    rows, found = np.zeros((substeps, len(failure.state))), np.zeros((substeps, layout.OUTPUTS))
-    status, valid, _ = run(failure.drive, (time, step, 1), failure.state.copy(), rows, found)
+    rows, result = np.zeros((substeps, len(failure.state))), np.zeros((substeps, layout.OUTPUTS))
+    status, valid, _ = run(failure.drive, (time, step, 1), failure.state.copy(), rows, result)
     states = np.vstack([failure.state, rows[:valid], *([] if status == layout.OK else [run.work.trial])])
     with np.errstate(all="ignore"):
         first, row = _first(failure.model, states[:, : 2 * failure.model.n_dof])
@@ -89,12 +89,12 @@ def explain_energy(model: Model, run: Run, step: float, time: float, states: Arr
 
 def names(model: Model) -> list[str]:
     """Gives the name of each coordinate (d,), such as "coordinate 2 of links[0]"."""
-    found = [f"joints[{i}]" for i in range(model.n_joints)]
-    found += [f"the motor of joints[{i}]" for i in np.flatnonzero(model.constants.motor >= 0)]
+    result = [f"joints[{i}]" for i in range(model.n_joints)]
+    result += [f"the motor of joints[{i}]" for i in np.flatnonzero(model.constants.motor >= 0)]
     for link in range(model.n_joints):
         columns = model.elastic_columns(link)
-        found += [f"elastic coordinate {a} of links[{link}]" for a in range(columns.stop - columns.start)]
-    return found
+        result += [f"elastic coordinate {a} of links[{link}]" for a in range(columns.stop - columns.start)]
+    return result
 
 
 def quantities(model: Model, states: Array) -> Iterator[Quantity]:
@@ -119,36 +119,36 @@ def quantities(model: Model, states: Array) -> Iterator[Quantity]:
 
 def advice(model: Model, run: Run, step: float, states: Array) -> list[str]:
     """Gives what to change, the most promising first."""
-    method, d, found = run.method, model.n_dof, []
+    method, d, result = run.method, model.n_dof, []
     highest, limit = frequencies(model).max(initial=0.0), _limit(method)
     if run.tolerance[0] > 0.0:
-        found.append("a method with fixed steps, such as implicit_midpoint_3")
+        result.append("a method with fixed steps, such as implicit_midpoint_3")
     elif 2.0 * np.pi * highest * step > limit:
         stable = limit / (2.0 * np.pi * highest)
-        found.append(f"a step of at most {stable:.2g} s, as {method.name} is unstable beyond at {highest:.4g} Hz")
-        found.append("a linearly implicit method, such as implicit_midpoint_3")
+        result.append(f"a step of at most {stable:.2g} s, as {method.name} is unstable beyond at {highest:.4g} Hz")
+        result.append("a linearly implicit method, such as implicit_midpoint_3")
     else:
-        found.append(f"a step shorter than {step:g} s")
+        result.append(f"a step shorter than {step:g} s")
     with np.errstate(all="ignore"):
         good = states[np.isfinite(states).all(axis=1)]
         bent = [q for q in quantities(model, good) if q.largest == BENT and np.abs(q.values).max() > NOTICED]
         locked = frequencies(model, lock_joints=True)
         spins = np.abs(good[:, d : d + model.n_joints]).max(initial=0.0)
     if not model.choice.stiffening and (bent or (len(locked) and spins > np.pi * locked[0])):
-        found.append("stiffening=True, as links bend far or spin fast, which needs their foreshortening")
+        result.append("stiffening=True, as links bend far or spin fast, which needs their foreshortening")
     if model.n_elastic and not model.constants.damping.any():
-        found.append("damping of the links, modal_damping_ratio, as there is none")
-    return [*found, "smaller torques"]
+        result.append("damping of the links, modal_damping_ratio, as there is none")
+    return [*result, "smaller torques"]
 
 
 def _first(model: Model, states: Array) -> tuple[Quantity, int]:
     """Gives the quantity that is first larger than it should be, and the row; the largest one where none is."""
-    found = list(quantities(model, states))
-    sizes = np.array([np.abs(each.values) / each.largest for each in found])
+    result = list(quantities(model, states))
+    sizes = np.array([np.abs(each.values) / each.largest for each in result])
     sizes = np.nan_to_num(sizes, nan=np.inf, posinf=np.inf)
     late = np.flatnonzero((sizes > 1.0).any(axis=0))
     row = int(late[0]) if late.size else sizes.shape[1] - 1
-    return found[int(np.argmax(sizes[:, row]))], row
+    return result[int(np.argmax(sizes[:, row]))], row
 
 
 def _limit(method: Method) -> float:

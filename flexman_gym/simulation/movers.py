@@ -3,7 +3,7 @@
 A mover has five methods. `vary(arm, constants)` gives an arm constants of its own, which `constants(arm)` tells.
 `observe(arms, rows, outputs)` reads the outputs off the rows of some arms. `move(drives, periods, rows, outputs,
 status)` moves the arms whose status is OK by one control period, `periods` (b,) after their start, and sets the status
-of arms that fail. `sense(drives, rows, found)` finds the tip accelerations (b, TIP_ACCELERATIONS) of all arms.
+of arms that fail. `sense(drives, rows, out)` finds the tip accelerations (b, TIP_ACCELERATIONS) of all arms.
 """
 
 import os
@@ -66,18 +66,18 @@ class OneByOne:
 
     def move(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
         """Moves the arms whose status is OK."""
-        row, found = np.zeros((1, rows.shape[1])), np.zeros((1, layout.OUTPUTS))
+        row, result = np.zeros((1, rows.shape[1])), np.zeros((1, layout.OUTPUTS))
         for arm in np.flatnonzero(status == layout.OK):
             self._drive[layout.OFFSET] = drives[arm]
             moment, state = (periods[arm] * self._period, self._step, self._substeps), rows[arm].copy()
-            status[arm] = self._runs[arm](self._drive, moment, state, row, found)[0]
+            status[arm] = self._runs[arm](self._drive, moment, state, row, result)[0]
             if status[arm] == layout.OK:
-                rows[arm], outputs[arm] = state, found[0]
+                rows[arm], outputs[arm] = state, result[0]
 
-    def sense(self, drives: Array, rows: Array, found: Array) -> None:
+    def sense(self, drives: Array, rows: Array, result: Array) -> None:
         """Finds the tip accelerations of all arms."""
         d = rows.shape[1] // 2 - 1
-        for run, drive, row, out in zip(self._runs, drives, rows, found, strict=True):
+        for run, drive, row, out in zip(self._runs, drives, rows, result, strict=True):
             tip.tip_accelerations(run.constants, run.work, row[:d], row[d : 2 * d], drive, out)
 
 
@@ -148,15 +148,15 @@ class Abreast:
         """Moves the arms whose status is OK."""
         self._advance(drives, self._clock, rows, outputs, status)
 
-    def sense(self, drives: Array, rows: Array, found: Array) -> None:
+    def sense(self, drives: Array, rows: Array, result: Array) -> None:
         """Finds the tip accelerations of all arms."""
         if self._alone:
-            tip.sense_one(self._tables[0], self._work_tables[0], drives, rows, found)
+            tip.sense_one(self._tables[0], self._work_tables[0], drives, rows, result)
             return
 
         def share(groups: slice, work: IntArray) -> Iterator[None]:
             arms = _arms(groups)
-            tip.sense_arms(self._tables[groups], work, drives[arms], rows[arms], found[arms])
+            tip.sense_arms(self._tables[groups], work, drives[arms], rows[arms], result[arms])
             yield
 
         self._share(share)

@@ -136,8 +136,8 @@ def varied_constants(model: Model, count: int, parameters: Mapping[str, object])
     """
     rows = {name: PARAMETERS[one_of("parameters", name, PARAMETERS)] for name in parameters}
     checked = {name: row.checked(name, parameters[name], model, count) for name, row in rows.items()}
-    found: list[dict[str, Array]] = [{} for _ in range(count)]
-    for i, own in enumerate(found):
+    result: list[dict[str, Array]] = [{} for _ in range(count)]
+    for i, own in enumerate(result):
         for name, row in rows.items():
             own.update(row.constants(model, checked[name][i]))
-    return found
+    return result

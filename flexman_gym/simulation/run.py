@@ -138,20 +138,20 @@ class Run:
             self._lanes = self.constants, (*tables, sequence_rounds(method.sequence, SEQUENCES.width))
 
     def __call__(
-        self, drive: Array, moment: tuple[float, float, int], state: Array, rows: Array, found: Array
+        self, drive: Array, moment: tuple[float, float, int], state: Array, rows: Array, result: Array
     ) -> tuple[int, int, int]:
         clock = Clock(*moment, *self.tolerance)
         if isinstance(self.method, Outside):
-            return self._by_scipy(drive, clock, state, rows, found)
-        return self._in_calls(drive, clock, state, rows, found)
+            return self._by_scipy(drive, clock, state, rows, result)
+        return self._in_calls(drive, clock, state, rows, result)
 
-    def _in_calls(self, drive: Array, clock: Clock, state: Array, rows: Array, found: Array) -> tuple[int, int, int]:
+    def _in_calls(self, drive: Array, clock: Clock, state: Array, rows: Array, result: Array) -> tuple[int, int, int]:
         """Calls the kernel, a long run in parts: Python looks for Ctrl-C between two calls only."""
         valid, evaluations, status = 0, 0, layout.PAUSED
         self.work.progress[:] = 0.0  # of a run that Ctrl-C ended
         while status == layout.PAUSED:
             part = clock._replace(first=valid * clock.substeps, most=self._most)
-            status, good, more = self._called(drive, part, state, rows[valid:], found[valid:])
+            status, good, more = self._called(drive, part, state, rows[valid:], result[valid:])
             valid, evaluations = valid + good, evaluations + more
         return status, valid, evaluations
 
@@ -164,12 +164,12 @@ class Run:
             self._lanes = self.constants, (addresses(self.constants, SEQUENCES), *self._lanes[1][1:])
         return arms.run_sequences(self.constants, self.work, self._lanes[1], *rest)
 
-    def start(self, state: Array, row: Array, found: Array) -> None:
+    def start(self, state: Array, row: Array, result: Array) -> None:
         """Records the state as it is, by a run of no steps, which also loads or compiles the kernels."""
         self.work.pace[0] = self.work.stages[:] = 0.0
-        self(self._at_rest, (0.0, 0.0, 0), state, row[None], found[None])
+        self(self._at_rest, (0.0, 0.0, 0), state, row[None], result[None])
 
-    def _by_scipy(self, drive: Array, clock: Clock, state: Array, rows: Array, found: Array) -> tuple[int, int, int]:
+    def _by_scipy(self, drive: Array, clock: Clock, state: Array, rows: Array, result: Array) -> tuple[int, int, int]:
         """Advances the state by SciPy's Radau method, which differentiates the slopes numerically."""
         from scipy.integrate import solve_ivp  # its import takes long, and few use this method
 
@@ -188,7 +188,7 @@ class Run:
             rows[:valid] = done.y.T
         else:
             rows[:] = state
-        for row, out in zip(rows[:valid], found, strict=False):
+        for row, out in zip(rows[:valid], result, strict=False):
             outputs.observe(self.constants, self.work, row[:d], row[d : 2 * d], out)
         if valid:
             state[:] = rows[valid - 1]

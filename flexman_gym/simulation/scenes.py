@@ -116,15 +116,15 @@ def bound_run(scene: Scene, plan: Plan, constants: dict[str, Any] | None = None)
     return run
 
 
-def explanation(scene: Scene, plan: Plan, constants: dict[str, Any] | None, found: Trajectory) -> str:
+def explanation(scene: Scene, plan: Plan, constants: dict[str, Any] | None, result: Trajectory) -> str:
     """Says what went first in a failure or an energy alarm of a trajectory; "" while all is well."""
     run, step = bound_run(scene, plan, constants), plan.interval / plan.substeps
-    if found.status != STATUS[layout.OK]:
-        last = np.append(found.states[-1], [found.work[-1], found.dissipation[-1]])
-        moment = (float(found.time[-1]), step, plan.substeps)
-        return explain(Failure(run, plan.model, scene.drive, moment, last, found.status))
-    late = found.energy_alarm()
-    early = found.states[found.time <= (late or 0.0)]
+    if result.status != STATUS[layout.OK]:
+        last = np.append(result.states[-1], [result.work[-1], result.dissipation[-1]])
+        moment = (float(result.time[-1]), step, plan.substeps)
+        return explain(Failure(run, plan.model, scene.drive, moment, last, result.status))
+    late = result.energy_alarm()
+    early = result.states[result.time <= (late or 0.0)]
     return "" if late is None else explain_energy(plan.model, run, step, late, early)
 
 

@@ -99,10 +99,10 @@ def _abreast(scenes: list[Scene], plan: Plan, constants: list[dict[str, Array]],
     mover.run(np.array([scene.drive for scene in scenes]), rows, outputs, counts)
     seconds = (clock.perf_counter() - started) / count
     stages = method.sweeps if isinstance(method, Midpoint) else len(method.b) * sum(method.sequence)
-    found = []
+    result = []
     for scene, own, states, read, (valid, steps) in zip(scenes, constants, rows, outputs, counts.tolist(), strict=True):
         status = STATUS[layout.OK if valid == plan.rows else layout.DIVERGED]
         outcome = status, steps * stages, seconds
         explained = partial(explanation, scene, plan, own)
-        found.append(trajectory(model, plan.interval, states[: valid + 1], read[: valid + 1], outcome, explained))
-    return found
+        result.append(trajectory(model, plan.interval, states[: valid + 1], read[: valid + 1], outcome, explained))
+    return result

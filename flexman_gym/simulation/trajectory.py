@@ -15,7 +15,7 @@ from flexman_gym.simulation.energy import ENERGY_ALARM, alarm, turnover
 from flexman_gym.simulation.readings import UNITS, Readings
 
 
-def _nothing(found: "Trajectory") -> str:
+def _nothing(result: "Trajectory") -> str:
     return ""
 
 
@@ -92,19 +92,19 @@ class Trajectory:
             ("joint_angle", "rad", joints, self.joint_angles),
             ("motor_angle", "rad", joints, self.motor_angles),
         )
-        found = {"time (s)": self.time}
+        result = {"time (s)": self.time}
         for name, unit, ends, values in groups:
             for end, column in zip(ends, values.T, strict=True):
-                found[f"{name}_{end} ({unit})"] = column
+                result[f"{name}_{end} ({unit})"] = column
         for name, values in self.readings.items():
             if name != "motor_angles":  # which are there
                 ends = [f"{joint}" for joint in joints]
                 parts = {1: ("",), 2: ("_y", "_z"), 3: ("_y", "_z", "_torsion")}[values.shape[1] // len(ends)]
                 heads = [f"{name.removesuffix('s')}_{end}{part}" for end in ends for part in parts]
-                found |= dict(zip((f"{head} ({UNITS[name]})" for head in heads), values.T, strict=True))
+                result |= dict(zip((f"{head} ({UNITS[name]})" for head in heads), values.T, strict=True))
         for name in ("energy", "moving_energy", "work", "dissipation", "energy_residual"):
-            found[f"{name} (J)"] = getattr(self, name)
-        return found
+            result[f"{name} (J)"] = getattr(self, name)
+        return result
 
     def to_csv(self, path: str | Path) -> None:
         """Writes `columns` to a file: a line of names and units, then a line for each output time.

@@ -116,9 +116,9 @@ class View:
     @property
     def root_strains(self) -> Array:
         """Strains (b, 3 n) at the root of each link, see `model.strain.root_gauges`; worked out when asked for."""
-        found = np.zeros((len(self._batch.rows), 3 * self.n_joints))
-        combine(self._batch.rows, *self._readings.strains, found)
-        return found if self.motion.ndim > 1 else found[0]
+        result = np.zeros((len(self._batch.rows), 3 * self.n_joints))
+        combine(self._batch.rows, *self._readings.strains, result)
+        return result if self.motion.ndim > 1 else result[0]
 
     @property
     def tip_acceleration(self) -> Array:
@@ -131,8 +131,8 @@ class View:
         return self._felt(layout.SPECIFIC_FORCE)
 
     def _felt(self, columns: slice) -> Array:
-        found = self._batch.tip_accelerations()[:, columns]
-        return found if self.motion.ndim > 1 else found[0]
+        result = self._batch.tip_accelerations()[:, columns]
+        return result if self.motion.ndim > 1 else result[0]
 
     @property
     def time(self) -> Number:
@@ -159,10 +159,10 @@ class View:
             The angles, and the largest distance that is left (m).
         """
         constants, n = self._batch.model.constants, self.n_joints
-        found, x = np.repeat(near[None], len(tips), axis=0), np.zeros(self._batch.model.n_dof)
+        result, x = np.repeat(near[None], len(tips), axis=0), np.zeros(self._batch.model.n_dof)
         accuracy, damping = REACHED * self.reach, SLOPE * self.reach
-        left = kernels.reach(constants, np.ascontiguousarray(tips), x, np.zeros((n, 3)), accuracy, damping, found)
-        return found, left
+        left = kernels.reach(constants, np.ascontiguousarray(tips), x, np.zeros((n, 3)), accuracy, damping, result)
+        return result, left
 
     def rest_tips(self, postures: Array) -> Array:
         """Gives the tips (r, 3) of that arm in the base frame, m; without gravity those of the rigid arm."""
@@ -174,8 +174,8 @@ class View:
     @cached_property
     def first_frequency(self) -> float:
         """Lowest natural frequency (Hz) at zero angles with the motors held; infinite where nothing bends."""
-        found = frequencies(self._batch.model, lock_joints=True)
-        return float(found[0]) if len(found) else np.inf
+        result = frequencies(self._batch.model, lock_joints=True)
+        return float(result[0]) if len(result) else np.inf
 
     def alone(self) -> "View":
         """Gives the present view of the only arm, without the axis of the arms; it is the same object every time.

@@ -84,13 +84,13 @@ def faults(folder: Path, kills: tuple[int, int]) -> Iterator[Fault]:
 
 def same(first: Path, second: Path) -> bool:
     """Whether two runs have the same bits, but for the times of the clock."""
-    found = []
+    result = []
     for folder in (first, second):
         data, arrays = read_data(folder / NEWEST), dict[str, np.ndarray]()
         del data["training"]["environment"]["action_space"]  # of all arms together: nobody draws from it
         data["training"]["episodes"] = [each[:2] for each in data["training"]["episodes"]]
-        found.append((parted(data, arrays), arrays))
-    (plain, arrays), (other, others) = found
+        result.append((parted(data, arrays), arrays))
+    (plain, arrays), (other, others) = result
     alike = arrays.keys() == others.keys() and all(np.array_equal(arrays[name], others[name]) for name in arrays)
     return plain == other and alike
 

@@ -12,8 +12,8 @@ OURS = ("flexman_gym", "numba", "numpy", "scipy")
 def machine(more: Iterable[str] = ()) -> dict[str, str]:
     """Processor, Python, and the versions of our packages and of more of them, of those that are installed."""
     information = Path("/proc/cpuinfo")
-    found = re.search(r"model name\s*: (.*)", information.read_text() if information.exists() else "")
-    processor = found[1] if found else platform.processor() or platform.machine()
+    result = re.search(r"model name\s*: (.*)", information.read_text() if information.exists() else "")
+    processor = result[1] if result else platform.processor() or platform.machine()
     return {"processor": processor, "python": platform.python_version()} | _versions((*OURS, *more))
 
 
@@ -23,10 +23,10 @@ def machine_text(more: Iterable[str] = ()) -> str:
 
 
 def _versions(names: Iterable[str]) -> dict[str, str]:
-    found = {}
+    result = {}
     for name in names:
         try:
-            found[name] = version(name)
+            result[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    return result

@@ -100,15 +100,15 @@ def test_tuning_finds_gains_that_beat_most_and_finds_them_again(monkeypatch):
     seen, rewards = [], tuning._rewards
 
     def watched(name, gains, episodes):
-        found = rewards(name, gains, episodes)
-        seen.append((gains, found))
-        return found
+        result = rewards(name, gains, episodes)
+        seen.append((gains, result))
+        return result
 
     monkeypatch.setattr(tuning, "_rewards", watched)
     first, again = (tuning.tune(Description("FlexOne-v0"), first=6, around=4, episodes=2, seed=1) for _ in range(2))
     assert first == again
-    gains, found = (np.concatenate([part[i] for part in seen[:2]]) for i in (0, 1))
-    assert first.reward == found.max() and np.array_equal(gains[found.argmax()], [*first.stiffness, *first.damping])
+    gains, result = (np.concatenate([part[i] for part in seen[:2]]) for i in (0, 1))
+    assert first.reward == result.max() and np.array_equal(gains[result.argmax()], [*first.stiffness, *first.damping])
     limit, most = 0.5, 0.95 * 2 * 0.01 / NAMED["FlexOne-v0"].control_period
     low, high = np.array([0.02 * limit, 0.02 * most]), np.array([5 * limit, most])
     assert (gains >= low * (1 - 1e-9)).all() and (gains <= high * (1 + 1e-9)).all()
@@ -119,5 +119,5 @@ def test_the_gains_in_the_catalog_are_better_than_gains_nearby_at_random():
     pd = NAMED["FlexOne-v0"].pd
     own = np.array([[*pd["stiffness"], *pd["damping"]]])
     others = own * np.random.default_rng(0).uniform(0.4, 1.6, (12, 2))
-    found = tuning._rewards(Description("FlexOne-v0"), np.vstack([own, others]), 8)
-    assert found.argmax() == 0 or found[0] > 0.99 * found.max()
+    result = tuning._rewards(Description("FlexOne-v0"), np.vstack([own, others]), 8)
+    assert result.argmax() == 0 or result[0] > 0.99 * result.max()

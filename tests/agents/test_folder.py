@@ -139,8 +139,8 @@ def test_nothing_that_is_read_runs(run, tmp_path):
 )
 def test_a_policy_of_no_numbers_is_refused(run, tmp_path, name, value, said):
     (tmp_path / SETTINGS).write_bytes((run / SETTINGS).read_bytes())
-    with np.load(run / NEWEST) as found:
-        arrays = {each: found[each] for each in found.files}
+    with np.load(run / NEWEST) as result:
+        arrays = {each: result[each] for each in result.files}
     arrays[name].flat[0] = value
     np.savez(tmp_path / NEWEST, **arrays)
     line = refusal(find_entrant, str(tmp_path))

@@ -58,8 +58,8 @@ def test_a_torque_is_drawn_over_the_period_in_which_it_acts(axes, tmp_path):
     middles = 0.02 * (np.arange(50) + 0.5)
     for motor in range(2):
         curve = axes()[1 + motor].get_lines()[0]
-        found = np.interp(middles, *STEP_LOOKUP_MAP[curve.get_drawstyle()](*curve.get_data()))
-        assert found[1:] == pytest.approx(actions[1:, motor]), "the first has no width"
+        result = np.interp(middles, *STEP_LOOKUP_MAP[curve.get_drawstyle()](*curve.get_data()))
+        assert result[1:] == pytest.approx(actions[1:, motor]), "the first has no width"
 
 
 def test_the_line_of_the_band_is_at_the_band_and_says_so(axes, tmp_path):

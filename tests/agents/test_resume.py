@@ -152,8 +152,10 @@ def test_curves_of_a_run_whose_last_steps_were_lost_do_not_overlap(tmp_path, mon
     """Saved after 72 steps, killed after 160, resumed: each number of steps is in one row of one file."""
     saved, run = [], tmp_path / "run"
     with monkeypatch.context() as patch:
-        patch.setattr("flexman_agents.training.write_data",
-                      lambda path, data: saved.append(path) or write_data(path, data) if len(saved) < 3 else None)
+        patch.setattr(
+            "flexman_agents.training.write_data",
+            lambda path, data: saved.append(path) or write_data(path, data) if len(saved) < 3 else None,
+        )
         train(RUNS["ppo"], run, checkpoint_every=24, progress=False)
     done = read_data(run / NEWEST)["training"]["counts"]["num_timesteps"]
     assert max(steps_of(run / "progress.csv")) > done > 0

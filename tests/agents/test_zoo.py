@@ -33,8 +33,8 @@ def test_an_entry_makes_the_same_environment_and_the_same_algorithm(name):
     ((id, entry),) = yaml.safe_load((ZOO / f"{name}.yml").read_text()).items()
     env = gym.make(id, **entry.pop("env_kwargs"))
     ours = gym.make(settings.description.id, **settings.description.keywords())
-    found, expected = (each.unwrapped.episodes for each in (env, ours))
-    assert found.hold == expected.hold and type(found.base) is type(expected.base) and found.task == expected.task
+    result, expected = (each.unwrapped.episodes for each in (env, ours))
+    assert result.hold == expected.hold and type(result.base) is type(expected.base) and result.task == expected.task
     assert env.observation_space == ours.observation_space
     assert (entry.pop("n_envs"), entry.pop("n_timesteps")) == (settings.envs, settings.steps)
     assert entry.pop("normalize") == {"norm_obs": True, "norm_reward": settings.normalise_reward}

@@ -45,8 +45,8 @@ def test_the_transition_is_the_finely_integrated_solution():
     def rate(time, state):
         return linear.A @ state + linear.B @ torque
 
-    found = solve_ivp(rate, (0.0, PERIOD), x, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
-    assert np.abs(transition @ x + inputs @ torque - found).max() <= 1e-8 * np.abs(found).max()
+    result = solve_ivp(rate, (0.0, PERIOD), x, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+    assert np.abs(transition @ x + inputs @ torque - result).max() <= 1e-8 * np.abs(result).max()
 
 
 @settings(QUICK, max_examples=10)
@@ -54,8 +54,8 @@ def test_the_transition_is_the_finely_integrated_solution():
 def test_two_half_periods_are_a_period(sample, period):
     linear = fm.linearize(sample.model)
     whole, half = zero_order_hold(linear, period), zero_order_hold(linear, period / 2)
-    for found, expected in zip(whole, (half[0] @ half[0], half[0] @ half[1] + half[1]), strict=True):
-        assert np.abs(found - expected).max() <= 1e-8 * np.abs(expected).max()
+    for result, expected in zip(whole, (half[0] @ half[0], half[0] @ half[1] + half[1]), strict=True):
+        assert np.abs(result - expected).max() <= 1e-8 * np.abs(expected).max()
 
 
 @given(st.floats(0.2, 3.0), st.floats(0.1, 100.0), st.floats(0.05, 5.0))

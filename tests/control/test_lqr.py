@@ -104,12 +104,12 @@ def test_gains_on_the_way_lie_between_those_of_start_middle_and_goal():
     """By how far the motor has come, which is late at first and early at last: gains change with the posture."""
     one = fm.build_model(fm.catalog.one_link((0.0, -1.0, 0.0), 0.3, 5e3, gravity=(0.0, 0.0, -9.81)), 1, modes=2)
     controller, start, goal = TrackingLQR(one, 60.0, 0.02), np.array([-1.2]), np.array([0.4])
-    found, angles = followed_gains(controller, start, goal)
+    result, angles = followed_gains(controller, start, goal)
     ways = (angles - start[0]) / (goal[0] - start[0])
     designs = np.array([controller.gain(posture)[0] for posture in (start, 0.5 * (start + goal), goal)])
     expected = np.array([np.interp(ways, [0.0, 0.5, 1.0], column) for column in designs.T]).T
     assert np.abs(ways - np.linspace(0.0, 1.0, len(ways))).max() > 0.08, "way is not time"
-    assert np.abs(found - expected).max() <= 1e-3 * np.abs(np.diff(designs, axis=0)).max()
+    assert np.abs(result - expected).max() <= 1e-3 * np.abs(np.diff(designs, axis=0)).max()
 
 
 def test_an_arm_that_starts_at_its_goal_is_held_more_tightly():
@@ -144,12 +144,12 @@ def test_along_a_path_gains_and_torques_are_those_of_the_moment():
     on_it = np.array([controller.torques(state[None])[0] for state in slew.states])
     assert on_it[:-1] == pytest.approx(slew.torques, abs=1e-9)
     for period in (0, 24, 48):
-        found = []
+        result = []
         for off in 1e-3 * np.eye(2 * model.n_dof):
             controller._now[0] = period
-            found.append(1e3 * (on_it[period] - controller.torques((slew.states[period] + off)[None])[0]))
+            result.append(1e3 * (on_it[period] - controller.torques((slew.states[period] + off)[None])[0]))
         expected = controller.gain(path[period]).T
-        assert np.abs(np.array(found) - expected).max() <= 1e-6 * np.abs(expected).max()
+        assert np.abs(np.array(result) - expected).max() <= 1e-6 * np.abs(expected).max()
 
 
 def test_on_its_plan_the_tracking_one_only_feeds_forward():

@@ -27,14 +27,14 @@ STATISTICS = {"mean": np.linspace(-1.0, 1.0, 6), "var": np.linspace(0.0, 4.0, 6)
 ])  # fmt: skip
 def test_it_is_what_its_definition_says(algo, function, end):
     arrays = parameters(algo)
-    found = Network(algo, None, arrays, STATISTICS)
+    result = Network(algo, None, arrays, STATISTICS)
     values = np.clip((SEEN - STATISTICS["mean"]) / np.sqrt(STATISTICS["var"] + 1e-8), -10.0, 10.0)
     names = list(dict.fromkeys(name.rsplit(".", 1)[0] for name in arrays))
     for name in names:
         values = values @ arrays[f"{name}.weight"].T + arrays[f"{name}.bias"]
         values = function(values) if name != names[-1] else end(values)
-    assert found(SEEN) == pytest.approx(values, abs=1e-12) and (found.size, found.joints) == (6, 2)
-    assert all(np.array_equal(found(SEEN[i : i + 1])[0], found(SEEN)[i]) for i in range(50)), "bits of a row alone"
+    assert result(SEEN) == pytest.approx(values, abs=1e-12) and (result.size, result.joints) == (6, 2)
+    assert all(np.array_equal(result(SEEN[i : i + 1])[0], result(SEEN)[i]) for i in range(50)), "bits of a row alone"
 
 
 def test_layers_follow_on_each_other_by_their_numbers():
@@ -42,12 +42,12 @@ def test_layers_follow_on_each_other_by_their_numbers():
     turns = [np.array([[np.cos(a), -np.sin(a)], [np.sin(a), a]]) for a in np.linspace(0.1, 1.2, 7)]
     names = [*(f"actor.latent_pi.{2 * i}" for i in range(6)), "actor.mu"]
     arrays = {f"{name}.weight": turn for name, turn in zip(names, turns, strict=True)}
-    found = Network("sac", "tanh", arrays | {f"{name}.bias": np.zeros(2) for name in names},
+    result = Network("sac", "tanh", arrays | {f"{name}.bias": np.zeros(2) for name in names},
                     {"mean": np.zeros(2), "var": np.ones(2)})  # fmt: skip
     values = SEEN[:, :2].astype(float)
     for turn in turns:
         values = np.tanh(values @ turn.T)
-    assert found(SEEN[:, :2]) == pytest.approx(values, abs=1e-7)
+    assert result(SEEN[:, :2]) == pytest.approx(values, abs=1e-7)
 
 
 @pytest.mark.parametrize("algo", ["ppo", "sac"])
@@ -66,8 +66,8 @@ def test_it_acts_as_the_policy_that_was_trained(algo, activation, tmp_path):
     statistics.obs_rms.mean, statistics.obs_rms.var = np.linspace(-1, 1, size), np.linspace(0.1, 2, size)
     data = take_policy(model)
     seen = np.random.default_rng(0).normal(size=(20, size)).astype(np.float32)
-    found = Network(algo, activation, data["policy"], data["statistics"])
-    assert found(seen) == pytest.approx(acting(model, statistics)(seen, (20, 1)), abs=2e-6)
+    result = Network(algo, activation, data["policy"], data["statistics"])
+    assert result(seen) == pytest.approx(acting(model, statistics)(seen, (20, 1)), abs=2e-6)
 
 
 @pytest.mark.parametrize(("change", "line"), [

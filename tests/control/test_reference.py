@@ -32,10 +32,10 @@ def test_the_motion_starts_and_ends_at_rest():
 
 def test_its_peaks_are_the_published_ones():
     """Speed 15 / 8 half way; acceleration 10 / sqrt(3) at (3 - sqrt(3)) / 6 of the way (Flash and Hogan 1985)."""
-    found = minimum_jerk(np.linspace(0.0, 1.0, 100_001))
-    assert found[1].max() == pytest.approx(1.875, rel=1e-12) and found[1].argmax() == 50_000
-    assert np.abs(found[2]).max() == pytest.approx(5.7735, rel=1e-5)
-    assert found[2].argmax() == pytest.approx(1e5 * (3 - np.sqrt(3)) / 6, abs=1)
+    result = minimum_jerk(np.linspace(0.0, 1.0, 100_001))
+    assert result[1].max() == pytest.approx(1.875, rel=1e-12) and result[1].argmax() == 50_000
+    assert np.abs(result[2]).max() == pytest.approx(5.7735, rel=1e-5)
+    assert result[2].argmax() == pytest.approx(1e5 * (3 - np.sqrt(3)) / 6, abs=1)
 
 
 @given(parts)
@@ -47,8 +47,8 @@ def test_it_is_symmetric_and_each_is_the_slope_of_the_one_before(part):
     before, after = minimum_jerk(np.clip(part - h, 0, 1)), minimum_jerk(np.clip(part + h, 0, 1))
     width = min(part + h, 1) - max(part - h, 0)
     for slope in (0, 1):
-        found = (after[slope] - before[slope]) / width
-        assert found == pytest.approx(minimum_jerk(np.array(part))[slope + 1], abs=1e-3)
+        result = (after[slope] - before[slope]) / width
+        assert result == pytest.approx(minimum_jerk(np.array(part))[slope + 1], abs=1e-3)
 
 
 @settings(QUICK, max_examples=20)

@@ -65,9 +65,9 @@ def run_commands(lines):
 def test_a_page_runs_and_prints_what_it_says(page, checkout):
     if page in ("own_controller", "training"):
         pytest.importorskip("stable_baselines3")
-    names, found = {"__name__": "page"}, blocks(page)
-    assert [language for language, _ in found].count("python") >= 2
-    for (language, text), (following, said) in pairwise([*found, ("", "")]):
+    names, result = {"__name__": "page"}, blocks(page)
+    assert [language for language, _ in result].count("python") >= 2
+    for (language, text), (following, said) in pairwise([*result, ("", "")]):
         if language == "sh":
             run_commands(text)
         if language == "python":

@@ -243,24 +243,24 @@ def test_the_thin_line_is_the_rigid_arm_at_the_motor_angles_as_a_camera_sees_it(
     state = model.initial_state((0.0, 0.0, 0.0))
     state[model.motor_columns] = ANGLES
     places = arm_lines(model, model.initial_state(ANGLES), points=2).reshape(-1, 3)
-    (found,) = curves(axes(state), GHOST)
-    assert found == pytest.approx(seen(places, model.constants.length.sum()), abs=1e-9)
+    (result,) = curves(axes(state), GHOST)
+    assert result == pytest.approx(seen(places, model.constants.length.sum()), abs=1e-9)
 
 
 def test_a_line_hangs_from_the_target_to_the_ground_below_it(axes):
     model = build_model(ARM, modes=1)
-    found = curves(axes(model.initial_state(ANGLES), (3.0, 1.0, 2.0)), RED)[0]
-    assert found == pytest.approx(seen([(3.0, 1.0, 2.0), (3.0, 1.0, 0.0)], model.constants.length.sum()), abs=1e-9)
+    result = curves(axes(model.initial_state(ANGLES), (3.0, 1.0, 2.0)), RED)[0]
+    assert result == pytest.approx(seen([(3.0, 1.0, 2.0), (3.0, 1.0, 0.0)], model.constants.length.sum()), abs=1e-9)
 
 
 def test_circles_and_axes_are_where_the_picture_says(axes):
     model = build_model(ARM, modes=1)
-    reach, found = model.constants.length.sum(), axes(model.initial_state(ANGLES))
-    said = {text.get_text(): np.array(text.get_position()) for text in found.texts}
+    reach, result = model.constants.length.sum(), axes(model.initial_state(ANGLES))
+    said = {text.get_text(): np.array(text.get_position()) for text in result.texts}
     (note,) = (text for text in said if text.startswith("circles every "))
     radii = float(note.split()[2]) * np.arange(1, 10)
     radii = radii[radii < reach]
-    drawn = curves(found, LIGHT)
+    drawn = curves(result, LIGHT)
     assert len(drawn) == len(radii) + 2 > 4
     for radius, circle in zip(radii, drawn, strict=False):
         turn = np.linspace(0.0, 2 * np.pi, len(circle))

@@ -77,9 +77,9 @@ def test_the_residual_is_a_part_of_what_was_turned_over_or_in_joules_where_nothi
         (replace(still, work=np.linspace(0.0, 3.0, 11), moving_energy=np.zeros(11)), "part of the turnover", 3.0),
     ):
         trajectory_figure(trajectory, tmp_path / "a.png")
-        found = curves(drawn()[f"energy residual\n({unit})"])[:, 0]
-        assert found == pytest.approx(trajectory.energy_residual / whole, rel=1e-12, abs=0.0)
-    assert moved.energy_turnover[-1] > 0.0 == still.energy_turnover[-1] and found[-1] == pytest.approx(1.0)
+        result = curves(drawn()[f"energy residual\n({unit})"])[:, 0]
+        assert result == pytest.approx(trajectory.energy_residual / whole, rel=1e-12, abs=0.0)
+    assert moved.energy_turnover[-1] > 0.0 == still.energy_turnover[-1] and result[-1] == pytest.approx(1.0)
 
 
 def test_a_solution_that_ended_early_is_drawn_to_its_end(tmp_path):

@@ -131,8 +131,8 @@ def test_friction_is_all_that_its_arm_has_beside_its_own(folder):
     limits = np.array([joint.torque_limit for joint in arm.joints])
     kept = slice(3 - arm.n_joints, 3)
     for field, values in (("viscous_friction", viscous), ("coulomb_friction", coulomb)):
-        found = [getattr(joint, field) for joint in arm.joints]
-        assert found == pytest.approx((values / most)[kept] * limits, rel=0.01)
+        result = [getattr(joint, field) for joint in arm.joints]
+        assert result == pytest.approx((values / most)[kept] * limits, rel=0.01)
 
 
 def test_all_files_are_there_and_no_others():

@@ -75,9 +75,9 @@ def test_a_file_is_a_mapping_and_its_whole_needs_no_other_file(tmp_path, suffix)
     arm = fm.catalog.vertical_2r(fm.Payload(0.33))
     file.write(tmp_path / "arm.yaml", plain(arm))
     file.write(tmp_path / f"own{suffix}", OWN | {"arm": "arm.yaml"})
-    found = Description.load(tmp_path / f"own{suffix}")
-    assert found.setup().arm == arm and found.id == "FlexPlanar-v0"
-    whole = found.whole()
+    result = Description.load(tmp_path / f"own{suffix}")
+    assert result.setup().arm == arm and result.id == "FlexPlanar-v0"
+    whole = result.whole()
     (tmp_path / "arm.yaml").unlink()
     assert like(Description.from_dict(whole).setup()) == like(Description.from_dict(OWN | {"arm": plain(arm)}).setup())
 
@@ -195,9 +195,9 @@ def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
     from flexman_gym.evaluation.rollout import rollout
 
     file.write(tmp_path / "own.yaml", OWN)
-    found, seed = Description.load(tmp_path / "own.yaml"), 9003
-    single = gym.make(found.id, **found.keywords())
-    many = gym.make_vec(found.id, 2, "vector_entry_point", **found.keywords())
+    result, seed = Description.load(tmp_path / "own.yaml"), 9003
+    single = gym.make(result.id, **result.keywords())
+    many = gym.make_vec(result.id, 2, "vector_entry_point", **result.keywords())
     seen, info = single.reset(seed=seed)
     others, infos = many.reset(seed=[7, seed])
     errors, posture = [info["tip_error"]], info["posture"]
@@ -209,7 +209,7 @@ def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
         assert np.array_equal(seen, others[1]) and infos["tip_error"][1] == errors[-1]
     assert ended
     policy = Entrant("pd", find_entrant("zero").act, {key: OWN[key] for key in ("base", "hold", "sensors")})
-    (_, record) = rollout(policy, common_environment([policy], found), [7, seed]).records
+    (_, record) = rollout(policy, common_environment([policy], result), [7, seed]).records
     assert np.array_equal(record.errors[::2], errors)
 
 
@@ -222,10 +222,10 @@ def test_a_training_starts_with_the_episode_that_its_environment_gives():
 
     arms = environments(Settings(environment=OWN, seed=2, envs=3))
     arms.seed(training_seed(2))
-    found = Description.from_dict(OWN)
-    alone = gym.make(found.id, **found.keywords())
+    result = Description.from_dict(OWN)
+    alone = gym.make(result.id, **result.keywords())
     assert np.array_equal(arms.reset()[1], alone.reset(seed=training_seed(2) + 1)[0])
-    assert found.folder == Path()
+    assert result.folder == Path()
 
 
 def test_the_limit_of_deflection_is_a_part_of_each_links_length():

@@ -135,8 +135,8 @@ def test_arms_that_a_refused_reset_does_not_mean_go_on():
         env.reset(options=OUTSIDE | {"reset_mask": first})
     with pytest.raises(RuntimeError, match=r"the episodes of arms \[0\] are over"):
         env.step(np.zeros((3, 3)))
-    found, expected = (each.reset(options={"reset_mask": first}) for each in (env, other))
-    assert same_bits(found[0], expected[0])
+    result, expected = (each.reset(options={"reset_mask": first}) for each in (env, other))
+    assert same_bits(result[0], expected[0])
     assert all(map(same_bits, env.step(np.zeros((3, 3))), other.step(np.zeros((3, 3)))))
 
 

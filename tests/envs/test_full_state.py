@@ -69,16 +69,16 @@ def test_joints_and_goals_are_the_differences_they_claim(flexible_joints):
     simulator = moving(model)
     posture, target, d = np.array([0.3, -0.2, 0.5]), np.array([4.0, 1.0, 2.0]), model.n_dof
     x, v = simulator.state[:d], simulator.state[d:]
-    found = observe(simulator, posture, target)
+    result = observe(simulator, posture, target)
     for kind, vector in (("s", x), ("_rates", v)):
         motors = vector[3:6] if flexible_joints else vector[:3]  # the order that kernels.layout describes
-        assert np.array_equal(found[f"motor_{'angles' if kind == 's' else 'rates'}"], motors)
-        assert found[f"joint_twist{kind}"] == pytest.approx(motors - vector[:3], abs=1e-15)
-    assert np.array_equal(found["posture_errors"], posture - found["motor_angles"])
-    assert np.array_equal(found["target_error"], target - simulator.tip)
+        assert np.array_equal(result[f"motor_{'angles' if kind == 's' else 'rates'}"], motors)
+        assert result[f"joint_twist{kind}"] == pytest.approx(motors - vector[:3], abs=1e-15)
+    assert np.array_equal(result["posture_errors"], posture - result["motor_angles"])
+    assert np.array_equal(result["target_error"], target - simulator.tip)
     reach, error = sum(link.length for link in ARM.links), target - simulator.tip
-    assert found["target_nearness"] == pytest.approx(error / (0.1 / 8.5 * reach + np.linalg.norm(error)), rel=1e-12)
-    assert np.array_equal(found["tip_velocity"], simulator.tip_velocity)
+    assert result["target_nearness"] == pytest.approx(error / (0.1 / 8.5 * reach + np.linalg.norm(error)), rel=1e-12)
+    assert np.array_equal(result["tip_velocity"], simulator.tip_velocity)
 
 
 @pytest.mark.parametrize("modes", [None, 4, 2])
@@ -104,7 +104,7 @@ def test_rates_are_the_slopes_of_what_they_are_rates_of(modes):
     model = fm.build_model(ARM, modes=modes)
     simulator, d, step = moving(model), model.n_dof, 1e-6
     x, v = simulator.state[:d], simulator.state[d:]
-    found = observe(simulator)
+    result = observe(simulator)
     before, after = Simulator(model), Simulator(model)
     for other, sign in ((before, -1.0), (after, 1.0)):
         other.reset(state=np.append(x + sign * step * v, v))
@@ -114,9 +114,9 @@ def test_rates_are_the_slopes_of_what_they_are_rates_of(modes):
         ("joint_twists", "joint_twist_rates"),
         ("link_deflections", "link_deflection_rates"),
     ):
-        assert found[rate] == pytest.approx((later[name] - earlier[name]) / (2 * step), abs=1e-8)
+        assert result[rate] == pytest.approx((later[name] - earlier[name]) / (2 * step), abs=1e-8)
     ends = [arm_lines(model, other.state)[-1, -1] for other in (before, after)]
-    assert found["tip_velocity"] == pytest.approx((ends[1] - ends[0]) / (2 * step), abs=1e-7)
+    assert result["tip_velocity"] == pytest.approx((ends[1] - ends[0]) / (2 * step), abs=1e-7)
 
 
 @pytest.mark.parametrize("flexibility", [True, False, (True, False, True)])

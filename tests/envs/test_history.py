@@ -33,8 +33,8 @@ def test_averages_fade_with_their_times(hold):
     seen, now = env.reset(seed=2)[0], plain.reset(seed=2)[0].astype(float)
     expected = [now, now]
     for _ in range(40 // hold):
-        found = seen.reshape(3, -1)
-        assert found[0] == pytest.approx(now, abs=1e-6) and found[1:] == pytest.approx(np.array(expected), abs=1e-5)
+        result = seen.reshape(3, -1)
+        assert result[0] == pytest.approx(now, abs=1e-6) and result[1:] == pytest.approx(np.array(expected), abs=1e-5)
         seen, now = env.step(np.full(3, 0.2))[0], plain.step(np.full(3, 0.2))[0].astype(float)
         expected = [np.exp(-interval / time) * old + (1 - np.exp(-interval / time)) * now
                     for time, old in zip(times, expected, strict=True)]  # fmt: skip

@@ -21,12 +21,12 @@ NOISELESS = EVERYTHING | {"sensor_noise": None}
 
 def equal(one, other):
     """Asserts that two results are the same to the bit."""
-    for found, expected in zip(one, other, strict=True):
-        if isinstance(found, dict):
-            assert found.keys() == expected.keys()
-            equal(found.values(), expected.values())
+    for actual, expected in zip(one, other, strict=True):
+        if isinstance(actual, dict):
+            assert actual.keys() == expected.keys()
+            equal(actual.values(), expected.values())
         else:
-            assert np.array_equal(found, expected)
+            assert np.array_equal(actual, expected)
 
 
 class Recorder:
@@ -100,19 +100,19 @@ def test_it_is_many_single_environments_bit_for_bit(hold, mode, settings):
     settings = {"hold": hold, "limits": TIGHT, "horizon": 0.5, **settings}
     ours = gym.make_vec("FlexRRR-v0", 3, "vector_entry_point", autoreset_mode=mode, **settings)
     theirs = gym.make_vec("FlexRRR-v0", 3, "sync", vector_kwargs={"autoreset_mode": mode}, **settings)
-    for found, expected in zip(ours.reset(seed=5), theirs.reset(seed=5), strict=True):
-        same(found, expected, "reset")
+    for actual, expected in zip(ours.reset(seed=5), theirs.reset(seed=5), strict=True):
+        same(actual, expected, "reset")
     terminated = truncated = 0
     for step, action in enumerate(actions(3, 200)):
         result = ours.step(action)
-        for found, expected in zip(result, theirs.step(action), strict=True):
-            same(found, expected, f"step {step}")
+        for actual, expected in zip(result, theirs.step(action), strict=True):
+            same(actual, expected, f"step {step}")
         terminated, truncated = terminated + result[2].sum(), truncated + result[3].sum()
         ended = result[2] | result[3]
         if mode == AutoresetMode.DISABLED and ended.any():
             both = (env.reset(options={"reset_mask": ended.copy()}) for env in (ours, theirs))
-            for found, expected in zip(*both, strict=True):
-                same(found, expected, f"{step} reset")
+            for actual, expected in zip(*both, strict=True):
+                same(actual, expected, f"{step} reset")
     assert terminated and truncated, "both ways to end were seen"
 
 
@@ -139,14 +139,14 @@ def test_every_base_gives_the_same_bits_to_one_arm_and_to_many(base, name):
     settings = {"base": base, "hold": 2, "horizon": 0.08 if name == "FlexPlanar-v0" else 0.16}  # 4 steps
     arms = gym.make_vec(name, 2, "vector_entry_point", autoreset_mode="SameStep", **settings)
     singles = gym.make_vec(name, 2, "sync", vector_kwargs={"autoreset_mode": AutoresetMode.SAME_STEP}, **settings)
-    for found, expected in zip(arms.reset(seed=2), singles.reset(seed=2), strict=True):
-        same(found, expected, "reset")
+    for actual, expected in zip(arms.reset(seed=2), singles.reset(seed=2), strict=True):
+        same(actual, expected, "reset")
     random, ends = np.random.default_rng(0), 0
     for step in range(7):
         action = random.uniform(-0.3, 0.3, arms.action_space.shape).astype(np.float32)
         result = arms.step(action)
-        for found, expected in zip(result, singles.step(action), strict=True):
-            same(found, expected, f"step {step}")
+        for actual, expected in zip(result, singles.step(action), strict=True):
+            same(actual, expected, f"step {step}")
         ends += np.sum(result[2] | result[3])
     assert ends >= 2, "new episodes of the base were seen"
 

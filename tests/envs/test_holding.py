@@ -17,12 +17,12 @@ from oracles.refusals import refusal
 
 def drives(env, steps):
     """What moved the arms (T, b, n + 6), without torques."""
-    found, step = [], env.batch.step
-    env.batch.step = lambda drive, playing: found.append(drive.copy()) or step(drive, playing)
+    result, step = [], env.batch.step
+    env.batch.step = lambda drive, playing: result.append(drive.copy()) or step(drive, playing)
     for _ in range(steps):
         env.step(np.zeros(env.action_space.shape))
     env.batch.step = step
-    return np.array(found)
+    return np.array(result)
 
 
 def test_without_disturbances_a_held_arm_stays_where_it_is():
@@ -71,7 +71,7 @@ def test_a_base_sways_as_a_sine():
     infos = env.reset(seed=0)[1]
     first = env.episodes.view.first_frequency
     shaken = drives(env, steps)[..., 6:]
-    times, found = period * (np.arange(steps) + 0.5), []
+    times, result = period * (np.arange(steps) + 0.5), []
     for arm in range(arms):
         ways = np.linalg.svd(shaken[:, arm], full_matrices=False)
         assert ways[1][1] < 1e-9 * ways[1][0], "one direction"
@@ -82,9 +82,9 @@ def test_a_base_sways_as_a_sine():
         factors, *_ = np.linalg.lstsq(fit, wave, rcond=None)
         assert wave == pytest.approx(fit @ factors, abs=1e-6)
         assert np.hypot(*factors) == pytest.approx(infos["drawn"]["base_sway"][arm], rel=1e-5)
-        found.append(frequency / first)
-    assert 0.3 - 1e-6 <= min(found) < 0.5 and 2.0 < max(found) <= 3.0 + 1e-6
-    assert np.median(found) == pytest.approx(np.sqrt(0.3 * 3.0), rel=0.4), "evenly on a logarithmic scale"
+        result.append(frequency / first)
+    assert 0.3 - 1e-6 <= min(result) < 0.5 and 2.0 < max(result) <= 3.0 + 1e-6
+    assert np.median(result) == pytest.approx(np.sqrt(0.3 * 3.0), rel=0.4), "evenly on a logarithmic scale"
 
 
 def test_the_energy_of_disturbances_is_in_the_ledger():

@@ -97,9 +97,7 @@ def test_there_is_one_default_wherever_steps_are_fixed(period):
     assert simulator.step([0.0, 0.0]) == "ok"
     torque, start = fm.ConstantTorque([0.1, 0.0]), fm.Initial([0.1, -0.2], [0.0, 0.0])
     scene = fm.Scene(fm.catalog.planar_2r(joint_stiffness=20.0), fm.ModelChoice(True, 1), torque, start, 0.1, 0.01)
-    assert np.array_equal(
-        fm.simulate(scene, step=0.005).states, fm.simulate(scene, method=default, step=0.005).states
-    )
+    assert np.array_equal(fm.simulate(scene, step=0.005).states, fm.simulate(scene, method=default, step=0.005).states)
 
 
 @pytest.mark.parametrize(("name", "period"), [("FlexOne-v0", 0.02), ("FlexOne-v0", 0.005), ("FlexPlanar-v0", 0.01)])
@@ -107,9 +105,9 @@ def test_an_arm_has_the_modes_of_vibrations_below_half_the_control_frequency(nam
     """And not those of vibrations below all of it, which are more."""
     setup = setup_of({"name": name, "control_period": period})
     half, all_of_it = (assembled_modes(setup.arm, 2, part / period) for part in (0.5, 1.0))
-    found, expected = build(setup).model, fm.build_model(setup.arm, 2, half)
-    assert half != all_of_it and found.n_dof == expected.n_dof
-    assert all(np.array_equal(*bases) for bases in zip(found.bases, expected.bases, strict=True))
+    result, expected = build(setup).model, fm.build_model(setup.arm, 2, half)
+    assert half != all_of_it and result.n_dof == expected.n_dof
+    assert all(np.array_equal(*bases) for bases in zip(result.bases, expected.bases, strict=True))
 
 
 def test_actions_beyond_their_range_by_rounding_count_as_its_edge():

@@ -17,11 +17,11 @@ def forces(gap, period=0.02, steps=300, arms=50):
         randomisation={"tip_impulse": (1.0, 1.0), "impulse_gap": gap},
     )  # fmt: skip
     env.reset(seed=0)
-    found, step = [], env.batch.step
-    env.batch.step = lambda drive, playing: found.append(drive[:, 3:6].copy()) or step(drive, playing)
+    result, step = [], env.batch.step
+    env.batch.step = lambda drive, playing: result.append(drive[:, 3:6].copy()) or step(drive, playing)
     for _ in range(steps):
         env.step(np.zeros((arms, 3)))
-    return np.array(found) * period
+    return np.array(result) * period
 
 
 def test_effects_draw_independently_of_each_other():

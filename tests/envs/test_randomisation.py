@@ -55,9 +55,9 @@ def test_draws_do_not_depend_on_what_happened_in_episodes_before():
         env.reset(seed=3)
     for action in actions(1, 15):
         busy.step(action[0])
-    found, expected = (episodes(env, [None])[0] for env in (busy, idle))
+    result, expected = (episodes(env, [None])[0] for env in (busy, idle))
     for name in expected:
-        assert np.array_equal(found[name], expected[name]), name
+        assert np.array_equal(result[name], expected[name]), name
     # and neither do noise and impulses of the next episode
     seen = [[env.step(0.1 * PUSH)[0] for _ in range(40)] for env in (idle, busy)]
     assert np.array_equal(*seen)
@@ -111,8 +111,8 @@ def test_torque_limits_scale_the_torques():
     factors = env.reset(seed=4)[1]["drawn"]["torque_limit"] / 400.0
     plain.reset(seed=4)
     for _ in range(5):
-        found, expected = env.step(PUSH)[0], plain.step(PUSH * factors)[0]
-    assert found == pytest.approx(expected, rel=1e-5, abs=1e-6)
+        result, expected = env.step(PUSH)[0], plain.step(PUSH * factors)[0]
+    assert result == pytest.approx(expected, rel=1e-5, abs=1e-6)
 
 
 @pytest.mark.parametrize("periods", [0, 1, 3])
@@ -124,8 +124,8 @@ def test_torques_come_late_by_whole_periods(periods):
         plain.reset(seed=6)
         waiting = np.concatenate([np.zeros((periods, 3)), commands])
         for command, arriving in zip(commands, waiting, strict=False):
-            found, expected = late.step(command), plain.step(arriving)
-            assert np.array_equal(found[0], expected[0])
+            result, expected = late.step(command), plain.step(arriving)
+            assert np.array_equal(result[0], expected[0])
 
 
 @pytest.mark.parametrize("modes", ["assembled", None, 3])

@@ -104,11 +104,11 @@ def of_arm(infos, arm):
     return {name: of_arm(value, arm) if isinstance(value, dict) else value[arm] for name, value in values.items()}
 
 
-def same(found, expected):
+def same(result, expected):
     """Whether two values, arrays or dicts of them have the same bits."""
     if isinstance(expected, dict):
-        return found.keys() == expected.keys() and all(same(found[key], value) for key, value in expected.items())
-    return np.array_equal(found, expected)
+        return result.keys() == expected.keys() and all(same(result[key], value) for key, value in expected.items())
+    return np.array_equal(result, expected)
 
 
 @pytest.mark.parametrize("settings", [{"task": Follow()}, {"task": Follow(), "sensors": (Encoders(), "full")}])
@@ -223,16 +223,16 @@ def test_a_controller_is_known_by_what_it_can_do():
 def test_a_signal_effect_is_one_entry(monkeypatch):
     monkeypatch.setitem(SIGNALS, "sensor_bias", SensorBias)
     biased, plain = FlexManEnv(randomisation={"sensor_bias": (0.01, 0.02)}), FlexManEnv()
-    found, info = biased.reset(seed=0)
+    result, info = biased.reset(seed=0)
     expected, _ = plain.reset(seed=0)
     bias, places = info["drawn"]["sensor_bias"], plain.sensors.slices
     assert 0.01 <= bias <= 0.02
     angles, errors = places["motor_angles"], places["posture_errors"]
     for action in actions(1, 20):
         off = bias * plain.sensors.bound[angles]
-        assert found[angles] == pytest.approx(expected[angles] + off, rel=1e-6, abs=1e-6)
-        assert found[errors] == pytest.approx(expected[errors] - off, rel=1e-6, abs=1e-6)
-        found, expected = biased.step(action[0])[0], plain.step(action[0])[0]
+        assert result[angles] == pytest.approx(expected[angles] + off, rel=1e-6, abs=1e-6)
+        assert result[errors] == pytest.approx(expected[errors] - off, rel=1e-6, abs=1e-6)
+        result, expected = biased.step(action[0])[0], plain.step(action[0])[0]
     assert biased.observation_space == plain.observation_space
 
 

@@ -33,9 +33,9 @@ def moved(env, steps=40, seed=1):
 @pytest.mark.parametrize("name", ["FlexRRR-v0", "FlexRRR-Gravity-v0", "FlexPlanar-v0"])
 def test_strain_is_what_gauges_on_both_sides_of_the_root_read(name):
     env = FlexManEnv(name=name, sensors="strain")
-    found = moved(env)[0].astype(float).reshape(-1, 3)
+    result = moved(env)[0].astype(float).reshape(-1, 3)
     model, state = env.simulator.model, env.simulator.state
-    for link, (along_y, along_z, around) in enumerate(found):
+    for link, (along_y, along_z, around) in enumerate(result):
         section = model.arm.links[link]
         y, z = np.sqrt(section.second_moment_z / section.area), np.sqrt(section.second_moment_y / section.area)
         sides = [fm.strain(model, state, link, 0.0, y=side * y) for side in (1.0, -1.0)]
@@ -44,33 +44,33 @@ def test_strain_is_what_gauges_on_both_sides_of_the_root_read(name):
         assert along_z == pytest.approx((sides[0] - sides[1]) / 2.0, rel=1e-5, abs=1e-10)
         twist = fm.curvature(model, state, link, 0.0)[0]
         assert around == pytest.approx(np.hypot(y, z) * twist, rel=1e-5, abs=1e-10)
-    assert np.abs(found).max() > 1e-5
+    assert np.abs(result).max() > 1e-5
 
 
 @pytest.mark.parametrize("name", ["FlexRRR-v0", "FlexRRR-Gravity-v0", "FlexPlanar-v0"])
 def test_the_accelerometer_says_the_acceleration_of_the_tip(name):
     env = FlexManEnv(name=name, sensors=("accelerometer", Quantities(("specific_force",))))
     observation, action = moved(env)
-    found = parts(env, observation)
+    result = parts(env, observation)
     torque = action.astype(float) * env.torque_limit
     expected = fm.tip_acceleration(env.simulator.model, env.simulator.state, torque)
-    assert found["tip_acceleration"] == pytest.approx(expected, rel=1e-5, abs=1e-4) and np.abs(expected).max() > 0.1
+    assert result["tip_acceleration"] == pytest.approx(expected, rel=1e-5, abs=1e-4) and np.abs(expected).max() > 0.1
     felt = expected - np.array(env.simulator.model.arm.gravity)  # the same vector along other axes
-    assert np.linalg.norm(found["specific_force"]) == pytest.approx(np.linalg.norm(felt), rel=1e-5)
+    assert np.linalg.norm(result["specific_force"]) == pytest.approx(np.linalg.norm(felt), rel=1e-5)
 
 
 def test_encoders_tip_and_command_say_what_the_view_says():
     env = FlexManEnv(name="FlexRRR-Track-v0", sensors=("motor_encoders", "joint_encoders", "command"))
-    found = parts(env, moved(env)[0])
+    result = parts(env, moved(env)[0])
     state, model, view = env.simulator.state, env.simulator.model, env.episodes.view
     joints, rates = state[:3], state[model.n_dof : model.n_dof + 3]
-    assert found["motor_angles"] == pytest.approx(state[model.motor_columns], abs=1e-6)
-    assert found["motor_angles"] - found["joint_twists"] == pytest.approx(joints, abs=1e-6)
-    assert found["motor_rates"] - found["joint_twist_rates"] == pytest.approx(rates, abs=1e-5)
-    assert found["posture_command"] == pytest.approx(view.posture[0], abs=1e-6)
-    assert found["tip_command"] == pytest.approx(view.target[0], abs=1e-5)
-    assert found["tip_velocity_command"] == pytest.approx(view.target_velocity[0], abs=1e-5)
-    assert found["rate_command"] == pytest.approx(view.posture_rates[0], abs=1e-6)
+    assert result["motor_angles"] == pytest.approx(state[model.motor_columns], abs=1e-6)
+    assert result["motor_angles"] - result["joint_twists"] == pytest.approx(joints, abs=1e-6)
+    assert result["motor_rates"] - result["joint_twist_rates"] == pytest.approx(rates, abs=1e-5)
+    assert result["posture_command"] == pytest.approx(view.posture[0], abs=1e-6)
+    assert result["tip_command"] == pytest.approx(view.target[0], abs=1e-5)
+    assert result["tip_velocity_command"] == pytest.approx(view.target_velocity[0], abs=1e-5)
+    assert result["rate_command"] == pytest.approx(view.posture_rates[0], abs=1e-6)
     assert np.array_equal(view.joint_angles[0], joints) and np.array_equal(view.joint_rates[0], rates)
 
 
@@ -119,14 +119,14 @@ def test_noise_of_a_part_is_normal_and_its_own():
 
 
 def test_bias_stays_throughout_an_episode_and_changes_with_the_next():
-    env, found = flawed(bias=0.01), []
+    env, result = flawed(bias=0.01), []
     for seed in range(40):
         seen, truth = readings(env, 3, seed)
         off = (seen - truth) / env.sensors.bound
         assert np.ptp(off, axis=0).max() < 1e-6
-        found.append(off[0])
-    assert 0.009 < np.abs(found).max() <= 0.01 + 1e-6
-    assert abs(np.mean(found)) < 5 * 0.01 / np.sqrt(3 * np.size(found))
+        result.append(off[0])
+    assert 0.009 < np.abs(result).max() <= 0.01 + 1e-6
+    assert abs(np.mean(result)) < 5 * 0.01 / np.sqrt(3 * np.size(result))
 
 
 def test_quantised_numbers_are_the_nearest_multiples():
@@ -162,11 +162,11 @@ def test_what_is_derived_follows_what_was_measured():
         angles.append(env.episodes.view.motor_angles[0].copy())
         observation, _, _, _, info = env.step(np.full(3, 0.8))
         if step >= 1:
-            found = parts(env, observation)
+            result = parts(env, observation)
             error = info["target"] - tips[step - 1]
-            assert found["target_error"] == pytest.approx(error, abs=1e-5)
-            assert found["target_nearness"] == pytest.approx(error / (0.1 + np.linalg.norm(error)), abs=1e-5)
-            assert found["posture_errors"] == pytest.approx(info["posture"] - angles[step - 1], abs=1e-5)
+            assert result["target_error"] == pytest.approx(error, abs=1e-5)
+            assert result["target_nearness"] == pytest.approx(error / (0.1 + np.linalg.norm(error)), abs=1e-5)
+            assert result["posture_errors"] == pytest.approx(info["posture"] - angles[step - 1], abs=1e-5)
 
 
 def test_an_instrument_ends_at_its_range_and_no_episode_with_it():
@@ -205,8 +205,8 @@ def test_quantities_and_instruments_read_no_further_than_their_range():
 
 def test_names_and_flaws_are_kept_in_files():
     for value in (*SENSORS, "lab", FLAWED, {"kind": "tip", "noise": 0.01}, {"kind": "tip", "every": 1}, ALL_PARTS):
-        found = find_sensors(value)
-        assert find_sensors(plain_sensors(found)) == found, value
+        result = find_sensors(value)
+        assert find_sensors(plain_sensors(result)) == result, value
     assert plain_sensors(find_sensors("lab")) == ["motor_encoders", "joint_encoders", "strain", "command"]
     assert plain_sensors(find_sensors({"kind": "full", "delay": 1})) == [{"kind": "full", "delay": 1}]
 

@@ -30,12 +30,12 @@ def worth(*arguments, **named):
 @QUICK
 @given(LENGTHS, LENGTHS, ACTIONS)
 def test_every_term_lies_in_its_range(tip_error, tip_vibration, action):
-    found = terms(tip_error, tip_vibration, action)
-    assert found.keys() == RANGES.keys() | {"failure"}
+    result = terms(tip_error, tip_vibration, action)
+    assert result.keys() == RANGES.keys() | {"failure"}
     for name, (low, high) in RANGES.items():
-        assert low <= found[name] <= high + 1e-15
-    assert found["failure"] == 0.0
-    assert 0.0 <= sum(found.values()) <= 1.0 + 1e-15
+        assert low <= result[name] <= high + 1e-15
+    assert result["failure"] == 0.0
+    assert 0.0 <= sum(result.values()) <= 1.0 + 1e-15
 
 
 @QUICK
@@ -96,8 +96,8 @@ def test_a_task_may_start_from_the_same_place_every_time():
 @given(LENGTHS, LENGTHS, st.floats(0.1, 100.0))
 def test_an_arm_of_another_size_is_judged_by_parts_of_its_reach(tip_error, tip_vibration, size):
     """Lengths and speeds that grow with the arm are worth the same."""
-    found = terms(size * tip_error, size * tip_vibration, reach=size * 8.5)
-    assert found == pytest.approx(terms(tip_error, tip_vibration), rel=1e-9)
+    result = terms(size * tip_error, size * tip_vibration, reach=size * 8.5)
+    assert result == pytest.approx(terms(tip_error, tip_vibration), rel=1e-9)
 
 
 @pytest.mark.parametrize(

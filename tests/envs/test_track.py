@@ -22,10 +22,10 @@ QUICK = settings(deadline=None, derandomize=True, max_examples=20)
 
 def series(values, phases):
     """Values of a Fourier series (size, 2 h + 1), term by term."""
-    found = np.repeat(values[:, :1], len(phases), axis=1)
+    result = np.repeat(values[:, :1], len(phases), axis=1)
     for k in range(1, values.shape[1] // 2 + 1):
-        found += values[:, 2 * k - 1 : 2 * k] * np.cos(k * phases) + values[:, 2 * k : 2 * k + 1] * np.sin(k * phases)
-    return found.T
+        result += values[:, 2 * k - 1 : 2 * k] * np.cos(k * phases) + values[:, 2 * k : 2 * k + 1] * np.sin(k * phases)
+    return result.T
 
 
 @QUICK
@@ -33,10 +33,10 @@ def series(values, phases):
 def test_series_are_sums_of_waves(seed, harmonics):
     random = np.random.default_rng(seed)
     values, phases = random.normal(size=(3, 2, 2 * harmonics + 1)), random.uniform(-30.0, 30.0, (3, 5))
-    found = on_series(values, phases)
+    result = on_series(values, phases)
     for row in range(3):
-        assert found[row] == pytest.approx(series(values[row], phases[row]), abs=1e-12 * harmonics * 10)
-        assert np.array_equal(on_series(values[row : row + 1], phases[row : row + 1])[0], found[row]), "its own bits"
+        assert result[row] == pytest.approx(series(values[row], phases[row]), abs=1e-12 * harmonics * 10)
+        assert np.array_equal(on_series(values[row : row + 1], phases[row : row + 1])[0], result[row]), "its own bits"
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -142,7 +142,7 @@ def test_a_plan_that_follows_a_path_keeps_the_tip_of_the_bent_arm_on_it():
 @pytest.mark.parametrize("name", ["FlexRRR-Track-v0", "FlexPlanar-Track-v0", "FlexRRR-Hold-v0", "FlexPlanar-Hold-v0"])
 def test_nothing_a_pd_and_an_lqr_are_apart(name):
     """RMS tip error over eight episodes: the LQR has at most a third of the PD's, the PD half of what nothing has."""
-    found = []
+    result = []
     for base in (None, "pd", "lqr-tracking"):
         env = gym.make_vec(name, 8, "vector_entry_point", base=base, autoreset_mode="Disabled").unwrapped
         _, infos = env.reset(seed=9000)
@@ -156,8 +156,8 @@ def test_nothing_a_pd_and_an_lqr_are_apart(name):
                 env.reset(options={"reset_mask": failed})
         assert base is None or not over.any()
         values = np.array(errors)
-        found.append(rms(values[np.isfinite(values)]))
-    assert found[2] <= found[1] / 3.0 and found[1] <= found[0] / 2.0, found
+        result.append(rms(values[np.isfinite(values)]))
+    assert result[2] <= result[1] / 3.0 and result[1] <= result[0] / 2.0, result
 
 
 @pytest.mark.parametrize(

@@ -39,30 +39,30 @@ def test_it_is_many_single_environments_bit_for_bit(arms, mode, randomisation):
     assert ours.observation_space == theirs.observation_space and ours.action_space == theirs.action_space
     assert ours.single_observation_space == theirs.single_observation_space
     assert ours.metadata == theirs.metadata
-    for found, expected in zip(ours.reset(seed=5), theirs.reset(seed=5), strict=True):
-        same(found, expected, "reset")
+    for actual, expected in zip(ours.reset(seed=5), theirs.reset(seed=5), strict=True):
+        same(actual, expected, "reset")
     terminated = truncated = 0
     for step, action in enumerate(actions(arms, 1000)):
         result = ours.step(action)
-        for found, expected in zip(result, theirs.step(action), strict=True):
-            same(found, expected, f"step {step}")
+        for actual, expected in zip(result, theirs.step(action), strict=True):
+            same(actual, expected, f"step {step}")
         ended = result[2] | result[3]
         terminated, truncated = terminated + result[2].sum(), truncated + result[3].sum()
         if mode == AutoresetMode.DISABLED and ended.any():
             both = (env.reset(options={"reset_mask": ended.copy()}) for env in (ours, theirs))
-            for found, expected in zip(*both, strict=True):
-                same(found, expected, f"{step} reset")
+            for actual, expected in zip(*both, strict=True):
+                same(actual, expected, f"{step} reset")
     assert terminated and truncated, "both ways to end were seen"
 
 
 def test_threads_change_no_bit():
     """As many arms as two threads share."""
     one, two = (FlexManVectorEnv(136, threads=threads, randomisation=EVERYTHING, **SHORT) for threads in (1, 2))
-    for found, expected in zip(two.reset(seed=3), one.reset(seed=3), strict=True):
-        same(found, expected, "reset")
+    for actual, expected in zip(two.reset(seed=3), one.reset(seed=3), strict=True):
+        same(actual, expected, "reset")
     for step, action in enumerate(actions(136, 200)):
-        for found, expected in zip(two.step(action), one.step(action), strict=True):
-            same(found, expected, f"step {step}")
+        for actual, expected in zip(two.step(action), one.step(action), strict=True):
+            same(actual, expected, f"step {step}")
 
 
 @pytest.mark.parametrize("seed", [7, [3, 1, 2], np.array([3, 1, 2]), [4, None, 4]])

@@ -41,9 +41,9 @@ def test_a_policy_is_evaluated_on_the_environment_that_it_was_trained_on(run):
     expected = {"base": "pd", "gains": gains, "hold": 5, "sensors": ["full", "fine"]}
     assert policy.interface == expected, "which go with the policy"
     assert setup.base is None and setup.hold == 1
-    found = rollout(policy, environment, SEEDS)
-    assert found.period == 0.01 and found.lengths.tolist() == [150] * 3
-    for record, held in zip(found.records, rollout("pd", environment, SEEDS).records, strict=True):
+    result = rollout(policy, environment, SEEDS)
+    assert result.period == 0.01 and result.lengths.tolist() == [150] * 3
+    for record, held in zip(result.records, rollout("pd", environment, SEEDS).records, strict=True):
         assert np.array_equal(record.tips[0], held.tips[0]), "the same episodes for both"
         assert (record.actions[1:] != held.actions[1:]).any(), "the agent does something beside its base"
 
@@ -81,7 +81,7 @@ def test_baselines_run_on_the_environment_that_is_named():
     environment = common_environment([find_entrant("pd"), find_entrant("zero")], described)
     assert environment.settings == {"arm": ARM, "horizon": 1.5}, "base, hold and sensors belong to what acts"
     results = {name: evaluate(name, environment, SEEDS) for name in BASELINES}
-    rewards = {name: found["reward"] for name, found in results.items()}
+    rewards = {name: result["reward"] for name, result in results.items()}
     assert rewards["lqr-tracking"] > rewards["pd"] > max(rewards["zero"], rewards["random"])
     assert evaluate("zero", environment, SEEDS) == results["zero"]
     assert common_environment([find_entrant("pd")], None) == Description()
@@ -107,9 +107,9 @@ def test_the_pd_beside_policies_has_the_gains_of_the_first_that_learned_on_one()
         return Entrant(name, find_entrant("zero").act, interface, environment)
 
     alone = Entrant("alone", find_entrant("zero").act, {}, ONE)
-    found = common_environment([alone, learned("soft", 0.1), learned("hard", 0.2), find_entrant("pd")], None)
-    assert found.setup().pd_gains == {"stiffness": (2.0,), "damping": (0.1,)}
-    assert found.setup().horizon == 1.5
+    result = common_environment([alone, learned("soft", 0.1), learned("hard", 0.2), find_entrant("pd")], None)
+    assert result.setup().pd_gains == {"stiffness": (2.0,), "damping": (0.1,)}
+    assert result.setup().horizon == 1.5
 
 
 def test_what_a_policy_was_trained_with_is_not_changed_in_part_either():
@@ -120,9 +120,9 @@ def test_what_a_policy_was_trained_with_is_not_changed_in_part_either():
 
 
 def test_random_torques_go_both_ways():
-    found = find_entrant("random").act(np.zeros((200, 3), dtype=np.float32), (200, 2))
-    assert found.shape == (200, 2) and -1.0 <= found.min() < -0.9 and 0.9 < found.max() <= 1.0
-    assert np.abs(found.mean(axis=0)).max() < 0.2, "five deviations of the mean of so many"
+    result = find_entrant("random").act(np.zeros((200, 3), dtype=np.float32), (200, 2))
+    assert result.shape == (200, 2) and -1.0 <= result.min() < -0.9 and 0.9 < result.max() <= 1.0
+    assert np.abs(result.mean(axis=0)).max() < 0.2, "five deviations of the mean of so many"
 
 
 def test_a_controller_of_ones_own_is_an_entrant_like_any_other():

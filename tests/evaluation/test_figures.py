@@ -21,10 +21,10 @@ def test_figures_are_those_of_the_metrics():
     tips[:, 1] = 0.03 * np.cos(2 * np.pi * time)  # whole periods in 3 s
     errors = np.where(time < 3.99, 1.0, 0.01)
     actions = 0.5 * np.where(np.arange(500) % 2, -1.0, 1.0)[:, None] * np.ones(3)
-    found = of(Record(tips, errors, actions, np.full(500, 0.5), "", 0.02, 0.02))
-    assert (found["reward"], found["error"], found["effort"], found["failed"]) == (250.0, 0.01, 0.25, 0.0)
-    assert found["settling_time"] == pytest.approx(4.0) and found["vibration"] == pytest.approx(0.06, rel=1e-9)
-    assert found["roughness"] == pytest.approx(1.0), "from 0.5 to -0.5 and back in every period"
+    result = of(Record(tips, errors, actions, np.full(500, 0.5), "", 0.02, 0.02))
+    assert (result["reward"], result["error"], result["effort"], result["failed"]) == (250.0, 0.01, 0.25, 0.0)
+    assert result["settling_time"] == pytest.approx(4.0) and result["vibration"] == pytest.approx(0.06, rel=1e-9)
+    assert result["roughness"] == pytest.approx(1.0), "from 0.5 to -0.5 and back in every period"
 
 
 def test_the_error_at_the_end_is_the_median_of_its_last_second():
@@ -41,20 +41,20 @@ def test_rms_error_is_over_the_whole_episode():
 
 def test_shares_are_parts_of_all_and_a_failure_never_settles():
     made = [record(settled=time, failure="" if time < 2 else "rate") for time in (1.0, np.inf, 3.0, np.inf)]
-    found = of(*made)
-    assert (found["settled"], found["failed"]) == (0.25, 0.75)
-    assert found["settling_time"] == found["vibration"] == np.inf
+    result = of(*made)
+    assert (result["settled"], result["failed"]) == (0.25, 0.75)
+    assert result["settling_time"] == result["vibration"] == np.inf
 
 
 def test_reward_effort_and_roughness_are_means():
     """Of episodes whose medians are others."""
-    found = of(*(record(reward=reward, effort=effort) for reward, effort in ((0, 0.1), (1, 0.2), (11, 0.9))))
-    assert (found["reward"], found["effort"]) == pytest.approx((4.0, 0.4))
+    result = of(*(record(reward=reward, effort=effort) for reward, effort in ((0, 0.1), (1, 0.2), (11, 0.9))))
+    assert (result["reward"], result["effort"]) == pytest.approx((4.0, 0.4))
 
 
 def test_evaluate_is_every_figure_of_a_rollout():
-    found, records = evaluate("pd", "FlexOne-v0", [1, 2, 3]), rollout("pd", "FlexOne-v0", [1, 2, 3]).records
-    assert found == of(*records) and set(found) >= {"settled", "settling_time", "vibration", "error", "roughness"}
+    result, records = evaluate("pd", "FlexOne-v0", [1, 2, 3]), rollout("pd", "FlexOne-v0", [1, 2, 3]).records
+    assert result == of(*records) and set(result) >= {"settled", "settling_time", "vibration", "error", "roughness"}
 
 
 @pytest.mark.parametrize("name", FIGURES)

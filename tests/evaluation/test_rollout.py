@@ -66,19 +66,19 @@ def test_a_failed_episode_is_counted_to_its_last_period():
         _, reward, failed, _, info = env.step(np.ones(1, dtype=np.float32))
         rewards.append(reward)
         errors.append(info["tip_error"])
-    found = {name: figure.of(record) for name, figure in FIGURES.items()}
+    result = {name: figure.of(record) for name, figure in FIGURES.items()}
     assert record.failure == info["failure"] and len(record.rewards) == len(rewards)
-    assert found["reward"] == pytest.approx(sum(rewards), rel=1e-9) and abs(rewards[-1]) > 1e-3 * abs(found["reward"])
-    assert found["rms_error"] == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=1e-9)
-    assert (found["effort"], found["roughness"]) == (1.0, 0.0), "full torque in all of them"
+    assert result["reward"] == pytest.approx(sum(rewards), rel=1e-9) and abs(rewards[-1]) > 1e-3 * abs(result["reward"])
+    assert result["rms_error"] == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=1e-9)
+    assert (result["effort"], result["roughness"]) == (1.0, 0.0), "full torque in all of them"
 
 
 def test_the_band_is_a_part_of_the_reach():
     """Of two links of half a metre: an episode settles in the band that the head of the table names, in mm."""
     environment = Description("FlexPlanar-v0", {"horizon": 3.0})
-    found = rollout("lqr-tracking", environment, SEEDS)
-    assert found.band == pytest.approx(BAND * 1.0) == pytest.approx(0.02 / 8.5), "20 mm where the reach is 8.5 m"
-    for record in found.records:
+    result = rollout("lqr-tracking", environment, SEEDS)
+    assert result.band == pytest.approx(BAND * 1.0) == pytest.approx(0.02 / 8.5), "20 mm where the reach is 8.5 m"
+    for record in result.records:
         after = round(FIGURES["settling_time"].of(record) / record.period)
         assert (record.errors[after:] <= record.band).all() and record.errors[after - 1] > record.band
 
@@ -92,5 +92,5 @@ def test_an_environment_has_an_id_a_condition_or_a_file(tmp_path):
 
 def test_who_watches_sees_the_reset_and_every_period():
     seen = []
-    found = rollout("pd", ONE, SEEDS, lambda episodes: seen.append(episodes.view.tip.copy()))
-    assert np.array_equal(np.array(seen).swapaxes(0, 1), found.tips)
+    result = rollout("pd", ONE, SEEDS, lambda episodes: seen.append(episodes.view.tip.copy()))
+    assert np.array_equal(np.array(seen).swapaxes(0, 1), result.tips)

@@ -51,8 +51,8 @@ def test_every_figure_stands_below_its_name():
     made = [record(100.0, time, vibration, error, 0.25, failure, band=BAND)
             for time, vibration, error, failure in numbers]  # fmt: skip
     head, line, caption = table({"pd": made}, ONE).splitlines()[1:4]
-    found = dict(zip(re.split(r" {2,}", head), re.split(r" {2,}", line), strict=True))
-    assert found == {
+    result = dict(zip(re.split(r" {2,}", head), re.split(r" {2,}", line), strict=True))
+    assert result == {
         "entrant": "pd", "reward": "100.0", f"in {1e3 * BAND:.3g} mm": "67%", "settling, s": "3.5 (2.5 to -)",
         "p-p, mm": "2 (1 to -)", "error, mm": "0.5 (0.4 to 0.6)", "roughness": "0.000", "effort": "0.250",
         "failed": "33%",

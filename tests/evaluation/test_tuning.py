@@ -14,9 +14,9 @@ def test_no_gains_are_tried_that_the_largest_delay_makes_unstable(monkeypatch):
     """Where more damping is always better, what is found comes close to the bound and does not cross it."""
     environment = Description("FlexOne-v0", {"randomisation": {"delay": [0, 3]}})
     monkeypatch.setattr(tuning, "_rewards", lambda environment, gains, episodes: gains[:, -1])
-    found, setup = tuning.tune(environment), environment.setup()
+    result, setup = tuning.tune(environment), environment.setup()
     model = gym.make(environment.id).unwrapped.simulator.model
-    damped, beyond = (PD(found.stiffness, [part * found.damping[0]], setup.torque_limit) for part in (1.0, 1.1))
+    damped, beyond = (PD(result.stiffness, [part * result.damping[0]], setup.torque_limit) for part in (1.0, 1.1))
     assert damped.unstable(model, setup.control_period, 3) == ""
     assert beyond.unstable(model, setup.control_period, 3) != ""
 
@@ -25,8 +25,8 @@ def test_the_reward_is_that_of_whole_episodes_and_of_no_others():
     """Limits so tight that episodes end at different times: played one by one, they have that mean reward."""
     environment = Description("FlexOne-v0", {"horizon": 1.0, "limits": {"rate": 0.5}})
     episodes = 3
-    found = tuning.tune(environment, first=6, around=2, episodes=episodes)
-    gains = {"stiffness": found.stiffness, "damping": found.damping}
+    result = tuning.tune(environment, first=6, around=2, episodes=episodes)
+    gains = {"stiffness": result.stiffness, "damping": result.damping}
     env = gym.make(environment.id, base="pd", gains=gains, **environment.keywords())
     rewards, periods = [], []
     for seed in range(episodes):
@@ -38,7 +38,7 @@ def test_the_reward_is_that_of_whole_episodes_and_of_no_others():
             over = failed or ended
         rewards.append(sum(own))
         periods.append(len(own))
-    assert found.reward == pytest.approx(np.mean(rewards), rel=1e-9)
+    assert result.reward == pytest.approx(np.mean(rewards), rel=1e-9)
     assert len(set(periods)) > 1, periods
 
 
@@ -51,8 +51,8 @@ def test_the_second_search_is_around_the_best_of_the_first(monkeypatch):
         return -((tried[-1] - peak) ** 2).sum(axis=1)
 
     monkeypatch.setattr(tuning, "_rewards", rewards)
-    found = tuning.tune(Description("FlexOne-v0"))
+    result = tuning.tune(Description("FlexOne-v0"))
     first, near = tried
     best = first[((first - peak) ** 2).sum(axis=1).argmin()]
     assert np.abs(near - best).max() < 5 * 0.15 and len(near) == 60
-    assert -found.reward < ((best - peak) ** 2).sum(), "which finds a better one"
+    assert -result.reward < ((best - peak) ** 2).sum(), "which finds a better one"

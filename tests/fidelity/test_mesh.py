@@ -114,14 +114,14 @@ def test_a_model_without_elements_is_refused_in_one_line():
 
 def cantilever(load):
     """Deflection over length, and angle, of the tip under a load F L^2 / (E I), bent as far as it likes."""
-    found = solve_bvp(
+    result = solve_bvp(
         lambda place, y: np.array([y[1], -load * np.cos(y[0]), np.sin(y[0])]),
         lambda start, end: np.array([start[0], end[1], start[2]]),
         np.linspace(0.0, 1.0, 21),
         np.zeros((3, 21)),
         tol=1e-8,
     )
-    return found.y[2, -1], found.y[0, -1]
+    return result.y[2, -1], result.y[0, -1]
 
 
 def test_the_cantilever_that_bends_far_is_that_of_the_books():

@@ -35,8 +35,8 @@ def bits(env, seed):
 def counts():
     """How many kernels have been loaded from the disk, and how many compiled."""
     rooms = [getattr(kernels, name) for name in kernels.__all__]
-    found = {each for room in rooms for each in vars(room).values() if isinstance(each, Dispatcher)}
-    stats = [each.stats for each in found]
+    result = {each for room in rooms for each in vars(room).values() if isinstance(each, Dispatcher)}
+    stats = [each.stats for each in result]
     return [sum(sum(part.values()) for part in parts) for parts in
             ([each.cache_hits for each in stats], [each.cache_misses for each in stats])]
 
@@ -56,13 +56,13 @@ if __name__ == "__main__":
     else:
         context = multiprocessing.get_context(way)
         with context.Pool(2) as pool:
-            found = pool.map(fresh, range(2))
+            result = pool.map(fresh, range(2))
         if way == "fork":
             used = environment(72)
             bits(used, 1)
             with context.Pool(1) as pool:
-                found.append([pool.apply(inherited), inherited()])
-        print(json.dumps(found))
+                result.append([pool.apply(inherited), inherited()])
+        print(json.dumps(result))
 '''
 
 
@@ -90,8 +90,8 @@ def elsewhere(file, way):
 @pytest.mark.parametrize("way", ["fork", "spawn", "thread"])
 def test_kernels_are_loaded_and_arms_move_as_here(here, way):
     file, expected = here
-    for *found, (loaded, compiled) in elsewhere(file, way)[: 4 if way == "thread" else 2]:
-        assert tuple(found) == expected
+    for *result, (loaded, compiled) in elsewhere(file, way)[: 4 if way == "thread" else 2]:
+        assert tuple(result) == expected
         assert loaded > 0 and compiled == 0
 
 

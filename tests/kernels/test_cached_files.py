@@ -95,8 +95,8 @@ def test_a_cache_that_cannot_be_written_costs_the_cache_and_not_the_call(package
 
 
 def test_folders_are_the_users_alone(package, cache):
-    (found,) = cache.glob("flexman_gym/*")
-    for folder in (found, found.parent):
+    (result,) = cache.glob("flexman_gym/*")
+    for folder in (result, result.parent):
         assert stat.S_IMODE(folder.stat().st_mode) == 0o700
 
 

@@ -42,11 +42,11 @@ def test_the_full_state_is_motion_errors_nearness_and_speed():
 def test_what_is_turned_over_grows_and_a_number_that_is_none_stays():
     """Of two arms, the first of which loses its numbers on the way, in its energy, its work or its dissipation."""
     for place in range(3):
-        found = np.zeros(2)
+        result = np.zeros(2)
         for turned, lost in ((3.0, False), (2.0, False), (5.0, True), (7.0, False), (4.0, False)):
             rows, out = np.zeros((2, 6)), np.zeros((2, layout.OUTPUTS))
             rows[:, -2], rows[:, -1], out[:, layout.KINETIC] = 0.5, -turned, 1.0
             if lost:
                 (out[0, layout.LINK_ENERGY : layout.LINK_ENERGY + 1], rows[0, -2:-1], rows[0, -1:])[place][:] = np.nan
-            turn_over(rows, out, found)
-        assert np.isnan(found[0]) and found[1] == 7.0
+            turn_over(rows, out, result)
+        assert np.isnan(result[0]) and result[1] == 7.0

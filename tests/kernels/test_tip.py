@@ -23,21 +23,21 @@ PERIOD = (2e-3, 2)
 def test_both_are_those_of_the_dense_equations_with_every_effect(case):
     """The oracle takes the accelerations of the coordinates, which are compared elsewhere, from the recursion."""
     (x, v), drive = case.sample.state(), case.drive()
-    rates, found = np.zeros(case.model.n_dof), np.zeros(TIP_ACCELERATIONS)
+    rates, result = np.zeros(case.model.n_dof), np.zeros(TIP_ACCELERATIONS)
     dynamics.accelerations(case.constants, layout.make_work(case.constants), x, v, drive, rates)
-    tip.tip_accelerations(case.constants, layout.make_work(case.constants), x, v, drive, found)
+    tip.tip_accelerations(case.constants, layout.make_work(case.constants), x, v, drive, result)
     expected, axes = case.chain.tip_acceleration(x, v, rates), case.chain.tip_axes(x)
     felt = axes.T @ (expected + drive[-3:] - case.chain.gravity)
     largest = np.abs(case.chain.tip_acceleration(x, 0.0 * v, np.abs(rates))).max() + np.abs(rates).max() + 10.0
-    np.testing.assert_allclose(found[TIP_ACCELERATION], expected, rtol=0.0, atol=1e-11 * largest)
-    np.testing.assert_allclose(found[SPECIFIC_FORCE], felt, rtol=0.0, atol=1e-11 * largest)
+    np.testing.assert_allclose(result[TIP_ACCELERATION], expected, rtol=0.0, atol=1e-11 * largest)
+    np.testing.assert_allclose(result[SPECIFIC_FORCE], felt, rtol=0.0, atol=1e-11 * largest)
 
 
 def sensed(mover, states, drives):
     """Tip accelerations of arms at states (b, 2 d) under drives (b, n + 6)."""
-    found = np.full((len(states), TIP_ACCELERATIONS), np.nan)
-    mover.sense(drives, np.hstack([states, np.zeros((len(states), 2))]), found)
-    return found
+    result = np.full((len(states), TIP_ACCELERATIONS), np.nan)
+    mover.sense(drives, np.hstack([states, np.zeros((len(states), 2))]), result)
+    return result
 
 
 @QUICK

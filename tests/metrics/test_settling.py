@@ -129,8 +129,8 @@ def test_bands_of_a_move_are_parts_of_its_distance():
     assert MOVE_BANDS == (0.01, 0.05)
     assert [band_of_move(errors, part) for part in MOVE_BANDS] == pytest.approx([0.02, 0.1])
     errors = 2.0 * np.exp(-TIME)
-    found = [settling_time(errors, band_of_move(errors, part), PERIOD) for part in MOVE_BANDS]
-    assert found == pytest.approx(PERIOD * np.ceil(-np.log(MOVE_BANDS) / PERIOD))
+    result = [settling_time(errors, band_of_move(errors, part), PERIOD) for part in MOVE_BANDS]
+    assert result == pytest.approx(PERIOD * np.ceil(-np.log(MOVE_BANDS) / PERIOD))
 
 
 @pytest.mark.parametrize(

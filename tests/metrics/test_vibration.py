@@ -47,8 +47,8 @@ def swinging(amplitude, end, axis=1, period=PERIOD):
 @given(st.floats(1e-3, 0.2), st.sampled_from([1.0, 2.5, 4.0]), st.sampled_from([1.0, 2.5, 4.0]), st.integers(0, 2))
 def test_residual_vibration_is_the_ratio_of_the_amplitudes_whenever_the_commands_ended(part, end, other, axis):
     """The slews, which are larger by far, do not count."""
-    found = residual_vibration(swinging(0.1 * part, end, axis), swinging(0.1, other), PERIOD, end, other)
-    assert found == pytest.approx(100.0 * part, rel=1e-6)
+    result = residual_vibration(swinging(0.1 * part, end, axis), swinging(0.1, other), PERIOD, end, other)
+    assert result == pytest.approx(100.0 * part, rel=1e-6)
 
 
 def test_residual_vibration_of_a_run_and_itself_is_100_percent_and_of_a_still_tip_0():
@@ -79,16 +79,16 @@ def decay(ratio, count=2001, samples=20, phase=0.3, place=0.0):
     st.floats(0.002, 0.3), st.floats(20.0, 200.0), st.floats(0.0, 6.28), st.floats(-10.0, 10.0), st.floats(1e-6, 1e3)
 )
 def test_the_damping_ratio_of_one_mode_is_found_wherever_it_rests(ratio, samples, phase, place, scale):
-    found = damping_ratio(scale * decay(ratio, 4001, samples, phase, place))
-    assert found == pytest.approx(ratio, abs=1e-4 + 2e-3 * ratio)
+    result = damping_ratio(scale * decay(ratio, 4001, samples, phase, place))
+    assert result == pytest.approx(ratio, abs=1e-4 + 2e-3 * ratio)
 
 
 def test_many_samples_bring_the_damping_ratio_as_close_as_is_wanted():
     """At any phase of the samples to the cycles."""
     errors = []
     for samples in (20.3, 40.6, 81.2, 162.4):
-        found = [damping_ratio(decay(0.05, int(20 * samples), samples, phase)) for phase in np.linspace(0.0, 6.0, 20)]
-        errors.append(np.abs(np.array(found) - 0.05).max())
+        result = [damping_ratio(decay(0.05, int(20 * samples), samples, phase)) for phase in np.linspace(0.0, 6.0, 20)]
+        errors.append(np.abs(np.array(result) - 0.05).max())
     assert errors[0] < 1e-4 and errors[-1] < 1e-7 and (np.divide(errors[:-1], errors[1:]) > 4.0).all()
 
 

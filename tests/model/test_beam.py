@@ -67,9 +67,9 @@ def test_a_load_at_the_tip_bends_twists_and_stretches_it_exactly(link, elements)
         flexibility[deflection, deflection] = length**3 / (3 * rigidity)
         flexibility[deflection, rotation] = flexibility[rotation, deflection] = sign * length**2 / (2 * rigidity)
         flexibility[rotation, rotation] = length / rigidity
-    found = np.transpose([tip_response(beam, load) for load in np.eye(6)])
+    result = np.transpose([tip_response(beam, load) for load in np.eye(6)])
     scale = np.sqrt(np.diag(flexibility))
-    assert close(found / np.outer(scale, scale), flexibility / np.outer(scale, scale))
+    assert close(result / np.outer(scale, scale), flexibility / np.outer(scale, scale))
 
 
 @settings(QUICK)

@@ -16,10 +16,10 @@ from oracles.ritz import beam_eigenvalues
 def test_a_beam_on_a_free_hub_has_its_frequencies(ratio):
     link = slender_link(1.0, 1.0, 1.0)
     hub = fm.Joint((0.0, 0.0, 1.0), rotor_inertia=ratio)
-    found = 2 * np.pi * fm.frequencies(fm.build_model(fm.Arm([link], [hub]), elements=32))
-    assert found[0] == 0.0
+    result = 2 * np.pi * fm.frequencies(fm.build_model(fm.Arm([link], [hub]), elements=32))
+    assert result[0] == 0.0
     expected = beam_eigenvalues(3, hub_inertia_ratio=ratio)
-    assert found[1:4] == pytest.approx(expected, rel=2e-5)  # (b h)^4 / 1440: 7e-6 at the third
+    assert result[1:4] == pytest.approx(expected, rel=2e-5)  # (b h)^4 / 1440: 7e-6 at the third
 
 
 @pytest.mark.parametrize(
@@ -34,8 +34,8 @@ def test_a_beam_on_a_free_hub_has_its_frequencies(ratio):
 def test_a_flexible_link_on_an_elastic_joint_has_its_frequencies(tip, clamped, expected):
     joint = fm.Joint((0.0, 0.0, 1.0), rotor_inertia=1.0, stiffness=100.0)
     model = fm.build_model(fm.Arm([slender_link()], [joint], fm.Payload(tip)), elements=32)
-    found = fm.frequencies(model, lock_joints=clamped)
-    assert found[0 if clamped else 1 :][: len(expected)] == pytest.approx(expected, rel=2e-5)
+    result = fm.frequencies(model, lock_joints=clamped)
+    assert result[0 if clamped else 1 :][: len(expected)] == pytest.approx(expected, rel=2e-5)
 
 
 @settings(QUICK)
@@ -57,17 +57,17 @@ def test_stiff_joints_approach_rigid_ones_as_one_over_stiffness():
     rigid = fm.frequencies(fm.build_model(fm.catalog.paper_rrr(joint_stiffness=None)), angles)[3:8]
     gap = []
     for stiffness in (1e8, 1e9):
-        found = fm.frequencies(fm.build_model(fm.catalog.paper_rrr(joint_stiffness=stiffness)), angles)[3:8]
-        gap.append(np.abs(found / rigid - 1).max())
+        result = fm.frequencies(fm.build_model(fm.catalog.paper_rrr(joint_stiffness=stiffness)), angles)[3:8]
+        gap.append(np.abs(result / rigid - 1).max())
     assert gap[0] < 1e-2
     assert gap[0] / gap[1] == pytest.approx(10.0, rel=0.1)
 
 
 def test_the_paper_arm_has_its_first_elastic_frequencies():
     """4.5 and 9.5 Hz (verification.md) for motors that are free and weigh nothing, so that their springs do nothing."""
-    found = fm.frequencies(fm.build_model(fm.catalog.paper_rrr(rotor_inertia=0.0, joint_stiffness=None)))
-    assert (found[:3] == 0.0).all()
-    assert np.round(found[3:5], 1).tolist() == [4.5, 9.5]
+    result = fm.frequencies(fm.build_model(fm.catalog.paper_rrr(rotor_inertia=0.0, joint_stiffness=None)))
+    assert (result[:3] == 0.0).all()
+    assert np.round(result[3:5], 1).tolist() == [4.5, 9.5]
 
 
 @settings(QUICK, max_examples=15)
@@ -85,9 +85,9 @@ def test_frequencies_are_those_of_the_dense_mass_matrix_and_stiffness(sample):
     flexibility = -scale[:, None] * np.transpose(columns) / scale
     squares = np.sort(np.linalg.eigvals(flexibility).real)[sample.model.n_joints :]
     expected = np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi)
-    found = fm.frequencies(sample.model, angles)
-    assert (found[: sample.model.n_joints] == 0.0).all() and (np.diff(found) >= 0.0).all()
-    assert np.allclose(found[sample.model.n_joints :], expected, rtol=1e-4, atol=1e-5 * expected.max(initial=0.0))
+    result = fm.frequencies(sample.model, angles)
+    assert (result[: sample.model.n_joints] == 0.0).all() and (np.diff(result) >= 0.0).all()
+    assert np.allclose(result[sample.model.n_joints :], expected, rtol=1e-4, atol=1e-5 * expected.max(initial=0.0))
 
 
 # Bad input

@@ -39,9 +39,9 @@ def link_motion(model, state, torque):
 def test_rigid_forward_and_inverse_dynamics_undo_each_other(sample):
     (x, v), torque = sample.state(), sample.torque()
     rates = fm.acceleration(sample.model, np.r_[x, v], torque)
-    found = fm.inverse_dynamics(sample.model, x, v, rates)
+    result = fm.inverse_dynamics(sample.model, x, v, rates)
     size = np.abs(fm.mass_matrix(sample.model, np.r_[x, v]) * rates).max()
-    assert np.abs(found - torque).max() <= 1e-11 * max(size, np.abs(torque).max())
+    assert np.abs(result - torque).max() <= 1e-11 * max(size, np.abs(torque).max())
 
 
 @settings(QUICK, max_examples=80)
@@ -51,11 +51,11 @@ def test_with_springs_forward_and_inverse_dynamics_undo_each_other(sample):
     (x, v), torque, model = sample.state(), sample.torque(), sample.model
     assume(model.n_motors > 0)
     motion = link_motion(model, np.r_[x, v], torque)
-    found = fm.inverse_dynamics(model, *motion)
+    result = fm.inverse_dynamics(model, *motion)
     springs = [joint.rotor_inertia / joint.stiffness for joint in sample.arm.joints if joint.stiffness is not None]
     size = np.abs(fm.mass_matrix(model, np.r_[x, v])[: model.n_joints, : model.n_joints]).max()
     size *= np.abs(motion[2]).max() + max(springs) * np.abs(motion[4]).max()
-    assert np.abs(found - torque).max() <= 1e-7 * max(size, np.abs(torque).max())
+    assert np.abs(result - torque).max() <= 1e-7 * max(size, np.abs(torque).max())
 
 
 def test_one_elastic_joint_has_its_closed_form():
@@ -63,9 +63,9 @@ def test_one_elastic_joint_has_its_closed_form():
     arm = fm.catalog.one_link(rotor_inertia=0.4, joint_stiffness=90.0)
     model, link = fm.build_model(arm, flexible_links=False), arm.links[0]
     inertia = link.mass * link.length**2 / 3 + link.density * link.length * link.second_moment_z
-    found = fm.inverse_dynamics(model, [0.3], [-2.0], [5.0], [-30.0], [700.0])
+    result = fm.inverse_dynamics(model, [0.3], [-2.0], [5.0], [-30.0], [700.0])
     expected = (0.4 + inertia) * 5.0 + 0.4 * inertia / 90.0 * 700.0
-    assert found == pytest.approx([expected], rel=1e-9)
+    assert result == pytest.approx([expected], rel=1e-9)
 
 
 def test_friction_of_the_motors_is_added_to_what_the_links_ask_for():
@@ -74,12 +74,12 @@ def test_friction_of_the_motors_is_added_to_what_the_links_ask_for():
     numbers = {"viscous_friction": (3.0, 5.0, 7.0), "coulomb_friction": (20.0, 40.0, 60.0), "coulomb_rate": (0.01,) * 3}
     rough = [replace(joint, **dict(zip(numbers, each, strict=True)))
              for joint, each in zip(smooth.joints, zip(*numbers.values(), strict=True), strict=True)]  # fmt: skip
-    found, without = (
+    result, without = (
         fm.inverse_dynamics(fm.build_model(arm, flexible_links=False), [0.3, -0.4, 0.5], rates, [2.0, -3.0, 4.0])
         for arm in (replace(smooth, joints=rough), smooth)
     )
     viscous, coulomb, width = (np.array(each) for each in numbers.values())
-    assert found - without == pytest.approx(viscous * rates + coulomb * np.tanh(rates / width), rel=1e-9)
+    assert result - without == pytest.approx(viscous * rates + coulomb * np.tanh(rates / width), rel=1e-9)
 
 
 def test_a_motor_at_rest_carries_the_weight():
@@ -114,7 +114,7 @@ def test_tip_acceleration_is_the_bend_of_the_tips_path(sample):
     jacobian = fm.linearize(model, state=np.r_[x, v]).C[:, : model.n_dof]
     size = np.abs(jacobian * rates).max() + np.abs(jacobian).max() * np.abs(v).max() ** 2
     quickest = max(np.abs(jacobian * v).max(), np.abs(v).max(), np.sqrt(size))
-    found, h = fm.tip_acceleration(model, np.r_[x, v], torque), 0.02 / quickest
+    result, h = fm.tip_acceleration(model, np.r_[x, v], torque), 0.02 / quickest
     middle = 2 * sample.chain.tip(x)
 
     def bend(step):
@@ -122,7 +122,7 @@ def test_tip_acceleration_is_the_bend_of_the_tips_path(sample):
         return (ends[0] - middle + ends[1]) / step**2
 
     expected = 1.5 * bend(h) - 0.6 * bend(2 * h) + 0.1 * bend(3 * h)
-    assert np.abs(found - expected).max() <= 1e-7 * quickest**2
+    assert np.abs(result - expected).max() <= 1e-7 * quickest**2
 
 
 def test_tip_acceleration_is_the_second_difference_of_a_simulated_tip():
@@ -140,8 +140,8 @@ def test_tip_acceleration_is_the_second_difference_of_a_simulated_tip():
             states.append(simulator.state.copy())
             assert simulator.step(torque) == "ok"
         expected = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / (12 * h**2) @ tips
-        found = fm.tip_acceleration(model, states[2], torque)
-        assert np.abs(found - expected).max() < 1e-5 * np.abs(expected).max()
+        result = fm.tip_acceleration(model, states[2], torque)
+        assert np.abs(result - expected).max() < 1e-5 * np.abs(expected).max()
 
 
 def test_a_turning_link_pulls_its_tip_inward():

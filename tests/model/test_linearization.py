@@ -80,11 +80,11 @@ def test_columns_of_b_are_those_of_the_inverse_mass_matrix(sample):
     # the recursion, at rest and without gravity, where nothing cancels
     weightless = replace(sample, arm=replace(sample.arm, gravity=(0.0, 0.0, 0.0))).model
     rest = weightless.initial_state(x[: model.n_joints])
-    found = fm.linearize(weightless, x[: model.n_joints]).B[model.n_dof :]
+    result = fm.linearize(weightless, x[: model.n_joints]).B[model.n_dof :]
     expected = np.transpose([fm.acceleration(weightless, rest, row) for row in np.eye(model.n_joints)])
     rounding = np.finfo(float).eps * np.linalg.cond(mass / np.outer(scale, scale))
     largest = np.abs(scale[:, None] * expected).max()
-    assert np.abs(scale[:, None] * (found - expected)).max() <= max(1e-9, 10 * rounding) * largest
+    assert np.abs(scale[:, None] * (result - expected)).max() <= max(1e-9, 10 * rounding) * largest
 
 
 @settings(QUICK)
@@ -119,9 +119,9 @@ def test_the_rigid_limit_is_pinocchio(sample):
     linear = fm.linearize(sample.model, state=np.r_[x, v], torque=torque)
     data = model.createData()  # owns the slopes
     expected = pin.computeABADerivatives(model, data, x, v, torque)
-    for found, slopes in zip((linear.A[d:, :d], linear.A[d:, d:], linear.B[d:]), expected, strict=True):
+    for result, slopes in zip((linear.A[d:, :d], linear.A[d:, d:], linear.B[d:]), expected, strict=True):
         least = 1e-4  # one joint without gravity has slopes of nothing but rounding
-        assert np.abs(found - slopes).max() <= 1e-9 * max(np.abs(slopes).max(), least)
+        assert np.abs(result - slopes).max() <= 1e-9 * max(np.abs(slopes).max(), least)
 
 
 def test_the_linear_response_is_left_by_the_square_of_the_amplitude():
@@ -151,8 +151,8 @@ def test_c_is_the_slope_of_the_tip(sample):
     (x, v), model = sample.state(), sample.model
     linear = fm.linearize(model, state=np.r_[x, v])
     assert (linear.C[:, model.n_dof :] == 0.0).all()
-    found, expected = linear.C[:, : model.n_dof] @ v, sample.chain.tip_velocity(x, v)
-    assert np.abs(found - expected).max() <= 1e-9 * np.abs(linear.C[:, : model.n_dof] * v).max()
+    result, expected = linear.C[:, : model.n_dof] @ v, sample.chain.tip_velocity(x, v)
+    assert np.abs(result - expected).max() <= 1e-9 * np.abs(linear.C[:, : model.n_dof] * v).max()
 
 
 @pytest.mark.parametrize(

@@ -21,9 +21,9 @@ from oracles.ritz import beam_eigenvalues
 HUB = fm.Joint((0.0, 0.0, 1.0))
 
 
-def close(found, expected, accuracy=1e-9):
+def close(result, expected, accuracy=1e-9):
     """Whether two arrays agree to some accuracy of the largest entry."""
-    return np.abs(found - expected).max(initial=0.0) <= accuracy * np.abs(expected).max(initial=0.0)
+    return np.abs(result - expected).max(initial=0.0) <= accuracy * np.abs(expected).max(initial=0.0)
 
 
 def halved(link):
@@ -63,8 +63,8 @@ def test_two_equal_halves_are_the_uniform_link(sample, stiffening, along):
     for i, link in enumerate(sample.arm.links):
         place = along * link.length
         assert close(fm.curvature(two, state, i, place), fm.curvature(one, state, i, place), 1e-7)
-        found, expected = (fm.strain(model, state, i, place, 0.01, -0.02) for model in (two, one))
-        assert found == pytest.approx(expected, rel=1e-7, abs=1e-9)
+        result, expected = (fm.strain(model, state, i, place, 0.01, -0.02) for model in (two, one))
+        assert result == pytest.approx(expected, rel=1e-7, abs=1e-9)
 
 
 @settings(QUICK)
@@ -83,8 +83,8 @@ def test_a_load_at_the_tip_bends_twists_and_stretches_every_section_exactly(seed
             flexibility[turn, turn] += first
             flexibility[[v, turn], [turn, v]] += sign * second
     tip = np.vstack([beam.tip_translation, beam.tip_rotation])
-    found, scale = tip @ np.linalg.solve(beam.stiffness, tip.T), np.sqrt(np.diag(flexibility))
-    assert close(found / np.outer(scale, scale), flexibility / np.outer(scale, scale))
+    result, scale = tip @ np.linalg.solve(beam.stiffness, tip.T), np.sqrt(np.diag(flexibility))
+    assert close(result / np.outer(scale, scale), flexibility / np.outer(scale, scale))
 
 
 @pytest.mark.parametrize(("place", "ratio"), [(0.5, 0.5), (0.3, 0.7), (0.7, 1.8)])
@@ -180,9 +180,9 @@ def test_an_arm_of_stepped_and_uniform_links_keeps_its_energy():
     choice = fm.ModelChoice(True, 2, (6, 4))
     still = fm.ConstantTorque([0.0, 0.0])
     scene = fm.Scene(arm, choice, still, fm.Initial([0.0, 0.5], [2.0, -1.0]), 0.2, 0.02)
-    found = fm.simulate(scene, rtol=1e-9, atol=1e-12)
-    assert found.status == "ok" and np.abs(found.deflection[:, 1]).max() > 1e-4
-    assert np.abs(found.energy_residual).max() < 1e-7 * found.energy[0]
+    result = fm.simulate(scene, rtol=1e-9, atol=1e-12)
+    assert result.status == "ok" and np.abs(result.deflection[:, 1]).max() > 1e-4
+    assert np.abs(result.energy_residual).max() < 1e-7 * result.energy[0]
 
 
 @pytest.mark.parametrize(

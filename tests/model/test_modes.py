@@ -29,14 +29,14 @@ def test_outboard_inertia_is_a_sum_over_mass_points(sample):
     masses, positions, _ = chain.points(np.zeros(chain.n_dof), np.zeros(chain.n_dof))
     ends = np.cumsum([len(beam.masses) for beam in chain.beams])
     inertias, tip = outboard_inertias(arm, beams_of(sample)), np.zeros(3)
-    for link, found, end in zip(arm.links, inertias, ends, strict=True):
+    for link, result, end in zip(arm.links, inertias, ends, strict=True):
         frame = np.array(link.orientation)
         tip = tip + link.length * frame[:, 0]
         expected = np.zeros((6, 6))
         for mass, position in zip(masses[end:], positions[end:], strict=True):
             motion = np.hstack([np.eye(3), -skew(frame.T @ (position - tip))])
             expected += mass * motion.T @ motion
-        assert np.allclose(found, expected, rtol=0.0, atol=1e-12 * max(1.0, np.abs(expected).max()))
+        assert np.allclose(result, expected, rtol=0.0, atol=1e-12 * max(1.0, np.abs(expected).max()))
 
 
 @settings(QUICK)
@@ -53,8 +53,8 @@ def test_loaded_modes_of_a_link_with_a_tip_mass_have_its_frequencies(ratio):
     link = slender_link(1.0, 1.0, 1.0)
     arm = fm.Arm([link], [fm.Joint((0.0, 0.0, 1.0))], fm.Payload(ratio * link.mass))
     beam = build_beam(link, 24)
-    found, _ = loaded_modes(beam, outboard_inertias(arm, (beam,))[0])
-    assert found[:3] == pytest.approx(beam_eigenvalues(3, ratio), rel=2e-5)
+    result, _ = loaded_modes(beam, outboard_inertias(arm, (beam,))[0])
+    assert result[:3] == pytest.approx(beam_eigenvalues(3, ratio), rel=2e-5)
 
 
 def test_modes_of_a_round_link_bend_along_one_axis():
@@ -117,10 +117,10 @@ def test_all_modes_are_the_finite_element_model(sample):
             change[columns, columns] = loaded_modes(beams[i], outboard)[1]
     (x, v), torque = sample.state(), sample.torque()
     modal = np.r_[np.linalg.solve(change, x), np.linalg.solve(change, v)]
-    found = change @ fm.acceleration(all_modes, modal, torque)
+    result = change @ fm.acceleration(all_modes, modal, torque)
     expected = fm.acceleration(sample.model, np.r_[x, v], torque)
     scale = np.sqrt(np.diag(fm.mass_matrix(sample.model, np.r_[x, v])))
-    assert np.abs(scale * (found - expected)).max() <= 1e-7 * np.abs(scale * expected).max()
+    assert np.abs(scale * (result - expected)).max() <= 1e-7 * np.abs(scale * expected).max()
 
 
 @settings(QUICK)
@@ -146,9 +146,9 @@ def test_modes_of_an_assembled_arm_come_down_to_those_of_the_full_model():
     full = fm.frequencies(fm.build_model(arm), (0.0, 0.4, -0.8))[3:9]
     last = np.full(6, np.inf)
     for modes in (2, 4, 6, 9, 12):
-        found = fm.frequencies(fm.build_model(arm, modes=modes), (0.0, 0.4, -0.8))[3:9]
-        assert (found <= last * (1 + 1e-6)).all() and (found >= full * (1 - 1e-6)).all()
-        last = found
+        result = fm.frequencies(fm.build_model(arm, modes=modes), (0.0, 0.4, -0.8))[3:9]
+        assert (result <= last * (1 + 1e-6)).all() and (result >= full * (1 - 1e-6)).all()
+        last = result
     assert last == pytest.approx(full, rel=1e-6)
 
 

@@ -79,8 +79,8 @@ def test_accelerations_are_those_of_sections_that_spin_about_the_beam_axis(sampl
     model, chain, (x, v), torque = without(sample), SpinningChain(sample), sample.state(), sample.torque()
     expected, matrix = chain.acceleration(x, v, torque), chain.mass_matrix(x)
     scale = np.sqrt(np.diag(matrix))
-    found = fm.mass_matrix(model, np.r_[x, v])
-    assert np.allclose(found / np.outer(scale, scale), matrix / np.outer(scale, scale), rtol=0.0, atol=1e-9)
+    result = fm.mass_matrix(model, np.r_[x, v])
+    assert np.allclose(result / np.outer(scale, scale), matrix / np.outer(scale, scale), rtol=0.0, atol=1e-9)
     error = scale * (fm.acceleration(model, np.r_[x, v], torque) - expected)
     assert np.abs(error).max() <= 1e-6 * np.abs(scale * expected).max()
 
@@ -115,14 +115,14 @@ def test_a_spinning_twisting_bending_chain_keeps_its_energy():
     for rotary_inertia in (False, True):
         choice = fm.ModelChoice(True, 2, rotary_inertia=rotary_inertia)
         scene = fm.Scene(arm, choice, fm.ConstantTorque([0.0] * 3), rates, 0.3, 0.01)
-        found = fm.simulate(scene, rtol=1e-9, atol=1e-12)
-        assert found.status == "ok"
-        assert np.abs(found.energy_residual).max() < 1e-7 * found.energy[0]
-        tips.append(found.tip[-1])
+        result = fm.simulate(scene, rtol=1e-9, atol=1e-12)
+        assert result.status == "ok"
+        assert np.abs(result.energy_residual).max() < 1e-7 * result.energy[0]
+        tips.append(result.tip[-1])
         model = scene_model(scene)
         starts = model.constants.elastic_start
         shapes = [model.constants.tip_rotation[first:last] for first, last in pairwise(starts)]
-        bent = [found.states[-1][model.elastic_columns(i)] @ shape for i, shape in enumerate(shapes)]
+        bent = [result.states[-1][model.elastic_columns(i)] @ shape for i, shape in enumerate(shapes)]
         assert np.abs(bent).max(axis=0).min() > 1e-4  # twisted and bent in both planes
     assert np.linalg.norm(tips[1] - tips[0]) > 1e-5
 
@@ -139,8 +139,8 @@ def test_a_stocky_beam_is_eulers_without_and_rayleighs_with_it(gyration):
     ):
         beam = build_beam(link, 32, rotary_inertia=rotary_inertia)
         stiffness, mass = (matrix[np.ix_(bend, bend)] for matrix in (beam.stiffness, beam.mass_matrix))
-        found = np.sqrt(eigh(stiffness, mass, eigvals_only=True)[:3]) / scale
-        assert found == pytest.approx(expected, rel=1e-5)
+        result = np.sqrt(eigh(stiffness, mass, eigvals_only=True)[:3]) / scale
+        assert result == pytest.approx(expected, rel=1e-5)
 
 
 @settings(QUICK)
@@ -153,12 +153,12 @@ def test_twist_and_stretch_have_the_same_frequencies(seed, elements):
     for column, modulus in speeds.items():
         block = np.ix_(*[np.arange(column, 6 * elements, 6)] * 2)
         assert np.allclose(model.mass_matrix[block], with_it.mass_matrix[block], rtol=1e-12, atol=0.0)
-        found = np.sqrt(eigh(model.stiffness[block], model.mass_matrix[block], eigvals_only=True))
+        result = np.sqrt(eigh(model.stiffness[block], model.mass_matrix[block], eigvals_only=True))
         # linear elements with consistent mass; a is the phase from one node to the next
         a = (np.arange(elements) + 0.5) * np.pi / elements
         expected = elements * np.sqrt(6.0 * (1.0 - np.cos(a)) / (2.0 + np.cos(a)))
         expected = expected * np.sqrt(modulus / link.density) / link.length
-        assert found == pytest.approx(expected, rel=1e-9)
+        assert result == pytest.approx(expected, rel=1e-9)
 
 
 @settings(QUICK)
@@ -178,8 +178,8 @@ def test_a_scene_turns_it_off():
     scene = fm.catalog.paper_scene("rr")
     off = replace(scene, model=replace(scene.model, rotary_inertia=False))
     assert scene_model(off).choice == off.model
-    found = fm.mass_matrix(scene_model(off), np.zeros(6)) - fm.mass_matrix(scene_model(scene), np.zeros(6))
-    assert (np.diag(found) < 0.0).all()
+    result = fm.mass_matrix(scene_model(off), np.zeros(6)) - fm.mass_matrix(scene_model(scene), np.zeros(6))
+    assert (np.diag(result) < 0.0).all()
 
 
 def test_a_switch_is_true_or_false():

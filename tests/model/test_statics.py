@@ -46,9 +46,9 @@ def test_nothing_accelerates_at_rest_under_the_holding_torques(sample, seed):
     assert np.array_equal(state[model.motor_columns], angles) and not v.any()
     mass = sample.chain.mass_matrix(x)
     scale = np.sqrt(np.diag(mass))
-    found = mass @ sample.chain.acceleration(x, v, torques) / scale
+    result = mass @ sample.chain.acceleration(x, v, torques) / scale
     falling = mass @ sample.chain.acceleration(model.initial_state(angles)[: model.n_dof], v, np.zeros(n)) / scale
-    assert np.abs(found).max() <= 1e-8 * np.abs(falling).max()
+    assert np.abs(result).max() <= 1e-8 * np.abs(falling).max()
 
 
 @pytest.mark.parametrize(("load", "elements"), [(0.0, 1), (0.3, 1), (0.1, 2), (0.4, 4)])

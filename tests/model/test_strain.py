@@ -36,8 +36,8 @@ def test_a_cantilever_has_the_curvatures_of_its_closed_form(elements, modes):
         about_y = (load[4] - load[2] * arm) / (LINK.youngs_modulus * LINK.second_moment_y)
         twist = load[3] / (LINK.shear_modulus * LINK.torsion_constant)
         stretch = load[0] / (LINK.youngs_modulus * LINK.area)
-        found = fm.curvature(model, state, 0, place)
-        assert found == pytest.approx([twist, about_y, about_z], rel=1e-8)
+        result = fm.curvature(model, state, 0, place)
+        assert result == pytest.approx([twist, about_y, about_z], rel=1e-8)
         assert fm.strain(model, state, 0, place) == pytest.approx(stretch, rel=1e-8)
         expected = stretch - y * about_z + z * about_y
         assert fm.strain(model, state, 0, place, y, z) == pytest.approx(expected, rel=1e-8)

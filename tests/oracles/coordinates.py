@@ -30,7 +30,7 @@ def outboard_masses(arm, elements):
     turns = [np.array(link.orientation) for link in arm.links]
     beams = [beam_points(link, count) for link, count in zip(arm.links, elements, strict=True)]
     tips = np.cumsum([turn[:, 0] * link.length for turn, link in zip(turns, arm.links, strict=True)], axis=0)
-    payload, found = payload_points(arm.payload), []
+    payload, result = payload_points(arm.payload), []
     for i, turn in enumerate(turns):
         behind = [(tips[j - 1] + beams[j].r0 @ turns[j].T, beams[j].masses) for j in range(i + 1, len(turns))]
         total = np.zeros((6, 6))
@@ -38,8 +38,8 @@ def outboard_masses(arm, elements):
             for place, mass in zip((places - tips[i]) @ turn, masses, strict=True):
                 motion = np.hstack([np.eye(3), -skew(place)])  # of the point, by the motion of the tip
                 total += mass * motion.T @ motion
-        found.append(total)
-    return found
+        result.append(total)
+    return result
 
 
 def loaded_link(link, count, outboard):

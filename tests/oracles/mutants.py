@@ -138,8 +138,8 @@ def written(tree, suffix):
 
 def arrays_bent(random, content):
     """A file of arrays with one of them changed, left out or renamed."""
-    with np.load(io.BytesIO(content)) as found:
-        arrays = {name: found[name] for name in found.files}
+    with np.load(io.BytesIO(content)) as result:
+        arrays = {name: result[name] for name in result.files}
     name = list(arrays)[random.integers(len(arrays))]
     kind = random.integers(6)
     if kind == 0:
@@ -196,7 +196,7 @@ def outcome(seed, folder):
         warnings.simplefilter("always")
         try:
             with bounded():
-                found = read(path)
+                result = read(path)
         except (ValueError, FileNotFoundError) as error:
             line = str(error)
             clear = str(path) in line and "\n" not in line and len(line) < LONGEST and line.isprintable()
@@ -205,7 +205,7 @@ def outcome(seed, folder):
             return "finding", "took too long"
         except Exception as error:
             return "finding", f"{type(error).__name__}: {error}"
-    if isinstance(found, np.ndarray) and not np.isfinite(found).all():
+    if isinstance(result, np.ndarray) and not np.isfinite(result).all():
         return "finding", "acts by what is no number"
     return ("finding", loud(said)) if loud(said) else ("read", "")
 
@@ -223,7 +223,7 @@ def run(count, first=0):
 
 
 if __name__ == "__main__":
-    total, found = run(*(int(each) for each in sys.argv[1:3]))
-    for row in found:
+    total, result = run(*(int(each) for each in sys.argv[1:3]))
+    for row in result:
         print(" | ".join(map(str, row))[:600].replace("\n", "\\n"))
     print(dict(total))

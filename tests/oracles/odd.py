@@ -89,8 +89,8 @@ def table(random):
 
 def number_only(random):
     """A float of any size, NaN and infinity among them."""
-    found = number(random)
-    return found if isinstance(found, float) else np.nan
+    result = number(random)
+    return result if isinstance(result, float) else np.nan
 
 
 def odd(random, good):

@@ -59,8 +59,8 @@ def beam_eigenvalues(
         kept, turning = kept[1:], 0
     stiffness, mass = stiffness[np.ix_(kept, kept)], mass[np.ix_(kept, kept)]
     # 1 / (1 + omega^2), as rounding spares the largest eigenvalues
-    found = eigh(mass, stiffness + mass, eigvals_only=True)[::-1]
-    return np.sqrt(1.0 / found[turning : turning + count] - 1.0)
+    result = eigh(mass, stiffness + mass, eigvals_only=True)[::-1]
+    return np.sqrt(1.0 / result[turning : turning + count] - 1.0)
 
 
 def bar_eigenvalues(count):

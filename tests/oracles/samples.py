@@ -24,9 +24,9 @@ LARGEST = 64  # arms, elements and threads; more are allowed and take their time
 def stepped(env):
     """An environment after a reset and a step, with what both gave."""
     first = env.reset(seed=0)
-    found = first, env.step(np.zeros(env.action_space.shape, dtype=np.float32))
+    result = first, env.step(np.zeros(env.action_space.shape, dtype=np.float32))
     env.close()
-    return found
+    return result
 
 
 def made(**keywords):

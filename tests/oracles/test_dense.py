@@ -46,11 +46,11 @@ def test_accelerations_are_those_of_lagranges_equations(sample):
     acceleration = chain.acceleration(x, v, torque)
     step = 1e-3 / np.abs(v).max()
     forces = slope(lambda t: momentum(x + t * v, v), step) - slope(lambda t: lagrangian(x + t * u), step)
-    found = u @ (sample.applied(x, v, torque) - mass @ acceleration)
+    result = u @ (sample.applied(x, v, torque) - mass @ acceleration)
     masses, positions, _ = chain.points(x, v)
     energy = sum(chain.energy(x, rates)[0] for rates in (v, u)) + np.abs(masses) @ np.abs(positions @ chain.gravity)
     rounding = 1e-13 * np.abs(scale * u).sum() * np.abs(scale * acceleration).max()
-    assert abs(forces - found) <= 1e-7 * energy * np.abs(v).max() + rounding
+    assert abs(forces - result) <= 1e-7 * energy * np.abs(v).max() + rounding
     assert momentum(x, v) == pytest.approx(u @ mass @ v, abs=1e-11 * energy)
 
 
@@ -61,9 +61,9 @@ def test_the_first_motor_alone_gives_momentum_about_its_axis(sample):
     (x, v), torque, chain = sample.state(), sample.torque(), spinning(sample)
     a, axis = chain.acceleration(x, v, torque), chain.axes[0]
     fastest = np.abs(v).max() + np.sqrt(np.abs(a).max())
-    found = slope(lambda t: axis @ chain.angular_momentum(x + t * v + t**2 / 2 * a, v + t * a), 1e-3 / fastest)
+    result = slope(lambda t: axis @ chain.angular_momentum(x + t * v + t**2 / 2 * a, v + t * a), 1e-3 / fastest)
     size = np.trace(chain.mass_matrix(x)) * fastest**2
-    assert found == pytest.approx(torque[0], abs=1e-7 * size)
+    assert result == pytest.approx(torque[0], abs=1e-7 * size)
 
 
 def test_a_spinning_rotor_is_turned_by_joints_along_its_axis_only():
@@ -99,10 +99,10 @@ def test_prescribed_motors_take_the_torque_that_moves_them_so(sample):
     free = chain.acceleration(x, v, torque)
     held = {i: free[motors[i]] for i in range(0, chain.n, 2)}
     unknown = np.where(np.isin(np.arange(chain.n), list(held)), np.nan, torque)
-    found, needed = chain.driven(x, v, unknown, held)
+    result, needed = chain.driven(x, v, unknown, held)
     scale = np.sqrt(np.diag(chain.mass_matrix(x)))
     size = np.abs(chain.mass_matrix(x) * free).sum(axis=1)[motors] + np.abs(sample.applied(x, v, torque))[motors]
-    assert np.abs(scale * (found - free)).max() <= 1e-7 * np.abs(scale * free).max()
+    assert np.abs(scale * (result - free)).max() <= 1e-7 * np.abs(scale * free).max()
     assert (np.abs(needed - torque) <= 1e-7 * (size + np.abs(torque))).all()
 
 

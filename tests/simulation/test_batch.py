@@ -46,8 +46,8 @@ def test_an_arm_among_many_moves_as_it_would_alone(method, stiffening):
         alone.reset(np.array([0]), states[arm : arm + 1])
         for each in drive:
             alone.step(each[arm : arm + 1])
-        for found, expected in zip(everything(together), everything(alone), strict=True):
-            assert np.array_equal(found[arm], expected[0])
+        for result, expected in zip(everything(together), everything(alone), strict=True):
+            assert np.array_equal(result[arm], expected[0])
 
 
 def test_arms_are_reset_at_different_times():
@@ -62,8 +62,8 @@ def test_arms_are_reset_at_different_times():
         batch.step(np.concatenate([drive[period], drive[period - 1]]))
         earlier.append([each[0] for each in everything(batch)])
         if period:
-            for found, expected in zip(everything(batch), earlier[period - 1], strict=True):
-                assert np.array_equal(found[1], expected)
+            for result, expected in zip(everything(batch), earlier[period - 1], strict=True):
+                assert np.array_equal(result[1], expected)
 
 
 def test_a_failed_arm_rests_at_its_last_good_period_until_it_is_reset():
@@ -76,9 +76,9 @@ def test_a_failed_arm_rests_at_its_last_good_period_until_it_is_reset():
     for each in drive[1:3]:
         batch.step(each)
     assert batch.status.tolist() == [layout.OK, layout.DIVERGED, layout.OK]
-    for found, old in zip(everything(batch)[:2], before[:2], strict=True):
-        assert np.array_equal(found[1], old[1])
-        assert (found[0] != old[0]).any() and np.isfinite(found).all()
+    for result, old in zip(everything(batch)[:2], before[:2], strict=True):
+        assert np.array_equal(result[1], old[1])
+        assert (result[0] != old[0]).any() and np.isfinite(result).all()
     assert batch.time == pytest.approx([0.06, 0.02, 0.06])
     batch.reset(np.array([1]), states[1:2])
     batch.step(drives(3, 1)[0])
@@ -95,10 +95,10 @@ def assert_varied(arm, changed, parameters, **choice):
     for batch, part in ((together, slice(2)), (alone, slice(1, 2)), (unvaried, slice(1))):
         batch.reset(np.arange(len(batch.rows)), states[part])
         batch.step(drive[part])
-    for found, same, expected in zip(*map(everything, (together, unvaried, alone)), strict=True):
-        assert np.array_equal(found[0], same[0])
+    for result, same, expected in zip(*map(everything, (together, unvaried, alone)), strict=True):
+        assert np.array_equal(result[0], same[0])
         size = np.abs(expected).max()
-        assert found[1] == pytest.approx(expected[0], rel=1e-9, abs=1e-9 * size + 1e-9)
+        assert result[1] == pytest.approx(expected[0], rel=1e-9, abs=1e-9 * size + 1e-9)
     assert not np.allclose(unvaried.state, alone.state, rtol=1e-6, atol=0.0), "the change is to be seen"
 
 
@@ -208,8 +208,8 @@ def test_nominal_parameters_change_no_bit():
     batch.reset(np.arange(2), states.repeat(2, axis=0))
     for each in drive:
         batch.step(each.repeat(2, axis=0))
-    for found in everything(batch):
-        assert np.array_equal(found[0], found[1])
+    for result in everything(batch):
+        assert np.array_equal(result[0], result[1])
 
 
 @pytest.mark.parametrize(

@@ -25,14 +25,14 @@ number = st.floats(-1e3, 1e3)
 
 def truth(scene, model):
     """The solution by the reference method."""
-    found = fm.simulate(scene, model, rtol=1e-9, atol=1e-11)
-    assert found.status == "ok"
-    return found
+    result = fm.simulate(scene, model, rtol=1e-9, atol=1e-11)
+    assert result.status == "ok"
+    return result
 
 
-def assert_balanced(found, relative=1e-8):
+def assert_balanced(result, relative=1e-8):
     """Work less dissipation is the change of energy."""
-    assert np.abs(found.energy_residual).max() < relative * found.energy_turnover[-1]
+    assert np.abs(result.energy_residual).max() < relative * result.energy_turnover[-1]
 
 
 @given(number, number, st.floats(0.0, 10.0), number, st.floats(0.0, 5.0), st.floats(0.1, 5.0))
@@ -52,10 +52,10 @@ def test_a_sine_keeps_the_phase_of_the_clock_whenever_it_starts(method):
     signal = fm.Signal(0.0, 3.0, 0.7, 0.4, start=0.3, stop=0.8)
     still = fm.ConstantTorque([0.0])
     scene = fm.Scene(arm, choice, still, fm.Initial([0.0], [0.0]), 1.0, 0.1, prescribed=[signal])
-    found = fm.simulate(scene, method=method, step=1e-3, rtol=1e-9, atol=1e-11)
-    turn, times = 2.0 * np.pi * 0.7, np.clip(found.time, 0.3, 0.8)
+    result = fm.simulate(scene, method=method, step=1e-3, rtol=1e-9, atol=1e-11)
+    turn, times = 2.0 * np.pi * 0.7, np.clip(result.time, 0.3, 0.8)
     expected = 3.0 / turn * (np.cos(turn * 0.3 + 0.4) - np.cos(turn * times + 0.4))
-    np.testing.assert_allclose(found.states[:, 1], expected, atol=5e-3)
+    np.testing.assert_allclose(result.states[:, 1], expected, atol=5e-3)
 
 
 def test_a_signal_acts_from_its_start_on_and_no_longer_at_its_stop():
@@ -64,19 +64,19 @@ def test_a_signal_acts_from_its_start_on_and_no_longer_at_its_stop():
     arm, choice = fm.Arm([link], [fm.Joint((0.0, 0.0, 1.0), 2.0)]), fm.ModelChoice(False, 1)
     still, signal = fm.ConstantTorque([0.0]), fm.Signal(3.0, start=0.25, stop=0.5)
     scene = fm.Scene(arm, choice, still, fm.Initial([0.0], [0.0]), 1.0, 1 / 64, prescribed=[signal])
-    found = fm.simulate(scene, method="semi_implicit_euler", step=1 / 64)
+    result = fm.simulate(scene, method="semi_implicit_euler", step=1 / 64)
     expected = 3.0 / 64 * np.clip(np.arange(65) - 16, 0, 16)
-    np.testing.assert_allclose(found.states[:, 1], expected, rtol=1e-14)
+    np.testing.assert_allclose(result.states[:, 1], expected, rtol=1e-14)
 
 
 @both
 def test_a_prescribed_motion_is_followed_and_its_work_is_counted(model):
-    found = truth(replace(SCENE, **REPLACED), model)
+    result = truth(replace(SCENE, **REPLACED), model)
     turn = 2.0 * np.pi * WOBBLE.frequency_hz
-    expected = WOBBLE.amplitude * (found.time / turn - np.sin(turn * found.time) / turn**2)
-    np.testing.assert_allclose(found.motor_angles[:, 0], expected, atol=1e-9)
-    assert abs(found.work[-1]) > 10.0
-    assert_balanced(found)
+    expected = WOBBLE.amplitude * (result.time / turn - np.sin(turn * result.time) / turn**2)
+    np.testing.assert_allclose(result.motor_angles[:, 0], expected, atol=1e-9)
+    assert abs(result.work[-1]) > 10.0
+    assert_balanced(result)
 
 
 @both
@@ -101,10 +101,10 @@ def test_every_method_knows_every_part_of_the_drive(name):
     forces = {"tip_force": [fm.Signal(50.0), fm.Signal(), WOBBLE], "base_acceleration": [WOBBLE, WOBBLE, fm.Signal()]}
     scene = replace(SCENE, arm=arm, **REPLACED, **forces)
     expected = truth(scene, model)
-    found = fm.simulate(scene, model, method=name, step=1e-4)
-    assert np.abs(found.tip - expected.tip).max() < (1e-3 if fm.METHODS[name].order == 1 else 2e-5)
+    result = fm.simulate(scene, model, method=name, step=1e-4)
+    assert np.abs(result.tip - expected.tip).max() < (1e-3 if fm.METHODS[name].order == 1 else 2e-5)
     scale = expected.energy_turnover[-1]
-    assert np.abs(found.energy_residual).max() < (1e-2 if fm.METHODS[name].order == 1 else 1e-4) * scale
+    assert np.abs(result.energy_residual).max() < (1e-2 if fm.METHODS[name].order == 1 else 1e-4) * scale
 
 
 @both
@@ -126,9 +126,9 @@ def test_a_base_that_accelerates_upward_is_gravity(model):
     weighed = fm.build_model(
         heavy, 2, 5, flexible_joints=choice.flexible_joints, spinning_rotors=choice.spinning_rotors
     )
-    found = truth(lifted, model)
-    np.testing.assert_allclose(found.tip, truth(replace(SCENE, arm=heavy), weighed).tip, atol=1e-7)
-    assert_balanced(found)
+    result = truth(lifted, model)
+    np.testing.assert_allclose(result.tip, truth(replace(SCENE, arm=heavy), weighed).tip, atol=1e-7)
+    assert_balanced(result)
 
 
 def test_the_work_of_the_base_is_what_the_gravity_that_it_feels_like_gives():
@@ -164,10 +164,10 @@ def test_a_force_on_the_tip_acts_through_the_tips_jacobian(model):
 def test_disturbances_end_when_they_are_said_to():
     pulse = [fm.Signal(100.0, start=0.1, stop=0.2), fm.Signal(), fm.Signal(amplitude=50.0, frequency_hz=5.0, stop=0.3)]
     quiet = replace(SCENE, torque=fm.ConstantTorque([0.0] * 3), tip_force=pulse, base_acceleration=pulse)
-    found = truth(quiet, MODELS["flexible joints"])
-    assert_balanced(found)
-    ended = found.time >= 0.3
-    assert np.ptp(found.work[ended]) < 1e-9 * found.energy_turnover[-1] < np.ptp(found.work)
+    result = truth(quiet, MODELS["flexible joints"])
+    assert_balanced(result)
+    ended = result.time >= 0.3
+    assert np.ptp(result.work[ended]) < 1e-9 * result.energy_turnover[-1] < np.ptp(result.work)
 
 
 @both

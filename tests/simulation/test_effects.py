@@ -40,8 +40,8 @@ def test_the_recursion_equals_the_dense_equations_with_every_effect(case):
         scale * actual, scale * expected, rtol=0.0, atol=max(1e-9, 10 * np.finfo(float).eps * condition) * largest
     )
     for joint in case.held:
-        found, size = work.motor_torque[joint], np.abs(mass @ actual).max() + np.abs(torques).max()
-        assert abs(found - torques[joint]) <= max(1e-9, 10 * np.finfo(float).eps * condition) * size
+        result, size = work.motor_torque[joint], np.abs(mass @ actual).max() + np.abs(torques).max()
+        assert abs(result - torques[joint]) <= max(1e-9, 10 * np.finfo(float).eps * condition) * size
 
 
 @settings(QUICK, max_examples=20)
@@ -83,8 +83,8 @@ def test_angular_momentum_with_spinning_rotors_is_the_torque_times_time():
     """About the vertical first axis every rotor now takes part: the momentum of all coordinates is 400 t."""
     scene = replace(fm.catalog.paper_scene("ff"), duration=1.0)
     model = fm.build_model(scene.arm, spinning_rotors=True)
-    found = fm.simulate(scene, model, rtol=1e-9, atol=1e-11)
-    for time, state in zip(found.time[::20], found.states[::20], strict=True):
+    result = fm.simulate(scene, model, rtol=1e-9, atol=1e-11)
+    for time, state in zip(result.time[::20], result.states[::20], strict=True):
         rates = state[model.n_dof :]
         mass = fm.mass_matrix(model, state)
         momentum = (mass[0] + mass[model.motor_columns[0]]) @ rates

@@ -37,10 +37,10 @@ def test_a_joint_under_an_absurd_torque_is_named(joint):
     torque = [0.0, 0.0]
     torque[joint] = 1e9
     heavy = replace(ARM, joints=[replace(HUB, rotor_inertia=1e3 if i != joint else 1.0) for i in range(2)])
-    found = fm.simulate(scene(heavy, torque, flexible_links=False), method="ros2", step=1e-3)
-    assert found.status == "diverged"
-    assert f"the rate of joints[{joint}] went first" in found.explanation()
-    assert "Try a step shorter than 0.001 s" in found.explanation() and "smaller torques" in found.explanation()
+    result = fm.simulate(scene(heavy, torque, flexible_links=False), method="ros2", step=1e-3)
+    assert result.status == "diverged"
+    assert f"the rate of joints[{joint}] went first" in result.explanation()
+    assert "Try a step shorter than 0.001 s" in result.explanation() and "smaller torques" in result.explanation()
 
 
 @pytest.mark.parametrize("link", [0, 1])
@@ -48,9 +48,9 @@ def test_an_unstable_step_names_the_coordinate_of_the_link_and_the_stable_step(l
     """Only one link bends; the step that is named is stable, as the linear theory says, and the one given is not."""
     flexible = tuple(i == link for i in range(2))
     wild = scene(torque=(0.1, 0.1), flexible_links=flexible)
-    found = fm.simulate(wild, method="rk4", step=1e-3)
-    text = found.explanation()
-    assert found.status == "diverged" and f"links[{link}] went first" in text
+    result = fm.simulate(wild, method="rk4", step=1e-3)
+    text = result.explanation()
+    assert result.status == "diverged" and f"links[{link}] went first" in text
     highest = fm.frequencies(fm.build_model(ARM, 1, flexible_links=flexible)).max()
     stable = explicit_limit(fm.METHODS["rk4"]) / (2 * np.pi * highest)
     assert f"a step of at most {stable:.2g} s" in text and "implicit" in text and "modal_damping_ratio" in text
@@ -134,8 +134,8 @@ def test_a_recorded_period_keeps_prescribed_motions():
     recorder = Recorder(simulator)
     for _ in range(3):
         recorder.step([0.2, 0.0], acceleration=[0.0, 1.5], base_acceleration=[0.1, 0.0, 0.0])
-    found = fm.simulate(recorder.scene(), method="ros2", step=0.005)
-    np.testing.assert_allclose(found.states[-1], simulator.state, rtol=1e-12, atol=1e-12)
+    result = fm.simulate(recorder.scene(), method="ros2", step=0.005)
+    np.testing.assert_allclose(result.states[-1], simulator.state, rtol=1e-12, atol=1e-12)
 
 
 def test_what_cannot_be_recorded_is_refused():
@@ -172,5 +172,5 @@ def test_explaining_costs_nothing_before_it_is_asked_for(monkeypatch):
 
 
 def test_a_trajectory_that_was_pickled_still_explains_itself():
-    found = fm.simulate(scene(torque=(1e12, 0.0), flexible_links=False), method="ros2", step=1e-3)
-    assert pickle.loads(pickle.dumps(found)).explanation() == found.explanation() != ""
+    result = fm.simulate(scene(torque=(1e12, 0.0), flexible_links=False), method="ros2", step=1e-3)
+    assert pickle.loads(pickle.dumps(result)).explanation() == result.explanation() != ""

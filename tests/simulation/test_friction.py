@@ -25,28 +25,28 @@ def coast(joint, method="dop853", step=None):
 @settings(deadline=None, max_examples=15, derandomize=True)
 @given(st.just(0.0) | st.floats(1e-6, 5.0))
 def test_viscous_friction_slows_a_rotor_down_exponentially(friction):
-    found = coast(fm.Joint((0.0, 0.0, 1.0), INERTIA, viscous_friction=friction))
-    expected = RATE * np.exp(-friction / INERTIA * found.time)
-    np.testing.assert_allclose(found.states[:, 1], expected, rtol=1e-6)
+    result = coast(fm.Joint((0.0, 0.0, 1.0), INERTIA, viscous_friction=friction))
+    expected = RATE * np.exp(-friction / INERTIA * result.time)
+    np.testing.assert_allclose(result.states[:, 1], expected, rtol=1e-6)
 
 
 @settings(deadline=None, max_examples=15, derandomize=True)
 @given(st.floats(0.1, 10.0), st.floats(0.02, 1.0))
 def test_coulomb_friction_slows_a_rotor_down_as_the_hyperbolic_sine(friction, rate):
-    found = coast(fm.Joint((0.0, 0.0, 1.0), INERTIA, coulomb_friction=friction, coulomb_rate=rate))
-    start, passed = RATE / rate, friction / (INERTIA * rate) * found.time  # sinh(r / rate) decays exponentially
+    result = coast(fm.Joint((0.0, 0.0, 1.0), INERTIA, coulomb_friction=friction, coulomb_rate=rate))
+    start, passed = RATE / rate, friction / (INERTIA * rate) * result.time  # sinh(r / rate) decays exponentially
     expected = np.arcsinh(np.exp(-passed) * np.sinh(start))
-    np.testing.assert_allclose(found.states[:, 1], rate * expected, atol=1e-6)
-    np.testing.assert_allclose(found.dissipation, found.energy[0] - found.energy, atol=1e-6)
+    np.testing.assert_allclose(result.states[:, 1], rate * expected, atol=1e-6)
+    np.testing.assert_allclose(result.dissipation, result.energy[0] - result.energy, atol=1e-6)
 
 
 def test_a_linearly_implicit_step_is_stable_where_friction_is_steep():
     joint = fm.Joint((0.0, 0.0, 1.0), INERTIA, coulomb_friction=50.0, coulomb_rate=1e-3)
-    found = coast(joint, "ros2", 0.02)  # the steepest slope of friction times the step is 400 times the inertia
-    assert found.status == "ok"
+    result = coast(joint, "ros2", 0.02)  # the steepest slope of friction times the step is 400 times the inertia
+    assert result.status == "ok"
     braking = 50.0 * 0.02 / INERTIA  # in one step
-    assert np.abs(found.states[len(found.time) // 2 :, 1]).max() < braking / 5.0
-    assert found.states[-1, 0] == pytest.approx(coast(joint).states[-1, 0], rel=0.05)
+    assert np.abs(result.states[len(result.time) // 2 :, 1]).max() < braking / 5.0
+    assert result.states[-1, 0] == pytest.approx(coast(joint).states[-1, 0], rel=0.05)
 
 
 @pytest.mark.parametrize("flexible_joints", [True, False])
@@ -69,8 +69,8 @@ def test_inverse_dynamics_adds_what_friction_takes():
     model = fm.build_model(replace(arm, joints=joints), flexible_links=False)
     angles, rates, wanted = [0.1, -0.3, 0.6], [0.5, -0.01, 0.0], [1.0, -2.0, 3.0]
     torque = fm.inverse_dynamics(model, angles, rates, wanted)
-    found = fm.acceleration(model, model.initial_state(angles, rates), torque)
-    np.testing.assert_allclose(found, wanted, atol=1e-9)
+    result = fm.acceleration(model, model.initial_state(angles, rates), torque)
+    np.testing.assert_allclose(result, wanted, atol=1e-9)
 
 
 def test_inverse_dynamics_of_flexible_joints_refuses_friction_by_name():

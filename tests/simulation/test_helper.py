@@ -10,31 +10,31 @@ from flexman_gym.simulation.helper import Helper
 
 
 def test_tasks_are_done_in_another_thread_one_after_the_other():
-    helper, found = Helper(), []
+    helper, result = Helper(), []
     for number in range(100):
-        helper.begin(lambda number=number: found.append((number, threading.get_ident())))
+        helper.begin(lambda number=number: result.append((number, threading.get_ident())))
         helper.finish()
-        assert found[-1][0] == number
-    assert {thread for _, thread in found} != {threading.get_ident()}
-    assert len({thread for _, thread in found}) == 1
+        assert result[-1][0] == number
+    assert {thread for _, thread in result} != {threading.get_ident()}
+    assert len({thread for _, thread in result}) == 1
 
 
 def test_what_a_task_raises_is_raised_and_the_next_task_is_done():
-    helper, found = Helper(), []
+    helper, result = Helper(), []
     helper.begin(lambda: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         helper.finish()
-    helper.begin(lambda: found.append(1))
+    helper.begin(lambda: result.append(1))
     helper.finish()
-    assert found == [1]
+    assert result == [1]
 
 
 def test_a_task_that_nobody_waited_for_is_done_before_the_next():
-    helper, found = Helper(), []
-    helper.begin(lambda: (time.sleep(0.05), found.append(1)))
-    helper.begin(lambda: found.append(2))
+    helper, result = Helper(), []
+    helper.begin(lambda: (time.sleep(0.05), result.append(1)))
+    helper.begin(lambda: result.append(2))
     helper.finish()
-    assert found == [1, 2]
+    assert result == [1, 2]
 
 
 def test_the_thread_ends_with_its_owner():

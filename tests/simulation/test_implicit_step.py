@@ -57,12 +57,12 @@ def test_a_linearly_implicit_euler_step_solves_the_dense_linear_system(case, ste
     rows, status = np.r_[x, v, 0.0, 0.0][None], np.zeros(1, dtype=np.int64)
     mover.move(drive[None], np.zeros(1), rows, np.zeros((1, layout.OUTPUTS)), status)
     assert status[0] == layout.OK
-    found = (rows[0, d : 2 * d] - v) / step
+    result = (rows[0, d : 2 * d] - v) / step
     condition = np.linalg.cond(weighed[free]) if free[0].size else 1.0
     rounding = np.finfo(float).eps * np.abs(scale * v).max() / step
     largest = np.abs(scale * w).max()
     assert (
-        np.abs(scale * (found - w)).max() <= (1e-10 + 100 * np.finfo(float).eps * condition) * largest + 10 * rounding
+        np.abs(scale * (result - w)).max() <= (1e-10 + 100 * np.finfo(float).eps * condition) * largest + 10 * rounding
     )
     moved = x + step * rows[0, d : 2 * d]
     np.testing.assert_allclose(rows[0, :d], moved, rtol=1e-12, atol=1e-12 * np.abs(moved).max(initial=1.0))

@@ -169,8 +169,8 @@ def test_generalised_alpha_has_its_spectral_radius_at_infinite_frequency(radius)
     # (1 - am) a1 + am a0 = -w^2 ((1 - af) x1 + af x0), with x1 and v1 by Newmark's formulas
     new = np.array([[1.0, 0.0, -beta], [0.0, 1.0, -gamma], [(1 - af) * square, 0.0, 1 - am]])
     old = np.array([[1.0, 1.0, 0.5 - beta], [0.0, 1.0, 1 - gamma], [-af * square, 0.0, -am]])
-    found = np.abs(np.linalg.eigvals(np.linalg.solve(new, old))).max()
-    assert found == pytest.approx(radius, abs=2e-2)
+    result = np.abs(np.linalg.eigvals(np.linalg.solve(new, old))).max()
+    assert result == pytest.approx(radius, abs=2e-2)
     assert gamma == pytest.approx(0.5 - am + af) and beta >= 0.25 + 0.5 * (af - am) - 1e-12  # order 2, stable
 
 

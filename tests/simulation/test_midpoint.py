@@ -138,6 +138,6 @@ def test_the_ledger_of_a_held_motor_on_a_spring_is_exact_whatever_the_step(metho
         arm, choice, fm.ConstantTorque([0.0]), fm.Initial([0.0], [0.3]), 2.0, 0.1,
         prescribed=[fm.Signal(1.0, 5.0, 0.7, 0.2)],
     )  # fmt: skip
-    found = fm.simulate(scene, method=method, step=0.1)
-    assert np.abs(found.states[:, 1] - found.states[:, 0]).max() > 1e-3, "the spring is wound"
-    assert np.abs(found.energy_residual).max() < 1e-9 * found.energy_turnover[-1]
+    result = fm.simulate(scene, method=method, step=0.1)
+    assert np.abs(result.states[:, 1] - result.states[:, 0]).max() > 1e-3, "the spring is wound"
+    assert np.abs(result.energy_residual).max() < 1e-9 * result.energy_turnover[-1]

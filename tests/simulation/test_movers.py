@@ -30,8 +30,8 @@ def moved(mover, states, drives):
 
 def states_of(sample, model):
     """Arms that bend from nothing to beyond the series of the tangent operator, side by side."""
-    found = [np.concatenate(replace(sample, seed=sample.seed + arm).state()) for arm in range(ARMS)]
-    return np.array([state * scale for state, scale in zip(found, np.linspace(0.0, 1.0, ARMS), strict=True)])
+    result = [np.concatenate(replace(sample, seed=sample.seed + arm).state()) for arm in range(ARMS)]
+    return np.array([state * scale for state, scale in zip(result, np.linspace(0.0, 1.0, ARMS), strict=True)])
 
 
 def drives_for(model, held, seed):
@@ -53,9 +53,9 @@ def test_lanes_hold_the_bits_of_an_arm_alone(case, method):
         alone = moved(Abreast(case.constants, method, (PERIOD, PARTS), 1, 1), states[one], drives[one])
         run = Run(case.model, method, None, case.held)
         single = moved(OneByOne([run], (PERIOD, PARTS)), states[one], drives[one])
-        for found, expected, other in zip(abreast, alone, single, strict=True):
-            assert np.array_equal(found[arm], expected[0], equal_nan=True)
-            assert np.array_equal(found[arm], other[0], equal_nan=True)
+        for result, expected, other in zip(abreast, alone, single, strict=True):
+            assert np.array_equal(result[arm], expected[0], equal_nan=True)
+            assert np.array_equal(result[arm], other[0], equal_nan=True)
 
 
 @pytest.mark.parametrize("method", ["ros2", "implicit_midpoint_3"])
@@ -66,10 +66,10 @@ def test_threads_share_the_groups(threads, method):
     drives = np.random.default_rng(1).uniform(-100.0, 100.0, (273, 9))
     method = METHODS[method]
     expected = moved(Abreast(model.constants, method, (0.02, 4), 273, 1), states, drives)
-    for found, wanted in zip(
+    for result, wanted in zip(
         moved(Abreast(model.constants, method, (0.02, 4), 273, threads), states, drives), expected, strict=True
     ):
-        assert np.array_equal(found, wanted)
+        assert np.array_equal(result, wanted)
 
 
 @pytest.mark.parametrize("method", ["ros2", "implicit_midpoint_3"])

@@ -15,21 +15,21 @@ def trajectory():
 
 
 def test_readings_are_what_the_state_says(trajectory):
-    found, states, model = trajectory.readings, trajectory.states, trajectory.model
+    result, states, model = trajectory.readings, trajectory.states, trajectory.model
     n, d = model.n_joints, model.n_dof
-    assert found.keys() == UNITS.keys()
-    assert found["motor_angles"] == pytest.approx(trajectory.motor_angles, abs=0)
-    assert found["motor_rates"] == pytest.approx(states[:, d + model.motor_columns], abs=0)
-    assert found["joint_twists"] == pytest.approx(trajectory.motor_angles - states[:, :n], abs=1e-15)
-    assert found["joint_twist_rates"] == pytest.approx(found["motor_rates"] - states[:, d : d + n], abs=1e-15)
+    assert result.keys() == UNITS.keys()
+    assert result["motor_angles"] == pytest.approx(trajectory.motor_angles, abs=0)
+    assert result["motor_rates"] == pytest.approx(states[:, d + model.motor_columns], abs=0)
+    assert result["joint_twists"] == pytest.approx(trajectory.motor_angles - states[:, :n], abs=1e-15)
+    assert result["joint_twist_rates"] == pytest.approx(result["motor_rates"] - states[:, d : d + n], abs=1e-15)
     speeds = np.hstack([states[:, d:], np.zeros_like(states[:, d:])])  # a reading of a linear quantity's rate
-    assert Readings(model).named(speeds)["link_deflections"] == pytest.approx(found["link_deflection_rates"], abs=0)
+    assert Readings(model).named(speeds)["link_deflections"] == pytest.approx(result["link_deflection_rates"], abs=0)
     for row, state in enumerate(states):
         for link in range(n):
             radius = np.sqrt(model.arm.links[link].second_moment_y / model.arm.links[link].area)
             about_y = fm.curvature(model, state, link, 0.0)[1]
-            assert found["root_strains"][row, 3 * link + 1] == pytest.approx(radius * about_y, abs=1e-15)
-    assert np.abs(found["root_strains"][-1]).max() > 1e-4
+            assert result["root_strains"][row, 3 * link + 1] == pytest.approx(radius * about_y, abs=1e-15)
+    assert np.abs(result["root_strains"][-1]).max() > 1e-4
 
 
 def test_columns_name_all_readings_with_units(trajectory):

@@ -27,12 +27,12 @@ def driven(flexible=True, stiffening=False):
 
 def both(monkeypatch, scene, **options):
     """The run with sequences in the lanes, and that of one after the other."""
-    found = []
+    result = []
     for least in (1, 99):
         monkeypatch.setattr(run, "LEAST_SEQUENCES", least)
         monkeypatch.setattr(run, "LEAST_RIGID", least)
-        found.append(fm.simulate(scene, **options))
-    return found
+        result.append(fm.simulate(scene, **options))
+    return result
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -17,7 +17,7 @@ COUNT = 11  # more than one group, and one that is not full
 
 def scenes(stiffening=False, held=False):
     """The paper's arm from different states, under different torques, pushes and accelerations of its base."""
-    random, found = np.random.default_rng(3), []
+    random, result = np.random.default_rng(3), []
     choice = fm.ModelChoice(True, 1, 3, stiffening=stiffening)
     for i in range(COUNT):
         amplitude = random.uniform(-100.0, 100.0, 3) * (1.0, 0.0 if held else 1.0, 1.0)
@@ -27,13 +27,13 @@ def scenes(stiffening=False, held=False):
         base = [fm.Signal(amplitude=0.1 * i, frequency_hz=2.0), fm.Signal(), fm.Signal()]
         motion = [None, fm.Signal(amplitude=1.0, frequency_hz=1.0 + i), None] if held else None
         scene = fm.Scene(fm.catalog.paper_rrr(payload=fm.Payload(2.0)), choice, torque, start, 0.2, 0.02)
-        found.append(replace(scene, prescribed=motion, tip_force=push, base_acceleration=base))
-    return found
+        result.append(replace(scene, prescribed=motion, tip_force=push, base_acceleration=base))
+    return result
 
 
-def same(found, expected):
+def same(result, expected):
     """Whether two trajectories are equal, to the bit."""
-    return all(np.array_equal(getattr(found, name), getattr(expected, name)) for name in FIELDS)
+    return all(np.array_equal(getattr(result, name), getattr(expected, name)) for name in FIELDS)
 
 
 @pytest.mark.parametrize("method", ["ros2", "extrapolated_euler_5", "implicit_midpoint_2", "generalised_alpha", "rk4"])
@@ -43,9 +43,9 @@ def test_each_scene_moves_as_by_itself(method, stiffening, held, step):
     if method == "rk4":
         step = 2e-4
     given = scenes(stiffening, held)
-    found = fm.simulate_all(given, method=method, step=step)
-    assert len(found) == COUNT and len({run.tip[-1, 0] for run in found}) == COUNT
-    for run, scene in zip(found, given, strict=True):
+    result = fm.simulate_all(given, method=method, step=step)
+    assert len(result) == COUNT and len({run.tip[-1, 0] for run in result}) == COUNT
+    for run, scene in zip(result, given, strict=True):
         assert run.status == "ok" and same(run, fm.simulate(scene, method=method, step=step))
 
 
@@ -56,13 +56,13 @@ def test_parameters_are_those_of_a_model_built_with_them(method):
     scene = replace(scene, model=replace(scene.model, modes=None))
     stiffness = np.array([[1e4, 2e4, 1e4], [2e4, 2e4, 2e4], [3e4, 1e4, 2e4]])
     step = 1e-4 if method == "rk4" else 0.01
-    found = fm.simulate_all([scene] * 3, method=method, step=step, payload_mass=masses, joint_stiffness=stiffness)
-    for run, mass, springs in zip(found, masses, stiffness, strict=True):
+    result = fm.simulate_all([scene] * 3, method=method, step=step, payload_mass=masses, joint_stiffness=stiffness)
+    for run, mass, springs in zip(result, masses, stiffness, strict=True):
         joints = [replace(joint, stiffness=spring) for joint, spring in zip(scene.arm.joints, springs, strict=True)]
         arm = replace(scene.arm, payload=fm.Payload(mass), joints=joints)
         alone = fm.simulate(replace(scene, arm=arm), method=method, step=step)
         assert np.abs(run.tip - alone.tip).max() < 1e-9
-    assert np.abs(found[0].tip - found[2].tip).max() > 1e-4
+    assert np.abs(result[0].tip - result[2].tip).max() > 1e-4
 
 
 @pytest.mark.parametrize("method", ["ros2", "implicit_midpoint_3"])
@@ -70,9 +70,9 @@ def test_a_scene_that_diverges_ends_alone(method):
     given = scenes()
     for i, rate in ((2, 9e5), (9, 3e5)):
         given[i] = replace(given[i], initial=fm.Initial((0.0,) * 3, (rate, 0.0, -rate)))
-    found = fm.simulate_all(given, method=method, step=0.01)
-    assert [run.status for run in found].count("diverged") >= 1 and found[2].status == "diverged"
-    for run, scene in zip(found, given, strict=True):
+    result = fm.simulate_all(given, method=method, step=0.01)
+    assert [run.status for run in result].count("diverged") >= 1 and result[2].status == "diverged"
+    for run, scene in zip(result, given, strict=True):
         assert same(run, fm.simulate(scene, method=method, step=0.01))
 
 

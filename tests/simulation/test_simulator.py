@@ -48,49 +48,49 @@ def rigid():
 
 @pytest.mark.parametrize("name", SCENES)
 def test_a_reference_scene_is_met(name):
-    found, expected, n = solution(name), reference(name), scene(name).arm.n_joints
-    assert found.status == "ok"
-    assert found.time == pytest.approx(expected[:, 0], abs=1e-12)
-    assert np.abs(found.tip - expected[:, 1:4]).max() < TOLERANCE
-    assert np.abs(found.joint_angles - expected[:, 4 : 4 + n]).max() < TOLERANCE
-    assert np.abs(found.motor_angles - expected[:, 4 + n : 4 + 2 * n]).max() < TOLERANCE
-    assert np.abs(found.energy - expected[:, -1]).max() < TOLERANCE * np.abs(expected[:, -1]).max()
+    result, expected, n = solution(name), reference(name), scene(name).arm.n_joints
+    assert result.status == "ok"
+    assert result.time == pytest.approx(expected[:, 0], abs=1e-12)
+    assert np.abs(result.tip - expected[:, 1:4]).max() < TOLERANCE
+    assert np.abs(result.joint_angles - expected[:, 4 : 4 + n]).max() < TOLERANCE
+    assert np.abs(result.motor_angles - expected[:, 4 + n : 4 + 2 * n]).max() < TOLERANCE
+    assert np.abs(result.energy - expected[:, -1]).max() < TOLERANCE * np.abs(expected[:, -1]).max()
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_work_is_change_of_energy_and_dissipation(name):
-    found = solution(name)
-    assert np.abs(found.energy_residual).max() < TOLERANCE * np.abs(found.energy).max()
-    assert (np.diff(found.dissipation) >= 0.0).all()
+    result = solution(name)
+    assert np.abs(result.energy_residual).max() < TOLERANCE * np.abs(result.energy).max()
+    assert (np.diff(result.dissipation) >= 0.0).all()
     if name != "gravity_payload_ff":
-        assert (found.dissipation == 0.0).all()
+        assert (result.dissipation == 0.0).all()
 
 
 def test_the_rigid_paper_arm_without_rotors_is_where_three_codes_put_it():
     """verification.md, t = 2 s, rotary inertia of the sections included."""
     arm = fm.catalog.paper_rrr(rotor_inertia=0.0, joint_stiffness=None)
-    found = fm.simulate(replace(scene("paper_rr"), arm=arm), rtol=1e-9)
-    assert found.tip[-1] == pytest.approx((1.041793, 2.982679, -0.804536), abs=2e-6)
+    result = fm.simulate(replace(scene("paper_rr"), arm=arm), rtol=1e-9)
+    assert result.tip[-1] == pytest.approx((1.041793, 2.982679, -0.804536), abs=2e-6)
 
 
 def test_angular_momentum_about_the_first_axis_is_the_integral_of_its_torque():
     """400 t: links as mass points of the oracle, and the first rotor; the other rotors take none (Eq. 23)."""
-    found, chain = solution("paper_ff"), Chain(scene("paper_ff").arm)
+    result, chain = solution("paper_ff"), Chain(scene("paper_ff").arm)
     d, rotor = chain.n_dof, chain.arm.joints[0].rotor_inertia
     momentum = []
-    for x, v in zip(found.states[:, :d], found.states[:, d:], strict=True):
+    for x, v in zip(result.states[:, :d], result.states[:, d:], strict=True):
         momentum.append(chain.angular_momentum(x, v)[2] + rotor * v[chain.motor[0]])
-    assert momentum == pytest.approx(400.0 * found.time, abs=1e-6 * 800.0)
+    assert momentum == pytest.approx(400.0 * result.time, abs=1e-6 * 800.0)
 
 
 def test_the_oracle_agrees_with_tip_and_energy_along_a_trajectory():
-    found, chain = solution("gravity_payload_ff"), Chain(scene("gravity_payload_ff").arm)
+    result, chain = solution("gravity_payload_ff"), Chain(scene("gravity_payload_ff").arm)
     d = chain.n_dof
-    for row in range(0, len(found.time), 25):
-        x, v = found.states[row, :d], found.states[row, d:]
-        assert found.tip[row] == pytest.approx(chain.tip(x), abs=1e-12)
-        assert found.tip_velocity[row] == pytest.approx(chain.tip_velocity(x, v), abs=1e-11)
-        assert found.energy[row] == pytest.approx(sum(chain.energy(x, v)), rel=1e-10)
+    for row in range(0, len(result.time), 25):
+        x, v = result.states[row, :d], result.states[row, d:]
+        assert result.tip[row] == pytest.approx(chain.tip(x), abs=1e-12)
+        assert result.tip_velocity[row] == pytest.approx(chain.tip_velocity(x, v), abs=1e-11)
+        assert result.energy[row] == pytest.approx(sum(chain.energy(x, v)), rel=1e-10)
 
 
 def test_the_w_method_is_of_second_order_on_the_paper_scene():
@@ -107,28 +107,28 @@ def test_the_w_method_is_of_second_order_on_the_paper_scene():
 @pytest.mark.parametrize("name", ["paper_ff", "gravity_payload_ff"])
 def test_the_w_method_stays_finite_at_long_steps(name, step):
     duration = 2.0 if name == "paper_ff" else 1.4
-    found = fm.simulate(short(name, duration), method="ros2", step=step)
-    assert found.status == "ok" and np.isfinite(found.states).all()
-    assert found.time[-1] == pytest.approx(duration)
-    assert found.evaluations == 2 * round(duration / step)
+    result = fm.simulate(short(name, duration), method="ros2", step=step)
+    assert result.status == "ok" and np.isfinite(result.states).all()
+    assert result.time[-1] == pytest.approx(duration)
+    assert result.evaluations == 2 * round(duration / step)
 
 
 def test_a_diverging_run_ends_at_once_and_holds_only_what_is_finite():
     """Modes up to 4.4 kHz need RK4 steps below 2.8 / (2 pi 4400 Hz) = 0.1 ms."""
-    found = fm.simulate(scene("paper_ff"), method="rk4", step=2e-3)
-    assert found.status == "diverged"
-    assert found.evaluations < 1000 < 4 * scene("paper_ff").duration / 2e-3
+    result = fm.simulate(scene("paper_ff"), method="rk4", step=2e-3)
+    assert result.status == "diverged"
+    assert result.evaluations < 1000 < 4 * scene("paper_ff").duration / 2e-3
     for name in ("tip", "tip_velocity", "joint_angles", "energy", "states", "work", "dissipation", "deflection"):
-        values = getattr(found, name)
-        assert len(values) == len(found.time) and np.isfinite(values).all()
+        values = getattr(result, name)
+        assert len(values) == len(result.time) and np.isfinite(values).all()
     assert fm.simulate(short(duration=0.02), method="rk4", step=5e-5).status == "ok"
 
 
 def test_a_failed_adaptive_run_has_a_status():
     """An acceleration that overflows is no motion of an arm, whatever the step."""
-    found = fm.simulate(short("paper_rr", torque=fm.ConstantTorque((1e300, 0.0, 0.0))))
-    assert found.status in ("diverged", "not converged")
-    assert len(found.time) == 1 and np.isfinite(found.states).all()
+    result = fm.simulate(short("paper_rr", torque=fm.ConstantTorque((1e300, 0.0, 0.0))))
+    assert result.status in ("diverged", "not converged")
+    assert len(result.time) == 1 and np.isfinite(result.states).all()
 
 
 @pytest.mark.parametrize(("method", "step"), [("ros2", 0.005), ("rk4", 5e-5), ("dop853", None)])

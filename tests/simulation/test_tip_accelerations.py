@@ -41,10 +41,10 @@ def test_the_acceleration_is_that_of_each_arm_at_its_state_under_its_last_torque
     for each in [np.zeros((arms, 9)), *drives(arms, 2) * ([1.0] * 3 + [0.0] * 6)]:
         if each.any():
             batch.step(each)
-        found = batch.tip_accelerations()[:, TIP_ACCELERATION]
+        result = batch.tip_accelerations()[:, TIP_ACCELERATION]
         for arm in range(arms):
             expected = fm.tip_acceleration(batch.model, batch.state[arm], each[arm, :3])
-            np.testing.assert_allclose(found[arm], expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
+            np.testing.assert_allclose(result[arm], expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
 
 
 def test_the_acceleration_is_the_second_difference_of_the_simulated_tip():
@@ -53,15 +53,15 @@ def test_the_acceleration_is_the_second_difference_of_the_simulated_tip():
     batch = Batch(model, "dop853", None, h, rtol=1e-13, atol=1e-15, arms=3)
     batch.vary(np.arange(3), payload_mass=np.array([0.0, 3.0, 9.0]))
     batch.reset(np.arange(3), states_of(model, 3))
-    drive, tips, found = drives(3, 1)[0], [], []
+    drive, tips, result = drives(3, 1)[0], [], []
     for _ in range(7):
         batch.step(drive)
         tips.append(batch.outputs[:, TIP].copy())
-        found.append(batch.tip_accelerations()[:, TIP_ACCELERATION].copy())
+        result.append(batch.tip_accelerations()[:, TIP_ACCELERATION].copy())
     weights = np.array([1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20, 1 / 90]) / h**2
     expected = np.tensordot(weights, tips, 1)
-    assert np.abs(found[3] - expected).max() < 1e-6 * np.abs(expected).max()
-    assert np.abs(found[2] - expected).max() > 1e-3 * np.abs(expected).max(), "each moment has its own"
+    assert np.abs(result[3] - expected).max() < 1e-6 * np.abs(expected).max()
+    assert np.abs(result[2] - expected).max() > 1e-3 * np.abs(expected).max(), "each moment has its own"
 
 
 @pytest.mark.parametrize("stiffening", [False, True])
@@ -109,14 +109,14 @@ def test_a_base_that_is_lifted_is_felt_like_weight():
     """Accelerated upward by g without gravity: the same specific force as at rest in gravity, and the same motion."""
     heavy = fm.build_model(ARM, modes=2)
     weightless = fm.build_model(replace(ARM, gravity=(0.0, 0.0, 0.0)), modes=2)
-    found, states = [], states_of(heavy, 3)
+    result, states = [], states_of(heavy, 3)
     for model, lift in ((heavy, 0.0), (weightless, G)):
         batch, drive = Batch(model, arms=3), drives(3, 1)[0]
         drive[:, -3:] = (0.0, 0.0, lift)
         batch.reset(np.arange(3), states)
         batch.step(drive)
-        found.append(batch.tip_accelerations().copy())
-    np.testing.assert_allclose(found[0], found[1], rtol=0.0, atol=1e-9 * np.abs(found[0]).max())
+        result.append(batch.tip_accelerations().copy())
+    np.testing.assert_allclose(result[0], result[1], rtol=0.0, atol=1e-9 * np.abs(result[0]).max())
 
 
 def test_a_force_on_the_tip_of_a_rigid_link_turns_it():
@@ -143,12 +143,12 @@ def test_what_is_varied_is_felt_at_once(method):
     batch.reset(np.arange(2), states)
     before = batch.tip_accelerations().copy()
     batch.vary(np.array([1]), payload_mass=np.array([6.0]))
-    found = batch.tip_accelerations()
-    assert np.array_equal(found[0], before[0])
+    result = batch.tip_accelerations()
+    assert np.array_equal(result[0], before[0])
     rest = np.zeros(3)
     expected = [fm.tip_acceleration(each, states[0], rest) for each in (model, heavier)]
-    np.testing.assert_allclose(found[:, TIP_ACCELERATION], expected, rtol=1e-9)
-    assert np.abs(found[1] - found[0]).max() > 1e-3
+    np.testing.assert_allclose(result[:, TIP_ACCELERATION], expected, rtol=1e-9)
+    assert np.abs(result[1] - result[0]).max() > 1e-3
 
 
 @pytest.mark.parametrize("method", ["implicit_midpoint_3", "dop853"])
@@ -159,10 +159,10 @@ def test_an_arm_that_failed_keeps_those_of_its_last_good_period(method):
     wild[1, 0] = 1e12 if method == "implicit_midpoint_3" else np.nan
     for _ in range(2):
         batch.step(wild)
-        found = batch.tip_accelerations()
+        result = batch.tip_accelerations()
         assert batch.status[1] != layout.OK and (batch.status[[0, 2]] == layout.OK).all()
-        assert np.isfinite(found).all() and np.array_equal(found[1], before[1])
-        assert (found[[0, 2]] != before[[0, 2]]).all()
+        assert np.isfinite(result).all() and np.array_equal(result[1], before[1])
+        assert (result[[0, 2]] != before[[0, 2]]).all()
 
 
 def test_an_arm_that_rests_keeps_its_drive_and_one_that_is_reset_has_none():
@@ -172,9 +172,9 @@ def test_an_arm_that_rests_keeps_its_drive_and_one_that_is_reset_has_none():
     assert np.array_equal(batch.tip_accelerations()[1], before[1])
     state = states_of(batch.model, 1)
     batch.reset(np.array([2]), state)
-    found = batch.tip_accelerations()
-    assert found[2, TIP_ACCELERATION] == pytest.approx(fm.tip_acceleration(batch.model, state[0], np.zeros(3)))
-    assert np.array_equal(found[1], before[1])
+    result = batch.tip_accelerations()
+    assert result[2, TIP_ACCELERATION] == pytest.approx(fm.tip_acceleration(batch.model, state[0], np.zeros(3)))
+    assert np.array_equal(result[1], before[1])
 
 
 def test_they_are_calculated_once_in_a_period_and_only_when_asked_for(monkeypatch):

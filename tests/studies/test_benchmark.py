@@ -36,8 +36,8 @@ def test_every_row_has_its_cost_and_a_finite_ratio(quick):
 
 
 def test_arms_and_threads_are_those_of_the_grid(quick):
-    found = [(row.arms, row.threads) for row in quick[0] if row.name == environments.VECTOR]
-    assert found == [(arms, 1) for arms in environments.QUICK.arms] + [
+    result = [(row.arms, row.threads) for row in quick[0] if row.name == environments.VECTOR]
+    assert result == [(arms, 1) for arms in environments.QUICK.arms] + [
         (arms, 2) for arms in environments.QUICK.arms if arms > 1
     ]
     assert (environments.PPO in {row.name for row in quick[0]}) == bool(find_spec("stable_baselines3"))
@@ -65,8 +65,8 @@ def test_peers_that_are_missing_are_named_and_left_out(monkeypatch, capsys):
     assert {row.peer for row in rows} == {""} and {row.times_peer for row in rows} == {None}
     timers = evaluations.timers()
     assert evaluations.ABA not in timers and evaluations.PLAIN in timers
-    found = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
-    assert found == ["Stable-Baselines3", "MuJoCo", "Pinocchio"]
+    result = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert result == ["Stable-Baselines3", "MuJoCo", "Pinocchio"]
     assert page_of.conclusions(rows)
 
 

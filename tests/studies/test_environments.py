@@ -35,11 +35,11 @@ def hold():
 
 @pytest.mark.parametrize("name", NAMED)
 def test_a_page_is_made_of_what_there_is_now(name, hold):
-    found = (PAGES / f"{name}.md").read_text(encoding="utf-8")
-    assert without_figures(found) == without_figures(page(name, hold)), (
+    result = (PAGES / f"{name}.md").read_text(encoding="utf-8")
+    assert without_figures(result) == without_figures(page(name, hold)), (
         "python scripts/environments.py --folder docs/environments"
     )
-    assert (PAGES / f"{name}.png").stat().st_size > 10_000 and f"{name}.png" in found
+    assert (PAGES / f"{name}.png").stat().st_size > 10_000 and f"{name}.png" in result
 
 
 def test_runs_are_what_the_table_says(hold, tmp_path):

@@ -31,9 +31,9 @@ def test_the_published_rows_have_the_columns_of_the_study(published):
 
 
 def test_rows_survive_their_file(tmp_path):
-    found = [ROW, replace(ROW, grid=math.inf, dearer=0.0)]
-    write_rows(found, tmp_path / "rows.csv", 9)
-    assert read_rows(tmp_path / "rows.csv", Row) == found
+    result = [ROW, replace(ROW, grid=math.inf, dearer=0.0)]
+    write_rows(result, tmp_path / "rows.csv", 9)
+    assert read_rows(tmp_path / "rows.csv", Row) == result
 
 
 def test_every_column_of_the_table_is_explained_above_it(published):

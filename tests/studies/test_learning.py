@@ -32,14 +32,14 @@ def test_every_recipe_is_judged():
 
 def differences(first, second):
     """Names of settings, and of entries of their mappings, that differ."""
-    found = set()
+    result = set()
     for name, value in first.plain().items():
         other = second.plain()[name]
         if isinstance(value, dict):
-            found |= {key for key in value.keys() | other.keys() if value.get(key) != other.get(key)}
+            result |= {key for key in value.keys() | other.keys() if value.get(key) != other.get(key)}
         elif value != other:
-            found.add(name)
-    return found
+            result.add(name)
+    return result
 
 
 @pytest.mark.parametrize(
@@ -60,23 +60,23 @@ def test_every_ablation_is_among_the_cases():
 
 
 def test_a_finer_model_and_longer_episodes_are_what_they_say():
-    found = places(Description("FlexPlanar-v0"))
-    finer = found[FINER].setup()
+    result = places(Description("FlexPlanar-v0"))
+    finer = result[FINER].setup()
     assert (finer.elements, finer.modes, finer.stiffening, finer.step) == (3, None, True, 2.5e-3 / 4)
-    assert found[AS_TRAINED].setup().stiffening is False and found[LONGER].setup().horizon == 30.0
+    assert result[AS_TRAINED].setup().stiffening is False and result[LONGER].setup().horizon == 30.0
 
 
 def test_a_run_is_trained_once_and_judged_in_three_places(tmp_path, monkeypatch):
     monkeypatch.setattr(measure, "TEST", range(9000, 9002))
     case = Case("recipe", "short", SHORT, 2)
-    found = list(runs(case, tmp_path))
-    assert [(row.seed, row.where) for row in found] == [
+    result = list(runs(case, tmp_path))
+    assert [(row.seed, row.where) for row in result] == [
         (seed, where) for seed in (0, 1) for where in (AS_TRAINED, FINER, LONGER)
     ]
-    assert all(row.steps == 16 and row.cpu > 0.0 and 0.0 < row.share < 1.0 for row in found)
-    assert found[0].rate == pytest.approx(16 / found[0].cpu)
+    assert all(row.steps == 16 and row.cpu > 0.0 and 0.0 < row.share < 1.0 for row in result)
+    assert result[0].rate == pytest.approx(16 / result[0].cpu)
     monkeypatch.setattr(measure, "train", None)
-    assert list(runs(case, tmp_path)) == found
+    assert list(runs(case, tmp_path)) == result
     assert [row.where for row in runs(replace(case, kind="ablation", seeds=0), tmp_path)] == []
     assert trained(SHORT, tmp_path / "recipe" / "short" / "seed-0")["steps"] == 16
 
@@ -103,10 +103,10 @@ def test_the_published_page_is_that_of_the_published_rows():
     for kind, counts in (("recipe", SEEDS), ("ablation", dict.fromkeys(ABLATIONS, 3))):
         assert {row.name for row in rows if row.kind == kind} == counts.keys()
         for name, count in counts.items():
-            found = [row for row in rows if (row.kind, row.name, row.where) == (kind, name, AS_TRAINED)]
-            assert sorted(row.seed for row in found) == list(range(count))
+            result = [row for row in rows if (row.kind, row.name, row.where) == (kind, name, AS_TRAINED)]
+            assert sorted(row.seed for row in result) == list(range(count))
             steps = next(case for case in cases() if (case.kind, case.name) == (kind, name)).settings.steps
-            assert all(row.steps == steps for row in found), "the rows are of another recipe"
+            assert all(row.steps == steps for row in result), "the rows are of another recipe"
     assert (ROOT / "docs" / "learning.md").read_text(encoding="utf-8") == page(rows, read_comment(file))
     names = {row.name for row in rows if row.kind == "controller"}
     assert names == {f"{name}, {id}" for id, names in CONTROLLERS.items() for name in names}

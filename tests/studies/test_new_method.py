@@ -58,30 +58,30 @@ def doubled(model):
 
 def texts_of(figure):
     """Titles, legends and ticks of a figure."""
-    found = [label for axes in figure.get_axes() for label in axes.get_legend_handles_labels()[1]]
+    result = [label for axes in figure.get_axes() for label in axes.get_legend_handles_labels()[1]]
     for axes in figure.get_axes():
-        found += [axes.get_title(), *(tick.get_text() for tick in axes.get_yticklabels())]
-    return " ".join(found)
+        result += [axes.get_title(), *(tick.get_text() for tick in axes.get_yticklabels())]
+    return " ".join(result)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_new_method_takes_as_many_steps_and_tolerances_as_its_kind(kind, monkeypatch):
     add(monkeypatch, kind)
-    found = runs(monkeypatch)
-    new, old = ([row.step or row.rtol for row in found if row.method == name] for name in (NEW, kind))
+    result = runs(monkeypatch)
+    new, old = ([row.step or row.rtol for row in result if row.method == name] for name in (NEW, kind))
     assert len(new) > 5 and set(new) <= set(old)
 
 
 def test_a_new_method_is_in_the_tables_and_charts_of_precision(monkeypatch, tmp_path):
     pytest.importorskip("matplotlib")
     add(monkeypatch, "extrapolated_euler_4")
-    found = runs(monkeypatch)
-    assert len(lines_of("\n".join(cost_table(found, MODEL)), NEW)) == 1
+    result = runs(monkeypatch)
+    assert len(lines_of("\n".join(cost_table(result, MODEL)), NEW)) == 1
     floors = [Floor("a scene", "a title", model, 1e-9, "a source") for model in ("", MODEL)]
-    assert f"{NEW} 1 times" in page(found, floors)
+    assert f"{NEW} 1 times" in page(result, floors)
     figures = []
     monkeypatch.setattr(precision_charts, "finish", lambda figure, panels, path: figures.append(figure))
-    precision_charts.time_error_chart(found, {MODEL: 1e-9}, "a title", tmp_path / "a.png")
+    precision_charts.time_error_chart(result, {MODEL: 1e-9}, "a title", tmp_path / "a.png")
     assert NEW in texts_of(figures[0]) and f"{NEW}, adaptive" in texts_of(figures[0])
 
 

@@ -77,10 +77,10 @@ def test_lowest_frequencies_of_mujoco_are_those_of_our_model(mujoco, mujoco_peer
     for column, out in zip(columns, mass, strict=True):
         mujoco.mj_mulM(model, data, out, column)
     stiffness = np.diag(np.reshape(model.jnt_stiffness, (model.njnt, -1))[:, 0])
-    found = np.sqrt(np.abs(eigh(stiffness, mass, eigvals_only=True))) / (2 * np.pi)
+    result = np.sqrt(np.abs(eigh(stiffness, mass, eigvals_only=True))) / (2 * np.pi)
     expected = fm.frequencies(fm.build_model(ARM, elements=3))
-    assert np.all(found[:3] < 1e-3) and np.all(expected[:3] < 1e-3)
-    assert np.allclose(found[3:12], expected[3:12], rtol=0.01)
+    assert np.all(result[:3] < 1e-3) and np.all(expected[:3] < 1e-3)
+    assert np.allclose(result[3:12], expected[3:12], rtol=0.01)
 
 
 def test_a_step_of_mujoco_that_is_too_long_is_seen(mujoco_peer):
@@ -91,39 +91,39 @@ def test_a_step_of_mujoco_that_is_too_long_is_seen(mujoco_peer):
 
 def test_a_short_run_of_mujoco_is_near_ours(mujoco_peer):
     scene = short(ARM)
-    found = mujoco_peer.run(scene, 4, "RK4", 1e-4)
-    assert found.finite and found.cpu > 0.0
-    assert found.distance(ours(scene, step=1e-3)) < 2e-3
+    result = mujoco_peer.run(scene, 4, "RK4", 1e-4)
+    assert result.finite and result.cpu > 0.0
+    assert result.distance(ours(scene, step=1e-3)) < 2e-3
 
 
 def test_rigid_links_of_mujoco_move_as_ours(mujoco_peer):
-    found = mujoco_peer.run(SCENE, 0, "RK4", 1e-3)
+    result = mujoco_peer.run(SCENE, 0, "RK4", 1e-3)
     expected = fm.simulate(SCENE, fm.build_model(ARM, flexible_links=False), "rk4", step=1e-3)
-    assert found.distance(expected.tip) < 1e-9
+    assert result.distance(expected.tip) < 1e-9
 
 
 @pytest.mark.parametrize("room", ["mujoco_peer", "pinocchio_peer"])
 def test_rigid_arms_move_as_ours(room, request):
     peer = request.getfixturevalue(room)
     rigid = with_rigid_joints(SCENE)
-    found = peer.run(rigid, 0, "RK4", 1e-3) if room == "mujoco_peer" else peer.run(rigid, 1e-3)
+    result = peer.run(rigid, 0, "RK4", 1e-3) if room == "mujoco_peer" else peer.run(rigid, 1e-3)
     model = fm.build_model(ARM, flexible_links=False, flexible_joints=False)
-    assert found.distance(fm.simulate(SCENE, model, "rk4", step=1e-3).tip) < 1e-9
+    assert result.distance(fm.simulate(SCENE, model, "rk4", step=1e-3).tip) < 1e-9
 
 
 def test_exudyn_moves_in_a_plane_as_we_do(exudyn_peer):
     arm = fm.Arm(ARM.links[1:], ARM.joints[1:])
     scene = short(arm, 0.5)
-    found = [exudyn_peer.run(scene, step, tolerance=1e-7).distance(ours(scene)) for step in (1e-3, 2.5e-4)]
-    assert found[0] < 5e-4 and found[1] < 3e-5
+    result = [exudyn_peer.run(scene, step, tolerance=1e-7).distance(ours(scene)) for step in (1e-3, 2.5e-4)]
+    assert result[0] < 5e-4 and result[1] < 3e-5
 
 
 def test_exudyn_moves_in_space_nearly_as_we_do(exudyn_peer):
-    found = exudyn_peer.run(SCENE, 1e-3, tolerance=1e-6)
+    result = exudyn_peer.run(SCENE, 1e-3, tolerance=1e-6)
     tip = ours(SCENE, step=2.5e-4)
-    assert found.distance(tip) < 5e-3
-    assert np.linalg.norm(found.tip - tip, axis=1)[:51].max() < 5e-4
-    assert np.allclose(found.tip[0], (7.5, 0.0, 1.0), rtol=0.0, atol=1e-9) and found.cpu > 0.0
+    assert result.distance(tip) < 5e-3
+    assert np.linalg.norm(result.tip - tip, axis=1)[:51].max() < 5e-4
+    assert np.allclose(result.tip[0], (7.5, 0.0, 1.0), rtol=0.0, atol=1e-9) and result.cpu > 0.0
 
 
 def test_quick_settings_of_exudyn_cost_no_accuracy(exudyn_peer):

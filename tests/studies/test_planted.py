@@ -38,8 +38,8 @@ def test_every_error_of_the_table_has_its_place_and_its_tests():
 def test_an_error_is_caught_or_survives_or_is_equivalent(checkout, tmp_path):
     copy = Copy(checkout, tmp_path / "copy")
     assert copy.failing(["test_double.py"]) == ""
-    found = copy.plant(DOUBLE)
-    assert found.outcome == CAUGHT and found.by == "test_double.py::test_one"
+    result = copy.plant(DOUBLE)
+    assert result.outcome == CAUGHT and result.by == "test_double.py::test_one"
     unseen = replace(DOUBLE, old="0 * abs(x)", new="0.5 * (abs(x) - 1)")
     assert copy.plant(unseen).outcome == SURVIVED
     same = copy.plant(replace(DOUBLE, old="0 * abs(x)", new="0", equivalent="zero times anything"))

@@ -31,10 +31,10 @@ NUMBERS = st.floats(min_value=1e-6, max_value=1e6) | st.just(math.inf)
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """The quick study, computed and published."""
-    found = tmp_path_factory.mktemp("study")
-    files.compute(ROOT / "tests" / "reference", found, quick=True)
-    files.publish(found)
-    return found
+    result = tmp_path_factory.mktemp("study")
+    files.compute(ROOT / "tests" / "reference", result, quick=True)
+    files.publish(result)
+    return result
 
 
 @pytest.fixture(scope="module")
@@ -142,20 +142,20 @@ def test_a_finer_step_that_does_harm_is_found():
 def test_a_failed_run_is_infinitely_far_and_other_times_are_refused():
     scene = replace(catalog.paper_scene("rr"), duration=0.2)
     model = build_model(scene.arm, **choices(scene)["rigid"])
-    found = simulate(scene, model, "rk4", step=0.02)
+    result = simulate(scene, model, "rk4", step=0.02)
     fine = simulate(scene, model, "rk4", step=0.01)
     truth = Truth(fine.tip, 1e-12, "")
-    assert truth.distance(fine) == 0.0 < truth.distance(found) < 1e-6
-    assert truth.distance(replace(found, status="diverged")) == math.inf
+    assert truth.distance(fine) == 0.0 < truth.distance(result) < 1e-6
+    assert truth.distance(replace(result, status="diverged")) == math.inf
     with pytest.raises(ValueError, match="truth: 21 times"):
-        truth.distance(replace(found, tip=np.zeros((8, 3))))
+        truth.distance(replace(result, tip=np.zeros((8, 3))))
 
 
 @pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")
 def test_scenes_and_models_of_the_study():
-    found = cases(ROOT / "tests" / "reference")
-    assert len(found) == len({case.name for case in found}) >= 4
-    for case in found:
+    result = cases(ROOT / "tests" / "reference")
+    assert len(result) == len({case.name for case in result}) >= 4
+    for case in result:
         named = choices(case.scene)
         assert set(case.timed) <= set(named)
         assert (RIGID_LINKS in named) == case.scene.model.flexible_joints

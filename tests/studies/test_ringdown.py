@@ -28,8 +28,8 @@ def test_arms_start_with_the_energy_that_their_kind_names(kind):
     each, again = cases(kind, 3), cases(kind, 3)
     assert len(each.drives) * PERIOD == pytest.approx(DURATION[kind], rel=1e-12)
     np.testing.assert_array_equal(each.states, again.states)
-    found = outcome(default_model(kind == UNDAMPED), each, *DEFAULT)
-    assert (found.status == layout.OK).all() and (found.first > 1e-3).all()
+    result = outcome(default_model(kind == UNDAMPED), each, *DEFAULT)
+    assert (result.status == layout.OK).all() and (result.first > 1e-3).all()
     n = default_model().n_joints
     torques, forces = each.drives[:, :, :n], each.drives[:, :, n:]
     assert torques.any() == (kind == SLEW) and forces.any() == (kind == IMPULSE)

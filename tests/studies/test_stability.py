@@ -264,8 +264,8 @@ def test_rows_survive_their_file(tmp_path):
         Row("a", 2.0, "rk4", 0.5, "b, m", 1.0, 2.0, "diverged"),
     ]
     write_rows(rows, tmp_path / "rows.csv", comment=machine_text())
-    comment, found = read_comment(tmp_path / "rows.csv"), read_rows(tmp_path / "rows.csv", Row)
-    assert found == rows and "numba" in comment
+    comment, result = read_comment(tmp_path / "rows.csv"), read_rows(tmp_path / "rows.csv", Row)
+    assert result == rows and "numba" in comment
 
 
 def test_maps_show_failures_and_survivors():

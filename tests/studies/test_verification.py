@@ -126,8 +126,8 @@ def test_the_page_in_docs_is_whole_and_has_no_failure(rows):
 )
 def test_a_beam_on_a_spring_and_a_rotor(tip, clamped, expected):
     rotor = None if clamped else 1.0 / (4.0 * 0.7**3)
-    found = joint_eigenvalues(len(expected), 100.0 * 0.7 / 0.6, rotor, tip / (4.0 * 0.7))
-    assert found * np.sqrt(0.6 / (4.0 * 0.7**4)) / (2.0 * np.pi) == pytest.approx(expected, rel=2e-6)
+    result = joint_eigenvalues(len(expected), 100.0 * 0.7 / 0.6, rotor, tip / (4.0 * 0.7))
+    assert result * np.sqrt(0.6 / (4.0 * 0.7**4)) / (2.0 * np.pi) == pytest.approx(expected, rel=2e-6)
 
 
 def test_limits_of_the_closed_forms():

@@ -58,8 +58,8 @@ class Effects:
 
     def _with(self, hook: str) -> list[Any]:
         """The methods of that name of the effects that have one, with the effect's name for `begin`."""
-        found = [(name, getattr(signal, hook)) for name, signal in self._signals.items() if hasattr(signal, hook)]
-        return found if hook == "begin" else [method for _, method in found]
+        result = [(name, getattr(signal, hook)) for name, signal in self._signals.items() if hasattr(signal, hook)]
+        return result if hook == "begin" else [method for _, method in result]
 
     def draw(
         self, arms: IntArray, randoms: Sequence[np.random.Generator], given: Mapping[str, Array]

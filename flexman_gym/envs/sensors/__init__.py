@@ -48,8 +48,8 @@ def _found(part: object) -> tuple[object, ...]:
             raise refusal("sensors", dict(part), "a mapping with the name of a sensor at kind, and its flaws")
         flaws = mapping("sensors", {name: value for name, value in part.items() if name != "kind"}, FLAWS)
         kind = text("sensors.kind", part["kind"])
-        found = [_flawed(sensor, flaws, kind in SETS) for sensor in _named(kind)]
-        return tuple(found)
+        result = [_flawed(sensor, flaws, kind in SETS) for sensor in _named(kind)]
+        return tuple(result)
     return _named(part) if isinstance(part, str) else (part,)
 
 

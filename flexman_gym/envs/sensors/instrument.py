@@ -141,10 +141,10 @@ class Instrument:
             return held
         if first.any():
             late[:, at] = np.where(first[:, None], held, late[:, at])
-        found = late[0, at].copy()
+        result = late[0, at].copy()
         late[:-1, at] = late[1:, at]
         late[-1, at] = held
-        return found
+        return result
 
     def read(self, view: View, out: Array) -> None:
         """Writes what the sensor reads of what was measured."""
@@ -159,5 +159,5 @@ def _uniform(normal: Array) -> Array:
     """Numbers evenly spread from 0 to 1 of normal ones, by their distribution."""
     from scipy.special import ndtr
 
-    found: Array = ndtr(normal)
-    return found
+    result: Array = ndtr(normal)
+    return result

@@ -30,32 +30,32 @@ def on_series(series: Array, phases: Array) -> Array:
 
     A series is a mean, then a factor of the cosine and one of the sine of each harmonic.
     """
-    found = np.zeros((*phases.shape, series.shape[1]))
-    kernels.on_series(series, phases, found)
-    return found
+    result = np.zeros((*phases.shape, series.shape[1]))
+    kernels.on_series(series, phases, result)
+    return result
 
 
 def circle(random: np.random.Generator, size: float) -> Array:
     """Gives the series (3, 2 h + 1) of a circle of a radius (m) in the plane of the first two axes."""
-    found = np.zeros((3, 2 * HARMONICS + 1))
-    found[0, 1] = found[1, 2] = size
-    return found
+    result = np.zeros((3, 2 * HARMONICS + 1))
+    result[0, 1] = result[1, 2] = size
+    return result
 
 
 def lemniscate(random: np.random.Generator, size: float) -> Array:
     """Gives the series of a lemniscate of Gerono, a figure of eight as long as 2 sizes (m)."""
-    found = np.zeros((3, 2 * HARMONICS + 1))
-    found[0, 1], found[1, 4] = size, 0.5 * size
-    return found
+    result = np.zeros((3, 2 * HARMONICS + 1))
+    result[0, 1], result[1, 4] = size, 0.5 * size
+    return result
 
 
 def smooth(random: np.random.Generator, size: float) -> Array:
     """Gives a random series whose harmonic k weighs 1 / k^2; it goes as far as a size (m) from its mean."""
-    found = np.zeros((3, 2 * HARMONICS + 1))
+    result = np.zeros((3, 2 * HARMONICS + 1))
     weights = np.repeat(np.arange(1, HARMONICS + 1), 2) ** 2
-    found[:, 1:] = random.standard_normal((3, 2 * HARMONICS)) / weights
-    places = on_series(found[None], ROUND)[0]
-    return found * size / np.sqrt(np.vecdot(places, places).max())
+    result[:, 1:] = random.standard_normal((3, 2 * HARMONICS)) / weights
+    places = on_series(result[None], ROUND)[0]
+    return result * size / np.sqrt(np.vecdot(places, places).max())
 
 
 SHAPES: dict[str, Callable[[np.random.Generator, float], Array]] = {
@@ -104,8 +104,8 @@ def place_path(shape: str, size: float, reach: float, random: np.random.Generato
 def _frame(random: np.random.Generator, ways: Array, count: int) -> Array:
     """Axes (3, 3), as rows, of a random frame in the first `count` of ways (3, n), 2 or 3; zero where there is none."""
     if count == 3:
-        found: Array = np.linalg.qr(random.standard_normal((3, 3)))[0]
-        return found
+        result: Array = np.linalg.qr(random.standard_normal((3, 3)))[0]
+        return result
     angle = random.uniform(0.0, 2.0 * np.pi)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     return np.vstack([turn @ ways[:, :2].T, np.zeros(3)])
@@ -122,7 +122,7 @@ def _slopes(view: View, postures: Array) -> tuple[Array, Array]:
 def _series(values: Array, harmonics: int) -> Array:
     """The Fourier series (n, 2 harmonics + 1) of values (r, n) at equal intervals of a period."""
     parts = np.fft.rfft(values, axis=0)[: harmonics + 1].T / len(values)
-    found = np.zeros((values.shape[1], 2 * harmonics + 1))
-    found[:, 0] = parts[:, 0].real
-    found[:, 1::2], found[:, 2::2] = 2.0 * parts[:, 1:].real, -2.0 * parts[:, 1:].imag
-    return found
+    result = np.zeros((values.shape[1], 2 * harmonics + 1))
+    result[:, 0] = parts[:, 0].real
+    result[:, 1::2], result[:, 2::2] = 2.0 * parts[:, 1:].real, -2.0 * parts[:, 1:].imag
+    return result

@@ -24,11 +24,11 @@ def alike(name: str, steps: int, arms: int, mode: AutoresetMode, **settings: Any
     for step in range(-(-steps // arms)):
         if step % HELD == 0:
             action = ours.action_space.sample()
-        found, expected = ours.step(action), single.step(action)
-        for part, one, other in zip(PARTS, found, expected, strict=False):
+        result, expected = ours.step(action), single.step(action)
+        for part, one, other in zip(PARTS, result, expected, strict=False):
             assert np.array_equal(one, other), f"{part} after {step} steps"
-        failures += int(found[2].sum())
-        over = found[2] | found[3]
+        failures += int(result[2].sum())
+        over = result[2] | result[3]
         if mode == AutoresetMode.DISABLED and over.any():
             observations = [env.reset(options={"reset_mask": over.copy()})[0][over] for env in (ours, single)]
             assert np.array_equal(*observations), f"reset after {step} steps"

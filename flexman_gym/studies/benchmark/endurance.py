@@ -66,19 +66,19 @@ class Count:
 
 def resident() -> float:
     """Memory of this process that is in use, MB."""
-    found = re.search(r"VmRSS:\s*(\d+) kB", Path("/proc/self/status").read_text())
-    if found is None:
+    result = re.search(r"VmRSS:\s*(\d+) kB", Path("/proc/self/status").read_text())
+    if result is None:
         raise OSError("the memory of this process cannot be read here")
-    return int(found[1]) / 1024
+    return int(result[1]) / 1024
 
 
 def actions(arms: int, joints: int, random: np.random.Generator) -> np.ndarray:
     """BLOCK actions (BLOCK, arms, joints) float32: an arm keeps each for one of HOLDS periods."""
-    found = random.uniform(-1.0, 1.0, (BLOCK, arms, joints)).astype(np.float32)
+    result = random.uniform(-1.0, 1.0, (BLOCK, arms, joints)).astype(np.float32)
     for arm in range(arms):
         hold = HOLDS[arm % len(HOLDS)]
-        found[:, arm] = np.repeat(found[: -(-BLOCK // hold), arm], hold, axis=0)[:BLOCK]
-    return found
+        result[:, arm] = np.repeat(result[: -(-BLOCK // hold), arm], hold, axis=0)[:BLOCK]
+    return result
 
 
 def all_conditions(name: str) -> dict[str, Any]:

@@ -96,13 +96,13 @@ def alone(steps: int) -> Timer:
 
 def entries(grid: Grid) -> list[Entry]:
     """All that is timed but for what needs a package that is missing."""
-    found = [Entry(name, 1, 1, single(name, grid.singles)) for name in (OURS, PENDULUM)]
+    result = [Entry(name, 1, 1, single(name, grid.singles)) for name in (OURS, PENDULUM)]
     for threads in (1, 2):  # an arm alone has no work for a second thread
-        found += [Entry(VECTOR, n, threads, vector(n, threads, grid.steps)) for n in grid.arms if n >= threads]
+        result += [Entry(VECTOR, n, threads, vector(n, threads, grid.steps)) for n in grid.arms if n >= threads]
     setup, (arms, periods) = Setup(), grid.physics
-    found.append(Entry(ALONE, 1, 1, alone(grid.singles)))
-    found.append(Entry(f"{OURS}, {PHYSICS}", arms, 1, physics(setup, arms, 20 * periods)))
-    return [*found, *_training(grid), *_of_mujoco(grid, setup)]
+    result.append(Entry(ALONE, 1, 1, alone(grid.singles)))
+    result.append(Entry(f"{OURS}, {PHYSICS}", arms, 1, physics(setup, arms, 20 * periods)))
+    return [*result, *_training(grid), *_of_mujoco(grid, setup)]
 
 
 def _training(grid: Grid) -> list[Entry]:
@@ -116,17 +116,17 @@ def _training(grid: Grid) -> list[Entry]:
 
 def _of_mujoco(grid: Grid, setup: Setup) -> list[Entry]:
     """Reacher-v5, and the rollout of rigid pieces; the former also needs imageio."""
-    (arms, periods), found = grid.physics, []
+    (arms, periods), result = grid.physics, []
     try:
         from flexman_gym.studies.benchmark.mujoco import control_periods, longest_step
 
-        found.append(Entry(REACHER, 1, 1, single(REACHER, grid.singles)))
+        result.append(Entry(REACHER, 1, 1, single(REACHER, grid.singles)))
     except (ImportError, gym.error.DependencyNotInstalled) as error:
         print(f"MuJoCo or a part of it is missing, so its rows are left out: pip install 'gymnasium[mujoco]' ({error})")
         return []
     parts = grid.parts or longest_step(setup)
     name = f"{ROLLOUT.format(parts)}, {PHYSICS}"
-    return [*found, Entry(name, arms, 1, control_periods(setup, arms, periods, parts))]
+    return [*result, Entry(name, arms, 1, control_periods(setup, arms, periods, parts))]
 
 
 def rows(grid: Grid) -> list[Row]:

@@ -62,27 +62,27 @@ def pinocchio_aba(arm: fm.Arm, rigid: fm.Model, count: int = 500) -> Timer:
 
 def timers() -> dict[str, Timer]:
     """Everything that is timed; building it warms it up."""
-    arm, found = fm.catalog.paper_rrr(link1_area="corrected"), {}
+    arm, result = fm.catalog.paper_rrr(link1_area="corrected"), {}
     rigid, modal = fm.build_model(arm, flexible_links=False, flexible_joints=False), fm.build_model(arm, modes=5)
     try:
-        found[ABA] = pinocchio_aba(arm, rigid)
+        result[ABA] = pinocchio_aba(arm, rigid)
     except ImportError:
         print("Pinocchio is missing, so evaluations have no peer: pip install pin")
     models = {"rigid links": rigid, "5 modes a link": modal, "12 coordinates a link": fm.build_model(arm)}
-    found |= {f"evaluation, {name}": evaluation(model) for name, model in models.items()}
-    found |= switches(arm)
+    result |= {f"evaluation, {name}": evaluation(model) for name, model in models.items()}
+    result |= switches(arm)
     state, torque = modal.initial_state((0.1, 0.2, 0.3)), np.ones(3)
-    found["fm.acceleration, 5 modes, from Python"] = timer(lambda: fm.acceleration(modal, state, torque), 1, BATCHES)
-    return found
+    result["fm.acceleration, 5 modes, from Python"] = timer(lambda: fm.acceleration(modal, state, torque), 1, BATCHES)
+    return result
 
 
 def rows(rounds: int) -> list[Row]:
     """A row of each."""
-    costs, found = in_turns(timers(), rounds), []
+    costs, result = in_turns(timers(), rounds), []
     for name, cost in costs.items():
         cpu, wall, _ = np.median(cost, axis=0)
         peer = PLAIN if name.startswith(" ") else ABA
         times = float(np.median(cost[:, 0] / costs[peer][:, 0])) if peer in costs else None
         compared = (peer if times else "", times, TARGETS.get(name))
-        found.append(Row(EVALUATIONS, name.strip(), None, None, float(cpu), float(wall), *compared))
-    return found
+        result.append(Row(EVALUATIONS, name.strip(), None, None, float(cpu), float(wall), *compared))
+    return result

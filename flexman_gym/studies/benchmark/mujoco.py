@@ -27,12 +27,12 @@ class Arms:
 
     def run(self, actions: Array) -> Array:
         """States (periods, b, size) after each control period from rest, under actions (periods, b, n)."""
-        states, found = self._start, []
+        states, result = self._start, []
         for action in actions:
             control = np.repeat(self._torque_limit * action[:, None], self._parts, axis=1)
             states = rollout.rollout(self.model, self._data, states, control)[0][:, -1]
-            found.append(states)
-        return np.array(found)
+            result.append(states)
+        return np.array(result)
 
     def diverged(self, states: Array) -> bool:
         """Whether one of the arms was set back: a rollout then goes on from time 0, the first entry of a state."""
@@ -41,12 +41,12 @@ class Arms:
 
     def tips(self, states: Array) -> Array:
         """The tip (m) in each of the states."""
-        found = []
+        result = []
         for state in states:
             mujoco.mj_setState(self.model, self._data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
             mujoco.mj_kinematics(self.model, self._data)
-            found.append(self._data.site_xpos[0].copy())
-        return np.array(found)
+            result.append(self._data.site_xpos[0].copy())
+        return np.array(result)
 
 
 def longest_step(setup: Setup) -> int:

@@ -167,13 +167,13 @@ def _of_starts(rows: Sequence[Row]) -> list[str]:
 
 
 def _of_goals(rows: Sequence[Row]) -> list[str]:
-    found = []
+    result = []
     for row in rows:
         if row.times_peer and row.at_most:
             verdict = "within" if row.times_peer <= row.at_most else "more than"
             numbers = {"times": number(row.times_peer), "most": number(row.at_most)}
-            found.append(LIMIT.format(name=row.name, peer=row.peer, verdict=verdict, **numbers))
-    return found
+            result.append(LIMIT.format(name=row.name, peer=row.peer, verdict=verdict, **numbers))
+    return result
 
 
 def publish(rows: Sequence[Row], known: str, folder: Path) -> str:

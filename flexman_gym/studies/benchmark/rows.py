@@ -74,4 +74,4 @@ def in_turns(timers: Mapping[str, Timer], rounds: int) -> dict[str, Array]:
     for _ in range(rounds):
         for name, measure in timers.items():
             costs[name].append(measure())
-    return {name: np.array(found) for name, found in costs.items()}
+    return {name: np.array(result) for name, result in costs.items()}

@@ -37,8 +37,8 @@ def start(cache: str | None = None) -> dict[str, list[float]]:
     if cache is not None:
         environment["NUMBA_CACHE_DIR"] = cache
     done = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, env=environment, check=True)
-    found: dict[str, list[float]] = json.loads(done.stdout)
-    return found
+    result: dict[str, list[float]] = json.loads(done.stdout)
+    return result
 
 
 def _paths() -> list[str]:
@@ -47,14 +47,14 @@ def _paths() -> list[str]:
 
 def rows(rounds: int, cold: bool) -> list[Row]:
     """Rows of warm starts, medians over the rounds, and of a cold one, which takes more than a minute."""
-    found: list[Row] = []
+    result: list[Row] = []
     if cold:
         with TemporaryDirectory() as cache:
             for name, (cpu, wall) in start(cache).items():
-                found.append(Row(STARTS, f"{name}, {COLD}", None, None, cpu, wall))
+                result.append(Row(STARTS, f"{name}, {COLD}", None, None, cpu, wall))
     start()  # compiles what is not on disk
     starts = [start() for _ in range(rounds)]
     for name in starts[0]:
         cpu, wall = np.median([each[name] for each in starts], axis=0)
-        found.append(Row(STARTS, f"{name}, {WARM}", None, None, float(cpu), float(wall)))
-    return found
+        result.append(Row(STARTS, f"{name}, {WARM}", None, None, float(cpu), float(wall)))
+    return result

@@ -47,12 +47,12 @@ def run(name: str, base: str | None) -> Run:
         states.append(episodes.view.state[0].copy())
         targets.append(episodes.view.target[0].copy())
 
-    found = rollout(base or "zero", name, SEEDS, watch)
-    end = found.lengths[0] + (found.failures[0] == "")  # of one that failed the last state is beyond the limits
-    failed = np.array([failure != "" for failure in found.failures])
-    errors = found.errors.T.copy()
-    errors[found.lengths[failed], np.flatnonzero(failed)] = np.nan
-    actions = found.actions[0, : end - 1]
+    result = rollout(base or "zero", name, SEEDS, watch)
+    end = result.lengths[0] + (result.failures[0] == "")  # of one that failed the last state is beyond the limits
+    failed = np.array([failure != "" for failure in result.failures])
+    errors = result.errors.T.copy()
+    errors[result.lengths[failed], np.flatnonzero(failed)] = np.nan
+    actions = result.actions[0, : end - 1]
     return Run(errors, np.array(states)[:end], np.array(targets)[:end], actions, failed=float(failed.mean()))
 
 

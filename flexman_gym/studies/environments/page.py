@@ -38,28 +38,28 @@ def docstring_sections(task: type) -> dict[str, list[str]]:
     lines = inspect.cleandoc(task.__doc__ or "").splitlines()
     titles = [*SECTIONS, "Attributes:", "Raises:"]
     starts = {title: lines.index(title) for title in titles if title in lines}
-    found = {}
+    result = {}
     for title in SECTIONS:
         first = starts[title] + 1
         last = min((start for start in starts.values() if start >= first), default=len(lines))
-        found[title] = _markdown([line[4:] for line in lines[first:last]])
-    return found
+        result[title] = _markdown([line[4:] for line in lines[first:last]])
+    return result
 
 
 def _markdown(lines: Sequence[str]) -> list[str]:
     """Lines with what is indented, formulas and tables, as blocks of code."""
-    found: list[str] = []
+    result: list[str] = []
     inside = False
     for line in lines:
         code = line.startswith("    ") or (inside and bool(line) and line.count("  ") > 1)
         table = line.count("   ") > 1
         if (code or table) != inside and (line or inside):
-            found += ["```"] if inside else ["", "```"]
+            result += ["```"] if inside else ["", "```"]
             inside = not inside
-            found += [""] if not inside else []
-        found.append(line)
-    found += ["```"] if inside else []
-    text = "\n".join(found).strip("\n")
+            result += [""] if not inside else []
+        result.append(line)
+    result += ["```"] if inside else []
+    text = "\n".join(result).strip("\n")
     while "\n\n\n" in text:
         text = text.replace("\n\n\n", "\n\n")
     return text.replace("\n\n```\n\n", "\n```\n\n").splitlines()

@@ -28,15 +28,15 @@ def random_scene(seed: int) -> fm.Scene:
 
 def scenes() -> dict[str, fm.Scene]:
     """The scenes of the study."""
-    found = {f"paper {case}": replace(fm.catalog.paper_scene(case), duration=1.0) for case in ("rr", "fr", "ff")}
+    result = {f"paper {case}": replace(fm.catalog.paper_scene(case), duration=1.0) for case in ("rr", "fr", "ff")}
     heavy = fm.catalog.paper_rrr(rotor_inertia=10.0, payload=fm.Payload(5.0), gravity=(0.0, 0.0, -9.81))
     strips, hub = fm.catalog.planar_2r(joint_stiffness=50.0), fm.catalog.one_link(rotor_inertia=0.1)
-    found["paper ff with gravity"] = replace(found["paper ff"], arm=heavy)
+    result["paper ff with gravity"] = replace(result["paper ff"], arm=heavy)
     for name, arm, torque in (("two strips", strips, [0.2, 0.05]), ("one link", hub, [0.5])):
         rest = [0.0] * arm.n_joints
         start, choice = fm.Initial(rest, rest), fm.ModelChoice(True, 4 - arm.n_joints)
-        found[name] = fm.Scene(arm, choice, fm.ConstantTorque(torque), start, 1.0, 0.01)
-    return found | {f"random {seed}": random_scene(seed) for seed in range(6)}
+        result[name] = fm.Scene(arm, choice, fm.ConstantTorque(torque), start, 1.0, 0.01)
+    return result | {f"random {seed}": random_scene(seed) for seed in range(6)}
 
 
 def open_scenes() -> dict[str, fm.Scene]:

@@ -88,7 +88,7 @@ def plain_runs(scene: fm.Scene, tips: Array) -> Sequence[tuple[float, float]]:
 
     Where the mesh is open they are of one, two and three elements a link.
     """
-    found = []
+    result = []
     meshes = GRID_ELEMENTS if scene.model.elements is None else (None,)
     methods = GRID_METHODS if scene.model.elements is not None else OPEN_METHODS
     for mesh, modes, stiffening, method in product(meshes, GRID_MODES, (False, True), methods):
@@ -100,21 +100,21 @@ def plain_runs(scene: fm.Scene, tips: Array) -> Sequence[tuple[float, float]]:
             error, cost = run(*chosen)
             if cost < SHORT:
                 cost = min(cost, *(run(*chosen)[1] for _ in range(REPEATS - 1)))
-            found.append((error, cost))
+            result.append((error, cost))
             if error < FINE_ENOUGH * min(TOLERANCES) or cost > PATIENCE:
                 break
-    return found
+    return result
 
 
 def run(scene: fm.Scene, model: fm.Model, method: str, step: float, tips: Array) -> tuple[float, float]:
     """Error at the tip (m), infinite for a run that failed, and cost (s of computing)."""
     started = time.process_time()
-    found = fm.simulate(scene, model, method, step)
+    result = fm.simulate(scene, model, method, step)
     cost = time.process_time() - started
-    if found.status != "ok":
+    if result.status != "ok":
         return np.inf, cost
-    stride = (len(tips) - 1) // max(1, len(found.tip) - 1)
-    return float(np.linalg.norm(found.tip - tips[::stride], axis=1).max()), cost
+    stride = (len(tips) - 1) // max(1, len(result.tip) - 1)
+    return float(np.linalg.norm(result.tip - tips[::stride], axis=1).max()), cost
 
 
 def _model(scene: fm.Scene, modes: int | None, stiffening: bool, elements: int | None = None) -> fm.Model:

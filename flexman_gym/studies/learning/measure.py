@@ -109,7 +109,7 @@ def _row(
     kind: str, name: str, seed: int | None, where: str, costs: dict[str, float], who: Entrant, environment: Description
 ) -> Row:
     records = rollout(who, environment, TEST).records
-    found = {name: figure.sum_up(records) for name, figure in FIGURES.items()}
+    result = {name: figure.sum_up(records) for name, figure in FIGURES.items()}
     time, low, high = FIGURES["settling_time"].interval(records)
     known: dict[str, Any] = {key: costs.get(key) for key in ("steps", "cpu", "rate", "share")}
     return Row(
@@ -121,7 +121,7 @@ def _row(
         time=time,
         time_low=low,
         time_high=high,
-        vibration=found["vibration"],
-        error=found["error"],
-        **{key: found[key] for key in ("settled", "reward", "effort", "failed")},
+        vibration=result["vibration"],
+        error=result["error"],
+        **{key: result[key] for key in ("settled", "reward", "effort", "failed")},
     )

@@ -99,8 +99,8 @@ def _of(rows: Iterable[Row], kind: str, name: str, where: str = AS_TRAINED) -> l
 
 def _recipes(rows: Sequence[Row]) -> list[str]:
     heads = ("recipe", "seed", "actions", "CPU, s", "actions a second", "in the environment", *FIGURES)
-    found = [row for name in SEEDS for row in _of(rows, "recipe", name)]
-    return markdown_table(heads, ((row.name, f"{row.seed:.0f}", *_cost(row), *_figures(row)) for row in found))
+    result = [row for name in SEEDS for row in _of(rows, "recipe", name)]
+    return markdown_table(heads, ((row.name, f"{row.seed:.0f}", *_cost(row), *_figures(row)) for row in result))
 
 
 def _cost(row: Row) -> tuple[str, ...]:
@@ -123,8 +123,8 @@ def _figures(row: Row) -> tuple[str, ...]:
 
 
 def _controllers(rows: Sequence[Row]) -> list[str]:
-    found = [row for row in rows if row.kind == "controller" and row.where == AS_TRAINED]
-    return markdown_table(("controller", *FIGURES), ((row.name, *_figures(row)) for row in found))
+    result = [row for row in rows if row.kind == "controller" and row.where == AS_TRAINED]
+    return markdown_table(("controller", *FIGURES), ((row.name, *_figures(row)) for row in result))
 
 
 def _leaning(rows: Sequence[Row]) -> list[str]:
@@ -134,7 +134,7 @@ def _leaning(rows: Sequence[Row]) -> list[str]:
             seed = "" if row.seed is None else f"{row.seed:.0f}"
             cells.setdefault((row.name, seed), {})[row.where] = _short(row)
     places = (AS_TRAINED, FINER, LONGER)
-    lines = ((*key, *(found.get(where, "") for where in places)) for key, found in cells.items())
+    lines = ((*key, *(result.get(where, "") for where in places)) for key, result in cells.items())
     return markdown_table(("policy", "seed", *places), lines)
 
 
@@ -147,15 +147,15 @@ def _ablations(rows: Sequence[Row]) -> list[str]:
     if whole := _of(rows, "recipe", ABLATED)[:ABLATION_SEEDS]:
         lines.append(_line("nothing", "the recipe as it is", whole))
     for name, without in ABLATIONS.items():
-        if found := _of(rows, "ablation", name):
-            lines.append(_line(without.means, without.instead, found))
+        if result := _of(rows, "ablation", name):
+            lines.append(_line(without.means, without.instead, result))
     heads = ("without", "instead", "actions", "CPU, s", "settled, %", "time, s", "vibration, mm", "error, mm")
     return markdown_table(heads, lines)
 
 
-def _line(means: str, instead: str, found: Sequence[Row]) -> tuple[str, ...]:
-    cells = [_spread(found, value, worst) for value, worst in SPREADS]
-    return means, instead, f"{found[0].steps:,.0f}", f"{median(row.cpu or 0.0 for row in found):.0f}", *cells
+def _line(means: str, instead: str, result: Sequence[Row]) -> tuple[str, ...]:
+    cells = [_spread(result, value, worst) for value, worst in SPREADS]
+    return means, instead, f"{result[0].steps:,.0f}", f"{median(row.cpu or 0.0 for row in result):.0f}", *cells
 
 
 SPREADS: tuple[tuple[Callable[[Row], float], Callable[[Iterable[float]], float]], ...] = (

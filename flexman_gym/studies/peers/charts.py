@@ -28,9 +28,9 @@ def peers_chart(rows: Sequence[Row], peers: Sequence[Row], floor: float, title: 
     colours = _in_turn((row.model for row in peers), COLOURS)
     markers = _in_turn((row.method for row in peers), MARKERS)
     for model, method in dict.fromkeys((row.model, row.method) for row in peers):
-        found = [row for row in peers if (row.model, row.method) == (model, method)]
+        result = [row for row in peers if (row.model, row.method) == (model, method)]
         look = {"color": colours[model], "marker": markers[method], "markersize": 7.0}
-        draw_runs(axes, found, "total_error", f"{model}, {method}", look)
+        draw_runs(axes, result, "total_error", f"{model}, {method}", look)
     draw_front(axes, [*rows, *peers], "total_error", floor)
     draw_floor(axes, floor, TRUTHS)
     axes.set_ylabel(TOTAL_ERROR)

@@ -50,24 +50,24 @@ def chosen() -> fm.Choice:
     return fm.choose_model(replace(scene, model=replace(scene.model, elements=None)), TOLERANCE)
 
 
-def ours(found: Study) -> list[Timer]:
+def ours(result: Study) -> list[Timer]:
     """Our runs: fine models against the truth, the paper's own model, whose time error counts, and rigid ones."""
     timers: list[Timer] = []
     for model in [CUT, *FINE, PLAIN]:
         for method, parts in (GRID | (MORE if model == PLAIN else {})).items():
-            timers += [lambda a=(model, method, 0.01 / part): found.row(*a) for part in parts]  # type: ignore[misc]
+            timers += [lambda a=(model, method, 0.01 / part): result.row(*a) for part in parts]  # type: ignore[misc]
     choice = chosen()
-    timers.append(lambda: found.row(CHOSEN, choice.method, choice.step))
+    timers.append(lambda: result.row(CHOSEN, choice.method, choice.step))
     rigid = (RIGID, 1e-3), (RIGID_LINKS, 5e-3)
-    return timers + [lambda a=(model, "rk4", step): found.row(*a) for model, step in rigid]
+    return timers + [lambda a=(model, "rk4", step): result.row(*a) for model, step in rigid]
 
 
-def theirs(found: Study) -> list[Timer]:
+def theirs(result: Study) -> list[Timer]:
     """Those of the peers that are installed."""
     timers: list[Timer] = []
     for name, room in ROOMS.items():
         try:
-            timers += importlib.import_module(f"flexman_gym.studies.peers.{room}").runs(found)
+            timers += importlib.import_module(f"flexman_gym.studies.peers.{room}").runs(result)
         except ModuleNotFoundError:
             print(f"{name} is missing, so it is left out: pip install 'flexman_gym[peers]'")
     return timers

@@ -80,13 +80,13 @@ class System:
         mesh.modeBasis = {"matrix": (turn @ shapes).reshape(count, -1), "type": "NormalModes"}
         terms = fem.ObjectFFRFreducedOrderInterface(mesh, rigidBodyNodeType=exudyn.NodeType.RotationEulerParameters)
         terms.stiffnessMatrixReduced = beam.stiffness
-        found = terms.AddObjectFFRFreducedOrder(
+        result = terms.AddObjectFFRFreducedOrder(
             self.main, positionRef=list(place), rotationMatrixRef=np.eye(3), gravity=list(gravity)
         )
-        frame = items.ObjectRigidBody(mass=0.0, inertia=[0.0] * 6, nodeNumber=found["nRigidBody"])
+        frame = items.ObjectRigidBody(mass=0.0, inertia=[0.0] * 6, nodeNumber=result["nRigidBody"])
         end = range(len(masses) - 4, len(masses))
         marker = items.MarkerSuperElementRigid(
-            bodyNumber=found["oFFRFreducedOrder"], meshNodeNumbers=list(end), weightingFactors=[0.25] * 4
+            bodyNumber=result["oFFRFreducedOrder"], meshNodeNumbers=list(end), weightingFactors=[0.25] * 4
         )
         return self.main.AddObject(frame), self.main.AddMarker(marker)
 
@@ -143,15 +143,15 @@ def settings(scene: fm.Scene, step: float, method: str, tolerance: float = LOOSE
     Newton's method and other contractivities: the same with a tolerance of 1e-3 and Eigen's dense solver. The
     trapezoidal rule costs as much, and with constraints of index 2 the bodies at the tips drift off them.
     """
-    found = exudyn.SimulationSettings()
+    result = exudyn.SimulationSettings()
     rows, substeps = output_count(scene, step)
-    found.timeIntegration.endTime, found.timeIntegration.numberOfSteps = scene.duration, rows * substeps
-    found.timeIntegration.verboseMode, found.timeIntegration.adaptiveStep = 0, False
-    found.solution.file.write, found.solution.sensors.writePeriod = False, scene.output_step
+    result.timeIntegration.endTime, result.timeIntegration.numberOfSteps = scene.duration, rows * substeps
+    result.timeIntegration.verboseMode, result.timeIntegration.adaptiveStep = 0, False
+    result.solution.file.write, result.solution.sensors.writePeriod = False, scene.output_step
     if method != DEFAULT:
-        found.timeIntegration.newton.relativeTolerance = tolerance
-        found.linearSolver.solverType = exudyn.LinearSolverType.EigenDense
-    return found
+        result.timeIntegration.newton.relativeTolerance = tolerance
+        result.linearSolver.solverType = exudyn.LinearSolverType.EigenDense
+    return result
 
 
 def run(scene: fm.Scene, step: float, method: str = QUICK, tolerance: float = LOOSE) -> PeerRun:

@@ -139,15 +139,15 @@ def stable_runs(study: Study) -> list[Timer]:
     def timed(pieces: int, integrator: str, parts: int) -> Row:
         return row(study, run(study.scene, pieces, integrator, 0.01 / parts), sane=SANE)
 
-    found: list[Timer] = []
+    result: list[Timer] = []
     for pieces in (4, 8):
         for name in integrators():
             parts = DISCRETE[0]
             while name != "discrete" and timed(pieces, name, parts).status != OK:
                 parts = math.ceil(1.1 * parts)
             chosen = {"discrete": DISCRETE, "Euler": (parts, 2 * parts)}.get(name, (parts,))
-            found += [lambda a=(pieces, name, each): timed(*a) for each in chosen]  # type: ignore[misc]
-    return found
+            result += [lambda a=(pieces, name, each): timed(*a) for each in chosen]  # type: ignore[misc]
+    return result
 
 
 def _add(parent: ElementTree.Element, tag: str, attributes: dict[str, str] | None = None, **more: str) -> Any:

@@ -90,7 +90,7 @@ def conclusions(rows: Sequence[Row], peers: Sequence[Row], plain: str) -> list[s
 
 def _pieces(rows: Sequence[Row], peers: Sequence[Row]) -> list[str]:
     """How much cheaper we are than MuJoCo's rigid pieces at their total error."""
-    found = []
+    result = []
     for pieces, sentences in ((8, PIECES_NEAR), (4, PIECES)):
         known = [row for row in peers if (row.model, row.method) == (f"MuJoCo, {pieces} pieces", "Euler")]
         if not known:
@@ -103,8 +103,8 @@ def _pieces(rows: Sequence[Row], peers: Sequence[Row]) -> list[str]:
             "settled": _cheaper(settled(rows, limit), peer),
             "nearly": _cheaper(_within(rows, NEAR), peer),
         }
-        found.append(sentences.format(**texts, near=1e3 * NEAR, goal=GOAL_BESIDE_PIECES))
-    return found
+        result.append(sentences.format(**texts, near=1e3 * NEAR, goal=GOAL_BESIDE_PIECES))
+    return result
 
 
 def _alone(rows: Sequence[Row], peers: Sequence[Row]) -> list[str]:
@@ -127,17 +127,17 @@ def _frames(rows: Sequence[Row], peers: Sequence[Row], plain: str) -> list[str]:
     if not within:
         return []
     steady = settled(mine, WANTED, "time_error")
-    best = [min(found, key=lambda row: row.cpu) for found in (within, steady) if found]
+    best = [min(result, key=lambda row: row.cpu) for result in (within, steady) if result]
     costs = [OUR_RUN.format(method=row.method, setting=row.setting, cost=1e3 * row.cpu) for row in best]
     names = dict(zip(("cheapest", "settled"), costs, strict=False))
-    found = [(OURS_SETTLED if steady else OURS).format(model=plain, limit=1e3 * WANTED, **names)]
+    result = [(OURS_SETTLED if steady else OURS).format(model=plain, limit=1e3 * WANTED, **names)]
     for name in dict.fromkeys((row.model, row.method) for row in peers if row.model.startswith("Exudyn")):
         theirs = cost_at([row for row in peers if (row.model, row.method) == name], WANTED)
         if theirs is not None:
             times = " and ".join(f"{theirs / row.cpu:.3g}" for row in best)
             numbers = {"cost": 1e3 * theirs, "times": times, "goal": GOAL_BESIDE_FRAMES}
-            found.append(FRAMES.format(frame=", ".join(name), **numbers))
-    return found
+            result.append(FRAMES.format(frame=", ".join(name), **numbers))
+    return result
 
 
 def _rigid(rows: Sequence[Row], peers: Sequence[Row]) -> list[str]:

@@ -25,12 +25,12 @@ AGENTS = (
         ("vibration of the whole episode", "peak_to_peak(record.tips, record.period)",
          "peak_to_peak(record.tips, 1.0)"),
         ("the error of the last moment", "final_error(record.errors, record.period)", "float(record.errors[-1])"),
-        ("the mean of medians", "upper_median(found) if", "float(np.mean(found)) if"),
+        ("the mean of medians", "upper_median(result) if", "float(np.mean(result)) if"),
         ("a rough torque is better", '"low", lambda record: roughness', '"high", lambda record: roughness'),
     ),
     *changes(
         "agents", "evaluation/table.py", "evaluation/test_table.py",
-        ("shares of episodes in parts", 'return f"{found:.0%}"', 'return f"{0.01 * found:.0%}"'),
+        ("shares of episodes in parts", 'return f"{result:.0%}"', 'return f"{0.01 * result:.0%}"'),
         ("metres below the name of millimetres", "figure.scale * value", "value"),
         ("an interval from its high to its low end", "({low} to {high})", "({high} to {low})"),
         ("a name is cut off at its end", 'f"...{name[3 - LONGEST_NAME :]}"', "name"),
@@ -115,8 +115,8 @@ AGENTS = (
     ),
     *changes(
         "agents", "agents/callbacks.py", "agents/test_training.py",
-        ("judged more often after long rollouts", "self._next = self.num_timesteps + self._every\n        found",
-         "self._next += self._every\n        found"),
+        ("judged more often after long rollouts", "self._next = self.num_timesteps + self._every\n        result",
+         "self._next += self._every\n        result"),
     ),
     *changes(
         "agents", "agents/callbacks.py", f"{TRAINING}the_curves_show_what_the_judge_has_seen_with_its_units",

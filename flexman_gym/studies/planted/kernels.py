@@ -148,7 +148,7 @@ MOTION = (
     ),
     *changes(
         "kernels", "kernels/outputs.py", "kernels/test_outputs.py",
-        ("a turnover that is no number does not stay", "value > found[b] or value != value", "value > found[b]"),
+        ("a turnover that is no number does not stay", "value > out[b] or value != value", "value > out[b]"),
     ),
     *changes(
         "kernels", "kernels/outputs.py", "kernels/test_outputs.py envs/test_env_refusals.py",

@@ -34,7 +34,7 @@ LABORATORY = (
     ),
     *changes(
         "laboratory", "envs/sensors/instrument.py", INSTRUMENTS,
-        ("a sample comes at once", "found = late[0, at].copy()", "found = held.copy()"),
+        ("a sample comes at once", "result = late[0, at].copy()", "result = held.copy()"),
         ("a sample that is dropped is not", ">= flaws.dropped", ">= 0.0"),
         ("every sample is taken", "self._ages[at] % flaws.every == 0", "self._ages[at] % 1 == 0"),
         ("no bias", "new = new + self._bias[at]", "new = new + 0.0"),
@@ -131,7 +131,7 @@ LABORATORY = (
         ("a target that starts at full speed", "(time - ramp * np.tanh(time / ramp))", "(time + 0.0 * ramp)"),
         ("paths that do not sag", "curve += _series(view.rest_tips(places) - view.rigid_tips(places), HARMONICS)",
          "pass"),
-        ("circles of half the size", "found[0, 1] = found[1, 2] = size", "found[0, 1] = found[1, 2] = 0.5 * size"),
+        ("circles of half the size", "result[0, 1] = result[1, 2] = size", "result[0, 1] = result[1, 2] = 0.5 * size"),
     ),
     *changes(
         "laboratory", "envs/tasks/track.py", PATHS,
@@ -174,7 +174,7 @@ LABORATORY = (
          "Randomisation(**task | (own.given if own else {}))",
          "Randomisation(**(own.given if own else {}) | task)"),
         ("no warning of an unstable PD", "            if said:\n", "            if False:\n"),
-        ("a warning of the least delay only", "int(latest[1]) if latest else 0", "int(latest[0]) if latest else 0"),
+        ("a warning of the least delay only", "int(delay[1]) if delay else 0", "int(delay[0]) if delay else 0"),
     ),
     *changes(
         "laboratory", "envs/setup.py",

@@ -34,8 +34,8 @@ OUTCOMES = (CAUGHT, EQUIVALENT, SURVIVED)
 def counts(rows: Sequence[Planted]) -> list[tuple[object, ...]]:
     """Gives name, planted, caught, equivalent and surviving of each room, and of all of them."""
     rooms = dict.fromkeys(row.room for row in rows)
-    found = [(room, *_counted(row for row in rows if row.room == room)) for room in rooms]
-    return [*found, ("all", *_counted(rows))]
+    result = [(room, *_counted(row for row in rows if row.room == room)) for room in rooms]
+    return [*result, ("all", *_counted(rows))]
 
 
 def page(rows: Sequence[Planted]) -> str:
@@ -56,6 +56,6 @@ def _counted(rows: Iterable[Planted]) -> list[int]:
 
 
 def _table(rows: Iterable[Planted], outcome: str, head: str) -> str:
-    found = [(row.room, row.error, row.file.removeprefix("flexman_gym/"), row.by) for row in rows]
-    kept = [cells for cells, row in zip(found, rows, strict=True) if row.outcome == outcome]
+    result = [(row.room, row.error, row.file.removeprefix("flexman_gym/"), row.by) for row in rows]
+    kept = [cells for cells, row in zip(result, rows, strict=True) if row.outcome == outcome]
     return "\n".join(markdown_table(("room", "error", "file", head), kept)) if kept else "None."

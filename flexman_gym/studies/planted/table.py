@@ -33,11 +33,11 @@ def kept(file: Path) -> dict[tuple[str, str], Planted]:
 
 def misplaced(root: Path, chosen: Iterable[Change]) -> list[str]:
     """Gives a line for each change whose old text is not once in its file, or whose tests are not there."""
-    found = []
+    result = []
     for change in chosen:
         try:
             change.applied(root)
         except ValueError as error:
-            found.append(str(error))
-        found += [f"{test} is no test" for test in change.tests if not (root / test.split("::")[0]).is_file()]
-    return found
+            result.append(str(error))
+        result += [f"{test} is no test" for test in change.tests if not (root / test.split("::")[0]).is_file()]
+    return result

@@ -75,18 +75,18 @@ def cases(reference: Path) -> tuple[Case, ...]:
 def choices(scene: Scene) -> dict[str, dict[str, Any]]:
     """Keyword arguments of `build_model` by the name of the model."""
     joints = {"flexible_joints": scene.model.flexible_joints}
-    found: dict[str, dict[str, Any]] = {RIGID: {"flexible_links": False, "flexible_joints": False}}
+    result: dict[str, dict[str, Any]] = {RIGID: {"flexible_links": False, "flexible_joints": False}}
     if scene.model.flexible_joints:
-        found[RIGID_LINKS] = {"flexible_links": False}
+        result[RIGID_LINKS] = {"flexible_links": False}
     plural = {count: f"{count} mode{'s' * (count > 1)} a link" for count in (1, 2, 3, 4, 5, 6, 7, 9)}
-    found |= {name: {"modes": count, **joints} for count, name in plural.items()}
-    found["9 modes a link, foreshortening"] = {"modes": 9, "stiffening": True, **joints}
+    result |= {name: {"modes": count, **joints} for count, name in plural.items()}
+    result["9 modes a link, foreshortening"] = {"modes": 9, "stiffening": True, **joints}
     meshes: dict[str, Any] = {f"{n} element{'s' * (n > 1)} a link": n for n in (1, 2, 3, 4)}
     meshes["1, 2 and 2 elements"] = (1, 2, 2)
     for name, elements in meshes.items():
-        found[name] = {"elements": elements, **joints}
-        found[f"{name}, foreshortening"] = {"elements": elements, "stiffening": True, **joints}
-    return found
+        result[name] = {"elements": elements, **joints}
+        result[f"{name}, foreshortening"] = {"elements": elements, "stiffening": True, **joints}
+    return result
 
 
 def models(scene: Scene) -> dict[str, Model]:
@@ -127,18 +127,18 @@ def tolerances_of(name: str) -> tuple[float, ...]:
     return TOLERANCES[method.kind] if method.estimates else ()
 
 
-def grid(found: Study, timed: tuple[str, ...]) -> Iterator[Row]:
+def grid(result: Study, timed: tuple[str, ...]) -> Iterator[Row]:
     """All methods and steps on the models whose time error is studied, a few of them on the others."""
     names = fixed_step_methods()
     every = {name: steps_of(name) for name in names}
-    for model in found.models:
+    for model in result.models:
         rigid = model in (RIGID, RIGID_LINKS)
         ladders = every if model in timed else RIGID_STEPS if rigid else FEW_STEPS
         for method, steps in ladders.items():
-            usable = [step for step in steps if _fits(found.scene, step)]
-            yield from found.ladder(model, method, usable, PATIENCE)
+            usable = [step for step in steps if _fits(result.scene, step)]
+            yield from result.ladder(model, method, usable, PATIENCE)
         for method in names if model in timed else ():
-            yield from found.ladder(model, method, tolerances_of(method), PATIENCE, adaptive=True)
+            yield from result.ladder(model, method, tolerances_of(method), PATIENCE, adaptive=True)
 
 
 def _fits(scene: Scene, step: float) -> bool:
@@ -156,10 +156,10 @@ def quick_study() -> Study:
     return Study("paper_ff, 0.2 s", scene, built, converged(scene, fine), solutions, "the first moments")
 
 
-def quick_grid(found: Study) -> Iterator[Row]:
+def quick_grid(result: Study) -> Iterator[Row]:
     """A few methods and steps of each kind."""
-    for model in found.models:
+    for model in result.models:
         for method, step in (("semi_implicit_euler", 1), ("rk4", 2), ("ros2", 5), ("extrapolated_euler_4", 10)):
-            yield from found.ladder(model, method, [step * _MS / part for part in (1, 2, 4)], PATIENCE)
-        yield from found.ladder(model, "implicit_midpoint", [20 * _MS, 5 * _MS], PATIENCE)
-        yield from found.ladder(model, "extrapolated_euler_4", [1e-2, 1e-4], PATIENCE, adaptive=True)
+            yield from result.ladder(model, method, [step * _MS / part for part in (1, 2, 4)], PATIENCE)
+        yield from result.ladder(model, "implicit_midpoint", [20 * _MS, 5 * _MS], PATIENCE)
+        yield from result.ladder(model, "extrapolated_euler_4", [1e-2, 1e-4], PATIENCE, adaptive=True)

@@ -44,8 +44,8 @@ PRIOR = (
 def conclusions(rows: Sequence[Row], floors: Sequence[Floor]) -> list[str]:
     """Sentences with numbers from the rows."""
     pairs = [(floor.scene, floor.model) for floor in floors if floor.model]
-    found = [WINNERS.format(scene=scene, model=model, winners=_winners(rows, scene, model)) for scene, model in pairs]
-    return [*found, *_extrapolation(rows, pairs), *_instability(rows), *_modes(rows), PRIOR]
+    result = [WINNERS.format(scene=scene, model=model, winners=_winners(rows, scene, model)) for scene, model in pairs]
+    return [*result, *_extrapolation(rows, pairs), *_instability(rows), *_modes(rows), PRIOR]
 
 
 def ratio(rows: Sequence[Row], model: str, method: str, error: float = 1e-4) -> float | None:
@@ -70,17 +70,17 @@ def _winners(rows: Sequence[Row], scene: str, model: str) -> str:
 
 def _extrapolation(rows: Sequence[Row], pairs: Sequence[tuple[str, str]]) -> list[str]:
     """Whether an extrapolation is as many times cheaper than ros2 as asked."""
-    found = []
+    result = []
     for scene, model in pairs:
         mine = [row for row in rows if row.scene == scene]
         known = {method: ratio(mine, model, method) for method in extrapolations_of(mine)}
-        found += [(times, f"{method} on {scene}, {model}") for method, times in known.items()]
-    ratios = [(times, name) for times, name in found if times is not None]
+        result += [(times, f"{method} on {scene}, {model}") for method, times in known.items()]
+    ratios = [(times, name) for times, name in result if times is not None]
     if not ratios:
         return []
     (most, best), (least, worst) = max(ratios), min(ratios)
     numbers = {"most": most, "best": best, "least": least, "worst": worst, "count": len(ratios)}
-    numbers |= {"reached": sum(times >= GOAL for times, _ in ratios), "missing": len(found) - len(ratios)}
+    numbers |= {"reached": sum(times >= GOAL for times, _ in ratios), "missing": len(result) - len(ratios)}
     return [EXTRAPOLATION.format(goal=GOAL, **numbers)]
 
 

@@ -21,11 +21,11 @@ def compute(reference: Path, folder: Path, quick: bool = False) -> None:
     floors: list[Floor] = []
     for case in [None] if quick else cases(reference):
         started = process_time()
-        found = quick_study() if case is None else study(case, reference)
+        result = quick_study() if case is None else study(case, reference)
         known = len(rows)
-        rows += quick_grid(found) if case is None else grid(found, case.timed)
-        floors += found.floors()
-        print(f"{found.name}: {len(rows) - known} rows, {process_time() - started:.0f} s of CPU", flush=True)
+        rows += quick_grid(result) if case is None else grid(result, case.timed)
+        floors += result.floors()
+        print(f"{result.name}: {len(rows) - known} rows, {process_time() - started:.0f} s of CPU", flush=True)
         write_rows(rows, folder / ROWS)
         write_rows(floors, folder / FLOORS)
 

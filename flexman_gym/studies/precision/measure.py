@@ -84,16 +84,16 @@ class Truth:
     floor: float
     source: str
 
-    def distance(self, found: Trajectory) -> float:
+    def distance(self, result: Trajectory) -> float:
         """Largest distance of the tip, m, at the output times of both; infinite for a run that failed."""
-        if found.status != OK:
+        if result.status != OK:
             return math.inf
-        stride, rest = divmod(len(self.tip) - 1, len(found.tip) - 1)
+        stride, rest = divmod(len(self.tip) - 1, len(result.tip) - 1)
         if rest:
             raise ValueError(
-                f"truth: {len(self.tip)} times are not allowed; give 1 + a multiple of {len(found.tip) - 1}"
+                f"truth: {len(self.tip)} times are not allowed; give 1 + a multiple of {len(result.tip) - 1}"
             )
-        return float(np.linalg.norm(found.tip - self.tip[::stride], axis=1).max())
+        return float(np.linalg.norm(result.tip - self.tip[::stride], axis=1).max())
 
 
 def converged(scene: Scene, model: Model) -> Truth:
@@ -142,20 +142,20 @@ class Study:
         arguments = (self.models[model], method, step, tight, 1e-3 * tight)
         short = replace(self.scene, duration=max(self.scene.output_step, step or 0.0))
         simulate(short, *arguments)  # loads or compiles the kernels
-        cpu, wall, spent, found = math.inf, math.inf, 0.0, None
+        cpu, wall, spent, result = math.inf, math.inf, 0.0, None
         for _ in range(MOST_REPEATS):
             started = clock.process_time()
-            found = simulate(self.scene, *arguments)
+            result = simulate(self.scene, *arguments)
             seconds = clock.process_time() - started
-            cpu, wall, spent = min(cpu, seconds), min(wall, found.wall_seconds), spent + seconds
+            cpu, wall, spent = min(cpu, seconds), min(wall, result.wall_seconds), spent + seconds
             if spent > LEAST_SECONDS:
                 break
-        assert found is not None
-        reached = float(found.time[-1]) if found.status == OK else max(float(found.time[-1]), self.scene.output_step)
+        assert result is not None
+        reached = float(result.time[-1]) if result.status == OK else max(float(result.time[-1]), self.scene.output_step)
         solution = self.solutions.get(model)
-        errors = None if solution is None else solution.distance(found), self.truth.distance(found)
-        costs = cpu / reached, wall / reached, found.evaluations / reached
-        return Row(self.name, model, method, step, rtol, *costs, *errors, found.status)
+        errors = None if solution is None else solution.distance(result), self.truth.distance(result)
+        costs = cpu / reached, wall / reached, result.evaluations / reached
+        return Row(self.name, model, method, step, rtol, *costs, *errors, result.status)
 
     def ladder(
         self, model: str, method: str, settings: Sequence[float], patience: float, adaptive: bool = False
@@ -183,8 +183,8 @@ def pareto_front(points: Sequence[tuple[float, float]]) -> list[int]:
 
 def cheapest(rows: Sequence[Row], model: str, method: str, error: float) -> Row | None:
     """The cheapest run of a method on a model that comes within a time error (m); None when none does."""
-    found = [row for row in rows if (row.model, row.method) == (model, method) and row.time_error is not None]
-    return min((row for row in found if row.time_error <= error), key=lambda row: row.cpu, default=None)  # type: ignore[operator]
+    result = [row for row in rows if (row.model, row.method) == (model, method) and row.time_error is not None]
+    return min((row for row in result if row.time_error <= error), key=lambda row: row.cpu, default=None)  # type: ignore[operator]
 
 
 def cost_at(rows: Sequence[Row], error: float) -> float | None:

@@ -36,7 +36,7 @@ class Errors:
 
 def errors_of_default(count: int) -> list[Errors]:
     """Compares so many arms of each kind after a second and at the end."""
-    chosen, found = build(Setup()), []
+    chosen, result = build(Setup()), []
     for kind in KINDS:
         each = cases(kind, count)
         for time in (EARLY, DURATION[kind]):
@@ -46,5 +46,5 @@ def errors_of_default(count: int) -> list[Errors]:
             )
             energy, tip = differences(ours, truth)
             within = float((energy <= WITHIN).mean())
-            found.append(Errors(kind, time, float(count), within, **percentiles(energy, tip)))
-    return found
+            result.append(Errors(kind, time, float(count), within, **percentiles(energy, tip)))
+    return result

@@ -102,22 +102,22 @@ def rows(kind: str, count: int, few: int) -> Iterator[Row]:
             yield row(kind, method, PERIOD / parts, outcome(model, own, method, PERIOD / parts), truth)
 
 
-def row(kind: str, method: str, step: float, found: Outcome, truth: Outcome) -> Row:
+def row(kind: str, method: str, step: float, result: Outcome, truth: Outcome) -> Row:
     """Compares arms with the first of the converged ones."""
-    b, failed = len(found.tip), found.status != layout.OK
-    energy, tip = differences(found, truth)
-    kept = median_kept(found.energy / np.maximum(found.first, 1e-12), failed)
-    cpu = found.seconds / (b * DURATION[kind])
+    b, failed = len(result.tip), result.status != layout.OK
+    energy, tip = differences(result, truth)
+    kept = median_kept(result.energy / np.maximum(result.first, 1e-12), failed)
+    cpu = result.seconds / (b * DURATION[kind])
     shares = percentiles(energy, tip)
     return Row(kind, "flexman_gym", method, step, cpu, kept=kept, failed=float(failed.mean()), **shares)
 
 
-def differences(found: Outcome, truth: Outcome) -> tuple[Array, Array]:
+def differences(result: Outcome, truth: Outcome) -> tuple[Array, Array]:
     """Gives the relative errors of energy (b,) and those of the tip (b,) m; infinite where an arm failed."""
-    b, failed = len(found.tip), found.status != layout.OK
+    b, failed = len(result.tip), result.status != layout.OK
     scale = np.maximum(truth.energy[:b], FLOOR * truth.first[:b])
-    energy = np.where(failed, np.inf, np.abs(found.energy - truth.energy[:b]) / scale)
-    return energy, np.where(failed, np.inf, np.linalg.norm(found.tip - truth.tip[:b], axis=1))
+    energy = np.where(failed, np.inf, np.abs(result.energy - truth.energy[:b]) / scale)
+    return energy, np.where(failed, np.inf, np.linalg.norm(result.tip - truth.tip[:b], axis=1))
 
 
 def median_kept(kept: Array, failed: Flags) -> float:

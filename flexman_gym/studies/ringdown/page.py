@@ -54,8 +54,8 @@ def page(rows: Sequence[Row], machine: str, default: tuple[str, float]) -> str:
     """Writes the page as Markdown."""
     tables = [f"Computed with {machine}, one core. CPU is that of one arm for a simulated second."]
     for kind, title in TITLES.items():
-        found = [_cells(row) for row in rows if row.kind == kind]
-        tables += [f"## {title}", "\n".join(markdown_table(HEADS, found))]
+        result = [_cells(row) for row in rows if row.kind == kind]
+        tables += [f"## {title}", "\n".join(markdown_table(HEADS, result))]
     return PAGE.format(picture=PICTURE, conclusion=conclusion(rows, default), tables="\n\n".join(tables))
 
 

@@ -125,10 +125,10 @@ def _limits(_: str, rows: Sequence[Row]) -> Any:
     known = looks()
     figure = new_figure((12.0, 4.6), 110.0, layout="constrained")
     for axes, study in zip(figure.subplots(1, 3, sharey=True), LIMIT_STUDIES, strict=True):
-        found = select(rows, study=study, quantity=LIMIT)
-        places = sorted({row.parameter for row in found})
-        for name in methods_of(found):
-            own = select(found, method=name)
+        result = select(rows, study=study, quantity=LIMIT)
+        places = sorted({row.parameter for row in result})
+        for name in methods_of(result):
+            own = select(result, method=name)
             x = [places.index(row.parameter) for row in own]
             colour, marker = known[name]
             axes.semilogy(x, [1e3 * (row.expected or np.nan) for row in own], color=colour, label=f"{name}, predicted")
@@ -154,9 +154,9 @@ def _damping(_: str, rows: Sequence[Row]) -> Any:
     panels = figure.subplots(2, 3, sharex=True, sharey=True)
     for line, inertia in zip(panels, ("1", "10"), strict=True):
         for axes, mode in zip(line, (1.0, 2.0, 3.0), strict=True):
-            found = select(rows, study=f"{DAMPING} {inertia}", parameter=mode, quantity=KEPT)
-            steps = sorted({row.step for row in found})
-            for row in found:
+            result = select(rows, study=f"{DAMPING} {inertia}", parameter=mode, quantity=KEPT)
+            steps = sorted({row.step for row in result})
+            for row in result:
                 x, y = steps.index(row.step), names.index(row.method)
                 shade: Any = LIGHT if np.isnan(row.value) else shades(np.clip(0.5 * row.value, 0.0, 1.0))
                 axes.add_patch(_cell(x, y, shade))
@@ -189,9 +189,9 @@ def _drift(_: str, rows: Sequence[Row]) -> Any:
     """The largest energy error over the number of steps."""
     figure = new_figure((8.5, 5.4), 110.0, layout="constrained")
     axes = figure.subplots()
-    found, known = select(rows, study=DRIFT), looks()
-    for name in methods_of(found):
-        own = select(found, method=name)
+    result, known = select(rows, study=DRIFT), looks()
+    for name in methods_of(result):
+        own = select(result, method=name)
         colour, marker = known[name]
         axes.loglog([row.parameter for row in own], [row.value for row in own], marker + "-", color=colour, label=name)
     axes.set(xlabel="steps of 1 ms", ylabel="largest energy error so far (relative)")

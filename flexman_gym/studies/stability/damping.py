@@ -62,10 +62,10 @@ def damping_rows(
         for _ in range(round(DAMPING_TIME / PERIOD)):
             simulator.step(torque)
             sampled.append(simulator.state.copy())
-        found = _phasors(np.array(sampled), omegas, weights)
+        result = _phasors(np.array(sampled), omegas, weights)
         yield from (
             replace(row, quantity=IN_PERIODS, expected=None)
-            for row in _damping_cells(study, GENERALISED, step, omegas, found, simulator.status)
+            for row in _damping_cells(study, GENERALISED, step, omegas, result, simulator.status)
             if row.quantity == KEPT
         )
 
@@ -84,18 +84,18 @@ def _phasors(states: Array, omegas: Array, weights: Array) -> Array:
     return omegas * (states[:, :d] @ weights.T) - 1j * (states[:, d:] @ weights.T)
 
 
-def _damping_cells(study: str, name: str, step: float, omegas: Array, found: Array, status: str) -> Iterator[Row]:
+def _damping_cells(study: str, name: str, step: float, omegas: Array, result: Array, status: str) -> Iterator[Row]:
     """Rows of the phasors (t, 3) of three modes at every period."""
-    turned = np.unwrap(np.angle(found), axis=0)[-1] - np.angle(found[0])
+    turned = np.unwrap(np.angle(result), axis=0)[-1] - np.angle(result[0])
     for i, omega in enumerate(omegas):
         factor = vibration_factor(METHODS[name], omega * step)
         expected = float(abs(factor) ** (DAMPING_TIME / step)), float(np.angle(factor) / (2 * np.pi * step))
-        kept, frequency = float(abs(found[-1, i] / found[0, i])), float(turned[i] / (2 * np.pi * DAMPING_TIME))
+        kept, frequency = float(abs(result[-1, i] / result[0, i])), float(turned[i] / (2 * np.pi * DAMPING_TIME))
         verdicts = [status, status]
         if status == OK:
             verdicts = [OK if abs(kept - 1.0) <= 0.05 else INACCURATE]
             verdicts.append(OK if abs(frequency * 2 * np.pi / omega - 1.0) <= 0.01 else INACCURATE)
-        elif len(found) <= round(DAMPING_TIME / PERIOD):
+        elif len(result) <= round(DAMPING_TIME / PERIOD):
             kept, frequency = np.nan, np.nan
         for quantity, value, theory, verdict in zip(
             (KEPT, FREQUENCY), (kept, frequency), expected, verdicts, strict=True

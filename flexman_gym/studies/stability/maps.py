@@ -30,10 +30,10 @@ def map_rows(study: str, quick: bool = False) -> Iterator[Row]:
 
 
 def _truth(case: Case) -> Trajectory:
-    found = simulate(case.scene, case.truth, "dop853", rtol=1e-9, atol=1e-12)
-    if found.status != OK:
-        raise RuntimeError(f"{case.study} {case.parameter:g}: the reference {found.status}")
-    return found
+    result = simulate(case.scene, case.truth, "dop853", rtol=1e-9, atol=1e-12)
+    if result.status != OK:
+        raise RuntimeError(f"{case.study} {case.parameter:g}: the reference {result.status}")
+    return result
 
 
 def _runs(cases: list[Case], name: str, step: float) -> list[Trajectory]:
@@ -44,12 +44,12 @@ def _runs(cases: list[Case], name: str, step: float) -> list[Trajectory]:
     return simulate_all([case.scene for case in cases], cases[0].model, name, step, **varied)
 
 
-def _cell(case: Case, truth: Trajectory, method: tuple[str, float], found: Trajectory) -> Row:
-    status, error = found.status, np.nan
+def _cell(case: Case, truth: Trajectory, method: tuple[str, float], result: Trajectory) -> Row:
+    status, error = result.status, np.nan
     if status == OK:
-        error = float(np.linalg.norm(found.tip - truth.tip, axis=1).max())
-        far = np.linalg.norm(found.tip, axis=1).max() > ABSURD * case.model.constants.length.sum()
-        invented = abs(found.energy_residual[-1]) > INVENTED * truth.energy_turnover[-1]
+        error = float(np.linalg.norm(result.tip - truth.tip, axis=1).max())
+        far = np.linalg.norm(result.tip, axis=1).max() > ABSURD * case.model.constants.length.sum()
+        invented = abs(result.energy_residual[-1]) > INVENTED * truth.energy_turnover[-1]
         status = DIVERGED if far or invented else OK if error <= THRESHOLD else INACCURATE
     return Row(case.study, case.parameter, *method, ERROR, error, None, status)
 
@@ -64,8 +64,8 @@ def spin_limit_row() -> Row:
     while high - low > tolerance:
         rate = 0.5 * (low + high)
         case = spin_case(rate, False)
-        found = simulate(replace(case.scene, duration=5.0, output_step=5.0), case.model, "dop853")
-        grown = found.status != OK or np.abs(found.deflection[-1]).max() > 0.1
+        result = simulate(replace(case.scene, duration=5.0, output_step=5.0), case.model, "dop853")
+        grown = result.status != OK or np.abs(result.deflection[-1]).max() > 0.1
         low, high = (low, rate) if grown else (rate, high)
     verdict = OK if abs(low - clamped) <= LIMIT_TOLERANCE * clamped else INACCURATE
     return Row(SPIN, tolerance, "dop853", 0.0, SPIN_LIMIT, low, clamped, verdict)

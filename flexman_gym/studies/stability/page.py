@@ -115,12 +115,12 @@ def page(machine: str, rows: Sequence[Row]) -> str:
 
 
 def _limits(rows: Sequence[Row]) -> list[str]:
-    found, growth = select(rows, quantity=LIMIT), growth_per_step()
+    result, growth = select(rows, quantity=LIMIT), growth_per_step()
     lines = ["## Limits of explicit methods", "", "![limits](stability_step_limit.png)", ""]
     lines += [PREDICTION.format(growth=growth), ""]
-    lines += markdown_table(LIMIT_HEADS, (_limit(name, select(found, method=name)) for name in methods_of(found)))
-    numbers = {"right": len(select(found, verdict=OK)), "count": len(found)}
-    texts = {"tolerance": percent(LIMIT_TOLERANCE), "worst": percent(worst_limit(found))}
+    lines += markdown_table(LIMIT_HEADS, (_limit(name, select(result, method=name)) for name in methods_of(result)))
+    numbers = {"right": len(select(result, verdict=OK)), "count": len(result)}
+    texts = {"tolerance": percent(LIMIT_TOLERANCE), "worst": percent(worst_limit(result))}
     lines += ["", PREDICTED.format(**numbers, **texts), ""]
     amplified = select(rows, study=AMPLIFICATION)
     lines += markdown_table(
@@ -140,21 +140,21 @@ def _limit(name: str, own: Sequence[Row]) -> list[str]:
 def _damping(rows: Sequence[Row]) -> list[str]:
     lines = ["## Numerical damping", "", "![damping](stability_damping.png)", "", VIBRATION, ""]
     for quantity, head in ((KEPT, "amplitude of mode 2 kept"), (FREQUENCY, "frequency of mode 2 (Hz)")):
-        found = select(rows, study=f"{DAMPING} 1", parameter=2.0, quantity=quantity)
+        result = select(rows, study=f"{DAMPING} 1", parameter=2.0, quantity=quantity)
         cells = []
-        for name in methods_of(found):
-            own = {row.step: row for row in select(found, method=name)}
+        for name in methods_of(result):
+            own = {row.step: row for row in select(result, method=name)}
             cells.append([name, *(_damped(own[step]) for step in DAMPING_STEPS)])
         lines += [*markdown_table([head, *(f"{1e3 * step:g} ms" for step in DAMPING_STEPS)], cells), ""]
     return [*lines, _damping_conclusion(rows), "", *_amplitude_conclusions(rows)]
 
 
 def _damping_conclusion(rows: Sequence[Row]) -> str:
-    share, found = partial(_share, rows), select(rows, study=f"{DAMPING} 1", parameter=2.0)
-    slow = select(found, method="implicit_midpoint", step=0.02, quantity=FREQUENCY)[0]
+    share, result = partial(_share, rows), select(rows, study=f"{DAMPING} 1", parameter=2.0)
+    slow = select(result, method="implicit_midpoint", step=0.02, quantity=FREQUENCY)[0]
     diverged = ", ".join(
         f"`{row.method}` at {1e3 * row.step:g} ms"
-        for row in select(found, quantity=KEPT, verdict=DIVERGED)
+        for row in select(result, quantity=KEPT, verdict=DIVERGED)
         if row.method not in explicit_methods()
     )
     places = product((0.005, 0.02), (1, 2, 3))
@@ -164,7 +164,7 @@ def _damping_conclusion(rows: Sequence[Row]) -> str:
         "third_order": share("extrapolated_euler_3", 0.005),
         "fifth_order": share("extrapolated_euler_5", 0.005),
     }
-    natural = select(found, quantity=NATURAL)[0].value
+    natural = select(result, quantity=NATURAL)[0].value
     return DAMPED.format(**shares, diverged=diverged, frequency=slow.value, natural=natural)
 
 
@@ -185,8 +185,8 @@ def _share(rows: Sequence[Row], name: str, step: float, mode: float = 2.0, quant
 
 
 def _drift(rows: Sequence[Row]) -> list[str]:
-    found = select(rows, study=DRIFT)
-    last = {name: select(found, method=name)[-1] for name in methods_of(found)}
+    result = select(rows, study=DRIFT)
+    last = {name: select(result, method=name)[-1] for name in methods_of(result)}
     cells = [(name, f"{row.parameter:.3g}", f"{row.value:.1e}", row.verdict) for name, row in last.items()]
     finished = [row for row in last.values() if row.verdict in (OK, INACCURATE)]
     best = min(finished, key=lambda row: row.value)

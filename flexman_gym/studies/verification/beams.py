@@ -60,18 +60,18 @@ def cantilever_rows() -> Iterator[Row]:
     """lambda = omega sqrt(rho A L^4 / EI) without and with a mass at the tip, 24 elements."""
     link = slender_link()
     for ratio in (0.0, 0.1, 0.5, 1.0, 5.0):
-        found = 2.0 * np.pi * link_frequencies(link, 24, BENDING_Y, ratio)[:3]
+        result = 2.0 * np.pi * link_frequencies(link, 24, BENDING_Y, ratio)[:3]
         name = f"cantilever, tip mass / beam mass {ratio:g}" if ratio else "cantilever"
-        yield from series(name + ", lambda_{}", BEAM, beam_eigenvalues(3, ratio), found, 2e-5)
+        yield from series(name + ", lambda_{}", BEAM, beam_eigenvalues(3, ratio), result, 2e-5)
 
 
 def hub_rows() -> Iterator[Row]:
     """Elastic lambda of a beam that turns freely with a hub, 32 elements."""
     for ratio in (0.0, 0.1, 1.0):
         model = build_model(Arm([slender_link()], [Joint((0.0, 0.0, 1.0), ratio)]), 32)
-        found = 2.0 * np.pi * frequencies(model)[1:4]
+        result = 2.0 * np.pi * frequencies(model)[1:4]
         name = f"free hub, J / (rho A L^3) {ratio:g}, lambda_{{}}"
-        yield from series(name, BEAM, hub_eigenvalues(3, ratio), found, 2e-5)
+        yield from series(name, BEAM, hub_eigenvalues(3, ratio), result, 2e-5)
 
 
 def convergence_rows() -> Iterator[Row]:
@@ -107,8 +107,10 @@ def bar_rows() -> Iterator[Row]:
     link = _paper_links()[2]
     for name, columns in (("axial", AXIAL), ("torsional", TWIST)):
         scale = _bar_scale(link, columns)
-        found = link_frequencies(link, 24, columns)
-        yield from series(f"{name} f_{{}}, link 3, Hz", "closed form: bar", scale * bar_eigenvalues(2), found[:2], 2e-3)
+        result = link_frequencies(link, 24, columns)
+        yield from series(
+            f"{name} f_{{}}, link 3, Hz", "closed form: bar", scale * bar_eigenvalues(2), result[:2], 2e-3
+        )
 
 
 def elastic_joint_rows() -> Iterator[Row]:
@@ -120,10 +122,10 @@ def elastic_joint_rows() -> Iterator[Row]:
         model = build_model(Arm([link], [joint], Payload(tip)), 32)
         for name, ratio in (("free", rotor / (density * length**3)), ("clamped", None)):
             clamped = ratio is None
-            found = frequencies(model, lock_joints=clamped)[0 if clamped else 1 :][:3]
+            result = frequencies(model, lock_joints=clamped)[0 if clamped else 1 :][:3]
             lambdas = joint_eigenvalues(3, stiffness * length / rigidity, ratio, tip / (density * length))
             case = f"flexible link on elastic joint, rotor {name}, tip {tip:g} kg, f_{{}}, Hz"
-            yield from series(case, "closed form: beam, spring, rotor", scale * lambdas, found, 2e-5)
+            yield from series(case, "closed form: beam, spring, rotor", scale * lambdas, result, 2e-5)
 
 
 def spring_rows() -> Iterator[Row]:
@@ -136,8 +138,8 @@ def spring_rows() -> Iterator[Row]:
     yield Row("two masses and a spring, free, Hz", SPONG, free, frequencies(model)[1], 1e-6)
     yield Row("two masses and a spring, motor locked, Hz", SPONG, locked, frequencies(model, lock_joints=True)[0], 1e-6)
     rigid = build_model(model.arm, flexible_links=False, flexible_joints=False)
-    found = mass_matrix(rigid, np.zeros(2))[0, 0]
-    yield Row("spring of infinite stiffness, J_m + J_l, kg m^2", SPONG, rotor + inertia, found, 1e-6)
+    result = mass_matrix(rigid, np.zeros(2))[0, 0]
+    yield Row("spring of infinite stiffness, J_m + J_l, kg m^2", SPONG, rotor + inertia, result, 1e-6)
     arms = [catalog.paper_rrr(joint_stiffness=each) for each in (1e8, 1e9, None)]
     first, second, limit = (frequencies(build_model(arm), (0.0, 0.3, -0.5))[3:8] for arm in arms)
     ratio = np.abs(first / limit - 1.0).max() / np.abs(second / limit - 1.0).max()
@@ -159,8 +161,8 @@ def rotating_beam_rows() -> Iterator[Row]:
         chord = np.sqrt(flap**2 - eta**2)
         for name, columns, expected in (("flap", BENDING_Z, flap), ("chord", BENDING_Y, chord)):
             squares = -np.linalg.eigvals(_slopes(model, state, _columns(8, columns))).real
-            found = np.sqrt(squares.min()) if squares.min() > 0.0 else np.nan
-            yield Row(f"rotating beam, eta {eta:g}, {name} lambda_1", WRIGHT, expected, found, 1e-3)
+            result = np.sqrt(squares.min()) if squares.min() > 0.0 else np.nan
+            yield Row(f"rotating beam, eta {eta:g}, {name} lambda_1", WRIGHT, expected, result, 1e-3)
 
 
 def paper_arm_rows() -> Iterator[Row]:
@@ -177,8 +179,8 @@ def paper_arm_rows() -> Iterator[Row]:
         rigidity, density = link.youngs_modulus * link.second_moment_z, link.density * link.area
         scale = np.sqrt(rigidity / density) / (2.0 * np.pi * link.length**2)
         expected = scale * rayleigh_eigenvalues(2, link.second_moment_z / (link.area * link.length**2))
-        found = link_frequencies(link, 16, BENDING_Y)[:2]
-        yield from series(f"paper's {name}, bending f_{{}}, Hz", TABLE_1, expected, found, 1e-5)
+        result = link_frequencies(link, 16, BENDING_Y)[:2]
+        yield from series(f"paper's {name}, bending f_{{}}, Hz", TABLE_1, expected, result, 1e-5)
         for kind, columns in (("axial", AXIAL), ("torsional", TWIST)):
             scale = _bar_scale(link, columns)
             first, highest = link_frequencies(link, 24, columns)[0], link_frequencies(link, 2, columns)[-1]
@@ -194,8 +196,8 @@ def paper_arm_rows() -> Iterator[Row]:
 def rigid_paper_rows() -> Iterator[Row]:
     """Tip of the paper's rigid arm without rotors at 2 s, m, with the rotary inertia of the sections."""
     arm = catalog.paper_rrr(rotor_inertia=0.0, joint_stiffness=None)
-    found = simulate(replace(catalog.paper_scene("rr"), arm=arm), rtol=1e-9).tip[-1]
-    for axis, expected, value in zip("xyz", (1.041793, 2.982679, -0.804536), found, strict=True):
+    result = simulate(replace(catalog.paper_scene("rr"), arm=arm), rtol=1e-9).tip[-1]
+    for axis, expected, value in zip("xyz", (1.041793, 2.982679, -0.804536), result, strict=True):
         yield Row(f"paper RR without rotors, tip {axis} at 2 s, m", THREE_CODES, expected, value, 2e-6)
 
 

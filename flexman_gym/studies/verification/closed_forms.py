@@ -133,5 +133,5 @@ def _squared_roots(function: Callable[[float], float], ends: Array) -> Array:
 def _first_squared_roots(function: Callable[[float], float], count: int, ends: Array) -> Array:
     """Squares (count,) of the first roots of `function`, at most one between neighbouring `ends`."""
     signs = np.sign([function(end) for end in ends])
-    found = [brentq(function, ends[i], ends[i + 1], xtol=1e-14) for i in np.nonzero(np.diff(signs))[0][:count]]
-    return np.square(found)
+    result = [brentq(function, ends[i], ends[i + 1], xtol=1e-14) for i in np.nonzero(np.diff(signs))[0][:count]]
+    return np.square(result)

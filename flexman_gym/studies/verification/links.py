@@ -40,6 +40,6 @@ def stepped_rows() -> Iterator[Row]:
         yield Row(f"{name}, tip under load, m/N", UNIT_LOAD, deflection, beam.tip_translation[1] @ bent, 1e-9)
         yield Row(f"{name}, slope of the tip, rad/N", UNIT_LOAD, slope, beam.tip_rotation[2] @ bent, 1e-9)
         model = build_model(Arm([link], [Joint((0.0, 0.0, 1.0))]), 16, rotary_inertia=False)
-        found = 2.0 * np.pi * frequencies(model, lock_joints=True)[:3]
+        result = 2.0 * np.pi * frequencies(model, lock_joints=True)[:3]
         expected = stepped_eigenvalues(3, place, rigidity, ratio)
-        yield from series(f"{name}, lambda_{{}}", STEPPED, expected, found, 2e-5)
+        yield from series(f"{name}, lambda_{{}}", STEPPED, expected, result, 2e-5)

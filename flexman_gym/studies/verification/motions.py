@@ -40,13 +40,13 @@ def motion_rows(reference: Path, quick: bool = False) -> Iterator[Row]:
 def trajectory_rows(reference: Path, name: str) -> Iterator[Row]:
     """A reference scene against its solution, by the reference method; and its balance of work and energy."""
     scene, expected = Scene.load(reference / f"{name}.json"), _solution(reference, name)
-    found = _motion(reference, name)
+    result = _motion(reference, name)
     largest = np.abs(expected[:, -1]).max()
-    energy = np.abs(found.energy - expected[: len(found.time), -1]).max() / largest
-    residual = np.abs(found.energy_residual).max() / largest
-    yield Row(f"{name}, largest distance of the tip, m", INDEPENDENT, 0.0, _farthest(found, expected), 1e-6)
-    yield Row(f"{name}, largest relative error of energy", INDEPENDENT, 0.0, _whole(found, scene, energy), 1e-6)
-    yield Row(f"{name}, work - dissipation - energy, relative", IDENTITY, 0.0, _whole(found, scene, residual), 1e-6)
+    energy = np.abs(result.energy - expected[: len(result.time), -1]).max() / largest
+    residual = np.abs(result.energy_residual).max() / largest
+    yield Row(f"{name}, largest distance of the tip, m", INDEPENDENT, 0.0, _farthest(result, expected), 1e-6)
+    yield Row(f"{name}, largest relative error of energy", INDEPENDENT, 0.0, _whole(result, scene, energy), 1e-6)
+    yield Row(f"{name}, work - dissipation - energy, relative", IDENTITY, 0.0, _whole(result, scene, residual), 1e-6)
 
 
 def momentum_rows(reference: Path) -> Iterator[Row]:
@@ -55,13 +55,13 @@ def momentum_rows(reference: Path) -> Iterator[Row]:
     That of the links is conjugate to the first joint angle; the first rotor has its own, the others take no part.
     """
     scene = Scene.load(reference / "paper_ff.json")
-    found, model = _motion(reference, "paper_ff"), scene_model(scene)
+    result, model = _motion(reference, "paper_ff"), scene_model(scene)
     d, motor, rotor = model.n_dof, model.motor_columns[0], scene.arm.joints[0].rotor_inertia
     gaps = []
-    for time, state in zip(found.time[::20], found.states[::20], strict=True):
+    for time, state in zip(result.time[::20], result.states[::20], strict=True):
         momentum = mass_matrix(model, state)[0] @ state[d:] + rotor * state[d + motor]
         gaps.append(abs(momentum - 400.0 * time) / (400.0 * scene.duration))
-    worst = _whole(found, scene, max(gaps))
+    worst = _whole(result, scene, max(gaps))
     yield Row("paper FF, angular momentum - 400 t, largest, of that at the end", IDENTITY, 0.0, worst, 1e-6)
 
 
@@ -70,9 +70,9 @@ def large_rotation_rows(reference: Path) -> Iterator[Row]:
     expected = _solution(reference, "paper_ff_large_rotation")
     source = "independent large-rotation code"
     for name, stiffening, limits in (("with", True, (2e-3, 6e-3)), ("without", False, (None, None))):
-        found = _motion(reference, "paper_ff", stiffening)
+        result = _motion(reference, "paper_ff", stiffening)
         for end, limit in zip((1.0, 2.0), limits, strict=True):
-            worst = _farthest(found, expected, int((expected[:, 0] < end + 1e-6).sum()))
+            worst = _farthest(result, expected, int((expected[:, 0] < end + 1e-6).sum()))
             yield Row(f"paper FF {name} foreshortening, tip within {end:g} s, m", source, 0.0, worst, limit)
 
 
@@ -92,13 +92,13 @@ def spin_up_scene(stiffening: bool) -> Scene:
 
 def spin_up_rows() -> Iterator[Row]:
     """Lag of the tip behind the turning frame, and stretch at the end; without foreshortening the beam diverges."""
-    found = simulate(spin_up_scene(stiffening=True), method="ros2", step=0.002)
-    cosine, sine = np.cos(found.joint_angles[:, 0]), np.sin(found.joint_angles[:, 0])
-    lag = sine * found.deflection[:, 0] - cosine * found.deflection[:, 1]
-    stretch = cosine * found.deflection[:, 0] + sine * found.deflection[:, 1]
-    steady, peak = found.time > 15.0, int(np.argmax(lag))
+    result = simulate(spin_up_scene(stiffening=True), method="ros2", step=0.002)
+    cosine, sine = np.cos(result.joint_angles[:, 0]), np.sin(result.joint_angles[:, 0])
+    lag = sine * result.deflection[:, 0] - cosine * result.deflection[:, 1]
+    stretch = cosine * result.deflection[:, 0] + sine * result.deflection[:, 1]
+    steady, peak = result.time > 15.0, int(np.argmax(lag))
     yield Row("spin-up to 6 rad/s, peak lag of the tip, m", KANE, 0.5739, lag[peak], 5e-3)
-    yield Row("spin-up to 6 rad/s, time of the peak, s", KANE, 6.76, found.time[peak], 0.05 / 6.76)
+    yield Row("spin-up to 6 rad/s, time of the peak, s", KANE, 6.76, result.time[peak], 0.05 / 6.76)
     yield Row("spin-up to 6 rad/s, steady stretch, m", KANE, 5.143e-4, stretch[steady].mean(), 5e-3)
     yield Row("spin-up to 6 rad/s, residual lag, m", KANE, 3.7e-3, np.abs(lag[steady]).max(), 0.05)
     linear = simulate(spin_up_scene(stiffening=False), method="ros2", step=0.002)
@@ -158,13 +158,13 @@ def _solution(reference: Path, name: str) -> Array:
     return np.loadtxt(reference / f"{name}.csv", delimiter=",", skiprows=1)
 
 
-def _farthest(found: Trajectory, expected: Array, until: int | None = None) -> float:
+def _farthest(result: Trajectory, expected: Array, until: int | None = None) -> float:
     """Largest distance of the tip, m; infinite when the run ended early."""
-    if found.status != "ok" or len(found.time) != len(expected):
+    if result.status != "ok" or len(result.time) != len(expected):
         return np.inf
-    return float(np.linalg.norm(found.tip - expected[:, 1:4], axis=1)[:until].max())
+    return float(np.linalg.norm(result.tip - expected[:, 1:4], axis=1)[:until].max())
 
 
-def _whole(found: Trajectory, scene: Scene, value: float) -> float:
+def _whole(result: Trajectory, scene: Scene, value: float) -> float:
     """The value of a run that went to the end of its scene; infinite of one that did not."""
-    return float(value) if found.status == "ok" and np.isclose(found.time[-1], scene.duration) else np.inf
+    return float(value) if result.status == "ok" and np.isclose(result.time[-1], scene.duration) else np.inf
