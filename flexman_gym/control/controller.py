@@ -1,6 +1,6 @@
 """Controller: the one protocol of everything that acts on arms."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
@@ -91,8 +91,17 @@ def checked_controller(field: str, value: object, others: str = "") -> Controlle
             takes.bind(*wanted)
         except TypeError:
             raise refusal(f"{field}.{name}", str(takes), f"({', '.join(wanted)})") from None
-    for name in {*dir(value)} - {*OPTIONAL, *CALLS, "sensors"}:
-        near = [] if name.startswith("_") else get_close_matches(name, OPTIONAL, 1, NEAR)
+    check_members(field, value, OPTIONAL, (*CALLS, "sensors"))
+    return value
+
+
+def check_members(field: str, value: object, optional: Collection[str], others: Collection[str]) -> None:
+    """Refuses an object one of whose members is nearly named as an optional one; it would never be used.
+
+    Raises:
+        ValueError: one line with field, member and the name that may be meant.
+    """
+    for name in sorted({*dir(value)} - {*optional, *others}):
+        near = [] if name.startswith("_") else get_close_matches(name, optional, 1, NEAR)
         if near:
             raise refusal(f"{field}.{name}", getattr(value, name), f"{near[0]}, if it is meant, or another name")
-    return value

@@ -86,10 +86,10 @@ class PD:
     def act(
         self, readings: Readings, applied: Array | None = None, playing: Flags | None = None
     ) -> NDArray[np.float32]:
-        """Gives the action (n,), or (b, n), for posture_errors, motor_rates and, where there are any, posture_rates."""
-        error, rate = readings["posture_errors"], readings["motor_rates"]
-        if "posture_rates" in readings:
-            rate = rate - readings["posture_rates"]
+        """Gives the action (n,), or (b, n), for angle_errors, motor_rates and, where there are any, goal_rates."""
+        error, rate = readings["angle_errors"], readings["motor_rates"]
+        if "goal_rates" in readings:
+            rate = rate - readings["goal_rates"]
         torque = self.stiffness * error - self.damping * rate
         if self.gravity_model is not None:
             torque = torque + (self._holding if error.ndim > 1 else self._holding[0])

@@ -53,7 +53,7 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
         joint_twist_rates      9-11     rad/s  10
         link_deflections       12-17    m      length/4  tip of each link along y and z of its beam frame
         link_deflection_rates  18-23    m/s    15
-        posture_errors         24-26    rad    8         goal posture - motor angles
+        angle_errors         24-26    rad    8         goal angles - motor angles
         target_error           27-29    m      17        target - tip, base frame
         target_nearness        30-32    1      1         target_error / (0.1 m + its length), 0.1 m for 8.5 m of reach
         tip_velocity           33-35    m/s    40        base frame
@@ -62,7 +62,7 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
         In [0, 1] a step, less a penalty for a failure: `Slew` has the terms, `info["reward_terms"]` their values.
 
     Start and end
-        `reset(seed=...)` draws start and target; `reset(options={"start": angles, "posture": angles})` sets them, and
+        `reset(seed=...)` draws start and target; `reset(options={"start": angles, "goal_angles": angles})` sets them.
         "parameters", a dict, sets physical parameters of the arm from this episode on (see `Batch.vary`). An arm starts
         at rest. Under gravity its weight bends it, and the target is where it rests at the goal posture.
 
@@ -75,12 +75,12 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
         elastic_energy (J), energy_residual (J, work of the motors - dissipation - change of energy since the reset,
         which the integrator invented or lost), energy_alarm (whether that is more than the part `energy_alarm` of the
         energy turned over since the reset), reward_terms, status (of the simulation), failure ("" or what happened),
-        tip and target (m), posture (rad, the goal); with a randomisation also drawn, a dict of what the episode drew
-        (see `Effects`).
+        tip and target (m), goal_angles (rad, of the motors); with a randomisation also drawn, a dict of what the
+        episode drew (see `Effects`).
 
     Fidelity
         By default two elements a link with the loaded modes that matter below half the control frequency, 16 of 36 for
-        FlexRRR-v0, and "implicit_midpoint_3" at 20/3 ms, which takes no energy from vibrations of its own. The smaller
+        FlexRRR-v0, and "midpoint_3_sweeps" at 20/3 ms, which takes no energy from vibrations of its own. The smaller
         arms have shorter steps. `docs/accuracy.md` says how far energy and tip are from those of all coordinates.
 
         fidelity="auto" with a tolerance (m) lets `choose_model` choose modes, method and step for a slew of 3 s with
@@ -125,7 +125,7 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Starts an episode; options may set "start" and "posture", joint angles (n,) in rad, and "parameters".
+        """Starts an episode; options may set "start" and "goal_angles", joint angles (n,) in rad, and "parameters".
 
         Raises:
             ValueError: one line, for a seed or options that are not allowed. The next reset gives what it would have
@@ -172,7 +172,7 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
         reward, info = episodes.outcome(view)
         info["status"] = layout.STATUS[episodes.batch.status[0]]
         info["failure"] = episodes.failures.get(0, "")
-        info["tip"], info["target"], info["posture"] = view.tip.copy(), view.target.copy(), view.posture.copy()
+        info["tip"], info["target"], info["goal_angles"] = view.tip.copy(), view.target.copy(), view.goal_angles.copy()
         if episodes.effects is not None:
             info["drawn"] = episodes.effects.of(0)
         return reward, info

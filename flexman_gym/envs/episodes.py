@@ -97,7 +97,7 @@ class Episodes:
         self.over[:] = True
         give("state.episodes", self, data)
         if self.base and view.plan:  # it makes again what it does not remember
-            posture = self.task.goal(view.plan, np.zeros(len(self.over)), view).posture
+            posture = self.task.goal(view.plan, np.zeros(len(self.over)), view).angles
             self._inform_base(np.arange(len(self.over)), view.plan, posture)
         give("state.base", self.base, base)
         if self.effects is not None:
@@ -119,8 +119,8 @@ class Episodes:
     ) -> None:
         """Starts new episodes of the arms with the indices (r,), each drawn from its own generator.
 
-        Options may set what the task draws, such as "start" and "posture", for all arms or with a leading axis b, and
-        "parameters" of the arms from this episode on: a dict of what `Batch.vary` takes, in the same way.
+        Options may set what the task draws, such as "start" and "goal_angles", for all arms or with a leading axis b,
+        and "parameters" of the arms from this episode on: a dict of what `Batch.vary` takes, in the same way.
 
         Raises:
             ValueError: one line with field, value and what is allowed; the episodes of these arms are then over.
@@ -140,7 +140,7 @@ class Episodes:
         self._set_goal(arms, plan)
         start = self.view.rest_states(plan["start"])
         if self.effects is not None:
-            self.effects.bend(arms, start)
+            self.effects.change_start(arms, start)
         self.batch.reset(arms, start)
         self.view.effort[arms], self.view.failed[arms], self.view.action[arms] = 0.0, False, 0.0
         self._ages[arms], self.truncated[arms] = 0, False
@@ -148,7 +148,7 @@ class Episodes:
         self.sight.begin(arms, randoms)
         self._begin(arms, options)
         if self.base:
-            self._inform_base(arms, plan, self.view.posture[arms])
+            self._inform_base(arms, plan, self.view.goal_angles[arms])
 
     def _inform_base(self, arms: IntArray, plan: Mapping[str, Array], posture: Array) -> None:
         """Tells the base of start and first goal (r, n) of new episodes, and of the path of a goal that moves."""
@@ -169,8 +169,8 @@ class Episodes:
             if name not in view.plan:
                 view.plan[name] = np.zeros((len(self.over), *values.shape[1:]), dtype=values.dtype)
             view.plan[name][arms] = values
-        view.target[arms], view.posture[arms] = self.task.goal(plan, np.zeros(len(arms)), view)
-        view.target_velocity[arms] = view.posture_rates[arms] = 0.0
+        view.target[arms], view.goal_angles[arms] = self.task.goal(plan, np.zeros(len(arms)), view)
+        view.target_velocity[arms] = view.goal_rates[arms] = 0.0
 
     def _begin(self, arms: IntArray, options: object) -> None:
         """Lets the episodes of arms that have just been reset and read begin."""
@@ -214,7 +214,7 @@ class Episodes:
             actions = np.clip(np.asarray(acted, dtype=np.float64) + actions, -1.0, 1.0)
         arriving = actions
         if self.effects is not None:
-            arriving = self.effects.act(actions)
+            arriving = self.effects.motor_actions(actions)
             self.effects.disturb(self.motors.forces, self.motors.accelerations, self.over)
         self.batch.step(self.motors.drive(arriving), playing)
         self._ages += 1 if playing is None else playing
@@ -256,8 +256,8 @@ class Episodes:
         view, arms = self.view, slice(None) if playing is None else playing
         goal = self.task.goal(view.plan, self.batch.time, view)
         view.target_velocity[arms] = (goal.target[arms] - view.target[arms]) / view.control_period
-        view.posture_rates[arms] = (goal.posture[arms] - view.posture[arms]) / view.control_period
-        view.target[arms], view.posture[arms] = goal.target[arms], goal.posture[arms]
+        view.goal_rates[arms] = (goal.angles[arms] - view.goal_angles[arms]) / view.control_period
+        view.target[arms], view.goal_angles[arms] = goal.target[arms], goal.angles[arms]
 
     def _see(self) -> None:
         """Keeps what is seen now of the arms that have not failed."""

@@ -6,6 +6,7 @@ from flexman_gym.checks import non_negative, one_of, positive, refusal, vector
 from flexman_gym.envs.effects import SIGNALS, Range
 from flexman_gym.simulation.parameters import PARAMETERS
 
+FACTORS = (*(name for name, row in PARAMETERS.items() if row.factor), "torque_limit")  # drawn on what is nominal
 GAP = 2.0  # s, between two impulses or changes of load where nothing else is said
 
 
@@ -18,15 +19,15 @@ class Randomisation:
 
     Args:
         impulse_gap: mean time between two impulses, or two changes of load, s; at least a control period. None for 2.
-        ranges: of the physical parameters in `simulation.parameters.PARAMETERS`, in their units, or factors > 0 on the
-            nominal values, one of each joint or link: payload_mass (kg), joint_stiffness, rotor_inertia and
-            link_stiffness (factors), joint_damping (N m s/rad). And of the effects in `envs.effects.SIGNALS`, whose
-            docstrings say more: torque_limit (factors), sensor_noise (parts of the ranges), delay (whole control
+        ranges: of the physical parameters in `simulation.parameters.PARAMETERS`: payload_mass (kg), joint_damping
+            (N m s/rad), and, as factors > 0 on the nominal values, one of each joint or link, joint_stiffness_factor,
+            rotor_inertia_factor and link_stiffness_factor. And of the effects in `envs.effects.SIGNALS`, whose
+            docstrings say more: torque_limit_factor, sensor_noise (parts of the ranges), delay (whole control
             periods), initial_vibration (m), tip_impulse (N s), tip_load (N) and base_sway (m/s^2).
 
     Attributes:
-        effects: names of the effects that are on, in the order of the tables.
-        ranges: name -> (low, high) of each of them; also attributes of those names, None for what is off.
+        effects: names of what differs, without "_factor", in the order of the tables.
+        ranges: name -> (low, high) of each of them; what was given is also an attribute, None for what is off.
         given: the arguments that were given, by name.
 
     Raises:
@@ -35,16 +36,17 @@ class Randomisation:
 
     def __init__(self, *, impulse_gap: float | None = None, **ranges: Any) -> None:
         self.impulse_gap = GAP if impulse_gap is None else positive("Randomisation.impulse_gap", impulse_gap, "s")
-        known = {**PARAMETERS, **SIGNALS}
         for name in ranges:
-            one_of("randomisation", name, (*known, "impulse_gap"))
+            one_of("randomisation", name, (*known(), "impulse_gap"))
         self.given = ranges if impulse_gap is None else {**ranges, "impulse_gap": self.impulse_gap}
-        self.ranges = {name: _range(name, ranges[name]) for name in known if ranges.get(name) is not None}
+        self.ranges = {
+            effect: _range(name, ranges[name]) for name, effect in known().items() if ranges.get(name) is not None
+        }
         self.effects = tuple(self.ranges)
 
     def __getattr__(self, name: str) -> Range | None:
-        if name in PARAMETERS or name in SIGNALS:
-            return self.ranges.get(name)
+        if name in known():
+            return self.ranges.get(known()[name])
         raise AttributeError(name)
 
     def __eq__(self, other: object) -> bool:
@@ -55,17 +57,28 @@ class Randomisation:
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
-        given = self.ranges | {"impulse_gap": self.impulse_gap}
+        on = {name: self.ranges[effect] for name, effect in known().items() if effect in self.ranges}
+        given = on | {"impulse_gap": self.impulse_gap}
         return f"Randomisation({', '.join(f'{name}={value!r}' for name, value in given.items())})"
 
 
 def _range(name: str, value: object) -> Range:
-    field = f"Randomisation.{name}"
+    field, effect = f"Randomisation.{name}", known()[name]
     low, high = vector(field, value, 2)
-    if name in SIGNALS:
-        low, high = (SIGNALS[name].checked(field, each) for each in value)  # type: ignore[attr-defined]
+    if effect in SIGNALS:
+        low, high = (SIGNALS[effect].checked(field, each) for each in value)  # type: ignore[attr-defined]
     else:
-        low, high = ((positive if PARAMETERS[name].factor else non_negative)(field, each) for each in (low, high))
+        low, high = ((positive if effect in FACTORS else non_negative)(field, each) for each in (low, high))
     if low > high:
         raise refusal(field, value, "a range (low, high) with low <= high, or None")
     return low, high
+
+
+def known() -> dict[str, str]:
+    """The effects that a randomisation has, by the names of their ranges."""
+    return {given_name(name): name for name in (*PARAMETERS, *SIGNALS)}
+
+
+def given_name(effect: str) -> str:
+    """The name of the range from which an effect draws, which says whether it is one of factors."""
+    return f"{effect}_factor" if effect in FACTORS else effect

@@ -7,7 +7,7 @@ from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 from flexman_gym.checks import mapping, one_of, positive, refusal, sequence, store, text, vector, whole_number
-from flexman_gym.control.controller import Controller, checked_controller
+from flexman_gym.control.controller import Controller, check_members, checked_controller
 from flexman_gym.control.lqr import LQR, TrackingLQR
 from flexman_gym.control.pd import PD, torque_limits
 from flexman_gym.envs.catalog import DEFAULT, NAMED
@@ -16,6 +16,7 @@ from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.randomisation import Randomisation
 from flexman_gym.envs.sensors import find_sensors
 from flexman_gym.envs.tasks import Task, find_task
+from flexman_gym.envs.tasks.task import MEMBERS, OPTIONAL
 from flexman_gym.fidelity.choose import Choice, assembled_modes, choose_model
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.arm import Arm
@@ -128,6 +129,7 @@ class Setup:
         store(self, horizon=positive("horizon", horizon, "s"), hold=whole_number("hold", self.hold, 1, LONGEST_HOLD))
         if not 0.5 <= self.horizon / self.control_period <= MOST_PERIODS:
             raise refusal("horizon", horizon, f"1 to {MOST_PERIODS} control periods of {self.control_period} s")
+        check_members("task", self.task, OPTIONAL, MEMBERS)
         if isinstance(self.base, str):
             one_of("base", self.base, BASES)
         elif self.base is not None:

@@ -35,7 +35,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
     for each key and its mask under the key with an underscore in front; masks of one info may be the same array.
 
     `reset(seed=...)` takes one seed, of arm 0, to which the others add their number, or a list of a seed for each. Its
-    options may set "start", "posture" and "parameters" for all arms, or with a leading axis for each. With
+    options may set "start", "goal_angles" and "parameters" for all arms, or with a leading axis for each. With
     autoreset_mode="Disabled" the option "reset_mask", (num_envs,) bool, says which arms are reset.
 
     Args:
@@ -180,7 +180,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
         for arm, text in episodes.failures.items():
             status[arm], failure[arm] = layout.STATUS[self.batch.status[arm]], text
         infos |= {"status": status, "failure": failure, "tip": view.tip.copy()}
-        infos |= {"target": view.target.copy(), "posture": view.posture.copy()}
+        infos |= {"target": view.target.copy(), "goal_angles": view.goal_angles.copy()}
         if episodes.effects is not None:
             infos["drawn"] = episodes.effects.drawn
         return rewards, _with_masks(infos, np.ones(self.num_envs, dtype=bool))

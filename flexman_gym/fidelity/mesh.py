@@ -40,7 +40,7 @@ class MeshSearch(Search):
     most_parts, rtols = 512, ()
     shares = (0.6,)
     softens = False
-    tried = ("implicit_midpoint_2", "ros2", "extrapolated_euler_3", "rk4", "implicit_midpoint_3",
+    tried = ("midpoint_2_sweeps", "ros2", "extrapolated_euler_3", "rk4", "midpoint_3_sweeps",
              "extrapolated_euler_5", "dopri5")  # fmt: skip
     blurred = 0.5
     timed = 3

@@ -18,10 +18,10 @@ from flexman_gym.simulation.trajectory import Trajectory
 
 MODEL_SHARES = (0.6, 0.25)  # parts of the tolerance that dropped coordinates may use; each gives a model
 TRIED = ("extrapolated_euler_5", "extrapolated_euler_4", "extrapolated_euler_3", "ros2", "rk4", "dopri5",
-         "implicit_midpoint_2", "implicit_midpoint_3", "generalised_alpha")  # fmt: skip
+         "midpoint_2_sweeps", "midpoint_3_sweeps", "generalised_alpha")  # fmt: skip
 SHARP = 0.05  # of the tolerance, the most by which the reference may be off
 # Lets no vibration grow or fade, however short or long its steps.
-MIDPOINT, FIRST_PARTS, MOST_PARTS = METHODS["implicit_midpoint_3"], 1, 64  # steps in an output step
+MIDPOINT, FIRST_PARTS, MOST_PARTS = METHODS["midpoint_3_sweeps"], 1, 64  # steps in an output step
 # What extrapolated tips are off by, in parts of what the last halving changed; 1/15 but for modes faster than steps.
 STEPS_LEFT = 0.5
 RTOLS = (1e-5, 1e-8, 1e-11)  # of "dop853", for a reference that halved steps do not make sharp

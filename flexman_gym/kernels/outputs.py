@@ -88,16 +88,16 @@ def read_views(rows, outputs, targets, readings, motion, vectors, numbers):
 
 
 @kernel
-def read_everything(motion, angles, velocity, posture, vectors, numbers, near, out):
-    """out (b, 9 n + 9) = the first 8 n of motion (b, m), posture - motor angles (b, n), vectors (b, 3) as they are and
-    divided by their lengths (b,) + near, and the velocity (b, 3) of the tip."""
-    n = posture.shape[1]
+def read_everything(motion, angles, velocity, goal_angles, vectors, numbers, near, out):
+    """out (b, 9 n + 9) = the first 8 n of motion (b, m), goal_angles - angles of the motors (b, n), vectors (b, 3) and
+    the same divided by their lengths (b,) + near, and the velocity (b, 3) of the tip."""
+    n = goal_angles.shape[1]
     end = 9 * n
     for b in range(len(out)):
         for j in range(8 * n):
             out[b, j] = motion[b, j]
         for j in range(n):
-            out[b, 8 * n + j] = posture[b, j] - angles[b, j]
+            out[b, 8 * n + j] = goal_angles[b, j] - angles[b, j]
         scale = numbers[b] + near
         for j in range(3):
             out[b, end + j], out[b, end + 3 + j] = vectors[b, j], vectors[b, j] / scale

@@ -64,10 +64,10 @@ def _linearly_implicit() -> tuple[LinearlyImplicit, ...]:
 def _implicit() -> tuple[Method, ...]:
     source = "Hairer, Lubich and Wanner, Geometric Numerical Integration, II.1"
     midpoint = Implicit("implicit_midpoint", 2, source)
-    sweeps = (Midpoint(f"implicit_midpoint_{n}", 2, f"{source}; Newton's iterations: VIII.6", n) for n in (2, 3))
+    sweeps = (Midpoint(f"midpoint_{n}_sweeps", 2, f"{source}; Newton's iterations: VIII.6", n) for n in (2, 3))
     radau = Outside("radau", 5, "Hairer and Wanner, Solving ODEs II, IV.8; the integrator of SciPy")
     return midpoint, *sweeps, generalised_alpha(0.9), radau
 
 
-DEFAULT = "implicit_midpoint_3"  # wherever steps are fixed and no method is named
+DEFAULT = "midpoint_3_sweeps"  # wherever steps are fixed and no method is named
 METHODS: dict[str, Method] = {method.name: method for method in (*_explicit(), *_linearly_implicit(), *_implicit())}

@@ -32,7 +32,7 @@ def simulate(
     Args:
         scene: arm, torque, initial state, duration.
         model: None takes the model that the scene asks for.
-        method: a Method or a name from `METHODS`. "auto" takes "implicit_midpoint_3" with a step and the
+        method: a Method or a name from `METHODS`. "auto" takes "midpoint_3_sweeps" with a step and the
             reference "dop853" without one.
         step: s. It divides the output step of the scene, into at most 100000 steps, or is a multiple of it; a multiple
             gives an output after every step. None lets a method that estimates its error choose its steps. A reference

@@ -23,8 +23,8 @@ class View:
     """Motion and goals of b arms of n links. Arrays have the axis of the arms in front, (b, ...).
 
     `alone()` has the same names without that axis, and numbers in place of (b,). Code with `...` and `axis=-1` serves
-    both. `read` brings everything up to date. Code that sets a goal writes into `posture`, `target` and `plan`; code
-    that acts writes into `effort` and `failed`.
+    both. `read` brings everything up to date. Code that sets a goal writes into `goal_angles`, `target` and `plan`,
+    code that acts into `effort` and `failed`.
 
     Attributes:
         n_joints: n.
@@ -45,7 +45,7 @@ class View:
             link_deflection_rates, then tip_velocity.
         places: name -> slice of `motion`.
         units: name -> unit, of all quantities that an instrument may measure.
-        posture, posture_rates: (b, n) the goal of the motors, rad, and how fast it moved in the last control period,
+        goal_angles, goal_rates: (b, n) the goal of the motors, rad, and how fast it moved in the last control period,
             rad/s.
         target: (b, 3) the goal of the tip in the base frame, m.
         target_velocity: (b, 3) of a target that moves, over the last control period, m/s.
@@ -60,7 +60,7 @@ class View:
         failed: (b,) whether the last step ended the episode by a limit or a divergence.
     """
 
-    kept = ("posture", "posture_rates", "target", "target_velocity", "plan", "effort", "action", "failed")
+    kept = ("goal_angles", "goal_rates", "target", "target_velocity", "plan", "effort", "action", "failed")
 
     def __init__(self, batch: Batch) -> None:
         model, constants, arms = batch.model, batch.model.constants, len(batch.rows)
@@ -91,8 +91,8 @@ class View:
         self.joint_angles, self.joint_rates = self.state[:, :n], self.state[:, d : d + n]
         self.tip, self.tip_velocity = outputs[:, layout.TIP], outputs[:, layout.TIP_VELOCITY]
         self.deflection, self.deflection_rate = outputs[:, layout.DEFLECTION], outputs[:, layout.DEFLECTION_RATE]
-        self.posture, self.target, self.plan = np.zeros((arms, n)), np.zeros((arms, 3)), dict[str, Array]()
-        self.posture_rates, self.target_velocity = np.zeros((arms, n)), np.zeros((arms, 3))
+        self.goal_angles, self.target, self.plan = np.zeros((arms, n)), np.zeros((arms, 3)), dict[str, Array]()
+        self.goal_rates, self.target_velocity = np.zeros((arms, n)), np.zeros((arms, 3))
         self._vectors = np.zeros((arms, 2, 3))  # with the deflection rate; their lengths: tip_error and tip_vibration
         self.target_error = self._vectors[:, 0]
         self.tip_error: Number = np.zeros(arms)

@@ -182,7 +182,7 @@ def test_the_one_at_the_goal_brings_the_arm_there(name):
     """From a start beside the goal: what is left after 6 s is far below a thousandth of the reach."""
     env = gym.make(name, base="lqr", horizon=6.0).unwrapped
     n = env.action_space.shape[0]
-    _, info = env.reset(seed=0, options={"start": [0.2] * n, "posture": [0.35] * n})
+    _, info = env.reset(seed=0, options={"start": [0.2] * n, "goal_angles": [0.35] * n})
     first, ended = info["tip_error"], False
     while not ended:
         _, _, failed, ended, info = env.step(np.zeros(n))

@@ -17,8 +17,8 @@ numbers = st.floats(-10, 10)
 
 @given(st.tuples(numbers, numbers, numbers, numbers))
 def test_pd_is_linear_until_the_motors_saturate(values):
-    readings = {"posture_errors": np.array(values[:2]), "motor_rates": np.array(values[2:])}
-    expected = np.array([100.0, 200.0]) * readings["posture_errors"] - np.array([10.0, 20.0]) * readings["motor_rates"]
+    readings = {"angle_errors": np.array(values[:2]), "motor_rates": np.array(values[2:])}
+    expected = np.array([100.0, 200.0]) * readings["angle_errors"] - np.array([10.0, 20.0]) * readings["motor_rates"]
     for limit in (400.0, (400.0, 100.0)):
         pd = PD((100.0, 200.0), (10.0, 20.0), limit)
         action = pd.act(readings)
@@ -31,7 +31,7 @@ def test_pd_is_linear_until_the_motors_saturate(values):
 def test_damping_brakes_the_motion_beside_that_of_the_posture():
     """A motor that turns as fast as its posture and where it is needs no torque, a resting one is pulled along."""
     pd, still = PD((100.0,), (10.0,), 400.0), np.zeros(1)
-    readings = {"posture_errors": still, "motor_rates": np.array([3.0]), "posture_rates": np.array([3.0])}
+    readings = {"angle_errors": still, "motor_rates": np.array([3.0]), "goal_rates": np.array([3.0])}
     assert pd.act(readings) == [0.0] and pd.act(readings | {"motor_rates": still}) == pytest.approx([30.0 / 400.0])
 
 
@@ -41,7 +41,7 @@ def test_arms_that_come_later_change_nothing_for_those_before():
     for arm in range(3):
         pd.reset(np.array([arm]), Episode(postures[arm : arm + 1], postures[arm : arm + 1], 0.02))
     held = np.array([holding_torques(model, posture) for posture in postures])
-    still = {"posture_errors": np.zeros((3, 2)), "motor_rates": np.zeros((3, 2))}
+    still = {"angle_errors": np.zeros((3, 2)), "motor_rates": np.zeros((3, 2))}
     assert pd.act(still) == pytest.approx(held / 12.0, abs=1e-6)
 
 
@@ -68,7 +68,7 @@ def test_pd_is_a_controller_and_reads_sensors_that_there_are():
 def test_pd_takes_energy_out_of_a_swinging_arm_that_is_already_at_its_posture():
     env = gym.make("FlexRRR-v0").unwrapped
     start = np.array([0.2, -0.3, 0.4])
-    observation, _ = env.reset(seed=0, options={"start": start, "posture": start})
+    observation, _ = env.reset(seed=0, options={"start": start, "goal_angles": start})
     pd = PD((811.0, 369.0, 2972.0), (854.0, 384.0, 349.0), env.torque_limit)
     for _ in range(25):
         observation, *_ = env.step(np.array([0.5, -0.5, 0.5], dtype=np.float32))
@@ -83,13 +83,13 @@ def test_pd_with_gravity_holds_an_arm_at_rest_where_it_is():
     """What it adds is what holds the goal posture, of each arm its own; without it the arm sinks."""
     arms = gym.make_vec("FlexPlanar-v0", 3, "vector_entry_point", base="pd", autoreset_mode="Disabled").unwrapped
     postures = np.array([[0.0, 0.0], [0.5, -0.8], [-0.7, 0.3]])
-    arms.reset(seed=0, options={"start": postures, "posture": postures})
+    arms.reset(seed=0, options={"start": postures, "goal_angles": postures})
     for _ in range(100):
         *_, infos = arms.step(np.zeros((3, 2)))
     assert (infos["tip_error"] < 1e-6).all()  # actions are single precision
     held = np.array([holding_torques(arms.batch.model, posture) for posture in postures])
     assert arms.episodes.view.action == pytest.approx(held / arms.torque_limit, abs=1e-6)
-    still, alone = {"posture_errors": np.zeros(2), "motor_rates": np.zeros(2)}, arms.setup.pd(arms.batch.model)
+    still, alone = {"angle_errors": np.zeros(2), "motor_rates": np.zeros(2)}, arms.setup.pd(arms.batch.model)
     alone.reset(np.array([0]), Episode(postures[1:2], postures[1:2], 0.02))
     assert alone.act(still) == pytest.approx(held[1] / arms.torque_limit, abs=1e-6)
     arms.episodes.base.gravity_model = None

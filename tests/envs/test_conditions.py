@@ -45,7 +45,7 @@ def arms(setup):
     drawn = setup.disturbed
     payloads = (drawn and drawn.payload_mass) or (None,)
     for payload, links, joints in product(
-        payloads, (drawn and drawn.link_stiffness) or (1.0,), (drawn and drawn.joint_stiffness) or (1.0,)
+        payloads, (drawn and drawn.link_stiffness_factor) or (1.0,), (drawn and drawn.joint_stiffness_factor) or (1.0,)
     ):
         yield replace(
             setup.arm,
@@ -105,7 +105,7 @@ def test_what_a_condition_draws_is_in_its_file():
     assert full.randomisation.payload_mass == (0.0, 20.0) and full.randomisation.sensor_noise == (0.001, 0.001)
     names = gym.make("FlexRRR-v0", sensors=lab.sensors).unwrapped.sensors.slices
     assert list(names) == [
-        "motor_angles", "motor_rates", "joint_twists", "joint_twist_rates", "root_strains", "posture_command",
+        "motor_angles", "motor_rates", "joint_twists", "joint_twist_rates", "root_strains", "angle_command",
         "rate_command", "tip_command", "tip_velocity_command",
     ]  # fmt: skip
 
@@ -115,7 +115,7 @@ def test_unknown_is_payload_stiffness_and_delay_and_noise_of_a_thousandth_of_the
     own, drawn = {}, {name: Description.find(f"{FOLDERS[folder]}/{name}").setup().randomisation for name in CONDITIONS}
     for name in ("payload", "stiffness", "delay"):
         own |= {field: getattr(drawn[name], field) for field in drawn[name].given}
-    assert own.keys() == {"payload_mass", "joint_stiffness", "link_stiffness", "delay"}
+    assert own.keys() == {"payload_mass", "joint_stiffness_factor", "link_stiffness_factor", "delay"}
     assert drawn["unknown"] == drawn["unknown-lab"] == Randomisation(**own, sensor_noise=(0.001, 0.001))
 
 

@@ -200,8 +200,8 @@ def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
     many = gym.make_vec(result.id, 2, "vector_entry_point", **result.keywords())
     seen, info = single.reset(seed=seed)
     others, infos = many.reset(seed=[7, seed])
-    errors, posture = [info["tip_error"]], info["posture"]
-    assert np.array_equal(seen, others[1]) and np.array_equal(posture, infos["posture"][1])
+    errors, posture = [info["tip_error"]], info["goal_angles"]
+    assert np.array_equal(seen, others[1]) and np.array_equal(posture, infos["goal_angles"][1])
     for _ in range(15):
         seen, _, _, ended, info = single.step(np.zeros(2))
         others, *_, infos = many.step(np.zeros((2, 2)))

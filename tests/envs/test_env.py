@@ -16,7 +16,7 @@ from flexman_gym.envs.env import FlexManEnv
 POSTURE = (0.3, 0.4, -0.5)
 INFO = {
     "tip_error", "tip_vibration", "elastic_energy", "energy_residual", "energy_alarm", "reward_terms", "status",
-    "failure", "tip", "target", "posture",
+    "failure", "tip", "target", "goal_angles",
 }  # fmt: skip
 FAR = fm.Limits(angle=1e9, rate=1e9, twist=1e9, deflection=1e9, deflection_rate=1e9, tip_speed=1e9)
 EPISODES = """
@@ -179,7 +179,7 @@ def test_the_observation_is_what_the_simulator_says():
             "motor_rates": v[3:6],
             "joint_twists": x[3:6] - x[:3],
             "joint_twist_rates": v[3:6] - v[:3],
-            "posture_errors": info["posture"] - x[3:6],
+            "angle_errors": info["goal_angles"] - x[3:6],
             "target_error": info["target"] - info["tip"],
             "tip_velocity": simulator.tip_velocity,
         }.items():
@@ -193,17 +193,17 @@ def test_the_observation_is_what_the_simulator_says():
 def test_observations_and_info_are_the_callers_to_keep():
     env = FlexManEnv()
     observation, info = env.reset(seed=5)
-    kept = observation.copy(), info["tip"].copy(), info["target"].copy(), info["posture"].copy()
+    kept = observation.copy(), info["tip"].copy(), info["target"].copy(), info["goal_angles"].copy()
     env.step(np.ones(3))
-    for before, after in zip(kept, (observation, info["tip"], info["target"], info["posture"]), strict=True):
+    for before, after in zip(kept, (observation, info["tip"], info["target"], info["goal_angles"]), strict=True):
         assert np.array_equal(before, after)
-    observation[:] = info["target"][:] = info["posture"][:] = np.nan
+    observation[:] = info["target"][:] = info["goal_angles"][:] = np.nan
     assert np.isfinite(env.step(np.ones(3))[0]).all()
 
 
 def test_an_arm_at_rest_on_its_target_stays_there_and_earns_one():
     env = FlexManEnv()
-    start, _ = env.reset(options={"start": POSTURE, "posture": POSTURE})
+    start, _ = env.reset(options={"start": POSTURE, "goal_angles": POSTURE})
     assert start[env.sensors.slices["motor_angles"]] == pytest.approx(POSTURE)
     for observation, reward, terminated, _, info in run(env, np.zeros((50, 3))):
         assert observation == pytest.approx(start, abs=1e-9)
@@ -226,7 +226,7 @@ def test_the_energy_residual_is_the_error_of_the_integrator():
     residuals = {}
     for method, step in (("dop853", 0.02), ("ros2", 0.02 / 64), ("ros2", 0.02 / 256)):
         env = FlexManEnv(method=method, step=step)
-        env.reset(options={"start": POSTURE, "posture": (0.0, 0.0, 0.0)})
+        env.reset(options={"start": POSTURE, "goal_angles": (0.0, 0.0, 0.0)})
         info = run(env, np.tile([1.0, -1.0, 0.5], (25, 1)))[-1][4]
         residuals[method, step] = abs(info["energy_residual"]) / env.simulator.energy
     reference, coarse, fine = residuals.values()

@@ -52,9 +52,9 @@ def test_a_bad_action_is_refused_in_one_line_and_changes_nothing(action):
 @pytest.mark.parametrize(
     ("options", "allowed"),
     [
-        ({"speed": 1.0}, "one of start, posture, parameters"),
+        ({"speed": 1.0}, "one of start, goal_angles, parameters"),
         ({"start": [5.0, 0.0, 0.0]}, "a start and a goal within the limits"),
-        (3, "a dict with start, posture or parameters"),
+        (3, "a dict with start, goal_angles or parameters"),
     ],
 )
 def test_bad_options_are_refused_in_one_line_and_end_the_episode(options, allowed):
@@ -67,7 +67,7 @@ def test_bad_options_are_refused_in_one_line_and_end_the_episode(options, allowe
         env.step(np.zeros(3))
 
 
-@pytest.mark.parametrize("name", ["start", "posture"])
+@pytest.mark.parametrize("name", ["start", "goal_angles"])
 @pytest.mark.parametrize("value", [None, [0.0, 0.0], "up"])
 def test_a_bad_start_or_posture_is_named(name, value):
     with pytest.raises(ValueError) as error:
@@ -79,7 +79,7 @@ OUTSIDE = {"start": [5.0, 0.0, 0.0]}  # beyond the limits, which only a reset fi
 WRONG = [
     OUTSIDE,
     OUTSIDE | {"parameters": {"payload_mass": 3.0, "joint_damping": [1.0, 2.0, 3.0]}},
-    OUTSIDE | {"posture": [0.1] * 3, "parameters": {"link_stiffness": [0.9, 0.8, 0.7]}},
+    OUTSIDE | {"goal_angles": [0.1] * 3, "parameters": {"link_stiffness": [0.9, 0.8, 0.7]}},
     {"start": "up"},
     {"speed": 1.0},
     np.zeros(3),

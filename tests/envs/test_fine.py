@@ -11,7 +11,7 @@ from flexman_gym.envs.env import FlexManEnv
 BOTH = ("full", "fine")
 SCALES = {
     "motor_rates": 0.02, "joint_twists": 0.004, "joint_twist_rates": 0.02, "link_deflections": 0.004,
-    "link_deflection_rates": 0.02, "posture_errors": 0.01, "target_error": 0.02, "tip_velocity": 0.05,
+    "link_deflection_rates": 0.02, "angle_errors": 0.01, "target_error": 0.02, "tip_velocity": 0.05,
 }  # fmt: skip
 
 
@@ -25,7 +25,7 @@ def test_they_say_what_the_full_state_says(name):
     rate, twist = setup.limits.rate / old.rate, setup.limits.twist / old.twist
     factors = dict.fromkeys(SCALES, reach) | {
         "motor_rates": rate, "joint_twists": twist, "joint_twist_rates": rate,
-        "posture_errors": setup.limits.angle / old.angle,
+        "angle_errors": setup.limits.angle / old.angle,
     }  # fmt: skip
     env.reset(seed=0)
     env.action_space.seed(0)
@@ -39,11 +39,11 @@ def test_they_say_what_the_full_state_says(name):
 def test_half_of_a_millimetre_is_seen_and_twice_as_far_adds_no_more_than_a_constant():
     """Slope 1 / scale at zero; far away the logarithm of twice the distance is ln 2 more."""
     env = FlexManEnv(sensors="fine")
-    place = env.sensors.slices["fine_posture_errors"]
+    place = env.sensors.slices["fine_angle_errors"]
     seen = {}
     for error in (0.0, 0.0005, 0.7, 1.4):
         start = np.array([0.1, 0.2, 0.3])
-        seen[error] = env.reset(options={"start": start, "posture": start + error})[0][place]
+        seen[error] = env.reset(options={"start": start, "goal_angles": start + error})[0][place]
     assert seen[0.0] == pytest.approx(np.zeros(3), abs=1e-12)
     assert seen[0.0005] == pytest.approx(np.full(3, 0.05), rel=1e-3)
     assert seen[1.4] - seen[0.7] == pytest.approx(np.full(3, np.log(2.0)), abs=1e-3)
@@ -75,7 +75,7 @@ def test_a_quantity_on_its_bound_is_within():
     env = FlexManEnv(sensors="fine")
     env.reset(seed=0)
     view, sensors = env.episodes.view, env.sensors
-    view.motion[:], view.posture[:], view.motor_angles[:] = 0.0, 4.0, -4.0
+    view.motion[:], view.goal_angles[:], view.motor_angles[:] = 0.0, 4.0, -4.0
     view.motor_rates[:] = 10.0
     sensors.read()
     assert (np.abs(sensors.observations) <= sensors.bound).all()

@@ -40,7 +40,7 @@ def sensors_for(limits=fm.Limits(), **choice):  # noqa: B008
 def observe(simulator, posture=(0.0, 0.0, 0.0), target=(0.0, 0.0, 0.0)):
     """Slices of the observation of one arm, by name."""
     sensors, view = sensors_of(simulator.batch)
-    view.posture[:], view.target[:] = posture, target
+    view.goal_angles[:], view.target[:] = posture, target
     view.read()
     sensors.read()
     return {name: sensors.observations[0, part] for name, part in sensors.slices.items()}
@@ -74,7 +74,7 @@ def test_joints_and_goals_are_the_differences_they_claim(flexible_joints):
         motors = vector[3:6] if flexible_joints else vector[:3]  # the order that kernels.layout describes
         assert np.array_equal(result[f"motor_{'angles' if kind == 's' else 'rates'}"], motors)
         assert result[f"joint_twist{kind}"] == pytest.approx(motors - vector[:3], abs=1e-15)
-    assert np.array_equal(result["posture_errors"], posture - result["motor_angles"])
+    assert np.array_equal(result["angle_errors"], posture - result["motor_angles"])
     assert np.array_equal(result["target_error"], target - simulator.tip)
     reach, error = sum(link.length for link in ARM.links), target - simulator.tip
     assert result["target_nearness"] == pytest.approx(error / (0.1 / 8.5 * reach + np.linalg.norm(error)), rel=1e-12)
@@ -135,7 +135,7 @@ def test_a_batch_reads_what_its_rows_read():
     rng, batch = np.random.default_rng(0), Batch(model, arms=5)
     postures, targets, (sensors, view) = rng.normal(size=(5, 3)), rng.normal(size=(5, 3)), sensors_of(batch)
     batch.reset(np.arange(5), np.array([arm.state for arm in arms]))
-    view.posture[:], view.target[:] = postures, targets
+    view.goal_angles[:], view.target[:] = postures, targets
     view.read()
     sensors.read()
     for arm, posture, target, row in zip(arms, postures, targets, sensors.observations, strict=True):
@@ -172,7 +172,7 @@ def test_bounds_are_the_limits():
     }.items():
         assert sensors.bound[sensors.slices[name]] == pytest.approx(expected)
     # Two postures within the limits are at most two limits apart, tip and target at most two reaches.
-    assert sensors.bound[sensors.slices["posture_errors"]] == pytest.approx(2.0)
+    assert sensors.bound[sensors.slices["angle_errors"]] == pytest.approx(2.0)
     assert sensors.bound[sensors.slices["target_error"]] == pytest.approx(2 * REACH)
 
 

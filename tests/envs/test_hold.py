@@ -206,7 +206,7 @@ def test_a_base_sees_the_moment_and_learns_of_every_episode():
     env = FlexManEnv(base=base, hold=2)
     _, info = env.reset(seed=1)
     ((arms, start, posture),) = base.resets
-    assert arms.tolist() == [0] and np.array_equal(posture[0], info["posture"])
+    assert arms.tolist() == [0] and np.array_equal(posture[0], info["goal_angles"])
     assert np.array_equal(start[0], env.episodes.view.plan["start"][0])
     env.step(np.ones(3))
     assert np.array_equal(base.readings[0]["motor_angles"][0], start[0])
@@ -220,7 +220,7 @@ def test_a_base_and_the_agent_see_the_same_measurements():
     for _ in range(5):
         env.step(np.zeros(3))
         seen = {name: observation[place] for name, place in env.sensors.slices.items()}
-        for name in ("motor_angles", "posture_errors", "target_nearness"):
+        for name in ("motor_angles", "angle_errors", "target_nearness"):
             assert base.readings[-1][name][0].astype(np.float32) == pytest.approx(seen[name], abs=0)
         observation = env.unwrapped.episodes.sight.seen[0].copy()
 

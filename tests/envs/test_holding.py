@@ -143,7 +143,7 @@ def test_without_integral_action_a_pd_leaves_the_offset_that_statics_says():
     stiffness, damping = np.array([8730.0, 20100.0, 6810.0]), np.array([8210.0, 9480.0, 1730.0])
     controller = PD(stiffness, damping, env.torque_limit)
     posture = [0.2, 0.3, -0.4]
-    observation, _ = env.reset(seed=0, options={"start": posture, "posture": posture})
+    observation, _ = env.reset(seed=0, options={"start": posture, "goal_angles": posture})
     for _ in range(4000):
         readings = {name: observation[place] for name, place in env.sensors.slices.items()}
         observation, _, terminated, _, info = env.step(controller.act(readings))

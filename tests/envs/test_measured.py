@@ -5,7 +5,7 @@ import pytest
 
 from flexman_gym.envs.env import FlexManEnv
 
-STILL = {"start": [0.3, 0.4, -0.5], "posture": [0.3, 0.4, -0.5]}
+STILL = {"start": [0.3, 0.4, -0.5], "goal_angles": [0.3, 0.4, -0.5]}
 
 
 def test_what_is_derived_is_as_uncertain_as_what_is_measured():
@@ -19,7 +19,7 @@ def test_what_is_derived_is_as_uncertain_as_what_is_measured():
         near = parts["target_nearness"]
         assert near == pytest.approx(error / (0.1 + np.sqrt(error @ error)), rel=1e-5, abs=1e-6)
         assert np.sinh(parts["fine_target_error"]) * 8.5 / 425 == pytest.approx(error, rel=1e-4, abs=1e-6)
-        assert parts["posture_errors"] == pytest.approx(info["posture"] - parts["motor_angles"], abs=1e-5)
+        assert parts["angle_errors"] == pytest.approx(info["goal_angles"] - parts["motor_angles"], abs=1e-5)
         off.append(error - (info["target"] - info["tip"]))
         observation, _, _, _, info = env.step(np.zeros(3))
     spread = 0.002 * 1.25 * 8.5  # of the tip's range

@@ -42,7 +42,7 @@ def watched(sensors, own=("servo",)):
 @pytest.mark.parametrize("kind", ["full", "lab", "motor_encoders"])
 def test_flaws_of_an_agents_instruments_act_on_the_base_beside_it(kind):
     seen, read, rates = watched({"kind": kind, **FLAWS})
-    goals = [base["posture_errors"][0] + agent["motor_angles"] for agent, base in zip(seen, read, strict=True)]
+    goals = [base["angle_errors"][0] + agent["motor_angles"] for agent, base in zip(seen, read, strict=True)]
     assert np.ptp(goals, axis=0) == pytest.approx(0.0, abs=1e-6), "goal - angle, where the goal stays"
     assert rates[:, 0] == pytest.approx(np.array([agent["motor_rates"] for agent in seen]), abs=1e-6)
     assert np.abs(rates - watched(kind)[2]).max() > 0.05

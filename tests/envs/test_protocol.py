@@ -30,7 +30,7 @@ class Listener:
 def test_a_controller_is_told_the_sum_that_was_asked_for_cut_off_and_before_what_nobody_knows():
     """With torques that come two periods late, which does not change what was asked for."""
     base = Listener()
-    env = FlexManVectorEnv(3, base=base, randomisation={"delay": (2, 2), "torque_limit": (0.5, 0.9)})
+    env = FlexManVectorEnv(3, base=base, randomisation={"delay": (2, 2), "torque_limit_factor": (0.5, 0.9)})
     env.reset(seed=1)
     asked = [np.zeros((3, 3))]
     for action in actions(3, 30, seed=2):
@@ -65,10 +65,10 @@ def test_a_controller_is_told_start_goal_period_and_the_path_of_a_goal_that_move
     if name == "FlexOne-v0":
         assert episode.reference is None
         return
-    goals = [env.episodes.view.posture[0].copy()]
+    goals = [env.episodes.view.goal_angles[0].copy()]
     for _ in range(env.setup.longest):
         env.step(np.full(n, -0.75))
-        goals.append(env.episodes.view.posture[0].copy())
+        goals.append(env.episodes.view.goal_angles[0].copy())
     assert episode.reference[0] == pytest.approx(np.array(goals), abs=1e-6)
     assert np.ptp(goals, axis=0).max() > 0.05
 

@@ -6,8 +6,8 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 
-STILL = {"start": [0.3, 0.4, -0.5], "posture": [0.3, 0.4, -0.5]}
-FACTORS = {"joint_stiffness": (0.5, 1.5), "rotor_inertia": (0.5, 1.5), "torque_limit": (0.5, 1.5)}
+STILL = {"start": [0.3, 0.4, -0.5], "goal_angles": [0.3, 0.4, -0.5]}
+FACTORS = {"joint_stiffness_factor": (0.5, 1.5), "rotor_inertia_factor": (0.5, 1.5), "torque_limit_factor": (0.5, 1.5)}
 
 
 def forces(gap, period=0.02, steps=300, arms=50):

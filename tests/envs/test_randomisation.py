@@ -13,27 +13,28 @@ import flexman_gym as fm
 from flexman_gym.draw.frames import arm_lines
 from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.env import FlexManEnv
+from flexman_gym.envs.randomisation import given_name
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.simulation.parameters import PARAMETERS
 
 from oracles.episodes import EVERYTHING, actions
 
 EFFECTS = (*PARAMETERS, *SIGNALS)
-RANGES = {name: EVERYTHING[name] for name in EFFECTS}
+RANGES = {name: EVERYTHING[given_name(name)] for name in EFFECTS}
 QUICK = settings(deadline=None, derandomize=True, max_examples=15)
-STILL = {"start": [0.3, 0.4, -0.5], "posture": [0.3, 0.4, -0.5]}
+STILL = {"start": [0.3, 0.4, -0.5], "goal_angles": [0.3, 0.4, -0.5]}
 PUSH = np.array([0.5, -0.3, 0.2])
 
 
 def env_with(*effects, **more):
     """An environment with some of the effects, within the ranges above."""
-    return FlexManEnv(randomisation={name: RANGES[name] for name in effects} | more)
+    return FlexManEnv(randomisation={given_name(name): RANGES[name] for name in effects} | more)
 
 
 def episodes(env, seeds):
     """What the episodes of these seeds, None to go on, drew and where they began."""
     infos = [env.reset(seed=seed)[1] for seed in seeds]
-    return [{"start": env.simulator.state[:3].copy(), "goal": info["posture"], **info["drawn"]} for info in infos]
+    return [{"start": env.simulator.state[:3].copy(), "goal": info["goal_angles"], **info["drawn"]} for info in infos]
 
 
 @QUICK
@@ -64,7 +65,7 @@ def test_draws_do_not_depend_on_what_happened_in_episodes_before():
 
 
 def test_draws_lie_in_their_ranges_and_fill_them():
-    env = FlexManVectorEnv(400, modes=1, randomisation=RANGES)
+    env = FlexManVectorEnv(400, modes=1, randomisation={given_name(name): span for name, span in RANGES.items()})
     drawn, nominal = env.reset(seed=1)[1]["drawn"], env.batch.nominal
     scale = {name: nominal[name] for name in ("joint_stiffness", "rotor_inertia")} | {"torque_limit": 400.0}
     for name, (low, high) in RANGES.items():
@@ -148,7 +149,7 @@ def test_the_initial_shape_is_the_one_of_a_force_on_the_tip():
     """With all coordinates of one link: the cubic of a cantilever, W (3 s^2 - s^3) / 2 at the part s of its length."""
     arm = fm.catalog.one_link(rotor_inertia=1.0)
     env = FlexManEnv(arm=arm, modes=None, torque_limit=1.0, randomisation={"initial_vibration": (0.01, 0.01)})
-    _, info = env.reset(seed=0, options={"start": [0.0], "posture": [0.0]})
+    _, info = env.reset(seed=0, options={"start": [0.0], "goal_angles": [0.0]})
     model, state = env.simulator.model, env.simulator.state
     bent = arm_lines(model, state)[0] - arm_lines(model, model.initial_state([0.0]))[0]
     part = arm_lines(model, model.initial_state([0.0]))[0] @ np.array(arm.links[0].orientation)[:, 0]
@@ -255,14 +256,14 @@ def test_nothing_is_drawn_where_nothing_is_asked():
         ({"payload_mass": 3.0}, "Randomisation.payload_mass: 3.0 is not allowed; give a list of numbers"),
         ({"payload_mass": (3.0, 1.0)}, "Randomisation.payload_mass: (3.0, 1.0) is not allowed; give a range (low"),
         ({"payload_mass": (-1.0, 1.0)}, "Randomisation.payload_mass: -1.0 is not allowed; give a finite number >= 0"),
-        ({"link_stiffness": (0.0, 1.0)}, "Randomisation.link_stiffness: 0.0 is not allowed; give a finite number > 0"),
+        ({"link_stiffness_factor": (0.0, 1.0)}, "Randomisation.link_stiffness_factor: 0.0 is not allowed"),
         ({"sensor_noise": (0.0, np.inf)}, "Randomisation.sensor_noise[1]: inf is not allowed; give a finite number"),
         ({"delay": (0, 1.5)}, "Randomisation.delay: 1.5 is not allowed; give a whole number from 0"),
         ({"sensor_noise": (0.0, 1e300)}, "Randomisation.sensor_noise: 1e+300 is not allowed; give a part from 0 to 1"),
         ({"impulse_gap": 0.0}, "Randomisation.impulse_gap: 0.0 is not allowed; give a finite number > 0"),
         ({"impulse_gap": 0.01}, "Randomisation.impulse_gap: 0.01 is not allowed; give at least the control period"),
         ({"initial_vibration": (0.0, 9.0)}, "Randomisation.initial_vibration: (0.0, 9.0) is not allowed; give at most"),
-        ({"mass": (0.0, 9.0)}, "randomisation: 'mass' is not allowed; give one of payload_mass, joint_stiffness"),
+        ({"mass": (0.0, 9.0)}, "randomisation: 'mass' is not allowed; give one of payload_mass, joint_stiffness_fact"),
     ],
 )  # fmt: skip
 def test_bad_ranges_are_refused_in_one_line(fields, line):
@@ -275,9 +276,9 @@ def test_effects_that_a_rigid_arm_has_no_room_for_are_refused():
     with pytest.raises(ValueError, match=r"^randomisation: 3 is not allowed; give a Randomisation, or a dict"):
         FlexManEnv(randomisation=3)
     arm = fm.catalog.one_link(joint_stiffness=None)
-    for effects in ({"joint_stiffness": (0.9, 1.1)}, {"joint_damping": (0.0, 1.0)}):
+    for effects in ({"joint_stiffness_factor": (0.9, 1.1)}, {"joint_damping": (0.0, 1.0)}):
         with pytest.raises(ValueError, match=r"give None: every joint of this arm is rigid$"):
             FlexManEnv(arm=arm, torque_limit=0.5, randomisation=effects)
-    for effects in ({"link_stiffness": (0.9, 1.1)}, {"initial_vibration": (0.0, 1e-3)}):
+    for effects in ({"link_stiffness_factor": (0.9, 1.1)}, {"initial_vibration": (0.0, 1e-3)}):
         with pytest.raises(ValueError, match=r"give None: every link of this arm is rigid$"):
             FlexManEnv(modes=0, randomisation=effects)

@@ -133,7 +133,7 @@ def test_a_goal_that_moves_is_where_the_task_says_at_every_observation():
         observation, _, _, _, info = env.step(np.zeros(3))
         view = env.episodes.view
         goal = task.goal(view.plan, np.array([0.02 * step]), view)
-        assert info["target"] == pytest.approx(goal.target[0]) and info["posture"] == pytest.approx(goal.posture[0])
+        assert info["target"] == pytest.approx(goal.target[0]) and info["goal_angles"] == pytest.approx(goal.angles[0])
         assert observation[env.sensors.slices["target"]] == pytest.approx(goal.target[0] / 8.5, rel=1e-6)
         assert info["height"] == info["tip"][2] / 8.5
     assert observation[env.sensors.slices["pace"]] == 2.0
@@ -159,7 +159,7 @@ def test_an_observation_beyond_its_own_bound_ends_the_episode_and_is_named():
             return [Entry("encoders", view.n_joints, "rad", 0.31)]
 
     env = FlexManEnv(sensors=Narrow())
-    env.reset(options={"start": [0.3, 0.3, 0.3], "posture": [0.0, 0.0, 0.0]})
+    env.reset(options={"start": [0.3, 0.3, 0.3], "goal_angles": [0.0, 0.0, 0.0]})
     terminated = False
     while not terminated:
         observation, _, terminated, _, info = env.step(np.ones(3))
@@ -227,7 +227,7 @@ def test_a_signal_effect_is_one_entry(monkeypatch):
     expected, _ = plain.reset(seed=0)
     bias, places = info["drawn"]["sensor_bias"], plain.sensors.slices
     assert 0.01 <= bias <= 0.02
-    angles, errors = places["motor_angles"], places["posture_errors"]
+    angles, errors = places["motor_angles"], places["angle_errors"]
     for action in actions(1, 20):
         off = bias * plain.sensors.bound[angles]
         assert result[angles] == pytest.approx(expected[angles] + off, rel=1e-6, abs=1e-6)

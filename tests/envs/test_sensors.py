@@ -67,10 +67,10 @@ def test_encoders_tip_and_command_say_what_the_view_says():
     assert result["motor_angles"] == pytest.approx(state[model.motor_columns], abs=1e-6)
     assert result["motor_angles"] - result["joint_twists"] == pytest.approx(joints, abs=1e-6)
     assert result["motor_rates"] - result["joint_twist_rates"] == pytest.approx(rates, abs=1e-5)
-    assert result["posture_command"] == pytest.approx(view.posture[0], abs=1e-6)
+    assert result["angle_command"] == pytest.approx(view.goal_angles[0], abs=1e-6)
     assert result["tip_command"] == pytest.approx(view.target[0], abs=1e-5)
     assert result["tip_velocity_command"] == pytest.approx(view.target_velocity[0], abs=1e-5)
-    assert result["rate_command"] == pytest.approx(view.posture_rates[0], abs=1e-6)
+    assert result["rate_command"] == pytest.approx(view.goal_rates[0], abs=1e-6)
     assert np.array_equal(view.joint_angles[0], joints) and np.array_equal(view.joint_rates[0], rates)
 
 
@@ -166,7 +166,7 @@ def test_what_is_derived_follows_what_was_measured():
             error = info["target"] - tips[step - 1]
             assert result["target_error"] == pytest.approx(error, abs=1e-5)
             assert result["target_nearness"] == pytest.approx(error / (0.1 + np.linalg.norm(error)), abs=1e-5)
-            assert result["posture_errors"] == pytest.approx(info["posture"] - angles[step - 1], abs=1e-5)
+            assert result["angle_errors"] == pytest.approx(info["goal_angles"] - angles[step - 1], abs=1e-5)
 
 
 def test_an_instrument_ends_at_its_range_and_no_episode_with_it():

@@ -78,7 +78,7 @@ def test_a_batch_is_worth_what_its_rows_are():
 def test_start_and_posture_are_drawn_uniformly_from_what_the_task_says():
     task, rng = Slew(start=0.5, slew=0.25), np.random.default_rng(0)
     plans = [task.draw(rng, SimpleNamespace(n_joints=4)) for _ in range(2000)]
-    starts, postures = (np.array([plan[name] for plan in plans]) for name in ("start", "posture"))
+    starts, postures = (np.array([plan[name] for plan in plans]) for name in ("start", "goal_angles"))
     for drawn, width in ((starts, 0.5), (postures - starts, 0.25)):
         assert drawn.shape == (2000, 4)
         assert width * 0.99 < np.abs(drawn).max() <= width + 1e-15
@@ -89,7 +89,7 @@ def test_start_and_posture_are_drawn_uniformly_from_what_the_task_says():
 
 def test_a_task_may_start_from_the_same_place_every_time():
     plan = Slew(start=0.0).draw(np.random.default_rng(0), SimpleNamespace(n_joints=3))
-    assert (plan["start"] == 0.0).all() and plan["posture"].any()
+    assert (plan["start"] == 0.0).all() and plan["goal_angles"].any()
 
 
 @QUICK

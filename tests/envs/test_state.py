@@ -15,8 +15,9 @@ from flexman_gym.envs.vector_env import FlexManVectorEnv
 from oracles.refusals import refusal
 
 EVERYTHING = {
-    "payload_mass": (0.0, 5.0), "joint_stiffness": (0.8, 1.2), "torque_limit": (0.9, 1.1), "delay": (0, 2),
-    "sensor_noise": (0.0, 0.01), "tip_impulse": (0.0, 5.0), "initial_vibration": (0.0, 0.02), "impulse_gap": 0.2,
+    "payload_mass": (0.0, 5.0), "joint_stiffness_factor": (0.8, 1.2), "torque_limit_factor": (0.9, 1.1),
+    "delay": (0, 2), "sensor_noise": (0.0, 0.01), "tip_impulse": (0.0, 5.0), "initial_vibration": (0.0, 0.02),
+    "impulse_gap": 0.2,
 }  # fmt: skip
 SETTINGS = [
     {},

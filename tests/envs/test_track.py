@@ -70,10 +70,10 @@ def test_the_posture_of_a_moment_holds_the_tip_on_the_path(name, path):
         env.reset(seed=seed)
         plan = {key: np.repeat(values, 40, axis=0) for key, values in view.plan.items()}
         goal = task.goal(plan, np.linspace(0.0, 3.0 * plan["period"][0], 40), view)
-        far = np.linalg.norm(view.rest_tips(goal.posture) - goal.target, axis=1).max()
+        far = np.linalg.norm(view.rest_tips(goal.angles) - goal.target, axis=1).max()
         assert far < (1e-3 if view.heavy else 1e-4) * view.reach
         first = env.episodes.view.plan["start"][0]
-        assert first == pytest.approx(goal.posture[0], abs=1e-12)
+        assert first == pytest.approx(goal.angles[0], abs=1e-12)
         spread = np.ptp(goal.target, axis=0).max()
         assert 0.05 * view.reach < spread <= 2.5 * task.size * view.reach
     assert env.episodes.view.plan["period"][0] * view.first_frequency == pytest.approx(3.75, abs=1.25)
@@ -126,7 +126,7 @@ def test_a_plan_that_follows_a_path_keeps_the_tip_of_the_bent_arm_on_it():
     view, model = env.episodes.view, env.simulator.model
     times = 0.02 * np.arange(401.0)
     goal = env.task.goal({key: np.repeat(values, 401, axis=0) for key, values in view.plan.items()}, times, view)
-    slew = plan_path(model, goal.posture, 0.02)
+    slew = plan_path(model, goal.angles, 0.02)
     d = model.n_dof
     simulator = fm.Simulator(model, control_period=0.02)
     off, bent = [], []

@@ -87,10 +87,10 @@ def test_resets_without_a_seed_go_on_and_differ():
 def test_options_are_for_all_arms_or_for_each():
     env = FlexManVectorEnv(2, autoreset_mode="Disabled")
     start, other, goal = [0.1, 0.2, 0.3], [0.3, 0.2, 0.1], [0.5, 0.5, 0.5]
-    seen, info = env.reset(options={"start": [start, other], "posture": goal})
+    seen, info = env.reset(options={"start": [start, other], "goal_angles": goal})
     angles = env.sensors.slices["motor_angles"]
     assert seen[:, angles] == pytest.approx(np.array([start, other]))
-    assert info["posture"].tolist() == [goal, goal]
+    assert info["goal_angles"].tolist() == [goal, goal]
     only = np.array([False, True])
     seen, info = env.reset(options={"start": start, "reset_mask": only})
     assert seen[:, angles] == pytest.approx(np.array([start, start]))
@@ -101,7 +101,7 @@ def test_parameters_hold_from_an_episode_on_and_only_for_the_arms_that_were_rese
     """A motor of twice the rotor inertia and one as built, at the first moment, when springs hold nothing yet."""
     env = FlexManVectorEnv(2, autoreset_mode="Disabled")
     inertia = env.batch.nominal["rotor_inertia"]
-    options = {"start": [0.0] * 3, "posture": [0.1] * 3}
+    options = {"start": [0.0] * 3, "goal_angles": [0.1] * 3}
     env.reset(options=options | {"parameters": {"rotor_inertia": np.array([inertia, 2 * inertia])}})
     for _ in range(2):
         seen, *_ = env.step(np.full((2, 3), 0.5))
@@ -114,7 +114,7 @@ def test_parameters_hold_from_an_episode_on_and_only_for_the_arms_that_were_rese
 
 
 def test_what_was_returned_is_the_callers_to_keep():
-    env = FlexManVectorEnv(2, randomisation={"torque_limit": (0.5, 1.0)}, max_episode_steps=3)
+    env = FlexManVectorEnv(2, randomisation={"torque_limit_factor": (0.5, 1.0)}, max_episode_steps=3)
     returned = [env.reset(seed=0)]
     kept = [(returned[0][0].copy(), {key: np.copy(value) for key, value in returned[0][1].items()})]
     for action in actions(2, 6):

@@ -41,7 +41,7 @@ def sensed(mover, states, drives):
 
 
 @QUICK
-@given(affected(), st.sampled_from(["ros2", "implicit_midpoint_3"]))
+@given(affected(), st.sampled_from(["ros2", "midpoint_3_sweeps"]))
 def test_an_arm_alone_has_the_bits_that_it_has_among_seventeen(case, method):
     """Also beside arms whose numbers are infinite or none; without foreshortening by all methods alike."""
     (x, v), method = case.sample.state(), METHODS[method]

@@ -3,9 +3,10 @@
 import numpy as np
 
 EVERYTHING = {
-    "payload_mass": (0.0, 5.0), "joint_stiffness": (0.8, 1.2), "link_stiffness": (0.8, 1.2),
-    "rotor_inertia": (0.9, 1.1), "joint_damping": (0.0, 20.0), "torque_limit": (0.9, 1.1), "sensor_noise": (0.0, 0.01),
-    "delay": (0, 3), "initial_vibration": (0.0, 0.01), "tip_impulse": (0.0, 5.0), "tip_load": (0.0, 10.0),
+    "payload_mass": (0.0, 5.0), "joint_stiffness_factor": (0.8, 1.2), "link_stiffness_factor": (0.8, 1.2),
+    "rotor_inertia_factor": (0.9, 1.1), "joint_damping": (0.0, 20.0), "torque_limit_factor": (0.9, 1.1),
+    "sensor_noise": (0.0, 0.01), "delay": (0, 3), "initial_vibration": (0.0, 0.01), "tip_impulse": (0.0, 5.0),
+    "tip_load": (0.0, 10.0),
     "base_sway": (0.0, 0.2), "impulse_gap": 0.2,
 }  # fmt: skip
 ALL_PARTS = ("motor_encoders", "joint_encoders", "strain", "accelerometer", "tip", "command")

@@ -125,7 +125,7 @@ SETTINGS = {
     "arm": fm.catalog.one_link(rotor_inertia=0.5), "task": "slew", "sensors": "full", "history": 2,
     "limits": fm.Limits(), "torque_limit": 1.0, "control_period": 0.02, "horizon": 1.0, "base": None,
     "gains": {"stiffness": [5.0], "damping": [2.0]}, "hold": 2, "elements": 2, "modes": "assembled", "step": None,
-    "method": "implicit_midpoint_3", "stiffening": False, "spinning_rotors": False, "rotary_inertia": True,
+    "method": "midpoint_3_sweeps", "stiffening": False, "spinning_rotors": False, "rotary_inertia": True,
     "tell": ("joint_angles",), "energy_alarm": 0.01, "tolerance": None, "fidelity": "default",
     "randomisation": {"payload_mass": (0.0, 0.1), "delay": (0, 2), "sensor_noise": (0.0, 0.01), "impulse_gap": 1.0},
 }  # fmt: skip
@@ -142,12 +142,13 @@ TRAINING = {
     "schedules": {"learning_rate": {"start": 1e-2, "end": 0.0, "until": 0.5}}, "judge_every": 60,
 }  # fmt: skip
 EFFECTS = {
-    "payload_mass": (0.0, 0.1), "joint_stiffness": (0.8, 1.2), "link_stiffness": (0.8, 1.2), "delay": (0, 2),
-    "rotor_inertia": (0.9, 1.1), "joint_damping": (0.0, 0.1), "torque_limit": (0.9, 1.1), "sensor_noise": (0.0, 0.01),
+    "payload_mass": (0.0, 0.1), "joint_stiffness_factor": (0.8, 1.2), "link_stiffness_factor": (0.8, 1.2),
+    "delay": (0, 2), "rotor_inertia_factor": (0.9, 1.1), "joint_damping": (0.0, 0.1),
+    "torque_limit_factor": (0.9, 1.1), "sensor_noise": (0.0, 0.01),
     "initial_vibration": (0.0, 0.01), "tip_impulse": (0.0, 0.1), "tip_load": (0.0, 0.1), "base_sway": (0.0, 0.1),
     "impulse_gap": 0.5,
 }  # fmt: skip
-OPTIONS = {"start": [0.1], "posture": [0.2], "parameters": {"payload_mass": 0.05, "joint_stiffness": [3.0]}}
+OPTIONS = {"start": [0.1], "goal_angles": [0.2], "parameters": {"payload_mass": 0.05, "joint_stiffness": [3.0]}}
 BODY = {"mass": 0.5, "inertia": np.eye(3).tolist(), "offset": [0.0, 0.0, 0.1]}
 AT = {"model": MODEL, "state": STATE}
 

@@ -94,7 +94,7 @@ def test_an_energy_alarm_names_the_coordinate_that_vibrates():
     assert "the spring of joints[1]" in text and "Try a step shorter than 0.05 s" in text
 
 
-@pytest.mark.parametrize(("method", "step"), [("ros2", 0.005), ("implicit_midpoint_3", 0.005), ("rk4", 0.0025)])
+@pytest.mark.parametrize(("method", "step"), [("ros2", 0.005), ("midpoint_3_sweeps", 0.005), ("rk4", 0.0025)])
 def test_a_simulator_explains_its_failure_with_the_parameters_of_the_arm(method, step):
     simulator = fm.Simulator(fm.build_model(ARM, 1, flexible_links=False), method, step)
     simulator.batch.vary(np.array([0]), rotor_inertia=np.array([[1.0, 1e6]]))
@@ -107,7 +107,7 @@ def test_a_simulator_explains_its_failure_with_the_parameters_of_the_arm(method,
     assert simulator.explanation() == ""
 
 
-@pytest.mark.parametrize(("method", "step"), [("ros2", 0.005), ("implicit_midpoint_3", 0.005), ("rk4", 2e-6)])
+@pytest.mark.parametrize(("method", "step"), [("ros2", 0.005), ("midpoint_3_sweeps", 0.005), ("rk4", 2e-6)])
 def test_a_recorder_gives_the_failure_as_a_scene_that_can_be_saved(method, step, tmp_path):
     arm = replace(ARM, joints=[replace(HUB, stiffness=50.0), HUB])
     model = fm.build_model(arm, 1)

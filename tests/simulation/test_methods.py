@@ -156,7 +156,7 @@ def test_an_order_takes_as_many_sweeps_of_the_midpoint_rule():
 def test_sweeps_lead_to_the_midpoint_rule():
     step = DURATION / 32
     converged = fm.simulate(scene(), method="implicit_midpoint", step=step).states[-1]
-    methods = (METHODS["implicit_midpoint_2"], METHODS["implicit_midpoint_3"], Midpoint("five", 2, "", 5))
+    methods = (METHODS["midpoint_2_sweeps"], METHODS["midpoint_3_sweeps"], Midpoint("five", 2, "", 5))
     left = [np.linalg.norm(fm.simulate(scene(), method=each, step=step).states[-1] - converged) for each in methods]
     assert left[1] < 0.3 * left[0] and left[2] < 0.03 * left[1]
 

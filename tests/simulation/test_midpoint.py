@@ -14,7 +14,7 @@ from flexman_gym.simulation.amplification import amplitude_kept, spectral_radius
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.methods import METHODS
 
-SWEPT = ["implicit_midpoint_2", "implicit_midpoint_3"]
+SWEPT = ["midpoint_2_sweeps", "midpoint_3_sweeps"]
 PERIOD = 0.02  # s
 
 
@@ -63,7 +63,7 @@ def test_a_released_vibration_keeps_its_energy_and_its_tip():
         energy = abs(batch.outputs[:, layout.KINETIC :].sum(axis=1) - true) / np.maximum(true, 0.02 * start)
         return energy.max(), np.linalg.norm(batch.outputs[:, layout.TIP] - truth.outputs[:, layout.TIP], axis=1).max()
 
-    for method, step in (("implicit_midpoint_3", PERIOD / 3), ("implicit_midpoint_2", 0.005)):
+    for method, step in (("midpoint_3_sweeps", PERIOD / 3), ("midpoint_2_sweeps", 0.005)):
         energy, tip = errors(method, step)
         assert energy < 0.1 and tip < 0.1
     energy, tip = errors("ros2", 0.005)
@@ -128,7 +128,7 @@ def test_control_periods_add_up_to_a_scene(method):
     assert run.evaluations == 40 * METHODS[method].sweeps
 
 
-@pytest.mark.parametrize("method", ["implicit_midpoint", "implicit_midpoint_2", "implicit_midpoint_3"])
+@pytest.mark.parametrize("method", ["implicit_midpoint", "midpoint_2_sweeps", "midpoint_3_sweeps"])
 def test_the_ledger_of_a_held_motor_on_a_spring_is_exact_whatever_the_step(method):
     """One rigid link on a damped spring is linear: the rule keeps its quadratic energy, so that work balances it."""
     arm = fm.catalog.one_link(rotor_inertia=1.0, joint_stiffness=50.0)

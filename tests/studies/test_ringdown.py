@@ -20,7 +20,7 @@ from flexman_gym.studies.ringdown.charts import PICTURE, draw
 from flexman_gym.studies.ringdown.measure import PARTS, REFERENCE, Row, outcome, percentiles, row, settings
 from flexman_gym.studies.ringdown.page import page
 
-DEFAULT = "implicit_midpoint_3", PERIOD / 3
+DEFAULT = "midpoint_3_sweeps", PERIOD / 3
 
 
 @pytest.mark.parametrize("kind", DURATION)

@@ -4,7 +4,7 @@ from typing import Any
 
 from flexman_gym.envs.effects.base_sway import BaseSway
 from flexman_gym.envs.effects.delay import Delay
-from flexman_gym.envs.effects.effect import Effect, Range, Stage
+from flexman_gym.envs.effects.effect import HOOKS, Effect, Range, Stage
 from flexman_gym.envs.effects.initial_vibration import InitialVibration
 from flexman_gym.envs.effects.sensor_noise import SensorNoise
 from flexman_gym.envs.effects.tip_impulse import TipImpulse
@@ -21,4 +21,4 @@ SIGNALS: dict[str, Any] = {
     "base_sway": BaseSway,
 }
 
-__all__ = ["SIGNALS", "Effect", "Range", "Stage"]
+__all__ = ["HOOKS", "SIGNALS", "Effect", "Range", "Stage"]

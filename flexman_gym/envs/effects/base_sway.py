@@ -47,7 +47,7 @@ class BaseSway:
         """Makes the directions as long as the amplitudes."""
         self._sway[arms, :3] *= drawn[arms][:, None]
 
-    def shake(self, accelerations: Array, over: Flags) -> None:
+    def add_base_accelerations(self, accelerations: Array, over: Flags) -> None:
         """Adds the accelerations in the middle of this period."""
         time = self._batch.time + 0.5 * self._batch.control_period
         size = np.sin(2.0 * np.pi * self._sway[:, 3] * time + self._sway[:, 4])

@@ -39,7 +39,7 @@ class Delay:
         self._late[arms] = drawn[arms]
         self._past[:, arms] = 0.0
 
-    def act(self, actions: Array) -> Array:
+    def motor_actions(self, actions: Array) -> Array:
         """Keeps the actions (b, n) and returns those that reach the motors now."""
         depth = len(self._past)
         self._now = (self._now + 1) % depth

@@ -31,14 +31,20 @@ class Stage:
     impulse_gap: float
 
 
-class Effect(Protocol):
-    """An effect on b arms. A class with `checked`, `shape`, `draw` and at least one of the hooks is one.
+HOOKS = ("begin", "change_start", "motor_actions", "add_tip_forces", "add_base_accelerations", "measure")
 
-    Hooks: `begin(arms, drawn)` after the draws of new episodes of the arms (r,), with what every arm drew (b, ...);
-    `bend(arms, states)` changes the states (r, 2 d) that they start from; `act(actions)` returns what reaches the
-    motors of actions (b, n); `push(forces, over)` adds to forces (b, 3) N on the tips, and `shake(accelerations, over)`
-    to accelerations (b, 3) m/s^2 of the bases, of arms whose episode is not over; `measure(values, arms)` returns what
-    is measured of the values (r, size) of the arms (r,), before anything is derived from it.
+
+class Effect(Protocol):
+    """An effect on b arms. A class with `checked`, `shape`, `draw` and at least one of the HOOKS is one.
+
+    Its hooks, of which a misspelt one is refused:
+        begin(arms, drawn): after the draws of new episodes of the arms (r,), with what every arm drew (b, ...).
+        change_start(arms, states): changes the states (r, 2 d) from which they start.
+        motor_actions(actions): returns what reaches the motors of actions (b, n).
+        add_tip_forces(forces, over): adds to forces (b, 3) N on the tips of arms whose episode is not over.
+        add_base_accelerations(accelerations, over): adds to accelerations (b, 3) m/s^2 of their bases.
+        measure(values, arms): returns what is measured of the values (r, size) of the arms (r,), before anything is
+            derived from it.
     """
 
     def __init__(self, stage: Stage, span: Range) -> None: ...

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array, Flags, IntArray
 from flexman_gym.checks import refusal
-from flexman_gym.envs.effects import SIGNALS, Stage
-from flexman_gym.envs.randomisation import Randomisation
+from flexman_gym.control.controller import check_members
+from flexman_gym.envs.effects import HOOKS, SIGNALS, Stage
+from flexman_gym.envs.randomisation import Randomisation, given_name
 from flexman_gym.envs.streams import Streams
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.parameters import LINK, PARAMETERS
@@ -47,6 +48,7 @@ class Effects:
                 shapes[name] = PARAMETERS[name].shape(model.n_joints)
             else:
                 signal = self._signals[name] = SIGNALS[name](stage, span)
+                check_members(name, signal, HOOKS, ("checked", "shape", "draw"))
                 if signal.shape is not None:
                     shapes[name] = signal.shape
         kinds = {name: signal.kind for name, signal in self._signals.items()}
@@ -54,10 +56,10 @@ class Effects:
             name: np.zeros((arms, *shape), dtype=kinds.get(name, float)) for name, shape in shapes.items()
         }
         self._streams = Streams(list(self._ranges), arms)
-        self._hooks = {hook: self._with(hook) for hook in ("begin", "bend", "act", "push", "shake", "measure")}
+        self._hooks = {hook: self._with(hook) for hook in HOOKS}
 
     def _with(self, hook: str) -> list[Any]:
-        """The methods of that name of the effects that have one, with the effect's name for `begin`."""
+        """The hooks of that name of the effects that have one, with the effect's name for `begin`."""
         result = [(name, getattr(signal, hook)) for name, signal in self._signals.items() if hasattr(signal, hook)]
         return result if hook == "begin" else [method for _, method in result]
 
@@ -96,15 +98,15 @@ class Effects:
         """Takes the generators of all arms as those whose streams are in use, after these were given back."""
         self._streams.follow(randoms)
 
-    def bend(self, arms: IntArray, states: Array) -> None:
+    def change_start(self, arms: IntArray, states: Array) -> None:
         """Changes the states (r, 2 d) from which the episodes of the arms (r,) start."""
-        for bend in self._hooks["bend"]:
-            bend(arms, states)
+        for change in self._hooks["change_start"]:
+            change(arms, states)
 
-    def act(self, actions: Array) -> Array:
+    def motor_actions(self, actions: Array) -> Array:
         """What reaches the motors of the actions (b, n)."""
-        for act in self._hooks["act"]:
-            actions = act(actions)
+        for arriving in self._hooks["motor_actions"]:
+            actions = arriving(actions)
         return actions
 
     def disturb(self, forces: Array, accelerations: Array, over: Flags) -> None:
@@ -112,7 +114,7 @@ class Effects:
 
         Nothing disturbs arms whose episode is over.
         """
-        for hook, values in (("push", forces), ("shake", accelerations)):
+        for hook, values in (("add_tip_forces", forces), ("add_base_accelerations", accelerations)):
             if self._hooks[hook]:
                 values[:] = 0.0
                 for add in self._hooks[hook]:
@@ -132,7 +134,7 @@ class Effects:
 
 def _check_room(name: str, span: tuple[float, float], model: Model) -> None:
     """Refuses a parameter that nothing of the model has."""
-    row, field = PARAMETERS[name], f"Randomisation.{name}"
+    row, field = PARAMETERS[name], f"Randomisation.{given_name(name)}"
     if row.of == LINK and not (np.diff(model.constants.elastic_start) > 0).any():
         raise refusal(field, span, "None: every link of this arm is rigid")
     if row.shape(model.n_joints) and row.fixed(model).all():

@@ -49,7 +49,7 @@ class InitialVibration:
         """Keeps what was drawn."""
         self._drawn = drawn
 
-    def bend(self, arms: IntArray, states: Array) -> None:
+    def change_start(self, arms: IntArray, states: Array) -> None:
         """Deflects the links."""
         for link, shape in enumerate(self._shapes):
             for row, tip in enumerate(self._drawn[arms, link]):

@@ -32,7 +32,7 @@ class TipImpulse:
         self._inner[arm] = np.random.default_rng(stream.integers(2**63))
         self._wait[arm] = self._gap(arm)
 
-    def push(self, forces: Array, over: Flags) -> None:
+    def add_tip_forces(self, forces: Array, over: Flags) -> None:
         """Adds the forces during this period; arms whose episode is over wait."""
         self._wait -= 1
         for arm in np.flatnonzero((self._wait <= 0) & ~over).tolist():

@@ -34,7 +34,7 @@ class TipLoad:
         """The generator of the loads of an episode."""
         self._inner[arm], self._wait[arm] = np.random.default_rng(stream.integers(2**63)), 0
 
-    def push(self, forces: Array, over: Flags) -> None:
+    def add_tip_forces(self, forces: Array, over: Flags) -> None:
         """Adds the loads; those whose time has come change first."""
         for arm in np.flatnonzero((self._wait <= 0) & ~over).tolist():
             inner = self._inner[arm]

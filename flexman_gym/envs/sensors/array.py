@@ -8,6 +8,7 @@ import numpy as np
 
 from flexman_gym.arrays import Array, IntArray
 from flexman_gym.checks import refusal
+from flexman_gym.control.controller import check_members
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.sensors.instrument import Instrument
 from flexman_gym.envs.sensors.measured import EVERYTHING, following
@@ -56,6 +57,7 @@ class Sensors:
         for part in parts:
             if not isinstance(part, Sensor):
                 raise refusal("sensors", part, "a Sensor: an object with the methods entries and read")
+            check_members("sensors", part, ("measures",), ("measured",))
             own = part.fresh() if isinstance(part, Instrument) else copy(part)
             first = end
             for name, size, unit, bound in own.entries(view if isinstance(own, Instrument) else seen, limits):

@@ -12,7 +12,7 @@ from flexman_gym.simulation.view import View
 
 @dataclass
 class Command:
-    """The goal as it is now: posture of the motors and its rates, target of the tip in the base frame and its velocity.
+    """The goal as it is now: angles and rates of the motors, target of the tip in the base frame and its velocity.
 
     A task with a path may add what comes next, see `Track`.
     """
@@ -22,7 +22,7 @@ class Command:
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
         """Says what it reads, in order."""
         return [
-            Entry("posture_command", view.n_joints, "rad", limits.angle),
+            Entry("angle_command", view.n_joints, "rad", limits.angle),
             Entry("rate_command", view.n_joints, "rad/s", limits.rate),
             Entry("tip_command", 3, "m", (1.0 + limits.deflection) * view.reach),
             Entry("tip_velocity_command", 3, "m/s", limits.tip_speed),
@@ -31,5 +31,5 @@ class Command:
     def read(self, view: View, out: Array) -> None:
         """Writes into out (b, 2 n + 6)."""
         n = view.n_joints
-        out[:, :n], out[:, n : 2 * n] = view.posture, view.posture_rates
+        out[:, :n], out[:, n : 2 * n] = view.goal_angles, view.goal_rates
         out[:, -6:-3], out[:, -3:] = view.target, view.target_velocity

@@ -19,7 +19,7 @@ ANGLE, RATE, TWIST, DEFLECTION, LENGTH, SPEED = 1 / 400, 1 / 500, 1 / 250, 1 / 2
 class Fine:
     """arcsinh(quantity / scale): linear below the scale, logarithmic above, so that a network sees both ends.
 
-    For n joints: motor rates, joint twists and their rates, deflections of the links and their rates, posture errors,
+    For n joints: motor rates, joint twists and their rates, deflections of the links and their rates, angle errors,
     the error of the tip and the velocity of the tip. For `FlexRRR-v0` the scales are 0.02 rad/s, 0.004 rad, 0.02 rad/s,
     0.004 m, 0.02 m/s, 0.01 rad, 0.02 m and 0.05 m/s; others follow from the limits and the reach of the arm.
     """
@@ -31,7 +31,7 @@ class Fine:
         bounds = limits.bounds(view)
         largest = {
             **{name: bounds[name] for name in view.places if name not in ("motor_angles", "tip_velocity")},
-            "posture_errors": np.full(view.n_joints, 2 * limits.angle),
+            "angle_errors": np.full(view.n_joints, 2 * limits.angle),
             "target_error": np.full(3, 2 * view.reach),
             "tip_velocity": bounds["tip_velocity"],
         }
@@ -48,7 +48,7 @@ class Fine:
         """Writes into out (b, 8 n + 6)."""
         n = view.n_joints
         out[:, : 7 * n] = view.motion[:, n : 8 * n]
-        np.subtract(view.posture, view.motor_angles, out=out[:, 7 * n : 8 * n])
+        np.subtract(view.goal_angles, view.motor_angles, out=out[:, 7 * n : 8 * n])
         out[:, -6:-3], out[:, -3:] = view.target_error, view.tip_velocity
         out /= self._scales
         np.arcsinh(out, out=out)
@@ -63,7 +63,7 @@ def _scales(view: View, limits: Limits) -> list[tuple[str, float]]:
         ("joint_twist_rates", RATE * limits.rate),
         ("link_deflections", DEFLECTION * reach),
         ("link_deflection_rates", LENGTH * reach),
-        ("posture_errors", ANGLE * limits.angle),
+        ("angle_errors", ANGLE * limits.angle),
         ("target_error", LENGTH * reach),
         ("tip_velocity", SPEED * reach),
     ]

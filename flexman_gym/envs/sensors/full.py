@@ -18,7 +18,7 @@ class FullState:
     """The whole mechanical state in physical quantities whose number does not depend on the fidelity of the model.
 
     For n joints: motor angles and rates, joint twists and their rates, deflections of the links and their rates, then
-    the goal: posture errors, the error of the tip and its nearness, and the velocity of the tip; `FlexManEnv` has units
+    the goal: angle errors, the error of the tip and its nearness, and the velocity of the tip; `FlexManEnv` has units
     and bounds. The nearness is the error again on a scale that still tells millimetres when normalised by the metres of
     a slew: error / (NEAR reach + its length).
     """
@@ -31,7 +31,7 @@ class FullState:
         speed = bounds.pop("tip_velocity")
         return [
             *(Entry(name, len(bound), view.units[name], bound) for name, bound in bounds.items()),
-            Entry("posture_errors", n, "rad", 2 * limits.angle),
+            Entry("angle_errors", n, "rad", 2 * limits.angle),
             Entry("target_error", 3, "m", 2 * view.reach),
             Entry("target_nearness", 3, "1", 1.0),
             Entry("tip_velocity", 3, "m/s", speed),
@@ -40,6 +40,6 @@ class FullState:
     def read(self, view: View, out: Array) -> None:
         """Writes into out (b, 9 n + 9)."""
         read_everything(
-            view.motion, view.motor_angles, view.tip_velocity, view.posture, view.target_error, view.tip_error,
+            view.motion, view.motor_angles, view.tip_velocity, view.goal_angles, view.target_error, view.tip_error,
             NEAR * view.reach, out,
         )  # fmt: skip

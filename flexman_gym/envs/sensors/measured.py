@@ -18,7 +18,7 @@ GRAVITIES = 51.0  # largest acceleration that is measured, 500 m/s^2
 class Measured:
     """Has all that a View has; sensors read either. What is measured may differ from the truth, within its range.
 
-    Errors of tip and posture follow from what is measured: nothing tells more than the instruments do.
+    Errors of tip and angles follow from what is measured: nothing tells more than the instruments do.
 
     Attributes:
         values: (b, size) the measured quantities side by side; code that measures overwrites them, then calls `settle`.

@@ -21,13 +21,13 @@ class Servo:
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
         """Says what it reads, in order."""
         return [
-            Entry("posture_errors", view.n_joints, "rad", 2 * limits.angle),
+            Entry("angle_errors", view.n_joints, "rad", 2 * limits.angle),
             Entry("motor_rates", view.n_joints, "rad/s", limits.rate),
-            Entry("posture_rates", view.n_joints, "rad/s", limits.rate),
+            Entry("goal_rates", view.n_joints, "rad/s", limits.rate),
         ]
 
     def read(self, view: View, out: Array) -> None:
         """Writes into out (b, 3 n)."""
         n = view.n_joints
-        np.subtract(view.posture, view.motor_angles, out=out[:, :n])
-        out[:, n : 2 * n], out[:, 2 * n :] = view.motor_rates, view.posture_rates
+        np.subtract(view.goal_angles, view.motor_angles, out=out[:, :n])
+        out[:, n : 2 * n], out[:, 2 * n :] = view.motor_rates, view.goal_rates

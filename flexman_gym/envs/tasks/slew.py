@@ -47,7 +47,7 @@ class Slew:
     Start
         At rest at motor angles drawn uniformly from +-start, undeformed but for the weight of the arm. The target is
         where the tip of the resting arm would be at a posture drawn uniformly from +-slew around the start, so that it
-        can be reached. The options "start" and "posture" of a reset set both.
+        can be reached. The options "start" and "goal_angles" of a reset set both.
 
     End
         Truncated after the horizon of the environment; terminated by a failure.
@@ -86,11 +86,11 @@ class Slew:
     def draw(self, random: np.random.Generator, view: View) -> dict[str, Array]:
         """Start and goal postures (n,) rad of one episode."""
         start = random.uniform(-self.start, self.start, view.n_joints)
-        return {"start": start, "posture": start + random.uniform(-self.slew, self.slew, view.n_joints)}
+        return {"start": start, "goal_angles": start + random.uniform(-self.slew, self.slew, view.n_joints)}
 
     def goal(self, plan: Mapping[str, Array], time: Array, view: View) -> Goal:
         """The tip of the rigid arm at the goal posture."""
-        return Goal(view.rest_tips(plan["posture"]), plan["posture"])
+        return Goal(view.rest_tips(plan["goal_angles"]), plan["goal_angles"])
 
     def reward_terms(self, view: View) -> dict[str, Number]:
         """Terms of the reward, see the class."""

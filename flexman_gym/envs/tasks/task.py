@@ -9,15 +9,17 @@ from flexman_gym.arrays import Array
 from flexman_gym.envs.sensors.sensor import Sensor
 from flexman_gym.simulation.view import Number, View
 
+MEMBERS = ("sensors", "moves", "draw", "goal", "reward_terms", "info")  # of a task
+OPTIONAL = ("figures", "disturbances")
 # figures that matter where the goal moves, or the arm is to stay at it
 MOVING = ("reward", "settled", "vibration", "rms_error", "roughness", "effort", "failed")
 
 
 class Goal(NamedTuple):
-    """Where arms should be: the target of the tip, (r, 3) m in the base frame, and the posture, (r, n) rad."""
+    """Where arms should be: the target of the tip, (r, 3) m in the base frame, and the motor angles, (r, n) rad."""
 
     target: Array
-    posture: Array
+    angles: Array
 
 
 @runtime_checkable
@@ -31,8 +33,8 @@ class Task(Protocol):
         sensors: what of the goal is observed beside the sensors of the environment; () for nothing.
         moves: whether the goal changes during an episode; `goal` is then asked before every observation.
 
-    A further attribute `figures`, names of `evaluation.FIGURES`, may say which of them matter; without it they are
-    those of a slew.
+    Two further attributes are optional, and a misspelt one is refused: `figures`, names of `evaluation.FIGURES` that
+    matter, those of a slew without it; and `disturbances`, a dict of arguments of `Randomisation`.
     """
 
     @property
@@ -73,4 +75,4 @@ def goal_path(task: Task, plan: Mapping[str, Array], periods: int, view: View) -
     """Gives the postures (r, T + 1, n) rad of goals for T control periods of episodes with plans, name -> (r, ...)."""
     count, times = len(next(iter(plan.values()))), view.control_period * np.arange(periods + 1.0)
     alike = [{name: np.repeat(each[i : i + 1], len(times), 0) for name, each in plan.items()} for i in range(count)]
-    return np.array([task.goal(each, times, view).posture for each in alike])
+    return np.array([task.goal(each, times, view).angles for each in alike])

@@ -16,11 +16,11 @@ from flexman_gym.studies.markdown import markdown_table
 
 RANDOMISATION = {
     "payload_mass": (0.0, 5.0),
-    "joint_stiffness": (0.7, 1.3),
-    "link_stiffness": (0.8, 1.2),
-    "rotor_inertia": (0.8, 1.2),
+    "joint_stiffness_factor": (0.7, 1.3),
+    "link_stiffness_factor": (0.8, 1.2),
+    "rotor_inertia_factor": (0.8, 1.2),
     "joint_damping": (0.0, 20.0),
-    "torque_limit": (0.8, 1.0),
+    "torque_limit_factor": (0.8, 1.0),
     "sensor_noise": (0.0, 0.01),
     "delay": (0, 3),
     "initial_vibration": (0.0, 0.01),

@@ -60,8 +60,8 @@ LABORATORY = (
         "laboratory", "envs/sensors/command.py", INSTRUMENTS,
         ("the command is where the tip is", "out[:, -6:-3], out[:, -3:] = view.target, view.target_velocity",
          "out[:, -6:-3], out[:, -3:] = view.tip, view.target_velocity"),
-        ("no rates are commanded", "out[:, :n], out[:, n : 2 * n] = view.posture, view.posture_rates",
-         "out[:, :n], out[:, n : 2 * n] = view.posture, 0.0"),
+        ("no rates are commanded", "out[:, :n], out[:, n : 2 * n] = view.goal_angles, view.goal_rates",
+         "out[:, :n], out[:, n : 2 * n] = view.goal_angles, 0.0"),
     ),
     *changes(
         "laboratory", "envs/episodes.py", "envs/test_protocol.py",
@@ -152,8 +152,8 @@ LABORATORY = (
         "laboratory", "envs/episodes.py", "envs/test_track.py envs/test_sensors.py",
         ("a target that seems to rest", "(goal.target[arms] - view.target[arms]) / view.control_period",
          "0.0 * (goal.target[arms] - view.target[arms])"),
-        ("postures of a path that seem to rest", "(goal.posture[arms] - view.posture[arms]) / view.control_period",
-         "0.0 * (goal.posture[arms] - view.posture[arms])"),
+        ("postures of a path that seem to rest", "(goal.angles[arms] - view.goal_angles[arms]) / view.control_period",
+         "0.0 * (goal.angles[arms] - view.goal_angles[arms])"),
     ),
     *changes(
         "laboratory", "control/reference.py", PATHS,

@@ -74,7 +74,7 @@ TASKS = (
         "tasks", "envs/tasks/slew.py", "envs/test_slew.py envs/test_env.py",
         ("starts on one side", "start = random.uniform(-self.start, self.start,",
          "start = random.uniform(0.0, self.start,"),
-        ("goals do not depend on the start", '"posture": start + random', '"posture": random'),
+        ("goals do not depend on the start", '"goal_angles": start + random', '"goal_angles": random'),
         ("effort is worth more", '"effort": 0.1 * (1.0 - view.effort)', '"effort": 0.1 * (1.0 + view.effort)'),
         ("a failure is worth something", "failure = 0.0 - self.failure_penalty",
          "failure = 0.0 + self.failure_penalty"),
@@ -89,13 +89,13 @@ TASKS = (
 SENSORS = (
     *changes(
         "sensors", "kernels/outputs.py", "kernels/test_outputs.py envs/test_env.py envs/test_full_state.py",
-        ("posture errors with the other sign", "posture[b, j] - angles[b, j]", "angles[b, j] - posture[b, j]"),
+        ("angle errors with the other sign", "goal_angles[b, j] - angles[b, j]", "angles[b, j] - goal_angles[b, j]"),
         ("the nearness counts metres, not parts of the reach", "scale = numbers[b] + near", "scale = numbers[b] + 1.0"),
     ),
     *changes(
         "sensors", "envs/sensors/fine.py", "envs/test_fine.py",
-        ("fine errors with the other sign", "np.subtract(view.posture, view.motor_angles,",
-         "np.subtract(view.motor_angles, view.posture,"),
+        ("fine errors with the other sign", "np.subtract(view.goal_angles, view.motor_angles,",
+         "np.subtract(view.motor_angles, view.goal_angles,"),
         ("fine numbers are linear", "np.arcsinh(out, out=out)", "pass"),
         ("a scale of another quantity", '("target_error", LENGTH * reach)', '("target_error", SPEED * reach)'),
     ),
@@ -135,7 +135,7 @@ CONTROL = (
     ),
     *changes(
         "control", "control/pd.py", "control/test_pd.py",
-        ("damping brakes on a path too", 'rate = rate - readings["posture_rates"]', "pass"),
+        ("damping brakes on a path too", 'rate = rate - readings["goal_rates"]', "pass"),
         ("arms that come later let the others sink",
          "np.vstack([self._holding, np.zeros((more, self._holding.shape[1]))])",
          "np.zeros((len(self._holding) + more, self._holding.shape[1]))"),
