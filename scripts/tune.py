@@ -11,15 +11,21 @@ def main() -> int:
     """Reads the command line and prints gains; returns the exit code."""
     parser = argparse.ArgumentParser(description="Search for the gains of a PD controller with the highest reward.")
     parser.add_argument("env", help="an id, an id and a condition such as FlexRRR-v0/delay, or the path of a file")
+    parser.add_argument("--no-margins", action="store_true", help="try gains without a gain and a phase margin, too")
     parser.add_argument("--seed", type=int, default=0, help="of the search")
     options = parser.parse_args()
     try:
         environment = Description.find(options.env)
     except (ValueError, OSError) as error:
         parser.error(str(error))
-    result = tune(environment, seed=options.seed)
+    try:
+        result = tune(environment, seed=options.seed, margin=not options.no_margins)
+    except ValueError as error:
+        print(f"{error}, or try --no-margins", file=sys.stderr)
+        return 2
     for name in ("stiffness", "damping"):
         print(f"{name}: {', '.join(f'{gain:.3g}' for gain in getattr(result, name))}")
+    print(f"gain margin: {result.margins.gain:.3g}, phase margin: {result.margins.phase:.3g} degrees")
     print(f"mean reward of 8 episodes: {result.reward:.1f}")
     return 0
 

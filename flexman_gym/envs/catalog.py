@@ -57,15 +57,15 @@ def flex_rrr_gravity() -> Arm:
     return replace(arm, joints=joints)
 
 
-# Gains: the best by mean reward of 8 episodes among 200 drawn at random and 60 around the best of those, damping
-# held below 950 N m s/rad: the sampled motor is unstable from 2 rotor inertia / period = 1000 on.
-RRR_PD: Gains = {"stiffness": (497.0, 325.0, 328.0), "damping": (950.0, 950.0, 103.0)}
-# Gains of these: `python scripts/tune.py ID`.
-PLANAR_PD: Gains = {"stiffness": (18.7, 13.9), "damping": (4.52, 3.0)}
-# The least RMS tip error of 8 episodes among those drawn at random whose sampled loop is well within the unit circle.
-RRR_TRACK_PD: Gains = {"stiffness": (9000.0, 5810.0, 21.4), "damping": (616.0, 950.0, 306.0)}
-PLANAR_TRACK_PD: Gains = {"stiffness": (59.6, 2.77), "damping": (19.0, 3.44)}
-GRAVITY_PD: Gains = {"stiffness": (8730.0, 10100.0, 1810.0), "damping": (8210.0, 9480.0, 1730.0)}
+# Gains: `python scripts/tune.py ID`. All have a gain margin of 2 and a phase margin of 30 degrees in the sampled loop.
+RRR_PD: Gains = {"stiffness": (148.0, 144.0, 522.0), "damping": (472.0, 487.0, 366.0)}
+RRR_TRACK_PD: Gains = {"stiffness": (11.4, 9870.0, 4.15), "damping": (487.0, 443.0, 331.0)}
+RRR_HOLD_PD: Gains = {"stiffness": (85.1, 7700.0, 244.0), "damping": (488.0, 294.0, 318.0)}
+GRAVITY_PD: Gains = {"stiffness": (6160.0, 6840.0, 8660.0), "damping": (5690.0, 6470.0, 637.0)}
+PLANAR_PD: Gains = {"stiffness": (39.0, 5.56), "damping": (9.35, 1.33)}
+PLANAR_TRACK_PD: Gains = {"stiffness": (300.0, 13.9), "damping": (9.91, 1.39)}
+PLANAR_HOLD_PD: Gains = {"stiffness": (63.0, 26.1), "damping": (9.83, 3.96)}
+ONE_PD: Gains = {"stiffness": (1.13,), "damping": (0.487,)}
 RRR = Named(flex_rrr, RRR_PD, conditions="rrr")
 PLANAR = Named(
     vertical_2r,
@@ -79,7 +79,7 @@ PLANAR = Named(
 NAMED: dict[str, Named] = {
     "FlexRRR-v0": RRR,
     "FlexRRR-Track-v0": replace(RRR, pd=RRR_TRACK_PD, task=Track(preview=(0.2, 0.5, 1.0)), horizon=20.0),
-    "FlexRRR-Hold-v0": replace(RRR, task=Hold()),
+    "FlexRRR-Hold-v0": replace(RRR, pd=RRR_HOLD_PD, task=Hold()),
     "FlexRRR-Gravity-v0": replace(
         RRR,
         arm=flex_rrr_gravity,
@@ -90,10 +90,12 @@ NAMED: dict[str, Named] = {
     ),
     "FlexPlanar-v0": PLANAR,
     "FlexPlanar-Track-v0": replace(PLANAR, pd=PLANAR_TRACK_PD, task=Track(preview=(0.05, 0.1, 0.2))),
-    "FlexPlanar-Hold-v0": replace(PLANAR, task=Hold(impulse=(0.02, 0.1), load=(0.0, 0.5), sway=(0.0, 1.0), gap=1.0)),
+    "FlexPlanar-Hold-v0": replace(
+        PLANAR, pd=PLANAR_HOLD_PD, task=Hold(impulse=(0.02, 0.1), load=(0.0, 0.5), sway=(0.0, 1.0), gap=1.0)
+    ),
     "FlexOne-v0": Named(
         one_joint,
-        {"stiffness": (1.27,), "damping": (0.514,)},
+        ONE_PD,
         task=Slew(start=1.0, slew=1.5, reward="distance"),
         limits=Limits(rate=20.0, twist=0.5, deflection_rate=20.0, tip_speed=20.0),
         longest_step=0.00125,

@@ -1,48 +1,102 @@
-"""Tuning: gains of a PD controller for the arm of an environment, by a random search."""
+"""Tuning: gains of a PD controller for an environment, by a random search among those with margins."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
+import gymnasium as gym
 import numpy as np
 
 from flexman_gym.arrays import Array
+from flexman_gym.checks import refusal
+from flexman_gym.control.margins import Loop, Margins, has_margins, margins, sampled_loop
 from flexman_gym.control.pd import PD, stability_limit
 from flexman_gym.envs.description import Description
 from flexman_gym.envs.setup import build
 from flexman_gym.evaluation.rollout import rollout
 
-SAMPLING = 0.95  # of the damping from which on a sampled motor is unstable
+LEAST = Margins(2.0, 30.0)  # of all gains that are tried
+POSTURES = 4  # of goals, at which they have these margins
+STIFF, WEAK = (0.01, 25.0), 0.05  # torque limits a radian, and part of the largest damping
+NEAR = np.geomspace(0.5, 0.1, 8)  # standard deviations of the rounds around the best, in logarithms
+DRAWS = 1000  # for each of the gains that are looked for, before the search gives up
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """Gains (n,) in N m/rad and N m s/rad, and the mean reward of an episode with them."""
+    """Gains (n,) in N m/rad and N m s/rad, the mean reward of an episode with them, and their margins."""
 
     stiffness: tuple[float, ...]
     damping: tuple[float, ...]
     reward: float
+    margins: Margins
 
 
-def tune(environment: Description, first: int = 200, around: int = 60, episodes: int = 8, seed: int = 0) -> Tuned:
-    """Finds gains for an environment: the best of some drawn at random, then of some around that.
+def tune(
+    environment: Description, first: int = 60, around: int = 30, episodes: int = 8, seed: int = 0, margin: bool = True
+) -> Tuned:
+    """Finds gains for an environment: the best of some drawn at random, then rounds of some around the best so far.
 
-    All candidates act side by side on the same episodes. Stiffness is drawn between 0.02 and 5 torque limits a radian,
-    damping between 0.02 and 0.95 of where a sampled motor turns unstable with the largest delay of the environment,
-    both evenly on a logarithmic scale.
+    All candidates act side by side on the same episodes. Stiffness is drawn between 0.01 and 25 torque limits a radian,
+    damping between 0.05 and 1 of the most, evenly on a logarithmic scale; the most is where the motors are half as
+    damped as the sampled loop bears with the largest delay of the environment.
+
+    Args:
+        environment: whose PD is tuned.
+        first, around: gains of the first draw, and of each round.
+        episodes: for which they are judged.
+        seed: of the search.
+        margin: whether only gains count that have a gain margin of 2 and a phase margin of 30 degrees in the sampled
+            loop, with the largest delay, at goals of the environment.
+
+    Raises:
+        ValueError: for an environment for which too few gains with these margins are drawn.
     """
-    random, setup = np.random.default_rng(seed), environment.setup()
+    random, setup, loops = np.random.default_rng(seed), environment.setup(), environment_loops(environment)
     limits = np.array(setup.torque_limit)
     rotors = np.array([joint.rotor_inertia for joint in setup.arm.joints])
-    delay = setup.disturbed.delay if setup.disturbed else None
-    most = SAMPLING * stability_limit(int(delay[1]) if delay else 0) * rotors / setup.control_period
-    low = np.log(np.concatenate([0.02 * limits, 0.02 * most]))
-    high = np.log(np.concatenate([5.0 * limits, most]))
-    gains = np.exp(random.uniform(low, high, (first, len(low))))
+    most = stability_limit(setup.latest_delay) * rotors / (LEAST.gain * setup.control_period)
+    low = np.log(np.concatenate([STIFF[0] * limits, WEAK * most]))
+    high = np.log(np.concatenate([STIFF[1] * limits, most]))
+    wanted = loops if margin else []
+    gains = _drawn(wanted, first, lambda: random.uniform(low, high))
     rewards = _rewards(environment, gains, episodes)
-    best = np.log(gains[np.argmax(rewards)])
-    near = np.exp(np.clip(best + 0.15 * random.standard_normal((around, len(low))), low, high))
-    gains, rewards = np.vstack([gains, near]), np.append(rewards, _rewards(environment, near, episodes))
+    for deviation in NEAR:
+        best = np.log(gains[np.argmax(rewards)])
+        spread = partial(_near, random, best, float(deviation), low, high)
+        near = _drawn(wanted, around, spread)
+        gains, rewards = np.vstack([gains, near]), np.append(rewards, _rewards(environment, near, episodes))
     stiffness, damping = np.split(gains[np.argmax(rewards)], 2)
-    return Tuned(tuple(stiffness.tolist()), tuple(damping.tolist()), float(rewards.max()))
+    reached = margins(loops, stiffness, damping)
+    return Tuned(tuple(stiffness.tolist()), tuple(damping.tolist()), float(rewards.max()), reached)
+
+
+def _near(random: np.random.Generator, best: Array, deviation: float, low: Array, high: Array) -> Array:
+    return np.clip(best + deviation * random.standard_normal(len(best)), low, high)
+
+
+def environment_loops(environment: Description) -> list[Loop]:
+    """Gives the loops of the motors of an environment, with its largest delay, at goals of its first episodes."""
+    venv = gym.make_vec(environment.id, POSTURES, "vector_entry_point", **environment.keywords())
+    venv.reset(seed=list(range(POSTURES)))  # type: ignore[arg-type]
+    episodes, setup = venv.unwrapped.episodes, environment.setup()  # type: ignore[attr-defined]
+    postures, model = episodes.view.goal_angles.copy(), episodes.batch.model
+    venv.close()
+    return [sampled_loop(model, posture, setup.control_period, setup.latest_delay) for posture in postures]
+
+
+def _drawn(loops: Sequence[Loop], count: int, draw: Callable[[], Array]) -> Array:
+    """Gains (count, 2 n) of drawn logarithms, all of which have the least margins in the loops."""
+    result: list[Array] = []
+    for _ in range(DRAWS * count):
+        gains = np.exp(draw())
+        stiffness, damping = np.split(gains, 2)
+        if has_margins(loops, stiffness, damping, LEAST):
+            result.append(gains)
+            if len(result) == count:
+                return np.array(result)
+    allowed = f"{count} with a gain margin of {LEAST.gain:g} and a phase margin of {LEAST.phase:g} degrees"
+    raise refusal("gains", f"{len(result)} of {DRAWS * count} drawn", allowed)
 
 
 def _rewards(environment: Description, gains: Array, episodes: int) -> Array:

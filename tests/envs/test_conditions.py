@@ -197,8 +197,8 @@ def test_a_pd_says_when_sampling_and_delay_make_it_unstable():
     )
     assert "less than 1, which is 500 N m s/rad" in said
     assert "PD.damping[0]" in controller.unstable(model, 0.05)
-    with pytest.warns(UserWarning, match=r"PD.damping\[0\]: 950 N m s/rad is not stable"):
-        gym.make("FlexRRR-v0", base="pd", randomisation={"delay": (0, 1)})
+    with pytest.warns(UserWarning, match=r"PD.damping\[0\]: 472 N m s/rad is not stable"):
+        gym.make("FlexRRR-v0", base="pd", randomisation={"delay": (0, 2)})
 
 
 def test_gains_of_ones_own_suit_any_arm_and_are_checked():

@@ -57,6 +57,14 @@ def test_evaluate_is_every_figure_of_a_rollout():
     assert result == of(*records) and set(result) >= {"settled", "settling_time", "vibration", "error", "roughness"}
 
 
+def test_of_many_episodes_a_median_is_that_of_the_upper_middle_and_a_mean_the_mean():
+    records = [
+        replace(record(), rewards=np.array([value]), errors=np.full(501, value)) for value in (1.0, 2.0, 4.0, 9.0)
+    ]
+    assert FIGURES["reward"].sum_up(records) == 4.0 and FIGURES["error"].sum_up(records) == pytest.approx(4.0)
+    assert FIGURES["error"].sum_up(records[:3]) == pytest.approx(2.0)
+
+
 @pytest.mark.parametrize("name", FIGURES)
 def test_every_figure_says_what_is_better(name):
     """A calm episode that settles is better in every figure than a rough one that fails."""

@@ -1,4 +1,4 @@
-"""Tuning: gains are drawn from where a late motor is stable, and are worth what their episodes say."""
+"""Tuning: gains have margins with the largest delay, and are worth what their episodes say."""
 
 import gymnasium as gym
 import numpy as np
@@ -6,27 +6,59 @@ import pytest
 
 import flexman_gym  # noqa: F401  registers the environments
 from flexman_gym.control import PD
+from flexman_gym.control.margins import Margins, has_margins, margins, sampled_loop
 from flexman_gym.envs.description import Description
 from flexman_gym.evaluation import tuning
 
+from oracles.refusals import refusal
 
-def test_no_gains_are_tried_that_the_largest_delay_makes_unstable(monkeypatch):
-    """Where more damping is always better, what is found comes close to the bound and does not cross it."""
+
+def test_gains_are_drawn_up_to_half_of_what_a_late_motor_bears(monkeypatch):
+    """Where more damping is always better, and margins are not asked for, the result comes close to that bound."""
     environment = Description("FlexOne-v0", {"randomisation": {"delay": [0, 3]}})
     monkeypatch.setattr(tuning, "_rewards", lambda environment, gains, episodes: gains[:, -1])
-    result, setup = tuning.tune(environment), environment.setup()
+    result, setup = tuning.tune(environment, margin=False), environment.setup()
     model = gym.make(environment.id).unwrapped.simulator.model
-    damped, beyond = (PD(result.stiffness, [part * result.damping[0]], setup.torque_limit) for part in (1.0, 1.1))
-    assert damped.unstable(model, setup.control_period, 3) == ""
+    half, beyond = (PD(result.stiffness, [part * result.damping[0]], setup.torque_limit) for part in (1.99, 2.1))
+    assert half.unstable(model, setup.control_period, 3) == ""
     assert beyond.unstable(model, setup.control_period, 3) != ""
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_all_gains_that_are_tried_have_margins_with_the_largest_delay(delay, monkeypatch):
+    environment = Description("FlexPlanar-v0", {"randomisation": {"delay": [0, delay]}})
+    tried = []
+    monkeypatch.setattr(tuning, "_rewards", lambda environment, gains, episodes: tried.append(gains) or gains[:, 0])
+    result = tuning.tune(environment, first=8, around=3)
+    model, setup = gym.make(environment.id).unwrapped.simulator.model, environment.setup()
+    loops = [sampled_loop(model, angles, setup.control_period, delay) for angles in goals(environment)]
+    assert len(np.vstack(tried)) == 8 + 8 * 3
+    for gains in np.vstack(tried):
+        assert has_margins(loops, *np.split(gains, 2), Margins(2.0, 30.0))
+    assert result.margins == margins(loops, result.stiffness, result.damping)
+
+
+def goals(environment):
+    """Goal angles of its first four episodes."""
+    env = gym.make(environment.id)
+    return [env.reset(seed=seed)[1]["goal_angles"] for seed in range(4)]
+
+
+def test_an_arm_for_which_no_gains_have_margins_is_refused_in_one_line(monkeypatch):
+    """Two periods of delay turn the torques on the planar arm's joint springs by too much."""
+    monkeypatch.setattr(tuning, "DRAWS", 5)
+    said = refusal(lambda: tuning.tune(Description.find("FlexPlanar-v0/random-delay"), first=4))
+    assert said == (
+        "gains: '0 of 20 drawn' is not allowed; give 4 with a gain margin of 2 and a phase margin of 30 degrees"
+    )
 
 
 def test_the_reward_is_that_of_whole_episodes_and_of_no_others():
     """Limits so tight that episodes end at different times: played one by one, they have that mean reward."""
-    environment = Description("FlexOne-v0", {"horizon": 1.0, "limits": {"rate": 0.5}})
+    environment = Description("FlexOne-v0", {"horizon": 1.0, "limits": {"rate": 1.3}})
     episodes = 3
-    result = tuning.tune(environment, first=6, around=2, episodes=episodes)
-    gains = {"stiffness": result.stiffness, "damping": result.damping}
+    (mean,) = tuning._rewards(environment, np.array([[0.3, 0.1]]), episodes)
+    gains = {"stiffness": (0.3,), "damping": (0.1,)}
     env = gym.make(environment.id, base="pd", gains=gains, **environment.keywords())
     rewards, periods = [], []
     for seed in range(episodes):
@@ -38,13 +70,13 @@ def test_the_reward_is_that_of_whole_episodes_and_of_no_others():
             over = failed or ended
         rewards.append(sum(own))
         periods.append(len(own))
-    assert result.reward == pytest.approx(np.mean(rewards), rel=1e-9)
+    assert mean == pytest.approx(np.mean(rewards), rel=1e-9)
     assert len(set(periods)) > 1, periods
 
 
-def test_the_second_search_is_around_the_best_of_the_first(monkeypatch):
-    """A reward with one peak: candidates of the second search are some 15 % away from the best so far."""
-    peak, tried = np.log([0.3, 0.02]), []
+def test_every_round_is_around_the_best_so_far(monkeypatch):
+    """A reward with one peak, which has margins: candidates of a round are some deviations away from the best."""
+    peak, tried = np.log([0.6, 0.3]), []
 
     def rewards(environment, gains, episodes):
         tried.append(np.log(gains))
@@ -52,7 +84,10 @@ def test_the_second_search_is_around_the_best_of_the_first(monkeypatch):
 
     monkeypatch.setattr(tuning, "_rewards", rewards)
     result = tuning.tune(Description("FlexOne-v0"))
-    first, near = tried
-    best = first[((first - peak) ** 2).sum(axis=1).argmin()]
-    assert np.abs(near - best).max() < 5 * 0.15 and len(near) == 60
-    assert -result.reward < ((best - peak) ** 2).sum(), "which finds a better one"
+    so_far = tried[0]
+    assert len(so_far) == 60 and len(tried) == 9
+    for near, deviation in zip(tried[1:], np.geomspace(0.5, 0.1, 8), strict=True):
+        best = so_far[((so_far - peak) ** 2).sum(axis=1).argmin()]
+        assert len(near) == 30 and np.abs(near - best).max() < 5 * deviation
+        so_far = np.vstack([so_far, near])
+    assert -result.reward < 0.01 < ((tried[0] - peak) ** 2).sum(axis=1).min(), "which finds a better one"

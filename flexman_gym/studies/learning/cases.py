@@ -51,15 +51,10 @@ ABLATIONS = {
         {"n_steps": 60, "gamma": 0.99, "gae_lambda": 0.98},
         steps=1_600_000,
     ),
-    "exploration": Without(
-        "the schedule of the exploration", "a standard deviation that is learned, from the same start",
-        hyperparameters={"log_std_init": -1.0}, schedules={"log_std": None},
-    ),
     "rate": Without(
         "the schedule of the learning rate", "the rate of the start throughout",
         schedules={"learning_rate": {"start": 0.001, "end": 0.001}},
     ),
-    "fine": Without("observations that tell millimetres", "the full state alone", {"sensors": ["full"]}),
     "reward": Without("the reward with slope at every scale", "the reward of bells", {"task": {"kind": "slew"}}),
     "discount": Without("the short horizon", "a discount of 0.99 an action", hyperparameters={"gamma": 0.99}),
 }  # fmt: skip

@@ -38,7 +38,7 @@ class Row:
         steps, cpu, rate, share: of the training: actions, s, actions a second of CPU, part of it in the environment.
         settled: share of episodes within the band to the end.
         time, vibration, error: medians, s, m and m, and the interval of the time.
-        reward, effort, failed: means.
+        reward, effort, failed, roughness: means; the last is None in rows of before it was taken.
     """
 
     kind: str
@@ -58,6 +58,7 @@ class Row:
     reward: float
     effort: float
     failed: float
+    roughness: float | None
 
 
 def controllers() -> Iterator[Row]:
@@ -123,5 +124,5 @@ def _row(
         time_high=high,
         vibration=result["vibration"],
         error=result["error"],
-        **{key: result[key] for key in ("settled", "reward", "effort", "failed")},
+        **{key: result[key] for key in ("settled", "reward", "effort", "failed", "roughness")},
     )

@@ -61,6 +61,7 @@ COLUMNS = {
     "vibration": "the median of the tip's motion in the last 3 s, from peak to peak along the worst axis",
     "error": "the median of the tip's distance from its target in the last second",
     "effort": "the mean square of what the motors were asked for, parts of their limits",
+    "roughness": "the root mean square of the change of that from period to period; - where it was not taken",
     "failed": "the share of episodes that end at a limit",
 }
 ADVICE = """- `ppo_on_pd_minute` to see that it works, and to try changes of task, arm or reward.
@@ -107,7 +108,7 @@ def _cost(row: Row) -> tuple[str, ...]:
     return f"{row.steps:,.0f}", f"{row.cpu:.0f}", f"{row.rate:,.0f}", f"{row.share:.0%}"
 
 
-FIGURES = ("settled", "time, s", "vibration, mm", "error, mm", "reward", "effort", "failed")
+FIGURES = ("settled", "time, s", "vibration, mm", "error, mm", "reward", "effort", "roughness", "failed")
 
 
 def _figures(row: Row) -> tuple[str, ...]:
@@ -118,6 +119,7 @@ def _figures(row: Row) -> tuple[str, ...]:
         _number(1e3 * row.error),
         f"{row.reward:.0f}",
         f"{row.effort:.3f}",
+        "-" if row.roughness is None else f"{row.roughness:.3f}",
         f"{row.failed:.0%}",
     )
 

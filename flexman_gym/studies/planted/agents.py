@@ -79,10 +79,12 @@ AGENTS = (
     ),
     *changes(
         "agents", "evaluation/tuning.py", "evaluation/test_tuning.py",
-        ("gains are stable with the least delay", "stability_limit(int(delay[1])", "stability_limit(int(delay[0])"),
+        ("gains are stable without a delay", "stability_limit(setup.latest_delay)", "stability_limit(0)"),
+        ("margins without the delay", "setup.control_period, setup.latest_delay)", "setup.control_period, 0)"),
+        ("gains without margins", "if has_margins(loops, stiffness, damping, LEAST)", "if True"),
         ("gains are judged on one episode", "np.tile(np.arange(episodes), len(gains))",
          "np.zeros(episodes * len(gains), dtype=int)"),
-        ("the second search is around the first gains drawn", "best = np.log(gains[np.argmax(rewards)])",
+        ("every round is around the first gains drawn", "best = np.log(gains[np.argmax(rewards)])",
          "best = np.log(gains[0])"),
     ),
     *changes(

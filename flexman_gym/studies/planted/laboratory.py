@@ -160,6 +160,16 @@ LABORATORY = (
         ("joints do not give way", "if not last:", "if False:"),
     ),
     *changes(
+        "laboratory", "control/margins.py", "control/test_margins.py",
+        ("the torques of all motors do not change together", "np.vstack([np.eye(n), np.ones(n)])", "np.eye(n)"),
+        ("torques arrive a period early", "late[:size, -n:], entry[:size] = inputs, 0.0",
+         "late[:size, -2 * n : -n], entry[:size] = inputs, 0.0"),
+        ("a margin is the first change that is not borne", "values[max(first - 1, 0)]",
+         "values[min(first, len(values) - 1)]"),
+        ("margins of the first loop", "for change in changes for loop in loops)",
+         "for change in changes for loop in loops[:1])"),
+    ),
+    *changes(
         "laboratory", "control/pd.py", "envs/test_conditions.py",
         ("the limit does not know of delays",
          "2.0 * np.sin(np.pi / (4 * delay + 2))",

@@ -1,0 +1,111 @@
+"""Margins: closed forms of a single motor, the frequency response of an arm, and those of every named environment."""
+
+import numpy as np
+import pytest
+
+import flexman_gym as fm
+from flexman_gym.control.margins import FACTORS, PHASES, Margins, has_margins, margins, sampled_loop
+from flexman_gym.envs.catalog import NAMED
+from flexman_gym.envs.description import Description
+from flexman_gym.envs.setup import build, setup_of
+from flexman_gym.evaluation.tuning import LEAST, environment_loops
+from flexman_gym.model import mass_matrix
+
+PERIOD = 0.01
+STEP, DEGREES = FACTORS[1] / FACTORS[0], PHASES[1]
+
+
+def rigid():
+    """A rigid link on a rigid joint, and its inertia about the motor."""
+    model = fm.build_model(fm.catalog.one_link(rotor_inertia=0.1), flexible_links=False, flexible_joints=False)
+    return model, mass_matrix(model, np.zeros(2 * model.n_dof))[0, 0]
+
+
+@pytest.mark.parametrize("part", [0.3, 0.7, 1.2, 1.7])
+def test_a_motor_that_is_damped_has_the_margins_of_an_integrator(part):
+    """Rates follow r' = r - part r: stable to a factor 2 / part, and to a phase of 90 degrees - asin(part / 2)."""
+    model, inertia = rigid()
+    result = margins([sampled_loop(model, [0.3], PERIOD)], [1e-6], [part * inertia / PERIOD])
+    assert result.gain <= 2.0 / part < result.gain * STEP
+    assert result.phase <= 90.0 - np.degrees(np.arcsin(part / 2.0)) < result.phase + DEGREES
+
+
+@pytest.mark.parametrize("late", [1, 2, 4])
+def test_a_late_motor_is_stable_up_to_the_limit_of_levin_and_may(late):
+    """Theoretical Population Biology 9, 1976, 178: 2 sin(pi / (4 k + 2))."""
+    model, inertia = rigid()
+    part = 0.3 * 2.0 * np.sin(np.pi / (4 * late + 2))
+    result = margins([sampled_loop(model, [0.0], PERIOD, late)], [1e-9], [part * inertia / PERIOD])
+    assert result.gain <= 1.0 / 0.3 < result.gain * STEP
+
+
+def test_an_unstable_loop_has_no_margins():
+    model, inertia = rigid()
+    loop = sampled_loop(model, [0.0], PERIOD)
+    assert margins([loop], [1.0], [2.1 * inertia / PERIOD]) == Margins(1.0, 0.0)
+    assert not has_margins([loop], [1.0], [2.1 * inertia / PERIOD], Margins(1.0, 0.0))
+
+
+def nearest(locus):
+    """The least factor and phase (degrees) that lead a frequency response, or an eigenvalue of one, to -1."""
+    size, turn = np.abs(locus), np.degrees(np.abs(np.angle(-locus)))
+    steady = np.abs(np.diff(locus)) < 0.1 * size[:-1]  # where eigenvalues do not change places
+    crossing = np.flatnonzero(np.diff(locus.imag > 0.0) & (locus.real[:-1] < 0.0) & steady)
+    factors = 1.0 / size[[*crossing, *([-1] if locus.real[-1] < 0.0 else [])]]
+    return factors[factors > 1.0].min(initial=np.inf), turn[:-1][np.diff(size > 1.0)].min(initial=np.inf)
+
+
+def test_margins_are_those_of_the_loop_that_has_the_least():
+    model, inertia = rigid()
+    damped, late = sampled_loop(model, [0.0], PERIOD), sampled_loop(model, [0.0], PERIOD, 3)
+    gains = [1e-6], [0.3 * inertia / PERIOD]
+    assert margins([damped, late], *gains) == margins([late], *gains)
+    assert has_margins([damped], *gains, Margins(2.0, 30.0)) and not has_margins([late], *gains, Margins(2.0, 30.0))
+    assert not has_margins([damped, late], *gains, Margins(2.0, 30.0))
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_margins_are_those_of_the_frequency_response(late):
+    """Of one motor's loop while the other stays closed, and of the eigenvalues of both loops together."""
+    setup = setup_of({"name": "FlexPlanar-v0"})
+    loop = sampled_loop(build(setup).model, [0.4, -0.7], setup.control_period, late)
+    stiffness, damping = np.array([20.0, 6.0]), np.array([3.0, 0.5])
+    gain = np.zeros(loop.inputs.T.shape)
+    gain[np.arange(2), loop.motors], gain[np.arange(2), loop.rates] = stiffness, damping
+    around, loci = np.exp(1j * np.linspace(1e-4, np.pi, 40001)), []
+    for opened in ([0], [1], [0, 1]):
+        closed = np.delete(np.arange(2), opened)
+        values, left = np.linalg.eig(loop.transition - loop.inputs[:, closed] @ gain[closed])
+        inner = np.linalg.solve(left, loop.inputs[:, opened])
+        response = np.einsum("ik,wk,kj->wij", gain[opened] @ left, 1.0 / (around[:, None] - values), inner)
+        each = np.linalg.eigvals(response)
+        loci += list(np.take_along_axis(each, np.abs(each).argsort(axis=1), axis=1).T)
+    factor, phase = np.min([nearest(locus) for locus in loci], axis=0)
+    result = margins([loop], stiffness, damping)
+    assert result.gain <= factor * 1.001 and factor < result.gain * STEP * 1.001
+    assert result.phase <= phase + 0.1 and phase < result.phase + DEGREES + 0.1
+
+
+def test_torques_on_their_way_arrive_in_their_turn():
+    model = build(setup_of({"name": "FlexPlanar-v0"})).model
+    now, late = (sampled_loop(model, [0.2, 0.1], 0.01, delay) for delay in (0, 3))
+    random, size = np.random.default_rng(0), len(now.transition)
+    state, longer = np.zeros(size), np.zeros(len(late.transition))
+    torques = random.standard_normal((9, 2))
+    for period, torque in enumerate(torques):
+        longer = late.transition @ longer + late.inputs @ torque
+        state = now.transition @ state + now.inputs @ (torques[period - 3] if period >= 3 else np.zeros(2))
+        assert longer[:size] == pytest.approx(state, abs=1e-12)
+
+
+DELAYED = [f"{name}/{each}" for name in ("FlexRRR-v0", "FlexPlanar-v0", "FlexRRR-Gravity-v0")
+           for each in ("delay", "unknown", "unknown-lab")]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [*NAMED, *DELAYED])
+def test_the_pd_of_every_environment_has_a_gain_margin_of_two_and_a_phase_margin_of_thirty_degrees(name):
+    """At goals of its first episodes, with its delay; of random delays up to two periods no gains have it."""
+    environment = Description.find(name)
+    gains = environment.setup().pd_gains
+    reached = margins(environment_loops(environment), gains["stiffness"], gains["damping"])
+    assert reached.gain >= LEAST.gain * (1.0 - 1e-9) and reached.phase >= LEAST.phase
