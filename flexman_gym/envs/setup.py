@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 from flexman_gym.checks import mapping, one_of, positive, refusal, sequence, store, text, vector, whole_number
 from flexman_gym.control.controller import Controller, check_members, checked_controller
+from flexman_gym.control.history import checked_history
 from flexman_gym.control.lqr import LQR, TrackingLQR
 from flexman_gym.control.pd import PD, torque_limits
 from flexman_gym.envs.catalog import DEFAULT, NAMED
-from flexman_gym.envs.history import checked_history
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.randomisation import Randomisation
 from flexman_gym.envs.sensors import find_sensors

@@ -77,7 +77,7 @@ LABORATORY = (
         ("a name that is nearly kept is taken", "        if near:\n", "        if False:\n"),
     ),
     *changes(
-        "laboratory", "envs/history.py", "envs/test_history.py",
+        "laboratory", "control/history.py", "envs/test_history.py",
         ("the oldest first", "memory[arms, 0] = observations\n        return",
          "memory[arms, -1] = observations\n        return"),
         ("averages of twice the time",
