@@ -1,7 +1,9 @@
 """Control: controllers with one call signature."""
 
+from flexman_gym.control.bases import BASES
 from flexman_gym.control.controller import Controller, Episode
 from flexman_gym.control.lqr import LQR, TrackingLQR
 from flexman_gym.control.pd import PD
+from flexman_gym.control.policy import Policy
 
-__all__ = ["LQR", "PD", "Controller", "Episode", "TrackingLQR"]
+__all__ = ["BASES", "LQR", "PD", "Controller", "Episode", "Policy", "TrackingLQR"]

@@ -27,6 +27,11 @@ class History:
         self.parts = kind if isinstance(kind, int) else 1 + len(kind)
         self._memory = np.zeros((arms, self.parts, size))
 
+    def following(self, earlier: "History") -> "History":
+        """Gives itself with what an earlier one of fewer arms remembers."""
+        self._memory[: len(earlier._memory)] = earlier._memory
+        return self
+
     def begin(self, observations: Array, arms: IntArray) -> Array:
         """Starts with the first observations (r, size) of the arms (r,); returns what is seen, (r, parts size)."""
         self._memory[arms] = observations[:, None]

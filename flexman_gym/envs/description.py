@@ -257,6 +257,8 @@ def _plain(name: str, value: Any) -> Any:
         return {"kind": kind, **asdict(value)}
     if name == "sensors":
         return plain_sensors(value)
+    if name == "base" and isinstance(value, dict):
+        return dict(value)
     if name == "gains" and value is not None:
         return {each: list(numbers) for each, numbers in value.items()}
     if value is None or isinstance(value, bool | int | float | str | tuple | list):

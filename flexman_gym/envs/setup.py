@@ -1,15 +1,15 @@
 """Setup: what an environment is made of, checked, and the model that its fidelity asks for."""
 
 import warnings
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 from flexman_gym.checks import mapping, one_of, positive, refusal, sequence, store, text, vector, whole_number
+from flexman_gym.control.bases import BASES, Plant, checked_base, make_base
 from flexman_gym.control.controller import Controller, check_members, checked_controller
 from flexman_gym.control.history import checked_history
-from flexman_gym.control.lqr import LQR, TrackingLQR
 from flexman_gym.control.pd import PD, torque_limits
 from flexman_gym.envs.catalog import DEFAULT, NAMED
 from flexman_gym.envs.limits import Limits
@@ -29,7 +29,6 @@ from flexman_gym.simulation.methods import DEFAULT as DEFAULT_METHOD
 from flexman_gym.simulation.run import default_step
 
 CHOSEN = ("elements", "modes", "method", "step", "stiffening")  # by fidelity="auto"
-BASES = ("pd", "lqr", "lqr-tracking")
 SHORTEST_PERIOD, LONGEST_PERIOD = 1e-9, 100.0  # s, of control
 LONGEST_HOLD, MOST_PERIODS = 1000, 10**9
 SLEW, SLEW_START = 3.0, 0.4  # s and rad, of the motion for which fidelity="auto" chooses
@@ -52,14 +51,16 @@ class Setup:
             Stored as a tuple.
         control_period: s.
         horizon: s, after which an episode is truncated.
-        base: what acts beside the agent in every control period: "pd" for the PD controller that was tuned for the arm
-            of the named environment, "lqr" or "lqr-tracking" for the optimal ones that know the true state, or a
-            Controller of one's own; None for nothing. The sum of both saturates.
+        base: what acts beside the agent in every control period, so that its action is a residual: a name in
+            `control.BASES`, "pd" for the PD controller that was tuned for the arm of the named environment, "lqr" or
+            "lqr-tracking" for the optimal ones that know the true state; a mapping with a name at "kind" and its
+            arguments; or a Controller of one's own. None for nothing. The sum of both saturates.
         gains: of base="pd", a mapping with "stiffness" (N m/rad) and "damping" (N m s/rad), one for each joint; None
             takes those that were tuned for the arm of the named environment, which no arm with other links or motors
             has.
-        hold: control periods for which the agent's part of an action is kept. A step then takes so many: its reward is
-            the mean of theirs, its info that of the last; an episode that ends on the way ends there.
+        hold: control periods for which the agent's part of an action is kept (action repeat). A step then takes so
+            many: its reward is the mean of theirs, its info that of the last; an episode that ends on the way ends
+            there.
         fidelity: "default" or "auto"; the latter with a tolerance, and without the next four.
         tolerance: m, largest error of the tip in a slew.
         stiffening, spinning_rotors, rotary_inertia: switches of `build_model`.
@@ -83,7 +84,7 @@ class Setup:
     torque_limit: Any = None
     control_period: float = None  # type: ignore[assignment]
     horizon: float = None  # type: ignore[assignment]
-    base: Controller | str | None = None
+    base: Controller | Mapping[str, Any] | str | None = None
     gains: Any = None
     hold: int = 1
     fidelity: str = "default"
@@ -130,8 +131,8 @@ class Setup:
         if not 0.5 <= self.horizon / self.control_period <= MOST_PERIODS:
             raise refusal("horizon", horizon, f"1 to {MOST_PERIODS} control periods of {self.control_period} s")
         check_members("task", self.task, OPTIONAL, MEMBERS)
-        if isinstance(self.base, str):
-            one_of("base", self.base, BASES)
+        if isinstance(self.base, str | dict):
+            checked_base(self.base)
         elif self.base is not None:
             checked_controller("base", self.base, f"None, one of {', '.join(BASES)}, or ")
         if self.base == "pd":
@@ -198,26 +199,22 @@ class Setup:
             raise refusal("gains", gains, "a mapping with stiffness (N m/rad) and damping (N m s/rad)")
         return {name: vector(f"gains.{name}", each, self.arm.n_joints) for name, each in gains.items()}
 
-    def pd(self, model: Model) -> PD:
-        """The PD controller of the `pd_gains`; with gravity it holds the arm of the model."""
-        gravity_model = model if any(self.arm.gravity) else None
-        return PD(**self.pd_gains, torque_limit=self.torque_limit, gravity_model=gravity_model)
+    def controller(self, base: object, model: Model) -> Controller:
+        """What a name in BASES, or a mapping with arguments, means for this environment and a model of its arm."""
+        return make_base(base, Plant(model, self.torque_limit, self.control_period, lambda: self.pd_gains))
 
     def base_controller(self, model: Model) -> Controller | None:
         """What acts beside the agent, for the model of the environment.
 
         It warns (UserWarning) where sampling and delay make a PD unstable.
         """
-        if self.base == "pd":
-            result = self.pd(model)
-            said = result.unstable(model, self.control_period, self.latest_delay)
-            if said:
-                warnings.warn(said, stacklevel=2)
-            return result
-        if isinstance(self.base, str):
-            kind = {"lqr": LQR, "lqr-tracking": TrackingLQR}[self.base]
-            return kind(model, self.torque_limit, self.control_period)
-        return self.base
+        if not isinstance(self.base, str | dict):
+            return self.base  # type: ignore[return-value]
+        result = self.controller(self.base, model)
+        said = result.unstable(model, self.control_period, self.latest_delay) if isinstance(result, PD) else ""
+        if said:
+            warnings.warn(said, stacklevel=2)
+        return result
 
 
 def _period(value: object) -> float:

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Callable, Sequence
-from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.checks import refusal
+from flexman_gym.control.bases import BASES, checked_base
 from flexman_gym.control.controller import Controller
 from flexman_gym.control.network import Network
+from flexman_gym.control.policy import Policy
 from flexman_gym.envs.description import Description
-from flexman_gym.envs.setup import BASES
+from flexman_gym.envs.setup import build
 from flexman_gym.evaluation.folder import BEST, NEWEST, SETTINGS, check_settings, existing, is_foreign, read_data
 
 Act = Callable[[NDArray[np.float32], tuple[int, ...]], NDArray[np.floating]]
@@ -40,7 +41,7 @@ class Entrant:
 
 
 def find_entrant(entrant: object) -> Entrant:
-    """Gives the entrant that a name, the folder of a training run, or a Controller means.
+    """Gives the entrant that a name, a mapping as `base` takes it, the folder of a training run, or a Controller means.
 
     Raises:
         FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
@@ -48,7 +49,9 @@ def find_entrant(entrant: object) -> Entrant:
     if isinstance(entrant, Entrant):
         return entrant
     if isinstance(entrant, Controller) and not isinstance(entrant, type):
-        return Entrant(type(entrant).__name__, still, {"base": deepcopy(entrant)})  # which may have acted elsewhere
+        return Entrant(type(entrant).__name__, still, {"base": entrant})
+    if isinstance(entrant, dict):
+        return Entrant(checked_base(entrant)[0], still, {"base": entrant})
     name = str(entrant)
     if name in BASES:
         return Entrant(name, still, {"base": name})
@@ -88,16 +91,15 @@ def load_run(folder: Path) -> Entrant:
         network = Network(algo, activation, data.get("policy"), data.get("statistics"))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-    environment, interface = parted(described)
+    return Entrant(folder.name, still, {"base": _policy(network, described)}, parted(described)[0])
 
-    def act(observations: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.floating]:
-        if (observations.shape[1], shape[1]) != (network.size, network.joints):
-            given = f"{observations.shape[1]} numbers for {shape[1]} motors"
-            allowed = f"{network.size} and {network.joints}, as it was trained"
-            raise refusal(f"observations of {folder.name}", given, allowed)
-        return network(observations).astype(np.float32).reshape(shape)
 
-    return Entrant(folder.name, act, interface, environment)
+def _policy(network: Network, described: Description) -> Policy:
+    """The policy that a network is with all that it learned with."""
+    setup = described.setup()
+    base = setup.controller(setup.base, build(setup).model) if isinstance(setup.base, str | dict) else setup.base
+    sensors = (*setup.sensors, *setup.task.sensors)
+    return Policy(network, sensors, setup.history, setup.hold, base)  # type: ignore[arg-type]
 
 
 def parted(described: Description) -> tuple[Description, dict[str, Any]]:

@@ -1,6 +1,7 @@
 """Rollout: the only loop that runs episodes; the same ones for whoever acts in them."""
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 
 import gymnasium as gym
@@ -88,7 +89,7 @@ def rollout(
         FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
     """
     player, described = find_entrant(entrant), find_environment(environment)
-    keywords = parted(described)[0].keywords() | player.interface
+    keywords = parted(described)[0].keywords() | deepcopy(player.interface)  # which may have acted elsewhere
     venv = gym.make_vec(described.id, len(seeds), "vector_entry_point", **keywords)
     episodes, size = venv.unwrapped.episodes, venv.action_space.shape or ()  # type: ignore[attr-defined]
     recorder = _Recorder(episodes, watch)

@@ -216,11 +216,11 @@ def test_mutated_runs_give_one_line_or_act_as_they_did(run, tmp_path, seed):
         (tmp_path / name).write_bytes(content)
     seen = np.linspace(-1.0, 1.0, 3 * 32).reshape(3, 32).astype(np.float32)
     try:
-        act = find_entrant(str(tmp_path)).act
+        network = find_entrant(str(tmp_path)).interface["base"].network
     except (ValueError, FileNotFoundError) as error:
         assert "\n" not in str(error) and str(tmp_path) in str(error)
     else:
-        assert np.array_equal(act(seen, (3, 1)), find_entrant(str(run)).act(seen, (3, 1)))
+        assert np.array_equal(network(seen), find_entrant(str(run)).interface["base"].network(seen))
 
 
 def test_broken_files_give_one_line(run, tmp_path):

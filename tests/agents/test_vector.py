@@ -12,6 +12,7 @@ import flexman_gym as fm
 from flexman_agents.vector import Arms
 
 LIMITS = fm.Limits(rate=2.0)
+STIFF = {"stiffness": (497.0, 325.0, 328.0), "damping": (950.0, 950.0, 103.0)}  # which leads to the limits
 
 
 def arms_and_singles(count, hold=1, **settings):
@@ -24,7 +25,7 @@ def arms_and_singles(count, hold=1, **settings):
 @pytest.mark.parametrize("base", [None, "pd"])
 @pytest.mark.parametrize(("hold", "normalised"), [(1, False), (1, True), (3, False), (3, True)])
 def test_arms_are_single_environments_side_by_side(hold, normalised, base):
-    both = [VecMonitor(each) for each in arms_and_singles(3, hold, base=base)]
+    both = [VecMonitor(each) for each in arms_and_singles(3, hold, base=base, gains=STIFF)]
     both = [VecNormalize(each) for each in both] if normalised else both
     for each in both:
         each.seed(4)

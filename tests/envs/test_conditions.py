@@ -65,7 +65,7 @@ def test_the_pd_is_stable_wherever_a_condition_leads(name, condition):
     description = Description.find(f"{name}/{condition}")
     setup = description.setup()
     model = gym.make(description.id, **description.keywords()).unwrapped.simulator.model
-    controller, drawn = setup.pd(model), setup.disturbed
+    controller, drawn = setup.controller("pd", model), setup.disturbed
     delays = range(int(drawn.delay[0]), int(drawn.delay[1]) + 1) if drawn and drawn.delay else (0,)
     random = np.random.default_rng(0)
     reach = sum(getattr(setup.task, part, 0.0) for part in ("start", "slew", "middle"))

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import flexman_gym as fm
+from flexman_gym.control import PD
 from flexman_gym.envs import NAMED
 from flexman_gym.envs.description import Description, described, read_arm
 from flexman_gym.envs.setup import Setup
@@ -182,7 +183,9 @@ def test_objects_of_ones_own_cannot_be_described():
         draw = goal = reward_terms = info = lambda *arguments: {}
 
     assert refusal(described, Setup(task=Nothing())).startswith("task: <")
-    assert refusal(described, Setup(base=Setup().pd(None))).startswith("base: <flexman_gym.control.pd.PD")
+    assert refusal(described, Setup(base=PD([1.0] * 3, [1.0] * 3, 400.0))).startswith(
+        "base: <flexman_gym.control.pd.PD"
+    )
 
 
 # The same episode everywhere

@@ -16,6 +16,8 @@ from oracles.refusals import refusal
 
 MODES = tuple(AutoresetMode)
 TIGHT = fm.Limits(rate=2.5)
+HARD = {"stiffness": (497.0, 325.0, 328.0), "damping": (950.0, 950.0, 103.0)}  # which leads to the limits
+STIFF = {"base": "pd", "gains": HARD}
 NOISELESS = EVERYTHING | {"sensor_noise": None}
 
 
@@ -61,7 +63,7 @@ def test_a_held_action_is_the_same_action_so_many_times(hold, base, randomisatio
 
     What is seen after a failure is what was seen last, before the action. Noise is drawn once an action.
     """
-    settings = {"limits": TIGHT, "base": base, "randomisation": randomisation, "horizon": 0.6}
+    settings = {"limits": TIGHT, "base": base, "gains": HARD, "randomisation": randomisation, "horizon": 0.6}
     held, each = FlexManEnv(hold=hold, **settings), FlexManEnv(**settings)
     equal(before := held.reset(seed=7), each.reset(seed=7))
     ends = {"failed": 0, "failed on the way": 0, "truncated": 0}
@@ -87,10 +89,10 @@ def test_a_held_action_is_the_same_action_so_many_times(hold, base, randomisatio
 @pytest.mark.parametrize(
     ("hold", "mode", "settings"),
     [
-        *((3, mode, {"base": "pd"}) for mode in MODES),
-        *((5, mode, {"base": "pd", "randomisation": EVERYTHING}) for mode in MODES),
-        (1, MODES[0], {"base": "pd", "randomisation": EVERYTHING}),
-        (1, MODES[1], {"base": "pd"}),
+        *((3, mode, STIFF) for mode in MODES),
+        *((5, mode, {**STIFF, "randomisation": EVERYTHING}) for mode in MODES),
+        (1, MODES[0], {**STIFF, "randomisation": EVERYTHING}),
+        (1, MODES[1], STIFF),
         (5, MODES[0], {"sensors": ("full", "fine"), "task": fm.Slew(reward="distance")}),
         (5, MODES[2], {}),
     ],
@@ -118,7 +120,7 @@ def test_it_is_many_single_environments_bit_for_bit(hold, mode, settings):
 
 def test_what_the_motors_of_an_arm_that_is_over_were_asked_for_stays():
     """Of three arms that end within an action, in different periods of it, each tells what an arm alone tells."""
-    settings = {"hold": 5, "base": "pd", "limits": TIGHT, "horizon": 0.5, "task": Asking()}
+    settings = {"hold": 5, **STIFF, "limits": TIGHT, "horizon": 0.5, "task": Asking()}
     ours = gym.make_vec("FlexRRR-v0", 3, "vector_entry_point", autoreset_mode="Disabled", **settings)
     singles = {"autoreset_mode": AutoresetMode.DISABLED}
     theirs = gym.make_vec("FlexRRR-v0", 3, "sync", vector_kwargs=singles, **settings)
@@ -238,7 +240,7 @@ def test_base_and_action_add_up_and_saturate(asked, given, sum_):
 def test_a_base_by_name_is_the_controller_itself():
     """With a zero action, the same bits as its own object as a base; the effort is what both ask for."""
     named, own = FlexManEnv(base="pd"), FlexManEnv()
-    pd = own.setup.pd(own.simulator.model)
+    pd = own.setup.controller("pd", own.simulator.model)
     own = FlexManEnv(base=pd)
     assert isinstance(named.episodes.base, PD)
     for env in (named, own):

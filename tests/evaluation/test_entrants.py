@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control import LQR, PD, TrackingLQR
+from flexman_gym.control import LQR, PD, Policy, TrackingLQR
 from flexman_gym.envs import NAMED
 from flexman_gym.envs.description import Description
+from flexman_gym.envs.sensors import Fine, FullState, Servo
 from flexman_gym.evaluation import BASELINES, Entrant, evaluate, find_entrant, rollout
 from flexman_gym.evaluation.entrants import changed_environment, common_environment, parted
 
@@ -37,9 +38,10 @@ def test_a_policy_is_evaluated_on_the_environment_that_it_was_trained_on(run):
     environment = common_environment([policy, find_entrant("pd")], None)
     setup = environment.setup()
     assert (environment.id, setup.arm.payload.mass, setup.horizon) == ("FlexPlanar-v0", 0.3, 1.5)
-    gains = {name: list(each) for name, each in NAMED["FlexPlanar-v0"].pd.items()}
-    expected = {"base": "pd", "gains": gains, "hold": 5, "sensors": ["full", "fine"]}
-    assert policy.interface == expected, "which go with the policy"
+    player = policy.interface["base"]
+    assert isinstance(player, Policy) and player.sensors == (FullState(), Fine(), "servo"), "which go with the policy"
+    gains = {name: getattr(player.base, name).tolist() for name in ("stiffness", "damping")}
+    assert gains == {name: list(each) for name, each in NAMED["FlexPlanar-v0"].pd.items()}
     assert setup.base is None and setup.hold == 1
     result = rollout(policy, environment, SEEDS)
     assert result.period == 0.01 and result.lengths.tolist() == [150] * 3
@@ -57,7 +59,7 @@ def test_a_policy_acts_as_in_an_environment_with_its_own_hold_and_base(run):
     seen, info = env.reset(seed=9001)
     errors, rewards = [info["tip_error"]], []
     for _ in range(30):
-        seen, reward, _, ended, info = env.step(policy.act(seen[None], (1, 2))[0])
+        seen, reward, _, ended, info = env.step(policy.interface["base"].network(seen[None])[0].astype(np.float32))
         errors.append(info["tip_error"])
         rewards.append(reward)
     assert ended and np.array_equal(record.errors[::5], errors)
@@ -158,8 +160,13 @@ def test_a_controller_may_act_on_fewer_arms_afterwards():
 
 
 def test_a_policy_refuses_what_it_was_not_trained_for(run):
-    line = refusal(find_entrant(str(run)).act, np.zeros((3, 5), dtype=np.float32), (3, 2))
-    assert line.startswith("observations of planar: '5 numbers for 2 motors' is not allowed; give ")
+    policy = find_entrant(str(run))
+    assert refusal(rollout, policy, ONE, [0]) == "base: 'a policy of 2 motors' is not allowed; give one of 1"
+    path = Description("FlexPlanar-Track-v0")
+    assert rollout(policy, path, [0]).lengths.tolist() == [1000], "a task that it did not learn, seen as its own"
+    other = Policy(policy.interface["base"].network, (Servo(),))
+    line = refusal(rollout, other, Description("FlexPlanar-v0"), [0])
+    assert line == "base: 'a policy of 49 observed numbers' is not allowed; give one of 6, which its sensors read here"
 
 
 def test_what_acts_nowhere_is_refused_in_one_line(tmp_path):

@@ -65,9 +65,9 @@ def read_policy(folder):
     """What the policy of a folder does when all it sees is zero."""
     from flexman_gym.evaluation.entrants import load_run
 
-    act = load_run(folder).act
+    network = load_run(folder).interface["base"].network
     size = len(np.load(io.BytesIO(policy()["newest.npz"]))["/statistics/mean"])
-    return act(np.zeros((1, size), np.float32), (1, 1))
+    return network(np.zeros((1, size), np.float32))
 
 
 READERS = {"scene": fm.Scene.load, "environment": Description.load, "recipe": Settings.recipe}

@@ -25,7 +25,8 @@ class Sensors:
         view: what they read, a View or what is measured of it.
         limits: of the arm.
         label: by which their random streams are known.
-        beside: the Sensors of an agent. What its instruments measure is what perfect sensors here read.
+        beside: the Sensors of an agent. Perfect sensors here read what instruments here measure, or else those of the
+            agent do; an entry that two of them read is that of the first.
 
     Attributes:
         slices, units: name -> slice of the observation, and unit.
@@ -48,22 +49,23 @@ class Sensors:
         label: str = "sensors",
         beside: "Sensors | None" = None,
     ) -> None:
-        seen: View = beside.shared if beside else view
         self.slices: dict[str, slice] = {}
         self.units: dict[str, str] = {}
         self._instruments: list[Instrument] = []
         places: list[tuple[Sensor, slice]] = []
         bounds, end = [np.zeros(0)], 0
-        for part in parts:
-            if not isinstance(part, Sensor):
-                raise refusal("sensors", part, "a Sensor: an object with the methods entries and read")
-            check_members("sensors", part, ("measures",), ("measured",))
-            own = part.fresh() if isinstance(part, Instrument) else copy(part)
+        copies = [_own(part) for part in parts]
+        seen: Any = view
+        if beside:
+            seen = Shared(beside.shared, [own for own in copies if isinstance(own, Instrument)])
+        for own in copies:
             first = end
             for name, size, unit, bound in own.entries(view if isinstance(own, Instrument) else seen, limits):
-                if name in self.slices:
+                if name in self.slices and not beside:
                     raise refusal("sensors", name, "every entry once: two of them read this")
-                self.slices[name], self.units[name], end = slice(end, end + size), unit, end + size
+                if name not in self.slices:
+                    self.slices[name], self.units[name] = slice(end, end + size), unit
+                end += size
                 bounds.append(np.ones(size) * np.asarray(bound))
             places.append((own, slice(first, end)))
             self._instruments += [own] if isinstance(own, Instrument) else []
@@ -100,6 +102,14 @@ class Sensors:
         self.read()
 
 
+def _own(part: object) -> Any:
+    """A copy of a sensor."""
+    if not isinstance(part, Sensor):
+        raise refusal("sensors", part, "a Sensor: an object with the methods entries and read")
+    check_members("sensors", part, ("measures",), ("measured",))
+    return part.fresh() if isinstance(part, Instrument) else copy(part)
+
+
 class Shared:
     """A view of which the quantities that sensors measure are as their instruments give them, the rest as it is.
 
@@ -109,12 +119,13 @@ class Shared:
     def __init__(self, view: View, parts: Sequence[object]) -> None:
         self._view, self._sources = view, dict[str, object]()
         for part in parts:
-            source = part.measured if isinstance(part, Instrument) else view
+            source = part if isinstance(part, Instrument) else view
             for name in following(getattr(part, "measures", EVERYTHING), view):
                 self._sources.setdefault(name, source)
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self.__dict__["_sources"].get(name, self.__dict__["_view"]), name)
+        source = self.__dict__["_sources"].get(name, self.__dict__["_view"])
+        return getattr(source.measured if isinstance(source, Instrument) else source, name)
 
 
 def measured_names(parts: Sequence[object]) -> list[str]:

@@ -8,8 +8,8 @@ RESUMED = "agents/test_resume.py::test_a_run_that_was_interrupted_twice_is_the_r
 AGENTS = (
     *changes(
         "agents", "evaluation/rollout.py", "evaluation/test_rollout.py",
-        ("a policy acts in every period", ".keywords() | player.interface\n",
-         ".keywords() | player.interface | {\"hold\": 1}\n"),
+        ("an agent acts in every period", "deepcopy(player.interface)", "deepcopy(player.interface) | {\"hold\": 1}"),
+        ("a controller remembers another rollout", "deepcopy(player.interface)", "player.interface"),
         ("seeds are counted anew", "venv.reset(seed=list(seeds))", "venv.reset(seed=list(range(len(seeds))))"),
         ("a failed episode ends one period early", "= len(self._rows[\"actions\"]), episodes",
          "= len(self._rows[\"actions\"]) - 1, episodes"),

@@ -160,6 +160,25 @@ LABORATORY = (
         ("joints do not give way", "if not last:", "if False:"),
     ),
     *changes(
+        "laboratory", "control/policy.py", "control/test_policy.py",
+        ("an action lasts a period longer", "self._ages % self._hold == 0", "self._ages % (self._hold + 1) == 0"),
+        ("memory of a hold of one period", "self._hold * period", "period"),
+        ("every observation begins a memory", "(due & (self._ages > 0), self._past.add)",
+         "(due & (self._ages > 0), self._past.begin)"),
+        ("a new episode goes on with the last action", "self._ages[arms] = 0", "self._ages[arms] += 0"),
+        ("an arm that comes takes the memory of the others", ".following(self._past)", ""),
+    ),
+    *changes(
+        "laboratory", "control/bases.py", "control/test_bases.py",
+        ("weights are those that are usual", "chosen = None if weights is None else _weights(weights)", "chosen = None"),
+        ("tuned gains go before given ones", "{**plant.gains(), **gains}", "{**gains, **plant.gains()}"),
+    ),
+    *changes(
+        "laboratory", "envs/sensors/array.py", "control/test_policy.py",
+        ("a base reads past its own instruments", "if isinstance(own, Instrument)])", "if False])"),
+        ("of two entries of one name the last counts", "if name not in self.slices:", "if True:"),
+    ),
+    *changes(
         "laboratory", "control/margins.py", "control/test_margins.py",
         ("the torques of all motors do not change together", "np.vstack([np.eye(n), np.ones(n)])", "np.eye(n)"),
         ("torques arrive a period early", "late[:size, -n:], entry[:size] = inputs, 0.0",
@@ -183,7 +202,7 @@ LABORATORY = (
         ("disturbances of the task go before those that were given",
          "Randomisation(**task | (own.given if own else {}))",
          "Randomisation(**(own.given if own else {}) | task)"),
-        ("no warning of an unstable PD", "            if said:\n", "            if False:\n"),
+        ("no warning of an unstable PD", "        if said:\n", "        if False:\n"),
         ("a warning of the least delay only", "int(delay[1]) if delay else 0", "int(delay[0]) if delay else 0"),
     ),
     *changes(

@@ -1,0 +1,99 @@
+"""Bases: the controllers that have a name, what each needs to know, and how it is made for an arm."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from flexman_gym.arrays import Vector
+from flexman_gym.checks import mapping, one_of, positive, refusal, text
+from flexman_gym.control.controller import Controller
+from flexman_gym.control.discrete import Weights
+from flexman_gym.control.lqr import LQR, TrackingLQR
+from flexman_gym.control.pd import PD
+from flexman_gym.model.model import Model
+
+Gains = Mapping[str, Vector]
+
+
+class Plant(NamedTuple):
+    """What a base is made for.
+
+    Attributes:
+        model: of the arm, as the base knows it.
+        torque_limit: (n,) N m.
+        period: of control, s.
+        gains: makes "stiffness" (N m/rad) and "damping" (N m s/rad) that were tuned for the arm, (n,) each.
+    """
+
+    model: Model
+    torque_limit: tuple[float, ...]
+    period: float
+    gains: Callable[[], Gains]
+
+
+@dataclass(frozen=True)
+class Base:
+    """A controller with a name.
+
+    Attributes:
+        make: gives it for a Plant and its arguments.
+        knows: what it needs to know beside what motors measure.
+        takes: names of the arguments that a mapping may give.
+    """
+
+    make: Callable[..., Controller]
+    knows: tuple[str, ...]
+    takes: tuple[str, ...]
+
+
+def _pd(plant: Plant, **gains: Any) -> PD:
+    weight = plant.model if plant.model.constants.gravity.any() else None
+    tuned = gains if len(gains) == 2 else {**plant.gains(), **gains}
+    return PD(**tuned, torque_limit=plant.torque_limit, gravity_model=weight)
+
+
+def _regulator(kind: type[LQR]) -> Callable[..., LQR]:
+    def make(plant: Plant, weights: object = None) -> LQR:
+        chosen = None if weights is None else _weights(weights)
+        return kind(plant.model, plant.torque_limit, plant.period, chosen)
+
+    return make
+
+
+def _weights(value: object) -> Weights:
+    given = mapping("base.weights", value, Weights._fields)
+    if len(given) < len(Weights._fields):
+        raise refusal("base.weights", given, "a mapping with tip (m), tip_speed (m/s) and motor (rad)")
+    return Weights(**{name: positive(f"base.weights.{name}", each) for name, each in given.items()})
+
+
+BASES: dict[str, Base] = {
+    "pd": Base(_pd, (), ("stiffness", "damping")),
+    "lqr": Base(_regulator(LQR), ("model", "true state"), ("weights",)),
+    "lqr-tracking": Base(_regulator(TrackingLQR), ("model", "true state"), ("weights",)),
+}
+
+
+def checked_base(value: object) -> tuple[str, dict[str, Any]]:
+    """Gives name and arguments of a base that is a name, or a mapping with one at "kind" and its arguments.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed.
+    """
+    if isinstance(value, str):
+        return one_of("base", value, BASES), {}
+    if not isinstance(value, Mapping) or "kind" not in value:
+        raise refusal("base", value, "a name, or a mapping with a name at kind and its arguments")
+    kind = one_of("base.kind", text("base.kind", value["kind"]), BASES)
+    given = {text("a key of base", name): each for name, each in value.items() if name != "kind"}
+    return kind, mapping("base", given, BASES[kind].takes)
+
+
+def make_base(value: object, plant: Plant) -> Controller:
+    """Makes a base for a plant; see `checked_base`.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed.
+    """
+    kind, arguments = checked_base(value)
+    return BASES[kind].make(plant, **arguments)

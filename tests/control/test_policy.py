@@ -1,0 +1,105 @@
+"""Policy: it sees what it learned with, holds its actions, remembers, and acts beside its base."""
+
+import numpy as np
+import pytest
+
+from flexman_gym.control import PD, Policy
+from flexman_gym.control.controller import Episode
+from flexman_gym.control.network import Network
+from flexman_gym.envs.env import FlexManEnv
+from flexman_gym.envs.sensors import Servo, find_sensors
+from flexman_gym.envs.vector_env import FlexManVectorEnv
+
+from oracles.refusals import refusal
+
+SETTINGS = {"name": "FlexPlanar-v0", "horizon": 0.3}
+
+
+def network(size, joints=2, seed=0):
+    """Made-up layers of a policy."""
+    random = np.random.default_rng(seed)
+    shapes = {"mlp_extractor.policy_net.0": (5, size), "action_net": (joints, 5)}
+    layers = {f"{name}.weight": random.normal(size=shape, scale=0.4) for name, shape in shapes.items()}
+    layers |= {f"{name}.bias": random.normal(size=shape[0], scale=0.1) for name, shape in shapes.items()}
+    return Network("ppo", None, layers, {"mean": np.zeros(size), "var": np.ones(size)})
+
+
+@pytest.mark.parametrize("sensors", [("full",), ("servo",), ({"kind": "full", "delay": 1, "every": 2}, "command")])
+@pytest.mark.parametrize("history", [1, 3, (0.05, 0.2)])
+@pytest.mark.parametrize("base", [None, "pd"])
+def test_it_acts_as_an_agent_that_sees_and_holds_as_it_does(sensors, history, base):
+    """The agent in an environment with hold, history and base; the policy as the base of a plain environment."""
+    beside = FlexManVectorEnv(3, **SETTINGS, sensors=sensors, history=history, hold=4, base=base)
+    size = beside.single_observation_space.shape[0]
+    acting = network(size)
+    controller = beside.setup.controller(base, beside.batch.model) if base else None
+    policy = Policy(acting, find_sensors(sensors), beside.setup.history, 4, controller)
+    alone = FlexManVectorEnv(3, **SETTINGS, base=policy)
+    seen, asked, played = beside.reset(seed=3)[0], [], []
+    beside.episodes.watch = lambda: asked.append(beside.episodes.view.action.copy())
+    alone.episodes.watch = lambda: played.append(alone.episodes.view.action.copy())
+    alone.reset(seed=3)
+    for _ in range(6):
+        seen, *_ = beside.step(acting(seen).astype(np.float32))
+    for _ in range(24):
+        alone.step(np.zeros((3, 2), dtype=np.float32))
+    assert np.array_equal(asked, played) and np.abs(asked).max() > 0.01
+    if base is None:
+        assert [bool(each.any()) for each in np.diff(played, axis=0)[:5]] == [False] * 3 + [True, False], "it is held"
+
+
+def test_its_base_reads_what_its_instruments_measure():
+    """A PD beside a policy whose encoders have a bias feels the bias."""
+    biased = find_sensors(({"kind": "servo", "bias": 0.05},))
+    silent = network(6)
+    for part in silent._layers:
+        part[0][:], part[1][:] = 0.0, 0.0
+    pd = PD([5.0, 2.0], [0.0, 0.0], [12.0, 4.0])
+    env = FlexManEnv(**SETTINGS, base=Policy(silent, biased, 1, 1, pd))
+    env.reset(seed=0)
+    env.step(np.zeros(2, dtype=np.float32))
+    readings = env.episodes.sight.readings
+    view = env.episodes.view
+    assert (readings["angle_errors"][0] != (view.goal_angles - view.motor_angles)[0]).all()
+    assert list(readings) == ["angle_errors", "motor_rates", "goal_rates"], "an entry of both is that of the instrument"
+
+
+def test_a_state_holds_what_a_policy_remembers():
+    """In the middle of a held action, with a history."""
+    policies = [Policy(network(54), find_sensors("full"), 3, 4, None) for _ in range(2)]
+    one, other = (FlexManEnv(**SETTINGS, base=policy) for policy in policies)
+    still, asked = np.zeros(2, dtype=np.float32), []
+    one.reset(seed=1)
+    for _ in range(6):
+        one.step(still)
+    other.reset(seed=2)
+    other.set_state(one.get_state())
+    for env in (one, other):
+        rows = []
+        for _ in range(7):
+            env.step(still)
+            rows.append(env.episodes.view.action.copy())
+        asked.append(rows)
+    assert np.array_equal(*asked) and np.abs(asked).max() > 0.0
+
+
+def test_arms_that_come_later_change_nothing_for_those_before():
+    policy, goal = Policy(network(6), (Servo(),), 1, 2), np.zeros((1, 2))
+    readings = {name: np.full((1, 2), 0.3) for name in ("angle_errors", "motor_rates", "goal_rates")}
+    policy.reset(np.array([0]), Episode(goal, goal, 0.01))
+    first = policy.act(readings, np.zeros((1, 2)), np.array([True]))
+    policy.reset(np.array([1]), Episode(goal, goal, 0.01))
+    many = {name: np.repeat(values, 2, axis=0) for name, values in readings.items()}
+    many["angle_errors"] = many["angle_errors"] * 2.0
+    second = policy.act(many, np.zeros((2, 2)), np.array([True, True]))
+    assert np.array_equal(second[:1], first), "it is held"
+    assert (second[1] != first[0]).any(), "the new one is asked at once"
+
+
+def test_another_arm_and_other_sensors_are_refused_in_one_line():
+    env = FlexManEnv(base=Policy(network(9), find_sensors("servo")))
+    assert refusal(env.reset) == "base: 'a policy of 2 motors' is not allowed; give one of 3"
+    env = FlexManEnv(**SETTINGS, base=Policy(network(7), find_sensors("servo")))
+    env.reset(seed=0)
+    said = refusal(env.step, np.zeros(2, dtype=np.float32))
+    assert said == "base: 'a policy of 7 observed numbers' is not allowed; give one of 6, which its sensors read here"
