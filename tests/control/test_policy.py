@@ -49,19 +49,15 @@ def test_it_acts_as_an_agent_that_sees_and_holds_as_it_does(sensors, history, ba
 
 
 def test_its_base_reads_what_its_instruments_measure():
-    """A PD beside a policy whose encoders have a bias feels the bias."""
-    biased = find_sensors(({"kind": "servo", "bias": 0.05},))
-    silent = network(6)
-    for part in silent._layers:
-        part[0][:], part[1][:] = 0.0, 0.0
+    """The errors that a PD beside a policy feels are those of the policy's encoders, which have a bias."""
+    biased = find_sensors(({"kind": "motor_encoders", "bias": 0.05},))
     pd = PD([5.0, 2.0], [0.0, 0.0], [12.0, 4.0])
-    env = FlexManEnv(**SETTINGS, base=Policy(silent, biased, 1, 1, pd))
+    env = FlexManEnv(**SETTINGS, base=Policy(network(4), biased, 1, 1, pd))
     env.reset(seed=0)
-    env.step(np.zeros(2, dtype=np.float32))
-    readings = env.episodes.sight.readings
-    view = env.episodes.view
-    assert (readings["angle_errors"][0] != (view.goal_angles - view.motor_angles)[0]).all()
-    assert list(readings) == ["angle_errors", "motor_rates", "goal_rates"], "an entry of both is that of the instrument"
+    readings, view = env.episodes.sight.readings, env.episodes.view
+    assert list(readings) == ["motor_angles", "motor_rates", "angle_errors", "goal_rates"], "an entry of both once"
+    assert (readings["motor_angles"] != view.motor_angles).all()
+    assert readings["angle_errors"] == pytest.approx(view.goal_angles - readings["motor_angles"], abs=1e-12)
 
 
 def test_a_state_holds_what_a_policy_remembers():
@@ -83,17 +79,41 @@ def test_a_state_holds_what_a_policy_remembers():
     assert np.array_equal(*asked) and np.abs(asked).max() > 0.0
 
 
+def readings_of(*errors):
+    """What arms with these errors read."""
+    still = np.zeros((len(errors), 2))
+    return {"angle_errors": still + np.array(errors)[:, None], "motor_rates": still, "goal_rates": still}
+
+
+def begun(policy, *arms):
+    """The policy with new episodes of some arms."""
+    goal = np.zeros((len(arms), 2))
+    policy.reset(np.array(arms), Episode(goal, goal, 0.01))
+    return policy
+
+
+def asked(policy, *errors):
+    """What it asks of as many arms, all of which play."""
+    return policy.act(readings_of(*errors), np.zeros((len(errors), 2)), np.ones(len(errors), dtype=bool))
+
+
+def test_a_new_episode_begins_anew():
+    """In the middle of a held action, which ends there; what it remembered of the old episode is gone."""
+    policy = begun(Policy(network(18), (Servo(),), 3, 2), 0)
+    for error in (0.1, 0.2, 0.3):
+        asked(policy, error)
+    assert np.array_equal(asked(begun(policy, 0), 0.5), asked(begun(Policy(network(18), (Servo(),), 3, 2), 0), 0.5))
+
+
 def test_arms_that_come_later_change_nothing_for_those_before():
-    policy, goal = Policy(network(6), (Servo(),), 1, 2), np.zeros((1, 2))
-    readings = {name: np.full((1, 2), 0.3) for name in ("angle_errors", "motor_rates", "goal_rates")}
-    policy.reset(np.array([0]), Episode(goal, goal, 0.01))
-    first = policy.act(readings, np.zeros((1, 2)), np.array([True]))
-    policy.reset(np.array([1]), Episode(goal, goal, 0.01))
-    many = {name: np.repeat(values, 2, axis=0) for name, values in readings.items()}
-    many["angle_errors"] = many["angle_errors"] * 2.0
-    second = policy.act(many, np.zeros((2, 2)), np.array([True, True]))
-    assert np.array_equal(second[:1], first), "it is held"
-    assert (second[1] != first[0]).any(), "the new one is asked at once"
+    """Action and memory of the first one stay its own; the second one begins at once."""
+    both, alone = (begun(Policy(network(18), (Servo(),), 3, 2), 0) for _ in range(2))
+    for error in (0.1, 0.2, 0.3):
+        assert np.array_equal(asked(both, error), asked(alone, error))
+    begun(both, 1)
+    for error in (0.4, 0.5, 0.6):
+        result, expected = asked(both, error, 0.9), asked(alone, error)
+        assert np.array_equal(result[:1], expected) and (result[1] != result[0]).any()
 
 
 def test_another_arm_and_other_sensors_are_refused_in_one_line():

@@ -159,6 +159,13 @@ def test_a_controller_may_act_on_fewer_arms_afterwards():
         assert np.array_equal(rollout(own, ONE, range(2)).tips, many.tips[:2])
 
 
+def test_a_policy_may_act_on_fewer_arms_afterwards(run):
+    policy = find_entrant(str(run))
+    environment = common_environment([policy], None)
+    many = rollout(policy, environment, range(3))
+    assert np.array_equal(rollout(policy, environment, range(2)).actions, many.actions[:2])
+
+
 def test_a_policy_refuses_what_it_was_not_trained_for(run):
     policy = find_entrant(str(run))
     assert refusal(rollout, policy, ONE, [0]) == "base: 'a policy of 2 motors' is not allowed; give one of 1"

@@ -9,7 +9,6 @@ AGENTS = (
     *changes(
         "agents", "evaluation/rollout.py", "evaluation/test_rollout.py",
         ("an agent acts in every period", "deepcopy(player.interface)", "deepcopy(player.interface) | {\"hold\": 1}"),
-        ("a controller remembers another rollout", "deepcopy(player.interface)", "player.interface"),
         ("seeds are counted anew", "venv.reset(seed=list(seeds))", "venv.reset(seed=list(range(len(seeds))))"),
         ("a failed episode ends one period early", "= len(self._rows[\"actions\"]), episodes",
          "= len(self._rows[\"actions\"]) - 1, episodes"),
@@ -27,6 +26,10 @@ AGENTS = (
         ("the error of the last moment", "final_error(record.errors, record.period)", "float(record.errors[-1])"),
         ("the mean of medians", "upper_median(result) if", "float(np.mean(result)) if"),
         ("a rough torque is better", '"low", lambda record: roughness', '"high", lambda record: roughness'),
+    ),
+    *changes(
+        "agents", "evaluation/rollout.py", "evaluation/test_entrants.py",
+        ("a controller remembers another rollout", "deepcopy(player.interface)", "player.interface"),
     ),
     *changes(
         "agents", "evaluation/table.py", "evaluation/test_table.py",

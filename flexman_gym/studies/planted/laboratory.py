@@ -170,13 +170,12 @@ LABORATORY = (
     ),
     *changes(
         "laboratory", "control/bases.py", "control/test_bases.py",
-        ("weights are those that are usual", "chosen = None if weights is None else _weights(weights)", "chosen = None"),
+        ("weights are the usual ones", "chosen = None if weights is None else _weights(weights)", "chosen = None"),
         ("tuned gains go before given ones", "{**plant.gains(), **gains}", "{**gains, **plant.gains()}"),
     ),
     *changes(
         "laboratory", "envs/sensors/array.py", "control/test_policy.py",
         ("a base reads past its own instruments", "if isinstance(own, Instrument)])", "if False])"),
-        ("of two entries of one name the last counts", "if name not in self.slices:", "if True:"),
     ),
     *changes(
         "laboratory", "control/margins.py", "control/test_margins.py",
