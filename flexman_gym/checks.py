@@ -7,6 +7,7 @@ does not allow.
 import math
 import numbers
 from collections.abc import Collection, Iterable, Sequence
+from difflib import get_close_matches
 from typing import Any, TypeVar
 
 import numpy as np
@@ -18,6 +19,7 @@ LEAST, MOST = 1e-30, 1e30  # of the size of anything, in SI units
 LONGEST_NAME = 60  # characters of a field in an error
 SHOWN = 80  # characters of a value in an error, and so entries of a list
 MOST_ENTRIES = 10**6  # of any list
+NEAR = 0.75  # likeness of a name to that of a member, from which on it is taken for a slip
 WHOLE = 1e-9  # how far a ratio of two times may be from a whole number, relative to itself
 
 
@@ -267,27 +269,16 @@ def rotation(name: str, value: object) -> tuple[tuple[float, ...], ...]:
     return rows
 
 
-def inertia_matrix(name: str, value: object) -> tuple[tuple[float, ...], ...]:
-    """Gives the (3, 3) inertia of a rigid body in kg m^2 as a tuple of rows.
-
-    It is symmetric, its principal moments are not negative, and none exceeds the sum of the other two.
+def check_members(field: str, value: object, optional: Collection[str], others: Collection[str]) -> None:
+    """Refuses an object one of whose members is nearly named as an optional one; it would never be used.
 
     Raises:
-        ValueError: for anything else.
+        ValueError: one line with field, member and the name that may be meant.
     """
-    allowed = "a symmetric inertia (kg m^2) whose principal moments are >= 0, none above the sum of the others"
-    rows = sequence(name, value, "3 rows of 3 numbers")
-    if len(rows) != 3:
-        raise refusal(name, value, "3 rows of 3 numbers")
-    rows = tuple(vector(f"{name}[{i}]", row, 3) for i, row in enumerate(rows))
-    matrix = np.array(rows)
-    if not np.array_equal(matrix, matrix.T):
-        raise refusal(name, value, allowed)
-    moments = np.linalg.eigvalsh(matrix)
-    rounding = 1e-12 * max(abs(moments))
-    if moments[0] < -rounding or moments[2] > moments[0] + moments[1] + rounding:
-        raise refusal(name, value, allowed)
-    return rows
+    for name in sorted({*dir(value)} - {*optional, *others}):
+        near = [] if name.startswith("_") else get_close_matches(name, optional, 1, NEAR)
+        if near:
+            raise refusal(f"{field}.{name}", getattr(value, name), f"{near[0]}, if it is meant, or another name")
 
 
 def store(instance: object, **values: object) -> None:

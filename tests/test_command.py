@@ -13,7 +13,7 @@ from flexman_gym import __main__
 ROOT = Path(flexman_gym.__file__).parents[1]
 WORDS = "flexman_gym compiles its kernels"
 SMALL = """import numpy as np
-from flexman_gym.kernels.outputs import beyond, combine
+from flexman_gym.kernels.readings import beyond, combine
 combine(np.ones((1, 1)), np.array([0, 1]), np.array([0]), np.ones(1), np.ones((1, 1)))
 beyond(np.ones((1, 1)), np.ones(1), np.ones((1, 1)), np.ones(1), np.zeros(1, dtype=np.int64))
 """

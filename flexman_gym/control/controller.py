@@ -1,8 +1,7 @@
 """Controller: the one protocol of everything that acts on arms."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import cached_property
 from inspect import signature
 from typing import Any, Protocol, runtime_checkable
@@ -10,12 +9,11 @@ from typing import Any, Protocol, runtime_checkable
 from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array, Flags, IntArray
-from flexman_gym.checks import refusal
+from flexman_gym.checks import check_members, refusal
 
 Readings = Mapping[str, NDArray[Any]]
 OPTIONAL = ("kept",)  # members that a controller may leave out
 CALLS = {"reset": ("arms", "episode"), "act": ("readings", "applied", "playing")}
-NEAR = 0.75  # likeness of a name to that of a member, from which on it is taken for a slip
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,15 +91,3 @@ def checked_controller(field: str, value: object, others: str = "") -> Controlle
             raise refusal(f"{field}.{name}", str(takes), f"({', '.join(wanted)})") from None
     check_members(field, value, OPTIONAL, (*CALLS, "sensors"))
     return value
-
-
-def check_members(field: str, value: object, optional: Collection[str], others: Collection[str]) -> None:
-    """Refuses an object one of whose members is nearly named as an optional one; it would never be used.
-
-    Raises:
-        ValueError: one line with field, member and the name that may be meant.
-    """
-    for name in sorted({*dir(value)} - {*optional, *others}):
-        near = [] if name.startswith("_") else get_close_matches(name, optional, 1, NEAR)
-        if near:
-            raise refusal(f"{field}.{name}", getattr(value, name), f"{near[0]}, if it is meant, or another name")

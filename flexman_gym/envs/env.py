@@ -8,9 +8,9 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from flexman_gym.checks import one_of, whole_number
-from flexman_gym.envs.actions import action_space, checked_actions
 from flexman_gym.envs.description import find_setup
 from flexman_gym.envs.episodes import Episodes
+from flexman_gym.envs.motors import action_space, checked_actions
 from flexman_gym.envs.options import check_parameters
 from flexman_gym.envs.remembering import Remembering
 from flexman_gym.envs.setup import build

@@ -10,10 +10,10 @@ import numpy as np
 from flexman_gym.arrays import Array, Flags, IntArray, row_dots
 from flexman_gym.checks import one_of, refusal
 from flexman_gym.control.controller import Episode
-from flexman_gym.envs.actions import Motors
 from flexman_gym.envs.effects import Stage
-from flexman_gym.envs.effects.effects import Effects
+from flexman_gym.envs.effects.active import Effects
 from flexman_gym.envs.limits import broken
+from flexman_gym.envs.motors import Motors
 from flexman_gym.envs.options import given_options
 from flexman_gym.envs.sensors import Sensors, measured_names
 from flexman_gym.envs.sensors.measured import Measured
@@ -22,7 +22,7 @@ from flexman_gym.envs.sight import Observations, Sight, sight_parts
 from flexman_gym.envs.snapshot import give, take
 from flexman_gym.envs.tasks.task import goal_path
 from flexman_gym.kernels import layout
-from flexman_gym.kernels.outputs import beyond
+from flexman_gym.kernels.readings import beyond
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.energy import alarm
 from flexman_gym.simulation.view import Number, View

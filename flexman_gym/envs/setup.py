@@ -8,15 +8,14 @@ from typing import Any, NamedTuple
 
 from flexman_gym.checks import mapping, one_of, positive, refusal, sequence, store, text, vector, whole_number
 from flexman_gym.control.bases import BASES, Plant, checked_base, make_base
-from flexman_gym.control.controller import Controller, check_members, checked_controller
+from flexman_gym.control.controller import Controller, checked_controller
 from flexman_gym.control.history import checked_history
 from flexman_gym.control.pd import PD, torque_limits
 from flexman_gym.envs.catalog import DEFAULT, NAMED
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.randomisation import Randomisation
 from flexman_gym.envs.sensors import find_sensors
-from flexman_gym.envs.tasks import Task, find_task
-from flexman_gym.envs.tasks.task import MEMBERS, OPTIONAL
+from flexman_gym.envs.tasks import Task, check_task, find_task
 from flexman_gym.fidelity.choose import Choice, assembled_modes, choose_model
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.arm import Arm
@@ -130,7 +129,7 @@ class Setup:
         store(self, horizon=positive("horizon", horizon, "s"), hold=whole_number("hold", self.hold, 1, LONGEST_HOLD))
         if not 0.5 <= self.horizon / self.control_period <= MOST_PERIODS:
             raise refusal("horizon", horizon, f"1 to {MOST_PERIODS} control periods of {self.control_period} s")
-        check_members("task", self.task, OPTIONAL, MEMBERS)
+        check_task(self.task)
         if isinstance(self.base, str | dict):
             checked_base(self.base)
         elif self.base is not None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from flexman_gym.arrays import Array, IntArray
 from flexman_gym.control.controller import Controller
 from flexman_gym.control.history import History
-from flexman_gym.envs.effects.effects import Effects
+from flexman_gym.envs.effects.active import Effects
 from flexman_gym.envs.sensors import Sensors, find_sensors, measured_names
 from flexman_gym.envs.sensors.measured import Measured
 from flexman_gym.envs.setup import Setup

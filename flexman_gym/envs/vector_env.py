@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array, Flags, IntArray
 from flexman_gym.checks import one_of, refusal, sequence, whole_number
-from flexman_gym.envs.actions import action_space, checked_actions
 from flexman_gym.envs.description import find_setup
 from flexman_gym.envs.env import LARGEST_SEED, FlexManEnv, checked_mode, observation_space, painter
 from flexman_gym.envs.episodes import Episodes, Observations
+from flexman_gym.envs.motors import action_space, checked_actions
 from flexman_gym.envs.options import check_parameters
 from flexman_gym.envs.remembering import Remembering
 from flexman_gym.envs.setup import build

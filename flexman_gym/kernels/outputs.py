@@ -5,7 +5,16 @@ import math
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.kinematics import positions, velocities
 from flexman_gym.kernels.lanes import fused, vanishes
-from flexman_gym.kernels.layout import GRAVITATIONAL, JOINT_ENERGY, KINETIC, LINK_ENERGY
+from flexman_gym.kernels.layout import (
+    DEFLECTION_AT,
+    DEFLECTION_RATE_AT,
+    GRAVITATIONAL,
+    JOINT_ENERGY,
+    KINETIC,
+    LINK_ENERGY,
+    TIP_AT,
+    TIP_VELOCITY_AT,
+)
 from flexman_gym.kernels.linalg import (
     IDENTITY,
     ZERO,
@@ -37,8 +46,8 @@ def observe(constants, work, x, v, out):
     position, velocity, kinetic, gravitational = chain_outputs(constants, work, v, elastic)
     rigid, rate = rigid_tip(constants, x, v)
     for j in range(3):
-        out[j], out[3 + j] = position[j], velocity[j]
-        out[6 + j], out[9 + j] = position[j] - rigid[j], velocity[j] - rate[j]
+        out[TIP_AT + j], out[TIP_VELOCITY_AT + j] = position[j], velocity[j]
+        out[DEFLECTION_AT + j], out[DEFLECTION_RATE_AT + j] = position[j] - rigid[j], velocity[j] - rate[j]
     joints = 0.0
     for i in range(n):
         m = constants.motor[i]
@@ -53,55 +62,7 @@ def observe(constants, work, x, v, out):
     links = 0.0
     for i in range(n):
         links += 0.5 * square_form(constants.stiffness, constants, i, x, elastic)
-    out[12], out[13], out[14], out[15] = kinetic, links, joints, gravitational
-
-
-@kernel
-def combine(rows, start, source, value, out):
-    """Linear readings: out[b, j] = sum of value[e] rows[b, source[e]] over start[j] <= e < start[j + 1]."""
-    for b in range(len(rows)):
-        for j in range(len(start) - 1):
-            total = 0.0
-            for e in range(start[j], start[j + 1]):
-                total = fused(value[e], rows[b, source[e]], total)
-            out[b, j] = total
-
-
-@kernel
-def read_views(rows, outputs, targets, readings, motion, vectors, numbers):
-    """What a `View` has of b arms, from rows (b, 2 d + 2), outputs (b, OUTPUTS) and targets (b, 3).
-
-    motion (b, m) = the linear readings, as `combine` takes them, and the velocity of the tip; vectors (b, 2, 3) =
-    target - tip and the deflection rate; numbers (3, b) = the lengths of both and the elastic energy.
-    """
-    start, source, value = readings
-    combine(rows, start, source, value, motion)
-    last = motion.shape[1] - 3
-    for b in range(len(rows)):
-        for j in range(3):
-            motion[b, last + j] = outputs[b, 3 + j]
-            vectors[b, 0, j], vectors[b, 1, j] = targets[b, j] - outputs[b, j], outputs[b, 9 + j]
-        for i in range(2):
-            x, y, z = vectors[b, i, 0], vectors[b, i, 1], vectors[b, i, 2]
-            numbers[i, b] = math.sqrt(x * x + y * y + z * z)
-        numbers[2, b] = outputs[b, LINK_ENERGY] + outputs[b, JOINT_ENERGY]
-
-
-@kernel
-def read_everything(motion, angles, velocity, goal_angles, vectors, numbers, near, out):
-    """out (b, 9 n + 9) = the first 8 n of motion (b, m), goal_angles - angles of the motors (b, n), vectors (b, 3) and
-    the same divided by their lengths (b,) + near, and the velocity (b, 3) of the tip."""
-    n = goal_angles.shape[1]
-    end = 9 * n
-    for b in range(len(out)):
-        for j in range(8 * n):
-            out[b, j] = motion[b, j]
-        for j in range(n):
-            out[b, 8 * n + j] = goal_angles[b, j] - angles[b, j]
-        scale = numbers[b] + near
-        for j in range(3):
-            out[b, end + j], out[b, end + 3 + j] = vectors[b, j], vectors[b, j] / scale
-            out[b, end + 6 + j] = velocity[b, j]
+    out[KINETIC], out[LINK_ENERGY], out[JOINT_ENERGY], out[GRAVITATIONAL] = kinetic, links, joints, gravitational
 
 
 @kernel
@@ -130,23 +91,6 @@ def turn_over(rows, outputs, out):
         for value in (moving, abs(rows[b, last - 1]), abs(rows[b, last])):
             if value > out[b] or value != value:  # what is no number stays there to be seen
                 out[b] = value
-
-
-@kernel
-def beyond(motion, limits, observations, bound, flags):
-    """flags (b,) = 1 for an arm of whose motion (b, m) a magnitude is beyond its limit (m,), or is no number, or of
-    whose observations (b, s) one is beyond its bound (s,), else 0; returns how many are 1."""
-    many = 0
-    for b in range(len(flags)):
-        flags[b] = 0
-        for j in range(len(limits)):
-            if not abs(motion[b, j]) <= limits[j]:
-                flags[b] = 1
-        for j in range(len(bound)):
-            if not abs(observations[b, j]) <= bound[j]:
-                flags[b] = 1
-        many += flags[b]
-    return many
 
 
 @inner

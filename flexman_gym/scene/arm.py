@@ -10,7 +10,6 @@ from flexman_gym.arrays import Matrix, Vector
 from flexman_gym.checks import (
     MOST,
     bounded,
-    inertia_matrix,
     non_negative,
     physical,
     refusal,
@@ -20,6 +19,7 @@ from flexman_gym.checks import (
     unit_vector,
     vector,
 )
+from flexman_gym.scene.inertia import inertia_matrix
 
 MOST_SECTIONS = 64  # of a link, as a model has at most so many finite elements of it
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from flexman_gym.arrays import Array, IntArray
-from flexman_gym.kernels.outputs import combine
+from flexman_gym.kernels.readings import combine
 from flexman_gym.model.model import Model
 from flexman_gym.model.strain import root_gauges
 

@@ -8,7 +8,7 @@ import numpy as np
 from flexman_gym.arrays import Array
 from flexman_gym.kernels import layout
 from flexman_gym.kernels import paths as kernels
-from flexman_gym.kernels.outputs import combine, read_views
+from flexman_gym.kernels.readings import combine, read_views
 from flexman_gym.model.instant import frequencies
 from flexman_gym.model.statics import rest_states, rest_tips
 from flexman_gym.model.strain import gauge_radii

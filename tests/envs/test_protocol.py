@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
+from flexman_gym.envs.effects import SIGNALS
+from flexman_gym.envs.effects.tip_load import TipLoad
 from flexman_gym.envs.env import FlexManEnv
+from flexman_gym.envs.sensors import Servo
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 
 from oracles.episodes import actions
@@ -114,3 +117,32 @@ def test_a_controller_needs_no_dictionary():
 )
 def test_a_controller_that_would_not_be_heard_is_refused(base, line):
     assert refusal(lambda: FlexManEnv(base=base())) == line
+
+
+class Figured(fm.Slew):
+    """A task that names its figures, nearly."""
+
+    figure = ("reward",)
+
+
+class Measuring(Servo):
+    """A sensor that says what it measures, nearly."""
+
+    measure = ()
+
+
+class Pushing(TipLoad):
+    """An effect whose hook has a name of its own."""
+
+    def add_tip_force(self, forces, over):
+        pass
+
+
+def test_misspelt_members_of_tasks_sensors_and_effects_are_refused(monkeypatch):
+    said = refusal(lambda: FlexManEnv(task=Figured()))
+    assert said == "task.figure: ('reward',) is not allowed; give figures, if it is meant, or another name"
+    said = refusal(lambda: FlexManEnv(sensors=Measuring()))
+    assert said == "sensors.measure: () is not allowed; give measures, if it is meant, or another name"
+    monkeypatch.setitem(SIGNALS, "tip_load", Pushing)
+    said = refusal(lambda: FlexManEnv(randomisation={"tip_load": (0.0, 1.0)}))
+    assert said.startswith("tip_load.add_tip_force: <bound method") and "give add_tip_forces, if it is meant" in said

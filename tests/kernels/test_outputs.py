@@ -5,7 +5,8 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from flexman_gym.kernels import layout
-from flexman_gym.kernels.outputs import beyond, read_everything, turn_over
+from flexman_gym.kernels.outputs import turn_over
+from flexman_gym.kernels.readings import beyond, read_everything
 
 LIMITS, BOUND = np.array([1.0, 2.0]), np.array([3.0])
 

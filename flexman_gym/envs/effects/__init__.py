@@ -1,24 +1,6 @@
 """Effects: what a randomisation does to arms and to what passes between them and an agent, a room each."""
 
-from typing import Any
-
-from flexman_gym.envs.effects.base_sway import BaseSway
-from flexman_gym.envs.effects.delay import Delay
 from flexman_gym.envs.effects.effect import HOOKS, Effect, Range, Stage
-from flexman_gym.envs.effects.initial_vibration import InitialVibration
-from flexman_gym.envs.effects.sensor_noise import SensorNoise
-from flexman_gym.envs.effects.tip_impulse import TipImpulse
-from flexman_gym.envs.effects.tip_load import TipLoad
-from flexman_gym.envs.effects.torque_limit import TorqueLimit
-
-SIGNALS: dict[str, Any] = {
-    "torque_limit": TorqueLimit,
-    "sensor_noise": SensorNoise,
-    "delay": Delay,
-    "initial_vibration": InitialVibration,
-    "tip_impulse": TipImpulse,
-    "tip_load": TipLoad,
-    "base_sway": BaseSway,
-}
+from flexman_gym.envs.effects.effects import SIGNALS
 
 __all__ = ["HOOKS", "SIGNALS", "Effect", "Range", "Stage"]

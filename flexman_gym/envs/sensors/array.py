@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.arrays import Array, IntArray
-from flexman_gym.checks import refusal
-from flexman_gym.control.controller import check_members
+from flexman_gym.checks import check_members, refusal
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.sensors.instrument import Instrument
 from flexman_gym.envs.sensors.measured import EVERYTHING, following

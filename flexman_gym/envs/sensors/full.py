@@ -7,7 +7,7 @@ from typing import ClassVar
 from flexman_gym.arrays import Array
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.sensors.sensor import Entry
-from flexman_gym.kernels.outputs import read_everything
+from flexman_gym.kernels.readings import read_everything
 from flexman_gym.simulation.view import View
 
 NEAR = 0.1 / 8.5  # of the reach: tip error that is half of the way to the largest nearness

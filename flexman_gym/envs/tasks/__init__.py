@@ -3,10 +3,10 @@
 from dataclasses import fields
 from typing import Any
 
-from flexman_gym.checks import mapping, one_of, refusal, text
+from flexman_gym.checks import check_members, mapping, one_of, refusal, text
 from flexman_gym.envs.tasks.hold import Hold
 from flexman_gym.envs.tasks.slew import Slew
-from flexman_gym.envs.tasks.task import Goal, Task
+from flexman_gym.envs.tasks.task import MEMBERS, OPTIONAL, Goal, Task
 from flexman_gym.envs.tasks.track import Track
 
 TASKS: dict[str, type[Any]] = {"slew": Slew, "track": Track, "hold": Hold}
@@ -22,4 +22,9 @@ def find_task(value: object) -> Any:
     return kind(**mapping("task", arguments, [each.name for each in fields(kind)]))
 
 
-__all__ = ["TASKS", "Goal", "Hold", "Slew", "Task", "Track", "find_task"]
+def check_task(task: Task) -> None:
+    """Refuses a task one of whose members is nearly named as an optional one."""
+    check_members("task", task, OPTIONAL, MEMBERS)
+
+
+__all__ = ["TASKS", "Goal", "Hold", "Slew", "Task", "Track", "check_task", "find_task"]

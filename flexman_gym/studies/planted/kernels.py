@@ -151,7 +151,7 @@ MOTION = (
         ("a turnover that is no number does not stay", "value > out[b] or value != value", "value > out[b]"),
     ),
     *changes(
-        "kernels", "kernels/outputs.py", "kernels/test_outputs.py envs/test_env_refusals.py",
+        "kernels", "kernels/readings.py", "kernels/test_outputs.py envs/test_env_refusals.py",
         ("a number that is none is within its limit", "if not abs(motion[b, j]) <= limits[j]:",
          "if abs(motion[b, j]) > limits[j]:"),
         ("an observation beyond its bound is fine", "if not abs(observations[b, j]) <= bound[j]:", "if False:"),

@@ -74,7 +74,24 @@ LABORATORY = (
     *changes(
         "laboratory", "control/controller.py", "envs/test_protocol.py",
         ("a controller that takes less is taken", "        except TypeError:", "        except OSError:"),
+    ),
+    *changes(
+        "laboratory", "checks.py", "envs/test_protocol.py",
         ("a name that is nearly kept is taken", "        if near:\n", "        if False:\n"),
+    ),
+    *changes(
+        "laboratory", "envs/tasks/__init__.py", "envs/test_protocol.py",
+        ("members of a task that are misspelt", 'check_members("task", task, OPTIONAL, MEMBERS)', "pass"),
+    ),
+    *changes(
+        "laboratory", "envs/effects/active.py", "envs/test_protocol.py",
+        ("hooks of an effect that are misspelt", 'check_members(name, signal, HOOKS, ("checked", "shape", "draw"))',
+         "pass"),
+    ),
+    *changes(
+        "laboratory", "envs/sensors/array.py", "envs/test_protocol.py",
+        ("members of a sensor that are misspelt", 'check_members("sensors", part, ("measures",), ("measured",))',
+         "pass"),
     ),
     *changes(
         "laboratory", "control/history.py", "envs/test_history.py",

@@ -37,7 +37,7 @@ ENVIRONMENT = (
         ("torques come one period early", "(self._now - self._late) % depth", "(self._now - self._late + 1) % depth"),
     ),
     *changes(
-        "environment", "envs/actions.py", "envs/test_env.py envs/test_env_refusals.py",
+        "environment", "envs/motors.py", "envs/test_env.py envs/test_env_refusals.py",
         ("actions beyond the space are taken", "np.abs(actions) <= 1.0) == actions.size",
          "np.abs(actions) <= 9.0) == actions.size"),
     ),
@@ -88,7 +88,7 @@ TASKS = (
 
 SENSORS = (
     *changes(
-        "sensors", "kernels/outputs.py", "kernels/test_outputs.py envs/test_env.py envs/test_full_state.py",
+        "sensors", "kernels/readings.py", "kernels/test_outputs.py envs/test_env.py envs/test_full_state.py",
         ("angle errors with the other sign", "goal_angles[b, j] - angles[b, j]", "angles[b, j] - goal_angles[b, j]"),
         ("the nearness counts metres, not parts of the reach", "scale = numbers[b] + near", "scale = numbers[b] + 1.0"),
     ),

@@ -1,4 +1,4 @@
-"""Actions: what an agent may ask of the motors, and the torques that it becomes."""
+"""Motors: what may be asked of them, and the torques that it becomes."""
 
 from collections.abc import Sequence
 from typing import Any
