@@ -79,7 +79,7 @@ class LQR:
         return self._held - row_dots(self._gains, (states - self._rest)[:, None])
 
 
-class Plan(NamedTuple):
+class GainSchedule(NamedTuple):
     """What a tracking LQR follows, period by period.
 
     Attributes:
@@ -108,7 +108,7 @@ class TrackingLQR(LQR):
         self, model: Model, torque_limit: float | Vector, period: float, weights: Weights | None = None
     ) -> None:
         super().__init__(model, torque_limit, period, weights)
-        self._plans: list[Plan] = []
+        self._plans: list[GainSchedule] = []
         self._now = np.zeros(0, dtype=np.int64)
 
     def reset(self, arms: IntArray, episode: Episode) -> None:
@@ -126,13 +126,13 @@ class TrackingLQR(LQR):
             moved = slew.states[:, motors] - slew.states[0, motors]
             way = row_dots(moved, moved[-1]) / max(moved[-1] @ moved[-1], 1e-12)
             torques = np.vstack([slew.torques, holding_torques(self.model, last)])
-            self._keep(int(arm), Plan(slew.states, torques, gains, (GAINS - 1) * np.clip(way, 0.0, 1.0)))
+            self._keep(int(arm), GainSchedule(slew.states, torques, gains, (GAINS - 1) * np.clip(way, 0.0, 1.0)))
 
-    def _holding(self, posture: Array) -> Plan:
+    def _holding(self, posture: Array) -> GainSchedule:
         """Stays at a posture; nothing has to be saved for a slew, so that the tip weighs more."""
         tight = self.weights._replace(tip=HOLDING * self.weights.tip)
         held = holding_torques(self.model, posture)[None]
-        return Plan(rest_state(self.model, posture)[None], held, self.gain(posture, tight)[None], np.zeros(1))
+        return GainSchedule(rest_state(self.model, posture)[None], held, self.gain(posture, tight)[None], np.zeros(1))
 
     def _follow(self, arms: IntArray, postures: Array) -> None:
         """Plans how the arms (r,) follow goal postures (r, T + 1, n) rad, one for each control period."""
@@ -141,11 +141,11 @@ class TrackingLQR(LQR):
             rows = np.linspace(0, len(path) - 1, min(PATH_GAINS, len(path))).round().astype(int)
             gains = np.array([self.gain(path[row]) for row in rows])
             places = np.interp(np.arange(len(path)), rows, np.arange(len(rows)))
-            self._keep(int(arm), Plan(slew.states, np.vstack([slew.torques, slew.torques[-1:]]), gains, places))
+            self._keep(int(arm), GainSchedule(slew.states, np.vstack([slew.torques, slew.torques[-1:]]), gains, places))
 
-    def _keep(self, arm: int, plan: Plan) -> None:
+    def _keep(self, arm: int, plan: GainSchedule) -> None:
         """Begins a plan of an arm."""
-        empty = Plan(*(np.zeros(0),) * 4)
+        empty = GainSchedule(*(np.zeros(0),) * 4)
         self._plans += [empty] * (arm + 1 - len(self._plans))
         self._now = _grown(self._now, arm + 1)
         self._plans[arm], self._now[arm] = plan, 0

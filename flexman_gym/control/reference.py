@@ -18,7 +18,7 @@ EVERY, RESTING = 4, 6  # control periods between two places of a path that are s
 SAMPLES, LONGEST, BISECTIONS = 21, 60.0, 30
 
 
-class Slew(NamedTuple):
+class Reference(NamedTuple):
     """A slew in T control periods, then rest.
 
     states: (T + 1, 2 d) at the ends of the periods. torques: (T, n) N m, constant in each.
@@ -100,7 +100,7 @@ class Path:
         return float(np.abs(np.array(torques) / limits).max())
 
 
-def plan_slew(model: Model, start: Array, goal: Array, limits: Array, share: float, period: float) -> Slew:
+def plan_slew(model: Model, start: Array, goal: Array, limits: Array, share: float, period: float) -> Reference:
     """Plans the quickest minimum-jerk slew whose torques stay within a share of the limits.
 
     Args:
@@ -128,10 +128,10 @@ def plan_slew(model: Model, start: Array, goal: Array, limits: Array, share: flo
     speeds[0] = speeds[-1] = 0.0
     middles = (np.arange(count) + 0.5) / count
     torques = np.array([path.at(part, duration)[1] for part in middles])
-    return Slew(np.hstack([places, speeds]), torques)
+    return Reference(np.hstack([places, speeds]), torques)
 
 
-def plan_path(model: Model, postures: Array, period: float) -> Slew:
+def plan_path(model: Model, postures: Array, period: float) -> Reference:
     """Plans how a model follows postures (T + 1, n) rad of its motors, one for each control period (s).
 
     The tip is to be where it would rest at each posture: the joints give way to the bending that the motion adds, once,
@@ -159,7 +159,7 @@ def plan_path(model: Model, postures: Array, period: float) -> Slew:
         if not last:
             angles = angles + np.array([give_way.turn(*both) for both in zip(rests, places, strict=True)])
     way, middles = CubicSpline(times, places), all_times[:-1] + 0.5 * period
-    return Slew(np.hstack([way(all_times), way.derivative()(all_times)]), CubicSpline(times, torques)(middles))
+    return Reference(np.hstack([way(all_times), way.derivative()(all_times)]), CubicSpline(times, torques)(middles))
 
 
 class GiveWay:

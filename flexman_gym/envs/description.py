@@ -19,8 +19,8 @@ from flexman_gym.scene.plain import arm_of, part_of, plain
 ARMS = ("paper_rrr", "planar_2r", "one_link", "vertical_2r", "one_joint")  # functions of the catalog
 WHOLE = ("arm", "task", "limits")  # what a named environment has before a change leads into it
 NOMINAL = "nominal"  # the condition without changes
-CONDITIONS = (NOMINAL, "payload", "stiffness", "delay", "random-delay", "friction", "unknown", "unknown-lab")
 FILES = Path(__file__).parent / "conditions"  # a folder for each arm, with a file of changes for each condition
+CONDITIONS = (NOMINAL, *sorted({path.stem for path in FILES.glob("*/*.yaml")}))
 SUFFIXES = (".json", ".yaml", ".yml")
 
 
@@ -87,7 +87,8 @@ class Description:
         if not folder:
             known = [each for each, named in NAMED.items() if named.conditions]
             raise refusal("condition", f"{name}/{condition}", f"one for {', '.join(known)}")
-        if one_of("condition", condition, CONDITIONS) == NOMINAL:
+        own = [path.stem for path in (FILES / folder).glob("*.yaml")]
+        if one_of("condition", condition, (NOMINAL, *sorted(own))) == NOMINAL:
             return cls(name)
         changes, named = file.read(FILES / folder / f"{condition}.yaml"), cls(name)
         settings = {

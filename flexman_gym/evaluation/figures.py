@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.arrays import Array
+from flexman_gym.checks import one_of
 from flexman_gym.control.controller import Controller
 from flexman_gym.envs.description import Description
 from flexman_gym.evaluation.entrants import Entrant
@@ -37,6 +38,7 @@ class Figure:
         of: function of a Record.
         many: how many episodes are summed up, by "mean", "median" (with an interval) or "share" (a mean in percent).
         scale: of the number in a table, beside its unit there.
+        everywhere: whether it matters for every task, or only for those that name it.
     """
 
     name: str
@@ -46,6 +48,7 @@ class Figure:
     of: Callable[[Record], float]
     many: str
     scale: float = 1.0
+    everywhere: bool = True
 
     def sum_up(self, records: Sequence[Record]) -> float:
         """Gives the mean or the median of episodes; of an even number of them the upper of the middle two."""
@@ -73,26 +76,31 @@ def _vibration(record: Record) -> float:
 FIGURES = {figure.name: figure for figure in (
     Figure("reward", "reward", "", "high", lambda record: float(record.rewards.sum()), MEAN),
     Figure("settled", "settled", "", "high", lambda record: float(np.isfinite(_settled(record))), SHARE),
-    Figure("settling_time", "settling, s", "s", "low", _settled, MEDIAN),
+    Figure("settling_time", "settling, s", "s", "low", _settled, MEDIAN, everywhere=False),
     Figure("vibration", "p-p, mm", "m", "low", _vibration, MEDIAN, 1e3),
-    Figure("error", "error, mm", "m", "low", lambda record: final_error(record.errors, record.period), MEDIAN, 1e3),
-    Figure("rms_error", "RMS error, mm", "m", "low", lambda record: rms(record.errors), MEDIAN, 1e3),
+    Figure("error", "error, mm", "m", "low", lambda record: final_error(record.errors, record.period), MEDIAN, 1e3,
+           everywhere=False),
+    Figure("rms_error", "RMS error, mm", "m", "low", lambda record: rms(record.errors), MEDIAN, 1e3, everywhere=False),
     Figure("roughness", "roughness", "", "low", lambda record: roughness(record.actions), MEAN),
     Figure("effort", "effort", "", "low", lambda record: effort(record.actions), MEAN),
     Figure("failed", "failed", "", "low", lambda record: float(record.failure != ""), SHARE),
 )}  # fmt: skip
-USUAL = ("reward", "settled", "settling_time", "vibration", "error", "roughness", "effort", "failed")  # of a task
+SETTLING = ("settling_time", "error")  # figures of a task that names none
 
 
 def figures_of(task: Any) -> tuple[Figure, ...]:
-    """Gives the figures that matter for a task: those that it names in `figures`, or those of a slew."""
-    return tuple(FIGURES[name] for name in getattr(task, "figures", USUAL))
+    """Gives the figures that matter for a task: those of every task, and those that it names in `figures`."""
+    own = [one_of("task.figures", name, FIGURES) for name in getattr(task, "figures", SETTLING)]
+    return tuple(figure for name, figure in FIGURES.items() if figure.everywhere or name in own)
 
 
 def evaluate(
     entrant: str | Entrant | Controller, environment: str | Description, seeds: Sequence[int]
 ) -> dict[str, float]:
     """Gives every figure of FIGURES, summed up over an episode from each seed.
+
+    Among them "vibration" is the motion of the tip from peak to peak in the last 3 s, in m (`tip_vibration` in an info
+    is a speed, in m/s), and "effort" the mean square of what the motors were asked for.
 
     Args:
         entrant, environment, seeds: see `rollout`.

@@ -143,7 +143,7 @@ def test_all_files_are_there_and_no_others():
 @pytest.mark.parametrize(
     ("name", "line"),
     [
-        ("FlexRRR-v0/X", "condition: 'X' is not allowed; give one of nominal, payload, stiffness, delay, random-"),
+        ("FlexRRR-v0/X", "condition: 'X' is not allowed; give one of nominal, delay, friction, payload, random-delay"),
         ("FlexOne-v0/unknown", "condition: 'FlexOne-v0/unknown' is not allowed; give one for FlexRRR-v0, "),
     ],
 )

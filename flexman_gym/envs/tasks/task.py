@@ -11,8 +11,7 @@ from flexman_gym.simulation.view import Number, View
 
 MEMBERS = ("sensors", "moves", "draw", "goal", "reward_terms", "info")  # of a task
 OPTIONAL = ("figures", "disturbances")
-# figures that matter where the goal moves, or the arm is to stay at it
-MOVING = ("reward", "settled", "vibration", "rms_error", "roughness", "effort", "failed")
+MOVING = ("rms_error",)  # figures of a task whose goal moves, or at whose goal the arm is to stay
 
 
 class Goal(NamedTuple):
@@ -34,7 +33,7 @@ class Task(Protocol):
         moves: whether the goal changes during an episode; `goal` is then asked before every observation.
 
     Two further attributes are optional, and a misspelt one is refused: `figures`, names of `evaluation.FIGURES` that
-    matter, those of a slew without it; and `disturbances`, a dict of arguments of `Randomisation`.
+    matter beside those of every task, those of a slew without it; and `disturbances`, a dict of arguments of `Randomisation`.
     """
 
     @property
