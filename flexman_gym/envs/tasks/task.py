@@ -33,7 +33,8 @@ class Task(Protocol):
         moves: whether the goal changes during an episode; `goal` is then asked before every observation.
 
     Two further attributes are optional, and a misspelt one is refused: `figures`, names of `evaluation.FIGURES` that
-    matter beside those of every task, those of a slew without it; and `disturbances`, a dict of arguments of `Randomisation`.
+    matter beside those of every task, those of a slew without it; and `disturbances`, a dict of arguments of
+    `Randomisation`.
     """
 
     @property
