@@ -5,13 +5,13 @@ CODE := flexman_gym agents scripts
 .PHONY: demo test lint verify charts learning benchmark clean
 
 demo: .venv/installed
-	.venv/bin/python scripts/demo.py
+	.venv/bin/flexman demo
 
 test: lint
 	$(RUN) pytest
 
 verify: .venv/installed
-	.venv/bin/python scripts/verify.py --markdown docs/verification.md
+	.venv/bin/flexman verify --markdown docs/verification.md
 
 charts: .venv/installed
 	.venv/bin/python scripts/work_precision.py --folder docs

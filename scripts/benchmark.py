@@ -2,12 +2,12 @@
 
 import argparse
 
-from flexman_gym.studies.benchmark import environments, evaluations, parts, starts
-from flexman_gym.studies.benchmark.page import publish
-from flexman_gym.studies.benchmark.rows import Row
-from flexman_gym.studies.machine import machine_text
-from flexman_gym.studies.places import folder
-from flexman_gym.studies.table import read_rows, write_rows
+from flexman_gym.verification.machine import machine_text
+from studies.benchmark import environments, evaluations, parts, starts
+from studies.benchmark.page import publish
+from studies.benchmark.rows import Row
+from studies.places import folder
+from studies.table import read_rows, write_rows
 
 EVALUATION_ROUNDS, PART_ROUNDS, STARTS = 40, 15, 5
 PEERS = ("gymnasium", "stable-baselines3", "torch", "mujoco", "pin")

@@ -3,13 +3,13 @@
 import argparse
 from pathlib import Path
 
-from flexman_gym.studies.peers.compare import in_turns, ours, study, theirs, truth
-from flexman_gym.studies.peers.page import publish
-from flexman_gym.studies.places import folder
-from flexman_gym.studies.precision.measure import Row
-from flexman_gym.studies.table import read_rows, write_rows
+from studies.peers.compare import in_turns, ours, study, theirs, truth
+from studies.peers.page import publish
+from studies.places import folder
+from studies.precision.measure import Row
+from studies.table import read_rows, write_rows
 
-REFERENCE = Path(__file__).parents[1] / "tests" / "reference"
+REFERENCE = Path(__file__).parents[1] / "flexman_gym" / "verification" / "reference"
 SHOWN = 5  # last lines of the page
 
 

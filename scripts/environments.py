@@ -3,9 +3,9 @@
 import argparse
 
 from flexman_gym.envs import NAMED
-from flexman_gym.studies.environments.episode import BASES, draw, run
-from flexman_gym.studies.environments.page import page
-from flexman_gym.studies.places import folder
+from studies.environments.episode import BASES, draw, run
+from studies.environments.page import page
+from studies.places import folder
 
 
 def main() -> None:

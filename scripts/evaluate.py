@@ -1,50 +1,13 @@
-"""Evaluates policies side by side on the same episodes: python scripts/evaluate.py runs/first pd zero"""
+"""The command `flexman evaluate`, from a checkout."""
 
-import argparse
 import sys
-from pathlib import Path
 
-from flexman_gym.envs import NAMED
-from flexman_gym.envs.description import Description
-from flexman_gym.evaluation import rollout, table
-from flexman_gym.evaluation.entrants import BASELINES, Entrant, changed_environment, common_environment, find_entrant
-from flexman_gym.evaluation.folder import is_foreign
-from flexman_gym.evaluation.seeds import TEST
+from flexman_gym.__main__ import main as flexman
 
 
 def main() -> int:
-    """Reads the command line and prints one table; returns the exit code."""
-    parser = argparse.ArgumentParser(description="Evaluate policies on the same episodes of one environment.")
-    parser.add_argument("entrant", nargs="+", help=f"folder of a training run, or {', '.join(BASELINES)}")
-    parser.add_argument("--episodes", type=int, default=len(TEST))
-    parser.add_argument("--seed", type=int, default=TEST.start, help="of the first episode; the next follow")
-    where = f"a file, an id and a condition such as FlexRRR-v0/delay, or one of {', '.join(sorted(NAMED))}"
-    parser.add_argument("--env", help=f"{where}; without it that of the runs")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the environment")
-    parser.add_argument("--trust", action="store_true", help="read files of Stable-Baselines3, which can run any code")
-    options = parser.parse_args()
-    if options.episodes < 1:
-        parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
-    try:
-        entrants = {name: entrant(name, options.trust) for name in options.entrant}
-        named = Description.find(options.env) if options.env else None
-        environment = changed_environment(common_environment(list(entrants.values()), named), options.set)
-        seeds = range(options.seed, options.seed + options.episodes)
-        results = {name: rollout(each, environment, seeds).records for name, each in entrants.items()}
-    except (ValueError, OSError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    print(table(results, environment))
-    return 0
-
-
-def entrant(name: str, trust: bool) -> Entrant:
-    """Gives an entrant; files of Stable-Baselines3 only where they are trusted, as reading them runs code."""
-    if trust and is_foreign(Path(name)):
-        from flexman_agents.foreign import load_foreign
-
-        return load_foreign(Path(name))
-    return find_entrant(name)
+    """Runs it with the arguments of this script; returns the exit code."""
+    return flexman(["evaluate", *sys.argv[1:]])
 
 
 if __name__ == "__main__":

@@ -5,8 +5,8 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from flexman_gym.studies.faults import disk_full, faults, page
-from flexman_gym.studies.places import folder
+from studies.faults import disk_full, faults, page
+from studies.places import folder
 
 
 def main() -> int:

@@ -2,11 +2,11 @@
 
 import argparse
 
-from flexman_gym.studies.fidelity.cases import open_scenes, scenes
-from flexman_gym.studies.fidelity.measure import Row, rows
-from flexman_gym.studies.fidelity.page import page
-from flexman_gym.studies.places import folder
-from flexman_gym.studies.table import read_rows, write_rows
+from studies.fidelity.cases import open_scenes, scenes
+from studies.fidelity.measure import Row, rows
+from studies.fidelity.page import page
+from studies.places import folder
+from studies.table import read_rows, write_rows
 
 DIGITS = 9
 

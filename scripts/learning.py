@@ -4,12 +4,12 @@ import argparse
 import sys
 from pathlib import Path
 
-from flexman_gym.studies.learning.cases import cases
-from flexman_gym.studies.learning.measure import Row, controllers, runs
-from flexman_gym.studies.learning.page import page
-from flexman_gym.studies.machine import machine_text
-from flexman_gym.studies.places import folder
-from flexman_gym.studies.table import read_comment, read_rows, write_rows
+from flexman_gym.verification.machine import machine_text
+from studies.learning.cases import cases
+from studies.learning.measure import Row, controllers, runs
+from studies.learning.page import page
+from studies.places import folder
+from studies.table import read_comment, read_rows, write_rows
 
 CONTROLLERS = "controllers"
 

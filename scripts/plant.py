@@ -5,11 +5,11 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from flexman_gym.studies.places import folder
-from flexman_gym.studies.planted.page import counts, page
-from flexman_gym.studies.planted.planting import CAUGHT, SURVIVED, Copy
-from flexman_gym.studies.planted.table import ROOMS, kept, misplaced
-from flexman_gym.studies.table import write_rows
+from studies.places import folder
+from studies.planted.page import counts, page
+from studies.planted.planting import CAUGHT, SURVIVED, Copy
+from studies.planted.table import ROOMS, kept, misplaced
+from studies.table import write_rows
 
 CHECKOUT = Path(__file__).parents[1]
 

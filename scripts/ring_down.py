@@ -3,13 +3,13 @@
 import argparse
 
 from flexman_gym.envs.setup import Setup, build
-from flexman_gym.studies.machine import machine_text
-from flexman_gym.studies.places import folder
-from flexman_gym.studies.ringdown.charts import draw
-from flexman_gym.studies.ringdown.default import errors_of_default
-from flexman_gym.studies.ringdown.measure import Row, rows
-from flexman_gym.studies.ringdown.page import TITLES, page
-from flexman_gym.studies.table import read_comment, read_rows, write_rows
+from flexman_gym.verification.machine import machine_text
+from studies.places import folder
+from studies.ringdown.charts import draw
+from studies.ringdown.default import errors_of_default
+from studies.ringdown.measure import Row, rows
+from studies.ringdown.page import TITLES, page
+from studies.table import read_comment, read_rows, write_rows
 
 ARMS, FEW, THEIRS, MANY = 128, 12, 6, 300  # of methods in lanes, of others, of MuJoCo, and of the default
 
@@ -19,7 +19,7 @@ def compute(quick: bool) -> list[Row]:
     arms, few, theirs = (2, 1, 1) if quick else (ARMS, FEW, THEIRS)
     result = [row for kind in TITLES for row in rows(kind, arms, few)]
     try:
-        from flexman_gym.studies.ringdown import mujoco
+        from studies.ringdown import mujoco
     except ModuleNotFoundError:
         print("MuJoCo is missing, so it is left out: pip install 'flexman_gym[peers]'")
         return result

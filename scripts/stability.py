@@ -6,12 +6,12 @@ import warnings
 from pathlib import Path
 from time import perf_counter
 
-from flexman_gym.studies.machine import machine_text
-from flexman_gym.studies.places import folder
-from flexman_gym.studies.stability.measure import Row
-from flexman_gym.studies.stability.page import page, summary
-from flexman_gym.studies.stability.rows import all_rows
-from flexman_gym.studies.table import read_comment, read_rows, write_rows
+from flexman_gym.verification.machine import machine_text
+from studies.places import folder
+from studies.stability.measure import Row
+from studies.stability.page import page, summary
+from studies.stability.rows import all_rows
+from studies.table import read_comment, read_rows, write_rows
 
 DIGITS = 9
 
@@ -34,7 +34,7 @@ def main() -> int:
     if options.csv:
         write_rows(result, options.csv, DIGITS, machine_text())
     if options.folder:
-        from flexman_gym.studies.stability.charts import draw
+        from studies.stability.charts import draw
 
         options.folder.mkdir(parents=True, exist_ok=True)
         file = options.rows or options.folder / "stability.csv"

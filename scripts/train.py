@@ -1,91 +1,13 @@
-"""Trains a policy: python scripts/train.py ppo_on_pd --folder runs/first"""
+"""The command `flexman train`, from a checkout."""
 
-import argparse
 import sys
-from dataclasses import replace
-from pathlib import Path
 
-from flexman_agents.recipes import NAMES, find_recipe
-from flexman_agents.settings import ALGORITHMS, Settings
-from flexman_agents.training import Interrupted, resume, train
-from flexman_gym.checks import refusal
-from flexman_gym.envs import NAMED
-from flexman_gym.envs.description import Description
-
-INTERRUPTED = 130  # what a shell says of a process that Ctrl-C has ended
+from flexman_gym.__main__ import main as flexman
 
 
 def main() -> int:
-    """Reads the command line and trains; returns the exit code."""
-    options = parser().parse_args()
-    try:
-        if options.resume:
-            refuse_settings(options)
-            how = options.checkpoint_every, not options.quiet, options.device, options.judge_every
-            resume(options.folder, options.steps, *how)
-            folders = [options.folder]
-        else:
-            folders = start(options)
-    except (ValueError, OSError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    except Interrupted as stop:
-        print(f"{stop}; go on with: python scripts/train.py --resume --folder {options.folder}", file=sys.stderr)
-        return INTERRUPTED
-    except KeyboardInterrupt:
-        print("Interrupted; what was saved before stays.", file=sys.stderr)
-        return INTERRUPTED
-    for folder in folders:
-        print(f"The run is in {folder}; see it with: python scripts/evaluate.py {folder} pd")
-    return 0
-
-
-def refuse_settings(options: argparse.Namespace) -> None:
-    """Refuses what a run that goes on has already."""
-    for name in ("recipe", "algo", "env", "set", "seed", "envs"):
-        if getattr(options, name) not in (None, []):
-            raise refusal(name, getattr(options, name), "nothing with --resume: the run keeps its settings")
-
-
-def parser() -> argparse.ArgumentParser:
-    """What the command line takes."""
-    result = argparse.ArgumentParser(description="Train PPO or SAC on a flexible arm; the run is kept in a folder.")
-    result.add_argument("recipe", nargs="?", help=f"a file of settings, or one of {', '.join(NAMES)}")
-    result.add_argument("--algo", choices=ALGORITHMS, help="instead of the recipe's; ppo without one")
-    result.add_argument("--env", help=f"a file that describes an environment, or one of {', '.join(sorted(NAMED))}")
-    result.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the environment")
-    result.add_argument("--steps", type=int, help="actions of all arms together; with --resume those of another run")
-    result.add_argument("--seed", type=int, help="of the first run")
-    result.add_argument("--seeds", type=int, default=1, help="so many runs, each with the next seed, a folder each")
-    result.add_argument("--envs", type=int, help="arms side by side")
-    result.add_argument("--folder", type=Path, default=Path("runs/latest"))
-    result.add_argument("--resume", action="store_true", help="go on with the run in the folder to its end")
-    result.add_argument("--checkpoint-every", type=int, default=100_000, help="steps; 0: only at the end")
-    result.add_argument("--judge-every", type=int, help="steps between evaluations on the way; 0: none")
-    result.add_argument("--device", default="cpu", help="of the networks, as PyTorch names it")
-    result.add_argument("--quiet", action="store_true", help="no progress bar")
-    return result
-
-
-def start(options: argparse.Namespace) -> list[Path]:
-    """Trains the runs that the command line asks for; returns their folders."""
-    settings = find_recipe(options.recipe) if options.recipe else Settings()
-    named = {name: getattr(options, name) for name in ("algo", "steps", "seed", "envs", "judge_every")}
-    named = {name: value for name, value in named.items() if value is not None}
-    if options.algo and options.algo != settings.algo:
-        settings = Settings(algo=options.algo, environment=dict(settings.environment), seed=settings.seed)
-    described = settings.description
-    if options.env:
-        described = Description.find(options.env)
-    described = described.changed(options.set)
-    settings = replace(settings, environment=described.whole(), **named)
-    folders = []
-    for i in range(options.seeds):
-        folder = options.folder if options.seeds == 1 else options.folder / f"seed-{settings.seed + i}"
-        own = settings.with_seed(settings.seed + i)
-        train(own, folder, options.checkpoint_every, not options.quiet, options.device)
-        folders.append(folder)
-    return folders
+    """Runs it with the arguments of this script; returns the exit code."""
+    return flexman(["train", *sys.argv[1:]])
 
 
 if __name__ == "__main__":

@@ -4,10 +4,10 @@ import argparse
 import warnings
 from pathlib import Path
 
-from flexman_gym.studies.places import folder
-from flexman_gym.studies.precision.files import compute, publish
+from studies.places import folder
+from studies.precision.files import compute, publish
 
-REFERENCE = Path(__file__).parents[1] / "tests" / "reference"
+REFERENCE = Path(__file__).parents[1] / "flexman_gym" / "verification" / "reference"
 
 
 def main() -> None:

@@ -9,6 +9,7 @@ import pytest
 
 import flexman_gym
 from flexman_gym import __main__
+from flexman_gym.commands import check
 
 ROOT = Path(flexman_gym.__file__).parents[1]
 WORDS = "flexman_gym compiles its kernels"
@@ -76,11 +77,11 @@ def test_check_says_versions_kernels_and_steps():
 
 def test_check_says_which_kernels_are_not_compiled_yet(tmp_path, monkeypatch, capsys):
     """In a folder without any, and in one with a kernel of one arm."""
-    monkeypatch.setattr(__main__, "steps_a_second", lambda: 1.0)
+    monkeypatch.setattr(check, "steps_a_second", lambda: 1.0)
     monkeypatch.setattr("flexman_gym.kernels.FOLDER", str(tmp_path))
     for name, one in (("other", "not compiled yet"), ("advance_one", "compiled")):
         (tmp_path / f"arms.{name}-12.py311.1.nbc").touch()
-        assert __main__.check() == 0
+        assert __main__.main(["check"]) == 0
         said = capsys.readouterr().out.splitlines()
         assert f"kernels of one arm alone: {one}" in said and "kernels of arms abreast: not compiled yet" in said
 

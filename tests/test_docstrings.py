@@ -11,7 +11,19 @@ import flexman_gym
 
 PACKAGE = Path(flexman_gym.__file__).parent
 ROOT = PACKAGE.parent
-FOLDERS = ("scene", "model", "simulation", "fidelity", "draw", "control", "metrics", "studies", "agents")
+FOLDERS = (
+    "scene",
+    "model",
+    "simulation",
+    "fidelity",
+    "draw",
+    "control",
+    "metrics",
+    "verification",
+    "commands",
+    "scripts/studies",
+    "agents",
+)
 
 SECTIONS = {"Attributes:", "Args:", "Returns:", "Raises:", "Yields:"}
 FREE_HEADINGS = {
@@ -44,23 +56,20 @@ def flaws(docstring, free_headings=()):
     return result + [f"another section: {line!r}" for line in headings if line not in SECTIONS.union(free_headings)]
 
 
-def name_of(path):
-    """A short name for a test's id."""
-    return str(path.relative_to(ROOT))
-
-
 def files(folder):
     """The files of a folder, which has some."""
-    result = sorted(((ROOT if folder == "agents" else PACKAGE) / folder).rglob("*.py"))
+    result = sorted(((ROOT if folder in ("agents", "scripts/studies") else PACKAGE) / folder).rglob("*.py"))
     assert result, folder
     return result
 
 
-@pytest.mark.parametrize("path", [path for folder in FOLDERS for path in files(folder)], ids=name_of)
-def test_docstrings_have_one_form(path):
-    named = public(ast.parse(path.read_text(encoding="utf-8")).body)
-    result = {name: flaws(ast.get_docstring(node), FREE_HEADINGS.get(name, ())) for name, node in named}
-    assert {name: lines for name, lines in result.items() if lines} == {}
+def test_docstrings_have_one_form():
+    result = {}
+    for path in (path for folder in FOLDERS for path in files(folder)):
+        for name, node in public(ast.parse(path.read_text(encoding="utf-8")).body):
+            lines = flaws(ast.get_docstring(node), FREE_HEADINGS.get(name, ()))
+            result |= {f"{path.relative_to(ROOT)} {name}": lines} if lines else {}
+    assert result == {}
 
 
 @pytest.mark.parametrize(

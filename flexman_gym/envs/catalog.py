@@ -57,7 +57,7 @@ def flex_rrr_gravity() -> Arm:
     return replace(arm, joints=joints)
 
 
-# Gains: `python scripts/tune.py ID`. All have a gain margin of 2 and a phase margin of 30 degrees in the sampled loop.
+# Gains: `flexman tune ID`. All have a gain margin of 2 and a phase margin of 30 degrees in the sampled loop.
 RRR_PD: Gains = {"stiffness": (148.0, 144.0, 522.0), "damping": (472.0, 487.0, 366.0)}
 RRR_TRACK_PD: Gains = {"stiffness": (11.4, 9870.0, 4.15), "damping": (487.0, 443.0, 331.0)}
 RRR_HOLD_PD: Gains = {"stiffness": (85.1, 7700.0, 244.0), "damping": (488.0, 294.0, 318.0)}

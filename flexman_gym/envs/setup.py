@@ -190,7 +190,7 @@ class Setup:
         named, gains = NAMED[self.name], self.gains
         if gains is None:
             if _links_and_motors(self.arm) != _links_and_motors(named.arm()):
-                allowed = f"those of this arm, which scripts/tune.py finds: {self.name} has other links or motors"
+                allowed = f"those of this arm, which flexman tune finds: {self.name} has other links or motors"
                 raise refusal("gains", None, allowed)
             return dict(named.pd)
         gains = mapping("gains", gains, ("stiffness", "damping"))

@@ -1,7 +1,7 @@
 """Seeds: disjoint ranges for training, for choices on the way, and for figures that are published."""
 
 SELECTION = range(5000, 5100)  # episodes on which the best policy of a run is chosen
-TEST = range(9000, 9100)  # episodes on which nothing is chosen: those of `scripts/evaluate.py`
+TEST = range(9000, 9100)  # episodes on which nothing is chosen: those of `flexman evaluate`
 TRAINING = 1_000_000  # arm i of a run with seed s begins with the seed TRAINING (s + 1) + i
 
 

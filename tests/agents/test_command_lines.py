@@ -1,7 +1,6 @@
 """Command lines: train, evaluate and tune do what they say, and say what is wrong in one line."""
 
 import json
-import sys
 
 import numpy as np
 import pytest
@@ -9,6 +8,7 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from flexman_agents.training import load_settings
+from flexman_gym.__main__ import main as flexman
 from flexman_gym.control.margins import has_margins
 from flexman_gym.envs import NAMED
 from flexman_gym.envs.description import Description
@@ -16,18 +16,15 @@ from flexman_gym.evaluation import tuning
 from flexman_gym.evaluation.folder import SETTINGS
 from flexman_gym.scene import file
 
-from oracles.files import command
-
 SMALL = ["--steps", "256", "--envs", "2", "--quiet"]
 
 
 @pytest.fixture
 def run(monkeypatch, capsys):
-    """Calls a script with arguments; gives its exit code, what it printed and what it complained."""
+    """Calls a command with arguments; gives its exit code, what it printed and what it complained."""
 
     def call(script, *arguments):
-        monkeypatch.setattr(sys, "argv", [script, *map(str, arguments)])
-        code = command(script).main()
+        code = flexman([script, *map(str, arguments)])
         said = capsys.readouterr()
         return code, said.out, said.err
 

@@ -18,7 +18,7 @@ from flexman_agents.training import Interrupted, resume, train
 from flexman_agents.vector import Arms
 from flexman_gym.evaluation.entrants import load_run
 from flexman_gym.evaluation.folder import BEST, NEWEST, SETTINGS, read_data, write_data
-from flexman_gym.studies.faults import same
+from studies.faults import same
 
 from oracles.refusals import refusal
 from oracles.runs import RUNS

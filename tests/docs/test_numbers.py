@@ -6,11 +6,11 @@ import pytest
 
 from flexman_gym.simulation import METHODS
 from flexman_gym.simulation.amplification import largest_growth
-from flexman_gym.studies.fidelity.measure import Row as Choice
-from flexman_gym.studies.fidelity.page import CHEAP
-from flexman_gym.studies.learning.measure import Row as Run
-from flexman_gym.studies.ringdown.default import Errors
-from flexman_gym.studies.table import read_rows
+from studies.fidelity.measure import Row as Choice
+from studies.fidelity.page import CHEAP
+from studies.learning.measure import Row as Run
+from studies.ringdown.default import Errors
+from studies.table import read_rows
 
 from oracles.files import ROOT
 

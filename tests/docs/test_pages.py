@@ -52,12 +52,14 @@ def run(code, page, names):
 def run_commands(lines):
     """Runs the commands of a block that are scripts of ours, on two arms."""
     for words in map(shlex.split, lines.splitlines()):
-        assert words[0] == "python", words
+        assert words[0] == "flexman", words
         for option in LESS.keys() & set(words):
             words[words.index(option) + 1] = LESS[option]
-        few = ["--quiet"] if words[1] == "scripts/train.py" else []
+        few = ["--quiet"] if words[1] == "train" else []
         few += ["--envs", "2"] if few and "--resume" not in words else []
-        done = subprocess.run([sys.executable, *words[1:], *few], capture_output=True, text=True, timeout=300)
+        done = subprocess.run(
+            [sys.executable, "-m", "flexman_gym", *words[1:], *few], capture_output=True, text=True, timeout=300
+        )
         assert done.returncode == 0, (words, done.stderr)
 
 

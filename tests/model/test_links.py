@@ -13,7 +13,7 @@ from flexman_gym.draw.frames import arm_lines
 from flexman_gym.model.beam import build_beam
 from flexman_gym.model.instant import stiffness_matrix
 from flexman_gym.scene.arm import IDENTITY
-from flexman_gym.studies.verification.links import stepped_link
+from flexman_gym.verification.links import stepped_link
 
 from oracles.chains import QUICK, random_link, samples
 from oracles.ritz import beam_eigenvalues

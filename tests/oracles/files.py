@@ -6,7 +6,7 @@ from pathlib import Path
 from types import ModuleType
 
 ROOT = Path(__file__).parents[2]
-REFERENCE, SCRIPTS = ROOT / "tests" / "reference", ROOT / "scripts"
+REFERENCE, SCRIPTS = ROOT / "flexman_gym" / "verification" / "reference", ROOT / "scripts"
 
 
 def command(name: str) -> ModuleType:

@@ -6,11 +6,11 @@ from importlib.util import find_spec
 
 import pytest
 
-from flexman_gym.studies.benchmark import environments, evaluations
-from flexman_gym.studies.benchmark import page as page_of
-from flexman_gym.studies.benchmark.endurance import endure
-from flexman_gym.studies.benchmark.rows import Row
-from flexman_gym.studies.table import read_rows
+from studies.benchmark import environments, evaluations
+from studies.benchmark import page as page_of
+from studies.benchmark.endurance import endure
+from studies.benchmark.rows import Row
+from studies.table import read_rows
 
 from oracles.files import command
 
@@ -58,7 +58,7 @@ def test_the_page_has_a_line_for_every_row_and_sentences_about_them(quick):
 
 
 def test_peers_that_are_missing_are_named_and_left_out(monkeypatch, capsys):
-    for name in ("mujoco", "pinocchio", "flexman_gym.studies.benchmark.mujoco", "flexman_gym.studies.peers.pinocchio"):
+    for name in ("mujoco", "pinocchio", "studies.benchmark.mujoco", "studies.peers.pinocchio"):
         monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setattr(environments, "find_spec", lambda name: None)
     rows = environments.rows(environments.Grid(arms=(1, 2), steps=2, singles=2, physics=(1, 1), rounds=1))

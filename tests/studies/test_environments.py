@@ -6,8 +6,8 @@ import pytest
 
 from flexman_gym.envs import NAMED
 from flexman_gym.envs.tasks import TASKS
-from flexman_gym.studies.environments.episode import BASES, draw, run
-from flexman_gym.studies.environments.page import SECTIONS, docstring_sections, page
+from studies.environments.episode import BASES, draw, run
+from studies.environments.page import SECTIONS, docstring_sections, page
 
 from oracles.files import ROOT
 

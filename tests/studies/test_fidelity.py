@@ -6,11 +6,11 @@ from dataclasses import fields, replace
 
 import pytest
 
-from flexman_gym.studies.fidelity import measure
-from flexman_gym.studies.fidelity.cases import open_scenes, scenes
-from flexman_gym.studies.fidelity.measure import Row, rows
-from flexman_gym.studies.fidelity.page import COLUMNS, conclusion, page
-from flexman_gym.studies.table import read_rows, write_rows
+from studies.fidelity import measure
+from studies.fidelity.cases import open_scenes, scenes
+from studies.fidelity.measure import Row, rows
+from studies.fidelity.page import COLUMNS, conclusion, page
+from studies.table import read_rows, write_rows
 
 from oracles.files import ROOT, command
 

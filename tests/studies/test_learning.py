@@ -10,11 +10,11 @@ pytest.importorskip("stable_baselines3")
 from flexman_agents.recipes import NAMES, find_recipe
 from flexman_agents.settings import Settings
 from flexman_gym.envs.description import Description
-from flexman_gym.studies.learning import measure
-from flexman_gym.studies.learning.cases import ABLATED, ABLATIONS, CONTROLLERS, SEEDS, Case, cases
-from flexman_gym.studies.learning.measure import AS_TRAINED, FINER, LONGER, Row, places, runs, trained
-from flexman_gym.studies.learning.page import page
-from flexman_gym.studies.table import read_comment, read_rows
+from studies.learning import measure
+from studies.learning.cases import ABLATED, ABLATIONS, CONTROLLERS, SEEDS, Case, cases
+from studies.learning.measure import AS_TRAINED, FINER, LONGER, Row, places, runs, trained
+from studies.learning.page import page
+from studies.table import read_comment, read_rows
 
 from oracles.files import ROOT, command
 

@@ -6,20 +6,20 @@ import pytest
 
 from flexman_gym.scene import catalog
 from flexman_gym.simulation.methods import METHODS
-from flexman_gym.studies.looks import COLOURS, MARKERS, looks
-from flexman_gym.studies.methods import fixed_step_methods
-from flexman_gym.studies.precision import charts as precision_charts
-from flexman_gym.studies.precision.cases import grid
-from flexman_gym.studies.precision.measure import Floor, Study, Truth
-from flexman_gym.studies.precision.measure import Row as Run
-from flexman_gym.studies.precision.page import cost_table, page
-from flexman_gym.studies.stability import charts as stability_charts
-from flexman_gym.studies.stability.conclusions import map_sections
-from flexman_gym.studies.stability.drift import drift_rows
-from flexman_gym.studies.stability.limits import amplification_rows, limit_rows
-from flexman_gym.studies.stability.measure import Row
-from flexman_gym.studies.stability.page import page as stability_page
-from flexman_gym.studies.table import read_rows
+from studies.looks import COLOURS, MARKERS, looks
+from studies.methods import fixed_step_methods
+from studies.precision import charts as precision_charts
+from studies.precision.cases import grid
+from studies.precision.measure import Floor, Study, Truth
+from studies.precision.measure import Row as Run
+from studies.precision.page import cost_table, page
+from studies.stability import charts as stability_charts
+from studies.stability.conclusions import map_sections
+from studies.stability.drift import drift_rows
+from studies.stability.limits import amplification_rows, limit_rows
+from studies.stability.measure import Row
+from studies.stability.page import page as stability_page
+from studies.table import read_rows
 
 from oracles.files import ROOT
 

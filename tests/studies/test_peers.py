@@ -8,10 +8,10 @@ import pytest
 from scipy.linalg import eigh
 
 import flexman_gym as fm
-from flexman_gym.studies.peers import compare
-from flexman_gym.studies.peers.page import conclusions
-from flexman_gym.studies.peers.runs import with_rigid_joints
-from flexman_gym.studies.precision.measure import Row, cost_at
+from studies.peers import compare
+from studies.peers.page import conclusions
+from studies.peers.runs import with_rigid_joints
+from studies.precision.measure import Row, cost_at
 
 ARM, SCENE = fm.catalog.paper_rrr(), fm.catalog.paper_scene("ff")
 ROW = Row("paper_ff", "2 elements a link", "ros2", 1e-3, None, 0.02, 0.02, 1e3, 2e-3, 3e-2, "ok")
@@ -25,14 +25,14 @@ def mujoco():
 @pytest.fixture(scope="module")
 def mujoco_peer(mujoco):
     """The room of MuJoCo's models as a module."""
-    return importlib.import_module("flexman_gym.studies.peers.mujoco")
+    return importlib.import_module("studies.peers.mujoco")
 
 
 @pytest.fixture(scope="module")
 def exudyn_peer():
     """The room of Exudyn's model as a module."""
     try:
-        return importlib.import_module("flexman_gym.studies.peers.exudyn")
+        return importlib.import_module("studies.peers.exudyn")
     except ModuleNotFoundError as error:
         pytest.skip(str(error))
 
@@ -41,7 +41,7 @@ def exudyn_peer():
 def pinocchio_peer():
     """The room of Pinocchio's model as a module."""
     pytest.importorskip("pinocchio")
-    return importlib.import_module("flexman_gym.studies.peers.pinocchio")
+    return importlib.import_module("studies.peers.pinocchio")
 
 
 def short(arm, duration=0.2):

@@ -4,7 +4,7 @@ import argparse
 
 import pytest
 
-from flexman_gym.studies.places import folder
+from studies.places import folder
 
 from oracles.files import command
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from flexman_gym.studies.planted.change import Change, changes
-from flexman_gym.studies.planted.page import counts, page
-from flexman_gym.studies.planted.planting import CAUGHT, EQUIVALENT, SURVIVED, Copy, Planted
-from flexman_gym.studies.planted.table import ROOMS, kept, misplaced
-from flexman_gym.studies.table import write_rows
+from studies.planted.change import Change, changes
+from studies.planted.page import counts, page
+from studies.planted.planting import CAUGHT, EQUIVALENT, SURVIVED, Copy, Planted
+from studies.planted.table import ROOMS, kept, misplaced
+from studies.table import write_rows
 
 ROOT = Path(__file__).parents[2]
 DOUBLE = Change("room", "halves", "double.py", "2 * x", "x / 2", ("test_double.py",))

@@ -15,12 +15,12 @@ from flexman_gym.scene import catalog
 from flexman_gym.simulation.amplification import largest_growth
 from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.scenes import simulate
-from flexman_gym.studies.peers.compare import CUT_MESH, CUT_MODES
-from flexman_gym.studies.precision import files
-from flexman_gym.studies.precision.cases import RIGID_LINKS, cases, choices, whirl_scene
-from flexman_gym.studies.precision.measure import Floor, Row, Truth, cheapest, pareto_front, setbacks
-from flexman_gym.studies.precision.page import page, pictures
-from flexman_gym.studies.table import read_rows, write_rows
+from studies.peers.compare import CUT_MESH, CUT_MODES
+from studies.precision import files
+from studies.precision.cases import RIGID_LINKS, cases, choices, whirl_scene
+from studies.precision.measure import Floor, Row, Truth, cheapest, pareto_front, setbacks
+from studies.precision.page import page, pictures
+from studies.table import read_rows, write_rows
 
 from oracles.files import ROOT
 
@@ -32,7 +32,7 @@ NUMBERS = st.floats(min_value=1e-6, max_value=1e6) | st.just(math.inf)
 def folder(tmp_path_factory):
     """The quick study, computed and published."""
     result = tmp_path_factory.mktemp("study")
-    files.compute(ROOT / "tests" / "reference", result, quick=True)
+    files.compute(ROOT / "flexman_gym" / "verification" / "reference", result, quick=True)
     files.publish(result)
     return result
 
@@ -153,7 +153,7 @@ def test_a_failed_run_is_infinitely_far_and_other_times_are_refused():
 
 @pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")
 def test_scenes_and_models_of_the_study():
-    result = cases(ROOT / "tests" / "reference")
+    result = cases(ROOT / "flexman_gym" / "verification" / "reference")
     assert len(result) == len({case.name for case in result}) >= 4
     for case in result:
         named = choices(case.scene)

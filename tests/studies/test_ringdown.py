@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from flexman_gym.kernels import layout
-from flexman_gym.studies.ringdown import measure
-from flexman_gym.studies.ringdown.cases import (
+from studies.ringdown import measure
+from studies.ringdown.cases import (
     BENT,
     DURATION,
     IMPULSE,
@@ -16,9 +16,9 @@ from flexman_gym.studies.ringdown.cases import (
     cases,
     default_model,
 )
-from flexman_gym.studies.ringdown.charts import PICTURE, draw
-from flexman_gym.studies.ringdown.measure import PARTS, REFERENCE, Row, outcome, percentiles, row, settings
-from flexman_gym.studies.ringdown.page import page
+from studies.ringdown.charts import PICTURE, draw
+from studies.ringdown.measure import PARTS, REFERENCE, Row, outcome, percentiles, row, settings
+from studies.ringdown.page import page
 
 DEFAULT = "midpoint_3_sweeps", PERIOD / 3
 

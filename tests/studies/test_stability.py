@@ -19,14 +19,14 @@ from flexman_gym.simulation.amplification import (
     stability_limit,
     vibration_factor,
 )
-from flexman_gym.studies.machine import machine_text
-from flexman_gym.studies.methods import explicit_methods, fixed_step_methods
-from flexman_gym.studies.stability.cases import SPIN_STIFFENED, SPRINGS, spin_case
-from flexman_gym.studies.stability.damping import FREQUENCY, IN_PERIODS, KEPT, damping_rows
-from flexman_gym.studies.stability.drift import drift_rows
-from flexman_gym.studies.stability.limits import LIMIT_STUDIES, limit_rows
-from flexman_gym.studies.stability.maps import map_rows
-from flexman_gym.studies.stability.measure import (
+from flexman_gym.verification.machine import machine_text
+from studies.methods import explicit_methods, fixed_step_methods
+from studies.stability.cases import SPIN_STIFFENED, SPRINGS, spin_case
+from studies.stability.damping import FREQUENCY, IN_PERIODS, KEPT, damping_rows
+from studies.stability.drift import drift_rows
+from studies.stability.limits import LIMIT_STUDIES, limit_rows
+from studies.stability.maps import map_rows
+from studies.stability.measure import (
     Row,
     grows,
     growth_per_step,
@@ -36,7 +36,7 @@ from flexman_gym.studies.stability.measure import (
     select,
     small_vibration,
 )
-from flexman_gym.studies.table import read_comment, read_rows, write_rows
+from studies.table import read_comment, read_rows, write_rows
 
 from oracles.files import ROOT, command
 

@@ -1,0 +1,56 @@
+"""Check the installation: versions, processor, cache of kernels, and steps of an environment."""
+
+import argparse
+import time
+from pathlib import Path
+
+from flexman_gym.commands.compile import KINDS
+
+KERNELS = {"one": "advance_one", "abreast": "advance_arms"}
+PACKAGES = ("gymnasium", "torch", "stable-baselines3")
+STEPS = 500
+
+
+def arguments(result: argparse.ArgumentParser) -> None:
+    """Takes nothing."""
+
+
+def run(options: argparse.Namespace) -> int:
+    """Says what a report of a problem needs, and steps an environment."""
+    from flexman_gym.kernels import FOLDER
+    from flexman_gym.verification.machine import machine
+
+    for name, value in (machine(PACKAGES) | {"vector registers": f"{vector_bits()} bits"}).items():
+        print(f"{name}: {value}")
+    print(f"cache folder: {FOLDER or 'none that is yours alone can be written'}")
+    for kind, words in KINDS.items():
+        there = FOLDER is not None and any(Path(FOLDER).rglob(f"*{KERNELS[kind]}*.nbc"))
+        print(f"kernels of {words}: {'compiled' if there else 'not compiled yet'}", flush=True)
+    print(f"steps of FlexRRR-v0: {steps_a_second():,.0f} a second")
+    return 0
+
+
+def vector_bits() -> int:
+    """The width of the widest vector registers that the compiler finds."""
+    from llvmlite import binding
+
+    features = binding.get_host_cpu_features()
+    return next((bits for name, bits in (("avx512f", 512), ("avx", 256)) if features.get(name)), 128)
+
+
+def steps_a_second() -> float:
+    """Steps of one environment under random actions, by the clock."""
+    import gymnasium as gym
+
+    import flexman_gym  # noqa: F401  registers the environments
+
+    env = gym.make("FlexRRR-v0")
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    env.step(env.action_space.sample())  # compiles what is not on disk
+    started = time.perf_counter()
+    for _ in range(STEPS):
+        *_, terminated, truncated, _ = env.step(env.action_space.sample())
+        if terminated or truncated:
+            env.reset()
+    return STEPS / (time.perf_counter() - started)

@@ -1,0 +1,30 @@
+"""Choose the smallest model and the longest step with which a scene meets a tolerance."""
+
+import argparse
+import sys
+from pathlib import Path
+
+
+def arguments(result: argparse.ArgumentParser) -> None:
+    """Says what it takes."""
+    result.add_argument("scene", type=Path, help="a scene as a .json or .yaml file")
+    result.add_argument("--tolerance", type=float, default=1e-3, help="m, the largest error of the tip")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Prints the choice, its estimated error and what was left out."""
+    from flexman_gym.fidelity.choose import choose_model
+    from flexman_gym.scene.scene import Scene
+
+    try:
+        choice = choose_model(Scene.load(options.scene), options.tolerance)
+    except (ValueError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    step = "its own steps" if choice.step is None else f"steps of {1e3 * choice.step:.4g} ms"
+    print(f"method: {getattr(choice.method, 'name', choice.method)}, {step}")
+    print(f"coordinates: {choice.model.n_dof}")
+    print(f"estimated error of the tip: {1e3 * choice.estimated_error:.3g} mm")
+    for name in choice.dropped:
+        print(f"left out: {name}")
+    return 0

@@ -1,0 +1,53 @@
+"""Compile the kernels ahead of the first environment."""
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from typing import Any
+
+KINDS = {"one": "one arm alone", "abreast": "arms abreast"}  # how arms are moved: kernels/arms.py
+
+
+def arguments(result: argparse.ArgumentParser) -> None:
+    """Says what it takes."""
+    result.add_argument("kind", nargs="?", choices=sorted(KINDS), help="only those of one arm, or of arms abreast")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Compiles; returns the exit code."""
+    return compile_both() if options.kind is None else compile_kind(options.kind)
+
+
+def compile_both() -> int:
+    """Compiles both kinds of kernels at once, each in a process of its own, and returns 0, or 1 where one fails."""
+    from flexman_gym.kernels import FOLDER
+
+    print(f"compiling {' and '.join(KINDS.values())}, into {FOLDER}", flush=True)
+    started, quiet = time.perf_counter(), os.environ | {"FLEXMAN_QUIET": "1"}
+    command = [sys.executable, "-m", "flexman_gym", "compile"]
+    running = [subprocess.Popen([*command, kind], env=quiet, stderr=subprocess.PIPE, text=True) for kind in KINDS]
+    failed = 0
+    for process in running:
+        words = process.communicate()[1].strip()
+        if process.returncode:
+            print(f"flexman: error: {words.splitlines()[-1] if words else process.returncode}", file=sys.stderr)
+            failed = 1
+    if not failed:
+        print(f"ready after {time.perf_counter() - started:.1f} s")
+    return failed
+
+
+def compile_kind(kind: str) -> int:
+    """Compiles what the environments of one kind call."""
+    import gymnasium as gym
+
+    import flexman_gym  # noqa: F401  registers the environments
+
+    started = time.perf_counter()
+    env: Any = gym.make("FlexRRR-v0") if kind == "one" else gym.make_vec("FlexRRR-v0", 2, "vector_entry_point")
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+    print(f"{KINDS[kind]}: {time.perf_counter() - started:.1f} s", flush=True)
+    return 0

@@ -1,0 +1,80 @@
+"""Demonstrate the main job: the paper's three cases with figures, a training, a table and a picture."""
+
+import argparse
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+from matplotlib.image import imsave
+
+import flexman_gym as fm
+from flexman_agents.pictures import draw_episodes
+from flexman_agents.recipes import find_recipe
+from flexman_agents.training import train
+from flexman_gym import draw
+from flexman_gym.evaluation import find_entrant, rollout, table
+from flexman_gym.evaluation.entrants import common_environment
+from flexman_gym.evaluation.seeds import TEST
+from flexman_gym.model import scene_model
+
+OUT = Path("out")
+METHOD, RTOL = "dop853", 1e-7
+CASES = {
+    "rr": "rigid links, rigid joints",
+    "fr": "flexible links, rigid joints",
+    "ff": "flexible links, flexible joints",
+}
+RECIPE = "ppo_on_pd_minute"
+
+
+def arguments(result: argparse.ArgumentParser) -> None:
+    """Takes nothing: all goes to the folder out."""
+
+
+def run(options: argparse.Namespace) -> int:
+    """Runs it all; returns the exit code."""
+    started = time.perf_counter()
+    print("1. The paper's scene: 2 s under 400 N m at each joint, by the adaptive reference method.")
+    draw_cases(simulate_cases())
+    print(f"2. Training: the recipe {RECIPE}, PPO that adds to a PD controller of the motors.")
+    shutil.rmtree(OUT / "ppo", ignore_errors=True)
+    train(find_recipe(RECIPE), OUT / "ppo")
+    print(f"3. Evaluation: {len(TEST)} test episodes of FlexRRR-v0 each, the same for all.")
+    compare()
+    print(f"Done in {time.perf_counter() - started:.0f} s.")
+    return 0
+
+
+def simulate_cases() -> dict[str, fm.Trajectory]:
+    """The trajectory of each of the paper's cases, with a line of progress and result for each."""
+    print(f"   {'case':<33}{'status':<10}{'computing':>10}{'largest energy residual':>26}")
+    trajectories = {}
+    for case, name in CASES.items():
+        print(f"   {name:<33}", end="", flush=True)
+        trajectory = fm.simulate(fm.catalog.paper_scene(case), method=METHOD, rtol=RTOL)
+        residual = np.abs(trajectory.energy_residual).max()
+        print(f"{trajectory.status:<10}{trajectory.wall_seconds:>8.2f} s{residual:>24.1e} J", flush=True)
+        trajectories[case] = trajectory
+    return trajectories
+
+
+def draw_cases(trajectories: dict[str, fm.Trajectory]) -> None:
+    """Draws Figures 6 to 11 and the moment at which flexible links are bent most."""
+    paths = draw.paper_figures(trajectories["rr"], trajectories["fr"], trajectories["ff"], OUT)
+    model, trajectory = scene_model(fm.catalog.paper_scene("fr")), trajectories["fr"]
+    row = np.linalg.norm(trajectory.deflection, axis=1).argmax()
+    imsave(OUT / "arm.png", draw.arm_frame(model, trajectory.states[row], size=(960, 720)))
+    print(f"   Figures 6 to 11 are in {OUT}/, together in {paths[-1]}.")
+    print(f"   {OUT}/arm.png shows the arm at {trajectory.time[row]:.2f} s, its links bent most, its joints rigid.")
+
+
+def compare() -> None:
+    """Prints the figures of all policies, and draws the first test episode of each."""
+    entrants = {"PPO on PD": find_entrant(str(OUT / "ppo"))}
+    entrants |= {name: find_entrant(name) for name in ("lqr-tracking", "lqr", "pd", "zero")}
+    environment = common_environment(list(entrants.values()), None)
+    records = {name: rollout(each, environment, TEST).records for name, each in entrants.items()}
+    print(table(records, environment))
+    draw_episodes({name: each[0] for name, each in records.items()}, OUT / "episode.png")
+    print(f"   {OUT}/episode.png shows the first of them: tip error over time, and the torques.")

@@ -1,0 +1,57 @@
+"""Evaluate policies and controllers on the same episodes of one environment."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from flexman_gym.evaluation.entrants import Entrant
+
+
+def arguments(result: argparse.ArgumentParser) -> None:
+    """Says what it takes."""
+    from flexman_gym.envs import NAMED
+    from flexman_gym.evaluation.entrants import BASELINES
+    from flexman_gym.evaluation.seeds import TEST
+
+    result.add_argument("entrant", nargs="+", help=f"folder of a training run, or {', '.join(BASELINES)}")
+    result.add_argument("--episodes", type=int, default=len(TEST))
+    result.add_argument("--seed", type=int, default=TEST.start, help="of the first episode; the next follow")
+    where = f"a file, an id and a condition such as FlexRRR-v0/delay, or one of {', '.join(sorted(NAMED))}"
+    result.add_argument("--env", help=f"{where}; without it that of the runs")
+    result.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the environment")
+    result.add_argument("--trust", action="store_true", help="read files of Stable-Baselines3, which can run any code")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Prints one table; returns the exit code."""
+    from flexman_gym.envs.description import Description
+    from flexman_gym.evaluation import rollout, table
+    from flexman_gym.evaluation.entrants import changed_environment, common_environment
+
+    if options.episodes < 1:
+        options.parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
+    try:
+        entrants = {name: entrant(name, options.trust) for name in options.entrant}
+        named = Description.find(options.env) if options.env else None
+        environment = changed_environment(common_environment(list(entrants.values()), named), options.set)
+        seeds = range(options.seed, options.seed + options.episodes)
+        results = {name: rollout(each, environment, seeds).records for name, each in entrants.items()}
+    except (ValueError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    print(table(results, environment))
+    return 0
+
+
+def entrant(name: str, trust: bool) -> "Entrant":
+    """Gives an entrant; files of Stable-Baselines3 only where they are trusted, as reading them runs code."""
+    from flexman_gym.evaluation.entrants import find_entrant
+    from flexman_gym.evaluation.folder import is_foreign
+
+    if trust and is_foreign(Path(name)):
+        from flexman_agents.foreign import load_foreign
+
+        return load_foreign(Path(name))
+    return find_entrant(name)

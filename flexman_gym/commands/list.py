@@ -1,0 +1,54 @@
+"""List what has a name: environments, conditions, controllers, sensors, methods, arms and recipes."""
+
+import argparse
+from collections.abc import Iterable, Mapping
+
+WHAT = ("environments", "conditions", "controllers", "sensors", "methods", "arms", "recipes")
+
+
+def arguments(result: argparse.ArgumentParser) -> None:
+    """Says what it takes."""
+    result.add_argument("what", nargs="*", help=f"some of {', '.join(WHAT)}; all of them without it")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Prints names, and what there is to say of each."""
+    for what in options.what:
+        if what not in WHAT:
+            options.parser.error(f"what: {what} is not allowed; give some of {', '.join(WHAT)}")
+    for what in options.what or WHAT:
+        entries = dict(named(what))
+        print(f"{what}:")
+        width = max(map(len, entries), default=0)
+        for name, words in entries.items():
+            print(f"  {name:<{width}}  {words}".rstrip())
+    return 0
+
+
+def named(what: str) -> Iterable[tuple[str, str]]:
+    """Names of a kind, each with a few words."""
+    from flexman_agents.recipes import FOLDER, NAMES
+    from flexman_gym.control.bases import BASES
+    from flexman_gym.envs.catalog import NAMED
+    from flexman_gym.envs.description import ARMS, CONDITIONS, FILES
+    from flexman_gym.envs.sensors import SENSORS, SETS
+    from flexman_gym.scene import catalog
+    from flexman_gym.simulation.methods import METHODS
+
+    if what == "environments":
+        for id, each in NAMED.items():
+            yield id, f"{type(each.task).__name__.lower()}, {each.control_period:g} s a period, {each.horizon:g} s"
+    elif what == "conditions":
+        first = {path.stem: path.read_text(encoding="utf-8") for path in sorted(FILES.glob("*/*.yaml"))}
+        yield from ((name, first[name].splitlines()[0].lstrip("# ") if name in first else "") for name in CONDITIONS)
+    elif what == "controllers":
+        yield from ((name, f"knows {', '.join(base.knows) or 'its motors'}") for name, base in BASES.items())
+    elif what == "sensors":
+        parts: Mapping[str, object] = {name: "" for name in SENSORS} | {name: " + ".join(SETS[name]) for name in SETS}
+        yield from ((name, str(words)) for name, words in parts.items())
+    elif what == "methods":
+        yield from ((name, f"{method.kind}, order {method.order}") for name, method in METHODS.items())
+    elif what == "arms":
+        yield from ((name, (getattr(catalog, name).__doc__ or "").splitlines()[0]) for name in ARMS)
+    else:
+        yield from ((name, (FOLDER / f"{name}.yaml").read_text().splitlines()[0].lstrip("# ")) for name in NAMES)

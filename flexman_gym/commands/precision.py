@@ -1,0 +1,44 @@
+"""Print error of the tip over computing time for a scene of your own, method by method."""
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+METHODS = ("rk4", "dopri5", "ros2", "midpoint_2_sweeps", "midpoint_3_sweeps", "extrapolated_euler_5")
+HALVINGS = 5
+REFERENCE, RTOL = "dop853", 1e-9
+
+
+def arguments(result: argparse.ArgumentParser) -> None:
+    """Says what it takes."""
+    result.add_argument("scene", type=Path, help="a scene as a .json or .yaml file")
+    result.add_argument("--method", nargs="+", help="names that `flexman list methods` has")
+    result.add_argument("--step", type=float, default=0.02, help=f"s, the longest; it is halved {HALVINGS} times")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Prints a line for each method and step; errors are against the reference method."""
+    from flexman_gym.scene.scene import Scene
+    from flexman_gym.simulation.methods import METHODS as KNOWN
+    from flexman_gym.simulation.scenes import simulate
+
+    names = options.method or [name for name in METHODS if name in KNOWN]
+    try:
+        scene = Scene.load(options.scene)
+        truth = simulate(scene, method=REFERENCE, rtol=RTOL)
+        print(f"{REFERENCE}, rtol {RTOL:g}: {truth.status}, {truth.wall_seconds:.3g} s")
+        print(f"{'method':<22}{'step, ms':>10}{'status':>16}{'error, m':>12}{'evaluations':>13}{'time, s':>10}")
+        for name in names:
+            for step in options.step / 2.0 ** np.arange(HALVINGS + 1):
+                result = simulate(scene, method=name, step=float(step))
+                rows = min(len(result.tip), len(truth.tip))
+                error = np.linalg.norm(result.tip[:rows] - truth.tip[:rows], axis=1).max()
+                words = f"{error:.3g}" if result.status == "ok" else "-"
+                line = f"{name:<22}{1e3 * step:>10.4g}{result.status:>16}{words:>12}{result.evaluations:>13}"
+                print(f"{line}{result.wall_seconds:>10.3g}", flush=True)
+    except (ValueError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0

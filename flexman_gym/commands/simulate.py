@@ -1,0 +1,40 @@
+"""Simulate a scene file, and keep its motion as a table."""
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+
+def arguments(result: argparse.ArgumentParser) -> None:
+    """Says what it takes."""
+    result.add_argument("scene", type=Path, help="a scene as a .json or .yaml file")
+    result.add_argument("--method", default="auto", help="a name that `flexman list methods` has")
+    result.add_argument("--step", type=float, help="s, of a method with fixed steps")
+    result.add_argument("--rtol", type=float, default=1e-6, help="of a method that chooses its steps")
+    result.add_argument("--out", type=Path, help="CSV file: time, tip, angles of joints and motors, energy")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Simulates; returns 1 where the simulation does not reach its end."""
+    from flexman_gym.scene.scene import Scene
+    from flexman_gym.simulation.scenes import simulate
+
+    try:
+        scene = Scene.load(options.scene)
+        result = simulate(scene, method=options.method, step=options.step, rtol=options.rtol)
+        if options.out is not None:
+            columns = {"tip": result.tip, "joint_angle": result.joint_angles, "motor_angle": result.motor_angles}
+            heads = [f"{name}_{i}" for name, values in columns.items() for i in range(1, values.shape[1] + 1)]
+            table = np.column_stack([result.time, *columns.values(), result.energy])
+            np.savetxt(options.out, table, "%.12g", ",", header=",".join(["time", *heads, "energy"]), comments="")
+    except (ValueError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    last = ", ".join(f"{each:.6g}" for each in result.tip[-1])
+    print(f"status: {result.status}, to {result.time[-1]:g} s in {result.wall_seconds:.3g} s")
+    print(f"evaluations: {result.evaluations}")
+    print(f"energy: {result.energy[-1]:.6g} J, off by at most {np.abs(result.energy_residual).max():.2g} J")
+    print(f"tip at the end: {last} m")
+    return int(result.status != "ok")

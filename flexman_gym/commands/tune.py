@@ -1,0 +1,32 @@
+"""Tune the PD controller of an environment: gains with margins and the highest reward."""
+
+import argparse
+import sys
+
+
+def arguments(result: argparse.ArgumentParser) -> None:
+    """Says what it takes."""
+    result.add_argument("env", help="an id, an id and a condition such as FlexRRR-v0/delay, or the path of a file")
+    result.add_argument("--no-margins", action="store_true", help="try gains without a gain and a phase margin, too")
+    result.add_argument("--seed", type=int, default=0, help="of the search")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Prints gains; returns the exit code."""
+    from flexman_gym.envs.description import Description
+    from flexman_gym.evaluation.tuning import tune
+
+    try:
+        environment = Description.find(options.env)
+    except (ValueError, OSError) as error:
+        options.parser.error(str(error))
+    try:
+        result = tune(environment, seed=options.seed, margin=not options.no_margins)
+    except ValueError as error:
+        print(f"{error}, or try --no-margins", file=sys.stderr)
+        return 2
+    for name in ("stiffness", "damping"):
+        print(f"{name}: {', '.join(f'{gain:.3g}' for gain in getattr(result, name))}")
+    print(f"gain margin: {result.margins.gain:.3g}, phase margin: {result.margins.phase:.3g} degrees")
+    print(f"mean reward of 8 episodes: {result.reward:.1f}")
+    return 0

@@ -1,0 +1,148 @@
+"""Endurance: random steps of many randomised arms, of which none may give a NaN or keep memory."""
+
+import re
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from flexman_gym.envs.description import Description
+from flexman_gym.verification.markdown import markdown_table
+from studies.benchmark.page import ENDURANCE, PAGE, without_endurance
+
+RANDOMISATION = {
+    "payload_mass": (0.0, 5.0),
+    "joint_stiffness_factor": (0.7, 1.3),
+    "link_stiffness_factor": (0.8, 1.2),
+    "rotor_inertia_factor": (0.8, 1.2),
+    "joint_damping": (0.0, 20.0),
+    "torque_limit_factor": (0.8, 1.0),
+    "sensor_noise": (0.0, 0.01),
+    "delay": (0, 3),
+    "initial_vibration": (0.0, 0.01),
+    "tip_impulse": (0.0, 20.0),
+    "impulse_gap": 1.0,
+}
+SETTLED = 100_000  # steps after which memory should stay as it is
+ALLOWED = 0.05  # growth of memory
+HOLDS = (1, 5, 25)  # control periods for which arms keep an action: the longer, the faster they get
+BLOCK = 200  # actions drawn at once, of all arms
+NOTE = """Random actions on {arms} arms with every randomisation on; an arm keeps each for {holds} control periods.
+Neither an observation nor a reward was anything but a finite number."""
+
+
+@dataclass
+class Count:
+    """What a run counts.
+
+    Attributes:
+        steps, episodes: of all arms; the step that only resets an arm is none.
+        truncated: episodes that reached their time limit.
+        failures: what ended the others, by kind.
+        diverged: steps whose status was not "ok".
+        alarms: steps with an energy alarm.
+        memory: MB of the process, after SETTLED steps and at the end.
+        cpu: seconds of the processor.
+    """
+
+    steps: int = 0
+    episodes: int = 0
+    truncated: int = 0
+    failures: Counter[str] = field(default_factory=Counter)
+    diverged: int = 0
+    alarms: int = 0
+    memory: tuple[float, float] = (0.0, 0.0)
+    cpu: float = 0.0
+
+    @property
+    def growth(self) -> float:
+        """Of memory, as a part of what it was."""
+        return self.memory[1] / self.memory[0] - 1.0
+
+
+def resident() -> float:
+    """Memory of this process that is in use, MB."""
+    result = re.search(r"VmRSS:\s*(\d+) kB", Path("/proc/self/status").read_text())
+    if result is None:
+        raise OSError("the memory of this process cannot be read here")
+    return int(result[1]) / 1024
+
+
+def actions(arms: int, joints: int, random: np.random.Generator) -> np.ndarray:
+    """BLOCK actions (BLOCK, arms, joints) float32: an arm keeps each for one of HOLDS periods."""
+    result = random.uniform(-1.0, 1.0, (BLOCK, arms, joints)).astype(np.float32)
+    for arm in range(arms):
+        hold = HOLDS[arm % len(HOLDS)]
+        result[:, arm] = np.repeat(result[: -(-BLOCK // hold), arm], hold, axis=0)[:BLOCK]
+    return result
+
+
+def all_conditions(name: str) -> dict[str, Any]:
+    """Keywords of a named environment with all of its conditions at once."""
+    friction, general = (Description.find(f"{name}/{condition}") for condition in ("friction", "unknown"))
+    return {
+        "arm": friction.setup().arm,
+        "randomisation": {**general.whole_settings()["randomisation"], "delay": (0, 2)},
+    }
+
+
+def endure(steps: int, arms: int, settled: int = SETTLED, name: str = "FlexRRR-v0", **settings: Any) -> Count:
+    """Runs so many steps of all arms of a named environment, by default with every randomisation.
+
+    Raises:
+        AssertionError: for a number that is none, and for an observation outside its space.
+    """
+    env = gym.make_vec(name, arms, "vector_entry_point", **(settings or {"randomisation": RANDOMISATION}))
+    random, count, before = np.random.default_rng(0), Count(), 0.0
+    joints = env.single_action_space.shape[0]  # type: ignore[index]
+    assert env.reset(seed=0)[0] in env.observation_space
+    started, over = time.process_time(), np.zeros(arms, dtype=bool)
+    while count.steps < steps:
+        for action in actions(arms, joints, random):
+            observations, rewards, terminated, truncated, infos = env.step(action)
+            assert observations in env.observation_space, f"after {count.steps} steps"
+            assert np.isfinite(rewards).all(), f"after {count.steps} steps"
+            count.steps += int(arms - over.sum())
+            count.alarms += int(infos["energy_alarm"].sum())
+            over = terminated | truncated
+            count.episodes += int(over.sum())
+            count.truncated += int((truncated & ~terminated).sum())
+            for arm in np.flatnonzero(terminated):
+                count.failures[infos["failure"][arm].split(" ")[0]] += 1
+                count.diverged += int(infos["status"][arm] != "ok")
+            if not before and count.steps >= settled:
+                before = resident()
+            if count.steps >= steps:
+                break
+    count.cpu = time.process_time() - started
+    count.memory = before, resident()
+    return count
+
+
+def section(count: Count, arms: int) -> str:
+    """The count as a section of a page."""
+    rows = {
+        "steps": f"{count.steps:,}",
+        "steps a second of CPU": f"{count.steps / count.cpu:,.0f}",
+        "episodes": f"{count.episodes:,}",
+        "ended by their time limit": f"{count.truncated:,}",
+        **{f"ended by a failure of {name}": f"{number:,}" for name, number in count.failures.most_common()},
+        "divergences": f"{count.diverged:,}",
+        "steps with an energy alarm": f"{count.alarms:,}",
+        f"memory after {SETTLED:,} steps": f"{count.memory[0]:.1f} MB",
+        "memory at the end": f"{count.memory[1]:.1f} MB ({count.growth:+.1%}, at most {ALLOWED:.0%})",
+    }
+    *some, last = map(str, HOLDS)
+    note = NOTE.format(arms=arms, holds=f"{', '.join(some)} or {last}")
+    return "\n".join([ENDURANCE, "", note, "", *markdown_table(("what", "count"), rows.items())]) + "\n"
+
+
+def publish(count: Count, arms: int, folder: Path) -> str:
+    """Writes the section into the page of the benchmark, and returns it."""
+    page, text = folder / PAGE, section(count, arms)
+    page.write_text("\n".join([*without_endurance(page)[0], text]), encoding="utf-8")
+    return text

@@ -1,0 +1,79 @@
+"""MuJoCo's rollout: control periods of many arms of rigid pieces in one call, at the longest step that is stable."""
+
+import mujoco  # type: ignore[import-not-found, import-untyped, unused-ignore]
+import numpy as np
+from mujoco import rollout
+
+from flexman_gym.arrays import Array
+from flexman_gym.envs.setup import Setup
+from studies.benchmark.rows import Timer, timer
+from studies.peers.mujoco import SANE, description
+
+PIECES, FINEST, TRIAL = 4, 1024, 100  # of a link; parts of a control period and control periods of the search
+
+
+class Arms:
+    """Arms side by side, each of rigid pieces between springs, as its environment's arm but for modal damping."""
+
+    def __init__(self, setup: Setup, arms: int, parts: int) -> None:
+        text = description(setup.arm, PIECES, "Euler", setup.control_period / parts)
+        self.model = mujoco.MjModel.from_xml_string(text)
+        self._data, self._parts = mujoco.MjData(self.model), parts
+        mujoco.set_mju_user_warning(lambda message: None)  # else it writes a file about every divergence
+        full = mujoco.mjtState.mjSTATE_FULLPHYSICS
+        start = np.zeros(mujoco.mj_stateSize(self.model, full))
+        mujoco.mj_getState(self.model, self._data, start, full)
+        self._start, self._torque_limit = np.tile(start, (arms, 1)), np.array(setup.torque_limit)
+
+    def run(self, actions: Array) -> Array:
+        """States (periods, b, size) after each control period from rest, under actions (periods, b, n)."""
+        states, result = self._start, []
+        for action in actions:
+            control = np.repeat(self._torque_limit * action[:, None], self._parts, axis=1)
+            states = rollout.rollout(self.model, self._data, states, control)[0][:, -1]
+            result.append(states)
+        return np.array(result)
+
+    def diverged(self, states: Array) -> bool:
+        """Whether one of the arms was set back: a rollout then goes on from time 0, the first entry of a state."""
+        reached = len(states) * self._parts * self.model.opt.timestep
+        return not np.allclose(states[-1, :, 0], reached, rtol=1e-6, atol=0.0)
+
+    def tips(self, states: Array) -> Array:
+        """The tip (m) in each of the states."""
+        result = []
+        for state in states:
+            mujoco.mj_setState(self.model, self._data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+            mujoco.mj_kinematics(self.model, self._data)
+            result.append(self._data.site_xpos[0].copy())
+        return np.array(result)
+
+
+def longest_step(setup: Setup) -> int:
+    """Parts of a control period, the fewest with which random torques move the tip as with many."""
+    actions = _actions(TRIAL, 1, setup.arm.n_joints)
+
+    def tips(parts: int) -> Array:
+        arms = Arms(setup, 1, parts)
+        states = arms.run(actions)
+        return np.full(3, np.nan) if arms.diverged(states) else arms.tips(states[:, 0])
+
+    truth, diverges, stable = tips(FINEST), 1, FINEST
+    while stable - diverges > 1:
+        between = (diverges + stable) // 2
+        if np.abs(tips(between) - truth).max() < SANE:
+            stable = between
+        else:
+            diverges = between
+    return stable
+
+
+def control_periods(setup: Setup, arms: int, periods: int, parts: int) -> Timer:
+    """Control periods of arms that begin at rest, under random torques."""
+    side_by_side, actions = Arms(setup, arms, parts), _actions(periods, arms, setup.arm.n_joints)
+    assert not side_by_side.diverged(side_by_side.run(actions)), "the step is too long"
+    return timer(lambda: side_by_side.run(actions), arms * periods)
+
+
+def _actions(*shape: int) -> Array:
+    return np.random.default_rng(0).uniform(-1.0, 1.0, shape)

@@ -1,0 +1,194 @@
+"""Page of the benchmark: its rows as tables, and sentences about them."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from flexman_gym.verification.markdown import bullets, markdown_table
+from studies.benchmark.environments import OURS, PHYSICS, PPO, REACHER, VECTOR
+from studies.benchmark.evaluations import NOTE
+from studies.benchmark.parts import NOTE as PARTS_NOTE
+from studies.benchmark.rows import ENVIRONMENTS, EVALUATIONS, PARTS, STARTS, Row
+from studies.benchmark.starts import COLD, FIRST, IMPORT, MORE, WARM
+
+PAGE = "benchmark.md"
+ENDURANCE = "## Endurance"  # the last section, which the room endurance writes
+STEPS_NOTE = f"""Steps of 20 ms under random actions drawn beforehand, with the resets of the episodes that end. All
+rows take turns in rounds; CPU time, of all threads together, is the median of them, time by the clock that of the
+quickest, as others on the machine disturb it. Ratios are those of CPU time, where there are two threads of the clock.
+"Physics only" is without observations, rewards and episodes. MuJoCo's arm is that of {OURS} as a chain of rigid
+pieces without modal damping, all arms in one call a control period, at the longest step that is stable;
+[peers.md](peers.md) says how accurate either is. Steps of training are those of `flexman train` from a new policy
+on, in batches of 1024, with one thread for the networks; the share of the arms is that of the environment's `step`."""
+STARTS_NOTE = (
+    "In a new process, one part after the other; without kernels on disk once, with them the median of several."
+)
+HEAD = """# Benchmark
+
+`make benchmark` writes this page anew; the rows are in `benchmark.csv`.
+
+Computed with {machine}.
+"""
+
+# The conclusions. Speeds are in steps a second.
+CORE = "One core makes {single} steps a second of one arm, and {best} of {arms} arms in one environment."
+CORE_BESIDE_PEER = (
+    "One core makes {single} steps a second of one arm, and {best} of {arms} arms in one environment: "
+    "{single_times} and {best_times} times as many as of {peer}."
+)
+GAIN = "{times} with {arms} arms"
+THREADS = (
+    "By the clock two threads are as many times faster as one: {gains}; "
+    "the machine gave them {cores:.1f} cores at most."
+)
+PHYSICS_ALONE = (
+    "Physics alone, {arms} arms: {ours} against {theirs} control periods a second of {peer}, {times} times as many."
+)
+TRAINING = (
+    "PPO with {arms} arms learns from {speed} steps a second of CPU, a million in {minutes} minutes; "
+    "the arms take {share:.0%} of that."
+)
+START = "A new process imports the package in {after} s of CPU and has reset its first environment {first} s later."
+START_COLD = (
+    "A new process imports the package in {after} s of CPU and has reset its first environment {first} s later; "
+    "on a new machine kernels compile first, {cold} s."
+)
+LIMIT = "{name}: {times} times {peer}, {verdict} {most}."
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number with a few digits, and thousands in groups; nothing for None."""
+    if value is None:
+        return ""
+    return f"{value:,.0f}" if abs(value) >= 1e3 else f"{value:.{digits}g}"
+
+
+def _speed(seconds: float) -> str:
+    return number(float(f"{1 / seconds:.3g}"))
+
+
+def _evaluation(row: Row) -> list[str]:
+    return [row.name, number(row.cpu * 1e6), row.peer, number(row.times_peer), number(row.at_most)]
+
+
+def _environment(row: Row) -> list[str]:
+    share = "" if row.share is None else f"{row.share:.0%}"
+    speeds = [_speed(row.cpu), _speed(row.wall), number(row.times_peer), share]
+    return [row.name, number(row.arms), number(row.threads), *speeds]
+
+
+def _part(row: Row) -> list[str]:
+    return [row.name, number(row.arms), number(row.cpu * 1e6), number(row.wall * 1e6)]
+
+
+def _start(row: Row) -> list[str]:
+    return [row.name, number(row.cpu), number(row.wall)]
+
+
+TABLES: dict[str, tuple[str, str, tuple[str, ...], Callable[[Row], list[str]]]] = {
+    ENVIRONMENTS: (
+        "Steps of environments",
+        STEPS_NOTE,
+        ("row", "arms", "threads", "steps a second of CPU", "by the clock", f"times {REACHER}", "share of the arms"),
+        _environment,
+    ),
+    PARTS: (
+        "Where the time of a step goes",
+        PARTS_NOTE,
+        ("part", "arms", "microseconds of CPU", "by the clock"),
+        _part,
+    ),
+    STARTS: ("Starts", STARTS_NOTE, ("row", "CPU, s", "clock, s"), _start),
+    EVALUATIONS: (
+        "Evaluations of the equations of motion",
+        NOTE,
+        ("row", "microseconds of CPU", "compared with", "times", "at most"),
+        _evaluation,
+    ),
+}
+
+
+def _table(name: str, rows: Sequence[Row]) -> list[str]:
+    title, note, heads, cells = TABLES[name]
+    own = [row for row in rows if row.table == name]
+    return [f"## {title}", "", note, "", *markdown_table(heads, map(cells, own)), ""]
+
+
+def conclusions(rows: Sequence[Row]) -> list[str]:
+    """Sentences about what the rows hold."""
+    return [*_of_arms(rows), *_of_physics(rows), *_of_training(rows), *_of_starts(rows), *_of_goals(rows)]
+
+
+def _named(rows: Sequence[Row], name: str) -> list[Row]:
+    return [row for row in rows if row.name == name]
+
+
+def _of_arms(rows: Sequence[Row]) -> list[str]:
+    vectors = _named(rows, VECTOR)
+    alone = [row for row in vectors if row.threads == 1]
+    best, (single,) = min(alone, key=lambda row: row.cpu), _named(rows, OURS)
+    numbers = {"single": _speed(single.cpu), "best": _speed(best.cpu), "arms": number(best.arms)}
+    numbers |= {"single_times": number(single.times_peer), "best_times": number(best.times_peer), "peer": REACHER}
+    core = CORE_BESIDE_PEER if single.times_peer and best.times_peer else CORE
+    pairs = [(one, two) for two in vectors if two.threads != 1 for one in alone if one.arms == two.arms]
+    gains = [GAIN.format(times=number(one.wall / two.wall), arms=number(two.arms)) for one, two in pairs]
+    cores = max(row.cpu / row.wall for row in vectors)
+    return [core.format(**numbers), THREADS.format(gains=", ".join(gains), cores=cores)]
+
+
+def _of_physics(rows: Sequence[Row]) -> list[str]:
+    physics = [row for row in rows if row.name.endswith(PHYSICS)]
+    if len(physics) < 2:
+        return []
+    ours, theirs = physics
+    numbers = {"arms": number(ours.arms), "ours": _speed(ours.cpu), "theirs": _speed(theirs.cpu)}
+    numbers |= {"peer": theirs.name.removesuffix(f", {PHYSICS}"), "times": number(theirs.cpu / ours.cpu)}
+    return [PHYSICS_ALONE.format(**numbers)]
+
+
+def _of_training(rows: Sequence[Row]) -> list[str]:
+    return [
+        TRAINING.format(
+            arms=number(row.arms),
+            speed=_speed(row.cpu),
+            minutes=number(row.cpu * 1e6 / 60, 2),
+            share=row.share or 0.0,
+        )
+        for row in _named(rows, PPO)
+    ]
+
+
+def _of_starts(rows: Sequence[Row]) -> list[str]:
+    cpu = {row.name: row.cpu for row in rows if row.table == STARTS}
+    if not cpu:
+        return []
+    cold = sum(cpu.get(f"{name}, {COLD}", 0.0) for name in (FIRST, MORE))
+    numbers = {"first": number(cpu[f"{FIRST}, {WARM}"], 2), "after": number(cpu[f"{IMPORT}, {WARM}"], 2)}
+    return [(START_COLD if cold else START).format(**numbers, cold=number(cold, 2))]
+
+
+def _of_goals(rows: Sequence[Row]) -> list[str]:
+    result = []
+    for row in rows:
+        if row.times_peer and row.at_most:
+            verdict = "within" if row.times_peer <= row.at_most else "more than"
+            numbers = {"times": number(row.times_peer), "most": number(row.at_most)}
+            result.append(LIMIT.format(name=row.name, peer=row.peer, verdict=verdict, **numbers))
+    return result
+
+
+def publish(rows: Sequence[Row], known: str, folder: Path) -> str:
+    """Writes the page about the rows, computed with `known`, and returns it."""
+    lines = [HEAD.format(machine=known), *bullets(conclusions(rows)), ""]
+    for name in TABLES:
+        lines += _table(name, rows)
+    lines += without_endurance(folder / PAGE)[1]
+    page = "\n".join(lines).rstrip() + "\n"
+    (folder / PAGE).write_text(page, encoding="utf-8")
+    return page
+
+
+def without_endurance(page: Path) -> tuple[list[str], list[str]]:
+    """The lines of a page, if there is one, before the section on endurance, and those of the section."""
+    lines = page.read_text(encoding="utf-8").splitlines() if page.exists() else []
+    first = lines.index(ENDURANCE) if ENDURANCE in lines else len(lines)
+    return lines[:first], lines[first:]

@@ -1,0 +1,26 @@
+"""Training steps: what PPO of agents.training costs, learning included, and which part of it the arms take."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from flexman_gym.envs.vector_env import FlexManVectorEnv
+from studies.benchmark.rows import Cost, Timer
+from studies.watch import Watch
+
+
+def ppo(arms: int, rollouts: int) -> Timer:
+    """Steps of a new policy in so many rollouts; raises ImportError without Stable-Baselines3."""
+    from flexman_agents.algorithm import ALGORITHMS
+    from flexman_agents.settings import HYPERPARAMETERS, Settings
+    from flexman_agents.training import train
+
+    steps = rollouts * arms * HYPERPARAMETERS["ppo"]["n_steps"]
+    settings = Settings(algo="ppo", envs=arms, steps=steps)
+
+    def measure() -> Cost:
+        learning, stepping = Watch(ALGORITHMS["ppo"], "learn"), Watch(FlexManVectorEnv, "step")
+        with TemporaryDirectory() as folder, learning as learn, stepping as step:
+            train(settings, Path(folder) / "run", progress=False)
+        return Cost(learn.cpu / steps, learn.wall / steps, step.cpu / learn.cpu)
+
+    return measure

@@ -1,0 +1,158 @@
+"""Page: what there is to know of a named environment, from docstrings and from the environment itself."""
+
+import inspect
+from collections.abc import Sequence
+
+import gymnasium as gym
+import numpy as np
+
+from flexman_gym.envs.catalog import NAMED
+from flexman_gym.envs.description import CONDITIONS, FILES, NOMINAL
+from flexman_gym.envs.sensors import SETS
+from flexman_gym.model.instant import frequencies
+from flexman_gym.verification.markdown import markdown_table
+from studies.environments.episode import BASES, SEEDS, Run
+
+SECTIONS = ("Description", "Actions", "Observations", "Reward", "Start", "End", "Arguments", "Version history")
+
+
+def page(name: str, runs: dict[str | None, Run]) -> str:
+    """The page of a named environment, in Markdown, with the RMS tip errors of its baselines."""
+    sections = docstring_sections(type(NAMED[name].task))
+    lines = [f"# {name}", "", f"![An episode of {name}]({name}.png)", "", *_head(name), ""]
+    for title in SECTIONS:
+        lines += [f"## {title}", "", *sections[title], ""]
+        lines += {"Description": _arm, "Observations": _observations, "Arguments": _arguments}.get(title, _nothing)(
+            name
+        )
+    lines += ["## Baselines", "", *_baselines(runs), "", "## Conditions", "", *_conditions(name)]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def docstring_sections(task: type) -> dict[str, list[str]]:
+    """The sections of the docstring of a task by title, as lines of Markdown.
+
+    Raises:
+        KeyError: for a docstring without one of the SECTIONS.
+    """
+    lines = inspect.cleandoc(task.__doc__ or "").splitlines()
+    titles = [*SECTIONS, "Attributes:", "Raises:"]
+    starts = {title: lines.index(title) for title in titles if title in lines}
+    result = {}
+    for title in SECTIONS:
+        first = starts[title] + 1
+        last = min((start for start in starts.values() if start >= first), default=len(lines))
+        result[title] = _markdown([line[4:] for line in lines[first:last]])
+    return result
+
+
+def _markdown(lines: Sequence[str]) -> list[str]:
+    """Lines with what is indented, formulas and tables, as blocks of code."""
+    result: list[str] = []
+    inside = False
+    for line in lines:
+        code = line.startswith("    ") or (inside and bool(line) and line.count("  ") > 1)
+        table = line.count("   ") > 1
+        if (code or table) != inside and (line or inside):
+            result += ["```"] if inside else ["", "```"]
+            inside = not inside
+            result += [""] if not inside else []
+        result.append(line)
+    result += ["```"] if inside else []
+    text = "\n".join(result).strip("\n")
+    while "\n\n\n" in text:
+        text = text.replace("\n\n\n", "\n\n")
+    return text.replace("\n\n```\n\n", "\n```\n\n").splitlines()
+
+
+def _head(name: str) -> list[str]:
+    named = NAMED[name]
+    return [
+        "```python",
+        "import gymnasium as gym",
+        "import flexman_gym",
+        "",
+        f'env = gym.make("{name}")',
+        "```",
+        "",
+        f"Task `{type(named.task).__name__}`, {named.control_period:g} s a control period, {named.horizon:g} s an "
+        "episode.",
+    ]
+
+
+def _arm(name: str) -> list[str]:
+    env = gym.make(name).unwrapped
+    arm, model = env.setup.arm, env.simulator.model  # type: ignore[attr-defined]
+    first = frequencies(model, lock_joints=True)[0]
+    step = env.simulator.control_period / env.simulator.substeps  # type: ignore[attr-defined]
+    load = f"{arm.payload.mass:g} kg" if arm.payload else "none"
+    weight = "none" if not any(arm.gravity) else f"{np.linalg.norm(arm.gravity):g} m/s^2"
+    facts = {
+        "links (m)": ", ".join(f"{link.length:g}" for link in arm.links),
+        "mass of the links (kg)": ", ".join(f"{link.mass:.3g}" for link in arm.links),
+        "joint stiffness (N m/rad)": ", ".join(f"{joint.stiffness:g}" for joint in arm.joints),
+        "rotor inertia (kg m^2)": ", ".join(f"{joint.rotor_inertia:g}" for joint in arm.joints),
+        "torque limits (N m)": ", ".join(f"{limit:g}" for limit in env.setup.torque_limit),  # type: ignore[attr-defined]
+        "payload": load,
+        "gravity": weight,
+        "first mode at zero angles, motors held": f"{first:.2f} Hz",
+        "coordinates of the model": f"{model.n_dof}: {model.n_joints} joints, {model.n_motors} motors, "
+        f"{model.n_elastic} elastic",
+        "method": f"`{env.setup.method}`, {1e3 * step:.3g} ms",  # type: ignore[attr-defined]
+    }
+    return ["The arm:", "", *markdown_table(("", ""), facts.items()), ""]
+
+
+def _observations(name: str) -> list[str]:
+    lines = []
+    for kind in ("full", *SETS):
+        sensors = gym.make(name, sensors=kind).unwrapped.sensors  # type: ignore[attr-defined]
+        rows = []
+        for part, place in sensors.slices.items():
+            bound = np.unique(sensors.bound[place].round(12))
+            span = f"{bound[0]:.3g}" if len(bound) == 1 else f"{bound[0]:.3g} to {bound[-1]:.3g}"
+            rows.append((f"`{part}`", f"{place.start}-{place.stop - 1}", sensors.units[part], span))
+        lines += [f'With `sensors="{kind}"`, Box ({len(sensors.bound)},):', ""]
+        lines += [*markdown_table(("slice", "entries", "unit", "largest"), rows), ""]
+    return lines
+
+
+def _arguments(name: str) -> list[str]:
+    task = NAMED[name].task
+    lines = inspect.cleandoc(type(task).__doc__ or "").splitlines()
+    first = lines.index("Attributes:") + 1
+    last = next((i for i, line in enumerate(lines) if i > first and line == "Raises:"), len(lines))
+    kind = type(task).__name__.lower()
+    text = " ".join(line.strip() if line.startswith("        ") else "\n" + line.strip() for line in lines[first:last])
+    given = [f"- `{each.strip().replace(':', '`:', 1)}" for each in text.split("\n") if each.strip()]
+    shown = ", ".join(f'"{key}": {value!r}' for key, value in vars(task).items() if not key.startswith("_"))
+    return [*given, "", f'This environment has `task={{"kind": "{kind}", {shown}}}`.', ""]
+
+
+def _baselines(runs: dict[str | None, Run]) -> list[str]:
+    rows = [(BASES[base], f"{1e3 * each.rms_error:.3g} mm", f"{each.failed:.0%}") for base, each in runs.items()]
+    return [
+        f"{len(SEEDS)} episodes (seeds {SEEDS[0]} to {SEEDS[-1]}), over all of their control periods. The LQR knows "
+        "the arm and its whole state; the PD sees its motors.",
+        "",
+        *markdown_table(("", "RMS tip error", "failed"), rows),
+    ]
+
+
+def _conditions(name: str) -> list[str]:
+    folder = NAMED[name].conditions
+    if not folder:
+        return ["There are none for this arm."]
+    rows = [(f"`{NOMINAL}`", "The environment as it is.")]
+    for each in CONDITIONS[1:]:
+        said = (FILES / folder / f"{each}.yaml").read_text(encoding="utf-8").splitlines()[0]
+        rows.append((f"`{each}`", said.removeprefix("# ")))
+    return [
+        f'`gym.make("{name}", condition="unknown")`, and `{name}/unknown` where a command takes an environment:',
+        "",
+        *markdown_table(("", ""), rows),
+    ]
+
+
+def _nothing(name: str) -> list[str]:
+    return []

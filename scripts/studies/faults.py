@@ -1,0 +1,209 @@
+"""Faults: what a training run survives. It is killed, starved of disk and trained in twice, and must lose little.
+
+Every row is one kind of fault, tried on real processes that run `flexman train`.
+"""
+
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import astuple, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flexman_gym.envs.snapshot import parted
+from flexman_gym.evaluation.folder import NEWEST, SETTINGS, read_data
+from flexman_gym.scene import file
+from flexman_gym.verification.markdown import markdown_table
+
+TRAIN = Path(__file__).parents[1] / "train.py"
+PART = f".{NEWEST}.part"
+ENVIRONMENT = {
+    "id": "FlexOne-v0", "base": "pd", "hold": 5, "sensors": ["full", "fine"], "horizon": 2.0,
+    "randomisation": {"payload_mass": [0.0, 0.1], "delay": [0, 2], "sensor_noise": [0.0, 0.01]},
+}  # fmt: skip
+RECIPES: dict[str, dict[str, Any]] = {
+    "ppo": {"algo": "ppo", "steps": 24_000, "envs": 16, "hyperparameters": {"n_steps": 10, "net_arch": [64, 64]}},
+    "sac": {
+        "algo": "sac", "steps": 6_000, "envs": 16,
+        "hyperparameters": {"learning_starts": 320, "batch_size": 64, "net_arch": [64, 64], "buffer_size": 50_000},
+    },
+}  # fmt: skip
+EVERY = {"ppo": 160, "sac": 64}  # steps between savings, so that much of the time is saving
+HEADS = ("fault", "tried", "survived", "lost")
+PAGE = """# What a run survives
+
+`python scripts/faults.py` writes this page anew. Each fault is tried on processes that train `FlexOne-v0` with
+payloads, delays and noise that differ from episode to episode, and that save every few rollouts.
+
+A run survives a kill when its newest file can be read, and when the run, gone on with after every kill, ends with
+the same bits as one that was never killed: networks, optimiser, normalisation, memory, generators and arms.
+
+{table}
+
+Damaged, foreign and full folders of compiled kernels, and files that try to run code, are in the tests
+(`tests/kernels/test_cached_files.py`, `tests/agents/test_folder.py`).
+"""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A row of the table."""
+
+    fault: str
+    tried: int
+    survived: int
+    lost: str
+
+
+def page(faults: list[Fault]) -> str:
+    """The page as Markdown."""
+    return PAGE.format(table="\n".join(markdown_table(HEADS, map(astuple, faults))))
+
+
+def faults(folder: Path, kills: tuple[int, int]) -> Iterator[Fault]:
+    """Tries all faults in a folder; `kills` are those inside saving and those at any time, of each algorithm."""
+    for algo, recipe in RECIPES.items():
+        path = folder / f"{algo}.yaml"
+        file.write(path, {"environment": ENVIRONMENT, **recipe})
+        whole = folder / f"{algo}-whole"
+        _finish(["--folder", whole], path, algo)
+        yield _killed(f"kill -9 inside saving, {algo}", (path, algo, whole), kills[0], _inside_saving)
+        yield _killed(f"kill -9 at any time, {algo}", (path, algo, whole), kills[1], _any_time)
+    path = folder / "ppo.yaml"
+    yield _interrupted("Ctrl-C before the first saving", path, folder / "early", 0)
+    yield _interrupted("Ctrl-C after the first saving", path, folder / "late", EVERY["ppo"])
+    yield _two_at_once(path, folder / "two")
+
+
+def same(first: Path, second: Path) -> bool:
+    """Whether two runs have the same bits, but for the times of the clock."""
+    result = []
+    for folder in (first, second):
+        data, arrays = read_data(folder / NEWEST), dict[str, np.ndarray]()
+        del data["training"]["environment"]["action_space"]  # of all arms together: nobody draws from it
+        data["training"]["episodes"] = [each[:2] for each in data["training"]["episodes"]]
+        result.append((parted(data, arrays), arrays))
+    (plain, arrays), (other, others) = result
+    alike = arrays.keys() == others.keys() and all(np.array_equal(arrays[name], others[name]) for name in arrays)
+    return plain == other and alike
+
+
+def _start(arguments: list[Any], algo: str) -> subprocess.Popen[str]:
+    command = [sys.executable, TRAIN, *arguments, "--quiet", "--checkpoint-every", EVERY[algo]]
+    return subprocess.Popen([str(word) for word in command], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+
+def _finish(arguments: list[Any], recipe: Path | None, algo: str) -> tuple[int, str]:
+    """Runs to the end; returns the exit status and what was said."""
+    process = _start([recipe, *arguments] if recipe else arguments, algo)
+    _, said = process.communicate()
+    return process.returncode, said
+
+
+def _killed(name: str, run: tuple[Path, str, Path], kills: int, moment: Callable[[Path, random.Random], None]) -> Fault:
+    """Kills a run again and again, goes on with it each time, and compares its end with that of one left alone."""
+    recipe, algo, whole = run
+    folder, chance = whole.with_name(f"{algo}-{moment.__name__}"), random.Random(0)
+    shutil.rmtree(folder, ignore_errors=True)
+    done = survived = before = 0
+    most = 0
+    while done < kills:
+        begun = (folder / SETTINGS).is_file()
+        process = _start(["--resume", "--folder", folder] if begun else [recipe, "--folder", folder], algo)
+        moment(folder, chance)
+        if process.poll() is not None:  # it was finished first: the same again
+            shutil.rmtree(folder)
+            before = 0
+            continue
+        process.kill()
+        process.communicate()
+        done += 1
+        steps = _steps(folder)
+        survived += steps >= before
+        most, before = max(most, steps - before), steps
+    code, said = _finish(["--resume", "--folder", folder], None, algo)
+    equal = code == 0 and same(whole, folder)
+    lost = f"steps since the last saving; the end {'has the same bits' if equal else f'is another: {said}'}"
+    return Fault(name, kills, survived if equal else 0, lost)
+
+
+def _steps(folder: Path) -> int:
+    """Steps of the newest file; -1 where it is broken."""
+    if not (folder / NEWEST).is_file():
+        return 0
+    try:
+        return int(read_data(folder / NEWEST)["training"]["counts"]["num_timesteps"])
+    except ValueError:
+        return -1
+
+
+def _inside_saving(folder: Path, chance: random.Random) -> None:
+    """Waits for a saving, not always the first, and for a part of the time that one takes."""
+    for _ in range(chance.randint(1, 4)):
+        _wait_for(lambda: (folder / PART).exists())
+        last = time.perf_counter()
+        _wait_for(lambda: not (folder / PART).exists(), 0.002)
+    _wait_for(lambda: (folder / PART).exists())
+    time.sleep(chance.uniform(0.0, 0.004) * (time.perf_counter() >= last))
+
+
+def _any_time(folder: Path, chance: random.Random) -> None:
+    _wait_for(lambda: (folder / NEWEST).exists())
+    time.sleep(chance.uniform(2.0, 7.0))
+
+
+def _wait_for(happened: Callable[[], bool], longest: float = 60.0) -> None:
+    end = time.perf_counter() + longest
+    while not happened() and time.perf_counter() < end:
+        pass
+
+
+def _interrupted(name: str, recipe: Path, folder: Path, steps: int) -> Fault:
+    """Presses Ctrl-C once and goes on."""
+    process = _start([recipe, "--folder", folder], "ppo")
+    if steps:
+        _wait_for(lambda: _steps(folder) >= steps)
+    else:
+        _wait_for(lambda: any(folder.glob("events.out.*")))
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate()
+    kept = "all of which are kept" in said and process.returncode == 130
+    _finish(["--resume", "--folder", folder], None, "ppo")
+    whole = folder.with_name("ppo-whole")
+    return Fault(name, 1, int(kept and same(whole, folder)), "nothing; the end has the same bits" if kept else said)
+
+
+def _two_at_once(recipe: Path, folder: Path) -> Fault:
+    """Starts a second training in the folder of one that goes on."""
+    process = _start([recipe, "--folder", folder], "ppo")
+    _wait_for(lambda: (folder / NEWEST).exists())
+    code, said = _finish(["--resume", "--folder", folder], None, "ppo")
+    process.communicate()
+    refused = code == 2 and f"process {process.pid} trains in it" in said
+    fine = refused and process.returncode == 0 and same(folder.with_name("ppo-whole"), folder)
+    return Fault("two trainings in one folder", 1, int(fine), "nothing; the second is refused in one line")
+
+
+def disk_full(folder: Path, small: Path) -> Fault:
+    """Trains on a small file system that a ballast fills, takes the ballast away, and goes on."""
+    run, ballast = small / "run", small / "ballast"
+    process = _start([folder / "ppo.yaml", "--folder", run], "ppo")
+    _wait_for(lambda: _steps(run) > 0)
+    with suppress(OSError), ballast.open("wb") as filled:
+        while True:
+            filled.write(bytes(4096))
+            filled.flush()
+    _, said = process.communicate()
+    full = process.returncode == 2 and "No space left" in said and len(said.strip().splitlines()) == 1
+    steps = _steps(run)
+    ballast.unlink()
+    code, more = _finish(["--resume", "--folder", run], None, "ppo")
+    fine = full and steps > 0 and code == 0 and same(folder / "ppo-whole", run)
+    return Fault("disk full", 1, int(fine), "steps since the last saving; one line" if fine else said + more)

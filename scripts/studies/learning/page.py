@@ -1,0 +1,177 @@
+"""Learning, page: what the recipes reach, on what they lean, and what each of their means contributes."""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from statistics import median
+
+from flexman_gym.evaluation.seeds import SELECTION, TEST, TRAINING
+from flexman_gym.verification.markdown import bullets, markdown_table
+from studies.learning.cases import ABLATED, ABLATION_SEEDS, ABLATIONS, SEEDS
+from studies.learning.measure import AS_TRAINED, FINER, FINER_ELEMENTS, FINER_STEPS, LONG, LONGER, Row
+
+PAGE = """# What the recipes reach
+
+`python scripts/learning.py` trains the recipes of `agents/recipes`, one run after the other.
+It writes this page and its rows ([learning.csv](learning.csv)) anew.
+A run that is in `runs/learning` already is only judged again.
+
+Computed with {machine}. CPU times are those of one core, with learning, environment and judging.
+
+Every figure is that of {count} test episodes, seeds {test}. No choice was made on them.
+A run that is judged on the way keeps its best policy on the episodes {selection}; settings were chosen there too.
+Arms train on seeds from {training} on.
+A tip has settled when it stays within 0.235 % of the reach of its target for at least the last second.
+That is 20 mm for `FlexRRR-v0`. The columns are:
+
+{columns}
+
+## Which to take
+
+{advice}
+
+## Recipes
+
+{recipes}
+
+## Controllers that learn nothing
+
+They know the model; the linear-quadratic regulators also know its true state.
+
+{controllers}
+
+## Do they lean on the simulator?
+
+The same policies on a finer model: {elements} elements a link with all their coordinates, foreshortening, and
+{steps} steps where the default takes one. And on the default model in episodes of {long:g} s.
+The cells are settled, time (s), vibration (mm) and error (mm).
+
+{leaning}
+
+## What each means contributes
+
+The recipe `{ablated}` without one of its means, {ablation_seeds} seeds each.
+A cell has the middle of the seeds, and the worst in brackets.
+A means without which the figures are as good is not needed beside the others.
+
+{ablations}
+"""
+COLUMNS = {
+    "settled": "the share of episodes that settle",
+    "time": "the median time after which they do, unsettled ones counted as infinite, and its bootstrap interval",
+    "vibration": "the median of the tip's motion in the last 3 s, from peak to peak along the worst axis",
+    "error": "the median of the tip's distance from its target in the last second",
+    "effort": "the mean square of what the motors were asked for, parts of their limits",
+    "roughness": "the root mean square of the change of that from period to period; - where it was not taken",
+    "failed": "the share of episodes that end at a limit",
+}
+ADVICE = """- `ppo_on_pd_minute` to see that it works, and to try changes of task, arm or reward.
+- `ppo_on_pd` where vibration and error count most: it leaves the least of both.
+- `sac_on_pd` where time counts most: it settles soonest, before the tracking LQR that knows model and true state.
+  It costs four times as much to train.
+- `ppo_alone` where no controller is there to add to. It is nearly as quick as SAC, but leaves 2 mm of vibration.
+- `planar_ppo_on_pd` under gravity: the PD controller holds the weight."""
+
+
+def page(rows: Sequence[Row], machine: str) -> str:
+    """The page as Markdown, from all rows."""
+    return PAGE.format(
+        machine=machine,
+        count=len(TEST),
+        test=f"{TEST.start} to {TEST.stop - 1}",
+        selection=f"{SELECTION.start} to {SELECTION.stop - 1}",
+        training=TRAINING,
+        columns="\n".join(bullets(f"{name}: {meaning}" for name, meaning in COLUMNS.items())),
+        advice=ADVICE,
+        recipes="\n".join(_recipes(rows)),
+        controllers="\n".join(_controllers(rows)),
+        elements=FINER_ELEMENTS,
+        steps=FINER_STEPS,
+        long=LONG,
+        leaning="\n".join(_leaning(rows)),
+        ablated=ABLATED,
+        ablation_seeds=ABLATION_SEEDS,
+        ablations="\n".join(_ablations(rows)),
+    )
+
+
+def _of(rows: Iterable[Row], kind: str, name: str, where: str = AS_TRAINED) -> list[Row]:
+    return [row for row in rows if (row.kind, row.name, row.where) == (kind, name, where)]
+
+
+def _recipes(rows: Sequence[Row]) -> list[str]:
+    heads = ("recipe", "seed", "actions", "CPU, s", "actions a second", "in the environment", *FIGURES)
+    result = [row for name in SEEDS for row in _of(rows, "recipe", name)]
+    return markdown_table(heads, ((row.name, f"{row.seed:.0f}", *_cost(row), *_figures(row)) for row in result))
+
+
+def _cost(row: Row) -> tuple[str, ...]:
+    return f"{row.steps:,.0f}", f"{row.cpu:.0f}", f"{row.rate:,.0f}", f"{row.share:.0%}"
+
+
+FIGURES = ("settled", "time, s", "vibration, mm", "error, mm", "reward", "effort", "roughness", "failed")
+
+
+def _figures(row: Row) -> tuple[str, ...]:
+    return (
+        f"{row.settled:.0%}",
+        f"{_number(row.time)} ({_number(row.time_low)} to {_number(row.time_high)})",
+        _number(1e3 * row.vibration),
+        _number(1e3 * row.error),
+        f"{row.reward:.0f}",
+        f"{row.effort:.3f}",
+        "-" if row.roughness is None else f"{row.roughness:.3f}",
+        f"{row.failed:.0%}",
+    )
+
+
+def _controllers(rows: Sequence[Row]) -> list[str]:
+    result = [row for row in rows if row.kind == "controller" and row.where == AS_TRAINED]
+    return markdown_table(("controller", *FIGURES), ((row.name, *_figures(row)) for row in result))
+
+
+def _leaning(rows: Sequence[Row]) -> list[str]:
+    cells: dict[tuple[str, str], dict[str, str]] = {}
+    for row in rows:
+        if row.kind != "ablation":
+            seed = "" if row.seed is None else f"{row.seed:.0f}"
+            cells.setdefault((row.name, seed), {})[row.where] = _short(row)
+    places = (AS_TRAINED, FINER, LONGER)
+    lines = ((*key, *(result.get(where, "") for where in places)) for key, result in cells.items())
+    return markdown_table(("policy", "seed", *places), lines)
+
+
+def _short(row: Row) -> str:
+    return f"{row.settled:.0%} · {_number(row.time)} · {_number(1e3 * row.vibration)} · {_number(1e3 * row.error)}"
+
+
+def _ablations(rows: Sequence[Row]) -> list[str]:
+    lines = []
+    if whole := _of(rows, "recipe", ABLATED)[:ABLATION_SEEDS]:
+        lines.append(_line("nothing", "the recipe as it is", whole))
+    for name, without in ABLATIONS.items():
+        if result := _of(rows, "ablation", name):
+            lines.append(_line(without.means, without.instead, result))
+    heads = ("without", "instead", "actions", "CPU, s", "settled, %", "time, s", "vibration, mm", "error, mm")
+    return markdown_table(heads, lines)
+
+
+def _line(means: str, instead: str, result: Sequence[Row]) -> tuple[str, ...]:
+    cells = [_spread(result, value, worst) for value, worst in SPREADS]
+    return means, instead, f"{result[0].steps:,.0f}", f"{median(row.cpu or 0.0 for row in result):.0f}", *cells
+
+
+SPREADS: tuple[tuple[Callable[[Row], float], Callable[[Iterable[float]], float]], ...] = (
+    (lambda row: 100.0 * row.settled, min),
+    (lambda row: row.time, max),
+    (lambda row: 1e3 * row.vibration, max),
+    (lambda row: 1e3 * row.error, max),
+)
+
+
+def _spread(rows: Sequence[Row], value: Callable[[Row], float], worst: Callable[[Iterable[float]], float]) -> str:
+    values = [value(row) for row in rows]
+    return f"{_number(median(values))} ({_number(worst(values))})"
+
+
+def _number(value: float) -> str:
+    return f"{value:.3g}" if math.isfinite(value) else "-"

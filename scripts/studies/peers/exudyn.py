@@ -1,0 +1,187 @@
+"""Exudyn's version of an arm: a floating frame of reference for every flexible link, the paper's class of model.
+
+A link is an `ObjectFFRFreducedOrder`, whose "mesh" is the mass points of our beam elements and whose modes are the
+shapes of their node coordinates, so that mass, rotary inertia and stiffness are ours. Its frame sits in its joint. Four
+more points without mass on the section at the tip are the mesh nodes of a `MarkerSuperElementRigid`, which gives the
+tip's rotation by the exponential map. Euler parameters are the rotations: with Tait-Bryan angles (`NodeRigidBodyRxyz`)
+the same model converges to another motion, 9 mm away after half a second.
+
+A motor is a scalar inertia before a spring (the paper's Eq. 23), which needs the joint's angle as a coordinate.
+Exudyn measures one between rigid bodies only (`MarkerBodiesRelativeRotationCoordinate`), hence a body without mass at
+every tip, and one that shares its node with the frame of the link behind. It all runs compiled, without user functions.
+
+Where links bend out of one plane the converged tip is a few millimetres from ours, since the marker's angular velocity
+is not exactly the rate of its rotation; in a plane both agree.
+"""
+
+import io
+import sys
+import time
+from contextlib import redirect_stdout, suppress
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+import flexman_gym as fm
+from flexman_gym.arrays import Array, Vector
+from flexman_gym.model.beam import Beam, build_beam
+from flexman_gym.model.element import section_points
+from studies.peers.runs import PeerRun, Timer, output_count, row
+from studies.precision.measure import Row, Study, Truth
+
+sys.exudynFast = True  # type: ignore[attr-defined]  # the build without range checks, which a first import chooses
+with redirect_stdout(io.StringIO()):
+    exudyn: Any = import_module("exudyn")
+    items: Any = import_module("exudyn.itemInterface")
+    fem: Any = import_module("exudyn.FEM")
+
+ELEMENTS = 2
+MODEL = "Exudyn, floating frame"
+QUICK, DEFAULT = "quickest settings", "default settings"
+STEPS = {QUICK: (5e-3, 2.5e-3, 2e-3, 1e-3, 5e-4), DEFAULT: (2.5e-3, 2e-3, 1e-3)}
+FINE, STRICT = 1e-4, 1e-8  # s and relative tolerance of Newton's method, of a converged run
+LOOSE = 1e-3  # such a tolerance that changes the tip by less than the step does; 1e-2 does not
+
+
+class System:
+    """A `MainSystem` of an arm at rest at zero angles, with a sensor of its tip; `torque` (n,) N m on its motors."""
+
+    def __init__(self, arm: fm.Arm, torque: Vector, elements: int = ELEMENTS) -> None:
+        if arm.payload is not None or any(joint.stiffness is None for joint in arm.joints):
+            raise ValueError("arm: this model has no payload, and springs in all joints")
+        self.container = exudyn.SystemContainer()
+        self.main = self.container.AddSystem()
+        carrier = self.main.AddObject(items.ObjectGround())
+        place, tip = np.zeros(3), 0
+        for i, (link, joint) in enumerate(zip(arm.links, arm.joints, strict=True)):
+            if i:
+                carrier = self._tip_body(place, tip)
+            frame, tip = self._link(link, build_beam(link, elements), place, arm.gravity)
+            self._joint(joint, carrier, frame, torque[i])
+            place = place + np.array(link.orientation)[:, 0] * link.length
+        kind = exudyn.OutputVariableType.Position
+        sensor = items.SensorMarker(markerNumber=tip, outputVariableType=kind, storeInternal=True, writeToFile=False)
+        self.sensor = self.main.AddSensor(sensor)
+        self.main.Assemble()
+
+    def tip(self) -> Array:
+        """(T, 3) m, the tip at the output times of the last run, those that it reached."""
+        return np.asarray(self.main.GetSensorStoredData(self.sensor))[:, 1:]
+
+    def _link(self, link: Any, beam: Beam, place: Array, gravity: Vector) -> tuple[int, int]:
+        """Adds a link; returns the numbers of a rigid body in its frame and of the marker of its tip."""
+        turn, (masses, positions, shapes) = np.array(link.orientation), _mesh(link, beam)
+        mesh, count = fem.FEMinterface(), 3 * len(masses)
+        mesh.nodes = {"Position": positions @ turn.T}
+        mesh.massMatrix = csr_matrix(np.diag(np.repeat(masses, 3)))
+        mesh.stiffnessMatrix = csr_matrix((count, count))
+        mesh.modeBasis = {"matrix": (turn @ shapes).reshape(count, -1), "type": "NormalModes"}
+        terms = fem.ObjectFFRFreducedOrderInterface(mesh, rigidBodyNodeType=exudyn.NodeType.RotationEulerParameters)
+        terms.stiffnessMatrixReduced = beam.stiffness
+        result = terms.AddObjectFFRFreducedOrder(
+            self.main, positionRef=list(place), rotationMatrixRef=np.eye(3), gravity=list(gravity)
+        )
+        frame = items.ObjectRigidBody(mass=0.0, inertia=[0.0] * 6, nodeNumber=result["nRigidBody"])
+        end = range(len(masses) - 4, len(masses))
+        marker = items.MarkerSuperElementRigid(
+            bodyNumber=result["oFFRFreducedOrder"], meshNodeNumbers=list(end), weightingFactors=[0.25] * 4
+        )
+        return self.main.AddObject(frame), self.main.AddMarker(marker)
+
+    def _tip_body(self, place: Array, tip: int) -> int:
+        """Adds a rigid body without mass that is fixed to the marker of a tip."""
+        node = self.main.AddNode(items.NodeRigidBodyEP(referenceCoordinates=[*place, 1.0, 0.0, 0.0, 0.0]))
+        body = self.main.AddObject(items.ObjectRigidBody(mass=0.0, inertia=[0.0] * 6, nodeNumber=node))
+        marker = self.main.AddMarker(items.MarkerBodyRigid(bodyNumber=body))
+        self.main.AddObject(items.ObjectJointGeneric(markerNumbers=[tip, marker]))
+        return int(body)
+
+    def _joint(self, joint: fm.Joint, before: int, behind: int, torque: float) -> None:
+        """Adds a revolute joint between two rigid bodies, and a motor that turns it through a spring and a damper."""
+        axis = exudyn.HT(rotation=_along(np.array(joint.axis)), translation=[0.0] * 3)
+        ends = [self.main.AddMarker(items.MarkerBodyRigid(bodyNumber=body, localHT=axis)) for body in (before, behind)]
+        self.main.AddObject(items.ObjectJointRevoluteZ(markerNumbers=ends))
+        rotor = self.main.AddNode(items.Node1D())
+        self.main.AddObject(items.ObjectMass1D(mass=joint.rotor_inertia, nodeNumber=rotor))
+        motor = self.main.AddMarker(items.MarkerNodeCoordinate(nodeNumber=rotor, coordinate=0))
+        self.main.AddLoad(items.LoadCoordinate(markerNumber=motor, load=torque))
+        turns = self.main.AddNode(items.NodeGenericData(numberOfDataCoordinates=1, initialCoordinates=[0.0]))
+        angle = self.main.AddMarker(
+            items.MarkerBodiesRelativeRotationCoordinate(
+                bodyNumbers=[before, behind], nodeNumber=turns, axis0=list(joint.axis)
+            )
+        )
+        spring = {"stiffness": joint.stiffness, "damping": joint.damping}
+        self.main.AddObject(items.ObjectConnectorCoordinateSpringDamper(markerNumbers=[motor, angle], **spring))
+
+
+def _mesh(link: Any, beam: Beam) -> tuple[Array, Array, Array]:
+    """Masses (p,) kg, places (p, 3) m and shapes (p, 3, k) of the mass points of a beam and of four at its tip."""
+    arms = np.column_stack([np.zeros(4), section_points(link.sections[-1])])
+    turned = np.cross(beam.tip_rotation[None], arms[:, :, None], axis=1)
+    return (
+        np.concatenate([beam.masses, np.zeros(4)]),
+        np.vstack([beam.positions, arms + np.array([link.length, 0.0, 0.0])]),
+        np.concatenate([beam.shapes, beam.tip_translation + turned]),
+    )
+
+
+def _along(axis: Array) -> Array:
+    """A rotation whose z axis is the given unit vector."""
+    across = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
+    across /= np.linalg.norm(across)
+    return np.column_stack([across, np.cross(axis, across), axis])
+
+
+def settings(scene: fm.Scene, step: float, method: str, tolerance: float = LOOSE) -> Any:
+    """`SimulationSettings` of a run at a fixed step (s) that writes no file.
+
+    By default Exudyn takes the generalised-alpha method with a spectral radius of 0.9, modified Newton's method with a
+    tolerance of 1e-8 and its own dense solver. What is quickest here, of the tolerances 1e-2 to 1e-8, the solvers, full
+    Newton's method and other contractivities: the same with a tolerance of 1e-3 and Eigen's dense solver. The
+    trapezoidal rule costs as much, and with constraints of index 2 the bodies at the tips drift off them.
+    """
+    result = exudyn.SimulationSettings()
+    rows, substeps = output_count(scene, step)
+    result.timeIntegration.endTime, result.timeIntegration.numberOfSteps = scene.duration, rows * substeps
+    result.timeIntegration.verboseMode, result.timeIntegration.adaptiveStep = 0, False
+    result.solution.file.write, result.solution.sensors.writePeriod = False, scene.output_step
+    if method != DEFAULT:
+        result.timeIntegration.newton.relativeTolerance = tolerance
+        result.linearSolver.solverType = exudyn.LinearSolverType.EigenDense
+    return result
+
+
+def run(scene: fm.Scene, step: float, method: str = QUICK, tolerance: float = LOOSE) -> PeerRun:
+    """Runs a scene of constant torques from rest at zero angles; the step (s) divides its output step."""
+    system = System(scene.arm, scene.torque.value)  # type: ignore[union-attr]
+    chosen = settings(scene, step, method, tolerance)
+    tip = np.full((output_count(scene, step)[0] + 1, 3), np.nan)
+    exudyn.config.printToConsole = False
+    started = time.process_time(), time.perf_counter()
+    with suppress(exudyn.SolverError):  # what is missing of the tip says so
+        system.main.SolveDynamic(chosen)
+    spent = time.process_time() - started[0], time.perf_counter() - started[1]
+    known = system.tip()[: len(tip)]
+    tip[: len(known)] = known
+    costs = [seconds / max(len(known) - 1, 1) / scene.output_step for seconds in spent]
+    iterations = system.main.sys["dynamicSolver"].it.newtonStepsCount / scene.duration
+    return PeerRun(MODEL, method, step, tip, costs[0], costs[1], iterations)
+
+
+def converged(scene: fm.Scene) -> Truth:
+    """Exudyn's own solution at a short step; its error is that of a step 2.5 times as long."""
+    fine, coarse = (run(scene, step, QUICK, STRICT) for step in (FINE, 2.5 * FINE))
+    return Truth(fine.tip, fine.distance(coarse.tip), f"{MODEL}, {1e3 * FINE:g} ms")
+
+
+def runs(study: Study) -> list[Timer]:
+    """Its quickest and its default settings at several steps, with errors from its own converged run."""
+    solution = converged(study.scene)
+
+    def timed(method: str, step: float) -> Row:
+        return row(study, run(study.scene, step, method), solution)
+
+    return [lambda a=(method, step): timed(*a) for method, steps in STEPS.items() for step in steps]  # type: ignore[misc]

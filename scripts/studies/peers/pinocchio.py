@@ -1,0 +1,67 @@
+"""Pinocchio's version of an arm: rigid links and joints, its compiled `aba` called by a Runge-Kutta loop in Python."""
+
+import importlib
+import time
+from typing import Any
+
+import numpy as np
+
+import flexman_gym as fm
+from flexman_gym.arrays import Array
+from studies.peers.runs import PeerRun, Timer, output_count, row
+from studies.precision.measure import Study
+
+pin: Any = importlib.import_module("pinocchio")  # which has no types
+STEP = 1e-3
+
+
+def rigid_model(arm: fm.Arm) -> Any:
+    """The `pinocchio.Model` of an arm of uniform links whose rotors turn the links directly, without a payload."""
+    if arm.payload is not None:
+        raise ValueError("arm.payload: this model has none")
+    model, place, parent = pin.Model(), pin.SE3.Identity(), 0
+    for (link,), joint in zip((each.sections for each in arm.links), arm.joints, strict=True):  # uniform links
+        parent = model.addJoint(parent, pin.JointModelRevoluteUnaligned(*joint.axis), place, f"joint {parent + 1}")
+        y, z, slender = link.second_moment_y, link.second_moment_z, link.area * link.length**2 / 12
+        inertia = link.density * link.length * np.diag([y + z, y + slender, z + slender])
+        body, turn = pin.Inertia(link.mass, np.array([link.length / 2, 0.0, 0.0]), inertia), np.array(link.orientation)
+        model.appendBodyToJoint(parent, body, pin.SE3(turn, np.zeros(3)))
+        place = pin.SE3(np.eye(3), turn[:, 0] * link.length)
+    model.addFrame(pin.Frame("tip", parent, 0, place, pin.FrameType.OP_FRAME))
+    model.armature, model.gravity.linear = np.array([j.rotor_inertia for j in arm.joints]), np.array(arm.gravity)
+    return model
+
+
+def run(scene: fm.Scene, step: float) -> PeerRun:
+    """Runs a scene of constant torques from rest at zero angles; the step (s) divides its output step."""
+    model = rigid_model(scene.arm)
+    data, torque = model.createData(), np.array(scene.torque.value)  # type: ignore[union-attr]
+    angles = rates = np.zeros(model.nv)
+    rows, substeps = output_count(scene, step)
+    tip = np.zeros((rows + 1, 3))
+    started = time.process_time(), time.perf_counter()
+    for i in range(rows + 1):
+        pin.framesForwardKinematics(model, data, angles)
+        tip[i] = data.oMf[-1].translation
+        for _ in range(substeps if i < rows else 0):
+            angles, rates = _runge_kutta(model, data, (angles, rates), torque, step)
+    costs = (time.process_time() - started[0]) / scene.duration, (time.perf_counter() - started[1]) / scene.duration
+    return PeerRun("Pinocchio, rigid", "RK4", step, tip, *costs, 4 / step)
+
+
+def _runge_kutta(model: Any, data: Any, state: tuple[Array, Array], torque: Array, step: float) -> tuple[Array, Array]:
+    """One classical Runge-Kutta step of angles and rates."""
+    q, v = state
+    a = pin.aba(model, data, q, v, torque)
+    v2 = v + step / 2 * a
+    b = pin.aba(model, data, q + step / 2 * v, v2, torque)
+    v3 = v + step / 2 * b
+    c = pin.aba(model, data, q + step / 2 * v2, v3, torque)
+    v4 = v + step * c
+    d = pin.aba(model, data, q + step * v3, v4, torque)
+    return q + step / 6 * (v + 2 * v2 + 2 * v3 + v4), v + step / 6 * (a + 2 * b + 2 * c + d)
+
+
+def runs(study: Study) -> list[Timer]:
+    """The rigid arm in the scene of a study."""
+    return [lambda: row(study, run(study.scene, STEP))]

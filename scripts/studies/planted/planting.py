@@ -1,0 +1,124 @@
+"""Planting: a copy of the checkout in which one change at a time is made and the tests are run."""
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from studies.planted.change import Change
+
+CAUGHT, SURVIVED, EQUIVALENT = "caught", "survived", "equivalent"
+LONGEST = 900  # s, for the tests of one change; what hangs is noticed too
+# in the copy: an example that fails is enough, a small one takes minutes more
+SETTINGS = """from hypothesis import Phase, settings
+
+settings.register_profile("planted", phases=[Phase.explicit, Phase.generate])
+settings.load_profile("planted")
+"""
+FAILED, NOTHING_FAILED, INTERRUPTED = 1, 0, 2  # exit statuses of pytest
+
+
+@dataclass(frozen=True)
+class Planted:
+    """What became of a change: a row of the table.
+
+    Attributes:
+        room, error, file: as of the change.
+        outcome: "caught", "survived" or "equivalent".
+        by: the first test that failed, or the reason of an equivalent change.
+        seconds: that the tests ran.
+    """
+
+    room: str
+    error: str
+    file: str
+    outcome: str
+    by: str
+    seconds: float
+
+
+class Copy:
+    """A copy of a checkout in a folder.
+
+    Attributes:
+        root: the folder.
+    """
+
+    def __init__(self, checkout: Path, root: Path) -> None:
+        self.root = root
+        command = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"]
+        listed = subprocess.run(command, cwd=checkout, capture_output=True, text=True, check=True)
+        for name in filter(None, listed.stdout.split("\0")):
+            path = checkout / name
+            if path.is_file() and not path.is_symlink():  # neither deleted files nor links to folders
+                (root / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(path, root / name)
+        names = root / "build" / "names"
+        names.mkdir(parents=True)
+        (names / "flexman_agents").symlink_to("../../agents")
+        (root / "conftest.py").write_text(SETTINGS, encoding="utf-8")
+        self._green: set[str] = set()  # tests that pass without an error
+
+    def plant(self, change: Change) -> Planted:
+        """Makes a change, runs its tests until one fails, and takes the change back.
+
+        Raises:
+            RuntimeError: where the test that fails does so without the change too, or there is no such test.
+        """
+        path = self.root / change.file
+        whole = path.read_text(encoding="utf-8")
+        path.write_text(change.applied(self.root), encoding="utf-8")
+        started = time.perf_counter()
+        try:
+            failed = self.failing(change.tests, own_kernels="/kernels/" in change.file)
+        finally:
+            path.write_text(whole, encoding="utf-8")
+        self._check_green(failed, change.tests)
+        outcome = CAUGHT if failed else EQUIVALENT if change.equivalent else SURVIVED
+        by = failed.removeprefix("tests/") or change.equivalent
+        return Planted(change.room, change.error, change.file, outcome, by, time.perf_counter() - started)
+
+    def _check_green(self, failed: str, tests: Iterable[str]) -> None:
+        """Believes a test that has failed only if it passes without an error."""
+        named = [failed] if failed.partition("::")[0].endswith(".py") else [*tests] if failed else []
+        for test in named:
+            if test not in self._green and (still := self.failing([test])):
+                raise RuntimeError(f"{still} fails without an error too")
+            self._green.add(test)
+
+    def failing(self, tests: Iterable[str], own_kernels: bool = False) -> str:
+        """Gives the first of the tests that fails, "" where none does.
+
+        Args:
+            tests: files or tests, paths from the root.
+            own_kernels: whether compiled kernels go to a folder that is thrown away.
+
+        Raises:
+            RuntimeError: where there is no such test.
+        """
+        command = [sys.executable, "-B", "-m", "pytest", "-q", "-x", "--tb=no", "-p", "no:cacheprovider", *tests]
+        names = str(self.root), str(self.root / "build" / "names")
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(names), "PYTHONDONTWRITEBYTECODE": "1"}
+        kernels = self.root / "build" / "kernels"
+        if own_kernels:
+            environment["NUMBA_CACHE_DIR"] = str(kernels)
+        try:
+            done = subprocess.run(
+                command, cwd=self.root, env=environment, capture_output=True, text=True, timeout=LONGEST
+            )
+        except subprocess.TimeoutExpired:
+            return f"no end after {LONGEST} s"
+        finally:
+            shutil.rmtree(kernels, ignore_errors=True)
+        if done.returncode == NOTHING_FAILED:
+            return ""
+        for line in done.stdout.splitlines():
+            if line.startswith(("FAILED ", "ERROR ")):
+                return line.split(" - ")[0].split(" ", 1)[1]
+        if done.returncode not in (FAILED, INTERRUPTED) and done.returncode > 0:
+            raise RuntimeError(f"pytest says: {' '.join((done.stdout + done.stderr).split())[-300:]}")
+        return f"the tests end with the status {done.returncode}"
