@@ -7,8 +7,9 @@ CODE := flexman_gym agents scripts
 demo: .venv/installed
 	.venv/bin/flexman demo
 
+# Two processes, each of which needs a core: kernels of both come from one cache.
 test: lint
-	$(RUN) pytest
+	$(RUN) pytest -n 2
 
 verify: .venv/installed
 	.venv/bin/flexman verify --markdown docs/verification.md

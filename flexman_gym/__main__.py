@@ -26,11 +26,13 @@ def main(arguments: list[str] | None = None) -> int:
         command = importlib.import_module(f"flexman_gym.commands.{given[0]}")
         command.arguments(runs)
         return int(command.run(parser.parse_args(given, argparse.Namespace(parser=runs))))
-    except ModuleNotFoundError as error:
-        if (error.name or "").split(".")[0] == "flexman_gym":
+    except ImportError as error:
+        said = (
+            str(error) if error.name != "matplotlib" else "pictures need Matplotlib: pip install 'flexman_gym[render]'"
+        )
+        if "pip install" not in said:  # which rooms say that need more than is installed
             raise
-        extra = "render" if error.name in ("matplotlib", "moviepy") else "train"
-        print(f"flexman {given[0]} needs {error.name}: pip install 'flexman_gym[{extra}]'", file=sys.stderr)
+        print(said, file=sys.stderr)
         return 2
 
 

@@ -2,6 +2,8 @@
 
 import argparse
 from collections.abc import Iterable, Mapping
+from itertools import takewhile
+from pathlib import Path
 
 WHAT = ("environments", "conditions", "controllers", "sensors", "methods", "arms", "recipes")
 
@@ -27,7 +29,6 @@ def run(options: argparse.Namespace) -> int:
 
 def named(what: str) -> Iterable[tuple[str, str]]:
     """Names of a kind, each with a few words."""
-    from flexman_agents.recipes import FOLDER, NAMES
     from flexman_gym.control.bases import BASES
     from flexman_gym.envs.catalog import NAMED
     from flexman_gym.envs.description import ARMS, CONDITIONS, FILES
@@ -39,8 +40,8 @@ def named(what: str) -> Iterable[tuple[str, str]]:
         for id, each in NAMED.items():
             yield id, f"{type(each.task).__name__.lower()}, {each.control_period:g} s a period, {each.horizon:g} s"
     elif what == "conditions":
-        first = {path.stem: path.read_text(encoding="utf-8") for path in sorted(FILES.glob("*/*.yaml"))}
-        yield from ((name, first[name].splitlines()[0].lstrip("# ") if name in first else "") for name in CONDITIONS)
+        words = {path.stem: opening(path) for path in sorted(FILES.glob("*/*.yaml"))}
+        yield from ((name, words.get(name, "Nothing is changed.")) for name in CONDITIONS)
     elif what == "controllers":
         yield from ((name, f"knows {', '.join(base.knows) or 'its motors'}") for name, base in BASES.items())
     elif what == "sensors":
@@ -51,4 +52,15 @@ def named(what: str) -> Iterable[tuple[str, str]]:
     elif what == "arms":
         yield from ((name, (getattr(catalog, name).__doc__ or "").splitlines()[0]) for name in ARMS)
     else:
-        yield from ((name, (FOLDER / f"{name}.yaml").read_text().splitlines()[0].lstrip("# ")) for name in NAMES)
+        try:
+            from flexman_agents.recipes import FOLDER, NAMES
+        except ImportError as error:
+            yield "none:", str(error)
+            return
+        yield from ((name, opening(FOLDER / f"{name}.yaml")) for name in NAMES)
+
+
+def opening(path: Path) -> str:
+    """The first sentence of the comment that a file opens with."""
+    lines = takewhile(lambda line: line.startswith("#"), path.read_text(encoding="utf-8").splitlines())
+    return " ".join(line.lstrip("# ") for line in lines).split(". ")[0].rstrip(".") + "."

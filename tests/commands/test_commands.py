@@ -1,0 +1,118 @@
+"""Commands: each does what its help says, in few lines, and says what is wrong in one."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import flexman_gym as fm
+from flexman_gym.__main__ import about, main
+from flexman_gym.commands.list import WHAT
+from flexman_gym.control import BASES
+from flexman_gym.envs import NAMED
+from flexman_gym.envs.description import CONDITIONS
+from flexman_gym.envs.sensors import NAMES
+
+from oracles.files import REFERENCE, ROOT
+
+COMMANDS = sorted(path.stem for path in (ROOT / "flexman_gym" / "commands").glob("[a-z]*.py"))
+SCENE = str(REFERENCE / "pendulum_1.json")
+SCREEN = 40  # lines
+# The reference scenes hold the section of `one_link`, which no section can have.
+pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")
+
+
+def test_help_names_every_command_and_fits_a_screen(capsys):
+    for given in [["--help"], *([name, "--help"] for name in COMMANDS if name != "demo")]:
+        with pytest.raises(SystemExit) as stop:
+            main(given)
+        said = capsys.readouterr().out
+        assert stop.value.code == 0 and len(said.splitlines()) <= SCREEN, given
+        if given == ["--help"]:
+            assert all(f"    {name} " in said or f"    {name}\n" in said for name in COMMANDS)
+    assert all(about(name).endswith(".") for name in COMMANDS)
+
+
+def test_list_has_all_that_has_a_name(capsys):
+    pytest.importorskip("stable_baselines3")
+    names = {"environments": NAMED, "conditions": CONDITIONS, "controllers": BASES, "sensors": NAMES,
+             "methods": fm.METHODS}  # fmt: skip
+    assert main(["list"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.rstrip(":") for line in lines if not line.startswith(" ")] == list(WHAT)
+    for what, known in names.items():
+        assert main(["list", what]) == 0
+        said = capsys.readouterr().out.splitlines()
+        assert said[0] == f"{what}:" and [line.split()[0] for line in said[1:]] == list(known)
+        assert all(line in lines for line in said)
+
+
+def test_simulate_keeps_the_motion_as_a_table(tmp_path, capsys):
+    out = tmp_path / "motion.csv"
+    assert main(["simulate", SCENE, "--method", "dop853", "--rtol", "1e-8", "--out", str(out)]) == 0
+    expected = fm.simulate(fm.Scene.load(SCENE), method="dop853", rtol=1e-8)
+    with out.open() as file:
+        heads = file.readline().strip().split(",")
+        rows = np.loadtxt(file, delimiter=",")
+    assert heads == ["time", "tip_1", "tip_2", "tip_3", "joint_angle_1", "motor_angle_1", "energy"]
+    assert rows[:, 0] == pytest.approx(expected.time) and rows[:, 1:4] == pytest.approx(expected.tip, abs=1e-11)
+    assert rows[:, -1] == pytest.approx(expected.energy, rel=1e-10, abs=1e-10)
+    said = capsys.readouterr().out
+    assert said.startswith(f"status: ok, to {expected.time[-1]:g} s") and "off by at most" in said
+
+
+def test_a_simulation_that_diverges_ends_with_1(capsys):
+    assert main(["simulate", str(REFERENCE / "paper_ff.json"), "--method", "rk4", "--step", "0.02"]) == 1
+    assert capsys.readouterr().out.startswith("status: diverged")
+
+
+def test_choose_says_model_method_error_and_what_was_left_out(capsys):
+    assert main(["choose", str(REFERENCE / "paper_rr.json"), "--tolerance", "0.01"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("method: ") and lines[1] == "coordinates: 3"
+    assert 0.0 < float(lines[2].split(": ")[1].split()[0]) <= 10.0
+
+
+def test_precision_halves_the_step_and_measures_against_the_reference(capsys):
+    """Of a method of fourth order the error falls by sixteen from step to step; what diverges has none."""
+    assert main(["precision", str(REFERENCE / "paper_rr.json"), "--method", "rk4", "--step", "0.04"]) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()[2:]]
+    steps, errors = (np.array([float(line[column]) for line in lines]) for column in (1, 3))
+    assert steps.tolist() == pytest.approx([40.0, 20.0, 10.0, 5.0, 2.5, 1.25])
+    assert (errors[2:4] / errors[3:5] > 12.0).all(), "order four, and more while steps are long"
+    assert main(["precision", str(REFERENCE / "paper_fr.json"), "--method", "rk4", "--step", "0.02"]) == 0
+    assert "diverged           -" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("given", "line"),
+    [
+        (["simulate", "nowhere.json"], "nowhere.json: there is no such file"),
+        (["simulate", SCENE, "--method", "rk5"], "method: 'rk5' is not allowed; give one of "),
+        (["choose", SCENE, "--tolerance", "0"], "tolerance: 0.0 is not allowed; give a finite number > 0"),
+        (["precision", SCENE, "--method", "rk5"], "method: 'rk5' is not allowed; give one of "),
+        (["tune", "FlexPlanar-v9"], "FlexPlanar-v9: there is no such file; give one, or one of "),
+        (["list", "robots"], "what: robots is not allowed; give some of environments, "),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(given, line, capsys):
+    try:
+        code = main(given)
+    except SystemExit as stop:
+        code = stop.code
+    said = capsys.readouterr().err.splitlines()
+    assert code == 2 and line in said[-1] and sum(not each.startswith(("usage", " ")) for each in said) == 1
+
+
+def test_a_command_without_its_packages_names_the_extra():
+    """A process in which PyTorch cannot be imported."""
+    code = "import sys; sys.modules['torch'] = sys.modules['stable_baselines3'] = None; "
+    code += "from flexman_gym.__main__ import main; sys.exit(main(sys.argv[1:]))"
+    done, listed = (
+        subprocess.run([sys.executable, "-c", code, *given], capture_output=True, text=True, cwd=ROOT)
+        for given in (["train", "--steps", "1"], ["list"])
+    )
+    assert listed.returncode == 0 and "none:  training needs" in listed.stdout
+    assert done.returncode == 2
+    assert done.stderr.strip() == "training needs stable_baselines3, torch: pip install 'flexman_gym[train]'"
