@@ -65,7 +65,7 @@ try:
         pace,
         parts,
         paths,
-    readings,
+        readings,
         stages,
         statics,
         stiffening,

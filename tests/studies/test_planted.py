@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from studies.planted.change import Change, changes
+from studies.planted.change import Change
 from studies.planted.page import counts, page
 from studies.planted.planting import CAUGHT, EQUIVALENT, SURVIVED, Copy, Planted
-from studies.planted.table import ROOMS, kept, misplaced
+from studies.planted.table import ROOMS, changes, kept, misplaced
 from studies.table import write_rows
 
 ROOT = Path(__file__).parents[2]
@@ -77,7 +77,11 @@ def test_the_page_counts_every_row_once(tmp_path):
     assert list(kept(tmp_path / "rows.csv").values()) == rows and kept(tmp_path / "none.csv") == {}
 
 
-def test_changes_of_a_file_share_its_tests():
-    (change,) = changes("room", "model/beam.py", "model/test_beam.py test_metrics.py", ("error", "old", "new"))
-    assert change.file == "flexman_gym/model/beam.py"
-    assert change.tests == ("tests/model/test_beam.py", "tests/test_metrics.py") and change.equivalent == ""
+def test_changes_of_a_file_share_its_tests(tmp_path, monkeypatch):
+    monkeypatch.setattr("studies.planted.table.ERRORS", tmp_path)
+    text = "- {file: a.py, tests: [test_beam.py, test_metrics.py], errors: [{error: one, old: x, new: y}, "
+    (tmp_path / "room.yaml").write_text(text + "{error: two, old: u, new: v, equivalent: why}]}")
+    tests = ("tests/test_beam.py", "tests/test_metrics.py")
+    assert list(changes("room")) == [
+        Change("room", "one", "a.py", "x", "y", tests), Change("room", "two", "a.py", "u", "v", tests, "why"),
+    ]  # fmt: skip

@@ -9,7 +9,7 @@ PAGE = """# Which errors the tests notice
 
 `python scripts/plant.py` makes one place in the sources wrong, runs the tests of its room until one fails, and takes
 the error back. It writes this page and its rows ([planted.csv](planted.csv)) anew; `--room` and `--only` run a part
-and keep the other rows. The errors are tables in `scripts/studies/planted`.
+and keep the other rows. The errors are files in `scripts/studies/planted/errors`.
 
 An error is caught when a test fails. It is equivalent when no input shows it; the table says why. What survives is
 work to do.

@@ -1,33 +1,34 @@
 """Table: all planted errors, room by room, and the rows that became of them."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from studies.planted import agents, kernels, laboratory, learning, models, showing, steps
+from flexman_gym.scene import file
 from studies.planted.change import Change
 from studies.planted.planting import Planted
 from studies.table import read_rows
 
-ROOMS: dict[str, list[Change]] = {
-    "kernels": [*kernels.JOINTS_AND_FORCES, *kernels.MOTION, *steps.STEPS],
-    "model": list(models.MODEL),
-    "simulation": list(models.SIMULATION),
-    "environment": list(learning.ENVIRONMENT),
-    "tasks": list(learning.TASKS),
-    "sensors": list(learning.SENSORS),
-    "laboratory": list(laboratory.LABORATORY),
-    "control": list(learning.CONTROL),
-    "metrics": list(learning.METRICS),
-    "agents": list(agents.AGENTS),
-    "draw": list(showing.DRAW),
-    "fidelity": list(showing.FIDELITY),
-    "command": list(showing.COMMAND),
-}
+ERRORS = Path(__file__).parent / "errors"  # a file for each room
+NAMES = (
+    "kernels", "model", "simulation", "environment", "tasks", "sensors", "laboratory", "control", "metrics", "agents",
+    "draw", "fidelity", "command",
+)  # fmt: skip
 
 
-def kept(file: Path) -> dict[tuple[str, str], Planted]:
+def changes(room: str) -> Iterator[Change]:
+    """Gives the changes of a room, from its file."""
+    for group in file.read(ERRORS / f"{room}.yaml"):
+        tests = tuple(f"tests/{test}" for test in group["tests"])
+        for entry in group["errors"]:
+            yield Change(room=room, file=group["file"], tests=tests, **entry)
+
+
+ROOMS: dict[str, list[Change]] = {name: list(changes(name)) for name in NAMES}
+
+
+def kept(path: Path) -> dict[tuple[str, str], Planted]:
     """Gives the rows of a file by room and error, none where there is no file."""
-    rows = read_rows(file, Planted) if file.is_file() else []
+    rows = read_rows(path, Planted) if path.is_file() else []
     return {(row.room, row.error): row for row in rows}
 
 
