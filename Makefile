@@ -2,7 +2,7 @@ PYTHON ?= python3
 RUN := .venv/bin/python -m
 CODE := flexman_gym agents scripts
 
-.PHONY: demo test lint verify charts learning benchmark clean
+.PHONY: demo test quick lint verify charts learning benchmark clean
 
 demo: .venv/installed
 	.venv/bin/flexman demo
@@ -10,6 +10,10 @@ demo: .venv/installed
 # Two processes, each of which needs a core: kernels of both come from one cache.
 test: lint
 	$(RUN) pytest -n 2
+
+# What a minute can tell: all but the tests that take long, with kernels that are compiled.
+quick: .venv/installed
+	$(RUN) pytest -q -n 2 -m "not slow"
 
 verify: .venv/installed
 	.venv/bin/flexman verify --markdown docs/verification.md
