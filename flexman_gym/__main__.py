@@ -17,11 +17,10 @@ def main(arguments: list[str] | None = None) -> int:
     chosen = parser.add_subparsers(dest="command", required=True, metavar="command")
     for name in sorted(each.name for each in pkgutil.iter_modules(commands.__path__)):
         words = about(name)
-        own = chosen.add_parser(name, help=words[0].lower() + words[1:].rstrip("."), description=words)
-        if given[:1] == [name]:
-            runs = own
+        chosen.add_parser(name, help=words[0].lower() + words[1:].rstrip("."), description=words)
     if not given or given[0] not in chosen.choices:
         parser.parse_args(given)
+    runs = chosen.choices[given[0]]
     try:
         command = importlib.import_module(f"flexman_gym.commands.{given[0]}")
         command.arguments(runs)
@@ -33,7 +32,9 @@ def main(arguments: list[str] | None = None) -> int:
         if "pip install" not in said:  # which rooms say that need more than is installed
             raise
         print(said, file=sys.stderr)
-        return 2
+    except (ValueError, OSError) as error:  # a refusal, which is one line
+        print(error, file=sys.stderr)
+    return 2
 
 
 def about(name: str) -> str:

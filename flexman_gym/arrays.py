@@ -13,6 +13,13 @@ Vector = Sequence[float] | NDArray[Any]  # what a person may give where numbers 
 Matrix = Sequence[Sequence[float]] | NDArray[Any]
 
 
+def grown(values: NDArray[Any], count: int) -> NDArray[Any]:
+    """Gives the values with as many rows as arms, new ones zero."""
+    if count <= len(values):
+        return values
+    return np.concatenate([values, np.zeros((count - len(values), *values.shape[1:]), dtype=values.dtype)])
+
+
 def row_dots(left: NDArray[Any], right: NDArray[Any]) -> Any:
     """Gives the scalar products (...) of rows (..., k), each to the bits that it has alone.
 

@@ -1,15 +1,14 @@
 """Charts our runs beside those of other codes on the paper's arm: python scripts/compare_peers.py --folder docs"""
 
 import argparse
-from pathlib import Path
 
+from flexman_gym.verification.cases import REFERENCE
 from studies.peers.compare import in_turns, ours, study, theirs, truth
 from studies.peers.page import publish
 from studies.places import folder
 from studies.precision.measure import Row
 from studies.table import read_rows, write_rows
 
-REFERENCE = Path(__file__).parents[1] / "flexman_gym" / "verification" / "reference"
 SHOWN = 5  # last lines of the page
 
 

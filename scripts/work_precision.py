@@ -2,12 +2,10 @@
 
 import argparse
 import warnings
-from pathlib import Path
 
+from flexman_gym.verification.cases import REFERENCE
 from studies.places import folder
 from studies.precision.files import compute, publish
-
-REFERENCE = Path(__file__).parents[1] / "flexman_gym" / "verification" / "reference"
 
 
 def main() -> None:

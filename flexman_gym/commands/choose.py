@@ -1,7 +1,6 @@
 """Choose the smallest model and the longest step with which a scene meets a tolerance."""
 
 import argparse
-import sys
 from pathlib import Path
 
 
@@ -16,11 +15,7 @@ def run(options: argparse.Namespace) -> int:
     from flexman_gym.fidelity.choose import choose_model
     from flexman_gym.scene.scene import Scene
 
-    try:
-        choice = choose_model(Scene.load(options.scene), options.tolerance)
-    except (ValueError, OSError) as error:
-        print(error, file=sys.stderr)
-        return 2
+    choice = choose_model(Scene.load(options.scene), options.tolerance)
     step = "its own steps" if choice.step is None else f"steps of {1e3 * choice.step:.4g} ms"
     print(f"method: {getattr(choice.method, 'name', choice.method)}, {step}")
     print(f"coordinates: {choice.model.n_dof}")

@@ -1,7 +1,6 @@
 """Evaluate policies and controllers on the same episodes of one environment."""
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,15 +31,11 @@ def run(options: argparse.Namespace) -> int:
 
     if options.episodes < 1:
         options.parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
-    try:
-        entrants = {name: entrant(name, options.trust) for name in options.entrant}
-        named = Description.find(options.env) if options.env else None
-        environment = changed_environment(common_environment(list(entrants.values()), named), options.set)
-        seeds = range(options.seed, options.seed + options.episodes)
-        results = {name: rollout(each, environment, seeds).records for name, each in entrants.items()}
-    except (ValueError, OSError) as error:
-        print(error, file=sys.stderr)
-        return 2
+    entrants = {name: entrant(name, options.trust) for name in options.entrant}
+    named = Description.find(options.env) if options.env else None
+    environment = changed_environment(common_environment(list(entrants.values()), named), options.set)
+    seeds = range(options.seed, options.seed + options.episodes)
+    results = {name: rollout(each, environment, seeds).records for name, each in entrants.items()}
     print(table(results, environment))
     return 0
 

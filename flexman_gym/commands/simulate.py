@@ -1,7 +1,6 @@
 """Simulate a scene file, and keep its motion as a table."""
 
 import argparse
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -21,17 +20,13 @@ def run(options: argparse.Namespace) -> int:
     from flexman_gym.scene.scene import Scene
     from flexman_gym.simulation.scenes import simulate
 
-    try:
-        scene = Scene.load(options.scene)
-        result = simulate(scene, method=options.method, step=options.step, rtol=options.rtol)
-        if options.out is not None:
-            columns = {"tip": result.tip, "joint_angle": result.joint_angles, "motor_angle": result.motor_angles}
-            heads = [f"{name}_{i}" for name, values in columns.items() for i in range(1, values.shape[1] + 1)]
-            table = np.column_stack([result.time, *columns.values(), result.energy])
-            np.savetxt(options.out, table, "%.12g", ",", header=",".join(["time", *heads, "energy"]), comments="")
-    except (ValueError, OSError) as error:
-        print(error, file=sys.stderr)
-        return 2
+    scene = Scene.load(options.scene)
+    result = simulate(scene, method=options.method, step=options.step, rtol=options.rtol)
+    if options.out is not None:
+        columns = {"tip": result.tip, "joint_angle": result.joint_angles, "motor_angle": result.motor_angles}
+        heads = [f"{name}_{i}" for name, values in columns.items() for i in range(1, values.shape[1] + 1)]
+        table = np.column_stack([result.time, *columns.values(), result.energy])
+        np.savetxt(options.out, table, "%.12g", ",", header=",".join(["time", *heads, "energy"]), comments="")
     last = ", ".join(f"{each:.6g}" for each in result.tip[-1])
     print(f"status: {result.status}, to {result.time[-1]:g} s in {result.wall_seconds:.3g} s")
     print(f"evaluations: {result.evaluations}")

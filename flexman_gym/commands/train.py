@@ -44,9 +44,6 @@ def run(options: argparse.Namespace) -> int:
             folders = [options.folder]
         else:
             folders = start(options)
-    except (ValueError, OSError) as error:
-        print(error, file=sys.stderr)
-        return 2
     except Interrupted as stop:
         print(f"{stop}; go on with: flexman train --resume --folder {options.folder}", file=sys.stderr)
         return INTERRUPTED

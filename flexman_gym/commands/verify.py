@@ -5,13 +5,11 @@ import warnings
 from pathlib import Path
 from time import perf_counter
 
-import flexman_gym
-
-REFERENCE = Path(flexman_gym.__file__).parent / "verification" / "reference"
-
 
 def arguments(result: argparse.ArgumentParser) -> None:
     """Says what it takes."""
+    from flexman_gym.verification.cases import REFERENCE
+
     result.add_argument("--quick", action="store_true", help="only what takes less than 30 s once compiled")
     result.add_argument("--json", type=Path, help="file for the rows")
     result.add_argument("--markdown", type=Path, help="file for the table as a page")

@@ -24,7 +24,7 @@ class History:
 
     def __init__(self, kind: int | tuple[float, ...], interval: float, arms: int, size: int) -> None:
         self._gains = None if isinstance(kind, int) else 1.0 - np.exp(-interval / np.array(kind))[:, None]
-        self.parts = kind if isinstance(kind, int) else 1 + len(kind)
+        self.parts = parts_of(kind)
         self._memory = np.zeros((arms, self.parts, size))
 
     def following(self, earlier: "History") -> "History":
@@ -50,6 +50,11 @@ class History:
     def _seen(self, arms: IntArray) -> Array:
         result: Array = self._memory[arms].reshape(len(arms), self._memory[0].size)  # of no arm too
         return result
+
+
+def parts_of(kind: int | tuple[float, ...]) -> int:
+    """How many observations a history shows."""
+    return kind if isinstance(kind, int) else 1 + len(kind)
 
 
 def checked_history(value: object) -> int | tuple[float, ...]:

@@ -1,11 +1,11 @@
 """LQR: linear-quadratic control of the whole state, at the goal or along a slew to it."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array, Flags, IntArray, Vector, row_dots
+from flexman_gym.arrays import Array, Flags, IntArray, Vector, grown, row_dots
 from flexman_gym.checks import positive
 from flexman_gym.control.controller import Episode, Readings
 from flexman_gym.control.discrete import Weights, optimal_gain
@@ -57,7 +57,7 @@ class LQR:
     def reset(self, arms: IntArray, episode: Episode) -> None:
         """Designs for new episodes of the arms (r,)."""
         self._gains, self._rest, self._held = (
-            _grown(values, int(arms.max(initial=-1)) + 1) for values in (self._gains, self._rest, self._held)
+            grown(values, int(arms.max(initial=-1)) + 1) for values in (self._gains, self._rest, self._held)
         )
         for arm, angles in zip(arms, episode.goal, strict=True):
             self._gains[arm] = self.gain(angles)
@@ -147,7 +147,7 @@ class TrackingLQR(LQR):
         """Begins a plan of an arm."""
         empty = GainSchedule(*(np.zeros(0),) * 4)
         self._plans += [empty] * (arm + 1 - len(self._plans))
-        self._now = _grown(self._now, arm + 1)
+        self._now = grown(self._now, arm + 1)
         self._plans[arm], self._now[arm] = plan, 0
 
     def torques(self, states: Array) -> Array:
@@ -162,9 +162,3 @@ class TrackingLQR(LQR):
             result[arm] = plan.torques[row] - row_dots(gain, state - plan.states[row])
         self._now += 1
         return result
-
-
-def _grown(values: NDArray[Any], count: int) -> NDArray[Any]:
-    """The values with as many rows as arms, new ones zero."""
-    more = max(0, count - len(values))
-    return np.concatenate([values, np.zeros((more, *values.shape[1:]), dtype=values.dtype)])

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array, Flags, IntArray, Vector
+from flexman_gym.arrays import Array, Flags, IntArray, Vector, grown
 from flexman_gym.checks import non_negative, physical, vector
 from flexman_gym.control.controller import Episode, Readings
 from flexman_gym.model.instant import mass_matrix
@@ -52,9 +52,7 @@ class PD:
         """Takes the torques that hold the arms (r,) at their goals."""
         if self.gravity_model is None:
             return
-        more = int(arms.max(initial=-1)) + 1 - len(self._holding)
-        if more > 0:
-            self._holding = np.vstack([self._holding, np.zeros((more, self._holding.shape[1]))])
+        self._holding = grown(self._holding, int(arms.max(initial=-1)) + 1)
         for arm, angles in zip(arms, episode.goal, strict=True):
             self._holding[arm] = holding_torques(self.gravity_model, angles)
 

@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array, Flags, IntArray
+from flexman_gym.arrays import Array, Flags, IntArray, grown
 from flexman_gym.checks import refusal
 from flexman_gym.control.controller import Controller, Episode, Readings
-from flexman_gym.control.history import History
+from flexman_gym.control.history import History, parts_of
 from flexman_gym.control.network import Network
 
 
@@ -33,7 +33,7 @@ class Policy:
     ) -> None:
         self.network, self._kind, self._hold, self.base = network, history, hold, base
         self.sensors = (*sensors, *(base.sensors if base else ()))
-        self._parts = history if isinstance(history, int) else 1 + len(history)
+        self._parts = parts_of(history)
         self._ages, self._actions = np.zeros(0, dtype=np.int64), np.zeros((0, network.joints), dtype=np.float32)
         self._past = self._history(0, 1.0)
 
@@ -44,10 +44,9 @@ class Policy:
         """Starts new episodes of the arms (r,)."""
         if episode.start.shape[1] != self.network.joints:
             raise refusal("base", f"a policy of {self.network.joints} motors", f"one of {episode.start.shape[1]}")
-        before, count = len(self._ages), max(len(self._ages), int(arms.max(initial=-1)) + 1)
-        if count > before:
-            self._ages = np.append(self._ages, np.zeros(count - before, dtype=np.int64))
-            self._actions = np.vstack([self._actions, np.zeros((count - before, self.network.joints), np.float32)])
+        count = int(arms.max(initial=-1)) + 1
+        if count > len(self._ages):
+            self._ages, self._actions = grown(self._ages, count), grown(self._actions, count)
             self._past = self._history(count, episode.period).following(self._past)
         self._ages[arms] = 0
         if self.base:

@@ -6,7 +6,6 @@ from flexman_gym.checks import non_negative, one_of, positive, refusal, vector
 from flexman_gym.envs.effects import SIGNALS, Range
 from flexman_gym.simulation.parameters import PARAMETERS
 
-FACTORS = (*(name for name, row in PARAMETERS.items() if row.factor), "torque_limit")  # drawn on what is nominal
 GAP = 2.0  # s, between two impulses or changes of load where nothing else is said
 
 
@@ -68,7 +67,7 @@ def _range(name: str, value: object) -> Range:
     if effect in SIGNALS:
         low, high = (SIGNALS[effect].checked(field, each) for each in value)  # type: ignore[attr-defined]
     else:
-        low, high = ((positive if effect in FACTORS else non_negative)(field, each) for each in (low, high))
+        low, high = ((positive if PARAMETERS[effect].factor else non_negative)(field, each) for each in (low, high))
     if low > high:
         raise refusal(field, value, "a range (low, high) with low <= high, or None")
     return low, high
@@ -81,4 +80,5 @@ def known() -> dict[str, str]:
 
 def given_name(effect: str) -> str:
     """The name of the range from which an effect draws, which says whether it is one of factors."""
-    return f"{effect}_factor" if effect in FACTORS else effect
+    of = PARAMETERS[effect] if effect in PARAMETERS else SIGNALS[effect]
+    return f"{effect}_factor" if getattr(of, "factor", False) else effect

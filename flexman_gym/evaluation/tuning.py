@@ -103,9 +103,9 @@ def _rewards(environment: Description, gains: Array, episodes: int) -> Array:
     """Mean reward (c,) of the first episodes with each of the gains (c, 2 n)."""
     n = gains.shape[1] // 2
     stiffness, damping = np.split(np.repeat(gains, episodes, axis=0), 2, axis=1)
-    setup = environment.setup()
-    model = build(setup).model if any(setup.arm.gravity) else None
-    base = PD([0.0] * n, [0.0] * n, setup.torque_limit, model)
-    base.stiffness, base.damping = stiffness, damping
+    setup, still = environment.setup(), [0.0] * n
+    base = setup.controller({"kind": "pd", "stiffness": still, "damping": still}, build(setup).model)
+    assert isinstance(base, PD)
+    base.stiffness, base.damping = stiffness, damping  # of each candidate its own, which no list of gains has
     rewards = rollout(base, environment, np.tile(np.arange(episodes), len(gains)).tolist()).rewards
     return np.nansum(rewards, axis=1).reshape(len(gains), episodes).mean(axis=1)

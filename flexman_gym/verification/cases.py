@@ -6,6 +6,8 @@ from flexman_gym.verification.beams import CASES
 from flexman_gym.verification.motions import motion_rows
 from flexman_gym.verification.rows import Row
 
+REFERENCE = Path(__file__).parent / "reference"  # scenes, and solutions of independent codes
+
 
 def rows(reference: Path, quick: bool = False) -> list[Row]:
     """All rows, or those that take little time; `reference` is the folder of the reference scenes and solutions."""

@@ -5,8 +5,11 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+from flexman_gym.verification.cases import REFERENCE
+
 ROOT = Path(__file__).parents[2]
-REFERENCE, SCRIPTS = ROOT / "flexman_gym" / "verification" / "reference", ROOT / "scripts"
+SCRIPTS = ROOT / "scripts"
+__all__ = ["REFERENCE", "ROOT", "SCRIPTS", "command"]
 
 
 def command(name: str) -> ModuleType:

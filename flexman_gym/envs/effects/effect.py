@@ -37,6 +37,8 @@ HOOKS = ("begin", "change_start", "motor_actions", "add_tip_forces", "add_base_a
 class Effect(Protocol):
     """An effect on b arms. A class with `checked`, `shape`, `draw` and at least one of the HOOKS is one.
 
+    It may say `factor = True`, where it draws factors on what is nominal: its range is then named "..._factor".
+
     Its hooks, of which a misspelt one is refused:
         begin(arms, drawn): after the draws of new episodes of the arms (r,), with what every arm drew (b, ...).
         change_start(arms, states): changes the states (r, 2 d) from which they start.

@@ -13,6 +13,7 @@ class TorqueLimit:
     """Factors > 0 on the torque limits, one for each joint."""
 
     kind: ClassVar[type] = float
+    factor: ClassVar[bool] = True
 
     def __init__(self, stage: Stage, span: Range) -> None:
         self._stage, self._span, self.shape = stage, span, stage.nominal.shape
