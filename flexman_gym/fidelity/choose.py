@@ -22,6 +22,7 @@ from flexman_gym.simulation.families import EXPLICIT, Method
 from flexman_gym.simulation.methods import METHODS
 
 SAFETY = 0.8  # part of the tolerance that the chosen run may use
+ALIKE = 1.25  # costs that a clock cannot tell apart; of such trials the smallest model is chosen
 MULTIPLES = (10, 8, 5, 4, 3, 2)  # of the output step
 PARTS = (1, 2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 25, 32, 40, 50, 64, 80, 100, 128, 160, 200, 256, 320, 400, 512, 1024)
 MOST_GROWTH = 100.0  # of any mode by the method within the scene; the amplitudes are next to nothing at first
@@ -64,7 +65,8 @@ def choose_model(scene: Scene, tolerance: float, longest_step: float | None = No
 
     Candidates leave out foreshortening, the springs of all joints, and the component modes that move the tip least in
     the motion of the reference. A mode moves the tip by its bend times the motion of the tip per unit of bend. Each
-    candidate is run on the scene itself, so every error is measured.
+    candidate is run on the scene itself, so every error is measured. Of models whose costs are within a quarter of
+    the least, which no clock tells apart, the one with the fewest coordinates is chosen.
 
     The tolerance holds at the outputs of the run: at the outputs of the scene or, with a longer step, after each step.
     Between them it holds for cubic interpolation of positions and velocities.
@@ -145,7 +147,9 @@ def _choose(scene: Scene, tolerance: float, longest: float) -> Choice:
     if search.timed is not None:
         close = sorted(close, key=lambda trial: trial.cost)[: search.timed]
     timed = [(min(search.trial(*trial[:3]).cost for _ in range(3)), trial) for trial in close]
-    best = min(timed, key=lambda pair: pair[0])[1]
+    quickest = min(cost for cost, _ in timed)
+    alike = [(_size(search, trial), cost, trial) for cost, trial in timed if cost <= ALIKE * quickest]
+    best = min(alike, key=lambda each: each[:2])[2]
     search.sharpen(best.error)
     run = search.run(*best[:3])
     error, errors = search.tip_error(run) + search.error, search.errors(best.candidate, run)
@@ -153,6 +157,11 @@ def _choose(scene: Scene, tolerance: float, longest: float) -> Choice:
     report = _report(search, best, trials, clock.process_time() - started)
     chosen = search.model(best.candidate), best.method.name, best.step
     return Choice(*chosen, error, dropped, report, errors, search.runs)
+
+
+def _size(search: Search, trial: Trial) -> tuple[int, bool]:
+    """Gives the number of coordinates of a trial's model, and whether it has foreshortening."""
+    return search.model(trial.candidate).n_dof, trial.candidate.stiffening
 
 
 def _candidates(search: Search, parts: dict[tuple[int, int], float]) -> list[Candidate]:
