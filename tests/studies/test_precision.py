@@ -18,6 +18,7 @@ from flexman_gym.simulation.scenes import simulate
 from studies.peers.compare import CUT_MESH, CUT_MODES
 from studies.precision import files
 from studies.precision.cases import RIGID_LINKS, cases, choices, whirl_scene
+from studies.precision.conclusions import conclusions
 from studies.precision.measure import Floor, Row, Truth, cheapest, pareto_front, setbacks
 from studies.precision.page import page, pictures
 from studies.table import read_rows, write_rows
@@ -85,7 +86,8 @@ def test_the_error_of_the_model_is_what_the_methods_do_not_explain(rows):
 def test_the_page_holds_pictures_and_conclusion(folder, rows, floors):
     text = (folder / files.PAGE).read_text(encoding="utf-8")
     assert text == page(rows, floors)
-    assert "## Conclusion" in text and "ROS34PW2" in text and "numba" in text
+    assert "## Conclusion" in text and "numba" in text
+    assert all(f"| {floor.scene} | {floor.model} | " in text for floor in floors if floor.model)
     assert all(f"({name})" in text for name in pictures(rows[0].scene))
 
 
@@ -137,6 +139,22 @@ def test_a_finer_step_that_does_harm_is_found():
     failed = replace(finer, time_error=math.inf, status="diverged")
     assert setbacks([ROW, fine, failed]) == [(fine, failed)]
     assert setbacks([replace(ROW, time_error=math.inf), fine]) == []
+
+
+def test_conclusions_name_the_cheapest_method_its_ratio_to_ros2_and_an_example_of_harm():
+    good = replace(ROW, method="extrapolated_euler_3", step=0.005, cpu=0.02, time_error=1e-5)
+    rows = [replace(ROW, cpu=0.05, time_error=1e-5), good, replace(good, step=0.0025, cpu=0.04, time_error=0.5)]
+    text = "\n".join(conclusions(rows, [Floor("a scene", "a title", "a model", 1e-9, "a source")]))
+    winner = "extrapolated_euler_3: 20"
+    assert f"| a scene | a model | {' | '.join([winner] * 4)} |" in text
+    assert "| scene | model | extrapolated_euler_3 |\n| --- | --- | --- |\n| a scene | a model | 2.5 |" in text
+    assert "1 combinations" in text
+    assert (
+        "| extrapolated_euler_3 | 1.0016 | 0.64 | a scene | a model | 1.0e-05 m at 5 ms | 5.0e-01 m at 2.5 ms |" in text
+    )
+    assert "| a scene | a model | none | none |" in "\n".join(
+        conclusions([replace(ROW, time_error=1.0)], [Floor("a scene", "", "a model", 1e-9, "")])
+    )
 
 
 def test_a_failed_run_is_infinitely_far_and_other_times_are_refused():

@@ -4,39 +4,40 @@ import math
 from collections.abc import Sequence
 
 from flexman_gym.verification.machine import machine_text
-from flexman_gym.verification.markdown import bullets, markdown_table
-from studies.methods import extrapolations_of, methods_of
-from studies.precision.conclusions import ERRORS, conclusions, ratio
+from flexman_gym.verification.markdown import introduced_table
+from studies.methods import methods_of
+from studies.precision.conclusions import ERRORS, conclusions
 from studies.precision.measure import Floor, Row, cheapest, pareto_front
 
 HEAD = (
-    "Every row of `work_precision.csv` is one run; `python scripts/work_precision.py --folder docs` writes all of this "
-    "anew. Computed with {machine}, one core."
+    "Every row of `work_precision.csv` is one run. `python scripts/work_precision.py --folder docs` writes all of this "
+    "anew."
 )
+MACHINE = "Computed with {machine}, one core."
 EXPLANATION = (
-    "The error is the largest distance of the tip during the run. *Time error*: from the converged solution of the "
-    "same model, so that of the method alone. *Total error*: from the truth of the scene, so that of model and "
-    "method together. The cost is CPU time (the best of a few repeats, without compilation) per simulated second. "
-    "A broad pale line marks the runs that no other run beats in both; a dashed line is the error of the truth."
+    "The error of a run is the largest distance of its tip from a reference. For the *time error* the reference is the "
+    "converged solution of the same model, so the method alone causes it. For the *total error* the reference is the "
+    "truth of the scene, so model and method cause it together. The cost is CPU time per simulated second: the best of "
+    "a few repeats, without compilation. In a chart a broad pale line is the Pareto front: no other run is both "
+    "cheaper and more accurate. A dashed line is the error of the reference itself, its floor."
 )
-FLOOR = "{judged}: {source}, floor {floor:.1e} m"
-COSTS = "CPU ms per simulated second of the cheapest run within a time error, {model}:"
+FLOORS = "The references and their floors:"
+FLOOR_HEADS = ("error", "reference", "floor, m")
+TIMED = "time error, {model}"
+COSTS = "CPU ms per simulated second of the cheapest run within each time error, and its setting, for {model}:"
 COST = "{cost:.3g} ({setting})"
-GAINS = "Cost of ros2 over that of an extrapolation at 1e-4 m: {gains}."
-GAIN = "{method} {times:.2g} times"
-NO_GAIN = "{method} -"
-FRONT = "Pareto front of the total error:"
+FRONT = "The Pareto front of the total error:"
 FRONT_HEADS = ("CPU ms per simulated second", "total error, mm", "model", "method", "setting")
 
 
 def page(rows: Sequence[Row], floors: Sequence[Floor]) -> str:
     """A page in Markdown: the conclusion, then pictures and tables of each scene."""
-    lines = ["# Speed against accuracy", "", HEAD.format(machine=machine_text()), "", EXPLANATION, ""]
-    lines += ["## Conclusion", "", *bullets(conclusions(rows, floors))]
+    lines = ["# Speed against accuracy", "", HEAD, "", MACHINE.format(machine=machine_text()), ""]
+    lines += [EXPLANATION, "", "## Conclusion", "", *conclusions(rows, floors)]
     for name in dict.fromkeys(floor.scene for floor in floors):
         mine = [row for row in rows if row.scene == name]
         lines += _scene(mine, [floor for floor in floors if floor.scene == name])
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines).rstrip() + "\n"
 
 
 def pictures(scene: str) -> tuple[str, str]:
@@ -48,14 +49,14 @@ def pictures(scene: str) -> tuple[str, str]:
 def _scene(rows: Sequence[Row], floors: Sequence[Floor]) -> list[str]:
     """The section of a scene, whose own floor comes first."""
     total, *timed = floors
-    lines = ["", f"## {total.scene}: {total.title}", ""]
+    lines = [f"## {total.scene}: {total.title}", ""]
     lines += [line for file in pictures(total.scene) for line in (f"![{total.title}]({file})", "")]
-    lines += bullets(
-        FLOOR.format(judged=floor.model or "total error", source=floor.source, floor=floor.floor) for floor in floors
-    )
+    judged = [TIMED.format(model=floor.model) if floor.model else "total error" for floor in floors]
+    cells = [(name, floor.source, f"{floor.floor:.1e}") for name, floor in zip(judged, floors, strict=True)]
+    lines += introduced_table(FLOORS, FLOOR_HEADS, cells)
     for floor in timed:
-        lines += ["", *cost_table(rows, floor.model)]
-    return [*lines, "", *front_table(rows, total.floor)]
+        lines += cost_table(rows, floor.model)
+    return [*lines, *front_table(rows, total.floor)]
 
 
 def cost_table(rows: Sequence[Row], model: str) -> list[str]:
@@ -64,10 +65,7 @@ def cost_table(rows: Sequence[Row], model: str) -> list[str]:
     cells = [
         [method, *(_cost(cheapest(rows, model, method, error)) for error in ERRORS)] for method in methods_of(rows)
     ]
-    ratios = {method: ratio(rows, model, method) for method in extrapolations_of(rows)}
-    gains = [_gain(method, times) for method, times in ratios.items()]
-    lines = [COSTS.format(model=model), "", *markdown_table(heads, cells)]
-    return [*lines, "", GAINS.format(gains=", ".join(gains))]
+    return introduced_table(COSTS.format(model=model), heads, cells)
 
 
 def front_table(rows: Sequence[Row], floor: float) -> list[str]:
@@ -77,11 +75,7 @@ def front_table(rows: Sequence[Row], floor: float) -> list[str]:
         (f"{1e3 * row.cpu:.3g}", f"{1e3 * (row.total_error or 0.0):.3g}", row.model, row.method, row.setting)
         for row in (rows[i] for i in pareto_front(points))
     ]
-    return [FRONT, "", *markdown_table(FRONT_HEADS, cells)]
-
-
-def _gain(method: str, times: float | None) -> str:
-    return (NO_GAIN if times is None else GAIN).format(method=method, times=times)
+    return introduced_table(FRONT, FRONT_HEADS, cells)
 
 
 def _cost(row: Row | None) -> str:
