@@ -153,8 +153,23 @@ def test_the_page_names_the_ratio_to_a_floating_frame():
         replace(ROW, step=2.0, time_error=4e-3),
         replace(ROW, step=4.0, cpu=0.01),
     ]
-    text = conclusions([ROW, *coarse], peers, ROW.model)[-1]
-    assert "300 ms; ours is 30 and 15 times cheaper. The goal is 150 times." in text
+    assert "| Exudyn, floating frame, quickest settings | 300 | 30 | 15 |" in conclusions(
+        [ROW, *coarse], peers, ROW.model
+    )
+
+
+def test_the_page_names_what_rigid_pieces_cost_beside_ours():
+    peer = replace(ROW, model="MuJoCo, 8 pieces", method="Euler", cpu=2.0, total_error=4e-3)
+    lucky, steady, near = (
+        replace(ROW, model=name, cpu=cpu, total_error=error)
+        for name, cpu, error in (("lucky", 0.02, 3e-3), ("steady", 0.04, 4e-3), ("near", 0.01, 5e-3))
+    )
+    worse = replace(lucky, step=5e-4, total_error=6e-3)
+    text = "\n".join(conclusions([lucky, worse, steady, near], [peer], ROW.model))
+    assert "| theirs | MuJoCo, 8 pieces | Euler | 1 ms | 4 | 2e+03 | 1 |" in text
+    assert "| ours, no less accurate | lucky | ros2 | 1 ms | 3 | 20 | 100 |" in text
+    assert "| ours, and so at every finer step | steady | ros2 | 1 ms | 4 | 40 | 50 |" in text
+    assert "| ours, within 5 mm | near | ros2 | 1 ms | 5 | 10 | 200 |" in text
 
 
 def test_peers_that_are_missing_are_named(monkeypatch, capsys):

@@ -5,34 +5,33 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from flexman_gym.verification.machine import machine_text
-from flexman_gym.verification.markdown import bullets
+from flexman_gym.verification.markdown import introduced_table
 from studies.peers.charts import peers_chart
 from studies.peers.compare import PEERS, ROUNDS, of_peers
 from studies.precision.cases import PLAIN
 from studies.precision.measure import Row, cost_at, settled
 
 PICTURE, TITLE = "work_precision_peers.png", "The paper's arm, everything flexible"
-GOAL_BESIDE_PIECES = 50.0  # how many times cheaper than MuJoCo's 8 pieces and Euler we should be at its error
 NEAR = 5e-3  # m; the finest models agree to about 4 mm, so that this is hardly worse than MuJoCo with 8 pieces
 WANTED = 3e-3  # m, a time error to name the cost of
-GOAL_BESIDE_FRAMES = 150.0  # how many times cheaper than Exudyn's floating frame we should be at that time error
 
 PAGE = """# Beside other codes
 
 The rows are in `peers.csv`. Each run takes the paper's arm, everything flexible, through 2 s under 400 N m.
-The error is the largest distance of the tip from an independent large-rotation code, the cost is CPU time on one core:
-the best of {rounds} rounds in which all take turns.
+The error is the largest distance of the tip from an independent large-rotation code.
+The cost is CPU time on one core: the best of {rounds} rounds in which all take turns.
 
-- MuJoCo: every link 4 or 8 rigid pieces between springs, or one rigid link; compiled. Its `discrete` integrator eats
-  the vibration.
-- Exudyn: a floating frame of reference with 2 beam elements a link, the same mass points, shapes and stiffness as our
-  model without foreshortening; generalised-alpha method; compiled, without range checks or user functions. Once with
-  the settings that are quickest here, once with its default ones. Where links bend out of a plane it treats the
-  rotation of their tips a little differently: its converged tip is within 5 mm of ours. Its time error is that from
-  its own converged run.
-- Pinocchio: rigid links and joints; its compiled `aba` called from a Runge-Kutta loop in Python.
+- Ours: plain meshes, 20 modes of one of them, and what `choose_model` chose for an error of 4.5 mm.
+- MuJoCo: every link is 4 or 8 rigid pieces between springs, or one rigid link. Its `discrete` integrator eats the
+  vibration.
+- Exudyn: a floating frame of reference with 2 beam elements a link, integrated by the generalised-alpha method. It has
+  the mass points, shapes and stiffness of our model without foreshortening. It is compiled, without range checks or
+  user functions. It runs with the settings that are quickest here, and with its default ones. Where links bend out of
+  a plane it treats the rotation of their tips a little differently: its converged tip is within 5 mm of ours.
+  Its time error is the distance from its own converged run.
+- Pinocchio: links and joints are rigid. A Runge-Kutta loop in Python calls its compiled `aba`.
 
-The rigid arms show what flexibility costs, and what it costs to leave it out.
+The rigid arms show what flexibility costs, and how far the tip is off without it.
 
 ![error over cost]({picture})
 
@@ -41,28 +40,22 @@ Computed with {machine}, one core.
 {conclusion}
 """
 
-COST = "{cost:.3g} ms of CPU a simulated second"
-RUN = "{model}, {method} at {setting}: {error:.2g} mm for " + COST
-CHEAPER = "{run}, {times:.3g} times cheaper"
+COST = "CPU ms per simulated second"
 PIECES = (
-    "{peer}. Of ours, the cheapest no less accurate is {cheapest}. "
-    "The cheapest of which every finer step that was tried is so too is {settled}."
+    "Each run of MuJoCo's Euler method stands above the cheapest of our runs that are no less accurate. "
+    "A run that stays so accurate at every finer step owes nothing to errors that cancel."
 )
-PIECES_NEAR = PIECES + " Within {near:g} mm it is {nearly}. The goal is {goal:g} times."
+PIECES_HEADS = ("run", "model", "method", "step", "error, mm", COST, "times cheaper")
+THEIRS, CHEAPEST, SETTLED = "theirs", "ours, no less accurate", "ours, and so at every finer step"
+NEARLY = "ours, within {near:g} mm"
 ALONE = (
-    "Errors of the models alone, at short steps of methods without numerical damping: {errors}. "
+    "The error of each model alone, at a short step of a method without numerical damping. "
     "Where a longer step is better than its model, errors of model and method cancel in part."
 )
-MODEL_ERROR = "{model} {error:.2g} mm ({setting})"
-OURS = "{model}, time error within {limit:g} mm: {cheapest}."
-OURS_SETTLED = "{model}, time error within {limit:g} mm: {cheapest}; with every finer step so too: {settled}."
-OUR_RUN = "{method}, {setting}, for " + COST
-FRAMES = (
-    "{frame}, between its steps at that time error: {cost:.3g} ms; ours is {times} times cheaper. "
-    "The goal is {goal:g} times."
-)
-RIGID = "A rigid arm, RK4 at {setting}: {costs}; {error:.2g} m from the truth."
-RIGID_COST = "{code}, {cost:.3g} ms"
+OURS = "The cost of a time error of {limit:g} mm with {model}. Exudyn's is interpolated between its steps."
+OURS_SETTLED = OURS + " Our second run keeps to this error at every finer step too."
+OUR_RUN = "ours, {method}, {setting}"
+RIGID = "The cost of a rigid arm, by RK4 at {setting}. Its tip is {error:.2g} m from the truth."
 
 
 def publish(rows: Sequence[Row], floor: float, folder: Path) -> str:
@@ -78,33 +71,29 @@ def publish(rows: Sequence[Row], floor: float, folder: Path) -> str:
 def page(rows: Sequence[Row], peers: Sequence[Row]) -> str:
     """The page as Markdown, from our rows and those of peers."""
     packages = [package for name, package in PEERS.items() if any(row.model.startswith(name) for row in peers)]
-    lines = bullets(conclusions(rows, peers, PLAIN))
     known = {"rounds": ROUNDS, "picture": PICTURE, "machine": machine_text(packages)}
-    return PAGE.format(**known, conclusion="\n".join(lines))
+    return PAGE.format(**known, conclusion="\n".join(conclusions(rows, peers, PLAIN)).rstrip())
 
 
 def conclusions(rows: Sequence[Row], peers: Sequence[Row], plain: str) -> list[str]:
-    """Sentences about our rows and those of peers; `plain` is the model whose time error counts."""
+    """Tables about our rows and those of peers; `plain` is the model whose time error counts."""
     return [*_pieces(rows, peers), *_alone(rows, peers), *_frames(rows, peers, plain), *_rigid(rows, peers)]
 
 
 def _pieces(rows: Sequence[Row], peers: Sequence[Row]) -> list[str]:
     """How much cheaper we are than MuJoCo's rigid pieces at their total error."""
-    result = []
-    for pieces, sentences in ((8, PIECES_NEAR), (4, PIECES)):
+    cells = []
+    for pieces in (8, 4):
         known = [row for row in peers if (row.model, row.method) == (f"MuJoCo, {pieces} pieces", "Euler")]
         if not known:
             continue
         peer = min(known, key=lambda row: row.cpu)
         limit = peer.total_error or 0.0
-        texts = {
-            "peer": _run(peer),
-            "cheapest": _cheaper(_within(rows, limit), peer),
-            "settled": _cheaper(settled(rows, limit), peer),
-            "nearly": _cheaper(_within(rows, NEAR), peer),
-        }
-        result.append(sentences.format(**texts, near=1e3 * NEAR, goal=GOAL_BESIDE_PIECES))
-    return result
+        ours = {CHEAPEST: _within(rows, limit), SETTLED: settled(rows, limit)}
+        if limit < NEAR:
+            ours[NEARLY.format(near=1e3 * NEAR)] = _within(rows, NEAR)
+        cells += [_cells(name, runs, peer) for name, runs in ({THEIRS: [peer]} | ours).items() if runs]
+    return introduced_table(PIECES, PIECES_HEADS, cells) if cells else []
 
 
 def _alone(rows: Sequence[Row], peers: Sequence[Row]) -> list[str]:
@@ -113,31 +102,24 @@ def _alone(rows: Sequence[Row], peers: Sequence[Row]) -> list[str]:
     for row in sorted([*rows, *peers], key=lambda row: (row.model, -(row.step or math.inf))):
         if row.method in ("implicit_midpoint", "RK4") and "rigid" not in row.model:
             known[row.model] = row
-    errors = [
-        MODEL_ERROR.format(model=row.model, error=1e3 * (row.total_error or 0.0), setting=row.setting)
-        for row in known.values()
-    ]
-    return errors and [ALONE.format(errors="; ".join(errors))]
+    cells = [(row.model, _millimetres(row), row.setting) for row in known.values()]
+    return introduced_table(ALONE, ("model", "error, mm", "step"), cells) if cells else []
 
 
 def _frames(rows: Sequence[Row], peers: Sequence[Row], plain: str) -> list[str]:
     """How much cheaper we are than Exudyn's floating frame of the same elements at a time error."""
     mine = [row for row in rows if row.model == plain and row.time_error is not None]
     within = [row for row in mine if (row.time_error or 0.0) <= WANTED]
-    if not within:
-        return []
     steady = settled(mine, WANTED, "time_error")
     best = [min(result, key=lambda row: row.cpu) for result in (within, steady) if result]
-    costs = [OUR_RUN.format(method=row.method, setting=row.setting, cost=1e3 * row.cpu) for row in best]
-    names = dict(zip(("cheapest", "settled"), costs, strict=False))
-    result = [(OURS_SETTLED if steady else OURS).format(model=plain, limit=1e3 * WANTED, **names)]
+    costs = [(OUR_RUN.format(method=row.method, setting=row.setting), row.cpu) for row in best]
     for name in dict.fromkeys((row.model, row.method) for row in peers if row.model.startswith("Exudyn")):
         theirs = cost_at([row for row in peers if (row.model, row.method) == name], WANTED)
-        if theirs is not None:
-            times = " and ".join(f"{theirs / row.cpu:.3g}" for row in best)
-            numbers = {"cost": 1e3 * theirs, "times": times, "goal": GOAL_BESIDE_FRAMES}
-            result.append(FRAMES.format(frame=", ".join(name), **numbers))
-    return result
+        costs += [] if theirs is None else [(", ".join(name), theirs)]
+    heads = ("run", COST, *("times our first", "times our second")[: len(best)])
+    cells = [(name, f"{1e3 * cost:.3g}", *(f"{cost / row.cpu:.3g}" for row in best)) for name, cost in costs]
+    text = (OURS_SETTLED if steady else OURS).format(model=plain, limit=1e3 * WANTED)
+    return introduced_table(text, heads, cells) if best else []
 
 
 def _rigid(rows: Sequence[Row], peers: Sequence[Row]) -> list[str]:
@@ -145,21 +127,21 @@ def _rigid(rows: Sequence[Row], peers: Sequence[Row]) -> list[str]:
     known = [row for row in (*rows, *peers) if row.model.split(", ")[-1] == "rigid"]
     if not known:
         return []
-    codes = [row.model.removesuffix("rigid").removesuffix(", ") or "ours" for row in known]
-    costs = [RIGID_COST.format(code=code, cost=1e3 * row.cpu) for code, row in zip(codes, known, strict=True)]
+    cells = [(row.model.removesuffix("rigid").removesuffix(", ") or "ours", f"{1e3 * row.cpu:.3g}") for row in known]
     far = max(row.total_error or 0.0 for row in known)
-    return [RIGID.format(setting=known[0].setting, costs="; ".join(costs), error=far)]
+    return introduced_table(RIGID.format(setting=known[0].setting, error=far), ("code", COST), cells)
 
 
 def _within(rows: Sequence[Row], error: float) -> list[Row]:
     return [row for row in rows if (row.total_error or 0.0) <= error]
 
 
-def _cheaper(rows: Sequence[Row], peer: Row) -> str:
-    best = min(rows, key=lambda row: row.cpu, default=None)
-    return "none" if best is None else CHEAPER.format(run=_run(best), times=peer.cpu / best.cpu)
+def _cells(name: str, runs: Sequence[Row], peer: Row) -> list[str]:
+    """The cheapest of these runs beside a peer."""
+    best = min(runs, key=lambda row: row.cpu)
+    run = [name, best.model, best.method, best.setting, _millimetres(best)]
+    return [*run, f"{1e3 * best.cpu:.3g}", f"{peer.cpu / best.cpu:.3g}"]
 
 
-def _run(row: Row) -> str:
-    numbers = {"error": 1e3 * (row.total_error or 0.0), "cost": 1e3 * row.cpu}
-    return RUN.format(model=row.model, method=row.method, setting=row.setting, **numbers)
+def _millimetres(row: Row) -> str:
+    return f"{1e3 * (row.total_error or 0.0):.2g}"

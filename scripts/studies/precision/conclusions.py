@@ -94,7 +94,7 @@ def _modes(rows: Sequence[Row]) -> list[str]:
         if all(map(math.isfinite, least)):
             cells.append([scene, *(f"{1e3 * error:.3g}" for error in least)])
     heads = ("scene", *(f"{count} modes a link" for count in COUNTS))
-    return cells and introduced_table(MODES, heads, cells)
+    return introduced_table(MODES, heads, cells) if cells else []
 
 
 def _least(rows: Sequence[Row], scene: str, model: str) -> float:
