@@ -13,7 +13,7 @@ RULE = (
     "The error is relative to the expected value, and absolute where that is 0. "
     'A row without a tolerance is shown and not judged. "Closed form" is solved by the command itself.'
 )
-SUMMARY = "{passed} of {judged} rows pass, {failed} fail; {shown} more are shown without a verdict."
+SUMMARY = "{passed} of {judged} rows pass, {failed} fail. Another {shown} are shown without a verdict."
 PAGE = """# Verification
 
 {summary} `make verify` writes this page anew.

@@ -42,8 +42,8 @@ PAGE = """# What a run survives
 `python scripts/faults.py` writes this page anew. Each fault is tried on processes that train `FlexOne-v0` with
 payloads, delays and noise that differ from episode to episode, and that save every few rollouts.
 
-A run survives a kill when its newest file can be read, and when the run, gone on with after every kill, ends with
-the same bits as one that was never killed: networks, optimiser, normalisation, memory, generators and arms.
+A killed run goes on from its newest file. It survives when this file can be read, and when it ends with the same bits
+as a run that was never killed. These are the bits of networks, optimiser, normalisation, memory, generators and arms.
 
 {table}
 

@@ -49,7 +49,7 @@ def test_every_column_of_the_table_is_explained_above_it(published):
 def test_the_conclusion_counts_choices():
     wrong, unsure, dear = replace(ROW, error=2e-2), replace(ROW, ratio=0.1), replace(ROW, dearer=2.1)
     text = conclusion([ROW, wrong, unsure, dear])
-    assert "Of 4 choices 3 meet" in text and "3 know" in text and "3 cost" in text
+    assert "Of 4 choices:" in text and all(f"3 {verb} " in text for verb in ("meet", "know", "cost"))
 
 
 def test_a_choice_is_measured_beside_plain_runs(monkeypatch):
@@ -75,7 +75,7 @@ def test_a_choice_with_an_open_mesh_is_measured_beside_plain_meshes(monkeypatch)
 def test_the_page_tells_of_open_meshes_apart():
     text = page([ROW], [replace(ROW, scene="an open one", error=2e-2)])
     first, _, second = text.partition("## With an open mesh")
-    assert "| a scene |" in first and "| an open one |" in second and "Of 1 choices 0 meet" in second
+    assert "| a scene |" in first and "| an open one |" in second and "Of 1 choices:" in second and "0 meet" in second
 
 
 def test_the_command_writes_the_page_of_known_rows(tmp_path, monkeypatch, published):

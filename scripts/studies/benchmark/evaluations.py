@@ -9,10 +9,9 @@ from studies.benchmark.rows import EVALUATIONS, Row, Timer, in_turns, timer
 
 BATCHES, STEPS = 3, 250
 ABA, PLAIN = "Pinocchio aba, rigid arm, from Python", "evaluation, 12 coordinates a link"
-TARGETS = {"evaluation, 5 modes a link": 4.0, PLAIN: 8.0, "  with foreshortening": 1.3}  # times its peer, at most
 NOTE = f"""Medians over rounds, of each the cheapest of {BATCHES} batches. An evaluation is a quarter of an RK4 step,
-{4 * STEPS} of them in one compiled call; aba pays for a call from Python. Rows that begin with "with" are compared with
-12 coordinates a link without that choice, the others with aba."""
+{4 * STEPS} of them in one compiled call. The `aba` of Pinocchio pays for a call from Python. A row that begins with
+"with" is compared with 12 coordinates a link without its choice, any other with `aba`."""
 I3 = tuple(map(tuple, np.eye(3)))
 
 
@@ -83,6 +82,6 @@ def rows(rounds: int) -> list[Row]:
         cpu, wall, _ = np.median(cost, axis=0)
         peer = PLAIN if name.startswith(" ") else ABA
         times = float(np.median(cost[:, 0] / costs[peer][:, 0])) if peer in costs else None
-        compared = (peer if times else "", times, TARGETS.get(name))
+        compared = peer if times else "", times
         result.append(Row(EVALUATIONS, name.strip(), None, None, float(cpu), float(wall), *compared))
     return result

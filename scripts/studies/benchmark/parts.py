@@ -10,9 +10,9 @@ from studies.benchmark.rows import PARTS, Row, in_turns, timer
 
 ARMS, CALLS = (1, 64), 400
 WHOLE, HANDED = "a step of the vector environment", "an empty task for another thread, and back"
-NOTE = """A step of the vector environment of `FlexRRR-v0`, and what of it some calls take when they are repeated alone.
-What is left is the check of the actions, the limits, and copies for whoever calls. The last row is what a second thread
-costs before it has done anything; it is the time of the clock that counts there."""
+NOTE = """A step of the vector environment of `FlexRRR-v0`, and some of the calls in it, repeated alone. The other calls
+check actions and limits, and copy results for whoever calls. The last row is the cost of a second thread before it has
+done anything; there the time of the clock counts."""
 
 
 def rows(rounds: int, arms: Sequence[int] = ARMS, calls: int = CALLS) -> list[Row]:

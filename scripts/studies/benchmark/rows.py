@@ -35,7 +35,6 @@ class Row:
         peer: name of the row that it is compared with, "" for none.
         times_peer: of evaluations the cost, of environments the speed, as a multiple of the peer's: median over the
             rounds by CPU time; for a row of several threads by the clock.
-        at_most: what times_peer should be at most.
         share: part of the CPU time that is spent in the environment's steps.
     """
 
@@ -47,7 +46,6 @@ class Row:
     wall: float
     peer: str = ""
     times_peer: float | None = None
-    at_most: float | None = None
     share: float | None = None
 
 

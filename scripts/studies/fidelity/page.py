@@ -23,7 +23,7 @@ Each row of the table is one choice. Its columns are:
 {columns}
 
 The plain runs are a grid.
-They keep the lowest 2, 4, 6, 9 or all modes of each link, with foreshortening or without.
+They keep the lowest 2 to 9 modes of each link, or all of them, with foreshortening or without.
 They take {methods} with {parts} steps from ten outputs to 1/64 of one.
 
 {table}
@@ -42,10 +42,11 @@ The plain runs have one, two or three elements a link, and take {methods}.
 
 {table}
 """
-CONCLUSION = (
-    "**Of {count} choices {met} meet their tolerance. {near} know their error within a factor of {factor:g}. "
-    "{cheap} cost at most {most:g} times as much as the cheapest plain run that meets the tolerance.**"
-)
+CONCLUSION = """Of {count} choices:
+
+- **{met} meet their tolerance**
+- {near} know their error within a factor of {factor:g}
+- {cheap} cost at most {most:g} times as much as the cheapest plain run that meets the tolerance"""
 COLUMNS = {
     "scene": "the arm and its motion; a random one has 1 to 3 hollow metal links on springs",
     "tolerance": "the error that `choose_model` was allowed, in m at the tip",

@@ -25,10 +25,6 @@ That is 20 mm for `FlexRRR-v0`. The columns are:
 
 {columns}
 
-## Which to take
-
-{advice}
-
 ## Recipes
 
 {recipes}
@@ -64,12 +60,6 @@ COLUMNS = {
     "roughness": "the root mean square of the change of that from period to period; - where it was not taken",
     "failed": "the share of episodes that end at a limit",
 }
-ADVICE = """- `ppo_on_pd_minute` to see that it works, and to try changes of task, arm or reward.
-- `ppo_on_pd` where vibration and error count most: it leaves the least of both.
-- `sac_on_pd` where time counts most: it settles soonest, before the tracking LQR that knows model and true state.
-  It costs four times as much to train.
-- `ppo_alone` where no controller is there to add to. It is nearly as quick as SAC, but leaves 2 mm of vibration.
-- `planar_ppo_on_pd` under gravity: the PD controller holds the weight."""
 
 
 def page(rows: Sequence[Row], machine: str) -> str:
@@ -81,7 +71,6 @@ def page(rows: Sequence[Row], machine: str) -> str:
         selection=f"{SELECTION.start} to {SELECTION.stop - 1}",
         training=TRAINING,
         columns="\n".join(bullets(f"{name}: {meaning}" for name, meaning in COLUMNS.items())),
-        advice=ADVICE,
         recipes="\n".join(_recipes(rows)),
         controllers="\n".join(_controllers(rows)),
         elements=FINER_ELEMENTS,

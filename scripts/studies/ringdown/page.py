@@ -24,11 +24,11 @@ relative to the energy that should be left, or to 2 % of that at the start where
 
 {tables}
 """
-CONCLUSION = """- **The default, `{method}` at {step:.3g} ms,** is compared on more arms, and after a second too, in
-  [accuracy.md](accuracy.md): of so few as here the worst tenth says little.
+CONCLUSION = """- **The default, `{method}` at {step:.3g} ms,** is compared on more arms in [accuracy.md](accuracy.md).
+  Of so few arms as here the worst tenth says little.
 - **`ros2` at 5 ms** is {old:.3g} mm off after a release, in the median, and its energy {old_energy:.3g} %.
-- **Without damping** the energy of the default is {free:.2g} % off in the median, and {failed:.0%} of its arms fail;
-  with `ros2` at 5 ms it is {old_free:.2g} % and {old_failed:.0%}.{mujoco}"""
+- **Without damping** the energy of the default is {free:.2g} % off in the median, and {failed:.0%} of its arms fail.
+  With `ros2` at 5 ms it is {old_free:.2g} % off, and {old_failed:.0%} fail.{mujoco}"""
 MUJOCO = """
 - **MuJoCo's `{name}`** at {step:.3g} ms leaves {kept:.2g} of the energy of its own arm of rigid pieces; 1 is right."""
 HEADS = (
@@ -60,7 +60,7 @@ def page(rows: Sequence[Row], machine: str, default: tuple[str, float]) -> str:
 
 
 def conclusion(rows: Sequence[Row], default: tuple[str, float]) -> str:
-    """Says what the rows hold about the default, the one before, and MuJoCo's integrators."""
+    """Says what the rows hold about the default, ros2, and MuJoCo's integrators."""
 
     def of(kind: str, method: str, step: float) -> Row:
         named = [row for row in rows if (row.kind, row.method) == (kind, method)]

@@ -33,8 +33,8 @@ WITH_MODES = (
 )
 WITH_PAYLOAD = (
     "**A payload up to {heaviest:g} kg leaves the explicit limits alone.** The limit of `rk4` stays "
-    "between {lowest:.3g} and {highest:.3g} ms. A payload slows the low modes, and the highest frequency is inside the arm. "
-    "`ros2` at 20 ms is off by {long}."
+    "between {lowest:.3g} and {highest:.3g} ms. A payload slows the low modes, and the highest frequency is inside the "
+    "arm. `ros2` at 20 ms is off by {long}."
 )
 IN_SPIN = (
     "The true tip is that of the model with stiffening. **The linear frame fails here, not the methods.** "
