@@ -1,8 +1,9 @@
 PYTHON ?= python3
+TORCH := torch==2.13.0
 RUN := .venv/bin/python -m
 CODE := flexman_gym agents scripts
 
-.PHONY: demo test quick lint verify charts learning benchmark clean
+.PHONY: demo test quick lint verify wheel charts learning benchmark clean
 
 demo: .venv/installed
 	.venv/bin/flexman demo
@@ -17,6 +18,10 @@ quick: .venv/installed
 
 verify: .venv/installed
 	.venv/bin/flexman verify --markdown docs/verification.md
+
+# What a new user does, without the checkout: builds the wheel and installs it, checks, trains and evaluates.
+wheel:
+	@PYTHON=$(PYTHON) TORCH=$(TORCH) scripts/wheel.sh
 
 charts: .venv/installed
 	.venv/bin/python scripts/work_precision.py --folder docs
@@ -44,7 +49,7 @@ lint: .venv/installed
 .venv/installed: pyproject.toml
 	@echo "Installing flexman_gym and its tools into .venv: once, for a few minutes"
 	@$(PYTHON) -m venv .venv
-	@$(RUN) pip install --quiet torch==2.13.0
+	@$(RUN) pip install --quiet $(TORCH)
 	@$(RUN) pip install --quiet -e '.[train,render,dev]'
 	@touch $@
 
