@@ -10,6 +10,7 @@ import pytest
 import flexman_gym
 from flexman_gym import __main__
 from flexman_gym.commands import check
+from flexman_gym.kernels import arms
 
 ROOT = Path(flexman_gym.__file__).parents[1]
 WORDS = "flexman_gym compiles its kernels"
@@ -76,11 +77,17 @@ def test_check_says_versions_kernels_and_steps():
 
 
 def test_check_says_which_kernels_are_not_compiled_yet(tmp_path, monkeypatch, capsys):
-    """In a folder without any, and in one with a kernel of one arm."""
+    """In a folder without any, in one beside that of another installation, and in one with a kernel of one arm."""
     monkeypatch.setattr(check, "steps_a_second", lambda: 1.0)
-    monkeypatch.setattr("flexman_gym.kernels.FOLDER", str(tmp_path))
-    for name, one in (("other", "not compiled yet"), ("advance_one", "compiled")):
-        (tmp_path / f"arms.{name}-12.py311.1.nbc").touch()
+    for kernel in (arms.advance_one, arms.advance_arms):
+        monkeypatch.setattr(kernel._cache, "_cache_path", str(tmp_path / "ours"))
+    for folder, name, one in (
+        ("ours", "other", "not compiled yet"),
+        ("others", "advance_one", "not compiled yet"),
+        ("ours", "advance_one", "compiled"),
+    ):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        (tmp_path / folder / f"arms.{name}-12.py311.1.nbc").touch()
         assert __main__.main(["check"]) == 0
         said = capsys.readouterr().out.splitlines()
         assert f"kernels of one arm alone: {one}" in said and "kernels of arms abreast: not compiled yet" in said

@@ -24,10 +24,18 @@ def run(options: argparse.Namespace) -> int:
         print(f"{name}: {value}")
     print(f"cache folder: {FOLDER or 'none that is yours alone can be written'}")
     for kind, words in KINDS.items():
-        there = FOLDER is not None and any(Path(FOLDER).rglob(f"*{KERNELS[kind]}*.nbc"))
+        there = on_disk(KERNELS[kind])
         print(f"kernels of {words}: {'compiled' if there else 'not compiled yet'}", flush=True)
     print(f"steps of FlexRRR-v0: {steps_a_second():,.0f} a second")
     return 0
+
+
+def on_disk(name: str) -> bool:
+    """Whether a kernel of this installation is compiled; others keep theirs in folders beside it."""
+    from flexman_gym.kernels import arms
+
+    folder = getattr(arms, name).stats.cache_path
+    return folder is not None and any(Path(folder).glob(f"arms.{name}-*.nbc"))
 
 
 def vector_bits() -> int:
