@@ -4,16 +4,18 @@ import argparse
 import ast
 import importlib
 import pkgutil
+import re
 import sys
 from pathlib import Path
 
-from flexman_gym import commands
+from flexman_gym import __version__, commands
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs a command and returns the exit status."""
     given = sys.argv[1:] if arguments is None else arguments
     parser = argparse.ArgumentParser(prog="flexman", description="Robot arms that bend, as Gymnasium environments.")
+    parser.add_argument("--version", action="version", version=__version__)
     chosen = parser.add_subparsers(dest="command", required=True, metavar="command")
     for name in sorted(each.name for each in pkgutil.iter_modules(commands.__path__)):
         words = about(name)
@@ -31,6 +33,8 @@ def main(arguments: list[str] | None = None) -> int:
         )
         if "pip install" not in said:  # which rooms say that need more than is installed
             raise
+        if given[0] == "demo":  # which needs both
+            said = re.sub(r"flexman_gym\[\w+\]", "flexman_gym[train,render]", said)
         print(said, file=sys.stderr)
     except (ValueError, OSError) as error:  # a refusal, which is one line
         print(error, file=sys.stderr)

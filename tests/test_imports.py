@@ -32,7 +32,7 @@ FLOORS = {
     "verification": "simulation model scene kernels arrays checks",
     "commands": "flexman_gym agents verification evaluation envs draw control fidelity simulation model scene kernels "
     "checks",
-    "__main__": "commands",
+    "__main__": "flexman_gym commands",
     "studies": "flexman_gym agents verification evaluation metrics envs draw fidelity simulation model scene kernels "
     "arrays checks",
     "scripts": "flexman_gym __main__ agents studies verification evaluation envs draw fidelity simulation model scene",

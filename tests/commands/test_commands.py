@@ -34,6 +34,12 @@ def test_help_names_every_command_and_fits_a_screen(capsys):
     assert all(about(name).endswith(".") for name in COMMANDS)
 
 
+def test_the_version_is_that_of_the_package(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["--version"])
+    assert stop.value.code == 0 and capsys.readouterr().out == f"{fm.__version__}\n"
+
+
 def test_list_has_all_that_has_a_name(capsys):
     pytest.importorskip("stable_baselines3")
     names = {"environments": NAMED, "conditions": CONDITIONS, "controllers": BASES, "sensors": NAMES,
@@ -109,10 +115,12 @@ def test_a_command_without_its_packages_names_the_extra():
     """A process in which PyTorch cannot be imported."""
     code = "import sys; sys.modules['torch'] = sys.modules['stable_baselines3'] = None; "
     code += "from flexman_gym.__main__ import main; sys.exit(main(sys.argv[1:]))"
-    done, listed = (
+    done, listed, demo = (
         subprocess.run([sys.executable, "-c", code, *given], capture_output=True, text=True, cwd=ROOT)
-        for given in (["train", "--steps", "1"], ["list"])
+        for given in (["train", "--steps", "1"], ["list"], ["demo"])
     )
     assert listed.returncode == 0 and "none:  training needs" in listed.stdout
     assert done.returncode == 2
-    assert done.stderr.strip() == "training needs stable_baselines3, torch: pip install 'flexman_gym[train]'"
+    line = "training needs stable_baselines3, torch: pip install 'flexman_gym[train]'"
+    assert done.stderr.strip() == line
+    assert demo.stderr.strip() == line.replace("[train]", "[train,render]"), "what else it needs is said at once"
