@@ -13,6 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from flexman_gym.scene.arm import MOST_SECTIONS, Arm, Joint, Link, NonUniformLink, Payload
 
+from oracles.refusals import offenders
+
 LINK = Link(1.0, 0.002, 6e-7, 5e-7, 1e-6, 206e9, 79e9, 8253.0)
 JOINT = Joint((0.0, 0.0, 1.0))
 LINK_NUMBERS = [field.name for field in fields(Link) if field.name != "orientation"]
@@ -23,21 +25,20 @@ PARTS = {"Link": LINK, "NonUniformLink": STEPPED, "Joint": JOINT, "Payload": Pay
 quaternions = arrays(float, 4, elements=st.floats(-1.0, 1.0)).filter(lambda q: np.linalg.norm(q) > 0.1)
 
 
-def refused(field: str, value: object, allowed: str = "") -> None:
-    """Assert that `field` ("Link.length") refuses `value` in one line that names the field and says what is allowed."""
+def refused(field: str, *values: object, allowed: str = "") -> None:
+    """Assert that `field` ("Link.length") refuses each value in one line that names it and says what is allowed."""
     kind, _, name = field.partition(".")
-    with pytest.raises(ValueError) as error:
-        replace(PARTS[kind], **{name: value})
-    line = str(error.value)
-    assert line.startswith(field)
-    assert "give " in line and allowed in line
-    assert "\n" not in line and len(line) < 250
+
+    def good(line: str) -> bool:
+        return line.startswith(field) and "give " in line and allowed in line and "\n" not in line and len(line) < 250
+
+    wrong = offenders(lambda value: replace(PARTS[kind], **{name: value}), values, good)
+    assert not wrong, "\n".join([f"{field}, where {allowed or 'something else'} is allowed:", *wrong])
 
 
 @pytest.mark.parametrize("name", LINK_NUMBERS)
-@pytest.mark.parametrize("value", [0.0, -1.0, *NOT_NUMBERS], ids=lambda value: str(type(value)))
-def test_a_link_number_is_finite_and_positive(name, value):
-    refused(f"Link.{name}", value, "a finite number > 0")
+def test_a_link_number_is_finite_and_positive(name):
+    refused(f"Link.{name}", 0.0, -1.0, *NOT_NUMBERS, allowed="a finite number > 0")
 
 
 def test_an_error_names_the_field_the_value_and_what_is_allowed():
@@ -82,27 +83,12 @@ def test_the_warning_points_at_who_makes_the_link():
 def test_every_rotation_is_an_orientation_and_no_reflection_is(quaternion):
     matrix = Rotation.from_quat(quaternion).as_matrix()
     assert np.array_equal(replace(LINK, orientation=matrix).orientation, matrix)
-    refused("Link.orientation", -matrix, "a rotation matrix")
-    refused("Link.orientation", 1.00001 * matrix, "a rotation matrix")
+    refused("Link.orientation", -matrix, 1.00001 * matrix, allowed="a rotation matrix")
 
 
-@pytest.mark.parametrize(
-    "value",
-    [
-        None,
-        1.0,
-        "identity",
-        [],
-        np.eye(2),
-        np.zeros((3, 3)),
-        np.full((3, 3), math.nan),
-        np.full((3, 3), 1e300),
-        [[1.0]] * 3,
-    ],
-    ids=str,
-)
-def test_an_orientation_is_three_rows_of_three_finite_numbers(value):
-    refused("Link.orientation", value)
+def test_an_orientation_is_three_rows_of_three_finite_numbers():
+    tables = np.eye(2), np.zeros((3, 3)), np.full((3, 3), math.nan), np.full((3, 3), 1e300), [[1.0]] * 3
+    refused("Link.orientation", None, 1.0, "identity", [], *tables)
 
 
 def test_a_non_uniform_link_is_as_long_and_heavy_as_its_sections():
@@ -113,11 +99,9 @@ def test_a_non_uniform_link_is_as_long_and_heavy_as_its_sections():
     assert Arm([LINK, link], [JOINT] * 2).links == (LINK, link)
 
 
-@pytest.mark.parametrize(
-    "value", [None, (), LINK, "link", [LINK, 1.0], [STEPPED], [LINK] * (MOST_SECTIONS + 1)], ids=str
-)
-def test_a_non_uniform_link_is_made_of_uniform_ones(value):
-    refused("NonUniformLink.sections", value)
+def test_a_non_uniform_link_is_made_of_uniform_ones():
+    lists = [LINK, 1.0], [STEPPED], [LINK] * (MOST_SECTIONS + 1)
+    refused("NonUniformLink.sections", None, (), LINK, "link", *lists)
 
 
 @given(quaternions)
@@ -125,7 +109,7 @@ def test_a_section_has_no_orientation_of_its_own_but_the_link_has(quaternion):
     matrix = Rotation.from_quat(quaternion).as_matrix()
     turned = replace(STEPPED, orientation=matrix)
     assert np.array_equal(turned.orientation, matrix)
-    refused("NonUniformLink.orientation", -matrix, "a rotation matrix")
+    refused("NonUniformLink.orientation", -matrix, allowed="a rotation matrix")
     if not np.array_equal(matrix, np.eye(3)):
         with pytest.raises(ValueError, match=r"^NonUniformLink\.sections\[1\]\.orientation: .* give the identity"):
             NonUniformLink([LINK, replace(LINK, orientation=matrix)])
@@ -137,38 +121,34 @@ def test_an_axis_of_length_one_is_kept_as_it_is(quaternion):
     assert Joint(axis).axis == tuple(axis)
 
 
-@pytest.mark.parametrize("length", [0.0, 1.0 - 1e-6, 1.0 + 1e-6, 2.0])
-def test_an_axis_of_another_length_is_refused_with_its_length(length):
-    refused("Joint.axis", (0.0, -length, 0.0), f"the length of this one is {length:.12g}")
+def test_an_axis_of_another_length_is_refused_with_its_length():
+    for length in (0.0, 1.0 - 1e-6, 1.0 + 1e-6, 2.0):
+        refused("Joint.axis", (0.0, -length, 0.0), allowed=f"the length of this one is {length:.12g}")
 
 
-@pytest.mark.parametrize("value", [None, 1.0, "z", [], (1.0, 0.0), (0.0, 0.0, math.nan), (0.0, 0.0, True)], ids=str)
-def test_an_axis_is_three_finite_numbers(value):
-    refused("Joint.axis", value)
+def test_an_axis_is_three_finite_numbers():
+    refused("Joint.axis", None, 1.0, "z", [], (1.0, 0.0), (0.0, 0.0, math.nan), (0.0, 0.0, True))
 
 
 @pytest.mark.parametrize("field", ["Joint.rotor_inertia", "Joint.damping", "Payload.mass"])
-@pytest.mark.parametrize("value", [-1.0, *NOT_NUMBERS], ids=lambda value: str(type(value)))
-def test_inertia_damping_and_payload_are_not_negative(field, value):
-    refused(field, value, "a finite number >= 0")
+def test_inertia_damping_and_payload_are_not_negative(field):
+    refused(field, -1.0, *NOT_NUMBERS, allowed="a finite number >= 0")
 
 
-@pytest.mark.parametrize("value", [0.0, -1.0, math.inf, "rigid"])
-def test_a_joint_is_rigid_by_none_only(value):
-    refused("Joint.stiffness", value, "None for a rigid joint")
+def test_a_joint_is_rigid_by_none_only():
+    refused("Joint.stiffness", 0.0, -1.0, math.inf, "rigid", allowed="None for a rigid joint")
 
 
 def test_a_damper_needs_its_spring_and_a_spring_its_rotor():
-    refused("Joint.damping", 1.0, "the damper is parallel to the spring")
+    refused("Joint.damping", 1.0, allowed="the damper is parallel to the spring")
     with pytest.raises(ValueError, match=r"^Joint.rotor_inertia: 0.0 is not allowed; give a number > 0"):
         Joint((0, 0, 1), stiffness=100.0)
     assert Joint((0, 0, 1), rotor_inertia=1.0, stiffness=100.0, damping=2.0).damping == 2.0
 
 
 @pytest.mark.parametrize("name", ["links", "joints"])
-@pytest.mark.parametrize("value", [(), None, "arm", LINK, JOINT, [LINK, 1.0], [JOINT, None]], ids=str)
-def test_an_arm_is_a_chain_of_at_least_one_link_and_joint(name, value):
-    refused(f"Arm.{name}", value)
+def test_an_arm_is_a_chain_of_at_least_one_link_and_joint(name):
+    refused(f"Arm.{name}", (), None, "arm", LINK, JOINT, [LINK, 1.0], [JOINT, None])
 
 
 def test_an_arm_has_one_joint_for_each_link():
@@ -178,19 +158,16 @@ def test_an_arm_has_one_joint_for_each_link():
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
+    ("name", "values"),
     [
-        ("payload", 5.0),
-        ("gravity", -9.81),
-        ("gravity", (0.0, -9.81)),
-        ("gravity", (0.0, 0.0, math.nan)),
-        ("stiffness_proportional_damping", -1e-4),
-        ("modal_damping_ratio", -0.01),
-        ("modal_damping_ratio", 1.0),
+        ("payload", [5.0]),
+        ("gravity", [-9.81, (0.0, -9.81), (0.0, 0.0, math.nan)]),
+        ("stiffness_proportional_damping", [-1e-4]),
+        ("modal_damping_ratio", [-0.01, 1.0]),
     ],
 )
-def test_an_arm_refuses(name, value):
-    refused(f"Arm.{name}", value)
+def test_an_arm_refuses(name, values):
+    refused(f"Arm.{name}", *values)
 
 
 def test_lists_arrays_and_tuples_describe_the_same_arm():
