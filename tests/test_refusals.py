@@ -24,6 +24,7 @@ from flexman_gym.simulation.run import MOST_STEPS
 
 from oracles import odd
 from oracles.odd import Rude
+from oracles.refusals import offenders
 
 ARM = fm.catalog.planar_2r(joint_stiffness=20.0)
 LINK, JOINT = ARM.links[0], ARM.joints[0]
@@ -142,6 +143,11 @@ def started():
     return MANY
 
 
+def taken_or_said(line):
+    """Whether a value is taken, or refused in a line that says what is wrong."""
+    return line == "" or odd.fits(line)
+
+
 def line_of(call, value):
     """The line with which a call refuses a value; "" where it takes it."""
     try:
@@ -152,13 +158,14 @@ def line_of(call, value):
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
-@pytest.mark.parametrize("name", CALLS)
-def test_a_bad_value_is_refused_in_one_line(name):
-    for value in BAD:
-        if name == "FlexManVectorEnv.num_envs" and isinstance(value, int) and value > 100:
-            continue
-        line = line_of(CALLS[name], value)
-        assert line == "" or odd.fits(line), line
+@pytest.mark.parametrize("owner", sorted({name.partition(".")[0] for name in CALLS}))
+def test_a_bad_value_is_refused_in_one_line(owner):
+    wrong = []
+    for name in (name for name in CALLS if name.partition(".")[0] == owner):
+        many = name == "FlexManVectorEnv.num_envs"
+        values = [value for value in BAD if not (many and isinstance(value, int) and value > 100)]
+        wrong += [f"{name}: {each}" for each in offenders(CALLS[name], values, taken_or_said)]
+    assert not wrong, "\n".join(["neither taken nor refused in one line:", *wrong])
 
 
 @settings(deadline=None, derandomize=True, max_examples=60)
@@ -167,7 +174,7 @@ def test_what_hypothesis_makes_up_is_refused_in_one_line(name, data):
     numbers = st.floats() | st.integers() | st.booleans() | st.none() | st.text(max_size=5)
     nested = st.recursive(numbers, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner))
     line = line_of(CALLS[name], data.draw(nested))
-    assert line == "" or odd.fits(line), line
+    assert taken_or_said(line), line
 
 
 @pytest.mark.parametrize("value", [1e300, np.nextafter(LARGEST_STATE, np.inf), -2e6])
@@ -247,6 +254,19 @@ def test_arms_of_extreme_sizes_are_refused_or_have_finite_numbers():
             assert line.startswith("arm: ") or np.isfinite(models.pop().constants.stiffness).all()
     line = line_of(fm.build_model, replace(ARM, payload=fm.Payload(1e30)))
     assert line == "" or line.startswith("arm: ")
+
+
+def test_offenders_are_what_is_taken_what_is_said_otherwise_and_other_errors():
+    """A rule that lists nothing may see nothing."""
+    said = {2: ValueError("no"), 3: KeyError("no"), 4: ValueError("right"), 5: ValueError()}
+
+    def call(value):
+        if value in said:
+            raise said[value]
+
+    listed = offenders(call, range(1, 6), lambda line: line == "right")
+    assert listed == ["1 is taken", "2 is refused with no", "3 gives KeyError: 'no'", "5 is refused with ValueError()"]
+    assert len(offenders(call, [1, 4, 5], lambda line: line in ("", "right"))) == 1
 
 
 def test_numba_without_its_compiler_is_refused_in_one_line():
