@@ -70,6 +70,7 @@ try:
         statics,
         stiffening,
         tip,
+        turning,
     )
 finally:
     numba.config.CACHE_DIR = _setting
@@ -101,4 +102,5 @@ __all__ = [
     "statics",
     "stiffening",
     "tip",
+    "turning",
 ]

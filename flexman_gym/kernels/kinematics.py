@@ -1,7 +1,5 @@
 """Kinematics of the chain, outward: where links are, how they move, and what their motion alone demands (Eq. 24-33)."""
 
-import math
-
 from flexman_gym.kernels.compile import inner
 from flexman_gym.kernels.lanes import fused, vanishes
 from flexman_gym.kernels.linalg import (
@@ -27,6 +25,7 @@ from flexman_gym.kernels.linalg import (
     transposed,
 )
 from flexman_gym.kernels.stiffening import shorten_forces, shorten_mass, shorten_tip
+from flexman_gym.kernels.turning import sine_versine
 
 
 @inner
@@ -68,7 +67,8 @@ def tip_rotation(work, i):
 @inner
 def joint_rotation(constants, work, i, angle):
     """C of link i = exp(S_r q of the previous link) mount exp(axis angle)."""
-    turned = rotation_matrix(math.sin(angle), 1.0 - math.cos(angle), load(constants.axis, i))
+    sine, versine = sine_versine(angle)
+    turned = rotation_matrix(sine, versine, load(constants.axis, i))
     c = product(load_matrix(constants.mount, i), turned)
     if i > 0 and constants.elastic_start[i] > constants.elastic_start[i - 1]:
         c = product(tip_rotation(work, i - 1), c)

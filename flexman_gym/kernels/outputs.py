@@ -1,7 +1,5 @@
 """What is read off a state: tip, deflection, energies."""
 
-import math
-
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.kinematics import positions, velocities
 from flexman_gym.kernels.lanes import fused, vanishes
@@ -30,6 +28,7 @@ from flexman_gym.kernels.linalg import (
     store,
 )
 from flexman_gym.kernels.stiffening import stretch_energy
+from flexman_gym.kernels.turning import sine_versine
 
 
 @kernel
@@ -159,8 +158,9 @@ def rigid_tip(constants, x, v):
     for i in range(len(constants.mass)):
         m = constants.motor[i] if constants.motor[i] >= 0 else i
         axis = load(constants.axis, i)
-        turned = rotation_matrix(math.sin(x[m]), 1.0 - math.cos(x[m]), axis)
-        frame = product(frame, product(load_matrix(constants.mount, i), turned))
+        sine, versine = sine_versine(x[m])
+        turned = product(load_matrix(constants.mount, i), rotation_matrix(sine, versine, axis))
+        frame = product(frame, turned)
         spin = add_scaled(spin, v[m], apply(frame, axis))
         arm = apply(frame, (constants.length[i], 0.0, 0.0))
         origin, velocity = add(origin, arm), add(velocity, cross(spin, arm))
