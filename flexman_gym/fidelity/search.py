@@ -11,14 +11,14 @@ from flexman_gym.fidelity.candidates import Candidate, whole
 from flexman_gym.fidelity.ranks import stiffest, tip_parts
 from flexman_gym.model.model import Model
 from flexman_gym.scene.scene import Scene
-from flexman_gym.simulation.families import Explicit, LinearlyImplicit, Method, Midpoint
+from flexman_gym.simulation.families import Explicit, LinearlyImplicit, Method, Sweeps
 from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.scenes import simulate
 from flexman_gym.simulation.trajectory import Trajectory
 
 MODEL_SHARES = (0.6, 0.25)  # parts of the tolerance that dropped coordinates may use; each gives a model
 TRIED = ("extrapolated_euler_5", "extrapolated_euler_4", "extrapolated_euler_3", "ros2", "rk4", "dopri5",
-         "midpoint_2_sweeps", "midpoint_3_sweeps", "generalised_alpha")  # fmt: skip
+         "midpoint_2_sweeps", "midpoint_3_sweeps", "gauss_2_sweeps", "gauss_3_sweeps", "generalised_alpha")  # fmt: skip
 SHARP = 0.05  # of the tolerance, the most by which the reference may be off
 # Lets no vibration grow or fade, however short or long its steps.
 MIDPOINT, FIRST_PARTS, MOST_PARTS = METHODS["midpoint_3_sweeps"], 1, 64  # steps in an output step
@@ -216,8 +216,8 @@ class Search:
         each = self.scene.duration * screened.cost / max(screened.evaluations, 1)
         if isinstance(method, Explicit):
             return 0.3 * each * len(method.b)  # it factorises no matrix
-        if isinstance(method, Midpoint):
-            return 0.7 * each * method.sweeps
+        if isinstance(method, Sweeps):
+            return 0.7 * each * method.evaluations
         return 0.7 * each * len(method.b) * max(method.sequence) if isinstance(method, LinearlyImplicit) else 0.0
 
     def pace(self, trial: Trial, guessed: float) -> float:

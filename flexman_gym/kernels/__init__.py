@@ -51,6 +51,7 @@ try:
         explicit,
         fields,
         forces,
+        gauss,
         groups,
         implicit,
         inverse,
@@ -69,6 +70,7 @@ try:
         stages,
         statics,
         stiffening,
+        sweeps,
         tip,
         turning,
     )
@@ -83,6 +85,7 @@ __all__ = [
     "explicit",
     "fields",
     "forces",
+    "gauss",
     "groups",
     "implicit",
     "inverse",
@@ -101,6 +104,7 @@ __all__ = [
     "stages",
     "statics",
     "stiffening",
+    "sweeps",
     "tip",
     "turning",
 ]

@@ -34,10 +34,10 @@ from flexman_gym.kernels.layout import (
 )
 from flexman_gym.kernels.linalg import copy
 from flexman_gym.kernels.linearly_implicit import implicit_step, run_steps
-from flexman_gym.kernels.midpoint import midpoint_step
 from flexman_gym.kernels.outputs import observe
 from flexman_gym.kernels.pace import out_of_bounds, step_time
 from flexman_gym.kernels.parts import Parts, gathered
+from flexman_gym.kernels.sweeps import swept_step
 
 PER_ARM = frozenset(name for name, kind in Constants.__annotations__.items() if kind is Own)
 ALIGNMENT = 64  # bytes; of a group of eight numbers
@@ -143,13 +143,13 @@ constants_of_sequences, work_of_sequences = _reader(Constants, SEQUENCES), _read
 def proceed(constants, work, tableau, sweeps, clock, state):
     """Moves state and ledger, an array of work space, under work.drive; then fills work.outputs.
 
-    By a linearly implicit method, or, without a tableau (None), by sweeps of the midpoint rule.
+    By a linearly implicit method, or, without a tableau (None), by sweeps, see `swept_step`.
     """
     d = len(state) // 2 - 1
     for n in range(clock.substeps):
         moment = clock.time + n * clock.step, clock.step
         if tableau is None:
-            midpoint_step(constants, work, sweeps, None, moment, state)
+            swept_step(constants, work, sweeps, None, moment, state)
         else:
             implicit_step(constants, work, tableau, None, moment, state)
         copy(work.trial, state)
@@ -216,7 +216,7 @@ def run_arms(tables, work_table, tableau, sweeps, drives, clock, rows, out, coun
             for n in range(clock.substeps if r > 0 else 0):
                 moment = step_time(clock, r - 1, n), clock.step
                 if tableau is None:
-                    midpoint_step(constants, work, sweeps, work.table, moment, work.row)
+                    swept_step(constants, work, sweeps, work.table, moment, work.row)
                 else:
                     implicit_step(constants, work, tableau, work.table, moment, work.row)
                 for arm in range(first, end):

@@ -1,9 +1,6 @@
-"""The implicit midpoint rule in sweeps: a fixed number of Newton's iterations a step, without a test of convergence.
+"""The implicit midpoint rule in sweeps: a fixed number of Newton's iterations a step, without a test of convergence."""
 
-Runs are as in `explicit`.
-"""
-
-from flexman_gym.kernels.compile import inner, kernel
+from flexman_gym.kernels.compile import inner
 from flexman_gym.kernels.dynamics import factorise, solve
 from flexman_gym.kernels.forces import (
     applied_forces,
@@ -16,32 +13,6 @@ from flexman_gym.kernels.forces import (
 )
 from flexman_gym.kernels.joints import prescribed_power
 from flexman_gym.kernels.kinematics import positions, velocities
-from flexman_gym.kernels.layout import DIVERGED, OK, PAUSED
-from flexman_gym.kernels.linalg import copy
-from flexman_gym.kernels.outputs import observe
-from flexman_gym.kernels.pace import out_of_bounds, pause, resume, step_time
-
-
-@kernel
-def run_midpoint(constants, work, sweeps, table, clock, state, rows, outputs):
-    """Fixed steps of the midpoint rule, each of a number of sweeps."""
-    d, evaluations = len(state) // 2 - 1, 0
-    _, n, done = resume(work)
-    for r in range(len(rows)):
-        while n < clock.substeps:
-            if evaluations >= clock.most:
-                pause(work, n, done, 0.0)
-                return PAUSED, r, evaluations
-            midpoint_step(constants, work, sweeps, table, (step_time(clock, r, n), clock.step), state)
-            evaluations += sweeps
-            if out_of_bounds(work.trial):
-                return DIVERGED, r, evaluations
-            copy(work.trial, state)
-            n += 1
-        n = 0
-        copy(state, rows[r])
-        observe(constants, work, state[:d], state[d : 2 * d], outputs[r])
-    return OK, len(rows), evaluations
 
 
 @inner

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array
+from flexman_gym.kernels.gauss import DIAGONAL, FROZEN, LOWER, RELAXED, REST, ROOT
 from flexman_gym.simulation.families import (
     EXPLICIT,
     Explicit,
     Implicit,
     LinearlyImplicit,
     Method,
-    Midpoint,
+    Sweeps,
     extrapolation_weights,
 )
 
@@ -26,8 +27,8 @@ def amplification_factors(method: Method, angle: float | Array) -> NDArray[np.co
     """Gives the complex factors by which a step of a method multiplies the parts of an undamped vibration.
 
     Runge-Kutta and linearly implicit methods have one factor (with its conjugate), the stability function R(i omega h).
-    The semi-implicit Euler method has two and the generalised-alpha method three, the eigenvalues of their
-    amplification matrix.
+    The semi-implicit Euler method and sweeps of two stages have two and the generalised-alpha method three, the
+    eigenvalues of their amplification matrix.
 
     Args:
         method: the method.
@@ -40,9 +41,9 @@ def amplification_factors(method: Method, angle: float | Array) -> NDArray[np.co
         ValueError: for a reference method, which has no fixed step.
     """
     angle = np.asarray(angle, dtype=np.float64)
-    if method.adaptive or not isinstance(method, Explicit | LinearlyImplicit | Implicit | Midpoint):
+    if method.adaptive or not isinstance(method, Explicit | LinearlyImplicit | Implicit | Sweeps):
         raise ValueError(f"method: {method.name} chooses its steps; give one of fixed steps")
-    if isinstance(method, Implicit | Midpoint):
+    if isinstance(method, Implicit | Sweeps):
         return _implicit_factors(method, angle)
     if isinstance(method, LinearlyImplicit):
         weights, matrix = extrapolation_weights(method.sequence), method.a + method.coupling
@@ -63,8 +64,10 @@ def _stability(matrix: Array, b: Array, z: np.ndarray) -> np.ndarray:
     return 1.0 + z * (stages[..., 0] @ b)
 
 
-def _implicit_factors(method: Implicit | Midpoint, angle: Array) -> NDArray[np.complex128]:
-    if isinstance(method, Midpoint) or method.radius is None:  # one sweep is exact where all is linear
+def _implicit_factors(method: Implicit | Sweeps, angle: Array) -> NDArray[np.complex128]:
+    if isinstance(method, Sweeps) and method.stages > 1:
+        return _pair_factors(method.sweeps, angle)
+    if isinstance(method, Sweeps) or method.radius is None:  # one sweep is exact where all is linear
         return ((1.0 + 0.5j * angle) / (1.0 - 0.5j * angle))[..., None]
     mass, force, beta, gamma = method.averages[:4]
     square = angle**2
@@ -72,6 +75,24 @@ def _implicit_factors(method: Implicit | Midpoint, angle: Array) -> NDArray[np.c
     after: list[list[Any]] = [[1.0, 0.0, -beta], [0.0, 1.0, -gamma], [(1.0 - force) * square, 0.0, 1.0 - mass]]
     before: list[list[Any]] = [[1.0, 1.0, 0.5 - beta], [0.0, 1.0, 1.0 - gamma], [-force * square, 0.0, -mass]]
     return _eigenvalues(np.linalg.solve(_matrices(after), _matrices(before)))
+
+
+def _pair_factors(sweeps: int, angle: Array) -> NDArray[np.complex128]:
+    """Gives the factors of sweeps of two stages: their step itself, for q and h v, with q'' = - omega^2 q."""
+    square, ends = angle**2, []
+    for q, speed in ((1.0, 0.0), (0.0, 1.0)):
+        w = [-square * (q + 0.5 * speed) / (1.0 + 0.25 * square)] * 2
+        v = [speed + (0.5 + side * ROOT) * w[0] for side in (-1, 1)]
+        for relaxed in (RELAXED,) * FROZEN + (1.0,) * sweeps:
+            places, speeds = q + REST * (v[0] + v[1]), speed + REST * (w[0] + w[1])
+            for i in range(2):
+                before = speeds + i * LOWER * w[0]
+                place = places + i * LOWER * v[0] + DIAGONAL * before
+                new = -square * place / (1.0 + DIAGONAL**2 * square)
+                v[i] = v[i] + relaxed * (before + DIAGONAL * new - v[i])
+                w[i] = w[i] + relaxed * (new - w[i])
+        ends.append((q + 0.5 * (v[0] + v[1]), speed + 0.5 * (w[0] + w[1])))
+    return _eigenvalues(_matrices([list(row) for row in zip(*ends, strict=True)]))
 
 
 def _matrices(rows: list[list[Any]]) -> Array:

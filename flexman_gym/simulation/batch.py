@@ -9,7 +9,7 @@ from flexman_gym.arrays import Array, Flags
 from flexman_gym.checks import bounded, positive, refusal, whole_number
 from flexman_gym.kernels import layout, outputs
 from flexman_gym.model.model import Model, checked_model
-from flexman_gym.simulation.families import LinearlyImplicit, Method, Midpoint
+from flexman_gym.simulation.families import LinearlyImplicit, Method, Sweeps
 from flexman_gym.simulation.methods import DEFAULT
 from flexman_gym.simulation.movers import Abreast, OneByOne
 from flexman_gym.simulation.parameters import nominal_parameters, varied_constants
@@ -71,7 +71,7 @@ class Batch:
         self._bound = tolerance, joints
         period = self.control_period, self.substeps
         self._mover: OneByOne | Abreast
-        if isinstance(self.method, LinearlyImplicit | Midpoint) and tolerance is None:
+        if isinstance(self.method, LinearlyImplicit | Sweeps) and tolerance is None:
             constants = model.constants._replace(prescribed=prescribed_flags(n, joints))
             self._mover = Abreast(constants, self.method, period, count, threads)
         else:

@@ -148,6 +148,11 @@ class LinearlyImplicit:
         return bool(self.error.size) or len(self.sequence) > 1
 
     @property
+    def evaluations(self) -> int:
+        """Evaluations a step."""
+        return len(self.b) * sum(self.sequence)
+
+    @property
     def conditions(self) -> list[tuple[int, str, float]]:
         """Order, name and residual of the conditions; they hold with `coupling` in place of `a` too."""
         b, ones = self.b, np.ones(len(self.b))
@@ -207,34 +212,46 @@ class Implicit:
 
 
 @dataclass(frozen=True, eq=False)
-class Midpoint:
-    """The implicit midpoint rule by a fixed number of Newton's iterations a step, without a test of convergence.
+class Sweeps:
+    """Gauss's collocation with one stage (the midpoint rule) or two, by a fixed number of iterations a step.
 
-    Their approximate Jacobian is that of a linearly implicit method, and so are cost and failures. One iteration solves
-    a free linear vibration; the others are for what the Jacobian leaves out.
+    Their approximate Jacobian is that of a linearly implicit method, and so are cost and failures.
 
     Attributes:
         name, order, source: see the top of this file.
-        sweeps: iterations, each an evaluation.
+        sweeps: iterations, each an evaluation of every stage.
+        stages: 1 or 2.
 
     Raises:
-        ValueError: for sweeps < 1, or too few for the order: each gains one, up to 2.
+        ValueError: for sweeps < 1, other stages, or too few sweeps for the order. Each gains one: from 1 to 2 with one
+            stage, from 2 to 4 with two.
     """
 
     name: str
     order: int
     source: str
     sweeps: int
+    stages: int = 1
     kind = LINEARLY_IMPLICIT
     adaptive = False
     estimates = False
 
     def __post_init__(self) -> None:
         whole_number(f"{self.name}.sweeps", self.sweeps, 1, MOST_SWEEPS)
-        if not 1 <= self.order <= min(self.sweeps, 2):
-            raise ValueError(
-                f"{self.name}: is not of order {self.order}: each of {self.sweeps} sweeps gains one, up to 2"
-            )
+        whole_number(f"{self.name}.stages", self.stages, 1, 2)
+        most = min(self.sweeps + self.stages - 1, 2 * self.stages)
+        if not 1 <= self.order <= most:
+            raise ValueError(f"{self.name}: is not of order {self.order}: {self.sweeps} sweeps gain {most} at most")
+
+    @property
+    def evaluations(self) -> int:
+        """Evaluations a step."""
+        return self.sweeps if self.stages == 1 else 2 * self.sweeps + 1
+
+    @property
+    def counts(self) -> tuple[int, int | None]:
+        """The sweeps as the kernels take them, see `swept_step`."""
+        return self.sweeps, None if self.stages == 1 else self.stages
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +270,7 @@ class Outside:
     estimates = True
 
 
-Method = Explicit | LinearlyImplicit | Implicit | Midpoint | Outside
+Method = Explicit | LinearlyImplicit | Implicit | Sweeps | Outside
 
 
 def extrapolation_weights(sequence: Sequence[int]) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 
 from flexman_gym.arrays import Array
 from flexman_gym.simulation.dormand_prince import A5, A8, B5, B8, ERROR5, ERROR8_3, ERROR8_5
-from flexman_gym.simulation.families import Explicit, Implicit, LinearlyImplicit, Method, Midpoint, Outside
+from flexman_gym.simulation.families import Explicit, Implicit, LinearlyImplicit, Method, Outside, Sweeps
 
 
 def generalised_alpha(radius: float) -> Implicit:
@@ -64,7 +64,9 @@ def _linearly_implicit() -> tuple[LinearlyImplicit, ...]:
 def _implicit() -> tuple[Method, ...]:
     source = "Hairer, Lubich and Wanner, Geometric Numerical Integration, II.1"
     midpoint = Implicit("implicit_midpoint", 2, source)
-    sweeps = (Midpoint(f"midpoint_{n}_sweeps", 2, f"{source}; Newton's iterations: VIII.6", n) for n in (2, 3))
+    sweeps = [Sweeps(f"midpoint_{n}_sweeps", 2, f"{source}; Newton's iterations: VIII.6", n) for n in (2, 3)]
+    pairs = f"{source}; van der Houwen and Swart 1997, SIAM J. Sci. Comput. 18, 41"
+    sweeps += [Sweeps(f"gauss_{n}_sweeps", n + 1, pairs, n, 2) for n in (2, 3)]
     radau = Outside("radau", 5, "Hairer and Wanner, Solving ODEs II, IV.8; the integrator of SciPy")
     return midpoint, *sweeps, generalised_alpha(0.9), radau
 

@@ -22,7 +22,7 @@ from flexman_gym.kernels.lanes import ARMS, NUMBER
 from flexman_gym.kernels.layout import ARMS_ABREAST, Clock, Constants, IntArray, Tableau, make_work
 from flexman_gym.scene.drive import drive_table
 from flexman_gym.simulation.calls import ABREAST, evaluations_of_a_call, pieces, row_pieces
-from flexman_gym.simulation.families import LinearlyImplicit, Midpoint
+from flexman_gym.simulation.families import LinearlyImplicit, Sweeps
 from flexman_gym.simulation.helper import Helper
 from flexman_gym.simulation.run import Run
 
@@ -92,13 +92,13 @@ class Abreast:
     def __init__(
         self,
         constants: Constants,
-        method: LinearlyImplicit | Midpoint,
+        method: LinearlyImplicit | Sweeps,
         period: tuple[float, int],
         arms: int,
         threads: int,
     ) -> None:
-        self._method: tuple[Tableau | None, int]  # tableau, or sweeps without one
-        self._method = (None, method.sweeps) if isinstance(method, Midpoint) else (method.tableau, 0)
+        self._method: tuple[Tableau | None, tuple[int, int | None]]  # tableau, or sweeps without one
+        self._method = (None, method.counts) if isinstance(method, Sweeps) else (method.tableau, (0, None))
         self._clock, self._still = Clock(0.0, period[0] / period[1], period[1], 0.0, 0.0), Clock(0.0, 0.0, 0, 0.0, 0.0)
         self._alone = arms == 1 and len(constants.station_mass) == 0
         groups = -(-arms // ARMS_ABREAST)
@@ -108,7 +108,7 @@ class Abreast:
         else:
             self._constants = [_for_arms(constants) for _ in range(groups)]
             self._works = [make_work(constants, arms_array) for _ in range(min(threads, -(-groups // SHARE)))]
-        stages = method.sweeps if isinstance(method, Midpoint) else len(method.b) * sum(method.sequence)
+        stages = method.evaluations
         self._most = max(1, evaluations_of_a_call(constants) // (ABREAST * stages))  # steps of a group in a call
         kind = NUMBER if self._alone else ARMS
         self._tables = np.array([addresses(each, kind) for each in self._constants])

@@ -8,14 +8,14 @@ import numpy as np
 
 from flexman_gym.arrays import Array
 from flexman_gym.checks import one_of, parts, positive, refusal
-from flexman_gym.kernels import arms, explicit, implicit, layout, linearly_implicit, midpoint, outputs, stages
+from flexman_gym.kernels import arms, explicit, implicit, layout, linearly_implicit, outputs, stages, sweeps
 from flexman_gym.kernels.arms import addresses, sequences_array
 from flexman_gym.kernels.lanes import SEQUENCES
 from flexman_gym.kernels.layout import Averages, Clock, Constants, IntArray, Tableau, Work, make_work
 from flexman_gym.model.model import Model
 from flexman_gym.scene.drive import drive_table
 from flexman_gym.simulation.calls import evaluations_of_a_call
-from flexman_gym.simulation.families import Explicit, Implicit, LinearlyImplicit, Method, Midpoint, Outside
+from flexman_gym.simulation.families import Explicit, Implicit, LinearlyImplicit, Method, Outside, Sweeps
 from flexman_gym.simulation.methods import METHODS
 
 MOST_STEPS = 100_000  # between two outputs, and in a control period
@@ -25,7 +25,7 @@ KERNELS: dict[type, Callable[..., tuple[int, int, int]]] = {
     Explicit: explicit.run_explicit,
     LinearlyImplicit: linearly_implicit.run_linearly_implicit,
     Implicit: implicit.run_implicit,
-    Midpoint: midpoint.run_midpoint,
+    Sweeps: sweeps.run_sweeps,
 }
 # Sequences of an extrapolation from which on it pays to run them side by side, of an arm that bends and of a rigid one.
 LEAST_SEQUENCES, LEAST_RIGID = 4, 6
@@ -123,11 +123,11 @@ class Run:
         self.tolerance = tolerance or (0.0, 0.0)
         self._most = evaluations_of_a_call(model.constants)
         self._at_rest = drive_table([None] * (model.n_joints + 6))
-        self._coefficients: Tableau | Averages | int | None = None
+        self._coefficients: Tableau | Averages | tuple[int, int | None] | None = None
         if isinstance(method, Implicit):
             self._coefficients = method.averages
-        elif isinstance(method, Midpoint):
-            self._coefficients = method.sweeps
+        elif isinstance(method, Sweeps):
+            self._coefficients = method.counts
         elif not isinstance(method, Outside):
             self._coefficients = method.tableau
         self._lanes: tuple[Constants, tuple[IntArray, ...]] | None = None

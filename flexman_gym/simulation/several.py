@@ -13,7 +13,7 @@ from flexman_gym.kernels.layout import STATUS
 from flexman_gym.model.model import Model
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.batch import MOST_ARMS, MOST_THREADS
-from flexman_gym.simulation.families import LinearlyImplicit, Method, Midpoint
+from flexman_gym.simulation.families import LinearlyImplicit, Method, Sweeps
 from flexman_gym.simulation.movers import Abreast
 from flexman_gym.simulation.parameters import varied_constants
 from flexman_gym.simulation.run import prescribed_flags
@@ -62,7 +62,7 @@ def simulate_all(
     for i, scene in enumerate(scenes):
         _check_alike(f"scenes[{i}]", scene, scenes[0], model is None)
     constants = varied_constants(plan.model, len(scenes), parameters)
-    lanes = isinstance(plan.method, LinearlyImplicit | Midpoint) and plan.tolerance is None and len(scenes) > 1
+    lanes = isinstance(plan.method, LinearlyImplicit | Sweeps) and plan.tolerance is None and len(scenes) > 1
     if not lanes:
         return [follow(scene, plan, own) for scene, own in zip(scenes, constants, strict=True)]
     return _abreast(scenes, plan, constants, threads)
@@ -86,7 +86,7 @@ def _check_alike(name: str, scene: object, first: Scene, built: bool) -> None:
 def _abreast(scenes: list[Scene], plan: Plan, constants: list[dict[str, Array]], threads: int) -> list[Trajectory]:
     """Simulates scenes by fixed steps of a linearly implicit method."""
     model, method, count = plan.model, plan.method, len(scenes)
-    assert isinstance(method, LinearlyImplicit | Midpoint)
+    assert isinstance(method, LinearlyImplicit | Sweeps)
     flags = prescribed_flags(model.n_joints, prescribed_joints(scenes[0]))
     shared = model.constants._replace(prescribed=flags)
     mover = Abreast(shared, method, (plan.interval, plan.substeps), count, threads)
@@ -98,7 +98,7 @@ def _abreast(scenes: list[Scene], plan: Plan, constants: list[dict[str, Array]],
     started = clock.perf_counter()
     mover.run(np.array([scene.drive for scene in scenes]), rows, outputs, counts)
     seconds = (clock.perf_counter() - started) / count
-    stages = method.sweeps if isinstance(method, Midpoint) else len(method.b) * sum(method.sequence)
+    stages = method.evaluations
     result = []
     for scene, own, states, read, (valid, steps) in zip(scenes, constants, rows, outputs, counts.tolist(), strict=True):
         status = STATUS[layout.OK if valid == plan.rows else layout.DIVERGED]

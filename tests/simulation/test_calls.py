@@ -28,7 +28,7 @@ def scene():
 
 
 PARTED = [
-    ("rk4", 1e-3), ("ros2", 1e-3), ("midpoint_3_sweeps", 1e-3), ("implicit_midpoint", 1e-3),
+    ("rk4", 1e-3), ("ros2", 1e-3), ("midpoint_3_sweeps", 1e-3), ("gauss_2_sweeps", 1e-3), ("implicit_midpoint", 1e-3),
     ("generalised_alpha", 1e-3), ("extrapolated_euler_5", 2e-3), ("extrapolated_euler_5", None), ("ros2", None),
     ("dopri5", None), ("dop853", None),
 ]  # fmt: skip
@@ -78,13 +78,13 @@ def test_a_long_control_period_has_the_bits_of_one_call(arms, threads, most, mon
 
 
 @pytest.mark.parametrize("most", [1, 3, 10, 40])
-@pytest.mark.parametrize("method", ["ros2", "midpoint_3_sweeps", "extrapolated_euler_3"])
+@pytest.mark.parametrize("method", ["ros2", "midpoint_3_sweeps", "gauss_2_sweeps", "extrapolated_euler_3"])
 def test_scenes_side_by_side_in_many_calls_have_the_bits_of_one(method, most, monkeypatch):
     """Ten steps a row; the torques of a scene are too large, and end it in the middle."""
     torques = [fm.SineTorque((size, 1.0), (1.0, 2.0), (0.3, 0.0)) for size in (*range(9), 1e8)]
     scenes = [replace(scene(), torque=torque) for torque in torques]
     whole = fm.simulate_all(scenes, method=method, step=0.005)
-    stages = {"ros2": 2, "midpoint_3_sweeps": 3, "extrapolated_euler_3": 6}[method]
+    stages = {"ros2": 2, "midpoint_3_sweeps": 3, "gauss_2_sweeps": 5, "extrapolated_euler_3": 6}[method]
     monkeypatch.setattr("flexman_gym.simulation.movers.evaluations_of_a_call", lambda constants: 4 * stages * most)
     parted = fm.simulate_all(scenes, method=method, step=0.005)
     assert whole[-1].status == "diverged" and whole[0].status == "ok"

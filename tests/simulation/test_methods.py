@@ -8,7 +8,8 @@ import pytest
 from scipy.integrate import DOP853, RK45
 
 import flexman_gym as fm
-from flexman_gym.simulation.families import KINDS, Explicit, LinearlyImplicit, Midpoint
+from flexman_gym.simulation.amplification import amplification_factors
+from flexman_gym.simulation.families import KINDS, Explicit, LinearlyImplicit, Sweeps
 from flexman_gym.simulation.methods import METHODS, generalised_alpha
 
 FIXED = [name for name, method in METHODS.items() if not method.adaptive]
@@ -55,13 +56,16 @@ def test_a_fixed_step_method_converges_with_its_order(name):
         assert order - 0.5 < np.log2(long / short) / 3 < order + 0.75
         return
     orders = observed_orders(error(name, step=DURATION / steps) for steps in STEPS)
+    if name == "gauss_2_sweeps":  # its error of order 3 is so small that it shows late
+        assert 3.0 < orders[-1] < orders[-2] < 4.0
+        return
     assert orders[-1] == pytest.approx(METHODS[name].order, abs=0.15)
 
 
 @pytest.mark.parametrize("name", FIXED)
 def test_the_energy_ledger_converges_with_the_order_of_the_method(name):
     high = METHODS[name].order > 5
-    many, rounding = ((4, 8, 16, 32), 4e-12) if high else ((64, 128, 256, 512), 1e-13)
+    many, rounding = ((4, 8, 16, 32), 1e-12) if high else ((64, 128, 256, 512), 1e-13)
     runs = [fm.simulate(scene(0.1 * SOFT if high else 50.0), method=name, step=DURATION / steps) for steps in many]
     orders = observed_orders((abs(run.energy_residual[-1]) / run.energy.max() for run in runs), rounding)
     orders = [orders.mean()] if high else orders
@@ -143,20 +147,54 @@ def test_the_stability_function_agrees_with_the_exponential_to_the_order(name):
 
 
 def test_an_order_takes_as_many_sweeps_of_the_midpoint_rule():
-    once = Midpoint("once", 1, "one of Newton's iterations", 1)
+    once = Sweeps("once", 1, "one of Newton's iterations", 1)
     orders = observed_orders(error(once, step=DURATION / steps) for steps in STEPS)
     assert orders[-1] == pytest.approx(1.0, abs=0.15)
     for order, sweeps in ((2, 1), (3, 4)):
         with pytest.raises(ValueError, match=f"^wrong: is not of order {order}"):
-            Midpoint("wrong", order, "", sweeps)
+            Sweeps("wrong", order, "", sweeps)
     with pytest.raises(ValueError, match=r"^wrong.sweeps: 0 is not allowed; give a whole number from 1 to 1000"):
-        Midpoint("wrong", 1, "", 0)
+        Sweeps("wrong", 1, "", 0)
+
+
+def test_an_order_takes_as_many_sweeps_of_two_stages():
+    once = Sweeps("once", 2, "one sweep", 1, 2)
+    assert observed_orders(error(once, step=DURATION / steps) for steps in STEPS)[-1] == pytest.approx(2.0, abs=0.15)
+    for order, sweeps in ((3, 1), (4, 2), (5, 9)):
+        with pytest.raises(ValueError, match=f"^wrong: is not of order {order}"):
+            Sweeps("wrong", order, "", sweeps, 2)
+    with pytest.raises(ValueError, match=r"^wrong.stages: 3 is not allowed; give a whole number from 1 to 2"):
+        Sweeps("wrong", 1, "", 1, 3)
+
+
+@pytest.mark.parametrize("angle", [0.1, 1.0, 3.5, 30.0, 1e4])
+def test_many_sweeps_of_two_stages_turn_a_vibration_as_gauss_does(angle):
+    """The Pade approximation of exp(z) with two zeros and two poles, Hairer and Wanner, Solving ODEs II, IV.3."""
+    z = 1j * angle
+    exact = (1.0 + z / 2.0 + z**2 / 12.0) / (1.0 - z / 2.0 + z**2 / 12.0)
+    factors = amplification_factors(Sweeps("many", 4, "", 20, 2), angle)
+    assert np.abs(factors - exact).min() < 1e-9 and np.abs(factors - exact.conjugate()).min() < 1e-9
+
+
+@pytest.mark.parametrize("sweeps", [1, 2, 3])
+def test_two_stages_turn_the_vibration_of_an_arm_as_their_factors_say(sweeps):
+    """A held link on a spring is linear: its states follow the recursion of the factors."""
+    method = Sweeps("pair", 2, "", sweeps, 2)
+    arm = fm.catalog.one_link(rotor_inertia=0.3, joint_stiffness=50.0)
+    wound = fm.Initial([0.0], [0.0], [0.2, 0.0, 0.0, 0.0])
+    still = fm.Scene(arm, fm.ModelChoice(False, 1), fm.ConstantTorque([0.0]), wound, 1.0, 0.1, prescribed=[fm.Signal()])
+    run = fm.simulate(still, method=method, step=0.1)
+    wound = run.states[:, 0] - run.states[:, 1]
+    inertia = fm.mass_matrix(fm.build_model(arm, flexible_links=False), run.states[0])[0, 0]
+    factors = amplification_factors(method, 0.1 * np.sqrt(50.0 / inertia))
+    expected = factors.sum().real * wound[1:-1] - factors.prod().real * wound[:-2]
+    assert np.abs(wound).max() > 0.1 and wound[2:] == pytest.approx(expected, abs=1e-12)
 
 
 def test_sweeps_lead_to_the_midpoint_rule():
     step = DURATION / 32
     converged = fm.simulate(scene(), method="implicit_midpoint", step=step).states[-1]
-    methods = (METHODS["midpoint_2_sweeps"], METHODS["midpoint_3_sweeps"], Midpoint("five", 2, "", 5))
+    methods = (METHODS["midpoint_2_sweeps"], METHODS["midpoint_3_sweeps"], Sweeps("five", 2, "", 5))
     left = [np.linalg.norm(fm.simulate(scene(), method=each, step=step).states[-1] - converged) for each in methods]
     assert left[1] < 0.3 * left[0] and left[2] < 0.03 * left[1]
 

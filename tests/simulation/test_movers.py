@@ -42,7 +42,10 @@ def drives_for(model, held, seed):
 
 
 @QUICK
-@given(affected(), st.sampled_from(["ros2", "extrapolated_euler_3", "extrapolated_euler_7", "midpoint_2_sweeps"]))
+@given(
+    affected(),
+    st.sampled_from(["ros2", "extrapolated_euler_3", "extrapolated_euler_7", "midpoint_2_sweeps", "gauss_2_sweeps"]),
+)
 def test_lanes_hold_the_bits_of_an_arm_alone(case, method):
     """With rotors that spin, friction, disturbances, prescribed joints and foreshortening."""
     sample, method = case.sample, METHODS[method]
@@ -58,7 +61,7 @@ def test_lanes_hold_the_bits_of_an_arm_alone(case, method):
             assert np.array_equal(result[arm], other[0], equal_nan=True)
 
 
-@pytest.mark.parametrize("method", ["ros2", "midpoint_3_sweeps"])
+@pytest.mark.parametrize("method", ["ros2", "midpoint_3_sweeps", "gauss_2_sweeps"])
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_threads_share_the_groups(threads, method):
     model = fm.build_model(fm.catalog.paper_rrr(), modes=2)
@@ -72,7 +75,7 @@ def test_threads_share_the_groups(threads, method):
         assert np.array_equal(result, wanted)
 
 
-@pytest.mark.parametrize("method", ["ros2", "midpoint_3_sweeps"])
+@pytest.mark.parametrize("method", ["ros2", "midpoint_3_sweeps", "gauss_2_sweeps"])
 def test_a_lane_that_diverges_disturbs_no_other(method):
     model = fm.build_model(fm.catalog.paper_rrr(), modes=2)
     states = 1e-3 * np.random.default_rng(0).normal(size=(9, 2 * model.n_dof))

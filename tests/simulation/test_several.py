@@ -36,7 +36,7 @@ def same(result, expected):
     return all(np.array_equal(getattr(result, name), getattr(expected, name)) for name in FIELDS)
 
 
-@pytest.mark.parametrize("method", ["ros2", "extrapolated_euler_5", "midpoint_2_sweeps", "generalised_alpha", "rk4"])
+@pytest.mark.parametrize("method", ["ros2", "extrapolated_euler_5", "gauss_2_sweeps", "generalised_alpha", "rk4"])
 @pytest.mark.parametrize(("stiffening", "held"), [(False, False), (True, True)])
 @pytest.mark.parametrize("step", [0.005, 0.04])
 def test_each_scene_moves_as_by_itself(method, stiffening, held, step):
@@ -49,7 +49,7 @@ def test_each_scene_moves_as_by_itself(method, stiffening, held, step):
         assert run.status == "ok" and same(run, fm.simulate(scene, method=method, step=step))
 
 
-@pytest.mark.parametrize("method", ["ros2", "midpoint_2_sweeps", "rk4"])
+@pytest.mark.parametrize("method", ["ros2", "midpoint_2_sweeps", "gauss_2_sweeps", "rk4"])
 def test_parameters_are_those_of_a_model_built_with_them(method):
     """A payload without inertia of its own only has a mass; joint stiffness leaves the modes as they are."""
     scene, masses = scenes()[0], np.array([1.0, 2.0, 4.0])

@@ -24,7 +24,7 @@ from studies.table import read_rows
 from oracles.files import ROOT
 
 NEW, MODEL = "a_new_method", "2 elements a link"
-KINDS = ["rk4", "dopri5", "ros2", "extrapolated_euler_4", "implicit_midpoint", "generalised_alpha"]
+KINDS = ["rk4", "dopri5", "ros2", "extrapolated_euler_4", "gauss_2_sweeps", "implicit_midpoint", "generalised_alpha"]
 RUN = Run("a scene", MODEL, NEW, None, None, 1.0, 1.0, 100.0, 1e-6, 1e-2, "ok")
 
 

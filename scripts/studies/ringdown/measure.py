@@ -12,7 +12,7 @@ from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import IntArray
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.families import EXPLICIT, LinearlyImplicit, Midpoint
+from flexman_gym.simulation.families import EXPLICIT, LinearlyImplicit, Sweeps
 from flexman_gym.simulation.methods import METHODS
 from studies.methods import fixed_step_methods
 from studies.ringdown.cases import DURATION, PERIOD, UNDAMPED, Cases, cases, default_model
@@ -96,7 +96,7 @@ def rows(kind: str, count: int, few: int) -> Iterator[Row]:
     if (truth.status != layout.OK).any():
         raise RuntimeError(f"{kind}: the reference fails")
     for method in fixed_step_methods():
-        many = count if isinstance(METHODS[method], LinearlyImplicit | Midpoint) else few
+        many = count if isinstance(METHODS[method], LinearlyImplicit | Sweeps) else few
         own = Cases(each.states[:many], each.drives[:, :many])
         for parts in settings(method):
             yield row(kind, method, PERIOD / parts, outcome(model, own, method, PERIOD / parts), truth)
