@@ -25,6 +25,7 @@ SAFETY = 0.8  # part of the tolerance that the chosen run may use
 ALIKE = 1.25  # costs that a clock cannot tell apart; of such trials the smallest model is chosen
 MULTIPLES = (10, 8, 5, 4, 3, 2)  # of the output step
 PARTS = (1, 2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 25, 32, 40, 50, 64, 80, 100, 128, 160, 200, 256, 320, 400, 512, 1024)
+GROWN = 0.01  # of the amplitude of a mode in 10 s, of which a report speaks
 MOST_GROWTH = 100.0  # of any mode by the method within the scene; the amplitudes are next to nothing at first
 
 
@@ -271,6 +272,13 @@ def _report(search: Search, best: Trial, trials: list[Trial], seconds: float) ->
     for i, frequency in enumerate(own[:3]):
         change = 100.0 * (amplitude_kept(best.method, best.step, frequency) - 1.0)
         lines.append(f"numerical damping of mode {i + 1} ({frequency:.4g} Hz) over 10 s: {change:+.2g} % of amplitude")
+    grown = [amplitude_kept(best.method, best.step, frequency) - 1.0 for frequency in own]
+    if grown and max(grown) > GROWN:
+        k = int(np.argmax(grown))
+        lines.append(
+            f"{best.method.name} lets mode {k + 1} ({own[k]:.4g} Hz) grow by {100.0 * grown[k]:.2g} % in 10 s where"
+            " nothing damps it"
+        )
     lines.append(search.words())
     lines.append(f"the scene costs {best.cost:.2g} s, the choice took {seconds:.3g} s, {search.runs} runs")
     return "\n".join(lines)

@@ -8,7 +8,7 @@ from scipy.linalg import eigh
 
 import flexman_gym as fm
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.fidelity.choose import _candidates, _choose, _dropped, assembled_modes
+from flexman_gym.fidelity.choose import _candidates, _choose, _dropped, _report, assembled_modes
 from flexman_gym.fidelity.search import Search, Trial
 from flexman_gym.model.instant import stiffness_matrix
 from flexman_gym.simulation.amplification import amplitude_kept, explicit_limit, spectral_radius
@@ -109,6 +109,15 @@ def test_of_models_that_cost_alike_the_smallest_is_chosen(monkeypatch, dearer, c
     monkeypatch.setattr(Search, "timed_run", cost)
     choice = _choose.__wrapped__(SCENES["paper ff"](), 0.1, np.inf)
     assert choice.model.n_dof == coordinates
+
+
+@pytest.mark.parametrize(("method", "step"), [("extrapolated_euler_3", 0.02), ("midpoint_2_sweeps", 0.02)])
+def test_a_report_speaks_of_every_method_that_lets_a_mode_grow(method, step):
+    search = Search(SCENES["two links"](), 0.01)
+    best = Trial(search.full, METHODS[method], step, 0.0, 1.0, 1)
+    own = fm.frequencies(search.model(search.full), [0.0, 0.0])[2:]
+    grown = max(amplitude_kept(METHODS[method], step, frequency) for frequency in own) - 1.0
+    assert ("grow by" in _report(search, best, [best], 0.0)) == (grown > 0.01) == (method != "midpoint_2_sweeps")
 
 
 def test_what_a_scene_declares_rigid_stays_rigid():
