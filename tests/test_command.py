@@ -4,16 +4,17 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import flexman_gym
-from flexman_gym import __main__
+from flexman_gym import __main__, kernels
 from flexman_gym.commands import check
-from flexman_gym.kernels import arms
+from flexman_gym.kernels import arms, explicit, implicit, inverse, linearly_implicit, readings, sweeps, tip
 
 ROOT = Path(flexman_gym.__file__).parents[1]
-WORDS = "flexman_gym compiles its kernels"
+WORDS = "flexman_gym compiles kernels"
 SMALL = """import numpy as np
 from flexman_gym.kernels.readings import beyond, combine
 combine(np.ones((1, 1)), np.array([0, 1]), np.array([0]), np.ones(1), np.ones((1, 1)))
@@ -40,6 +41,25 @@ def test_the_words_come_once_and_not_when_kernels_are_on_disk(tmp_path):
     assert str(tmp_path) in first.stderr
     assert again.stderr == ""
     assert first.returncode == again.returncode == 0 and first.stdout == again.stdout == ""
+
+
+def test_each_kernel_that_takes_long_says_how_long_is_left(capsys, monkeypatch):
+    monkeypatch.delenv("FLEXMAN_QUIET", raising=False)
+    words = kernels._Words()
+
+    def compile_one(kernel):
+        words.on_start(SimpleNamespace(data={"dispatcher": kernel}))
+        words.on_start(SimpleNamespace(data={"dispatcher": arms.proceed}))  # which it takes in
+        words.on_end(None)
+        words.on_end(None)
+
+    for kernel in (inverse.inertial_forces, arms.advance_one, readings.beyond):
+        compile_one(kernel)
+    first, *rest = capsys.readouterr().err.splitlines()
+    assert first.startswith(WORDS)
+    assert rest == ["  inertial_forces: about 25 s left", "  advance_one: about 17 s left"]
+    rooms = (arms, tip, inverse, sweeps, linearly_implicit, explicit, implicit)
+    assert all(any(hasattr(room, name) for room in rooms) for name in kernels.SECONDS)
 
 
 def test_a_setting_silences_the_words(tmp_path):

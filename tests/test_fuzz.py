@@ -11,6 +11,8 @@ from flexman_gym import metrics
 from flexman_gym.control import LQR, PD
 from flexman_gym.envs.description import Description
 from flexman_gym.fidelity.choose import assembled_modes
+from flexman_gym.fidelity.mesh import MeshSearch
+from flexman_gym.fidelity.search import TRIED
 
 from oracles import fuzz
 from oracles.fuzz import arguments, described, outcome, too_much
@@ -19,6 +21,13 @@ from oracles.samples import JOINT, LINK, ONE, PARTS, SCENE, arm_of
 from oracles.targets import TARGETS, Target
 
 CALLS, FILES = 8, 100  # of each target, and in all
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled():
+    """The methods that `choose_model` tries: to compile one takes longer than a call may."""
+    for method in {*TRIED, *MeshSearch.tried}:
+        fm.simulate(SCENE, method=method, step=1e-3)
 
 
 @pytest.mark.parametrize("name", TARGETS)

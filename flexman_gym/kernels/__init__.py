@@ -1,6 +1,6 @@
 """The compiled rooms. Their code is kept on disk, see `cache`.
 
-While kernels compile, one line on stderr says so; FLEXMAN_QUIET=1 silences it.
+While kernels compile, lines on stderr say so; FLEXMAN_QUIET=1 silences them.
 """
 
 import sys
@@ -11,26 +11,38 @@ from numba.core import event
 
 from flexman_gym.kernels.cache import find_folder, quiet
 
+# Seconds of a processor of 2024 from the start of each until it is done; of the first ones of an environment, until
+# this can take its first step. The others take less than two.
+SECONDS = {
+    "inertial_forces": 25, "advance_one": 17, "advance_arms": 20, "sense_one": 6, "sense_arms": 6, "run_arms": 16,
+    "run_sequences": 18, "run_sweeps": 11, "run_linearly_implicit": 6, "run_explicit": 5, "run_implicit": 5,
+}  # fmt: skip
+
 
 class _Words(event.Listener):
-    """Says once in a process that kernels compile; Numba tells of that, and not of those that it loads from disk."""
+    """Says which kernel compiles and how long it takes; Numba tells of that, and not of those that it loads."""
 
     def __init__(self) -> None:
-        self._said = quiet()
+        self._said, self._depth = False, 0
 
     def on_start(self, event: Any) -> None:
         """Before Numba compiles something, which need not be ours."""
-        if self._said or not event.data["dispatcher"].py_func.__module__.startswith(f"{__name__}."):
+        function = event.data["dispatcher"].py_func
+        self._depth += 1
+        if quiet() or self._depth > 1 or not function.__module__.startswith(f"{__name__}."):
             return
-        self._said = True
-        kept = f"only once: they are kept in {FOLDER}"
-        if FOLDER is None:
-            kept = "in every process: no folder that is yours alone can be written; set NUMBA_CACHE_DIR to one"
-        text = f"flexman_gym compiles its kernels, for up to a minute, and {kept} (FLEXMAN_QUIET=1 silences this line)"
-        print(text, file=sys.stderr, flush=True)
+        if not self._said:
+            kept = f"each only once: they are kept in {FOLDER}"
+            if FOLDER is None:
+                kept = "in every process: no folder that is yours alone can be written; set NUMBA_CACHE_DIR to one"
+            print(f"flexman_gym compiles kernels, {kept} (FLEXMAN_QUIET=1 silences this)", file=sys.stderr)
+            self._said = True
+        if left := SECONDS.get(function.__name__):
+            print(f"  {function.__name__}: about {left} s left", file=sys.stderr, flush=True)
 
     def on_end(self, event: Any) -> None:
-        """Nothing is left to say."""
+        """After it."""
+        self._depth -= 1
 
 
 if numba.config.DISABLE_JIT:
