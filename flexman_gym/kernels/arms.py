@@ -2,9 +2,8 @@
 
 One set of kernels moves one arm or ARMS_ABREAST of them: here they are compiled for work space whose elements are
 groups of numbers, one for each arm. Lanes do not mix, so that an arm moves in the same way, to the last bit, whatever
-its neighbours are. Constants that arms may differ in (`PER_ARM`) are such groups too, the others are shared.
-
-A call passes addresses of arrays instead of the arrays, which takes microseconds less.
+its neighbours are. Constants that arms may differ in (`PER_ARM`) are such groups too, the others are shared. A call
+passes addresses instead of arrays, which takes microseconds less.
 """
 
 import math
@@ -157,45 +156,53 @@ def proceed(constants, work, tableau, sweeps, clock, state):
 
 
 @released
-def advance_arms(tables, work_table, tableau, sweeps, drives, clock, rows, out, status):
-    """Moves arms by steps of a linearly implicit method, or sweeps without one, under constant drives (b, n + 6).
+def advance_arms(tables, work_table, method, drives, clock, rows, out, status, trail):
+    """Moves arms by a method, a tableau or None with sweeps as in `proceed`, through periods of constant drives.
 
-    `tables` (groups, fields, 3) are the addresses of the constants of each group of ARMS_ABREAST arms. Overwrites rows
-    (b, 2 d + 2), state and ledger, and outputs `out` (b, OUTPUTS) of the arms whose status (b,) is OK and that do not
-    diverge; it becomes DIVERGED for one that does.
+    `tables` (groups, fields, 3) are the addresses of the constants of each group of ARMS_ABREAST arms, drives are (b,
+    T, n + 6). Overwrites rows (b, 2 d + 2) and outputs `out` (b, OUTPUTS) of the arms whose status (b,) is OK until one
+    diverges; it is DIVERGED then. The trail has both after each good period, (b, T, ...), or no period at all.
     """
     work = work_of_arms(work_table)
     state = work.row
     for group in range(len(tables)):
-        first = group * ARMS_ABREAST
-        end = min(first + ARMS_ABREAST, len(rows))
-        if not any_moving(status, first, end):
-            continue
-        fill_lanes(rows, first, state)
-        fill_lanes(drives, first, work.drive)
-        proceed(constants_of_arms(tables[group]), work, tableau, sweeps, clock, state)
-        for arm in range(first, end):
-            if status[arm] == OK and not lane_in_bounds(state, arm - first):
-                status[arm] = DIVERGED
-            if status[arm] == OK:
-                read_lane(state, arm - first, rows[arm])
-                read_lane(work.outputs, arm - first, out[arm])
+        first, end = group * ARMS_ABREAST, min((group + 1) * ARMS_ABREAST, len(rows))
+        if any_moving(status, first, end):
+            fill_lanes(rows, first, state)
+            for t in range(drives.shape[1]):
+                fill_lanes(drives[:, t], first, work.drive)
+                proceed(constants_of_arms(tables[group]), work, method[0], method[1], clock, state)
+                for arm in range(first, end):
+                    if status[arm] == OK and not lane_in_bounds(state, arm - first):
+                        status[arm] = DIVERGED
+                    if status[arm] == OK:
+                        read_lane(state, arm - first, rows[arm])
+                        read_lane(work.outputs, arm - first, out[arm])
+                        follow(trail, arm, t, rows, out)
 
 
 @released
-def advance_one(table, work_table, tableau, sweeps, drives, clock, rows, out, status):
+def advance_one(table, work_table, method, drives, clock, rows, out, status, trail):
     """The same for a single arm."""
-    if status[0] != OK:
-        return
     work = work_of_one(work_table)
     copy(rows[0], work.row)
-    copy(drives[0], work.drive)
-    proceed(constants_of_one(table), work, tableau, sweeps, clock, work.row)
-    if out_of_bounds(work.row):
-        status[0] = DIVERGED
-    else:
-        copy(work.row, rows[0])
-        copy(work.outputs, out[0])
+    for t in range(drives.shape[1]):
+        if status[0] == OK:
+            copy(drives[0, t], work.drive)
+            proceed(constants_of_one(table), work, method[0], method[1], clock, work.row)
+            status[0] = DIVERGED if out_of_bounds(work.row) else OK
+            if status[0] == OK:
+                copy(work.row, rows[0])
+                copy(work.outputs, out[0])
+                follow(trail, 0, t, rows, out)
+
+
+@inner
+def follow(trail, arm, t, rows, out):
+    """Puts row and outputs of an arm after period t into a trail that has periods."""
+    if trail[0].shape[1] > 0:
+        copy(rows[arm], trail[0][arm, t])
+        copy(out[arm], trail[1][arm, t])
 
 
 @released

@@ -11,7 +11,8 @@ from flexman_gym.kernels import layout, outputs
 from flexman_gym.model.model import Model, checked_model
 from flexman_gym.simulation.families import LinearlyImplicit, Method, Sweeps
 from flexman_gym.simulation.methods import DEFAULT
-from flexman_gym.simulation.movers import Abreast, OneByOne
+from flexman_gym.simulation.movers import Abreast
+from flexman_gym.simulation.one_by_one import OneByOne
 from flexman_gym.simulation.parameters import nominal_parameters, varied_constants
 from flexman_gym.simulation.run import Run, find_method, find_substeps, find_tolerance, prescribed_flags
 
@@ -130,6 +131,33 @@ class Batch:
         self._known = False
         outputs.turn_over(self.rows, self.outputs, self.energy_turnover)
 
+    def roll(self, drives: Array) -> tuple[Array, Array]:
+        """Moves all arms that have not failed through T control periods, with Python's lock released.
+
+        It is T times `step`, to the bit, but for `tip_accelerations`, which are those at the end.
+
+        Args:
+            drives: (b, T, n + 6) of each control period, as in `step`; they are not checked.
+
+        Returns:
+            States (b, T, 2 d) and outputs (b, T, OUTPUTS) after each control period; NaN from the one on in which an
+            arm failed.
+        """
+        count, periods = drives.shape[:2]
+        rows, read = (np.full((count, periods, each.shape[1]), np.nan) for each in (self.rows, self.outputs))
+        self._mover.roll(drives, self._periods, self.rows, self.outputs, self.status, (rows, read))
+        good = np.isfinite(rows[:, :, 0]).sum(axis=1)
+        self._periods += good
+        moved = np.flatnonzero(good)
+        self._drive[moved] = drives[moved, good[moved] - 1]
+        self._known = False
+        for period in range(periods):
+            well = period < good
+            turned = self.energy_turnover[well]
+            outputs.turn_over(rows[well, period], read[well, period], turned)
+            self.energy_turnover[well] = turned
+        return rows[:, :, :-2], read
+
     def tip_accelerations(self) -> Array:
         """Gives how each tip is accelerated now, (b, TIP_ACCELERATIONS), m/s^2; columns in `kernels.layout`.
 
@@ -179,8 +207,7 @@ class Batch:
                 needs more, and for stiffness or damping of a rigid joint other than the model's.
         """
         self._known = False
-        for arm, constants in zip(arms, varied_constants(self.model, len(arms), parameters), strict=True):
-            self._mover.vary(arm, constants)
+        self._mover.vary(arms, varied_constants(self.model, len(arms), parameters))
 
     @property
     def time(self) -> Array:

@@ -1,9 +1,10 @@
 """Movers: the arms of a batch moved one by one by any method, or several abreast by linearly implicit methods.
 
-A mover has five methods. `vary(arm, constants)` gives an arm constants of its own, which `constants(arm)` tells.
-`observe(arms, rows, outputs)` reads the outputs off the rows of some arms. `move(drives, periods, rows, outputs,
-status)` moves the arms whose status is OK by one control period, `periods` (b,) after their start, and sets the status
-of arms that fail. `sense(drives, rows, out)` finds the tip accelerations (b, TIP_ACCELERATIONS) of all arms.
+A mover has six methods. `vary(arms, constants)` gives arms (r,) constants (r, ...) of their own, which
+`constants(arm)` tells. `observe(arms, rows, outputs)` reads the outputs off the rows of some arms. `move(drives,
+periods, rows, outputs, status)` moves the arms whose status is OK by one control period, `periods` (b,) after their
+start, and sets the status of arms that fail. `roll` does so through several, and keeps a trail: rows and outputs after
+each. `sense(drives, rows, out)` finds the tip accelerations (b, TIP_ACCELERATIONS) of all arms.
 """
 
 import os
@@ -20,65 +21,12 @@ from flexman_gym.kernels import layout, tip
 from flexman_gym.kernels.arms import PER_ARM, addresses, arms_array
 from flexman_gym.kernels.lanes import ARMS, NUMBER
 from flexman_gym.kernels.layout import ARMS_ABREAST, Clock, Constants, IntArray, Tableau, make_work
-from flexman_gym.scene.drive import drive_table
 from flexman_gym.simulation.calls import ABREAST, evaluations_of_a_call, pieces, row_pieces
 from flexman_gym.simulation.families import LinearlyImplicit, Sweeps
 from flexman_gym.simulation.helper import Helper
-from flexman_gym.simulation.run import Run
+from flexman_gym.simulation.one_by_one import Trail, own_constants, roll_by_periods
 
 SHARE = 8  # groups that are worth a thread: to wake a thread takes as long as to move two to four, often longer
-
-
-class OneByOne:
-    """A mover with one `Run` for each arm."""
-
-    kept = ("own",)
-
-    def __init__(self, runs: list[Run], period: tuple[float, int]) -> None:
-        self._runs = runs
-        for run in runs:
-            run.constants = run.constants._replace(**_own(run.constants))
-        self._step, self._substeps = period[0] / period[1], period[1]
-        self._period = period[0]
-        self._drive = drive_table([None] * (len(runs[0].constants.mass) + 6))
-
-    def vary(self, arm: int, constants: dict[str, Any]) -> None:
-        """Gives an arm constants of its own."""
-        self._runs[arm].constants = self._runs[arm].constants._replace(**constants)
-
-    def constants(self, arm: int) -> dict[str, Any]:
-        """Gives copies of the constants that an arm has of its own."""
-        return _own(self._runs[arm].constants)
-
-    @property
-    def own(self) -> list[dict[str, Array]]:
-        """What each arm has of its own: constants, and what its method remembers from step to step."""
-        return [
-            {name: getattr(run.constants, name) for name in sorted(PER_ARM)}
-            | {"pace": run.work.pace, "stages": run.work.stages}
-            for run in self._runs
-        ]
-
-    def observe(self, arms: IntArray, rows: Array, outputs: Array) -> None:
-        """Reads the outputs of some arms."""
-        for arm in arms:
-            self._runs[arm].start(rows[arm], rows[arm].copy(), outputs[arm])
-
-    def move(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
-        """Moves the arms whose status is OK."""
-        row, result = np.zeros((1, rows.shape[1])), np.zeros((1, layout.OUTPUTS))
-        for arm in np.flatnonzero(status == layout.OK):
-            self._drive[layout.OFFSET] = drives[arm]
-            moment, state = (periods[arm] * self._period, self._step, self._substeps), rows[arm].copy()
-            status[arm] = self._runs[arm](self._drive, moment, state, row, result)[0]
-            if status[arm] == layout.OK:
-                rows[arm], outputs[arm] = state, result[0]
-
-    def sense(self, drives: Array, rows: Array, result: Array) -> None:
-        """Finds the tip accelerations of all arms."""
-        d = rows.shape[1] // 2 - 1
-        for run, drive, row, out in zip(self._runs, drives, rows, result, strict=True):
-            tip.tip_accelerations(run.constants, run.work, row[:d], row[d : 2 * d], drive, out)
 
 
 class Abreast:
@@ -103,7 +51,7 @@ class Abreast:
         self._alone = arms == 1 and len(constants.station_mass) == 0
         groups = -(-arms // ARMS_ABREAST)
         if self._alone:
-            self._constants = [constants._replace(**_own(constants))]
+            self._constants = [constants._replace(**own_constants(constants))]
             self._works = [make_work(constants)]
         else:
             self._constants = [_for_arms(constants) for _ in range(groups)]
@@ -116,6 +64,7 @@ class Abreast:
         bounds = np.linspace(0, groups, len(self._works) + 1).round().astype(int)
         self._shares = [slice(int(first), int(end)) for first, end in pairwise(bounds)]
         self._observed = np.zeros(arms, dtype=np.int64)
+        self._no_trail: Trail = np.zeros((arms, 0, 1)), np.zeros((arms, 0, 1))
         self._helpers: list[Helper] = []
         self._process = 0
 
@@ -130,12 +79,17 @@ class Abreast:
         lane = () if self._alone else (..., arm % ARMS_ABREAST)
         return {name: values[lane].copy() for name, values in own.items()}
 
-    def vary(self, arm: int, constants: dict[str, Any]) -> None:
-        """Gives an arm constants of its own."""
-        own = self._constants[arm // ARMS_ABREAST]
-        for name, values in constants.items():
-            target = getattr(own, name)
-            (target if self._alone else target[..., arm % ARMS_ABREAST])[...] = values
+    def vary(self, arms: IntArray, constants: dict[str, Array]) -> None:
+        """Gives arms constants of their own."""
+        groups, lanes = np.divmod(arms, ARMS_ABREAST)
+        for group in np.unique(groups).tolist():
+            some = groups == group
+            for name, values in constants.items():
+                target = getattr(self._constants[group], name)
+                if self._alone:
+                    target[...] = values[-1]
+                else:
+                    target[..., lanes[some]] = np.moveaxis(values[some], 0, -1)
 
     def observe(self, arms: IntArray, rows: Array, outputs: Array) -> None:
         """Reads the outputs of some arms, by a run of no steps."""
@@ -147,6 +101,18 @@ class Abreast:
     def move(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
         """Moves the arms whose status is OK."""
         self._advance(drives, self._clock, rows, outputs, status)
+
+    def roll(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray, trail: Trail) -> None:
+        """Moves the arms whose status is OK through periods of drives (b, T, n + 6), in calls that are not too long."""
+        if self._clock.substeps > self._most:
+            roll_by_periods(self, drives, periods, (rows, outputs, status), trail)
+            return
+        for first, count in pieces(drives.shape[1], self._most // self._clock.substeps):
+            some = slice(first, first + count)
+            part: Trail = tuple(np.ascontiguousarray(each[:, some]) for each in trail)  # type: ignore[assignment]
+            given = np.ascontiguousarray(drives[:, some])
+            self._move(given, [self._clock], (rows, outputs, status), max(1, self._most // count), part)
+            trail[0][:, some], trail[1][:, some] = part
 
     def sense(self, drives: Array, rows: Array, result: Array) -> None:
         """Finds the tip accelerations of all arms."""
@@ -194,23 +160,36 @@ class Abreast:
         """Moves the arms whose status is OK; a long way in several calls, or else not at all."""
         together = max(1, self._most // max(1, clock.substeps))  # groups in a call
         if together >= len(self._tables) and clock.substeps <= self._most:
-            self._move(drives, [clock], (rows, outputs, status), together)
+            self._move(drives[:, None], [clock], (rows, outputs, status), together)
             return
         new, read, after = rows.copy(), outputs.copy(), status.copy()
         clocks = [clock._replace(substeps=steps) for _, steps in pieces(clock.substeps, self._most)]
-        self._move(drives, clocks or [clock], (new, read, after), together)
+        self._move(drives[:, None], clocks or [clock], (new, read, after), together)
         moved = (after == layout.OK)[:, None]
         np.copyto(rows, new, where=moved)
         np.copyto(outputs, read, where=moved)
         status[:] = after
 
-    def _move(self, drives: Array, clocks: list[Clock], moved: tuple[Array, Array, IntArray], together: int) -> None:
-        """Moves rows, outputs and status of the arms, so many groups in a call, by one clock after the other."""
-        if self._alone:
-            for clock in clocks:
-                kernels.advance_one(self._tables[0], self._work_tables[0], *self._method, drives, clock, *moved)
-            return
+    def _move(
+        self,
+        drives: Array,
+        clocks: list[Clock],
+        moved: tuple[Array, Array, IntArray],
+        together: int,
+        trail: Trail | None = None,
+    ) -> None:
+        """Moves rows, outputs and status of the arms, so many groups in a call, by one clock after the other.
+
+        Drives (b, T, n + 6) are those of T periods, of which a trail keeps rows and outputs.
+        """
         rows, outputs, status = moved
+        kept = trail or self._no_trail
+        if self._alone:
+            given = self._tables[0], self._work_tables[0], self._method, drives
+            for clock in clocks:
+                if status[0] == layout.OK:
+                    kernels.advance_one(*given, clock, *moved, kept)
+            return
 
         def share(groups: slice, work: IntArray) -> Iterator[None]:
             for first, count in pieces(groups.stop - groups.start, together):
@@ -218,8 +197,8 @@ class Abreast:
                 arms = _arms(some)
                 for clock in clocks:
                     kernels.advance_arms(
-                        self._tables[some], work, *self._method,
-                        drives[arms], clock, rows[arms], outputs[arms], status[arms],
+                        self._tables[some], work, self._method, drives[arms], clock,
+                        rows[arms], outputs[arms], status[arms], (kept[0][arms], kept[1][arms]),
                     )  # fmt: skip
                     yield
 
@@ -257,11 +236,6 @@ class Abreast:
 def _arms(groups: slice) -> slice:
     """The arms of groups."""
     return slice(groups.start * ARMS_ABREAST, groups.stop * ARMS_ABREAST)
-
-
-def _own(constants: Constants) -> dict[str, Any]:
-    """Copies of the constants that arms may differ in."""
-    return {name: getattr(constants, name).copy() for name in PER_ARM}
 
 
 def _for_arms(constants: Constants) -> Constants:

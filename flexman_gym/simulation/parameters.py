@@ -36,8 +36,8 @@ class Parameter:
         unit: of its values.
         of: "arm" for one number, "joint" or "link" for one number of each, (n,).
         nominal: gives the value of a model.
-        constants: gives the changed fields of `kernels.layout.Constants` for given values. Each must be of the type
-            `Own` there.
+        constants: gives the changed fields of `kernels.layout.Constants`, (r, ...), for the values of r arms. Each must
+            be of the type `Own` there.
         factor: whether a randomisation draws factors on the nominal value instead of values.
         fixed: gives (n,) where the value must stay nominal, as the model has no coordinate on which it could act.
         needed: gives (n,) where the value must not be 0.
@@ -83,10 +83,10 @@ class Parameter:
         return values
 
 
-def _payload(model: Model, mass: Array) -> dict[str, Array]:
-    nominal = model.constants
-    heavier = mass / nominal.payload_mass[0] if nominal.payload_mass[0] > 0.0 else 0.0
-    return {"payload_mass": mass.reshape(1), "payload_inertia": heavier * nominal.payload_inertia}
+def _payload(model: Model, masses: Array) -> dict[str, Array]:
+    nominal, mass = model.constants, masses[:, None]
+    heavier = mass / nominal.payload_mass[0] if nominal.payload_mass[0] > 0.0 else np.zeros_like(mass)
+    return {"payload_mass": mass, "payload_inertia": heavier * nominal.payload_inertia}
 
 
 def _rotors(model: Model, inertia: Array) -> dict[str, Array]:
@@ -96,8 +96,8 @@ def _rotors(model: Model, inertia: Array) -> dict[str, Array]:
 def _links(model: Model, factors: Array) -> dict[str, Array]:
     """Scales the stiffness of each link; proportional damping follows it, modal damping keeps its ratio."""
     nominal = model.constants
-    factor = np.ones(len(nominal.stiffness))
-    factor[: nominal.square_start[-1]] = np.repeat(factors, np.diff(nominal.square_start))
+    factor = np.ones((len(factors), len(nominal.stiffness)))
+    factor[:, : nominal.square_start[-1]] = np.repeat(factors, np.diff(nominal.square_start), axis=1)
     stiffness = factor * nominal.stiffness
     damping = model.arm.stiffness_proportional_damping * stiffness + np.sqrt(factor) * model.modal_damping
     return {"stiffness": stiffness, "damping": damping}
@@ -128,16 +128,15 @@ def nominal_parameters(model: Model) -> dict[str, Array]:
     return {name: np.array(parameter.nominal(model)) for name, parameter in PARAMETERS.items()}
 
 
-def varied_constants(model: Model, count: int, parameters: Mapping[str, object]) -> list[dict[str, Array]]:
-    """Gives the constants that change for each of `count` arms, by the values (count, ...) of their parameters.
+def varied_constants(model: Model, count: int, parameters: Mapping[str, object]) -> dict[str, Array]:
+    """Gives the constants (count, ...) that change of `count` arms, by the values (count, ...) of their parameters.
 
     Raises:
         ValueError: as `Batch.vary` does.
     """
     rows = {name: PARAMETERS[one_of("parameters", name, PARAMETERS)] for name in parameters}
     checked = {name: row.checked(name, parameters[name], model, count) for name, row in rows.items()}
-    result: list[dict[str, Array]] = [{} for _ in range(count)]
-    for i, own in enumerate(result):
-        for name, row in rows.items():
-            own.update(row.constants(model, checked[name][i]))
+    result: dict[str, Array] = {}
+    for name, row in rows.items():
+        result |= row.constants(model, checked[name])
     return result

@@ -61,11 +61,11 @@ def simulate_all(
     plan = find_plan(scenes[0], model, method, step, rtol, atol)
     for i, scene in enumerate(scenes):
         _check_alike(f"scenes[{i}]", scene, scenes[0], model is None)
-    constants = varied_constants(plan.model, len(scenes), parameters)
+    varied = varied_constants(plan.model, len(scenes), parameters)
     lanes = isinstance(plan.method, LinearlyImplicit | Sweeps) and plan.tolerance is None and len(scenes) > 1
     if not lanes:
-        return [follow(scene, plan, own) for scene, own in zip(scenes, constants, strict=True)]
-    return _abreast(scenes, plan, constants, threads)
+        return [follow(scene, plan, _own(varied, i)) for i, scene in enumerate(scenes)]
+    return _abreast(scenes, plan, varied, threads)
 
 
 def _check_alike(name: str, scene: object, first: Scene, built: bool) -> None:
@@ -83,15 +83,14 @@ def _check_alike(name: str, scene: object, first: Scene, built: bool) -> None:
         raise refusal(name, "a scene of other joints", f"{first.arm.n_joints} joints, with {joints} prescribed")
 
 
-def _abreast(scenes: list[Scene], plan: Plan, constants: list[dict[str, Array]], threads: int) -> list[Trajectory]:
+def _abreast(scenes: list[Scene], plan: Plan, varied: dict[str, Array], threads: int) -> list[Trajectory]:
     """Simulates scenes by fixed steps of a linearly implicit method."""
     model, method, count = plan.model, plan.method, len(scenes)
     assert isinstance(method, LinearlyImplicit | Sweeps)
     flags = prescribed_flags(model.n_joints, prescribed_joints(scenes[0]))
     shared = model.constants._replace(prescribed=flags)
     mover = Abreast(shared, method, (plan.interval, plan.substeps), count, threads)
-    for arm, own in enumerate(constants):
-        mover.vary(arm, own)
+    mover.vary(np.arange(count), varied)
     starts = np.array([first_state(scene, model) for scene in scenes])
     rows, outputs = np.zeros((count, plan.rows + 1, starts.shape[1])), np.zeros((count, plan.rows + 1, layout.OUTPUTS))
     rows[:, 0], counts = starts, np.zeros((count, 2), dtype=np.int64)
@@ -100,9 +99,14 @@ def _abreast(scenes: list[Scene], plan: Plan, constants: list[dict[str, Array]],
     seconds = (clock.perf_counter() - started) / count
     stages = method.evaluations
     result = []
-    for scene, own, states, read, (valid, steps) in zip(scenes, constants, rows, outputs, counts.tolist(), strict=True):
+    for i, (states, read, (valid, steps)) in enumerate(zip(rows, outputs, counts.tolist(), strict=True)):
         status = STATUS[layout.OK if valid == plan.rows else layout.DIVERGED]
         outcome = status, steps * stages, seconds
-        explained = partial(explanation, scene, plan, own)
+        explained = partial(explanation, scenes[i], plan, _own(varied, i))
         result.append(trajectory(model, plan.interval, states[: valid + 1], read[: valid + 1], outcome, explained))
     return result
+
+
+def _own(varied: dict[str, Array], scene: int) -> dict[str, Array]:
+    """The constants that a scene has of its own."""
+    return {name: values[scene] for name, values in varied.items()}

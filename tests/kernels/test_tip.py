@@ -9,7 +9,8 @@ import flexman_gym as fm
 from flexman_gym.kernels import dynamics, layout, tip
 from flexman_gym.kernels.layout import SPECIFIC_FORCE, TIP_ACCELERATION, TIP_ACCELERATIONS
 from flexman_gym.simulation.methods import METHODS
-from flexman_gym.simulation.movers import Abreast, OneByOne
+from flexman_gym.simulation.movers import Abreast
+from flexman_gym.simulation.one_by_one import OneByOne
 from flexman_gym.simulation.run import Run
 
 from oracles.affected import affected

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.families import LinearlyImplicit
-from flexman_gym.simulation.movers import OneByOne
+from flexman_gym.simulation.one_by_one import OneByOne
 from flexman_gym.simulation.run import Run
 
 from oracles.affected import affected
