@@ -11,6 +11,7 @@ from flexman_gym.envs.description import CONDITIONS, FILES, NOMINAL
 from flexman_gym.envs.sensors import SETS
 from flexman_gym.model.instant import frequencies
 from flexman_gym.verification.markdown import markdown_table
+from studies.environments.accuracy import DURATION, FINER, MOTIONS, Accuracy, accuracy
 from studies.environments.episode import BASES, SEEDS, Run
 
 SECTIONS = ("Description", "Actions", "Observations", "Reward", "Start", "End", "Arguments", "Version history")
@@ -25,6 +26,7 @@ def page(name: str, runs: dict[str | None, Run]) -> str:
         lines += {"Description": _arm, "Observations": _observations, "Arguments": _arguments}.get(title, _nothing)(
             name
         )
+    lines += ["## Accuracy", "", *_left_out(accuracy(name)), ""]
     lines += ["## Baselines", "", *_baselines(runs), "", "## Conditions", "", *_conditions(name)]
     return "\n".join(lines).rstrip() + "\n"
 
@@ -136,6 +138,20 @@ def _baselines(runs: dict[str | None, Run]) -> list[str]:
         "the arm and its whole state; the PD sees its motors.",
         "",
         *markdown_table(("", "RMS tip error", "failed"), rows),
+    ]
+
+
+def _left_out(each: Accuracy) -> list[str]:
+    rows = [
+        (text, *(f"{1e3 * float(value):.3g} mm" for value in (np.median(far), far.max())))
+        for text, far in (("finer steps", each.steps), ("finer steps and model", each.model))
+    ]
+    return [
+        f"{MOTIONS} arms move for {DURATION:g} s under random torques of up to half the limits. The finer steps are "
+        f"{FINER} times as many. The finer model has all coordinates and foreshortening. Its steps take "
+        f"{each.cost:.2g} times as long. The largest distance of the tip from the tip of the default:",
+        "",
+        *markdown_table(("", "half of the arms", "worst"), rows),
     ]
 
 
