@@ -116,7 +116,7 @@ def refuse(line):
         (lambda value: len(None), "TypeError"),
         (lambda value: refuse("no"), "ValueError"),
         (lambda value: refuse("value: 1 is not allowed; give\n2"), "ValueError"),
-        (lambda value: refuse("value: 1 is not allowed; give " + 400 * "2"), "ValueError"),
+        (lambda value: refuse("value: 1 is not allowed; give " + 440 * "2"), "ValueError"),
         (lambda value: (np.zeros(2), {"a": [np.nan]}), "not finite"),
         (lambda value: np.isinf(np.float64(1e300) * np.float64(1e300)), "RuntimeWarning"),
         (lambda value: time.sleep(0.1), "took more than"),

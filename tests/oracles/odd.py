@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 
 LINE = re.compile(r"[\w.,\[\]'\"(){}:/+\-\\ ]+: (missing|.+ (is|are) not allowed); give .+")
-LONGEST = 400  # characters of such a line
+LONGEST = 440  # characters of such a line
 
 
 class Rude:
