@@ -11,11 +11,14 @@ A rigid joint is the motor's hinge alone.
 
 import math
 import time
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 from xml.etree import ElementTree
 
 import mujoco  # type: ignore[import-not-found, import-untyped, unused-ignore]
 import numpy as np
+from mujoco import batch
 
 import flexman_gym as fm
 from flexman_gym.arrays import Array
@@ -25,7 +28,7 @@ from studies.precision.measure import OK, Row, Study
 SANE = 0.5  # m, of an error that still is a simulation of a flexible arm
 RIGID_STEP, RIGID_LINKS_STEP = 1e-3, 5e-3  # of RK4, whose errors are then far below those of a rigid arm
 DISCRETE = (2, 10, 20, 50, 100)  # steps of `discrete` in 10 ms: it is stable at all of them
-INTEGRATORS = ("Euler", "RK4", "implicitfast", "discrete")
+INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast", "discrete")
 
 
 def integrators() -> list[str]:
@@ -34,28 +37,31 @@ def integrators() -> list[str]:
     return [name for name in INTEGRATORS if name.lower() in known]
 
 
-def description(arm: fm.Arm, pieces: int, integrator: str, step: float) -> str:
-    """The MJCF of an arm of uniform links in `pieces` pieces each (0 for rigid ones), at zero angles; step in s."""
+def description(arm: fm.Arm, pieces: int, integrator: str, step: float, grow: Callable | None = None) -> str:
+    """The MJCF of an arm of uniform links in `pieces` pieces each (0 for rigid ones), at zero angles; step in s.
+
+    Links of another kind grow from the bodies of their joints, in the root element, as the function says.
+    """
     root = ElementTree.Element("mujoco")
-    option = {"timestep": repr(float(step)), "integrator": integrator, "gravity": _text(arm.gravity)}
-    flags = _add(_add(root, "option", option), "flag")
+    option = {"timestep": repr(float(step)), "integrator": integrator, "gravity": numbers(arm.gravity)}
+    flags = add(add(root, "option", option), "flag")
     flags.attrib.update(contact="disable", constraint="disable", warmstart="disable")
-    _add(root, "compiler", angle="radian", autolimits="true")
-    parent = _add(root, "worldbody")
-    actuators = _add(root, "actuator")
+    add(root, "compiler", angle="radian", autolimits="true")
+    parent = add(root, "worldbody")
+    actuators = add(root, "actuator")
     place: dict[str, str] = {}
     for i, (link, joint) in enumerate(zip(arm.links, arm.joints, strict=True)):
-        body = _add(parent, "body", place, name=f"link {i}")
+        body = add(parent, "body", place, name=f"link_{i}")
         armature = {"armature": repr(joint.rotor_inertia)}
-        _add(body, "joint", armature, name=f"motor {i}", axis=_text(joint.axis))
-        _add(actuators, "motor", joint=f"motor {i}", gear="1")
+        add(body, "joint", armature, name=f"motor {i}", axis=numbers(joint.axis))
+        add(actuators, "motor", joint=f"motor {i}", gear="1")
         if joint.stiffness is not None:
             spring = {"stiffness": repr(joint.stiffness), "damping": repr(joint.damping)}
-            _add(body, "joint", spring, name=f"spring {i}", axis=_text(joint.axis))
-        parent, place = _link(body, link, pieces)
+            add(body, "joint", spring, name=f"spring {i}", axis=numbers(joint.axis))
+        parent, place = grow(root, body, link) if grow else _link(body, link, pieces)
     if arm.payload is not None:
         raise ValueError("arm.payload: this description has none")
-    _add(parent, "site", name="tip", pos=place["pos"])
+    add(parent, "site", name="tip", pos=place["pos"])
     return ElementTree.tostring(root, encoding="unicode")
 
 
@@ -65,23 +71,23 @@ def _link(body: ElementTree.Element, link: Any, pieces: int) -> tuple[ElementTre
     turn = np.array(link.orientation)
     if not pieces:
         _inertia(body, section, link.length, turn)
-        return body, {"pos": _text(turn[:, 0] * link.length)}
+        return body, {"pos": numbers(turn[:, 0] * link.length)}
     whole = link.length / pieces
     _inertia(body, section, whole / 2, turn)
-    place = {"pos": _text(turn[:, 0] * whole / 2), "quat": _quaternion(turn)}
+    place = {"pos": numbers(turn[:, 0] * whole / 2), "quat": quaternion(turn)}
     stiffnesses = (
         section.shear_modulus * section.torsion_constant / whole,
         section.youngs_modulus * section.second_moment_y / whole,
         section.youngs_modulus * section.second_moment_z / whole,
     )
     for j in range(pieces):
-        body = _add(body, "body", place)
+        body = add(body, "body", place)
         for axis, stiffness in zip(np.eye(3), stiffnesses, strict=True):
-            _add(body, "joint", axis=_text(axis), stiffness=repr(float(stiffness)))
+            add(body, "joint", axis=numbers(axis), stiffness=repr(float(stiffness)))
         length = whole if j < pieces - 1 else whole / 2
         _inertia(body, section, length, np.eye(3))
-        place = {"pos": _text((length, 0.0, 0.0))}
-    return body, {"pos": _text((whole / 2, 0.0, 0.0)), "quat": _quaternion(turn.T)}
+        place = {"pos": numbers((length, 0.0, 0.0))}
+    return body, {"pos": numbers((whole / 2, 0.0, 0.0)), "quat": quaternion(turn.T)}
 
 
 def _inertia(body: ElementTree.Element, section: Any, length: float, turn: Array) -> None:
@@ -89,13 +95,18 @@ def _inertia(body: ElementTree.Element, section: Any, length: float, turn: Array
     mass, line = section.density * section.area * length, section.density * length
     y, z, slender = section.second_moment_y, section.second_moment_z, section.area * length**2 / 12
     inertia = line * np.array([y + z, y + slender, z + slender])
-    where = {"pos": _text(turn[:, 0] * length / 2), "quat": _quaternion(turn)}
-    _add(body, "inertial", where, mass=repr(float(mass)), diaginertia=_text(inertia))
+    where = {"pos": numbers(turn[:, 0] * length / 2), "quat": quaternion(turn)}
+    add(body, "inertial", where, mass=repr(float(mass)), diaginertia=numbers(inertia))
 
 
 def run(scene: fm.Scene, pieces: int, integrator: str, step: float) -> PeerRun:
     """Runs a scene of constant torques from rest at zero angles; the step (s) divides its output step."""
-    model = mujoco.MjModel.from_xml_string(description(scene.arm, pieces, integrator, step))
+    return advance(scene, _name(scene.arm, pieces), integrator, step, description(scene.arm, pieces, integrator, step))
+
+
+def advance(scene: fm.Scene, name: str, integrator: str, step: float, text: str) -> PeerRun:
+    """The same of an arm with this name and MJCF."""
+    model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     data.ctrl[:] = np.array(scene.torque.value)  # type: ignore[union-attr]
     rows, substeps = output_count(scene, step)
@@ -114,7 +125,30 @@ def run(scene: fm.Scene, pieces: int, integrator: str, step: float) -> PeerRun:
     reached = i * scene.output_step
     costs = (time.process_time() - started[0]) / reached, (time.perf_counter() - started[1]) / reached
     evaluations = (4 if integrator == "RK4" else 1) / step
-    return PeerRun(_name(scene.arm, pieces), integrator, step, tip, *costs, evaluations)
+    return PeerRun(name, integrator, step, tip, *costs, evaluations)
+
+
+def step_factors(arm: fm.Arm, pieces: int, integrator: str, step: float, small: float = 1e-5) -> Any:
+    """The complex factors by which a step (s) multiplies what is left of rest, from differences of small states."""
+    model = mujoco.MjModel.from_xml_string(description(arm, pieces, integrator, step))
+    data, after = mujoco.MjData(model), []
+    for state in small * np.vstack([np.eye(2 * model.nv), -np.eye(2 * model.nv)]):
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:] = np.split(state, 2)
+        mujoco.mj_step(model, data)
+        after.append(np.concatenate([data.qpos, data.qvel]))
+    ahead, back = np.split(np.array(after), 2)
+    return np.linalg.eigvals((ahead - back) / (2.0 * small))
+
+
+def abreast(scene: fm.Scene, pieces: int, step: float, arms: int, threads: int) -> Iterator[Array]:
+    """Moves arms from rest by `mujoco.batch`; gives the tip (3,) m of the first after each output step."""
+    model = mujoco.MjModel.from_xml_string(description(scene.arm, pieces, "Euler", step))
+    many, count = batch.Batch(model, arms, threads), output_count(scene, step)[1]
+    many.ctrl, tips = np.array(scene.torque.value), many.bind("site_xpos")  # type: ignore[union-attr]
+    while True:
+        many.step(nstep=count, stage=mujoco.mjtStage.mjSTAGE_POS)
+        yield tips[0, 0].copy()
 
 
 def _name(arm: fm.Arm, pieces: int) -> str:
@@ -134,31 +168,43 @@ def runs(study: Study) -> list[Timer]:
 
 
 def stable_runs(study: Study) -> list[Timer]:
-    """Runs with 4 and 8 pieces: at the longest stable step of each integrator, found by trying."""
-
-    def timed(pieces: int, integrator: str, parts: int) -> Row:
-        return row(study, run(study.scene, pieces, integrator, 0.01 / parts), sane=SANE)
-
+    """Runs with 4 and 8 pieces: at the longest stable step of each integrator."""
     result: list[Timer] = []
     for pieces in (4, 8):
         for name in integrators():
-            parts = DISCRETE[0]
-            while name != "discrete" and timed(pieces, name, parts).status != OK:
-                parts = math.ceil(1.1 * parts)
+            timed = partial(_timed, study, pieces, name)
+            parts = fewest_parts(timed) if name != "discrete" else 0
             chosen = {"discrete": DISCRETE, "Euler": (parts, 2 * parts)}.get(name, (parts,))
-            result += [lambda a=(pieces, name, each): timed(*a) for each in chosen]  # type: ignore[misc]
+            result += [partial(timed, each) for each in chosen]
     return result
 
 
-def _add(parent: ElementTree.Element, tag: str, attributes: dict[str, str] | None = None, **more: str) -> Any:
+def fewest_parts(timed: Callable[[int], Row]) -> int:
+    """The fewest steps in an output step with which a run is stable, found by trying."""
+    parts = DISCRETE[0]
+    while timed(parts).status != OK:
+        parts = math.ceil(1.1 * parts)
+    return parts
+
+
+def longest_step(study: Study, pieces: int, integrator: str) -> float:
+    """The longest step (s) of such a run."""
+    return study.scene.output_step / fewest_parts(partial(_timed, study, pieces, integrator))
+
+
+def _timed(study: Study, pieces: int, integrator: str, parts: int) -> Row:
+    return row(study, run(study.scene, pieces, integrator, study.scene.output_step / parts), sane=SANE)
+
+
+def add(parent: ElementTree.Element, tag: str, attributes: dict[str, str] | None = None, **more: str) -> Any:
     return ElementTree.SubElement(parent, tag, (attributes or {}) | more)
 
 
-def _text(values: Any) -> str:
+def numbers(values: Any) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def _quaternion(turn: Array) -> str:
+def quaternion(turn: Array) -> str:
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, turn.ravel())
-    return _text(quaternion)
+    return numbers(quaternion)

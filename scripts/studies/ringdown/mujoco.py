@@ -48,7 +48,7 @@ def release(integrator: str, step: float, seed: int) -> tuple[Array, float, floa
 def rows(count: int) -> Iterator[Row]:
     """Measures every integrator and step on so many arms."""
     truths = [release("RK4", FINEST, seed)[0] for seed in range(count)]
-    for integrator in integrators():
+    for integrator in (name for name in integrators() if name in STEPS):
         for step in STEPS[integrator]:
             runs = [release(integrator, step, seed) for seed in range(count)]
             kept = np.array([ended / began for _, began, ended, _ in runs])

@@ -1,0 +1,65 @@
+"""MuJoCo's rods as an arm: every link is a 1-D flex, a chain of points that bends, twists and stretches.
+
+A rod runs from the body of its joint to a free body, which carries the next joint. Both hold half a piece and clamp a
+very short edge. Points have no rotary inertia: both bodies have that of the pieces between them. The twist of an edge
+is a hinge of its own. A round section of our second moment, with a shear modulus to match, bends and twists as ours.
+"""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from studies.peers.mujoco import SANE, add, advance, description, fewest_parts, numbers, quaternion
+from studies.peers.runs import Timer, row
+from studies.precision.measure import Row, Study
+
+LENGTHS, CLAMP = (0.5, 0.25), 1e-3  # m, of about a piece; part of a piece that is clamped at either end
+METHODS = ("Euler", "RK4")  # `implicit` and `implicitfast` take no rods, `discrete` none whose edges are springs
+
+
+def rod(length: float, root: Any, body: Any, link: Any) -> tuple[Any, dict[str, str]]:
+    """Grows a round link in pieces of a length (m) from a body; gives the body at its tip and where in it that is."""
+    (section,), turn, name = link.sections, np.array(link.orientation), body.get("name")
+    pieces = round(link.length / length)
+    along, whole, second = turn[:, 0], link.length / pieces, section.second_moment_y
+    mass, polar = section.density * section.area * whole, section.density * 2.0 * second * whole
+    slender = pieces * polar / 4 + mass * whole**2 / 24 * (pieces - 0.75)
+    half = {"mass": repr(mass / 2), "diaginertia": numbers((polar / 2, slender, slender)), "quat": quaternion(turn)}
+    world, ends = root.find("worldbody"), root.findall("worldbody/body[freejoint]")
+    place = np.array(ends[-1].get("pos").split(), dtype=float) if ends else np.zeros(3)
+    tip = add(world, "body", name=f"{name}_tip", pos=numbers(place + link.length * along))
+    add(tip, "freejoint")
+    for end, side in ((body, 1.0), (tip, -1.0)):
+        add(end, "inertial", half, pos=numbers(side * along * whole / 4))
+    for j in range(1, pieces + 1):
+        edge = add(world, "body", name=f"{name}_twist_{j}")
+        add(edge, "joint", name=f"{name}_twist_{j}", axis=numbers(along))
+        add(edge, "inertial", pos="0 0 0", mass="1e-9", diaginertia=numbers([polar] * 3))
+    for j in range(1, pieces):
+        point = add(world, "body", name=f"{name}_{j}", pos=numbers(place + j * whole * along))
+        add(point, "inertial", pos="0 0 0", mass=repr(mass), diaginertia="1e-9 1e-9 1e-9")
+        for axis in np.eye(3):
+            add(point, "joint", type="slide", axis=numbers(axis))
+    bodies = " ".join([name, name, *(f"{name}_{j}" for j in range(1, pieces)), f"{name}_tip", f"{name}_tip"])
+    vertices = numbers(np.concatenate([-CLAMP * whole * along, np.zeros(3 * pieces + 3), CLAMP * whole * along]))
+    flex = add(add(root, "deformable"), "flex", name=name, dim="1", radius=repr(float((4.0 * second / np.pi) ** 0.25)))
+    flex.attrib.update(body=bodies, vertex=vertices, element=" ".join(f"{j} {j + 1}" for j in range(pieces + 2)))
+    add(flex, "contact", selfcollide="none", contype="0", conaffinity="0")
+    add(flex, "edge", stiffness=repr(section.youngs_modulus * section.area / whole))
+    shear = section.shear_modulus * section.torsion_constant / (2.0 * second)
+    add(flex, "elasticity", young=repr(section.youngs_modulus), shear=repr(shear))
+    return tip, {"pos": "0 0 0"}
+
+
+def run(study: Study, length: float, integrator: str, parts: int) -> Row:
+    """Runs a scene of constant torques from rest at zero angles, with so many steps in an output step."""
+    step = study.scene.output_step / parts
+    text = description(study.scene.arm, 0, integrator, step, partial(rod, length))
+    return row(study, advance(study.scene, f"MuJoCo, rods of {length:g} m", integrator, step, text), sane=SANE)
+
+
+def runs(study: Study) -> list[Timer]:
+    """Runs at the longest stable step of each integrator."""
+    calls = [partial(run, study, length, integrator) for length in LENGTHS for integrator in METHODS]
+    return [partial(call, fewest_parts(call)) for call in calls]
