@@ -3,6 +3,7 @@
 import argparse
 
 from flexman_gym.verification.cases import REFERENCE
+from studies.peers import abreast
 from studies.peers.compare import in_turns, ours, study, theirs, truth
 from studies.peers.page import publish
 from studies.places import folder
@@ -22,7 +23,8 @@ def main() -> None:
     file, known = options.folder / "peers.csv", truth(REFERENCE)
     if not options.redraw:
         result = study(known)
-        write_rows(in_turns(ours(result) + theirs(result)), file)
+        alone = in_turns(ours(result) + theirs(result))
+        write_rows(alone + abreast.rows(result, alone), file)
     text = publish(read_rows(file, Row), known.floor, options.folder)
     print("\n".join(text.splitlines()[-SHOWN:]))
 
