@@ -2,16 +2,18 @@
 
 import importlib
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from scipy.linalg import eigh
 
 import flexman_gym as fm
-from studies.peers import compare
-from studies.peers.page import conclusions
+from studies.peers import abreast, compare, newton
+from studies.peers.decay import decay, decays
+from studies.peers.page import conclusions, page
 from studies.peers.runs import with_rigid_joints
-from studies.precision.measure import Row, cost_at
+from studies.precision.measure import Row, Study, Truth, cost_at
 
 ARM, SCENE = fm.catalog.paper_rrr(), fm.catalog.paper_scene("ff")
 ROW = Row("paper_ff", "2 elements a link", "ros2", 1e-3, None, 0.02, 0.02, 1e3, 2e-3, 3e-2, "ok")
@@ -96,6 +98,112 @@ def test_a_short_run_of_mujoco_is_near_ours(mujoco_peer):
     assert result.distance(ours(scene, step=1e-3)) < 2e-3
 
 
+@pytest.mark.parametrize("integrator", ["Euler", "implicit", "implicitfast", "RK4", "discrete"])
+def test_integrators_of_mujoco_take_from_the_lowest_mode_what_their_formulas_say(mujoco_peer, integrator):
+    step = 1e-3 if integrator == "discrete" else 5e-5
+    rows = [replace(ROW, model="MuJoCo, 4 pieces", method=integrator, step=step)]
+    *_, (name, known, share) = decays(ARM, rows)
+    assert (name, known) == (f"MuJoCo, 4 pieces, {integrator}", step)
+    omega = 2 * np.pi * 4.4945  # of four pieces
+    expected = 1.0 - (1.0 + (omega * step) ** 2) ** (-0.5 / step) if integrator == "discrete" else 0.0
+    assert share == pytest.approx(expected, rel=1e-3, abs=1e-8)
+
+
+def test_our_methods_take_nothing_from_the_lowest_mode():
+    shares = {name: share for name, _, share in decays(ARM, [])}
+    assert list(shares) == ["ours, midpoint_2_sweeps", "ours, gauss_3_sweeps"]
+    assert max(abs(share) for share in shares.values()) < 1e-8
+
+
+def test_a_decay_is_that_of_all_steps_of_a_second():
+    assert decay(0.99j, 0.01) == pytest.approx(1.0 - 0.99**100)
+
+
+@pytest.mark.parametrize("pieces", [2, 4])
+def test_arms_of_mujoco_abreast_move_as_one_alone(mujoco_peer, pieces):
+    tips = mujoco_peer.abreast(SCENE, pieces, 1e-4 / 1.6, 3, 2)
+    alone = mujoco_peer.run(short(ARM, 0.05), pieces, "Euler", 1e-4 / 1.6)
+    assert np.array_equal([next(tips) for _ in range(5)], alone.tip[1:])
+
+
+def test_our_arms_abreast_move_as_one_alone():
+    scene, model = short(ARM, 0.05), fm.build_model(ARM, 2, stiffening=True)
+    tips = abreast.ours(scene, model, "midpoint_2_sweeps")
+    alone = fm.simulate(scene, model, "midpoint_2_sweeps", step=abreast.STEP)
+    assert np.allclose([next(tips) for _ in range(5)], alone.tip[1:], rtol=0.0, atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def rods(mujoco):
+    """The room of MuJoCo's rods as a module."""
+    return importlib.import_module("studies.peers.rods")
+
+
+def with_rods(mujoco, mujoco_peer, rods, arm, length):
+    """MuJoCo's model of an arm of rods in pieces of a length (m), and its data."""
+    model = mujoco.MjModel.from_xml_string(mujoco_peer.description(arm, 0, "Euler", 2e-5, partial(rods.rod, length)))
+    return model, mujoco.MjData(model)
+
+
+def test_an_arm_of_rods_has_mass_tip_and_inertia_of_ours(mujoco, mujoco_peer, rods):
+    model, data = with_rods(mujoco, mujoco_peer, rods, ARM, 0.5)
+    mujoco.mj_forward(model, data)
+    assert model.body_mass.sum() == pytest.approx(sum(link.mass for link in ARM.links), rel=1e-6)
+    assert np.allclose(data.site("tip").xpos, (7.5, 0.0, 1.0), rtol=0.0, atol=1e-9)
+    turned = np.zeros(model.nv)
+    turned[model.joint("spring 1").dofadr] = 1.0  # everything behind joint 2 moves as if it were rigid
+    for i in range(model.nbody):
+        if (name := model.body(i).name).startswith(("link_1_", "link_2_")) and "twist" not in name:
+            turned[model.body_dofadr[i] + 2] = data.xpos[i, 0]
+            if name.endswith("tip"):
+                turned[model.body_dofadr[i] + 4] = -1.0
+    moved = np.zeros(model.nv)
+    mujoco.mj_mulM(model, data, moved, turned)
+    rigid = fm.build_model(ARM, flexible_links=False, flexible_joints=False)
+    rigid = fm.mass_matrix(rigid, np.zeros(2 * rigid.n_dof))
+    assert turned @ moved == pytest.approx(rigid[1, 1] - ARM.joints[1].rotor_inertia, rel=1e-6)
+
+
+def test_a_clamped_rod_of_mujoco_vibrates_as_beam_theory_says(mujoco, mujoco_peer, rods):
+    link = ARM.links[2]
+    clamped = fm.Arm((link,), (fm.Joint(axis=(0.0, -1.0, 0.0), rotor_inertia=1e9),))
+    model, data = with_rods(mujoco, mujoco_peer, rods, clamped, 0.25)
+    for i in range(model.nbody):
+        if (name := model.body(i).name).startswith("link_0_") and "twist" not in name:
+            data.qvel[model.body_dofadr[i] + 2] = 0.1 * model.body_pos[i, 0] ** 2
+            if name.endswith("tip"):
+                data.qvel[model.body_dofadr[i] + 4] = -0.2 * model.body_pos[i, 0]
+    heights = []
+    for _ in range(250):
+        mujoco.mj_step(model, data, 100)
+        heights.append(data.site("tip").xpos[2])
+    crossings = np.flatnonzero(np.diff(np.sign(heights)))
+    measured = (len(crossings) - 1) / (2 * 2e-3 * np.ptp(crossings))
+    (section,) = link.sections
+    bending = section.youngs_modulus * section.second_moment_y / (section.density * section.area)
+    assert measured == pytest.approx(1.8751**2 * np.sqrt(bending) / link.length**2 / (2 * np.pi), rel=0.02)
+
+
+def test_a_short_run_of_rods_is_near_ours(mujoco_peer, rods):
+    scene = short(ARM, 0.3)
+    truth = Truth(ours(scene, elements=3, stiffening=True, step=1e-3), 0.0, "")
+    study = Study("short", scene, {}, truth, {})
+    errors = [rods.run(study, length, "Euler", parts).total_error for length, parts in ((0.5, 110), (0.25, 220))]
+    assert errors[1] < 0.4 * errors[0] < 2e-3
+
+
+def test_soromox_moves_nearly_as_we_do():
+    pytest.importorskip("soromox")
+    scene = short(ARM, 0.2)
+    result = importlib.import_module("studies.peers.soromox").run(scene)
+    assert result.distance(ours(scene, elements=3, stiffening=True, step=1e-3)) < 5e-4
+
+
+def test_cables_are_skipped_without_a_gpu(monkeypatch):
+    monkeypatch.setattr(newton, "import_module", lambda name: __import__("no_such_peer"))
+    assert newton.cables() == newton.SKIPPED
+
+
 def test_rigid_links_of_mujoco_move_as_ours(mujoco_peer):
     result = mujoco_peer.run(SCENE, 0, "RK4", 1e-3)
     expected = fm.simulate(SCENE, fm.build_model(ARM, flexible_links=False), "rk4", step=1e-3)
@@ -176,3 +284,12 @@ def test_peers_that_are_missing_are_named(monkeypatch, capsys):
     monkeypatch.setattr(compare.importlib, "import_module", lambda name: __import__("no_such_peer"))
     assert compare.theirs(None) == []
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(compare.PEERS)
+
+
+def test_the_page_compares_arms_abreast_with_the_quickest_of_the_same_error():
+    many = [replace(ROW, scene="64 arms on 2 cores", model=name, wall=wall) for name, wall in (("a", 1e-3), ("b", 0.1))]
+    text = page([ROW], [], [*many, replace(many[0], model="c", wall=0.5, total_error=4e-2)])
+    assert "64 arms on 2 cores: simulated seconds" in text
+    assert "| a | ros2 | 1 ms | 30 | 1e+03 | 1 |" in text and "| b | ros2 | 1 ms | 30 | 10 | 100 |" in text
+    assert "| c | ros2 | 1 ms | 40 | 2 | 1 |" in text
+    assert "| ours, midpoint_2_sweeps | 2.5 ms | 0 % |" in text and "| package | version |" not in text

@@ -22,10 +22,11 @@ CUT_MODES = ((0, 1, 2, 3, 4), (0, 1, 2, 3, 4, 5, 6, 7, 8, 14), (0, 1, 2, 3, 9))
 CHOSEN, TOLERANCE = "chosen for 4.5 mm with its mesh", 4.5e-3  # m, by `choose_model`, from the converged arm
 GRID = {"extrapolated_euler_3": (1, 2, 3, 4, 5, 6), "extrapolated_euler_5": (1, 2, 3)}
 GRID |= {"midpoint_2_sweeps": (1, 2, 3, 4, 5, 6), "midpoint_3_sweeps": (1, 2, 3, 4, 5, 6)}
+GRID |= {"gauss_2_sweeps": (1, 2, 3, 4), "gauss_3_sweeps": (1, 2, 3, 4)}
 GRID["implicit_midpoint"] = (2, 3, 4, 5, 6, 100)  # the last for the error of the model alone
 MORE = {"extrapolated_euler_4": (1, 2, 3), "ros2": (5, 10), "generalised_alpha": range(4, 7)}  # where time errors count
-PEERS = {"MuJoCo": "mujoco", "Exudyn": "exudyn", "Pinocchio": "pin"}  # name: package
-ROOMS = {"MuJoCo": "mujoco", "Exudyn": "exudyn", "Pinocchio": "pinocchio"}
+PEERS = {"MuJoCo": "mujoco", "Exudyn": "exudyn", "Pinocchio": "pin", "SoRoMoX": "soromox"}  # name: package
+ROOMS = {"MuJoCo": ("mujoco", "rods"), "Exudyn": ("exudyn",), "Pinocchio": ("pinocchio",), "SoRoMoX": ("soromox",)}
 
 
 def truth(reference: Path) -> Truth:
@@ -65,9 +66,9 @@ def ours(result: Study) -> list[Timer]:
 def theirs(result: Study) -> list[Timer]:
     """Those of the peers that are installed."""
     timers: list[Timer] = []
-    for name, room in ROOMS.items():
+    for name, rooms in ROOMS.items():
         try:
-            timers += importlib.import_module(f"studies.peers.{room}").runs(result)
+            timers += [each for room in rooms for each in importlib.import_module(f"studies.peers.{room}").runs(result)]
         except ModuleNotFoundError:
             print(f"{name} is missing, so it is left out: pip install 'flexman_gym[peers]'")
     return timers

@@ -2,15 +2,21 @@
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, metadata
 from pathlib import Path
 
+import flexman_gym as fm
 from flexman_gym.verification.machine import machine_text
 from flexman_gym.verification.markdown import introduced_table
 from studies.peers.charts import peers_chart
 from studies.peers.compare import PEERS, ROUNDS, of_peers
+from studies.peers.decay import decays
+from studies.peers.newton import cables
 from studies.precision.cases import PLAIN
 from studies.precision.measure import Row, cost_at, settled
 
+MANY = " arms on "  # in the scene of a row of arms side by side
 PICTURE, TITLE = "work_precision_peers.png", "The paper's arm, everything flexible"
 NEAR = 5e-3  # m; the finest models agree to about 4 mm, so that this is hardly worse than MuJoCo with 8 pieces
 WANTED = 3e-3  # m, a time error to name the cost of
@@ -24,18 +30,25 @@ The cost is CPU time on one core: the best of {rounds} rounds in which all take 
 - Ours: plain meshes, 20 modes of one of them, and what `choose_model` chose for an error of 4.5 mm.
 - MuJoCo: every link is 4 or 8 rigid pieces between springs, or one rigid link. Its `discrete` integrator eats the
   vibration.
+- MuJoCo's rods: every link is a 1-D flex of pieces of one length, which bends, twists and stretches. Its points have
+  no rotary inertia, so the bodies at both ends carry that. It knows round and rectangular sections only. Its `implicit`
+  integrators take no rods, and `discrete` takes no springs along their edges. With constraints in place of those
+  springs `discrete` diverged at 5 ms and at 1 ms.
 - Exudyn: a floating frame of reference with 2 beam elements a link, integrated by the generalised-alpha method. It has
   the mass points, shapes and stiffness of our model without foreshortening. It is compiled, without range checks or
   user functions. It runs with the settings that are quickest here, and with its default ones. Where links bend out of
   a plane it treats the rotation of their tips a little differently: its converged tip is within 5 mm of ours.
   Its time error is the distance from its own converged run.
 - Pinocchio: links and joints are rigid. A Runge-Kutta loop in Python calls its compiled `aba`.
+- SoRoMoX: geometric variable strain on the CPU, with quadratic bending and constant torsion along a link. Rotors are
+  added to its mass matrix, and a compiled Runge-Kutta loop calls it.
+- Newton's cables: {cables}.
 
 The rigid arms show what flexibility costs, and how far the tip is off without it.
 
 ![error over cost]({picture})
 
-Computed with {machine}, one core.
+Computed with {machine}, one core. The command is `python scripts/compare_peers.py --folder docs`.
 
 {conclusion}
 """
@@ -55,24 +68,40 @@ ALONE = (
 OURS = "The cost of a time error of {limit:g} mm with {model}. Exudyn's is interpolated between its steps."
 OURS_SETTLED = OURS + " Our second run keeps to this error at every finer step too."
 OUR_RUN = "ours, {method}, {setting}"
+LICENCES = "Each package with its licence, as its metadata say, and how it is run."
+SETTINGS = {
+    "MuJoCo": "contacts and constraints off, the longest stable step of each integrator",
+    "Exudyn": "generalised-alpha, Newton's tolerance 0.001 with Eigen's dense solver, and its defaults",
+    "Pinocchio": "RK4 at 1 ms",
+    "SoRoMoX": "JAX in double precision, RK4 at 0.667 ms",
+}
+DECAY = "How much of the amplitude of the lowest mode an integrator alone takes in a second; the arm has no damping."
+ABREAST = (
+    "{scene}: simulated seconds of one arm in a second of the clock, in the quickest round. "
+    "Each is compared with the quickest of the same error."
+)
+ABREAST_HEADS = ("model", "method", "step", "error, mm", "simulated seconds a second", "times slower")
 RIGID = "The cost of a rigid arm, by RK4 at {setting}. Its tip is {error:.2g} m from the truth."
 
 
 def publish(rows: Sequence[Row], floor: float, folder: Path) -> str:
     """Draws the rows, writes the page about them and returns it; `floor` is the error of the truth, m."""
-    peers = of_peers(rows)
-    mine = [row for row in rows if row not in peers]
+    many = [row for row in rows if MANY in row.scene]
+    peers = of_peers(alone := [row for row in rows if row not in many])
+    mine = [row for row in alone if row not in peers]
     peers_chart(mine, peers, floor, TITLE, folder / PICTURE)
-    text = page(mine, peers)
+    text = page(mine, peers, many)
     (folder / "peers.md").write_text(text, encoding="utf-8")
     return text
 
 
-def page(rows: Sequence[Row], peers: Sequence[Row]) -> str:
-    """The page as Markdown, from our rows and those of peers."""
-    packages = [package for name, package in PEERS.items() if any(row.model.startswith(name) for row in peers)]
-    known = {"rounds": ROUNDS, "picture": PICTURE, "machine": machine_text(packages)}
-    return PAGE.format(**known, conclusion="\n".join(conclusions(rows, peers, PLAIN)).rstrip())
+def page(rows: Sequence[Row], peers: Sequence[Row], many: Sequence[Row]) -> str:
+    """The page as Markdown, from our rows and those of peers, and from those of many arms."""
+    found = [name for name in PEERS if any(row.model.startswith(name) for row in peers)]
+    machine = machine_text(PEERS[name] for name in found)
+    texts = [*conclusions(rows, peers, PLAIN), *_decays(peers), *_abreast(many), *_licences(found)]
+    known = {"rounds": ROUNDS, "picture": PICTURE, "cables": cables(), "machine": machine}
+    return PAGE.format(**known, conclusion="\n".join(texts).rstrip())
 
 
 def conclusions(rows: Sequence[Row], peers: Sequence[Row], plain: str) -> list[str]:
@@ -130,6 +159,33 @@ def _rigid(rows: Sequence[Row], peers: Sequence[Row]) -> list[str]:
     cells = [(row.model.removesuffix("rigid").removesuffix(", ") or "ours", f"{1e3 * row.cpu:.3g}") for row in known]
     far = max(row.total_error or 0.0 for row in known)
     return introduced_table(RIGID.format(setting=known[0].setting, error=far), ("code", COST), cells)
+
+
+def _decays(peers: Sequence[Row]) -> list[str]:
+    """What integrators take from the lowest mode."""
+    shares = decays(fm.catalog.paper_rrr(), peers)
+    cells = [(name, f"{1e3 * step:.3g} ms", f"{100 * abs(round(share, 8)):.3g} %") for name, step, share in shares]
+    return introduced_table(DECAY, ("integrator", "step", "lost in a second"), cells)
+
+
+def _abreast(many: Sequence[Row]) -> list[str]:
+    """How fast many arms move on all cores; each beside the quickest of the same error."""
+    cells = []
+    for row in sorted(many, key=lambda row: (_millimetres(row), row.wall)):
+        best = min(many, key=lambda other: (_millimetres(other) != _millimetres(row), other.wall))
+        speeds = f"{1 / row.wall:.3g}", f"{row.wall / best.wall:.3g}"
+        cells.append((row.model, row.method, row.setting, _millimetres(row), *speeds))
+    return introduced_table(ABREAST.format(scene=many[0].scene), ABREAST_HEADS, cells) if many else []
+
+
+def _licences(names: Sequence[str]) -> list[str]:
+    """Versions, licences and settings of the packages that are installed."""
+    cells = []
+    for name in names:
+        with suppress(PackageNotFoundError):
+            known = metadata(PEERS[name])
+            cells.append((name, known["Version"], known["License-Expression"], SETTINGS[name]))
+    return introduced_table(LICENCES, ("package", "version", "licence", "settings"), cells) if cells else []
 
 
 def _within(rows: Sequence[Row], error: float) -> list[Row]:

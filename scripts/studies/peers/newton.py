@@ -1,0 +1,47 @@
+"""Newton's cables: link 3 of the arm, clamped and struck, where there is a GPU; its frequency tells its stiffness."""
+
+import time
+from importlib import import_module
+
+import numpy as np
+
+import flexman_gym as fm
+
+SKIPPED, PIECES, STEP, ITERATIONS, DURATION = "skipped: no GPU", 20, 1e-3, 10, 2.0  # s
+
+
+def cables() -> str:
+    """What the cable does on a GPU, or that it was skipped."""
+    try:
+        found = import_module("warp").is_cuda_available() and import_module("newton")
+    except ModuleNotFoundError:
+        found = False
+    return clamped("cuda:0") if found else SKIPPED
+
+
+def clamped(device: str) -> str:
+    """The frequency of the clamped link on a device beside that of beam theory, and its cost."""
+    newton, link = import_module("newton"), fm.catalog.paper_rrr().links[2]
+    section, whole = link.sections[0], link.length / PIECES
+    bending, line = section.youngs_modulus * section.second_moment_y, section.density * section.area
+    radius, stretch = (4 * section.second_moment_y / np.pi) ** 0.25, section.youngs_modulus * section.area / whole
+    shape = newton.ModelBuilder.ShapeConfig(density=line * whole / (np.pi * radius**2 * (whole + 4 * radius / 3)))
+    builder = newton.ModelBuilder(gravity=(0.0, 0.0, 0.0))
+    rod = newton.Rod.create_straight((0, 0, 0), (1, 0, 0), link.length, segment_count=PIECES, radius=radius)
+    bodies, _ = builder.add_rod(rod=rod, cfg=shape, stretch_stiffness=stretch, bend_stiffness=bending / whole)
+    builder.body_mass[bodies[0]] = builder.body_inv_mass[bodies[0]] = 0.0
+    builder.color()
+    model, heights = builder.finalize(device=device), []
+    solver, states = newton.solvers.SolverVBD(model, iterations=ITERATIONS), [model.state(), model.state()]
+    speeds = states[0].body_qd.numpy()
+    speeds[1:, 2] = 0.3 * np.linspace(0.0, 1.0, PIECES - 1) ** 2
+    states[0].body_qd.assign(speeds)
+    started = time.perf_counter()
+    for _ in range(round(DURATION / STEP)):
+        solver.step(*states, model.control(), None, STEP)
+        states.reverse()
+        heights.append(states[0].body_q.numpy()[-1, 2])
+    cost, crossings = (time.perf_counter() - started) / DURATION, np.flatnonzero(np.diff(np.sign(heights)))
+    measured = (len(crossings) - 1) / (2.0 * STEP * np.ptp(crossings))
+    true = 1.875**2 / (2.0 * np.pi) * np.sqrt(bending / line) / link.length**2
+    return f"a clamped link 3 swings at {measured:.3g} Hz, {true:.3g} Hz by beam theory, at {cost:.3g} s a second"
