@@ -5,7 +5,7 @@ from itertools import cycle
 from pathlib import Path
 
 from flexman_gym.draw.style import BLUE, GREEN, MIDDLE, ORANGE, RED, SKY
-from studies.looks import BLACK, PURPLE
+from studies.looks import BLACK, PINE, PINK, PURPLE
 from studies.precision.axes import (
     TOTAL_ERROR,
     TRUTHS,
@@ -17,7 +17,7 @@ from studies.precision.axes import (
 )
 from studies.precision.measure import Row
 
-COLOURS = (ORANGE, RED, PURPLE, GREEN, SKY, BLACK, MIDDLE)  # of the models of other codes; ours are blue
+COLOURS = (ORANGE, RED, PURPLE, GREEN, SKY, BLACK, MIDDLE, PINK, PINE)  # of the models of other codes; ours are blue
 MARKERS = "ov^D<PX>"  # of their methods; ours are squares
 
 

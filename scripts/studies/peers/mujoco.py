@@ -197,14 +197,17 @@ def _timed(study: Study, pieces: int, integrator: str, parts: int) -> Row:
 
 
 def add(parent: ElementTree.Element, tag: str, attributes: dict[str, str] | None = None, **more: str) -> Any:
+    """An element added to another one."""
     return ElementTree.SubElement(parent, tag, (attributes or {}) | more)
 
 
 def numbers(values: Any) -> str:
+    """Values as MJCF has them."""
     return " ".join(repr(float(value)) for value in values)
 
 
 def quaternion(turn: Array) -> str:
+    """A rotation matrix as a quaternion of MJCF."""
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, turn.ravel())
     return numbers(quaternion)
