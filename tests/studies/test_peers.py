@@ -227,9 +227,12 @@ def test_peers_that_are_missing_are_named(monkeypatch, capsys):
 
 
 def test_the_page_compares_arms_abreast_with_the_quickest_of_the_same_error():
-    many = [replace(ROW, scene="64 arms on 2 cores", model=name, wall=wall) for name, wall in (("a", 1e-3), ("b", 0.1))]
+    many = [
+        replace(ROW, scene="64 arms on 2 cores", model=name, cpu=2e-3, wall=wall)
+        for name, wall in (("a", 1e-3), ("b", 0.1))
+    ]
     text = page([ROW], [], [*many, replace(many[0], model="c", wall=0.5, total_error=4e-2)])
     assert "64 arms on 2 cores: simulated seconds" in text
-    assert "| a | ros2 | 1 ms | 30 | 1000 | 1 |" in text and "| b | ros2 | 1 ms | 30 | 10 | 100 |" in text
-    assert "| c | ros2 | 1 ms | 40 | 2 | 1 |" in text
+    assert "| a | ros2 | 1 ms | 30 | 1000 | 1 | 2 |" in text and "| b | ros2 | 1 ms | 30 | 10 | 100 | 0.02 |" in text
+    assert "| c | ros2 | 1 ms | 40 | 2 | 1 | 0.004 |" in text
     assert "| ours, midpoint_2_sweeps | 2.5 ms | 0 % |" in text and "| package | version |" not in text

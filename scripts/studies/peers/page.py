@@ -79,7 +79,7 @@ ABREAST = (
     "{scene}: simulated seconds of one arm in a second of the clock, in the quickest round. "
     "Each is compared with the quickest of the same error."
 )
-ABREAST_HEADS = ("model", "method", "step", "error, mm", "simulated seconds a second", "times slower")
+ABREAST_HEADS = ("model", "method", "step", "error, mm", "simulated seconds a second", "times slower", "cores busy")
 RIGID = "The cost of a rigid arm, by RK4 at {setting}. Its tip is {error:.2g} m from the truth."
 
 
@@ -172,7 +172,7 @@ def _abreast(many: Sequence[Row]) -> list[str]:
     cells = []
     for row in sorted(many, key=lambda row: (_millimetres(row), row.wall)):
         best = min(many, key=lambda other: (_millimetres(other) != _millimetres(row), other.wall))
-        speeds = f"{1 / row.wall:.4g}", f"{row.wall / best.wall:.3g}"
+        speeds = f"{1 / row.wall:.4g}", f"{row.wall / best.wall:.3g}", f"{row.cpu / row.wall:.2g}"
         cells.append((row.model, row.method, row.setting, _millimetres(row), *speeds))
     return introduced_table(ABREAST.format(scene=many[0].scene), ABREAST_HEADS, cells) if many else []
 
