@@ -15,6 +15,7 @@ def test_a_roll_is_as_many_steps_to_the_bit(method, step, arms):
     model, random = fm.build_model(fm.catalog.paper_rrr(), 1, 2), np.random.default_rng(0)
     drives = np.zeros((arms, 5, model.n_joints + 6))
     drives[:, :, :3] = random.uniform(-300.0, 300.0, (arms, 5, 3))
+    drives[:, :, 3:] = random.uniform(-5.0, 5.0, (arms, 5, 6))  # on tip and base, which the tip feels at once
     drives[-1, 2, 0] = 1e14 if arms > 1 else 0.0  # which breaks it
     rolled, stepped = (Batch(model, method, step, 0.02, arms=arms) for _ in range(2))
     states, outputs = rolled.roll(drives)
