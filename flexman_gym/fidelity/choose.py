@@ -269,10 +269,11 @@ def _report(search: Search, best: Trial, trials: list[Trial], seconds: float) ->
     if same:
         next_ = min(same, key=lambda each: each.step)
         lines.append(f"what limits the step: {next_.step:.4g} s leaves an error of {next_.error:.2g} m")
-    for i, frequency in enumerate(own[:3]):
-        change = 100.0 * (amplitude_kept(best.method, best.step, frequency) - 1.0)
-        lines.append(f"numerical damping of mode {i + 1} ({frequency:.4g} Hz) over 10 s: {change:+.2g} % of amplitude")
     grown = [amplitude_kept(best.method, best.step, frequency) - 1.0 for frequency in own]
+    for i, (frequency, part) in enumerate(zip(own[:3], grown, strict=False), start=1):
+        lines.append(
+            f"numerical damping of mode {i} ({frequency:.4g} Hz) over 10 s: {100.0 * part:+.2g} % of amplitude"
+        )
     if grown and max(grown) > GROWN:
         k = int(np.argmax(grown))
         lines.append(

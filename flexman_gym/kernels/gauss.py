@@ -9,20 +9,12 @@ methods for ODE-IVP solvers, SIAM J. Sci. Comput. 18, 41, 1997).
 """
 
 from flexman_gym.kernels.compile import inner
-from flexman_gym.kernels.dynamics import factorise, solve
-from flexman_gym.kernels.forces import (
-    applied_forces,
-    disturb,
-    drive_at,
-    friction_shift,
-    friction_slopes,
-    motor_forces,
-    structural_forces,
-)
+from flexman_gym.kernels.dynamics import factorise
+from flexman_gym.kernels.forces import applied_forces, drive_at, friction_slopes
 from flexman_gym.kernels.joints import prescribed_power
 from flexman_gym.kernels.kinematics import positions, velocities
 from flexman_gym.kernels.lanes import fused
-from flexman_gym.kernels.midpoint import advance_midpoint, sweep
+from flexman_gym.kernels.midpoint import advance_midpoint, solve_stage, sweep
 
 ROOT = 12.0**-0.5  # from the middle of a step to its stages, in steps
 DIAGONAL, LOWER, REST = ROOT, 2.0 * ROOT, 0.25 - ROOT  # T = (DIAGONAL, 0; LOWER, DIAGONAL), and all entries of A - T
@@ -91,11 +83,7 @@ def frozen_solution(constants, work, v):
     d = len(v)
     for k in range(d):
         work.shift[k] = work.stage_state[d + k] - v[k]
-    motor_forces(constants, work, v)
-    friction_shift(constants, work, work.shift[:d])
-    structural_forces(constants, work, work.stage_state[:d], work.stage_state[d : 2 * d])
-    disturb(constants, work, v)
-    solve(constants, work, work.rates)
+    solve_stage(constants, work, v)
 
 
 @inner

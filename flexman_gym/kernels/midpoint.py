@@ -57,13 +57,22 @@ def advance_midpoint(work, g, x, v):
 @inner
 def sweep(constants, work, g, x, v):
     """work.rates = the accelerations in the middle of the step, from its latest x and v (d,)."""
-    d = len(x)
     positions(constants, work, x)
     velocities(constants, work, v)
-    motor_forces(constants, work, v)
     friction_slopes(constants, work, v)
+    factorise(constants, work, (g, g * g))
+    solve_stage(constants, work, v)
+
+
+@inner
+def solve_stage(constants, work, v):
+    """work.rates = accelerations at the speeds v (d,) in work space, with springs and dampers at work.stage_state.
+
+    Friction is that of the speeds v + work.shift[:d], to first order.
+    """
+    d = len(v)
+    motor_forces(constants, work, v)
     friction_shift(constants, work, work.shift[:d])
     structural_forces(constants, work, work.stage_state[:d], work.stage_state[d : 2 * d])
     disturb(constants, work, v)
-    factorise(constants, work, (g, g * g))
     solve(constants, work, work.rates)
