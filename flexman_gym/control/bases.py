@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from flexman_gym.arrays import Vector
+from flexman_gym.arrays import Array, Vector
 from flexman_gym.checks import mapping, one_of, positive, refusal, text
 from flexman_gym.control.controller import Controller
 from flexman_gym.control.discrete import Weights
@@ -23,12 +23,20 @@ class Plant(NamedTuple):
         torque_limit: (n,) N m.
         period: of control, s.
         gains: makes "stiffness" (N m/rad) and "damping" (N m s/rad) that were tuned for the arm, (n,) each.
+        unknown: name -> (low, high) of the physical parameters that differ from arm to arm, see
+            `simulation.parameters.PARAMETERS`; parts of the nominal value where the table there says factor.
+        delay: fewest and most whole control periods by which torques come late.
+        measured: gives, name -> (2, size), the range of each quantity that instruments measure and the standard
+            deviation of their noise, in its unit.
     """
 
     model: Model
     torque_limit: tuple[float, ...]
     period: float
     gains: Callable[[], Gains]
+    unknown: Mapping[str, tuple[float, float]] = {}
+    delay: tuple[int, int] = (0, 0)
+    measured: Callable[[], Mapping[str, Array]] = dict
 
 
 @dataclass(frozen=True)
