@@ -11,6 +11,8 @@ from flexman_gym.control.discrete import Weights
 from flexman_gym.control.lqr import LQR, TrackingLQR
 from flexman_gym.control.pd import PD
 from flexman_gym.model.model import Model
+from flexman_gym.simulation.families import Method
+from flexman_gym.simulation.methods import DEFAULT
 
 Gains = Mapping[str, Vector]
 
@@ -26,6 +28,7 @@ class Plant(NamedTuple):
         unknown: name -> (low, high) of the physical parameters that differ from arm to arm, see
             `simulation.parameters.PARAMETERS`; parts of the nominal value where the table there says factor.
         delay: fewest and most whole control periods by which torques come late.
+        moved: method and step (s) by which the arm is simulated.
         measured: gives, name -> (2, size), the range of each quantity that instruments measure and the standard
             deviation of their noise, in its unit.
     """
@@ -36,6 +39,7 @@ class Plant(NamedTuple):
     gains: Callable[[], Gains]
     unknown: Mapping[str, tuple[float, float]] = {}
     delay: tuple[int, int] = (0, 0)
+    moved: tuple[str | Method, float | str] = (DEFAULT, "auto")
     measured: Callable[[], Mapping[str, Array]] = dict
 
 
@@ -75,10 +79,28 @@ def _weights(value: object) -> Weights:
     return Weights(**{name: positive(f"base.weights.{name}", each) for name, each in given.items()})
 
 
+def _adaptive(plant: Plant, weights: object = None, **options: Any) -> Controller:
+    from flexman_gym.control.estimator import Estimator
+    from flexman_gym.control.feedback import OutputFeedback
+    from flexman_gym.control.tracking import Tracking
+
+    return OutputFeedback(Estimator(plant, **options), Tracking(plant, None if weights is None else _weights(weights)))
+
+
+def _privileged(plant: Plant, weights: object = None) -> Controller:
+    from flexman_gym.control.feedback import OutputFeedback
+    from flexman_gym.control.tracking import Tracking
+    from flexman_gym.control.truth import Truth
+
+    return OutputFeedback(Truth(plant), Tracking(plant, None if weights is None else _weights(weights)))
+
+
 BASES: dict[str, Base] = {
     "pd": Base(_pd, (), ("stiffness", "damping")),
     "lqr": Base(_regulator(LQR), ("model", "true state"), ("weights",)),
     "lqr-tracking": Base(_regulator(TrackingLQR), ("model", "true state"), ("weights",)),
+    "adaptive-lqr": Base(_adaptive, ("structure of the model",), ("weights", "sensors", "unknown", "biased")),
+    "privileged-lqr": Base(_privileged, ("model", "true state", "true parameters"), ("weights",)),
 }
 
 

@@ -10,7 +10,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from flexman_gym.arrays import Array, Flags, IntArray
+from flexman_gym.arrays import Array, Flags, IntArray, grown
 from flexman_gym.control.discrete import Weights, optimal_gain
 from flexman_gym.kernels.cache import find_folder
 from flexman_gym.model.linear import linearize
@@ -50,12 +50,12 @@ class GainTable:
         self._path, self._unsaved = self._file(model), 0
         self._load()
 
-    def __call__(self, postures: Array, payloads: Array) -> Array:
-        """Gives the gains (b, n, 2 d) at motor angles (b, n) rad and payloads (b,) kg of b arms."""
+    def __call__(self, arms: IntArray, postures: Array, payloads: Array) -> Array:
+        """Gives the gains (r, n, 2 d) of the arms (r,) at motor angles (r, n) rad and payloads (r,) kg."""
         places = np.column_stack([self._between(payloads), postures[:, self._joints] / SPACING])
         cells = np.floor(places).astype(np.int64)
         cells[:, 0] = np.minimum(cells[:, 0], max(len(self._payloads) - 2, 0))
-        self._find(cells)
+        self._find(arms, cells)
         parts = places - cells
         weights = np.ones((len(places), len(self._steps)))
         for axis in range(places.shape[1]):
@@ -63,7 +63,7 @@ class GainTable:
             weights *= np.where(self._steps[:, axis], part, 1.0 - part)
         result = np.zeros((len(places), *self._gains.shape[1:]))
         for corner in range(len(self._steps)):
-            result += weights[:, corner, None, None] * self._gains[self._corners[:, corner]]
+            result += weights[:, corner, None, None] * self._gains[self._corners[arms, corner]]
         return result
 
     def _between(self, payloads: Array) -> Array:
@@ -72,15 +72,16 @@ class GainTable:
             return np.zeros(len(payloads))
         return np.interp(payloads, self._payloads, np.arange(len(self._payloads)))
 
-    def _find(self, cells: IntArray) -> None:
-        """Looks up the corners of the cells (b, axes) of arms that have come into another one."""
-        if len(cells) != len(self._cells):
-            self._cells = np.full_like(cells, np.iinfo(np.int64).min)
-            self._corners = np.zeros((len(cells), len(self._steps)), dtype=np.int64)
-        moved: Flags = (cells != self._cells).any(axis=1)
-        for arm in np.flatnonzero(moved):
-            self._corners[arm] = [self._row(tuple(key)) for key in (cells[arm] + self._steps).tolist()]
-        self._cells[moved] = cells[moved]
+    def _find(self, arms: IntArray, cells: IntArray) -> None:
+        """Looks up the corners of the cells (r, axes) of the arms (r,) that have come into another one."""
+        count = int(arms.max(initial=-1)) + 1
+        if count > len(self._cells):
+            far = np.full((count - len(self._cells), cells.shape[1]), np.iinfo(np.int64).min)
+            self._cells, self._corners = np.concatenate([self._cells, far]), grown(self._corners, count)
+        moved: Flags = (cells != self._cells[arms]).any(axis=1)
+        for arm, cell in zip(arms[moved], cells[moved], strict=True):
+            self._corners[arm] = [self._row(tuple(key)) for key in (cell + self._steps).tolist()]
+        self._cells[arms] = cells
 
     def _row(self, key: tuple[int, ...]) -> int:
         """The row of a design, which is made where it is missing."""

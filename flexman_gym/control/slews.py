@@ -63,9 +63,8 @@ class Slews:
         self._elastic, self._flexible = elastic, model.constants.motor >= 0
         self._nominal = PARAMETERS["joint_stiffness"].nominal(model)
 
-    def begin(self, arms: IntArray, start: Array, goal: Array) -> None:
-        """Takes new paths of the arms (r,) from start to goal, motor angles (r, n) rad; `time` them next."""
-        count = max(int(arms.max(initial=-1)) + 1, len(self.start))
+    def grow(self, count: int) -> None:
+        """Makes room for so many arms."""
         for name in (
             "start",
             "way",
@@ -79,6 +78,9 @@ class Slews:
         ):
             setattr(self, name, grown(getattr(self, name), count))
         self._now = Tables(*(grown(each, count) for each in self._now))
+
+    def begin(self, arms: IntArray, start: Array, goal: Array) -> None:
+        """Takes new paths of the arms (r,) from start to goal, motor angles (r, n) rad; `adapt` and `time` them next."""
         self.start[arms], self.way[arms] = start, goal - start
         for arm, first, last in zip(arms, start, goal, strict=True):
             for payload in range(len(self._models)):
@@ -185,10 +187,8 @@ class Slews:
         place, speed, change = self.at(now, arms)
         result = self._soft[arms] * self._mixed(self._now.coordinates, arms, place, change, speed)
         angles = self.start[arms] + place[:, None] * self.way[arms]
-        motors, n = self.model.motor_columns, self.model.n_joints
-        result[:, motors] += angles
+        result[:, self.model.motor_columns] += angles
         result[:, np.flatnonzero(self._flexible)] += angles[:, self._flexible]
-        assert n <= result.shape[1]
         return result
 
     def torques(self, now: Array, arms: IntArray) -> Array:

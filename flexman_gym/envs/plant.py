@@ -6,12 +6,14 @@ import numpy as np
 
 from flexman_gym.arrays import Array
 from flexman_gym.control.bases import Plant
+from flexman_gym.envs.catalog import NAMED
 from flexman_gym.envs.sensors.array import measured_names
 from flexman_gym.envs.sensors.instrument import Instrument
 from flexman_gym.envs.sensors.measured import measuring_ranges
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.parameters import PARAMETERS
+from flexman_gym.simulation.run import default_step
 from flexman_gym.simulation.view import View
 
 ROUNDING = 12.0**-0.5  # standard deviation of the error of a number that is rounded, as a part of the step
@@ -28,6 +30,7 @@ def make_plant(setup: Any, model: Model) -> Plant:
         lambda: setup.pd_gains,
         {name: span for name, span in drawn.items() if name in PARAMETERS},
         (int(fewest), int(most)),
+        (setup.method, setup.step or default_step(setup.control_period, NAMED[setup.name].longest_step)),
         lambda: _measured(setup, model, drawn.get("sensor_noise", (0.0, 0.0))[1]),
     )
 

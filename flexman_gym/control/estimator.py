@@ -1,0 +1,257 @@
+"""Estimator: an observer that fits what is unknown of an arm to all that was read, by simulating the arm beside it."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from flexman_gym.arrays import Array, Flags, IntArray, grown, row_dots
+from flexman_gym.checks import one_of
+from flexman_gym.control.bases import Plant
+from flexman_gym.control.controller import Episode, Readings
+from flexman_gym.control.observer import Estimate
+from flexman_gym.control.trials import Prior, Sweep, Trials, step
+from flexman_gym.control.unknowns import make_unknowns
+from flexman_gym.model.statics import rest_states
+from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.readings import INSTRUMENTS
+from flexman_gym.simulation.readings import Readings as Linear
+
+REPLAYS = (6, 12, 20, 30, 45, 65, 90, 130, 200, 300)  # control periods after which all is simulated again
+DELAYS_UNTIL = 20  # at replays so early the delay is looked for
+EVERY = 5  # periods after which the trials take over what was estimated
+FLOOR = 1e-4  # of a range, least deviation of a reading: no model is truer
+BIAS = 0.005  # of a range, up to which a biased instrument is off
+HOMED = 1e-4  # rad, deviation of an angle at the start that is told
+LOST = 100.0  # largest entry of a state of a trial that still says something
+WINDOW = 0.2  # part of the last misfit in its mean
+BOUND = 10.0  # deviations, up to which an angle at the start is looked for
+
+
+class Estimator:
+    """Output-error observer: unknown parameters, angles at the start and delay are fitted to all readings so far.
+
+    There is no process noise: what an arm does follows from its parameters, its start and the torques that were
+    applied. Beside the arm as it is estimated move others with one unknown changed each. A recursive least-squares fit
+    follows them, and now and then all is simulated again from the start with Levenberg-Marquardt steps, which removes
+    the error of linearisation (Ljung, System Identification, 2nd ed., 1999, chapters 7 and 10).
+
+    Args:
+        plant: the arm, what is unknown of it, and how exact instruments are.
+        sensors: names in `simulation.readings.INSTRUMENTS`.
+        unknown: name -> (low, high), see `unknowns.make_unknowns`; None takes those of the plant.
+        biased: whether each reading may be off by a constant of up to 0.5 % of its range. The angles at the start are
+            then taken as they are told, for encoders that are off cannot tell them.
+
+    Attributes:
+        numbers: (b, p) what is estimated: unknowns, angles (rad) of the start against `_origin`, biases.
+        delays: (b,) control periods.
+        misfit: (b,) mean square of the last errors of readings, in deviations; 1 where all is as it was assumed.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed.
+    """
+
+    kept = (
+        "numbers", "delays", "misfit", "_mean", "_deviation", "_origin", "_states", "_information", "_change", "_ages",
+        "_readings", "_torques", "_past",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        plant: Plant,
+        sensors: Sequence[str] = tuple(INSTRUMENTS),
+        unknown: Mapping[str, tuple[float, float]] | None = None,
+        biased: bool = False,
+    ) -> None:
+        self.sensors, self._plant = tuple(sensors), plant
+        model, n, d = plant.model, plant.model.n_joints, plant.model.n_dof
+        names = [each for name in self.sensors for each in INSTRUMENTS[one_of("sensors", name, INSTRUMENTS)]]
+        measured = plant.measured()
+        spans, deviations = np.hstack([measured[name] for name in names])
+        deviations = np.maximum(deviations, FLOOR * spans)
+        unit = Linear(model).named(np.eye(2 * d))
+        matrix = np.hstack([unit[name] for name in names]).T.copy()
+        unknowns = make_unknowns(model, plant.unknown if unknown is None else unknown)
+        trials = self._trials = Trials(model, (*plant.moved, plant.period), unknowns, matrix, deviations, biased)
+        self._names, self.unknowns = names, unknowns
+        first = sum(unit[name].shape[1] for name in names[: names.index("motor_angles")]) if _read(names) else 0
+        self._encoders = None if biased or not _read(names) else slice(first, first + n)
+        starts = np.full(n, HOMED) if self._encoders is None else deviations[self._encoders]
+        biases = BIAS * spans if biased else np.zeros(0)
+        self._prior = Prior(
+            np.concatenate([unknowns.mean, np.zeros(trials.size - len(unknowns.mean))]),
+            np.concatenate([unknowns.deviation, starts, biases / np.sqrt(3.0)]),
+            np.concatenate([unknowns.low, -BOUND * starts, -2.0 * biases]),
+            np.concatenate([unknowns.high, BOUND * starts, 2.0 * biases]),
+        )
+        self._weights = np.tile(1.0 / deviations**2, (REPLAYS[-1] + 1, 1))
+        if self._encoders is not None:
+            self._weights[0, self._encoders] = 0.0  # from which the angles at the start come
+        self._allocate()
+
+    def _allocate(self) -> None:
+        """Makes the memory of no arm."""
+        p, m, trials, n = (
+            self._trials.size,
+            len(self._trials.matrix),
+            1 + self._trials.moving,
+            self._plant.model.n_joints,
+        )
+        d, late, rows = self._plant.model.n_dof, self._plant.delay[1], len(self._weights)
+        self.numbers, self._change, self._mean, self._deviation = (np.zeros((0, p)) for _ in range(4))
+        self.misfit, self._origin, self._states = np.zeros(0), np.zeros((0, 2 * d)), np.zeros((0, trials, 2 * d))
+        self.delays, self._ages = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+        self._information, self._readings = np.zeros((0, p, p)), np.zeros((0, rows, m))
+        self._torques, self._past = np.zeros((0, late + rows, n)), np.zeros((0, late + 1, n))
+        self._told, self._limits = np.zeros((0, n)), np.array(self._plant.torque_limit)
+        self._beside: Batch | None = None
+        self._ahead: Batch | None = None
+
+    def reset(self, arms: IntArray, episode: Episode) -> None:
+        """Starts new episodes of the arms (r,)."""
+        count = int(arms.max(initial=-1)) + 1
+        if count > len(self._ages):
+            for name in (*self.kept, "_told"):
+                setattr(self, name, grown(getattr(self, name), count))
+            self._beside, self._ahead = self._trials.batch(count * self._states.shape[1]), self._trials.batch(count)
+        self._ages[arms], self._told[arms] = 0, episode.start
+        self._torques[arms] = self._past[arms] = 0.0
+
+    def estimate(self, readings: Readings, applied: Array, playing: Flags) -> Estimate:
+        """Gives what is known now; see `Observer`."""
+        now = np.concatenate([readings[name] for name in self._names], axis=1).astype(float)
+        fresh, later = (np.flatnonzero(playing & flags) for flags in (self._ages == 0, self._ages > 0))
+        if len(fresh):
+            self._begin(fresh, now[fresh])
+        if len(later):
+            self._advance(later, applied[later] * self._limits)
+            kept = later[self._ages[later] < len(self._weights)]
+            self._readings[kept, self._ages[kept]] = now[kept]
+            again = np.isin(self._ages[later], REPLAYS)
+            for age in np.unique(self._ages[later[again]]).tolist():
+                self._replay(later[again & (self._ages[later] == age)], age)
+            self._recur(later[~again], now[later[~again]])
+        self._ages += playing
+        return self._predicted(np.flatnonzero(playing))
+
+    def _begin(self, arms: IntArray, now: Array) -> None:
+        """Begins the fits of arms (r,) with their first readings (r, m)."""
+        angles = self._told[arms] if self._encoders is None else now[:, self._encoders]
+        self._origin[arms] = rest_states(self._plant.model, angles)
+        self._readings[arms, 0], self.misfit[arms] = now, 1.0
+        self._mean[arms], self._deviation[arms] = self._prior.mean, self._prior.deviation
+        self.numbers[arms], self._change[arms] = self._mean[arms], 0.0
+        self.delays[arms] = (sum(self._plant.delay) + 1) // 2
+        self._states[arms] = self._trials.starts(self._origin[arms], self.numbers[arms])
+        self._information[arms] = np.eye(self._trials.size) / self._prior.deviation**2
+        self._inform(arms)
+
+    def _inform(self, arms: IntArray) -> None:
+        """Gives the trials of arms (r,) the numbers as they are."""
+        numbers = self.numbers[arms]
+        assert self._beside is not None and self._ahead is not None
+        all_numbers = self._trials.changed(numbers).reshape(-1, numbers.shape[1])
+        self._beside.vary(self._rows(arms).ravel(), **self._trials.parameters(all_numbers))
+        self._ahead.vary(arms, **self._trials.parameters(numbers))
+
+    def _rows(self, arms: IntArray) -> IntArray:
+        """The trials (r, 1 + s) of arms (r,)."""
+        trials = self._states.shape[1]
+        return arms[:, None] * trials + np.arange(trials)
+
+    def _advance(self, arms: IntArray, torques: Array) -> None:
+        """Moves the trials of arms (r,) by a period, and keeps the torques (r, n) that were asked for in it."""
+        age, late = self._ages[arms], self._plant.delay[1]
+        self._past[arms, 1:] = self._past[arms, :-1]
+        self._past[arms, 0] = torques
+        few = age <= len(self._weights)
+        self._torques[arms[few], late + age[few] - 1] = torques[few]
+        assert self._beside is not None
+        rows = self._rows(arms)
+        drive, moving = (
+            np.zeros((len(self._beside.rows), len(self._limits) + 6)),
+            np.zeros(len(self._beside.rows), bool),
+        )
+        drive[rows, : len(self._limits)] = self._past[arms, self.delays[arms]][:, None]
+        moving[rows] = True
+        self._beside.place(rows.ravel(), self._states[arms].reshape(rows.size, -1))
+        self._beside.step(drive, None if moving.all() else moving)
+        self._states[arms] = self._beside.state[rows]
+        lost = arms[~(np.abs(self._states[arms]) < LOST).all(axis=(1, 2))]
+        self._states[lost], self.misfit[lost] = self._origin[lost][:, None], np.inf
+
+    def _recur(self, arms: IntArray, now: Array) -> None:
+        """Takes the readings (r, m) of arms (r,) into their fits."""
+        slopes = self._trials.reading_slopes(self._trials.slopes(self._states[arms]))
+        error = now - self._trials.read(self._states[arms, 0], self.numbers[arms])
+        error -= row_dots(slopes, self._change[arms][:, None])
+        weighted = (slopes * self._weights[-1, :, None]).transpose(0, 2, 1)
+        self._information[arms] += weighted @ slopes
+        gradient = row_dots(weighted, error[:, None])
+        self._change[arms] += np.linalg.solve(self._information[arms], gradient[..., None])[..., 0]
+        self.misfit[arms] += WINDOW * ((error**2 * self._weights[-1]).mean(axis=1) - self.misfit[arms])
+        due = arms[self._ages[arms] % EVERY == 0]
+        if len(due):
+            self._shift(due)
+
+    def _shift(self, arms: IntArray) -> None:
+        """Lets the trials of arms (r,) take over what was estimated since they last did."""
+        before = self.numbers[arms]
+        self.numbers[arms] = np.clip(before + self._change[arms], self._prior.low, self._prior.high)
+        moved = (self.numbers[arms] - before)[:, None, : self._trials.moving]
+        self._states[arms] += row_dots(self._trials.slopes(self._states[arms]), moved)[:, None]
+        self._change[arms] = 0.0
+        self._inform(arms)
+
+    def _replay(self, arms: IntArray, age: int) -> None:
+        """Fits the numbers of arms (r,) to all readings since their start."""
+        self.numbers[arms] = np.clip(self.numbers[arms] + self._change[arms], self._prior.low, self._prior.high)
+        weights = np.broadcast_to(self._weights[: age + 1], (len(arms), age + 1, self._weights.shape[1]))
+        fewest, late = self._plant.delay
+        if late > fewest and age <= DELAYS_UNTIL:
+            costs = [self._swept(arms, age, delay, weights).cost for delay in range(fewest, late + 1)]
+            self.delays[arms] = fewest + np.nan_to_num(np.array(costs), nan=np.inf).argmin(axis=0)
+        prior = Prior(self._mean[arms], self._deviation[arms], self._prior.low, self._prior.high)
+        data = self._arrived(arms, age, self.delays[arms]), self._readings[arms, : age + 1], weights
+        self.numbers[arms], sweep = self._trials.fit(self._origin[arms], self.numbers[arms], prior, data)
+        self._states[arms] = sweep.states
+        self._information[arms] = sweep.information + np.eye(self._trials.size) / self._deviation[arms][:, None] ** 2
+        self.misfit[arms] = sweep.cost / weights[0].size
+        self._change[arms], _ = step(sweep, self.numbers[arms], prior)
+        self._shift(arms)
+
+    def _swept(self, arms: IntArray, age: int, delay: int, weights: Array) -> Sweep:
+        """A simulation of arms (r,) from their start, with a delay."""
+        torques = self._arrived(arms, age, np.full(len(arms), delay))
+        return self._trials.sweep(
+            self._origin[arms], self.numbers[arms], torques, self._readings[arms, : age + 1], weights
+        )
+
+    def _arrived(self, arms: IntArray, periods: int, delays: IntArray) -> Array:
+        """Torques (r, k, n) that acted on arms (r,) in their first k periods."""
+        return self._torques[arms[:, None], self._plant.delay[1] + np.arange(periods) - delays[:, None]]
+
+    def _predicted(self, arms: IntArray) -> Estimate:
+        """What is known of all arms when torques that the arms (r,) are asked for now begin to act."""
+        states = self._states[:, 0].copy()
+        moved = self._change[arms][:, None, : self._trials.moving]
+        states[arms] += row_dots(self._trials.slopes(self._states[arms]), moved)
+        numbers = np.clip(self.numbers + self._change, self._prior.low, self._prior.high)
+        assert self._ahead is not None
+        drive, moving = np.zeros((len(states), len(self._limits) + 6)), np.zeros(len(states), dtype=bool)
+        for period in range(int(self.delays[arms].max(initial=0))):
+            lag = self.delays - 1 - period
+            moving[:] = False
+            moving[arms] = lag[arms] >= 0
+            drive[:, : len(self._limits)] = self._past[np.arange(len(states)), np.maximum(lag, 0)]
+            if period == 0:
+                self._ahead.place(arms, states[arms])
+            self._ahead.step(drive, moving)
+        if self.delays[arms].any():
+            states[arms] = self._ahead.state[arms]
+        return Estimate(states, self.delays, self._trials.parameters(numbers))
+
+
+def _read(names: Sequence[str]) -> bool:
+    """Whether encoders of the motors are among the readings."""
+    return "motor_angles" in names
