@@ -14,7 +14,7 @@ from flexman_gym.simulation.parameters import varied_model
 
 PLACES = np.linspace(0.0, 1.0, 11)  # of a path at which an arm is bent
 TYPICAL = 0.5  # 1/s^2, second derivative of the path parameter with which an arm is bent
-DURATIONS = 0.2 * 1.045 ** np.arange(110)  # s, that are tried; the last is 24 s
+DURATIONS: Array = 0.2 * 1.045 ** np.arange(110)  # s, that are tried; the last is 24 s
 PARTS = np.linspace(0.0, 1.0, 17)[1:-1]  # of a duration at which torques are compared with their limits
 REST, CHANGE, SPEED = 0, 1, 2  # layers of a table: at rest, times s'', times s'^2
 AIMED = 2  # steps of Newton by which the end of a path is turned
@@ -185,7 +185,7 @@ class Slews:
 
 
 def payload_weights(nodes: Array, parameters: Mapping[str, Array], arms: IntArray) -> Array:
-    """Gives the weights (r, p) of payloads (p,) kg between which the estimated ones of the arms (r,) are interpolated."""
+    """Gives the weights (r, p) of payloads (p,) kg between which those of the arms (r,) are interpolated."""
     if len(nodes) == 1 or "payload_mass" not in parameters:
         return np.tile(np.eye(len(nodes))[0], (len(arms), 1))
     masses = np.clip(parameters["payload_mass"][arms], nodes[0], nodes[-1])

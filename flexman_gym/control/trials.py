@@ -17,7 +17,7 @@ TRIES, LITTLE, DAMPING = 4, (2.0, 0.02), 1e-3  # sweeps of a fit; falls of the c
 
 
 class Prior(NamedTuple):
-    """What is known beforehand of the numbers of r arms: mean, deviation, and between which they stay, (r, p) each."""
+    """What is known beforehand of p numbers: mean, deviation, and between which they stay, (p,) each."""
 
     mean: Array
     deviation: Array
@@ -27,10 +27,6 @@ class Prior(NamedTuple):
     def clip(self, numbers: Array) -> Array:
         """Gives the numbers (r, p) that are allowed next to some."""
         return np.clip(numbers, self.low, self.high)
-
-    def of(self, arms: Flags) -> "Prior":
-        """Gives what is known of some arms (r,)."""
-        return self._replace(mean=self.mean[arms], deviation=self.deviation[arms])
 
 
 class Sweep(NamedTuple):
@@ -63,20 +59,18 @@ class Trials:
         moved: method, step (s) and control period (s).
         unknowns: of the arm.
         matrix: (m, 2 d) of readings by states.
-        deviations: (m,) of the noise of readings.
         biased: whether the biases of all readings are among the numbers.
     """
 
     def __init__(
         self,
         model: Model,
-        moved: tuple[str | Method, float, float],
+        moved: tuple[str | Method, float | str, float],
         unknowns: Unknowns,
         matrix: Array,
-        deviations: Array,
         biased: bool,
     ) -> None:
-        self.model, self.unknowns, self.matrix, self.deviations = model, unknowns, matrix, deviations
+        self.model, self.unknowns, self.matrix = model, unknowns, matrix
         n, known = model.n_joints, len(unknowns.names)
         self.moving, self.size = known + n, known + n + biased * len(matrix)
         self.steps = np.concatenate([unknowns.step, np.full(n, TURN)])
@@ -209,7 +203,7 @@ def step(sweep: Sweep, numbers: Array, prior: Prior, damping: Array | float = 0.
 
 def solved(matrices: Array, vectors: Array) -> Array:
     """Gives x (r, p) of matrices (r, p, p) x = vectors (r, p) in units far apart; 0 where they are not finite."""
-    good = np.isfinite(matrices).all(axis=(1, 2)) & np.isfinite(vectors).all(axis=1)
+    good: Flags = np.isfinite(matrices).all(axis=(1, 2)) & np.isfinite(vectors).all(axis=1)
     scale = 1.0 / np.sqrt(np.where(good[:, None], np.diagonal(matrices, axis1=1, axis2=2), 1.0))
     even = np.where(good[:, None, None], matrices * scale[:, :, None] * scale[:, None], 0.0)
     each = np.arange(matrices.shape[1])
