@@ -10,6 +10,7 @@ from flexman_gym.control.controller import Controller
 from flexman_gym.control.discrete import Weights
 from flexman_gym.control.lqr import LQR, TrackingLQR
 from flexman_gym.control.pd import PD
+from flexman_gym.control.shaped import Shaped
 from flexman_gym.model.model import Model
 
 Gains = Mapping[str, Vector]
@@ -52,6 +53,11 @@ def _pd(plant: Plant, **gains: Any) -> PD:
     return PD(**tuned, torque_limit=plant.torque_limit, gravity_model=weight)
 
 
+def _shaped_pd(plant: Plant, **given: Any) -> Shaped:
+    gains = {name: given.pop(name) for name in ("stiffness", "damping") if name in given}
+    return Shaped(_pd(plant, **gains), plant.model, **given)
+
+
 def _regulator(kind: type[LQR]) -> Callable[..., LQR]:
     def make(plant: Plant, weights: object = None) -> LQR:
         chosen = None if weights is None else _weights(weights)
@@ -71,6 +77,7 @@ BASES: dict[str, Base] = {
     "pd": Base(_pd, (), ("stiffness", "damping")),
     "lqr": Base(_regulator(LQR), ("model", "true state"), ("weights",)),
     "lqr-tracking": Base(_regulator(TrackingLQR), ("model", "true state"), ("weights",)),
+    "pd-shaped": Base(_shaped_pd, ("model",), ("stiffness", "damping", "shaper", "modes", "places", "duration")),
 }
 
 
