@@ -9,6 +9,7 @@ from flexman_gym.model.model import Model, checked_model
 from flexman_gym.model.statics import holding_torques, rest_state
 
 SLOWER = 0.5  # of the lowest mode with held motors: what is slower still is the arm turning about its motors
+ROUNDING = 1e-9  # of a damping ratio
 UNSEEN = 1e-3  # of the most that a mode moves the tip: one that moves it less is left out
 
 
@@ -54,4 +55,6 @@ def _oscillating(rows: Array, starts: Array, tip: Array, above: float = 0.0) -> 
     upper = (values.imag > 0.0) & (sizes > 2.0 * np.pi * above)
     kept = np.flatnonzero(upper & (moved > UNSEEN * moved[upper].max(initial=0.0)))
     kept = kept[np.argsort(sizes[kept])]
-    return np.transpose([sizes[kept] / (2.0 * np.pi), -values[kept].real / sizes[kept], moved[kept]])
+    ratios = -values[kept].real / sizes[kept]
+    ratios[np.abs(ratios) < ROUNDING] = 0.0
+    return np.transpose([sizes[kept] / (2.0 * np.pi), ratios, moved[kept]])
