@@ -77,6 +77,13 @@ def test_the_errors_that_are_borne_are_the_published_insensitivity(name, width):
     assert max(residual(design(name, 3.0), 3.0 * (1.0 + np.array([low, high])))) <= 5.1
 
 
+def test_with_damping_the_errors_to_both_sides_differ_and_each_is_the_last_that_is_borne():
+    shaper = design("zvd", 3.0, 0.1)
+    low, high = borne_errors(shaper, mode(3.0, 0.1))
+    assert residual(shaper, 3.0 * (1.0 + np.array([low, high])), 0.1) == pytest.approx([5.1, 5.1], abs=0.06)
+    assert high > -low + 0.005
+
+
 def test_the_recommendation_is_the_quickest_that_is_good_enough():
     spread = 0.045  # to either side: ZV leaves 7 %, MZV 4 %
     quick = recommended(find_answers(cases_of(1.0 - spread, 1.0, 1.0 + spread)))
