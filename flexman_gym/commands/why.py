@@ -56,14 +56,16 @@ def lines(title: str, results: "Sequence[Diagnosis]") -> list[str]:
 
 
 def voices(results: "Sequence[Diagnosis]", cause: str) -> str:
-    """The mode that has most of a cause, and the median frequency of its tones; "" where a cause has none."""
+    """The mode that has most of a cause, and the median frequency of its tones; "" where no tone tells anything."""
     import numpy as np
+
+    from flexman_gym.evaluation.diagnosis import OFFSET
 
     tones = [tone for each in results for tone in each.tones if tone[2] == cause]
     weights: Counter[str] = Counter()
     for _, share, _, name in tones:
         weights[name] += share  # type: ignore[assignment]
-    if not tones:
+    if not tones or cause == OFFSET:
         return ""
     name = max(weights, key=lambda each: weights[each])
     middle = float(np.median([frequency for frequency, _, _, each in tones if each == name]))
