@@ -14,7 +14,7 @@ from flexman_gym.simulation.parameters import varied_model
 
 PLACES = np.linspace(0.0, 1.0, 11)  # of a path at which an arm is bent
 TYPICAL = 0.5  # 1/s^2, second derivative of the path parameter with which an arm is bent
-DURATIONS: Array = 0.2 * 1.045 ** np.arange(110)  # s, that are tried; the last is 24 s
+DURATIONS = 0.2 * 1.045 ** np.arange(110)  # s, that are tried; the last is 24 s
 PARTS = np.linspace(0.0, 1.0, 17)[1:-1]  # of a duration at which torques are compared with their limits
 REST, CHANGE, SPEED = 0, 1, 2  # layers of a table: at rest, times s'', times s'^2
 AIMED = 2  # steps of Newton by which the end of a path is turned
@@ -134,7 +134,7 @@ class Slews:
         if not len(arms):
             return
         place, speed, change = (np.zeros((3, len(arms))) if first else np.array(self.at(now, arms)))[:, :, None]
-        tried = quintic(place, speed, change, DURATIONS)
+        tried = quintic(place, speed, change, DURATIONS.astype(float))
         places, speeds, changes = values_at(tried[:, :, None], DURATIONS[:, None] * PARTS)
         torques = self._mixed(self._now.torques, arms, places, changes, speeds)
         rates = speeds[..., None] * self.way[arms][:, None, None]

@@ -63,7 +63,7 @@ class Tracking:
         arms, result = np.flatnonzero(playing), np.zeros((len(playing), len(self.limits)))
         if not len(arms):
             return result
-        now: Array = (self._ages + estimate.lead) * self._period
+        now = (self._ages + estimate.lead).astype(float) * self._period
         self._plan(arms, estimate, now)
         states, (reference, forward) = estimate.states[arms], self._reference(now[arms], arms)
         payloads = self._payload(estimate)[arms]

@@ -203,7 +203,7 @@ def step(sweep: Sweep, numbers: Array, prior: Prior, damping: Array | float = 0.
 
 def solved(matrices: Array, vectors: Array) -> Array:
     """Gives x (r, p) of matrices (r, p, p) x = vectors (r, p) in units far apart; 0 where they are not finite."""
-    good: Flags = np.isfinite(matrices).all(axis=(1, 2)) & np.isfinite(vectors).all(axis=1)
+    good: Flags = np.logical_and(np.isfinite(matrices).all(axis=(1, 2)), np.isfinite(vectors).all(axis=1))
     scale = 1.0 / np.sqrt(np.where(good[:, None], np.diagonal(matrices, axis1=1, axis2=2), 1.0))
     even = np.where(good[:, None, None], matrices * scale[:, :, None] * scale[:, None], 0.0)
     each = np.arange(matrices.shape[1])
