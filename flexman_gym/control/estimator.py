@@ -10,6 +10,7 @@ from flexman_gym.control.controller import Episode, Readings
 from flexman_gym.control.innovations import Innovations
 from flexman_gym.control.instruments import make_instruments
 from flexman_gym.control.observer import Estimate
+from flexman_gym.control.prediction import Prediction
 from flexman_gym.control.slopes import Slopes
 from flexman_gym.control.trials import Prior, Sweep, Trials, solved, step
 from flexman_gym.control.unknowns import make_unknowns
@@ -55,9 +56,9 @@ class Estimator:
 
     _arrays = (
         "numbers", "delays", "misfit", "_origin", "_states", "_information", "_change", "_ages", "_readings",
-        "_torques", "_past", "_steps", "_apart", "_pushed",
+        "_torques", "_steps", "_apart", "_pushed",
     )  # fmt: skip
-    kept = (*_arrays, "_innovations")
+    kept = (*_arrays, "_innovations", "_prediction")
 
     def __init__(
         self,
@@ -70,7 +71,7 @@ class Estimator:
         model, n = plant.model, plant.model.n_joints
         read = self._instruments = make_instruments(plant, self.sensors)
         unknowns = self.unknowns = make_unknowns(model, plant.unknown if unknown is None else unknown)
-        trials = self._trials = Trials(model, (*plant.moved, plant.period), unknowns, read.matrix, biased)
+        trials = self._trials = Trials(plant, unknowns, read.matrix, biased)
         self._innovations = Innovations(Slopes(plant), read, plant.push)
         self._encoders = None if biased else read.places["motor_angles"]
         starts = np.full(n, HOMED) if self._encoders is None else read.deviations[self._encoders]
@@ -94,12 +95,10 @@ class Estimator:
         self.misfit, self._origin, self._states = np.zeros(0), np.zeros((0, size)), np.zeros((0, trials, size))
         self.delays, self._ages = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
         self._information, self._readings = np.zeros((0, p, p)), np.zeros((0, rows, m))
-        self._torques, self._past = np.zeros((0, late + rows, n)), np.zeros((0, late + 1, n))
-        self._told, self._limits = np.zeros((0, n)), np.array(self._plant.torque_limit)
+        self._torques = np.zeros((0, late + rows, n))
+        self._told, self._prediction = np.zeros((0, n)), Prediction(self._plant)
         self._steps = np.zeros((0, trials - 1))
         self._apart, self._pushed = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
-        self._beside: Batch | None = None
-        self._ahead: Batch | None = None
 
     def reset(self, arms: IntArray, episode: Episode) -> None:
         """Starts new episodes of the arms (r,)."""
@@ -108,9 +107,9 @@ class Estimator:
             for name in (*self._arrays, "_told"):
                 setattr(self, name, grown(getattr(self, name), count))
             self._innovations.grow(count)
-            self._beside, self._ahead = self._trials.batch(count * self._states.shape[1]), self._trials.batch(count)
         self._ages[arms], self._told[arms] = 0, episode.start
-        self._torques[arms] = self._past[arms] = 0.0
+        self._torques[arms] = 0.0
+        self._prediction.reset(arms)
 
     def estimate(self, readings: Readings, applied: Array, playing: Flags) -> Estimate:
         """Gives what is known now; see `Observer`."""
@@ -119,7 +118,7 @@ class Estimator:
         if len(fresh):
             self._begin(fresh, now[fresh])
         if len(later):
-            self._advance(later, applied[later] * self._limits)
+            self._advance(later, applied[later])
             kept = later[self._ages[later] < len(self._weights)]
             self._readings[kept, self._ages[kept]] = now[kept]
             again = np.isin(self._ages[later], REPLAYS) & ~self._apart[later] & ~self._pushed[later]
@@ -160,7 +159,7 @@ class Estimator:
 
     def _filtered(self, arms: IntArray, sudden: bool) -> Flags:
         """Begins to correct the states of arms (r,) by their readings; says for which of them it can."""
-        torques = self._past[arms, self.delays[arms]]
+        torques = self._prediction.past[arms, self.delays[arms]]
         return self._innovations.begin(arms, self._present(arms), torques, sudden)
 
     def _inform(self, arms: IntArray) -> None:
@@ -173,34 +172,32 @@ class Estimator:
             self._states[arms, 1:] = states[:, :1] + part[..., None] * (states[:, 1:] - states[:, :1])
             self._steps[arms] *= part
             self._apart[arms] |= far.any(axis=1)
-        assert self._beside is not None and self._ahead is not None
         all_numbers = self._trials.changed(numbers, self._steps[arms]).reshape(-1, numbers.shape[1])
-        self._beside.vary(self._rows(arms).ravel(), **self._trials.parameters(all_numbers))
-        self._ahead.vary(arms, **self._trials.parameters(numbers))
+        self._beside().vary(self._rows(arms).ravel(), **self._trials.parameters(all_numbers))
+        self._prediction.vary(arms, self._trials.parameters(numbers))
+
+    def _beside(self) -> Batch:
+        """The trials of all arms."""
+        return self._trials.twins("beside", self._states.shape[0] * self._states.shape[1])
 
     def _rows(self, arms: IntArray) -> IntArray:
         """The trials (r, 1 + s) of arms (r,)."""
         trials = self._states.shape[1]
         return arms[:, None] * trials + np.arange(trials)
 
-    def _advance(self, arms: IntArray, torques: Array) -> None:
-        """Moves the trials of arms (r,) by a period, and keeps the torques (r, n) that were asked for in it."""
-        age, late = self._ages[arms], self._plant.delay[1]
-        self._past[arms, 1:] = self._past[arms, :-1]
-        self._past[arms, 0] = torques
-        few = age <= len(self._weights)
-        self._torques[arms[few], late + age[few] - 1] = torques[few]
-        assert self._beside is not None
-        rows = self._rows(arms)
-        drive, moving = (
-            np.zeros((len(self._beside.rows), len(self._limits) + 6)),
-            np.zeros(len(self._beside.rows), bool),
-        )
-        drive[rows, : len(self._limits)] = self._past[arms, self.delays[arms]][:, None]
+    def _advance(self, arms: IntArray, actions: Array) -> None:
+        """Moves the trials of arms (r,) by a period, and keeps what was asked for in it, parts of the limits (r, n)."""
+        self._prediction.take(arms, actions)
+        age, past = self._ages[arms], self._prediction.past
+        few = arms[age <= len(self._weights)]
+        self._torques[few, self._plant.delay[1] + self._ages[few] - 1] = past[few, 0]
+        batch, rows, n = self._beside(), self._rows(arms), past.shape[2]
+        drive, moving = np.zeros((len(batch.rows), n + 6)), np.zeros(len(batch.rows), dtype=bool)
+        drive[rows, :n] = past[arms, self.delays[arms]][:, None]
         moving[rows] = True
-        self._beside.place(rows.ravel(), self._states[arms].reshape(rows.size, -1))
-        self._beside.step(drive, None if moving.all() else moving)
-        self._states[arms] = self._beside.state[rows]
+        batch.place(rows.ravel(), self._states[arms].reshape(rows.size, -1))
+        batch.step(drive, None if moving.all() else moving)
+        self._states[arms] = batch.state[rows]
         lost = arms[~(np.abs(self._states[arms]) < LOST).all(axis=(1, 2))]
         self._states[lost], self.misfit[lost] = self._origin[lost][:, None], np.inf
 
@@ -230,7 +227,7 @@ class Estimator:
         error = now[:, None] - self._trials.read(
             states.reshape(-1, states.shape[2]), numbers.reshape(-1, numbers.shape[2])
         ).reshape(*states.shape[:2], -1)
-        gain = self._innovations.gains(arms, states[:, 0], self._past[arms, self.delays[arms]])
+        gain = self._innovations.gains(arms, states[:, 0], self._prediction.past[arms, self.delays[arms]])
         self._states[arms] = states + row_dots(gain[:, None], error[:, :, None])
 
     def _shift(self, arms: IntArray) -> None:
@@ -285,16 +282,5 @@ class Estimator:
         states = self._states[:, 0].copy()
         states[arms] = self._present(arms)
         numbers = np.clip(self.numbers + self._change, self._prior.low, self._prior.high)
-        assert self._ahead is not None
-        drive, moving = np.zeros((len(states), len(self._limits) + 6)), np.zeros(len(states), dtype=bool)
-        for period in range(int(self.delays[arms].max(initial=0))):
-            lag = self.delays - 1 - period
-            moving[:] = False
-            moving[arms] = lag[arms] >= 0
-            drive[:, : len(self._limits)] = self._past[np.arange(len(states)), np.maximum(lag, 0)]
-            if period == 0:
-                self._ahead.place(arms, states[arms])
-            self._ahead.step(drive, moving)
-        if self.delays[arms].any():
-            states[arms] = self._ahead.state[arms]
+        states[arms] = self._prediction(arms, states[arms], self.delays[arms])
         return Estimate(states, self.delays, self._trials.parameters(numbers))
