@@ -29,4 +29,5 @@ class OutputFeedback:
     def act(self, readings: Readings, applied: Array, playing: Flags) -> Array:
         """Gives actions (b, n), parts of the torque limits."""
         estimate = self.observer.estimate(readings, applied, playing)
-        return np.clip(self.law.torques(estimate, playing) / self.law.limits, -1.0, 1.0)
+        torques = self.law.torques(estimate, playing) - estimate.disturbance
+        return np.clip(torques / self.law.limits, -1.0, 1.0)
