@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flexman_gym.arrays import Array, Flags, IntArray, grown, row_dots
-from flexman_gym.checks import non_negative, refusal
+from flexman_gym.arrays import Array, Flags, IntArray, Vector, grown, row_dots
+from flexman_gym.checks import flag, non_negative, refusal, vector
 from flexman_gym.control.bases import Plant
 from flexman_gym.control.controller import Episode, Readings
 from flexman_gym.control.instruments import make_instruments
@@ -16,7 +16,8 @@ from flexman_gym.model.statics import holding_torques, rest_states
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.readings import INSTRUMENTS
 
-TORQUE = 0.02  # of the torque limits, deviation of torques that nobody knows of, new in each period
+TORQUE, FORCE = 0.005, 0.005  # of their scales, deviation of unknown torques and forces on the tip, new each period
+UNLIKE = 0.03  # in place of the latter where arms differ from the model: payloads and springs pull with what is amiss
 OFFSET, DRIFT = 0.1, 0.05  # of the torque limits, deviation of a constant torque at first; and what a second adds to it
 BIAS, LASTING = 0.005, 30.0  # of a range, up to which a reading is off; s, for which it keeps that
 EVERY = 5  # control periods between two looks at the slopes of the motion
@@ -26,24 +27,27 @@ class KalmanFilter:
     """Extended Kalman filter: the simulator predicts the state, readings correct it by their errors.
 
     How exact an estimate is, a covariance, follows the slopes of the simulated motion; that of an arm at its start is
-    the one to which a long rest would lead. Unknown torques on the motors are the noise of the process. Beside the
-    state it may estimate constants: torques on the motors, which a law then takes away (integral action), and the
-    biases of readings (Anderson and Moore, Optimal Filtering, 1979, chapters 3, 8 and 9).
+    the one to which a long rest would lead. The noise of the process are unknown torques on the motors and forces on
+    the tip. Beside the state it may estimate constants: torques on the motors, which a controller then takes away
+    (integral action), and biases of readings (Anderson and Moore, Optimal Filtering, 1979, chapters 3, 8 and 9).
 
-    An arm is at rest at its start, where its encoders say. Of a delay that is not known the middle is taken.
+    An arm is at rest at its start, where its encoders say. Of a range of delays the middle is taken.
 
     Args:
         plant: the arm, the delay of torques, and how exact instruments are.
         sensors: names in `simulation.readings.INSTRUMENTS`, "motor_encoders" among them.
-        noise: deviation of the unknown torques, a part of the torque limits.
+        noise: deviations of the unknown torques, a part of the torque limits, and of the forces on the tip, a part of
+            what the strongest motor bears at the whole reach; None takes 0.005 and 0.005, or 0.005 and 0.03 for a plant
+            with unknown parameters.
         disturbed: whether constant torques on the motors are estimated.
         biased: whether each reading may be off by a constant of up to 0.5 % of its range.
         fixed: whether the gain is the stationary one at the goal throughout an episode, which takes less time and suits
             arms that stay near.
 
     Attributes:
+        delay: control periods.
         states: (b, s) state, constant torques (N m) and biases as they are estimated at the last readings.
-        covariance: (b, s, s) of their errors; it stays that of the start where the gain is fixed.
+        covariance: (b, s, s) of their errors; that of the start where the gain is fixed.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
@@ -55,37 +59,45 @@ class KalmanFilter:
         self,
         plant: Plant,
         sensors: Sequence[str] = tuple(INSTRUMENTS),
-        noise: float = TORQUE,
+        noise: Vector | None = None,
         disturbed: bool = False,
         biased: bool = False,
         fixed: bool = False,
     ) -> None:
-        self.sensors, self._plant, self._fixed = tuple(sensors), plant, fixed
         self._instruments = read = make_instruments(plant, sensors)
-        n, limits = plant.model.n_joints, np.array(plant.torque_limit)
-        self._size, self._limits = 2 * plant.model.n_dof, limits
-        self._variances, self._torque_variances = read.deviations**2, (non_negative("noise", noise) * limits) ** 2
-        offsets, biases = disturbed * n, biased * len(read.ranges)
-        self._matrix = np.hstack([read.matrix, np.zeros((len(read.matrix), offsets)), np.eye(len(read.matrix), biases)])
-        self._offsets = slice(self._size, self._size + offsets)
-        kept, bias = np.exp(-plant.period / LASTING), (BIAS * read.ranges[:biases]) ** 2 / 3.0
-        self._keeping = np.concatenate([np.ones(offsets), np.full(biases, kept)])
-        self._spread = np.concatenate([(OFFSET * limits[:offsets]) ** 2, bias])  # of the constants at the start
-        drift = (DRIFT * limits[:offsets]) ** 2 * plant.period
-        self._drift = np.concatenate([drift, (1.0 - kept**2) * bias])  # of a period
-        self.delay, self._slopes = (sum(plant.delay) + 1) // 2, Slopes(plant)
+        self.sensors, self._plant, self._slopes = tuple(sensors), plant, Slopes(plant)
+        self._disturbed, self._biased, self._fixed = (
+            flag(name, value) for name, value in (("disturbed", disturbed), ("biased", biased), ("fixed", fixed))
+        )
+        n, limits, period = plant.model.n_joints, np.array(plant.torque_limit), plant.period
+        self.delay, self._size, self._limits = (sum(plant.delay) + 1) // 2, 2 * plant.model.n_dof, limits
+        usual = (TORQUE, UNLIKE if plant.unknown else FORCE)
+        parts = usual if noise is None else [non_negative("noise", each) for each in vector("noise", noise, 2)]
+        self._forces = (np.repeat(parts, (n, 3)) * self._slopes.scales) ** 2
+        self._variances, motors, all_read = read.deviations**2, self._disturbed * n, len(read.ranges)
+        self._offsets = slice(self._size, self._size + motors)
+        biases = np.eye(all_read, self._biased * all_read)
+        self._matrix = np.hstack([read.matrix, np.zeros((all_read, motors)), biases])
+        bias, kept = (BIAS * biases.T @ read.ranges) ** 2 / 3.0, np.exp(-period / LASTING)
+        self._keeping = np.append(np.ones(motors), np.full(len(bias), kept))  # of the constants in a period
+        self._drift = np.append((DRIFT * limits[:motors]) ** 2 * period, (1.0 - kept**2) * bias)
+        self._spread = np.append((OFFSET * limits[:motors]) ** 2, bias)  # at the start
         self._allocate()
 
     def _allocate(self) -> None:
         """Makes the memory of no arm."""
-        s, m = self._matrix.shape[1], len(self._matrix)
+        m, s = self._matrix.shape
         self.states, self._past = np.zeros((0, s)), np.zeros((0, self.delay + 1, len(self._limits)))
         self.covariance, self._transition, self._noise = (np.zeros((0, s, s)) for _ in range(3))
         self._ages, self._gain = np.zeros(0, dtype=np.int64), np.zeros((0, s, m))
         self._ahead: Batch | None = None
 
     def reset(self, arms: IntArray, episode: Episode) -> None:
-        """Starts new episodes of the arms (r,)."""
+        """Starts new episodes of the arms (r,).
+
+        Raises:
+            ValueError: for sensors that do not tell the state, where the gain is fixed.
+        """
         count = int(arms.max(initial=-1)) + 1
         if count > len(self._ages):
             for name in (*self.kept, "_gain"):
@@ -94,8 +106,7 @@ class KalmanFilter:
         self._ages[arms] = 0
         self.states[arms] = self._past[arms] = 0.0
         if self._fixed:
-            transition, noise = self._system(*self._rest(episode.goal))
-            covariance = self._settled(transition, noise, self._matrix)
+            covariance = self._settled(*self._system(*self._rest(episode.goal))[:2], slice(None))
             self._gain[arms] = corrected(covariance, self._matrix, self._variances)[0]
 
     def _rest(self, postures: Array) -> tuple[Array, Array]:
@@ -103,33 +114,31 @@ class KalmanFilter:
         model = self._plant.model
         return rest_states(model, postures), np.array([holding_torques(model, each) for each in postures])
 
-    def _system(self, states: Array, torques: Array) -> tuple[Array, Array]:
-        """Transition and noise (r, s, s) of a period, of all that is estimated; NaN where an arm does not go on."""
+    def _system(self, states: Array, torques: Array) -> tuple[Array, Array, Flags]:
+        """Transition and noise (r, s, s) in a period of all that is estimated, and where they are good (r,)."""
         slopes, good = self._slopes(states, torques)
-        size, s = self._size, self._matrix.shape[1]
-        transition, noise, inputs = np.zeros((len(states), s, s)), np.zeros((len(states), s, s)), slopes[..., size:]
-        transition[:, :size, :size], transition[:, :size, self._offsets] = slopes[..., :size], inputs[
-            ..., : self._offsets.stop - size
-        ]
-        noise[:, :size, :size] = (inputs * self._torque_variances) @ inputs.mT
+        size, count, s = self._size, len(states), self._matrix.shape[1]
+        transition, noise, inputs = np.zeros((count, s, s)), np.zeros((count, s, s)), slopes[..., size:]
+        transition[:, :size, :size] = slopes[..., :size]
+        transition[:, :size, self._offsets] = inputs[..., : self._offsets.stop - size]
+        noise[:, :size, :size] = (inputs * self._forces) @ inputs.mT
         each = np.arange(size, s)
         transition[:, each, each], noise[:, each, each] = self._keeping, self._drift
-        transition[~good] = np.nan
-        return transition, noise
+        return transition, noise, good
 
-    def _settled(self, transition: Array, noise: Array, matrix: Array) -> Array:
-        """The stationary covariance before readings.
-
-        Raises:
-            ValueError: for instruments that do not tell the state.
-        """
-        result = stationary(transition, noise, matrix, self._variances)
+    def _settled(self, transition: Array, noise: Array, part: slice) -> Array:
+        """The stationary covariance before readings of a part of what is estimated."""
+        result = stationary(transition[:, part, part], noise[:, part, part], self._matrix[:, part], self._variances)
         if not np.isfinite(result).all():
             raise refusal("sensors", self.sensors, "ones that tell where the arm is")
         return result
 
     def estimate(self, readings: Readings, applied: Array, playing: Flags) -> Estimate:
-        """Gives what is known now; see `Observer`."""
+        """Gives what is known now; see `Observer`.
+
+        Raises:
+            ValueError: for sensors that do not tell the state.
+        """
         now = self._instruments.read(readings)
         fresh, later = (np.flatnonzero(playing & flags) for flags in (self._ages == 0, self._ages > 0))
         if len(fresh):
@@ -143,42 +152,38 @@ class KalmanFilter:
         ahead, arms = self.states[:, : self._size].copy(), np.flatnonzero(playing)
         for late in range(self.delay - 1, -1, -1):
             ahead[arms] = self._moved(arms, ahead[arms], self._past[arms, late])
-        disturbance = np.zeros_like(applied)
-        disturbance[:, : self._offsets.stop - self._size] = self.states[:, self._offsets]
-        return Estimate(ahead, np.full(len(ahead), self.delay), {}, disturbance)
+        every = np.arange(len(ahead))
+        return Estimate(ahead, np.full(len(ahead), self.delay), {}, self._offset(every))
 
     def _begin(self, arms: IntArray, now: Array) -> None:
-        """Begins with the first readings (r, m) of arms (r,)."""
-        places, size, model = self._instruments.places["motor_angles"], self._size, self._plant.model
-        self.states[arms, :size], held = self._rest(now[:, places])
-        transition, noise = self._system(self.states[arms, :size], held)
-        covariance = np.zeros_like(transition)
-        core = slice(0, size)
-        covariance[:, core, core] = self._settled(transition[:, core, core], noise[:, core, core], self._matrix[:, core])
-        turn = np.eye(size)[: model.n_joints]
-        turn[np.arange(model.n_joints), model.motor_columns] = 1.0
-        covariance[:, core, core] += (turn.T * self._variances[places]) @ turn
-        each = np.arange(size, covariance.shape[1])
+        """Begins with the first readings (r, m) of arms (r,), of which encoders say where they are."""
+        places, core, model = self._instruments.places["motor_angles"], slice(0, self._size), self._plant.model
+        self.states[arms, core], held = self._rest(now[:, places])
+        self._transition[arms], self._noise[arms], _ = self._system(self.states[arms, core], held)
+        turns, joints = np.zeros((model.n_joints, self._size)), np.arange(model.n_joints)
+        turns[joints, joints] = turns[joints, model.motor_columns] = 1.0
+        covariance, each = np.zeros_like(self._noise[arms]), np.arange(self._size, len(self._noise[0]))
+        covariance[:, core, core] = self._settled(self._transition[arms], self._noise[arms], core)
+        covariance[:, core, core] += (turns.T * self._variances[places]) @ turns
         covariance[:, each, each] = self._spread
-        self.covariance[arms], self._transition[arms], self._noise[arms] = covariance, transition, noise
+        self.covariance[arms] = covariance
 
     def _follow(self, arms: IntArray) -> None:
         """Moves arms (r,) on through the period that is over."""
-        acted = self._past[arms, self.delay]
+        due = arms[self._ages[arms] % EVERY == 0]
+        if len(due) and not self._fixed:
+            torques = self._past[due, self.delay] + self._offset(due)
+            transition, noise, good = self._system(self.states[due, : self._size], torques)
+            self._transition[due[good]], self._noise[due[good]] = transition[good], noise[good]
         if not self._fixed:
-            due = arms[self._ages[arms] % EVERY == 0]
-            if len(due):
-                torques = self._past[due, self.delay] + self._offset(due)
-                transition, noise = self._system(self.states[due, : self._size], torques)
-                good = np.isfinite(transition).all(axis=(1, 2))
-                self._transition[due[good]], self._noise[due[good]] = transition[good], noise[good]
             self.covariance[arms] = predicted(self.covariance[arms], self._transition[arms], self._noise[arms])
-        self.states[arms, : self._size] = self._moved(arms, self.states[arms, : self._size], acted)
+        states = self.states[arms, : self._size]
+        self.states[arms, : self._size] = self._moved(arms, states, self._past[arms, self.delay])
         self.states[arms, self._size :] *= self._keeping
 
     def _offset(self, arms: IntArray) -> Array:
-        """Constant torques on the motors of arms (r,), as they are estimated."""
-        return self.states[arms, self._offsets] if self._offsets.stop > self._size else np.zeros(len(self._limits))
+        """Constant torques (r, n) N m on the motors of arms (r,) as they are estimated."""
+        return self.states[arms, self._offsets] if self._disturbed else np.zeros((len(arms), len(self._limits)))
 
     def _moved(self, arms: IntArray, states: Array, torques: Array) -> Array:
         """States (r, 2 d) of arms (r,) a period after some, under torques (r, n) N m that are asked for."""
@@ -193,8 +198,7 @@ class KalmanFilter:
     def _correct(self, arms: IntArray, now: Array) -> None:
         """Takes the readings (r, m) of arms (r,) into account."""
         error = now - row_dots(self._matrix, self.states[arms][:, None])
-        if self._fixed:
-            gain = self._gain[arms]
-        else:
+        gain = self._gain[arms]
+        if not self._fixed:
             gain, self.covariance[arms] = corrected(self.covariance[arms], self._matrix, self._variances)
         self.states[arms] += row_dots(gain, error[:, None])
