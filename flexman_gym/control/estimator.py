@@ -9,7 +9,7 @@ from flexman_gym.checks import one_of
 from flexman_gym.control.bases import Plant
 from flexman_gym.control.controller import Episode, Readings
 from flexman_gym.control.observer import Estimate
-from flexman_gym.control.trials import Prior, Sweep, Trials, step
+from flexman_gym.control.trials import Prior, Sweep, Trials, solved, step
 from flexman_gym.control.unknowns import make_unknowns
 from flexman_gym.model.statics import rest_states
 from flexman_gym.simulation.batch import Batch
@@ -24,6 +24,7 @@ BIAS = 0.005  # of a range, up to which a biased instrument is off
 HOMED = 1e-4  # rad, deviation of an angle at the start that is told
 LOST = 100.0  # largest entry of a state of a trial that still says something
 WINDOW = 0.2  # part of the last misfit in its mean
+SPREAD = 0.5  # rad, by which trials may differ before they are drawn together
 BOUND = 10.0  # deviations, up to which an angle at the start is looked for
 
 
@@ -53,7 +54,7 @@ class Estimator:
 
     kept = (
         "numbers", "delays", "misfit", "_mean", "_deviation", "_origin", "_states", "_information", "_change", "_ages",
-        "_readings", "_torques", "_past",
+        "_readings", "_torques", "_past", "_steps", "_apart",
     )  # fmt: skip
 
     def __init__(
@@ -104,6 +105,7 @@ class Estimator:
         self._information, self._readings = np.zeros((0, p, p)), np.zeros((0, rows, m))
         self._torques, self._past = np.zeros((0, late + rows, n)), np.zeros((0, late + 1, n))
         self._told, self._limits = np.zeros((0, n)), np.array(self._plant.torque_limit)
+        self._steps, self._apart = np.zeros((0, trials - 1)), np.zeros(0, dtype=bool)
         self._beside: Batch | None = None
         self._ahead: Batch | None = None
 
@@ -127,7 +129,7 @@ class Estimator:
             self._advance(later, applied[later] * self._limits)
             kept = later[self._ages[later] < len(self._weights)]
             self._readings[kept, self._ages[kept]] = now[kept]
-            again = np.isin(self._ages[later], REPLAYS)
+            again = np.isin(self._ages[later], REPLAYS) & ~self._apart[later]
             for age in np.unique(self._ages[later[again]]).tolist():
                 self._replay(later[again & (self._ages[later] == age)], age)
             self._recur(later[~again], now[later[~again]])
@@ -143,14 +145,22 @@ class Estimator:
         self.numbers[arms], self._change[arms] = self._mean[arms], 0.0
         self.delays[arms] = (sum(self._plant.delay) + 1) // 2
         self._states[arms] = self._trials.starts(self._origin[arms], self.numbers[arms])
+        self._steps[arms], self._apart[arms] = self._trials.steps, False
         self._information[arms] = np.eye(self._trials.size) / self._prior.deviation**2
         self._inform(arms)
 
     def _inform(self, arms: IntArray) -> None:
         """Gives the trials of arms (r,) the numbers as they are."""
-        numbers = self.numbers[arms]
+        numbers, states, motors = self.numbers[arms], self._states[arms], self._plant.model.motor_columns
+        spread = np.abs(states[:, 1:, motors] - states[:, :1, motors]).max(axis=2) / SPREAD
+        far = spread > 1.0
+        if far.any():
+            part = np.where(far, 1.0 / np.maximum(spread, 1.0), 1.0)
+            self._states[arms, 1:] = states[:, :1] + part[..., None] * (states[:, 1:] - states[:, :1])
+            self._steps[arms] *= part
+            self._apart[arms] |= far.any(axis=1)
         assert self._beside is not None and self._ahead is not None
-        all_numbers = self._trials.changed(numbers).reshape(-1, numbers.shape[1])
+        all_numbers = self._trials.changed(numbers, self._steps[arms]).reshape(-1, numbers.shape[1])
         self._beside.vary(self._rows(arms).ravel(), **self._trials.parameters(all_numbers))
         self._ahead.vary(arms, **self._trials.parameters(numbers))
 
@@ -182,13 +192,13 @@ class Estimator:
 
     def _recur(self, arms: IntArray, now: Array) -> None:
         """Takes the readings (r, m) of arms (r,) into their fits."""
-        slopes = self._trials.reading_slopes(self._trials.slopes(self._states[arms]))
+        slopes = self._trials.reading_slopes(self._trials.slopes(self._states[arms], self._steps[arms]))
         error = now - self._trials.read(self._states[arms, 0], self.numbers[arms])
         error -= row_dots(slopes, self._change[arms][:, None])
         weighted = (slopes * self._weights[-1, :, None]).transpose(0, 2, 1)
         self._information[arms] += weighted @ slopes
         gradient = row_dots(weighted, error[:, None])
-        self._change[arms] += np.linalg.solve(self._information[arms], gradient[..., None])[..., 0]
+        self._change[arms] += solved(self._information[arms], gradient)
         self.misfit[arms] += WINDOW * ((error**2 * self._weights[-1]).mean(axis=1) - self.misfit[arms])
         due = arms[self._ages[arms] % EVERY == 0]
         if len(due):
@@ -199,7 +209,7 @@ class Estimator:
         before = self.numbers[arms]
         self.numbers[arms] = np.clip(before + self._change[arms], self._prior.low, self._prior.high)
         moved = (self.numbers[arms] - before)[:, None, : self._trials.moving]
-        self._states[arms] += row_dots(self._trials.slopes(self._states[arms]), moved)[:, None]
+        self._states[arms] += row_dots(self._trials.slopes(self._states[arms], self._steps[arms]), moved)[:, None]
         self._change[arms] = 0.0
         self._inform(arms)
 
@@ -213,10 +223,15 @@ class Estimator:
             self.delays[arms] = fewest + np.nan_to_num(np.array(costs), nan=np.inf).argmin(axis=0)
         prior = Prior(self._mean[arms], self._deviation[arms], self._prior.low, self._prior.high)
         data = self._arrived(arms, age, self.delays[arms]), self._readings[arms, : age + 1], weights
-        self.numbers[arms], sweep = self._trials.fit(self._origin[arms], self.numbers[arms], prior, data)
-        self._states[arms] = sweep.states
+        numbers, sweep = self._trials.fit(self._origin[arms], self.numbers[arms], prior, data)
+        well = np.isfinite(sweep.cost) & (np.abs(sweep.states) < LOST).all(axis=(1, 2))
+        if not well.all():  # the recursion goes on with them
+            self._recur(arms[~well], self._readings[arms[~well], age])
+        arms, numbers, sweep, prior = arms[well], numbers[well], sweep.of(well), prior.of(well)
+        self.numbers[arms] = numbers
+        self._states[arms], self._steps[arms] = sweep.states, self._trials.steps
         self._information[arms] = sweep.information + np.eye(self._trials.size) / self._deviation[arms][:, None] ** 2
-        self.misfit[arms] = sweep.cost / weights[0].size
+        self.misfit[arms] = sweep.cost / self._weights[: age + 1].size
         self._change[arms], _ = step(sweep, self.numbers[arms], prior)
         self._shift(arms)
 
@@ -235,7 +250,7 @@ class Estimator:
         """What is known of all arms when torques that the arms (r,) are asked for now begin to act."""
         states = self._states[:, 0].copy()
         moved = self._change[arms][:, None, : self._trials.moving]
-        states[arms] += row_dots(self._trials.slopes(self._states[arms]), moved)
+        states[arms] += row_dots(self._trials.slopes(self._states[arms], self._steps[arms]), moved)
         numbers = np.clip(self.numbers + self._change, self._prior.low, self._prior.high)
         assert self._ahead is not None
         drive, moving = np.zeros((len(states), len(self._limits) + 6)), np.zeros(len(states), dtype=bool)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.arrays import Array, IntArray, grown
-from flexman_gym.control.reference import Bending
+from flexman_gym.control.reference import Bending, GiveWay
 from flexman_gym.control.timing import quintic, values_at
 from flexman_gym.model.model import Model
 from flexman_gym.model.statics import holding_torques, rest_state
@@ -17,6 +17,7 @@ TYPICAL = 0.5  # 1/s^2, second derivative of the path parameter with which an ar
 DURATIONS = 0.2 * 1.045 ** np.arange(110)  # s, that are tried; the last is 24 s
 PARTS = np.linspace(0.0, 1.0, 17)[1:-1]  # of a duration at which torques are compared with their limits
 REST, CHANGE, SPEED = 0, 1, 2  # layers of a table: at rest, times s'', times s'^2
+AIMED = 2  # steps of Newton by which the end of a path is turned
 AHEAD = 0.01  # s, of the differences that give the speeds of bent coordinates
 
 
@@ -46,15 +47,16 @@ class Slews:
         payloads: kg, one or three, ascending.
     """
 
-    kept = ("coefficients", "begun", "lasting", "_payload", "_soft")
+    kept = ("shift", "coefficients", "begun", "lasting", "_payload", "_soft")
 
     def __init__(self, model: Model, limits: Array, share: float, payloads: Sequence[float]) -> None:
         self.model, self._limits, self._share = model, limits, share
         self._payloads = np.array(payloads, dtype=float)
         self._models = [varied_model(model, payload_mass=mass) for mass in payloads]
+        self._give_way = GiveWay(model)
         self._bendings = [Bending(each) for each in self._models]
         n, d, p = model.n_joints, model.n_dof, len(payloads)
-        self.start, self.way = np.zeros((0, n)), np.zeros((0, n))
+        self.start, self.way, self.shift = np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, n))
         self._coordinates, self._torques = np.zeros((0, p, 11, 3, d)), np.zeros((0, p, 11, 3, n))
         self._now = Tables(np.zeros((0, 11, 3, d)), np.zeros((0, 11, 3, n)))  # for the payloads as they are estimated
         self.coefficients, self.begun, self.lasting = np.zeros((0, 6)), np.zeros(0), np.zeros(0)
@@ -68,6 +70,7 @@ class Slews:
         for name in (
             "start",
             "way",
+            "shift",
             "_coordinates",
             "_torques",
             "coefficients",
@@ -81,7 +84,7 @@ class Slews:
 
     def begin(self, arms: IntArray, start: Array, goal: Array) -> None:
         """Takes new paths of the arms (r,) from start to goal, motor angles (r, n) rad; `adapt` and `time` them next."""
-        self.start[arms], self.way[arms] = start, goal - start
+        self.start[arms], self.way[arms], self.shift[arms] = start, goal - start, 0.0
         for arm, first, last in zip(arms, start, goal, strict=True):
             for payload in range(len(self._models)):
                 tables = self._bent(payload, first, last)
@@ -126,6 +129,19 @@ class Slews:
                 1.0 / parameters["link_stiffness"][arms][:, self._elastic]
             )
         self._soft[arms] = soft
+        if self.model.constants.gravity.any():
+            self._aim(arms)
+
+    def _aim(self, arms: IntArray) -> None:
+        """Turns the ends of the paths of the arms (r,) so that the tips rest where those of the model's arm would."""
+        model, d = self.model, self.model.n_dof
+        for arm in arms:
+            goal = self.start[arm] + self.way[arm]
+            wanted = rest_state(model, goal)[:d]
+            for _ in range(AIMED):
+                sagging = self._soft[arm] * self._now.coordinates[arm, -1, REST]
+                place = model.at_rest((goal + self.shift[arm])[None])[0, :d] + sagging
+                self.shift[arm] += self._give_way.turn(wanted, place)
 
     def _weights(self, masses: Array) -> Array:
         """Weights (r, p) of the payloads of the tables for masses (r,) kg: those of quadratic interpolation."""
@@ -186,7 +202,7 @@ class Slews:
     def _coordinates_at(self, now: Array, arms: IntArray) -> Array:
         place, speed, change = self.at(now, arms)
         result = self._soft[arms] * self._mixed(self._now.coordinates, arms, place, change, speed)
-        angles = self.start[arms] + place[:, None] * self.way[arms]
+        angles = self.start[arms] + place[:, None] * (self.way[arms] + self.shift[arms])
         result[:, self.model.motor_columns] += angles
         result[:, np.flatnonzero(self._flexible)] += angles[:, self._flexible]
         return result

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.arrays import Array, row_dots
+from flexman_gym.arrays import Array, Flags, row_dots
 from flexman_gym.control.unknowns import Unknowns
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.batch import Batch
@@ -12,6 +12,7 @@ from flexman_gym.simulation.families import Method
 
 TURN = 1e-3  # rad, by which an angle at the start is changed to see what follows
 TOGETHER = 32  # arms whose trials are rolled at once, for the memory that they take
+ROUNDING = 1e-12  # added to a matrix of ones on its diagonal
 TRIES, LITTLE, DAMPING = 4, (2.0, 0.02), 1e-3  # sweeps of a fit; falls of the cost, and by period, that end it; first
 
 
@@ -26,6 +27,10 @@ class Prior(NamedTuple):
     def clip(self, numbers: Array) -> Array:
         """Gives the numbers (r, p) that are allowed next to some."""
         return np.clip(numbers, self.low, self.high)
+
+    def of(self, arms: Flags) -> "Prior":
+        """Gives what is known of some arms (r,)."""
+        return self._replace(mean=self.mean[arms], deviation=self.deviation[arms])
 
 
 class Sweep(NamedTuple):
@@ -42,6 +47,10 @@ class Sweep(NamedTuple):
     information: Array
     gradient: Array
     cost: Array
+
+    def of(self, arms: Flags) -> "Sweep":
+        """Gives what is said of some arms (r,)."""
+        return Sweep(*(values[arms] for values in self))
 
 
 class Trials:
@@ -80,15 +89,15 @@ class Trials:
         method, step, period = self._moved
         return Batch(self.model, method, step, period, arms=arms)
 
-    def changed(self, numbers: Array) -> Array:
-        """Gives the numbers (r, 1 + s, p) of all trials: those that are estimated, and each that moves the arm changed."""
+    def changed(self, numbers: Array, steps: Array | None = None) -> Array:
+        """Gives the numbers (r, 1 + s, p) of all trials: as estimated, and each that moves the arm changed by a step."""
         result = np.repeat(numbers[:, None], 1 + self.moving, axis=1)
         each = np.arange(self.moving)
-        result[:, 1 + each, each] += self.steps
+        result[:, 1 + each, each] += self.steps if steps is None else steps
         return result
 
     def starts(self, origin: Array, numbers: Array) -> Array:
-        """Gives the states (r, 1 + s, 2 d) from which trials start, for states (r, 2 d) with angles at the start of 0."""
+        """Gives the states (r, 1 + s, 2 d) from which trials start; `origin` (r, 2 d) has angles of 0 among numbers."""
         angles = self.changed(numbers)[:, :, len(self.unknowns.names) : self.moving]
         return origin[:, None] + (angles[..., None] * self._turns).sum(axis=2)
 
@@ -96,9 +105,9 @@ class Trials:
         """Gives physical parameters, name -> (r, ...), for numbers (r, p)."""
         return self.unknowns.values(self.model, numbers)
 
-    def slopes(self, states: Array) -> Array:
-        """Gives the slopes (r, 2 d, s) of the states by the numbers, of all trials (r, 1 + s, 2 d)."""
-        return ((states[:, 1:] - states[:, :1]) / self.steps[:, None]).transpose(0, 2, 1)
+    def slopes(self, states: Array, steps: Array) -> Array:
+        """Gives the slopes (r, 2 d, s) of the states by the numbers, of all trials (r, 1 + s, 2 d) with steps (r, s)."""
+        return ((states[:, 1:] - states[:, :1]) / steps[..., None]).transpose(0, 2, 1)
 
     def reading_slopes(self, slopes: Array) -> Array:
         """Gives the slopes (r, m, p) of the readings, biases included, by those of the states (r, 2 d, s)."""
@@ -194,8 +203,21 @@ def step(sweep: Sweep, numbers: Array, prior: Prior, damping: Array | float = 0.
     slope = sweep.gradient + certain * (prior.mean - numbers)
     damped = whole.copy()
     damped[:, each, each] *= 1.0 + np.reshape(damping, (-1, 1))
-    change = np.linalg.solve(damped, slope[..., None])[..., 0]
+    change = solved(damped, slope)
     return change, (change * slope).sum(axis=1)
+
+
+def solved(matrices: Array, vectors: Array) -> Array:
+    """Gives x (r, p) of matrices (r, p, p) x = vectors (r, p), whose units are far apart; 0 where they are not finite."""
+    good = np.isfinite(matrices).all(axis=(1, 2)) & np.isfinite(vectors).all(axis=1)
+    scale = 1.0 / np.sqrt(np.where(good[:, None], np.diagonal(matrices, axis1=1, axis2=2), 1.0))
+    even = np.where(good[:, None, None], matrices * scale[:, :, None] * scale[:, None], 0.0)
+    each = np.arange(matrices.shape[1])
+    even[:, each, each] = 1.0 + ROUNDING
+    result: Array = (
+        scale * np.linalg.solve(even, np.where(good[:, None], vectors, 0.0)[..., None] * scale[..., None])[..., 0]
+    )
+    return result
 
 
 def _chosen(flags: Array, one: Array, other: Array) -> Array:
