@@ -29,6 +29,7 @@ class Plant(NamedTuple):
             `simulation.parameters.PARAMETERS`; parts of the nominal value where the table there says factor.
         delay: fewest and most whole control periods by which torques come late.
         moved: method and step (s) by which the arm is simulated.
+        push: N, how large forces on the tip may be that nobody tells.
         measured: gives, name -> (2, size), the range of each quantity that instruments measure and the standard
             deviation of their noise, in its unit.
     """
@@ -40,6 +41,7 @@ class Plant(NamedTuple):
     unknown: Mapping[str, tuple[float, float]] = {}
     delay: tuple[int, int] = (0, 0)
     moved: tuple[str | Method, float | str] = (DEFAULT, "auto")
+    push: float = 0.0
     measured: Callable[[], Mapping[str, Array]] = dict
 
 

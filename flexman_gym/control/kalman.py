@@ -38,7 +38,7 @@ class KalmanFilter:
         sensors: names in `simulation.readings.INSTRUMENTS`, "motor_encoders" among them.
         noise: deviations of the unknown torques, a part of the torque limits, and of the forces on the tip, a part of
             what the strongest motor bears at the whole reach; None takes 0.005 and 0.005, or 0.005 and 0.03 for a plant
-            with unknown parameters.
+            with unknown parameters, and as much as its `push`.
         disturbed: whether constant torques on the motors are estimated.
         biased: whether each reading may be off by a constant of up to 0.5 % of its range.
         fixed: whether the gain is the stationary one at the goal throughout an episode, which takes less time and suits
@@ -74,6 +74,8 @@ class KalmanFilter:
         usual = (TORQUE, UNLIKE if plant.unknown else FORCE)
         parts = usual if noise is None else [non_negative("noise", each) for each in vector("noise", noise, 2)]
         self._forces = (np.repeat(parts, (n, 3)) * self._slopes.scales) ** 2
+        if noise is None:
+            self._forces[n:] += plant.push**2
         self._variances, motors, all_read = read.deviations**2, self._disturbed * n, len(read.ranges)
         self._offsets = slice(self._size, self._size + motors)
         biases = np.eye(all_read, self._biased * all_read)

@@ -31,6 +31,7 @@ def make_plant(setup: Any, model: Model) -> Plant:
         {name: span for name, span in drawn.items() if name in PARAMETERS},
         (int(fewest), int(most)),
         (setup.method, setup.step or default_step(setup.control_period, NAMED[setup.name].longest_step)),
+        float(drawn.get("tip_load", (0.0, 0.0))[1]),
         lambda: _measured(setup, model, drawn.get("sensor_noise", (0.0, 0.0))[1]),
     )
 
