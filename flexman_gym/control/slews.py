@@ -10,7 +10,7 @@ from flexman_gym.control.reference import Bending, GiveWay
 from flexman_gym.control.timing import quintic, values_at
 from flexman_gym.model.model import Model
 from flexman_gym.model.statics import holding_torques, rest_state
-from flexman_gym.simulation.parameters import PARAMETERS, varied_model
+from flexman_gym.simulation.parameters import varied_model
 
 PLACES = np.linspace(0.0, 1.0, 11)  # of a path at which an arm is bent
 TYPICAL = 0.5  # 1/s^2, second derivative of the path parameter with which an arm is bent
@@ -47,7 +47,10 @@ class Slews:
         payloads: kg, one or three, ascending.
     """
 
-    kept = ("shift", "coefficients", "begun", "lasting", "_payload", "_soft")
+    _rows = (
+        "start", "way", "shift", "coefficients", "begun", "lasting", "_coordinates", "_torques", "_soft", "_friction",
+    )  # fmt: skip
+    kept = (*_rows, "_now")
 
     def __init__(self, model: Model, limits: Array, share: float, payloads: Sequence[float]) -> None:
         self.model, self._limits, self._share = model, limits, share
@@ -60,30 +63,17 @@ class Slews:
         self._coordinates, self._torques = np.zeros((0, p, 11, 3, d)), np.zeros((0, p, 11, 3, n))
         self._now = Tables(np.zeros((0, 11, 3, d)), np.zeros((0, 11, 3, n)))  # for the payloads as they are estimated
         self.coefficients, self.begun, self.lasting = np.zeros((0, 6)), np.zeros(0), np.zeros(0)
-        self._payload, self._soft = np.zeros(0), np.zeros((0, d))
-        elastic = np.repeat(np.arange(n), np.diff(model.constants.elastic_start))
-        self._elastic, self._flexible = elastic, model.constants.motor >= 0
-        self._nominal = PARAMETERS["joint_stiffness"].nominal(model)
+        self._soft, self._friction = np.zeros((0, d)), np.zeros((0, 2, n))
+        self._flexible = model.constants.motor >= 0
 
     def grow(self, count: int) -> None:
         """Makes room for so many arms."""
-        for name in (
-            "start",
-            "way",
-            "shift",
-            "_coordinates",
-            "_torques",
-            "coefficients",
-            "begun",
-            "lasting",
-            "_payload",
-            "_soft",
-        ):
+        for name in self._rows:
             setattr(self, name, grown(getattr(self, name), count))
         self._now = Tables(*(grown(each, count) for each in self._now))
 
     def begin(self, arms: IntArray, start: Array, goal: Array) -> None:
-        """Takes new paths of the arms (r,) from start to goal, motor angles (r, n) rad; `adapt` and `time` them next."""
+        """Takes paths of the arms (r,) from start to goal, motor angles (r, n) rad; `adapt` and `time` them next."""
         self.start[arms], self.way[arms], self.shift[arms] = start, goal - start, 0.0
         for arm, first, last in zip(arms, start, goal, strict=True):
             for payload in range(len(self._models)):
@@ -114,21 +104,11 @@ class Slews:
         """Takes the physical parameters (b, ...) of the arms (r,) as they are estimated, see `Estimate`."""
         if not len(arms):
             return
-        mass = parameters.get("payload_mass")
-        weights = self._weights(np.full(len(arms), self._payloads[0]) if mass is None else mass[arms])
+        weights = payload_weights(self._payloads, parameters, arms)
         for now, every in zip(self._now, (self._coordinates, self._torques), strict=True):
             now[arms] = (weights[:, :, None, None, None] * every[arms]).sum(axis=1)
-        n, motors = self.model.n_joints, self.model.motor_columns
-        soft = np.ones((len(arms), self.model.n_dof))
-        if "joint_stiffness" in parameters:
-            stiffness = parameters["joint_stiffness"][arms]
-            part = np.where(self._flexible, self._nominal / np.where(self._flexible, stiffness, 1.0), 1.0)
-            soft[:, :n] = soft[:, motors] = part
-        if "link_stiffness" in parameters:
-            soft[:, self.model.n_dof - len(self._elastic) :] = (
-                1.0 / parameters["link_stiffness"][arms][:, self._elastic]
-            )
-        self._soft[arms] = soft
+        self._soft[arms] = softness(self.model, parameters, arms)
+        self._friction[arms] = friction(self.model, parameters, arms)
         if self.model.constants.gravity.any():
             self._aim(arms)
 
@@ -142,18 +122,6 @@ class Slews:
                 sagging = self._soft[arm] * self._now.coordinates[arm, -1, REST]
                 place = model.at_rest((goal + self.shift[arm])[None])[0, :d] + sagging
                 self.shift[arm] += self._give_way.turn(wanted, place)
-
-    def _weights(self, masses: Array) -> Array:
-        """Weights (r, p) of the payloads of the tables for masses (r,) kg: those of quadratic interpolation."""
-        nodes = self._payloads
-        if len(nodes) == 1:
-            return np.ones((len(masses), 1))
-        x = np.clip(masses, nodes[0], nodes[-1])[:, None]
-        result = np.ones((len(masses), len(nodes)))
-        for i, node in enumerate(nodes):
-            for other in np.delete(nodes, i):
-                result[:, i] *= ((x - other) / (node - other))[:, 0]
-        return result
 
     def time(self, arms: IntArray, now: Array, first: bool) -> None:
         """Times the rest of the way of the arms (r,) anew, as short as torques within the limits allow.
@@ -169,6 +137,8 @@ class Slews:
         tried = quintic(place, speed, change, DURATIONS)
         places, speeds, changes = values_at(tried[:, :, None], DURATIONS[:, None] * PARTS)
         torques = self._mixed(self._now.torques, arms, places, changes, speeds)
+        rates = speeds[..., None] * self.way[arms][:, None, None]
+        torques += friction_torques(self.model, self._friction[arms][:, None, None], rates)
         shares = (np.abs(torques) / self._limits).max(axis=(2, 3))
         good = shares <= self._share
         chosen = np.where(good.any(axis=1), good.argmax(axis=1), shares.argmin(axis=1))
@@ -176,7 +146,7 @@ class Slews:
         self.begun[arms], self.lasting[arms] = now, DURATIONS[chosen]
 
     def _mixed(self, table: Array, arms: IntArray, places: Array, changes: Array, speeds: Array) -> Array:
-        """rest + a s'' + b s'^2 (r, ..., m) of a table (b, 11, 3, m) at places, second derivatives and speeds (r, ...)."""
+        """rest + a s'' + b s'^2 (r, ..., m) of a table (b, 11, 3, m) at places, changes and speeds (r, ...)."""
         at = np.clip(places, 0.0, 1.0) * (len(PLACES) - 1)
         low = np.minimum(at.astype(np.int64), len(PLACES) - 2)
         part, rows = (at - low)[..., None, None], arms.reshape(-1, *(1,) * (places.ndim - 1))
@@ -210,4 +180,45 @@ class Slews:
     def torques(self, now: Array, arms: IntArray) -> Array:
         """Gives the torques (r, n) N m of the arms (r,) at times (r,) s."""
         place, speed, change = self.at(now, arms)
-        return self._mixed(self._now.torques, arms, place, change, speed)
+        rubbing = friction_torques(self.model, self._friction[arms], speed[:, None] * self.way[arms])
+        return self._mixed(self._now.torques, arms, place, change, speed) + rubbing
+
+
+def payload_weights(nodes: Array, parameters: Mapping[str, Array], arms: IntArray) -> Array:
+    """Gives the weights (r, p) of payloads (p,) kg between which the estimated ones of the arms (r,) are interpolated."""
+    if len(nodes) == 1 or "payload_mass" not in parameters:
+        return np.tile(np.eye(len(nodes))[0], (len(arms), 1))
+    masses = np.clip(parameters["payload_mass"][arms], nodes[0], nodes[-1])
+    result = np.ones((len(arms), len(nodes)))
+    for i, node in enumerate(nodes):
+        for other in np.delete(nodes, i):
+            result[:, i] *= (masses - other) / (node - other)
+    return result
+
+
+def softness(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:
+    """Gives factors (r, d) by which bent coordinates of the arms (r,) are larger than those of the model."""
+    n, stiff = model.n_joints, model.constants.motor >= 0
+    result = np.ones((len(arms), model.n_dof))
+    if "joint_stiffness" in parameters:
+        stiffness = np.where(stiff, parameters["joint_stiffness"][arms], 1.0)
+        part = np.where(stiff, model.constants.joint_stiffness / stiffness, 1.0)
+        result[:, :n] = result[:, model.motor_columns] = part
+    if "link_stiffness" in parameters:
+        links = np.repeat(np.arange(n), np.diff(model.constants.elastic_start))
+        result[:, model.n_dof - len(links) :] = 1.0 / parameters["link_stiffness"][arms][:, links]
+    return result
+
+
+def friction(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:
+    """Gives viscous (N m s/rad) and Coulomb friction (N m) of the motors of the arms (r,), (r, 2, n)."""
+    result = np.zeros((len(arms), 2, model.n_joints))
+    for i, name in enumerate(("viscous_friction", "coulomb_friction")):
+        result[:, i] = parameters[name][arms] if name in parameters else getattr(model.constants, name)
+    return result
+
+
+def friction_torques(model: Model, coefficients: Array, rates: Array) -> Array:
+    """Gives the torques (..., n) N m that friction, coefficients (..., 2, n), takes at motor rates (..., n) rad/s."""
+    sliding = np.tanh(rates / model.constants.coulomb_rate)
+    return coefficients[..., 0, :] * rates + coefficients[..., 1, :] * sliding

@@ -90,7 +90,7 @@ class Trials:
         return Batch(self.model, method, step, period, arms=arms)
 
     def changed(self, numbers: Array, steps: Array | None = None) -> Array:
-        """Gives the numbers (r, 1 + s, p) of all trials: as estimated, and each that moves the arm changed by a step."""
+        """Gives the numbers (r, 1 + s, p) of all trials: as estimated, and each that moves the arm changed."""
         result = np.repeat(numbers[:, None], 1 + self.moving, axis=1)
         each = np.arange(self.moving)
         result[:, 1 + each, each] += self.steps if steps is None else steps
@@ -106,7 +106,7 @@ class Trials:
         return self.unknowns.values(self.model, numbers)
 
     def slopes(self, states: Array, steps: Array) -> Array:
-        """Gives the slopes (r, 2 d, s) of the states by the numbers, of all trials (r, 1 + s, 2 d) with steps (r, s)."""
+        """Gives the slopes (r, 2 d, s) of the states of trials (r, 1 + s, 2 d) by numbers changed by steps (r, s)."""
         return ((states[:, 1:] - states[:, :1]) / steps[..., None]).transpose(0, 2, 1)
 
     def reading_slopes(self, slopes: Array) -> Array:
@@ -208,7 +208,7 @@ def step(sweep: Sweep, numbers: Array, prior: Prior, damping: Array | float = 0.
 
 
 def solved(matrices: Array, vectors: Array) -> Array:
-    """Gives x (r, p) of matrices (r, p, p) x = vectors (r, p), whose units are far apart; 0 where they are not finite."""
+    """Gives x (r, p) of matrices (r, p, p) x = vectors (r, p) in units far apart; 0 where they are not finite."""
     good = np.isfinite(matrices).all(axis=(1, 2)) & np.isfinite(vectors).all(axis=1)
     scale = 1.0 / np.sqrt(np.where(good[:, None], np.diagonal(matrices, axis1=1, axis2=2), 1.0))
     even = np.where(good[:, None, None], matrices * scale[:, :, None] * scale[:, None], 0.0)
