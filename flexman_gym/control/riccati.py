@@ -27,7 +27,7 @@ def corrected(covariance: Array, matrix: Array, variances: Array) -> tuple[Array
         variances: (m,) of the noise of readings.
     """
     across = matrix @ covariance
-    gain = np.linalg.solve(across @ matrix.T + np.diag(variances), across).mT
+    gain: Array = np.linalg.solve(across @ matrix.T + np.diag(variances), across).mT
     left = np.eye(matrix.shape[1]) - gain @ matrix
     return gain, _even(left @ covariance @ left.mT + (gain * variances) @ gain.mT)
 
@@ -43,7 +43,9 @@ def stationary(transition: Array, noise: Array, matrix: Array, variances: Array)
     before, eye = result, np.eye(matrix.shape[1])
     for _ in range(DOUBLINGS):
         before = result
-        through = np.linalg.solve(eye + told @ result, np.concatenate([passing, np.broadcast_to(told, passing.shape)], -1))
+        through = np.linalg.solve(
+            eye + told @ result, np.concatenate([passing, np.broadcast_to(told, passing.shape)], -1)
+        )
         size = len(eye)
         onward, spread = through[..., :size], through[..., size:]
         result = _even(result + passing.mT @ result @ onward)

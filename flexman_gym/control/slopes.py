@@ -34,7 +34,7 @@ class Slopes:
         self._batch = Batch(model, *plant.moved, plant.period, arms=TOGETHER * len(self._around))
 
     def __call__(self, states: Array, torques: Array) -> tuple[Array, Flags]:
-        """Gives the slopes (r, 2 d, 2 d + n + 3) by states, torques and forces on the tip, and where they are good (r,).
+        """Gives the slopes (r, 2 d, 2 d + n + 3) by states, torques and the tip's forces, and where they are good (r,).
 
         Args:
             states: (r, 2 d) before the period.

@@ -26,17 +26,14 @@ def test_without_noise_it_knows_where_the_arm_is_and_will_be(late, fixed):
     given = plant(delay=(late, late))
     world, kalman = World(given), KalmanFilter(given, fixed=fixed)
     world.begin(kalman)
-    ahead, true = [], []
 
     def watch(estimate):
-        true.append(world.batch.state.copy())
-        ahead.append(estimate.states)
-        assert kalman.states == pytest.approx(true[-1], abs=1e-9)
+        assert kalman.states == pytest.approx(world.batch.state, abs=1e-9)
         assert (estimate.lead == late).all() and not estimate.parameters
 
-    world.play(kalman, random_actions(20), watch)
-    for now, later in zip(ahead, true[late:], strict=False):
-        assert now == pytest.approx(later, abs=1e-9)
+    said, true = world.play(kalman, random_actions(20), watch)
+    for now, later in zip(said, true[late:], strict=False):
+        assert now.states == pytest.approx(later, abs=1e-9)
     assert np.abs(true[-1] - true[0]).max() > 0.1
 
 
@@ -62,8 +59,9 @@ def textbook(given, postures, actions, readings, noise):
     def slopes(x, forces):
         unit = np.eye(size + len(forces))
         steps = np.append(np.full(size, 1e-5), 1e-3 * scales)
-        sides = [[moved(x + sign * h * row[:size], forces + sign * h * row[size:]) for row, h in zip(unit, steps)]
-                 for sign in (1, -1)]  # fmt: skip
+        both = list(zip(unit, steps, strict=True))
+        sides = [[moved(x + h * row[:size], forces + h * row[size:]) for row, h in both]]
+        sides += [[moved(x - h * row[:size], forces - h * row[size:]) for row, h in both]]
         return (np.array(sides[0]) - np.array(sides[1])).T / (2 * steps)
 
     x = fm.rest_state(model, postures)
@@ -86,7 +84,9 @@ def textbook(given, postures, actions, readings, noise):
     return np.array(result), P
 
 
-@pytest.mark.parametrize(("unknown", "noise"), [({}, (TORQUE, FORCE)), ({"payload_mass": (0.0, 1.0)}, (TORQUE, UNLIKE))])
+@pytest.mark.parametrize(
+    ("unknown", "noise"), [({}, (TORQUE, FORCE)), ({"payload_mass": (0.0, 1.0)}, (TORQUE, UNLIKE))]
+)
 def test_it_is_the_filter_of_the_textbooks(unknown, noise):
     given = plant(unknown=unknown)
     world, random = World(given, POSTURES[:1]), np.random.default_rng(1)
@@ -166,13 +166,13 @@ def test_a_fixed_gain_is_the_stationary_one_at_the_goal():
 
 
 def test_a_constant_torque_is_found():
-    """Beside what the motors are asked for, so that the estimate is nearer; it moves the arm to the torque's beginning."""
+    """Beside what the motors are asked for; the estimate, also of what comes until a new torque acts, is nearer."""
     given, offset, off = plant(delay=(1, 1)), np.array([0.6, -0.2]), []
     for disturbed in (False, True):
-        world, kalman, said, true = World(given), KalmanFilter(given, disturbed=disturbed), [], []
+        world, kalman = World(given), KalmanFilter(given, disturbed=disturbed)
         world.offset = offset
         world.begin(kalman)
-        world.play(kalman, random_actions(60), lambda each: (said.append(each), true.append(world.batch.state.copy())))
+        said, true = world.play(kalman, random_actions(60))
         off.append(np.abs(said[-2].states - true[-1]).max())
         assert said[-1].disturbance == pytest.approx(np.tile(disturbed * offset, (3, 1)), rel=0.02, abs=1e-12)
     assert off[1] < 0.1 * off[0]
@@ -188,8 +188,7 @@ def test_a_bias_is_found_where_readings_tell_it():
         world.bias = np.zeros(len(ranges))
         world.bias[told] = 0.004 * ranges[told] * np.resize([1.0, -1.0], len(told))
         world.begin(kalman)
-        true = []
-        world.play(kalman, random_actions(80, size=0.1), lambda _: true.append(world.batch.state.copy()))
+        _, true = world.play(kalman, random_actions(80, size=0.1))
         off.append(np.abs(kalman.states[:, : 2 * given.model.n_dof] - true[-1]).max())
     found = kalman.states[:, 2 * given.model.n_dof :][:, told]
     bent = [i for i, each in enumerate(told) if np.abs(world.instruments.matrix[each]).max() > 0]

@@ -56,10 +56,14 @@ class World:
         self.batch.step(drive)
 
     def play(self, observer, actions, watch=lambda estimate: None):
-        """Takes actions (T, b, 2); the observer is asked before each of them."""
+        """Takes actions (T, b, 2), the observer is asked before each of them; gives what it said, and true states."""
+        said, true = [], []
         for each in actions:
-            watch(observer.estimate(self.readings(), self.last, np.ones(self.count, dtype=bool)))
+            said.append(observer.estimate(self.readings(), self.last, np.ones(self.count, dtype=bool)))
+            true.append(self.batch.state.copy())
+            watch(said[-1])
             self.step(each)
+        return said, true
 
 
 def random_actions(periods, count=3, seed=0, size=0.3):
