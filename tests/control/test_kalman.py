@@ -107,6 +107,20 @@ def test_it_is_the_filter_of_the_textbooks(unknown, noise):
     assert (np.abs(kalman.covariance[0] - covariance) <= 5e-3 * np.outer(deviations, deviations)).all()
 
 
+def test_what_the_tip_may_be_pushed_by_is_reckoned_with():
+    """A task that pushes says how much; the noise is then that of as large a force in place of what is usual."""
+    given = plant("FlexPlanar-Hold-v0")
+    scale = Slopes(given).scales[-1]
+    said = np.hypot(FORCE, given.push / scale)
+    one, other = KalmanFilter(given), KalmanFilter(given, noise=(TORQUE, said))
+    assert given.push == 0.5 and said > 2.0 * FORCE and plant().push == 0.0
+    for kalman in (one, other):
+        world = World(given)
+        world.begin(kalman)
+        world.play(kalman, random_actions(8))
+    assert one.covariance == pytest.approx(other.covariance, rel=1e-6, abs=1e-15)
+
+
 def test_innovations_on_the_simulator_are_as_large_as_they_should_be():
     """Moving arms pushed by the forces that it reckons with: sums of squares within the 99 % bounds of chi-square."""
     given, count, random = plant(delay=(1, 1)), 60, np.random.default_rng(4)
