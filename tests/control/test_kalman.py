@@ -210,11 +210,25 @@ def test_a_bias_is_found_where_readings_tell_it():
     assert off[1] < 0.5 * off[0]
 
 
+def test_a_bias_is_kept_for_half_a_minute():
+    """It falls by 1 / e in 30 s: biases that do are predicted to the digit."""
+    given = plant()
+    world, kalman = World(given), KalmanFilter(given, biased=True)
+    first, size = 0.003 * world.instruments.ranges, 2 * given.model.n_dof
+    world.begin(kalman)
+    world.play(kalman, random_actions(1))
+    kalman.states[:, size:] = first
+    for period in range(1, 30):
+        world.bias = first * np.exp(-period * given.period / 30.0)
+        world.play(kalman, random_actions(1, seed=period))
+        assert kalman.states[:, size:] == pytest.approx(np.tile(world.bias, (3, 1)), rel=1e-7)
+
+
 @pytest.mark.parametrize("options", [{}, {"disturbed": True, "biased": True}, {"fixed": True}])
 def test_an_arm_among_many_gets_what_an_arm_alone_gets_to_the_bit(options):
-    """Arms that begin at different times, of which some rest for a while."""
+    """Arms that begin at different times, where the one alone is new, and of which some rest for a while."""
     given, random = plant(delay=(1, 1)), np.random.default_rng(2)
-    many, singles = KalmanFilter(given, **options), [KalmanFilter(given, **options) for _ in range(3)]
+    many, singles = KalmanFilter(given, **options), {}
     m = len(make_instruments(given, ALL).ranges)
     begin, rest = {0: [0, 1, 2], 4: [1], 7: [0, 2]}, {5: 2, 6: 2}
     last = np.zeros((3, 2))
@@ -223,15 +237,16 @@ def test_an_arm_among_many_gets_what_an_arm_alone_gets_to_the_bit(options):
             arms = np.array(begin[period])
             last[arms] = 0.0
             many.reset(arms, Episode(POSTURES[arms], POSTURES[arms], given.period))
-            for arm in arms:
+            for arm in begin[period]:
+                singles[arm] = KalmanFilter(given, **options)
                 singles[arm].reset(np.array([0]), Episode(POSTURES[[arm]], POSTURES[[arm]], given.period))
         values = 0.05 * random.normal(size=(3, m))
         read = {name: values[:, place] for name, place in many._instruments.places.items()}
         playing = np.array([rest.get(period) != arm for arm in range(3)])
         estimate = many.estimate(read, last, playing)
-        for arm, single in enumerate(singles):
+        for arm in np.flatnonzero(playing).tolist():
             own = {name: each[[arm]] for name, each in read.items()}
-            alone = single.estimate(own, last[[arm]], playing[[arm]])
+            alone = singles[arm].estimate(own, last[[arm]], playing[[arm]])
             assert np.array_equal(alone.states[0], estimate.states[arm])
             assert np.array_equal(alone.disturbance[0], estimate.disturbance[arm])
         last = random.uniform(-1.0, 1.0, (3, 2))
