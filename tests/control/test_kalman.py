@@ -230,9 +230,9 @@ def test_an_arm_among_many_gets_what_an_arm_alone_gets_to_the_bit(options):
     given, random = plant(delay=(1, 1)), np.random.default_rng(2)
     many, singles = KalmanFilter(given, **options), {}
     m = len(make_instruments(given, ALL).ranges)
-    begin, rest = {0: [0, 1, 2], 4: [1], 7: [0, 2]}, {5: 2, 6: 2}
+    begin, rest = {0: [0, 1, 2], 4: [1], 9: [0]}, {4: 1, 5: 2, 6: 2, 7: 2}
     last = np.zeros((3, 2))
-    for period in range(12):
+    for period in range(16):
         if period in begin:
             arms = np.array(begin[period])
             last[arms] = 0.0
