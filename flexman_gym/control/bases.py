@@ -10,6 +10,7 @@ from flexman_gym.control.controller import Controller
 from flexman_gym.control.discrete import Weights
 from flexman_gym.control.lqr import LQR, TrackingLQR
 from flexman_gym.control.pd import PD
+from flexman_gym.control.shaped import Shaped
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.families import Method
 from flexman_gym.simulation.methods import DEFAULT
@@ -66,6 +67,11 @@ def _pd(plant: Plant, **gains: Any) -> PD:
     return PD(**tuned, torque_limit=plant.torque_limit, gravity_model=weight)
 
 
+def _shaped_pd(plant: Plant, **given: Any) -> Shaped:
+    gains = {name: given.pop(name) for name in ("stiffness", "damping") if name in given}
+    return Shaped(_pd(plant, **gains), plant.model, **given)
+
+
 def _regulator(kind: type[LQR]) -> Callable[..., LQR]:
     def make(plant: Plant, weights: object = None) -> LQR:
         chosen = None if weights is None else _weights(weights)
@@ -113,6 +119,7 @@ BASES: dict[str, Base] = {
     "lqg": Base(_lqg, ("model",), ("weights", "sensors", "noise", "disturbed", "biased", "fixed")),
     "adaptive-lqr": Base(_adaptive, ("structure of the model",), ("weights", "sensors", "unknown", "biased")),
     "privileged-lqr": Base(_privileged, ("model", "true state", "true parameters"), ("weights",)),
+    "pd-shaped": Base(_shaped_pd, ("model",), ("stiffness", "damping", "shaper", "modes", "places", "duration")),
 }
 
 

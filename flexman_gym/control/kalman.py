@@ -10,10 +10,11 @@ from flexman_gym.control.bases import Plant
 from flexman_gym.control.controller import Episode, Readings
 from flexman_gym.control.instruments import make_instruments
 from flexman_gym.control.observer import Estimate
+from flexman_gym.control.prediction import Prediction
 from flexman_gym.control.riccati import corrected, predicted, stationary
 from flexman_gym.control.slopes import Slopes
+from flexman_gym.control.twins import Twins
 from flexman_gym.model.statics import holding_torques, rest_states
-from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.readings import INSTRUMENTS
 
 TORQUE, FORCE = 0.005, 0.005  # of their scales, deviation of unknown torques and forces on the tip, new each period
@@ -53,7 +54,7 @@ class KalmanFilter:
         ValueError: one line with field, value and what is allowed.
     """
 
-    kept = ("states", "covariance", "_transition", "_noise", "_past", "_ages")
+    kept = ("states", "covariance", "_transition", "_noise", "_prediction", "_ages")
 
     def __init__(
         self,
@@ -66,6 +67,7 @@ class KalmanFilter:
     ) -> None:
         self._instruments = read = make_instruments(plant, sensors)
         self.sensors, self._plant, self._slopes = tuple(sensors), plant, Slopes(plant)
+        self._prediction, self._twins = Prediction(plant), Twins(plant)
         self._disturbed, self._biased, self._fixed = (
             flag(name, value) for name, value in (("disturbed", disturbed), ("biased", biased), ("fixed", fixed))
         )
@@ -89,10 +91,9 @@ class KalmanFilter:
     def _allocate(self) -> None:
         """Makes the memory of no arm."""
         m, s = self._matrix.shape
-        self.states, self._past = np.zeros((0, s)), np.zeros((0, self.delay + 1, len(self._limits)))
+        self.states = np.zeros((0, s))
         self.covariance, self._transition, self._noise = (np.zeros((0, s, s)) for _ in range(3))
         self._ages, self._gain = np.zeros(0, dtype=np.int64), np.zeros((0, s, m))
-        self._ahead: Batch | None = None
 
     def reset(self, arms: IntArray, episode: Episode) -> None:
         """Starts new episodes of the arms (r,).
@@ -101,12 +102,10 @@ class KalmanFilter:
             ValueError: for sensors that do not tell the state, where the gain is fixed.
         """
         count = int(arms.max(initial=-1)) + 1
-        if count > len(self._ages):
-            for name in (*self.kept, "_gain"):
-                setattr(self, name, grown(getattr(self, name), count))
-            self._ahead = Batch(self._plant.model, *self._plant.moved, self._plant.period, arms=count)
-        self._ages[arms] = 0
-        self.states[arms] = self._past[arms] = 0.0
+        for name in ("states", "covariance", "_transition", "_noise", "_ages", "_gain"):
+            setattr(self, name, grown(getattr(self, name), count))
+        self._prediction.reset(arms)
+        self._ages[arms], self.states[arms] = 0, 0.0
         if self._fixed:
             covariance = self._settled(*self._system(*self._rest(episode.goal))[:2], slice(None))
             self._gain[arms] = corrected(covariance, self._matrix, self._variances)[0]
@@ -146,16 +145,14 @@ class KalmanFilter:
         if len(fresh):
             self._begin(fresh, now[fresh])
         if len(later):
-            self._past[later, 1:] = self._past[later, :-1]
-            self._past[later, 0] = applied[later] * self._limits
+            self._prediction.take(later, applied[later])
             self._follow(later)
             self._correct(later, now[later])
         self._ages += playing
         ahead, arms = self.states[:, : self._size].copy(), np.flatnonzero(playing)
-        for late in range(self.delay - 1, -1, -1):
-            ahead[arms] = self._moved(arms, ahead[arms], self._past[arms, late])
-        every = np.arange(len(ahead))
-        return Estimate(ahead, np.full(len(ahead), self.delay), {}, self._offset(every))
+        delays, offset = np.full(len(ahead), self.delay), self._offset(np.arange(len(ahead)))
+        ahead[arms] = self._prediction(arms, ahead[arms], delays[arms], offset[arms])
+        return Estimate(ahead, delays, {}, offset)
 
     def _begin(self, arms: IntArray, now: Array) -> None:
         """Begins with the first readings (r, m) of arms (r,), of which encoders say where they are."""
@@ -172,30 +169,25 @@ class KalmanFilter:
 
     def _follow(self, arms: IntArray) -> None:
         """Moves arms (r,) on through the period that is over."""
-        due = arms[self._ages[arms] % EVERY == 0]
-        if len(due) and not self._fixed:
-            torques = self._past[due, self.delay] + self._offset(due)
-            transition, noise, good = self._system(self.states[due, : self._size], torques)
-            self._transition[due[good]], self._noise[due[good]] = transition[good], noise[good]
+        states, torques = self.states[arms, : self._size], self._prediction.past[arms, self.delay] + self._offset(arms)
         if not self._fixed:
+            due = self._ages[arms] % EVERY == 0
+            if due.any():
+                transition, noise, good = self._system(states[due], torques[due])
+                again = arms[due][good]
+                self._transition[again], self._noise[again] = transition[good], noise[good]
             self.covariance[arms] = predicted(self.covariance[arms], self._transition[arms], self._noise[arms])
-        states = self.states[arms, : self._size]
-        self.states[arms, : self._size] = self._moved(arms, states, self._past[arms, self.delay])
+        batch = self._twins("filter", len(self._ages))
+        drive, moving = np.zeros((len(self._ages), torques.shape[1] + 6)), np.zeros(len(self._ages), dtype=bool)
+        drive[arms, : torques.shape[1]], moving[arms] = torques, True
+        batch.place(arms, states)
+        batch.step(drive, moving)
+        self.states[arms, : self._size] = batch.state[arms]
         self.states[arms, self._size :] *= self._keeping
 
     def _offset(self, arms: IntArray) -> Array:
         """Constant torques (r, n) N m on the motors of arms (r,) as they are estimated."""
         return self.states[arms, self._offsets] if self._disturbed else np.zeros((len(arms), len(self._limits)))
-
-    def _moved(self, arms: IntArray, states: Array, torques: Array) -> Array:
-        """States (r, 2 d) of arms (r,) a period after some, under torques (r, n) N m that are asked for."""
-        assert self._ahead is not None
-        count, n = len(self._ahead.rows), len(self._limits)
-        drive, moving = np.zeros((count, n + 6)), np.zeros(count, dtype=bool)
-        drive[arms, :n], moving[arms] = torques + self._offset(arms), True
-        self._ahead.place(arms, states)
-        self._ahead.step(drive, moving)
-        return self._ahead.state[arms]
 
     def _correct(self, arms: IntArray, now: Array) -> None:
         """Takes the readings (r, m) of arms (r,) into account."""

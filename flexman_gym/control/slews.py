@@ -134,7 +134,7 @@ class Slews:
         if not len(arms):
             return
         place, speed, change = (np.zeros((3, len(arms))) if first else np.array(self.at(now, arms)))[:, :, None]
-        tried = quintic(place, speed, change, DURATIONS)
+        tried = quintic(place, speed, change, DURATIONS.astype(float))
         places, speeds, changes = values_at(tried[:, :, None], DURATIONS[:, None] * PARTS)
         torques = self._mixed(self._now.torques, arms, places, changes, speeds)
         rates = speeds[..., None] * self.way[arms][:, None, None]
@@ -185,7 +185,7 @@ class Slews:
 
 
 def payload_weights(nodes: Array, parameters: Mapping[str, Array], arms: IntArray) -> Array:
-    """Gives the weights (r, p) of payloads (p,) kg between which the estimated ones of the arms (r,) are interpolated."""
+    """Gives the weights (r, p) of payloads (p,) kg between which those of the arms (r,) are interpolated."""
     if len(nodes) == 1 or "payload_mass" not in parameters:
         return np.tile(np.eye(len(nodes))[0], (len(arms), 1))
     masses = np.clip(parameters["payload_mass"][arms], nodes[0], nodes[-1])

@@ -18,7 +18,8 @@ def quintic(place: Array, speed: Array, change: Array, durations: Array) -> Arra
     cubic = (20.0 * left - 12.0 * speed * durations - 3.0 * change * squared) / (2.0 * durations**3)
     fourth = (-30.0 * left + 16.0 * speed * durations + 3.0 * change * squared) / (2.0 * durations**4)
     fifth = (12.0 * left - 6.0 * speed * durations - change * squared) / (2.0 * durations**5)
-    return np.stack(np.broadcast_arrays(place, speed, 0.5 * change, cubic, fourth, fifth), axis=-1)
+    result: Array = np.stack(np.broadcast_arrays(place, speed, 0.5 * change, cubic, fourth, fifth), axis=-1)
+    return result
 
 
 def values_at(coefficients: Array, times: Array) -> tuple[Array, Array, Array]:

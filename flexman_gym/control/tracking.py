@@ -63,7 +63,7 @@ class Tracking:
         arms, result = np.flatnonzero(playing), np.zeros((len(playing), len(self.limits)))
         if not len(arms):
             return result
-        now = (self._ages + estimate.lead) * self._period
+        now = (self._ages + estimate.lead).astype(float) * self._period
         self._plan(arms, estimate, now)
         states, (reference, forward) = estimate.states[arms], self._reference(now[arms], arms)
         payloads = self._payload(estimate)[arms]
@@ -80,7 +80,7 @@ class Tracking:
         return estimate.parameters.get("payload_mass", np.full(len(estimate.states), self._payloads[0]))
 
     def _reference(self, now: Array, arms: IntArray) -> tuple[Array, Array]:
-        """States (r, 2 d) of the references of arms (r,) at times (r,) s, and their torques (r, n) in the period after."""
+        """States (r, 2 d) of the references of arms (r,) at times (r,) s, and torques (r, n) in the period after."""
         moving = np.array([arm in self._paths for arm in arms.tolist()])
         if moving.all():
             return self._following.at(now, arms)

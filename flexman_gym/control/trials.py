@@ -5,10 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags, row_dots
+from flexman_gym.control.bases import Plant
+from flexman_gym.control.twins import Twins
 from flexman_gym.control.unknowns import Unknowns
-from flexman_gym.model.model import Model
-from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.families import Method
 
 TURN = 1e-3  # rad, by which an angle at the start is changed to see what follows
 TOGETHER = 32  # arms whose trials are rolled at once, for the memory that they take
@@ -17,7 +16,7 @@ TRIES, LITTLE, DAMPING = 4, (2.0, 0.02), 1e-3  # sweeps of a fit; falls of the c
 
 
 class Prior(NamedTuple):
-    """What is known beforehand of the numbers of r arms: mean, deviation, and between which they stay, (r, p) each."""
+    """What is known beforehand of p numbers: mean, deviation, and between which they stay, (p,) each."""
 
     mean: Array
     deviation: Array
@@ -27,10 +26,6 @@ class Prior(NamedTuple):
     def clip(self, numbers: Array) -> Array:
         """Gives the numbers (r, p) that are allowed next to some."""
         return np.clip(numbers, self.low, self.high)
-
-    def of(self, arms: Flags) -> "Prior":
-        """Gives what is known of some arms (r,)."""
-        return self._replace(mean=self.mean[arms], deviation=self.deviation[arms])
 
 
 class Sweep(NamedTuple):
@@ -59,35 +54,26 @@ class Trials:
     Unknowns and angles move the arm; biases are added to what instruments read.
 
     Args:
-        model: of the arm.
-        moved: method, step (s) and control period (s).
+        plant: the arm, and how it is simulated.
         unknowns: of the arm.
         matrix: (m, 2 d) of readings by states.
-        deviations: (m,) of the noise of readings.
         biased: whether the biases of all readings are among the numbers.
     """
 
     def __init__(
         self,
-        model: Model,
-        moved: tuple[str | Method, float, float],
+        plant: Plant,
         unknowns: Unknowns,
         matrix: Array,
-        deviations: Array,
         biased: bool,
     ) -> None:
-        self.model, self.unknowns, self.matrix, self.deviations = model, unknowns, matrix, deviations
+        model = self.model = plant.model
+        self.twins, self.unknowns, self.matrix = Twins(plant), unknowns, matrix
         n, known = model.n_joints, len(unknowns.names)
         self.moving, self.size = known + n, known + n + biased * len(matrix)
         self.steps = np.concatenate([unknowns.step, np.full(n, TURN)])
         self._turns = np.zeros((n, 2 * model.n_dof))
         self._turns[np.arange(n), np.arange(n)] = self._turns[np.arange(n), model.motor_columns] = 1.0
-        self._moved, self._batches = moved, dict[int, Batch]()
-
-    def batch(self, arms: int) -> Batch:
-        """Makes a batch for the trials of some arms."""
-        method, step, period = self._moved
-        return Batch(self.model, method, step, period, arms=arms)
 
     def changed(self, numbers: Array, steps: Array | None = None) -> Array:
         """Gives the numbers (r, 1 + s, p) of all trials: as estimated, and each that moves the arm changed."""
@@ -139,9 +125,7 @@ class Trials:
         arms, periods, n = torques.shape
         start = self.starts(origin, numbers)
         trials = start.shape[1]
-        if arms not in self._batches:
-            self._batches[arms] = self.batch(arms * trials)
-        batch, used = self._batches[arms], np.arange(arms * trials)
+        batch, used = self.twins("sweep", arms * trials), np.arange(arms * trials)
         flat = self.changed(numbers).reshape(arms * trials, -1)
         batch.vary(used, **self.parameters(flat))
         batch.place(used, start.reshape(arms * trials, -1))
@@ -209,7 +193,7 @@ def step(sweep: Sweep, numbers: Array, prior: Prior, damping: Array | float = 0.
 
 def solved(matrices: Array, vectors: Array) -> Array:
     """Gives x (r, p) of matrices (r, p, p) x = vectors (r, p) in units far apart; 0 where they are not finite."""
-    good = np.isfinite(matrices).all(axis=(1, 2)) & np.isfinite(vectors).all(axis=1)
+    good: Flags = np.logical_and(np.isfinite(matrices).all(axis=(1, 2)), np.isfinite(vectors).all(axis=1))
     scale = 1.0 / np.sqrt(np.where(good[:, None], np.diagonal(matrices, axis1=1, axis2=2), 1.0))
     even = np.where(good[:, None, None], matrices * scale[:, :, None] * scale[:, None], 0.0)
     each = np.arange(matrices.shape[1])

@@ -101,3 +101,26 @@ def test_a_name_with_arguments_makes_it():
     assert made.sensors == ("motor_encoders",) and checked_controller("base", made) is made
     said = refusal(lambda: FlexManEnv(base={"kind": "lqg", "sensors": ("tip",)}))
     assert said.startswith("sensors: ('tip',) is not allowed; give motor_encoders, beside which") and "\n" not in said
+
+
+def test_a_state_holds_what_it_remembers():
+    """In the middle of a slew, with torques on their way."""
+    settings = {
+        "name": "FlexPlanar-v0",
+        "base": "lqg",
+        "randomisation": {"delay": (1, 1), "sensor_noise": (1e-3, 1e-3)},
+    }
+    one, other = FlexManEnv(**settings), FlexManEnv(**settings)
+    still, asked = np.zeros(2, dtype=np.float32), []
+    one.reset(seed=1)
+    for _ in range(23):
+        one.step(still)
+    other.reset(seed=2)
+    other.set_state(one.get_state())
+    for env in (one, other):
+        rows = []
+        for _ in range(20):
+            env.step(still)
+            rows.append(env.episodes.view.action.copy())
+        asked.append(rows)
+    assert np.array_equal(*asked) and np.abs(asked).max() > 0.1
