@@ -1,7 +1,6 @@
 """Compares controllers on the arm that nobody knows: python scripts/control.py --folder docs"""
 
 import argparse
-from functools import partial
 
 from studies.control.cases import CASES, Row, played
 from studies.control.page import page

@@ -104,6 +104,15 @@ def _safe(plant: Plant) -> PD | None:
         return None
 
 
+def _lqg(plant: Plant, weights: object = None, **options: Any) -> Controller:
+    from flexman_gym.control.feedback import OutputFeedback
+    from flexman_gym.control.kalman import KalmanFilter
+    from flexman_gym.control.tracking import Tracking
+
+    law = Tracking(plant, None if weights is None else _weights(weights))
+    return OutputFeedback(KalmanFilter(plant, **options), law)
+
+
 def _privileged(plant: Plant, weights: object = None) -> Controller:
     from flexman_gym.control.feedback import OutputFeedback
     from flexman_gym.control.tracking import Tracking
@@ -116,6 +125,7 @@ BASES: dict[str, Base] = {
     "pd": Base(_pd, (), ("stiffness", "damping")),
     "lqr": Base(_regulator(LQR), ("model", "true state"), ("weights",)),
     "lqr-tracking": Base(_regulator(TrackingLQR), ("model", "true state"), ("weights",)),
+    "lqg": Base(_lqg, ("model",), ("weights", "sensors", "noise", "disturbed", "biased", "fixed")),
     "adaptive-lqr": Base(_adaptive, ("structure of the model",), ("weights", "sensors", "unknown", "biased")),
     "privileged-lqr": Base(_privileged, ("model", "true state", "true parameters"), ("weights",)),
     "pd-shaped": Base(_shaped_pd, ("model",), ("stiffness", "damping", "shaper", "modes", "places", "duration")),

@@ -47,7 +47,8 @@ class OutputFeedback:
         """Gives actions (b, n), parts of the torque limits."""
         estimate = self.observer.estimate(readings, applied, playing)
         self._given_up |= getattr(self.observer, "wrong", False)
-        result = np.clip(self.law.torques(estimate, playing & ~self._given_up) / self.law.limits, -1.0, 1.0)
+        torques = self.law.torques(estimate, playing & ~self._given_up) - estimate.disturbance
+        result = np.clip(torques / self.law.limits, -1.0, 1.0)
         if self.fallback and self._given_up.any():
             safe = np.asarray(self.fallback.act(readings, applied, playing), dtype=float)
             result = np.where(self._given_up[:, None], safe, result)

@@ -38,8 +38,11 @@ class Prediction:
         self.past[arms, 1:] = self.past[arms, :-1]
         self.past[arms, 0] = actions * self._limits
 
-    def __call__(self, arms: IntArray, states: Array, delays: IntArray) -> Array:
-        """Gives the states (r, 2 d) of arms (r,) after delays (r,) in control periods."""
+    def __call__(self, arms: IntArray, states: Array, delays: IntArray, beside: Array | float = 0.0) -> Array:
+        """Gives the states (r, 2 d) of arms (r,) after delays (r,) in control periods.
+
+        Torques (r, n) N m may act on the motors beside those that were asked for.
+        """
         longest = int(delays.max(initial=0))
         if not longest:
             return states
@@ -49,6 +52,6 @@ class Prediction:
         for period in range(longest):
             lag = delays - 1 - period
             moving[arms] = lag >= 0
-            drive[arms, : len(self._limits)] = self.past[arms, np.maximum(lag, 0)]
+            drive[arms, : len(self._limits)] = self.past[arms, np.maximum(lag, 0)] + beside
             batch.step(drive, moving)
         return batch.state[arms]

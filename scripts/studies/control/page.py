@@ -49,8 +49,8 @@ def page(rows: Sequence[Row]) -> str:
     """The page of these rows."""
     heads = ["case", "settled", "settling", "p-p", "error", "failed", "RMS", "cost"]
     table = [
-        [row.case, f"{row.settled:.0%}", f"{row.settling_time:.2f}", *(f"{1e3 * each:.3g}" for each in (row.vibration, row.error)),
-         f"{row.failed:.0%}", f"{1e3 * row.followed:.3g}", f"{1e3 * row.cost:.2f}"]
+        [row.case, f"{row.settled:.0%}", f"{row.settling_time:.2f}", f"{1e3 * row.vibration:.3g}",
+         f"{1e3 * row.error:.3g}", f"{row.failed:.0%}", f"{1e3 * row.followed:.3g}", f"{1e3 * row.cost:.2f}"]
         for row in rows
     ]  # fmt: skip
     return PAGE.format(episodes="100 episodes", table=markdown_table(heads, table), conclusion=_conclusion(rows))
