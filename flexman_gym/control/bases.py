@@ -9,7 +9,9 @@ from flexman_gym.checks import mapping, one_of, positive, refusal, text
 from flexman_gym.control.controller import Controller
 from flexman_gym.control.discrete import Weights
 from flexman_gym.control.lqr import LQR, TrackingLQR
+from flexman_gym.control.optimised import Optimised
 from flexman_gym.control.pd import PD
+from flexman_gym.control.slews import SHIPPED, Slews
 from flexman_gym.model.model import Model
 
 Gains = Mapping[str, Vector]
@@ -60,6 +62,11 @@ def _regulator(kind: type[LQR]) -> Callable[..., LQR]:
     return make
 
 
+def _optimised(plant: Plant, table: object = None) -> Optimised:
+    slews = Slews.load(SHIPPED if table is None else text("base.table", table))
+    return Optimised(slews, plant.model, plant.torque_limit, plant.period)
+
+
 def _weights(value: object) -> Weights:
     given = mapping("base.weights", value, Weights._fields)
     if len(given) < len(Weights._fields):
@@ -71,6 +78,7 @@ BASES: dict[str, Base] = {
     "pd": Base(_pd, (), ("stiffness", "damping")),
     "lqr": Base(_regulator(LQR), ("model", "true state"), ("weights",)),
     "lqr-tracking": Base(_regulator(TrackingLQR), ("model", "true state"), ("weights",)),
+    "optimised": Base(_optimised, ("model", "true state", "its episodes"), ("table",)),
 }
 
 

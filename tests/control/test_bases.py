@@ -26,7 +26,7 @@ def plant(name="FlexOne-v0"):
 @pytest.mark.parametrize(("name", "kind"), [("pd", PD), ("lqr", LQR), ("lqr-tracking", TrackingLQR)])
 def test_a_name_makes_the_controller_of_that_name(name, kind):
     result = make_base(name, plant())
-    assert type(result) is kind and set(BASES) == {"pd", "lqr", "lqr-tracking"}
+    assert type(result) is kind and set(BASES) == {"pd", "lqr", "lqr-tracking", "optimised"}
     assert ("true state" in BASES[name].knows) == ("state" in result.sensors), "who reads the state knows it"
 
 
@@ -47,7 +47,7 @@ def test_only_under_gravity_a_pd_holds_the_weight():
 @pytest.mark.parametrize(
     ("base", "line"),
     [
-        ({"kind": "pid"}, "base.kind: 'pid' is not allowed; give one of pd, lqr, lqr-tracking"),
+        ({"kind": "pid"}, "base.kind: 'pid' is not allowed; give one of pd, lqr, lqr-tracking, optimised"),
         ({"weights": WEIGHTS}, "base: {'weights': {'tip': 0.1, 'tip_speed': 0.5, 'motor': 0.2}} is not allowed; give"),
         ({"kind": "pd", "weights": WEIGHTS}, "base: "),
         (
