@@ -15,14 +15,14 @@ def arguments(result: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Prints a line an episode; the table is written after each."""
-    from flexman_gym.control.slews import Slews
+    from flexman_gym.control.slew_table import SlewTable
     from flexman_gym.envs.description import Description
     from flexman_gym.evaluation.optimising import empty_table, optimise
 
     environment, (first, count) = Description.find(options.environment), options.seeds
     if first < 0 or count < 1:
         options.parser.error(f"--seeds: {first} {count} is not allowed; give a first seed and how many, at least one")
-    table = Slews.load(options.out) if options.out.exists() else empty_table(environment)
+    table = SlewTable.load(options.out) if options.out.exists() else empty_table(environment)
     table.about = {**table.about, "command": f"flexman optimise {options.environment} --seeds {first} {count}"}
     print(f"{'seed':>8}{'settling, s':>13}{'tracking LQR, s':>17}{'ratio':>7}{'search, CPU s':>15}")
     for found in optimise(environment, range(first, first + count), table):

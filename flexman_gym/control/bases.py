@@ -11,7 +11,7 @@ from flexman_gym.control.discrete import Weights
 from flexman_gym.control.lqr import LQR, TrackingLQR
 from flexman_gym.control.optimised import Optimised
 from flexman_gym.control.pd import PD
-from flexman_gym.control.slews import SHIPPED, Slews
+from flexman_gym.control.slew_table import SHIPPED, SlewTable
 from flexman_gym.model.model import Model
 
 Gains = Mapping[str, Vector]
@@ -63,7 +63,7 @@ def _regulator(kind: type[LQR]) -> Callable[..., LQR]:
 
 
 def _optimised(plant: Plant, table: object = None) -> Optimised:
-    slews = Slews.load(SHIPPED if table is None else text("base.table", table))
+    slews = SlewTable.load(SHIPPED if table is None else text("base.table", table))
     return Optimised(slews, plant.model, plant.torque_limit, plant.period)
 
 

@@ -6,7 +6,7 @@ from flexman_gym.arrays import Array, IntArray, Vector, grown
 from flexman_gym.checks import refusal
 from flexman_gym.control.controller import Episode
 from flexman_gym.control.lqr import LQR
-from flexman_gym.control.slews import Slews, numbers_of
+from flexman_gym.control.slew_table import SlewTable, numbers_of
 from flexman_gym.model.model import Model
 
 
@@ -26,7 +26,7 @@ class Optimised(LQR):
 
     kept = ("_now",)
 
-    def __init__(self, table: Slews, model: Model, torque_limit: float | Vector, period: float) -> None:
+    def __init__(self, table: SlewTable, model: Model, torque_limit: float | Vector, period: float) -> None:
         super().__init__(model, torque_limit, period)
         table.check_arm(numbers_of(self.model, self.limits, self.period))
         self._table, self._slews, self._now = table, list[Array](), np.zeros(0, dtype=np.int64)

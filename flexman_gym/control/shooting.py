@@ -46,6 +46,13 @@ def spread(knots: Array, periods: int) -> Array:
     return result
 
 
+def followed(slopes: Array, move: Array, change: Array) -> Array:
+    """Gives slopes (m, ...) that map a move (m,) to the change (...) that it made, and moves across it as before."""
+    missed = change - np.tensordot(move, slopes, 1)
+    result: Array = slopes + np.multiply.outer(move / (move @ move), missed)
+    return result
+
+
 class Shooting:
     """A slew of one arm, from rest at motor angles (n,) rad to rest at others, whose torques are searched for.
 
@@ -149,8 +156,7 @@ class Shooting:
             better = costs[best] < FALL * costs[-1]
             if better:
                 move = ((tried[best] - knots) / self._regulator.limits).ravel()
-                missed = ways[best] - errors - np.tensordot(move, slopes, 1)
-                slopes += np.multiply.outer(move / (move @ move), missed)
+                slopes = followed(slopes, move, ways[best] - errors)
                 knots, errors, reused = tried[best], ways[best], reused + 1
                 damping = float(np.clip(damping * DAMPINGS[best], LEAST_DAMPING, MOST_DAMPING))
             elif reused == 0:

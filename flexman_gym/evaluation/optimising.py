@@ -11,7 +11,7 @@ from flexman_gym.checks import refusal
 from flexman_gym.control.lqr import LQR
 from flexman_gym.control.optimised import Optimised
 from flexman_gym.control.shooting import Shooting
-from flexman_gym.control.slews import Slews, numbers_of
+from flexman_gym.control.slew_table import SlewTable, numbers_of
 from flexman_gym.envs.description import Description
 from flexman_gym.envs.setup import build
 from flexman_gym.evaluation.figures import FIGURES
@@ -30,7 +30,7 @@ class Found(NamedTuple):
     seconds: float
 
 
-def empty_table(environment: Description) -> Slews:
+def empty_table(environment: Description) -> SlewTable:
     """Gives a table without slews, which says what it is for."""
     setup = environment.setup()
     model, method, step, _ = build(setup)
@@ -38,10 +38,10 @@ def empty_table(environment: Description) -> Slews:
         "environment": environment.whole(),
         "model": f"{model.n_dof} coordinates, method {getattr(method, 'name', method)}, step {step:.9g} s",
     }
-    return Slews(about, numbers_of(model, np.array(setup.torque_limit), setup.control_period))
+    return SlewTable(about, numbers_of(model, np.array(setup.torque_limit), setup.control_period))
 
 
-def optimise(environment: Description, seeds: Sequence[int], table: Slews) -> Iterator[Found]:
+def optimise(environment: Description, seeds: Sequence[int], table: SlewTable) -> Iterator[Found]:
     """Puts the slews of the episodes that a table does not have yet into it, and tells of each.
 
     A slew counts with the settling time of its replay in the environment.

@@ -8,7 +8,7 @@ from flexman_gym.control import Episode
 from flexman_gym.control.lqr import LQR
 from flexman_gym.control.optimised import Optimised
 from flexman_gym.control.shooting import Slew, spread
-from flexman_gym.control.slews import MAKE, SHIPPED, Slews
+from flexman_gym.control.slew_table import MAKE, SHIPPED, SlewTable
 from flexman_gym.envs.description import Description
 from flexman_gym.envs.setup import build, setup_of
 from flexman_gym.evaluation import evaluate, rollout
@@ -40,7 +40,7 @@ def player(table, **changes):
 def test_a_table_comes_back_from_its_file_as_it_was(table, tmp_path):
     path = tmp_path / "table.npz"
     table.save(path)
-    again = Slews.load(path)
+    again = SlewTable.load(path)
     assert again.about == table.about and np.array_equal(again.arm, table.arm)
     assert sorted(again.found) == [3, 7] and [each.name for each in tmp_path.iterdir()] == ["table.npz"]
     for seed, (ends, slew, time) in table.found.items():
@@ -50,7 +50,7 @@ def test_a_table_comes_back_from_its_file_as_it_was(table, tmp_path):
         assert np.array_equal(again.torques(*ends), spread(slew.knots, slew.periods))
     assert again.settling_time(7) == pytest.approx(0.7)
     empty_table(ONE).save(path)
-    assert Slews.load(path).found == {}
+    assert SlewTable.load(path).found == {}
 
 
 def test_it_replays_torques_then_regulates_and_each_arm_has_its_own(table):
@@ -100,20 +100,20 @@ def test_a_file_that_is_no_table_is_refused_in_one_line(tmp_path, table):
     path.write_text("nothing")
     for broken in (lambda: None, lambda: np.savez(path, seeds=ONLY), lambda: path.write_bytes(b"")):
         broken()
-        said = refusal(Slews.load, path)
+        said = refusal(SlewTable.load, path)
         assert said.startswith(f"{path}: it is no table of slews") and "\n" not in said
     with pytest.raises(FileNotFoundError):
-        Slews.load(tmp_path / "none.npz")
+        SlewTable.load(tmp_path / "none.npz")
 
 
 def test_the_command_makes_a_table_and_goes_on_with_it(tmp_path, capsys):
     path = tmp_path / "one.npz"
     assert main(["optimise", "FlexOne-v0", "--seeds", "5003", "1", "--out", str(path)]) == 0
-    first = Slews.load(path)
+    first = SlewTable.load(path)
     assert main(["optimise", "FlexOne-v0", "--seeds", "5003", "2", "--out", str(path)]) == 0
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert [line[0] for line in lines] == ["seed", "5003", "1", "seed", "5004", "2"]
-    both = Slews.load(path)
+    both = SlewTable.load(path)
     assert sorted(both.found) == [5003, 5004] and both.about["command"].endswith("--seeds 5003 2")
     assert np.array_equal(both.found[5003][1].knots, first.found[5003][1].knots)
     base = {"kind": "optimised", "table": str(path)}
@@ -133,7 +133,7 @@ def test_an_environment_that_draws_more_than_slews_is_refused():
 
 
 def test_the_shipped_table_is_that_of_the_test_episodes():
-    shipped = Slews.load(SHIPPED)
+    shipped = SlewTable.load(SHIPPED)
     limits = np.array(setup_of({}).torque_limit)
     times = np.array([shipped.settling_time(seed) for seed in range(9000, 9100)])
     assert np.median(times) <= 2.1 and np.isfinite(times).mean() >= 0.95
@@ -146,7 +146,7 @@ def test_the_shipped_table_is_that_of_the_test_episodes():
 
 def test_the_shipped_slews_settle_when_they_are_replayed():
     """In the times that the table says."""
-    shipped, seeds = Slews.load(SHIPPED), [9000, 9050, 9099]
+    shipped, seeds = SlewTable.load(SHIPPED), [9000, 9050, 9099]
     records = rollout("optimised", "FlexRRR-v0", seeds).records
     times = [settling_time(each.errors, each.band, each.period) for each in records]
     assert times == pytest.approx([shipped.settling_time(seed) for seed in seeds], abs=0.05)

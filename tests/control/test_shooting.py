@@ -7,7 +7,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.control.lqr import LQR
 from flexman_gym.control.optimised import Optimised
-from flexman_gym.control.shooting import INSIDE, STAY, Shooting, Slew, spread
+from flexman_gym.control.shooting import INSIDE, STAY, TAIL, Shooting, Slew, followed, spread
 from flexman_gym.envs.description import Description
 from flexman_gym.envs.setup import build, setup_of
 from flexman_gym.evaluation.optimising import empty_table, optimise
@@ -84,6 +84,29 @@ def test_slopes_are_those_of_errors():
     expected = (errors + np.tensordot(moved.ravel(), slopes, 1))[:, 1]
     assert search.errors(moved[None], 25)[0, :, 1] == pytest.approx(expected, rel=1e-3, abs=1e-3 * np.abs(moved).max())
     assert np.ptp(expected) > 0.01
+
+
+def test_slopes_that_follow_a_move_map_it_to_the_change_and_others_as_before():
+    random = np.random.default_rng(2)
+    slopes, move, change = random.normal(size=(4, 5, 3)), random.normal(size=4), random.normal(size=(5, 3))
+    result, across = followed(slopes, move, change), np.array([move[1], -move[0], 0.0, 0.0])
+    assert np.tensordot(move, result, 1) == pytest.approx(change)
+    assert np.tensordot(across, result, 1) == pytest.approx(np.tensordot(across, slopes, 1))
+
+
+def test_a_stretched_slew_holds_as_before_and_moves_with_the_square_of_its_speed():
+    """An arm under its weight: what holds it stays, what moves it grows fourfold in half of the time."""
+    model, start, goal = fm.build_model(fm.catalog.vertical_2r(), 1), [0.1, -0.2], [0.3, 0.1]
+    search, parts = shooting(model, 1e3, 0.1, start, goal), np.linspace(0.0, 1.0, 51)[:, None]
+    tail, ends = round(TAIL / PERIOD), [fm.holding_torques(model, posture) for posture in (start, goal)]
+    held = ends[0] + parts * (ends[1] - ends[0])
+    moving = np.concatenate([held + np.sin(2.0 * np.pi * parts), np.repeat(ends[1:], 2 * tail, axis=0)])
+    known = Slew(moving, len(moving) - 1, 50)
+    for arrival, factor in ((50, 1.0), (25, 4.0), (100, 0.25)):
+        knots = search._stretched(known, arrival)
+        come = np.minimum(np.linspace(0.0, arrival + tail, len(knots)) / arrival, 1.0)[:, None]
+        expected = ends[0] + come * (ends[1] - ends[0]) + factor * np.sin(2.0 * np.pi * come)
+        assert knots == pytest.approx(expected, abs=1e-2 * factor)
 
 
 def test_errors_in_the_inner_band_weigh_nothing_and_others_what_is_beyond_it():

@@ -1,4 +1,4 @@
-"""Slews: a table of torques that a search found, by start and goal, kept in a file without pickles."""
+"""Slew table: torques that a search found, by start and goal, kept in a file without pickles."""
 
 import json
 import zipfile
@@ -21,7 +21,7 @@ ENTRIES = ("about", "arm", "seeds", "ends", "periods", "times", "counts", "knots
 
 
 @dataclass
-class Slews:
+class SlewTable:
     """Optimised slews of one arm.
 
     Attributes:
