@@ -13,7 +13,10 @@ from hypothesis import strategies as st
 import flexman_gym as fm
 from flexman_gym import checks
 from flexman_gym.control.lqr import LQR, TrackingLQR
+from flexman_gym.control.modes import ringing_modes
 from flexman_gym.control.pd import PD
+from flexman_gym.control.shaped import Shaped
+from flexman_gym.control.shaper import design
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.fidelity.choose import assembled_modes
@@ -114,6 +117,16 @@ CALLS = {
     "PD.gravity_model": lambda value: PD(TWO, TWO, 1.0, value),
     "LQR": lambda value: LQR(value, 1.0, 0.01),
     "TrackingLQR": lambda value: TrackingLQR(value, 1.0, 0.01),
+    **{
+        f"Shaped.{name}": lambda value, name=name: Shaped(PD(TWO, TWO, 1.0), MODEL, **{name: value})
+        for name in ("shaper", "modes", "places", "duration", "tolerance")
+    },
+    "Shaped.inner": lambda value: Shaped(value, MODEL),
+    "Shaped.model": lambda value: Shaped(PD(TWO, TWO, 1.0), value),
+    "design.shaper": lambda value: design(value, 1.0),
+    "design.frequency": lambda value: design("ei", value),
+    "design.ratio": lambda value: design("ei", 1.0, value),
+    "ringing_modes.posture": lambda value: ringing_modes(MODEL, value),
     "Slew.start": lambda value: fm.Slew(start=value),
     "Randomisation.payload_mass": lambda value: fm.Randomisation(payload_mass=value),
     "Randomisation.delay": lambda value: fm.Randomisation(delay=value),

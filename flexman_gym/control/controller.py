@@ -1,7 +1,7 @@
 """Controller: the one protocol of everything that acts on arms."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from inspect import signature
 from typing import Any, Protocol, runtime_checkable
@@ -25,12 +25,15 @@ class Episode:
         goal: (r, n) motor angles of the goal, of its first moment where it moves, rad.
         period: of control, s.
         path: makes the `reference`, None for a goal that stays.
+        drawn: what these episodes drew, name -> (r, ...): physical parameters in their units, and the delay of torques
+            in control periods. It is the truth, which only a privileged controller reads.
     """
 
     start: Array
     goal: Array
     period: float
     path: Callable[[], Array] | None = None
+    drawn: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     @cached_property
     def reference(self) -> Array | None:

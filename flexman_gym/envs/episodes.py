@@ -154,7 +154,8 @@ class Episodes:
         """Tells the base of start and first goal (r, n) of new episodes, and of the path of a goal that moves."""
         assert self.base is not None
         path = partial(goal_path, self.task, plan, self.longest, self.view) if self.task.moves else None
-        self.base.reset(arms, Episode(plan["start"], posture, self.view.control_period, path))
+        drawn = {name: values[arms] for name, values in self.effects.drawn.items()} if self.effects else {}
+        self.base.reset(arms, Episode(plan["start"], posture, self.view.control_period, path, drawn))
 
     def _check_plan(self, plan: object) -> None:
         """Refuses what a task draws without a start that has an angle for each joint."""

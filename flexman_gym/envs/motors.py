@@ -39,6 +39,7 @@ class Motors:
 
     Attributes:
         limits: (b, n) N m, the torque limits, which effects may change.
+        torques: (b, n) N m, of the last control period.
         forces: (b, 3) N, on the tips in the base frame.
         accelerations: (b, 3) m/s^2, of the bases in the base frame.
     """
@@ -49,10 +50,10 @@ class Motors:
         joints = len(limits)
         self.limits = np.tile(limits, (arms, 1))
         self._drive = np.zeros((arms, joints + 6))
-        self._torques, self.forces = self._drive[:, :joints], self._drive[:, joints : joints + 3]
+        self.torques, self.forces = self._drive[:, :joints], self._drive[:, joints : joints + 3]
         self.accelerations = self._drive[:, joints + 3 :]
 
     def drive(self, actions: Array) -> Array:
         """The drive (b, n + 6) of `Batch.step`: torques of actions (b, n), parts of the limits, and the forces."""
-        np.multiply(actions, self.limits, out=self._torques)
+        np.multiply(actions, self.limits, out=self.torques)
         return self._drive

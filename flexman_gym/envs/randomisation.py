@@ -20,9 +20,10 @@ class Randomisation:
         impulse_gap: mean time between two impulses, or two changes of load, s; at least a control period. None for 2.
         ranges: of the physical parameters in `simulation.parameters.PARAMETERS`: payload_mass (kg), joint_damping
             (N m s/rad), and, as factors > 0 on the nominal values, one of each joint or link, joint_stiffness_factor,
-            rotor_inertia_factor and link_stiffness_factor. And of the effects in `envs.effects.SIGNALS`, whose
-            docstrings say more: torque_limit_factor, sensor_noise (parts of the ranges), delay (whole control
-            periods), initial_vibration (m), tip_impulse (N s), tip_load (N) and base_sway (m/s^2).
+            rotor_inertia_factor, viscous_friction_factor, coulomb_friction_factor and link_stiffness_factor. And of the
+            effects in `envs.effects.SIGNALS`, whose docstrings say more: torque_limit_factor, sensor_noise (parts of
+            the ranges), delay (whole control periods), initial_vibration (m), tip_impulse (N s), tip_load (N) and
+            base_sway (m/s^2).
 
     Attributes:
         effects: names of what differs, without "_factor", in the order of the tables.

@@ -7,12 +7,13 @@ from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 from flexman_gym.checks import mapping, one_of, positive, refusal, sequence, store, text, vector, whole_number
-from flexman_gym.control.bases import BASES, Plant, checked_base, make_base
+from flexman_gym.control.bases import BASES, checked_base, make_base
 from flexman_gym.control.controller import Controller, checked_controller
 from flexman_gym.control.history import checked_history
 from flexman_gym.control.pd import PD, torque_limits
 from flexman_gym.envs.catalog import DEFAULT, NAMED
 from flexman_gym.envs.limits import Limits
+from flexman_gym.envs.plant import make_plant
 from flexman_gym.envs.randomisation import Randomisation
 from flexman_gym.envs.sensors import find_sensors
 from flexman_gym.envs.tasks import Task, check_task, find_task
@@ -200,7 +201,7 @@ class Setup:
 
     def controller(self, base: object, model: Model) -> Controller:
         """What a name in BASES, or a mapping with arguments, means for this environment and a model of its arm."""
-        return make_base(base, Plant(model, self.torque_limit, self.control_period, lambda: self.pd_gains))
+        return make_base(base, make_plant(self, model))
 
     def base_controller(self, model: Model) -> Controller | None:
         """What acts beside the agent, for the model of the environment.

@@ -52,7 +52,7 @@ def motor_forces(constants, work, v):
     for i in range(len(constants.mass)):
         m = constants.motor[i] if constants.motor[i] >= 0 else i
         friction = constants.viscous_friction[i] * v[m]
-        if constants.coulomb_friction[i] != 0.0:
+        if constants.rubbing[i]:
             friction += constants.coulomb_friction[i] * math.tanh(v[m] / constants.coulomb_rate[i])
         torque = 0.0 if constants.prescribed[i] else work.drive[i]
         work.force[m] = torque - friction
@@ -100,7 +100,7 @@ def friction_slopes(constants, work, v):
     """
     for i in range(len(constants.mass)):
         slope = constants.viscous_friction[i]
-        if constants.coulomb_friction[i] != 0.0:
+        if constants.rubbing[i]:
             part = v[constants.motor[i] if constants.motor[i] >= 0 else i] / constants.coulomb_rate[i]
             steepness = constants.coulomb_friction[i] / constants.coulomb_rate[i]
             # at rest tanh(part) / part is 1 to rounding

@@ -83,9 +83,10 @@ class Constants(NamedTuple):
     joint_damping: Own  # (n,)
     rotor_inertia: Own  # (n,)
     carried_inertia: Own  # (n,) of rotors that spin with the link that carries them, 0 of the others (Eq. 23)
-    viscous_friction: Array  # (n,)
-    coulomb_friction: Array  # (n,)
+    viscous_friction: Own  # (n,)
+    coulomb_friction: Own  # (n,), 0 for all arms where `rubbing` is
     coulomb_rate: Array  # (n,)
+    rubbing: IntArray  # (n,) 1 where a joint has Coulomb friction
     prescribed: IntArray  # (n,) 1 where the motion of a motor is prescribed; set by a run, not by a model
     length: Array  # (n,)
     mass: Array  # (n,)

@@ -81,6 +81,7 @@ def _joints(arm: Arm, choice: ModelChoice) -> dict[str, np.ndarray]:
         "joint_stiffness": np.array([joint.stiffness or 0.0 for joint in arm.joints]),
         "joint_damping": np.array([joint.damping for joint in arm.joints]),
         "carried_inertia": fields["rotor_inertia"] * choice.spinning_rotors,
+        "rubbing": (fields["coulomb_friction"] > 0.0).astype(np.int64),
         "prescribed": np.zeros(arm.n_joints, dtype=np.int64),
     }
 

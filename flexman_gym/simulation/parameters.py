@@ -1,7 +1,7 @@
 """Parameters: the one table of the physical parameters in which the arms of a batch may differ."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,10 @@ def _flexible(model: Model) -> Flags:
     return model.constants.motor >= 0
 
 
+def _smooth(model: Model) -> Flags:
+    return model.constants.rubbing == 0
+
+
 def _everywhere(model: Model) -> Flags:
     return np.ones(model.n_joints, dtype=bool)
 
@@ -41,6 +45,7 @@ class Parameter:
         factor: whether a randomisation draws factors on the nominal value instead of values.
         fixed: gives (n,) where the value must stay nominal, as the model has no coordinate on which it could act.
         needed: gives (n,) where the value must not be 0.
+        lacking: says what such fixed joints are.
     """
 
     unit: str
@@ -50,6 +55,7 @@ class Parameter:
     factor: bool = False
     fixed: Callable[[Model], Flags] = _nowhere
     needed: Callable[[Model], Flags] = _nowhere
+    lacking: str = "rigid"
 
     def shape(self, joints: int) -> tuple[int, ...]:
         """Gives the shape of the values of one arm."""
@@ -76,8 +82,8 @@ class Parameter:
         if self.of != ARM:
             fixed, needed = self.fixed(model), self.needed(model)
             if (values != nominal)[:, fixed].any():
-                rigid = np.flatnonzero(fixed).tolist()
-                raise refusal(name, value, f"{nominal[fixed].tolist()} for joints {rigid}: rigid")
+                joints = np.flatnonzero(fixed).tolist()
+                raise refusal(name, value, f"{nominal[fixed].tolist()} for joints {joints}: {self.lacking}")
             if (values == 0.0)[:, needed].any():
                 raise refusal(name, value, "numbers > 0 where a link or joint is flexible")
         return values
@@ -116,6 +122,15 @@ PARAMETERS: dict[str, Parameter] = {
     "rotor_inertia": Parameter(
         "kg m^2", JOINT, lambda model: model.constants.rotor_inertia, _rotors, factor=True, needed=_flexible,
     ),
+    "viscous_friction": Parameter(
+        "N m s/rad", JOINT, lambda model: model.constants.viscous_friction,
+        lambda model, values: {"viscous_friction": values}, factor=True,
+    ),
+    "coulomb_friction": Parameter(
+        "N m", JOINT, lambda model: model.constants.coulomb_friction,
+        lambda model, values: {"coulomb_friction": values}, factor=True, fixed=_smooth,
+        lacking="without Coulomb friction",
+    ),
     "link_stiffness": Parameter(
         "factor on the elastic moduli", LINK, lambda model: np.ones(model.n_joints), _links, factor=True,
         needed=_everywhere,
@@ -140,3 +155,19 @@ def varied_constants(model: Model, count: int, parameters: Mapping[str, object])
     for name, row in rows.items():
         result |= row.constants(model, checked[name])
     return result
+
+
+def varied_model(model: Model, **parameters: object) -> Model:
+    """Gives the model with the same coordinates of an arm with other parameters.
+
+    `build_model` of a changed arm may give other modes, hence other coordinates.
+
+    Args:
+        model: the model.
+        parameters: value of each, by its name in PARAMETERS, in its unit.
+
+    Raises:
+        ValueError: as `Batch.vary` does.
+    """
+    changed = varied_constants(model, 1, {name: np.asarray(value)[None] for name, value in parameters.items()})
+    return replace(model, constants=model.constants._replace(**{name: rows[0] for name, rows in changed.items()}))

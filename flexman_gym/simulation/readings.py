@@ -11,6 +11,11 @@ UNITS = {
     "motor_angles": "rad", "motor_rates": "rad/s", "joint_twists": "rad", "joint_twist_rates": "rad/s",
     "link_deflections": "m", "link_deflection_rates": "m/s", "root_strains": "1",
 }  # fmt: skip
+INSTRUMENTS = {  # name of a sensor whose readings are linear in the state -> what it measures
+    "motor_encoders": ("motor_angles", "motor_rates"),
+    "joint_encoders": ("joint_twists", "joint_twist_rates"),  # on both sides of a spring
+    "strain": ("root_strains",),
+}
 
 
 class Readings:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from flexman_gym.control import BASES, LQR, PD, TrackingLQR
+from flexman_gym.control import BASES, LQR, PD, Shaped, TrackingLQR
 from flexman_gym.control.bases import Plant, make_base
 from flexman_gym.control.discrete import Weights
 from flexman_gym.envs.description import Description
@@ -23,10 +23,13 @@ def plant(name="FlexOne-v0"):
     return Plant(build(setup).model, setup.torque_limit, setup.control_period, lambda: GAINS)
 
 
-@pytest.mark.parametrize(("name", "kind"), [("pd", PD), ("lqr", LQR), ("lqr-tracking", TrackingLQR)])
+KINDS = {"pd": PD, "lqr": LQR, "lqr-tracking": TrackingLQR, "pd-shaped": Shaped}
+
+
+@pytest.mark.parametrize(("name", "kind"), KINDS.items())
 def test_a_name_makes_the_controller_of_that_name(name, kind):
     result = make_base(name, plant())
-    assert type(result) is kind and set(BASES) == {"pd", "lqr", "lqr-tracking", "optimised"}
+    assert type(result) is kind and set(KINDS) <= set(BASES)
     assert ("true state" in BASES[name].knows) == ("state" in result.sensors), "who reads the state knows it"
 
 
@@ -36,6 +39,12 @@ def test_a_mapping_gives_arguments_in_place_of_what_is_usual():
     assert (own.stiffness.tolist(), own.damping.tolist()) == ([2.0], [0.1])
     weights = make_base({"kind": "lqr", "weights": WEIGHTS}, plant()).weights
     assert weights == Weights(**WEIGHTS) != make_base("lqr", plant()).weights
+
+
+def test_a_shaped_pd_takes_the_arguments_of_both():
+    own = make_base({"kind": "pd-shaped", "damping": [0.1], "shaper": "ei", "modes": 2, "duration": 0.4}, plant())
+    assert (own.inner.stiffness.tolist(), own.inner.damping.tolist()) == ([2.0], [0.1])
+    assert (own.shaper, own.duration, make_base("pd-shaped", plant()).shaper) == ("ei", 0.4, "zvd")
 
 
 def test_only_under_gravity_a_pd_holds_the_weight():

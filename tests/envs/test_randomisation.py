@@ -1,6 +1,7 @@
 """Randomisation: each effect draws from its own stream within its range, and does what it says to an episode."""
 
 import warnings
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -17,10 +18,12 @@ from flexman_gym.envs.randomisation import given_name
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.simulation.parameters import PARAMETERS
 
-from oracles.episodes import EVERYTHING, actions
+from oracles.episodes import EVERYTHING, FRICTION, actions
 
 EFFECTS = (*PARAMETERS, *SIGNALS)
-RANGES = {name: EVERYTHING[given_name(name)] for name in EFFECTS}
+RANGES = {name: (EVERYTHING | FRICTION)[given_name(name)] for name in EFFECTS}
+BARE = FlexManEnv().unwrapped.simulator.model.arm
+RUBBING = replace(BARE, joints=[replace(each, viscous_friction=5.0, coulomb_friction=9.0) for each in BARE.joints])
 QUICK = settings(deadline=None, derandomize=True, max_examples=15)
 STILL = {"start": [0.3, 0.4, -0.5], "goal_angles": [0.3, 0.4, -0.5]}
 PUSH = np.array([0.5, -0.3, 0.2])
@@ -28,7 +31,7 @@ PUSH = np.array([0.5, -0.3, 0.2])
 
 def env_with(*effects, **more):
     """An environment with some of the effects, within the ranges above."""
-    return FlexManEnv(randomisation={given_name(name): RANGES[name] for name in effects} | more)
+    return FlexManEnv(arm=RUBBING, randomisation={given_name(name): RANGES[name] for name in effects} | more)
 
 
 def episodes(env, seeds):
@@ -65,9 +68,11 @@ def test_draws_do_not_depend_on_what_happened_in_episodes_before():
 
 
 def test_draws_lie_in_their_ranges_and_fill_them():
-    env = FlexManVectorEnv(400, modes=1, randomisation={given_name(name): span for name, span in RANGES.items()})
+    env = FlexManVectorEnv(
+        400, arm=RUBBING, modes=1, randomisation={given_name(name): span for name, span in RANGES.items()}
+    )
     drawn, nominal = env.reset(seed=1)[1]["drawn"], env.batch.nominal
-    scale = {name: nominal[name] for name in ("joint_stiffness", "rotor_inertia")} | {"torque_limit": 400.0}
+    scale = {name: nominal[name] for name in PARAMETERS if PARAMETERS[name].factor} | {"torque_limit": 400.0}
     for name, (low, high) in RANGES.items():
         if name not in drawn:
             assert name in ("tip_impulse", "tip_load"), "drawn on the way"
@@ -83,15 +88,13 @@ def test_draws_lie_in_their_ranges_and_fill_them():
             assert np.abs(np.corrcoef(values.T) - np.eye(3)).max() < 0.2, "each joint and link for itself"
 
 
-@pytest.mark.parametrize(
-    "name", ["payload_mass", "joint_stiffness", "link_stiffness", "rotor_inertia", "joint_damping"]
-)
+@pytest.mark.parametrize("name", PARAMETERS)
 def test_what_is_drawn_is_what_moves(name):
     """The same episode with the drawn values given as parameters."""
-    drawn, set_by_hand = env_with(name), FlexManEnv()
+    drawn, set_by_hand = env_with(name), FlexManEnv(arm=RUBBING)
     values = drawn.reset(seed=5)[1]["drawn"][name]
     set_by_hand.reset(seed=5, options={"parameters": {name: values}})
-    nominal = FlexManEnv()
+    nominal = FlexManEnv(arm=RUBBING)
     nominal.reset(seed=5)
     for _ in range(10):
         observations = [env.step(PUSH)[0] for env in (drawn, set_by_hand, nominal)]
@@ -108,7 +111,7 @@ def test_given_parameters_go_before_drawn_ones_and_are_said():
 
 
 def test_torque_limits_scale_the_torques():
-    env, plain = env_with("torque_limit"), FlexManEnv()
+    env, plain = env_with("torque_limit"), FlexManEnv(arm=RUBBING)
     factors = env.reset(seed=4)[1]["drawn"]["torque_limit"] / 400.0
     plain.reset(seed=4)
     for _ in range(5):

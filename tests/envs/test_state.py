@@ -24,6 +24,7 @@ SETTINGS = [
     {"randomisation": EVERYTHING, "horizon": 0.9},
     {"randomisation": EVERYTHING, "base": "pd", "hold": 3, "stiffening": True},
     {"base": "lqr-tracking"},
+    {"base": {"kind": "pd-shaped", "duration": 2.0}},
     {"base": "lqr", "randomisation": {"payload_mass": (0.0, 5.0)}},
     {"method": "implicit_midpoint", "randomisation": {"payload_mass": (0.0, 5.0)}},
     {"method": "dopri5", "step": None, "modes": 1},

@@ -26,7 +26,7 @@ from oracles.odd import KEYS, odd
 from oracles.runs import RUNS
 from oracles.samples import ARM, CHOICE, DESCRIBED, SCENE, TRAINING, TWO
 
-LONGEST = 500  # characters of a line, the path of the file among them
+LONGEST = 450  # characters of a line beside the path of the file
 TOKENS = (b"null", b"true", b"-1", b"1e999", b"1e-999", b"nan", b".inf", b"'x'", b"{", b"]", b"\t", b"\xff", b"\x00",
           b"9" * 400, b"- ", b": ", b"&a ", b"*a", b"!!python/object", b"\n", b"[" * 2000, b"10000000000")  # fmt: skip
 SINE = fm.SineTorque([0.1, 0.0], [1.0, 2.0], TWO)
@@ -199,7 +199,8 @@ def outcome(seed, folder):
                 result = read(path)
         except (ValueError, FileNotFoundError) as error:
             line = str(error)
-            clear = str(path) in line and "\n" not in line and len(line) < LONGEST and line.isprintable()
+            short = len(line) - len(str(path)) < LONGEST
+            clear = str(path) in line and "\n" not in line and short and line.isprintable()
             return ("refused", "") if clear and not loud(said) else ("finding", f"{type(error).__name__}: {line}")
         except TooLong:
             return "finding", "took too long"

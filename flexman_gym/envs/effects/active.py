@@ -137,4 +137,6 @@ def _check_room(name: str, span: tuple[float, float], model: Model) -> None:
     if row.of == LINK and not (np.diff(model.constants.elastic_start) > 0).any():
         raise refusal(field, span, "None: every link of this arm is rigid")
     if row.shape(model.n_joints) and row.fixed(model).all():
-        raise refusal(field, span, "None: every joint of this arm is rigid")
+        raise refusal(field, span, f"None: every joint of this arm is {row.lacking}")
+    if row.factor and not np.any(row.nominal(model)):
+        raise refusal(field, span, "None: this arm has none of it, of which a factor is a part")

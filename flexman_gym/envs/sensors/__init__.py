@@ -1,6 +1,7 @@
 """Sensors: what an agent sees of the arms, by name, as a mapping, or as objects of one's own."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from flexman_gym.checks import mapping, one_of, refusal, text
@@ -13,15 +14,14 @@ from flexman_gym.envs.sensors.quantities import Quantities
 from flexman_gym.envs.sensors.sensor import Entry, Sensor
 from flexman_gym.envs.sensors.servo import Servo
 from flexman_gym.envs.sensors.state import State
+from flexman_gym.simulation.readings import INSTRUMENTS
 
 SENSORS: dict[str, Callable[[], Sensor]] = {
     "full": FullState,
     "fine": Fine,
     "servo": Servo,
     "state": State,
-    "motor_encoders": lambda: Quantities(("motor_angles", "motor_rates")),
-    "joint_encoders": lambda: Quantities(("joint_twists", "joint_twist_rates")),  # of encoders on both sides
-    "strain": lambda: Quantities(("root_strains",)),
+    **{name: partial(Quantities, quantities) for name, quantities in INSTRUMENTS.items()},
     "accelerometer": lambda: Quantities(("tip_acceleration",)),
     "tip": lambda: Instrument(Quantities(("tip",)), every=2, delay=1),
     "command": Command,

@@ -1,0 +1,72 @@
+"""Tell why a tip is not still after arrival: ringing, a limit cycle, an offset, or noise, and what would help."""
+
+import argparse
+from collections import Counter
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from flexman_gym.commands import evaluate
+
+if TYPE_CHECKING:
+    from flexman_gym.evaluation.diagnosis import Diagnosis
+
+EPISODES = 20
+
+
+def arguments(result: argparse.ArgumentParser) -> None:
+    """Says what it takes: what `evaluate` does, for one entrant or several."""
+    evaluate.arguments(result)
+    result.set_defaults(episodes=EPISODES)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Prints for each entrant the share of each cause and what would help against the largest."""
+    from flexman_gym.envs.description import Description
+    from flexman_gym.evaluation.diagnosis import diagnose
+    from flexman_gym.evaluation.entrants import changed_environment, common_environment
+
+    if options.episodes < 1:
+        options.parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
+    entrants = {name: evaluate.entrant(name, options.trust) for name in options.entrant}
+    named = Description.find(options.env) if options.env else None
+    environment = changed_environment(common_environment(list(entrants.values()), named), options.set)
+    seeds = range(options.seed, options.seed + options.episodes)
+    for name, each in entrants.items():
+        print("\n".join(lines(f"{name} on {options.env or environment.id}", diagnose(each, environment, seeds))))
+    return 0
+
+
+def lines(title: str, results: "Sequence[Diagnosis]") -> list[str]:
+    """Says what was found in some episodes."""
+    import numpy as np
+
+    from flexman_gym.evaluation.diagnosis import HELP
+
+    rms = 1e3 * np.array([each.rms for each in results])
+    shares = {cause: float(np.mean([each.shares[cause] for each in results])) for cause in HELP}
+    largest = Counter(each.cause for each in results)
+    said = [f"{title}: {len(results)} episodes, RMS error after arrival {np.median(rms):.3g} mm (to {rms.max():.3g})"]
+    for cause, share in sorted(shares.items(), key=lambda entry: -entry[1]):
+        said.append(
+            f"  {cause:<12}{share:>6.1%}, the largest share of {largest[cause]} episodes{voices(results, cause)}"
+        )
+    worst = max(shares, key=lambda cause: shares[cause])
+    words = "nothing is needed, so little is left" if all(each.quiet for each in results) else HELP[worst]
+    return [*said, f"  what would help: {words}"]
+
+
+def voices(results: "Sequence[Diagnosis]", cause: str) -> str:
+    """The mode that has most of a cause, and the median frequency of its tones; "" where no tone tells anything."""
+    import numpy as np
+
+    from flexman_gym.evaluation.diagnosis import OFFSET
+
+    tones = [tone for each in results for tone in each.tones if tone[2] == cause]
+    weights: Counter[str] = Counter()
+    for _, share, _, name in tones:
+        weights[name] += share  # type: ignore[assignment]
+    if not tones or cause == OFFSET:
+        return ""
+    name = max(weights, key=lambda each: weights[each])
+    middle = float(np.median([frequency for frequency, _, _, each in tones if each == name]))
+    return f": {name}{', ' if name else ''}at {middle:.3g} Hz"

@@ -1,0 +1,224 @@
+"""Slews: motions of many arms along straight paths of their motors, timed within torque limits, also on their way."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from flexman_gym.arrays import Array, IntArray, grown
+from flexman_gym.control.reference import Bending, GiveWay
+from flexman_gym.control.timing import quintic, values_at
+from flexman_gym.model.model import Model
+from flexman_gym.model.statics import holding_torques, rest_state
+from flexman_gym.simulation.parameters import varied_model
+
+PLACES = np.linspace(0.0, 1.0, 11)  # of a path at which an arm is bent
+TYPICAL = 0.5  # 1/s^2, second derivative of the path parameter with which an arm is bent
+DURATIONS = 0.2 * 1.045 ** np.arange(110)  # s, that are tried; the last is 24 s
+PARTS = np.linspace(0.0, 1.0, 17)[1:-1]  # of a duration at which torques are compared with their limits
+REST, CHANGE, SPEED = 0, 1, 2  # layers of a table: at rest, times s'', times s'^2
+AIMED = 2  # steps of Newton by which the end of a path is turned
+AHEAD = 0.01  # s, of the differences that give the speeds of bent coordinates
+
+
+class Tables(NamedTuple):
+    """How an arm is on its path, for p payloads and the places of PLACES, in three layers.
+
+    Attributes:
+        coordinates: (p, 11, 3, d) departures from the motors' straight path; at rest, and by s'' and s'^2.
+        torques: (p, 11, 3, n) N m, in the same way.
+    """
+
+    coordinates: Array
+    torques: Array
+
+
+class Slews:
+    """Slews of b arms: place s on the path from 0 to 1, motor angles, bent coordinates and torques of each.
+
+    The arm is bent as inertia and weight ask on the way, without vibrating. Torques and bending follow
+    rest + a(s) s'' + b(s) s'^2, tabulated for some payloads, quadratic between these, and for each arm scaled by its
+    own stiffness.
+
+    Args:
+        model: of the arm.
+        limits: (n,) N m.
+        share: of the limits that a slew may take; feedback has the rest.
+        payloads: kg, one or three, ascending.
+    """
+
+    _rows = (
+        "start", "way", "shift", "coefficients", "begun", "lasting", "_coordinates", "_torques", "_soft", "_friction",
+    )  # fmt: skip
+    kept = (*_rows, "_now")
+
+    def __init__(self, model: Model, limits: Array, share: float, payloads: Sequence[float]) -> None:
+        self.model, self._limits, self._share = model, limits, share
+        self._payloads = np.array(payloads, dtype=float)
+        self._models = [varied_model(model, payload_mass=mass) for mass in payloads]
+        self._give_way = GiveWay(model)
+        self._bendings = [Bending(each) for each in self._models]
+        n, d, p = model.n_joints, model.n_dof, len(payloads)
+        self.start, self.way, self.shift = np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, n))
+        self._coordinates, self._torques = np.zeros((0, p, 11, 3, d)), np.zeros((0, p, 11, 3, n))
+        self._now = Tables(np.zeros((0, 11, 3, d)), np.zeros((0, 11, 3, n)))  # for the payloads as they are estimated
+        self.coefficients, self.begun, self.lasting = np.zeros((0, 6)), np.zeros(0), np.zeros(0)
+        self._soft, self._friction = np.zeros((0, d)), np.zeros((0, 2, n))
+        self._flexible = model.constants.motor >= 0
+
+    def grow(self, count: int) -> None:
+        """Makes room for so many arms."""
+        for name in self._rows:
+            setattr(self, name, grown(getattr(self, name), count))
+        self._now = Tables(*(grown(each, count) for each in self._now))
+
+    def begin(self, arms: IntArray, start: Array, goal: Array) -> None:
+        """Takes paths of the arms (r,) from start to goal, motor angles (r, n) rad; `adapt` and `time` them next."""
+        self.start[arms], self.way[arms], self.shift[arms] = start, goal - start, 0.0
+        for arm, first, last in zip(arms, start, goal, strict=True):
+            for payload in range(len(self._models)):
+                tables = self._bent(payload, first, last)
+                self._coordinates[arm, payload], self._torques[arm, payload] = tables
+
+    def _bent(self, payload: int, start: Array, goal: Array) -> Tables:
+        """The tables of one arm with one payload."""
+        model, bending, way = self._models[payload], self._bendings[payload], goal - start
+        n, motors = model.n_joints, self.model.motor_columns
+        coordinates, torques = np.zeros((11, 3, model.n_dof)), np.zeros((11, 3, n))
+        for row, place in enumerate(PLACES):
+            posture = start + place * way
+            rest, straight = rest_state(model, posture)[: model.n_dof], np.zeros(model.n_dof)
+            straight[:n] = straight[motors] = posture
+            coordinates[row, REST], torques[row, REST] = rest - straight, holding_torques(model, posture)
+            links, still = rest[:n], np.zeros(n)
+            at_rest, held = bending.at(rest, (links, still, still))
+            for layer, motion in (
+                (CHANGE, (links, still, TYPICAL * way)),
+                (SPEED, (links, np.sqrt(TYPICAL) * way, still)),
+            ):
+                bent, torque = bending.at(rest, motion)
+                coordinates[row, layer], torques[row, layer] = (bent - at_rest) / TYPICAL, (torque - held) / TYPICAL
+        return Tables(coordinates, torques)
+
+    def adapt(self, arms: IntArray, parameters: Mapping[str, Array]) -> None:
+        """Takes the physical parameters (b, ...) of the arms (r,) as they are estimated, see `Estimate`."""
+        if not len(arms):
+            return
+        weights = payload_weights(self._payloads, parameters, arms)
+        for now, every in zip(self._now, (self._coordinates, self._torques), strict=True):
+            now[arms] = (weights[:, :, None, None, None] * every[arms]).sum(axis=1)
+        self._soft[arms] = softness(self.model, parameters, arms)
+        self._friction[arms] = friction(self.model, parameters, arms)
+        if self.model.constants.gravity.any():
+            self._aim(arms)
+
+    def _aim(self, arms: IntArray) -> None:
+        """Turns the ends of the paths of the arms (r,) so that the tips rest where those of the model's arm would."""
+        model, d = self.model, self.model.n_dof
+        for arm in arms:
+            goal = self.start[arm] + self.way[arm]
+            wanted = rest_state(model, goal)[:d]
+            for _ in range(AIMED):
+                sagging = self._soft[arm] * self._now.coordinates[arm, -1, REST]
+                place = model.at_rest((goal + self.shift[arm])[None])[0, :d] + sagging
+                self.shift[arm] += self._give_way.turn(wanted, place)
+
+    def time(self, arms: IntArray, now: Array, first: bool) -> None:
+        """Times the rest of the way of the arms (r,) anew, as short as torques within the limits allow.
+
+        Args:
+            arms: (r,) whose parameters `adapt` has taken.
+            now: (r,) s.
+            first: whether they start at rest at the beginning of their paths; else they go on as they move now.
+        """
+        if not len(arms):
+            return
+        place, speed, change = (np.zeros((3, len(arms))) if first else np.array(self.at(now, arms)))[:, :, None]
+        tried = quintic(place, speed, change, DURATIONS.astype(float))
+        places, speeds, changes = values_at(tried[:, :, None], DURATIONS[:, None] * PARTS)
+        torques = self._mixed(self._now.torques, arms, places, changes, speeds)
+        rates = speeds[..., None] * self.way[arms][:, None, None]
+        torques += friction_torques(self.model, self._friction[arms][:, None, None], rates)
+        shares = (np.abs(torques) / self._limits).max(axis=(2, 3))
+        good = shares <= self._share
+        chosen = np.where(good.any(axis=1), good.argmax(axis=1), shares.argmin(axis=1))
+        self.coefficients[arms] = tried[np.arange(len(arms)), chosen]
+        self.begun[arms], self.lasting[arms] = now, DURATIONS[chosen]
+
+    def _mixed(self, table: Array, arms: IntArray, places: Array, changes: Array, speeds: Array) -> Array:
+        """rest + a s'' + b s'^2 (r, ..., m) of a table (b, 11, 3, m) at places, changes and speeds (r, ...)."""
+        at = np.clip(places, 0.0, 1.0) * (len(PLACES) - 1)
+        low = np.minimum(at.astype(np.int64), len(PLACES) - 2)
+        part, rows = (at - low)[..., None, None], arms.reshape(-1, *(1,) * (places.ndim - 1))
+        layers = table[rows, low] * (1.0 - part) + table[rows, low + 1] * part
+        return (
+            layers[..., REST, :]
+            + layers[..., CHANGE, :] * changes[..., None]
+            + layers[..., SPEED, :] * (speeds[..., None] ** 2)
+        )
+
+    def at(self, now: Array, arms: IntArray) -> tuple[Array, Array, Array]:
+        """Gives places, speeds (1/s) and second derivatives (1/s^2) of the arms (r,) at times (r,) s."""
+        passed = now - self.begun[arms]
+        place, speed, change = values_at(self.coefficients[arms], np.clip(passed, 0.0, self.lasting[arms]))
+        over = passed >= self.lasting[arms]
+        return np.where(over, 1.0, place), np.where(over, 0.0, speed), np.where(over, 0.0, change)
+
+    def states(self, now: Array, arms: IntArray) -> Array:
+        """Gives the states (r, 2 d) of the arms (r,) at times (r,) s."""
+        before, here, after = (self._coordinates_at(now + step, arms) for step in (-AHEAD, 0.0, AHEAD))
+        return np.concatenate([here, (after - before) / (2.0 * AHEAD)], axis=1)
+
+    def _coordinates_at(self, now: Array, arms: IntArray) -> Array:
+        place, speed, change = self.at(now, arms)
+        result = self._soft[arms] * self._mixed(self._now.coordinates, arms, place, change, speed)
+        angles = self.start[arms] + place[:, None] * (self.way[arms] + self.shift[arms])
+        result[:, self.model.motor_columns] += angles
+        result[:, np.flatnonzero(self._flexible)] += angles[:, self._flexible]
+        return result
+
+    def torques(self, now: Array, arms: IntArray) -> Array:
+        """Gives the torques (r, n) N m of the arms (r,) at times (r,) s."""
+        place, speed, change = self.at(now, arms)
+        rubbing = friction_torques(self.model, self._friction[arms], speed[:, None] * self.way[arms])
+        return self._mixed(self._now.torques, arms, place, change, speed) + rubbing
+
+
+def payload_weights(nodes: Array, parameters: Mapping[str, Array], arms: IntArray) -> Array:
+    """Gives the weights (r, p) of payloads (p,) kg between which those of the arms (r,) are interpolated."""
+    if len(nodes) == 1 or "payload_mass" not in parameters:
+        return np.tile(np.eye(len(nodes))[0], (len(arms), 1))
+    masses = np.clip(parameters["payload_mass"][arms], nodes[0], nodes[-1])
+    result = np.ones((len(arms), len(nodes)))
+    for i, node in enumerate(nodes):
+        for other in np.delete(nodes, i):
+            result[:, i] *= (masses - other) / (node - other)
+    return result
+
+
+def softness(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:
+    """Gives factors (r, d) by which bent coordinates of the arms (r,) are larger than those of the model."""
+    n, stiff = model.n_joints, model.constants.motor >= 0
+    result = np.ones((len(arms), model.n_dof))
+    if "joint_stiffness" in parameters:
+        stiffness = np.where(stiff, parameters["joint_stiffness"][arms], 1.0)
+        part = np.where(stiff, model.constants.joint_stiffness / stiffness, 1.0)
+        result[:, :n] = result[:, model.motor_columns] = part
+    if "link_stiffness" in parameters:
+        links = np.repeat(np.arange(n), np.diff(model.constants.elastic_start))
+        result[:, model.n_dof - len(links) :] = 1.0 / parameters["link_stiffness"][arms][:, links]
+    return result
+
+
+def friction(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:
+    """Gives viscous (N m s/rad) and Coulomb friction (N m) of the motors of the arms (r,), (r, 2, n)."""
+    result = np.zeros((len(arms), 2, model.n_joints))
+    for i, name in enumerate(("viscous_friction", "coulomb_friction")):
+        result[:, i] = parameters[name][arms] if name in parameters else getattr(model.constants, name)
+    return result
+
+
+def friction_torques(model: Model, coefficients: Array, rates: Array) -> Array:
+    """Gives the torques (..., n) N m that friction, coefficients (..., 2, n), takes at motor rates (..., n) rad/s."""
+    sliding = np.tanh(rates / model.constants.coulomb_rate)
+    return coefficients[..., 0, :] * rates + coefficients[..., 1, :] * sliding

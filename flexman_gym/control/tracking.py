@@ -1,0 +1,111 @@
+"""Tracking: the law that drives arms along references, by feed-forward and scheduled LQR gains on what is estimated."""
+
+import numpy as np
+
+from flexman_gym.arrays import Array, Flags, IntArray, grown, row_dots
+from flexman_gym.control.bases import Plant
+from flexman_gym.control.controller import Episode
+from flexman_gym.control.discrete import Weights
+from flexman_gym.control.following import Following
+from flexman_gym.control.gains import GainTable
+from flexman_gym.control.lqr import HOLDING, MOTOR, SHARE, TIP, TIP_SPEED
+from flexman_gym.control.observer import Estimate
+from flexman_gym.control.slews import Slews
+
+RETIMED = (6, 12, 20, 30, 45)  # control periods after which a slew is timed anew with the parameters as estimated
+ARRIVING = 0.75  # of a path, from which on it is not timed anew
+ADAPTED = 5  # control periods between two looks at the parameters
+
+
+class Tracking:
+    """Tracking law of b arms: torque of the reference - K (state - reference), with gains for posture and payload.
+
+    Slews follow straight paths of the motors in quintic timing within 95 % of the torque limits, timed anew from where
+    the reference is while the parameters become known. An arm that starts at its goal is held there more tightly.
+
+    Args:
+        plant: the arm and what is unknown of it.
+        weights: of the cost; None takes those of `LQR`.
+    """
+
+    kept = ("_slews", "_ages", "_tight", "_goal")
+
+    def __init__(self, plant: Plant, weights: Weights | None = None) -> None:
+        model, reach = plant.model, float(plant.model.constants.length.sum())
+        weights = weights or Weights(TIP * reach, TIP_SPEED * reach, MOTOR)
+        low, high = plant.unknown.get("payload_mass", (model.constants.payload_mass[0],) * 2)
+        self._payloads = (low, 0.5 * (low + high), high) if high > low else (low,)
+        self.limits, self._period = np.array(plant.torque_limit), plant.period
+        self._following = Following(model, plant.period, self._payloads)
+        self._slews = Slews(model, self.limits, SHARE, self._payloads)
+        tight = weights._replace(tip=HOLDING * weights.tip)
+        self._gains = [GainTable(model, self.limits, plant.period, each, self._payloads) for each in (weights, tight)]
+        self._motors = model.motor_columns
+        self._ages, self._tight = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
+        self._goal, self._paths = np.zeros((0, model.n_joints)), dict[int, Array]()  # of the arms whose goals move
+
+    def reset(self, arms: IntArray, episode: Episode) -> None:
+        """Starts new episodes of the arms (r,); they are planned from the first estimate of where they are."""
+        count = int(arms.max(initial=-1)) + 1
+        self._ages, self._tight, self._goal = (grown(each, count) for each in (self._ages, self._tight, self._goal))
+        self._slews.grow(count)
+        self._ages[arms], self._goal[arms] = 0, episode.goal
+        self._tight[arms] = (episode.start == episode.goal).all(axis=1) & (episode.reference is None)
+        for row, arm in enumerate(arms.tolist()):
+            self._paths.pop(arm, None)
+            if episode.reference is not None:
+                self._paths[arm] = episode.reference[row]
+        for table in self._gains:
+            table.save()
+
+    def torques(self, estimate: Estimate, playing: Flags) -> Array:
+        """Gives torques (b, n) N m, within the limits, and moves on by a period; 0 for arms that do not play."""
+        arms, result = np.flatnonzero(playing), np.zeros((len(playing), len(self.limits)))
+        if not len(arms):
+            return result
+        now = (self._ages + estimate.lead).astype(float) * self._period
+        self._plan(arms, estimate, now)
+        states, (reference, forward) = estimate.states[arms], self._reference(now[arms], arms)
+        payloads = self._payload(estimate)[arms]
+        gains = np.zeros((len(arms), len(self.limits), states.shape[1]))
+        for table, some in zip(self._gains, (~self._tight[arms], self._tight[arms]), strict=True):
+            if some.any():
+                gains[some] = table(arms[some], states[some][:, self._motors], payloads[some])
+        asked = forward - row_dots(gains, (states - reference)[:, None])
+        result[arms] = np.clip(asked, -self.limits, self.limits)
+        self._ages += playing
+        return result
+
+    def _payload(self, estimate: Estimate) -> Array:
+        return estimate.parameters.get("payload_mass", np.full(len(estimate.states), self._payloads[0]))
+
+    def _reference(self, now: Array, arms: IntArray) -> tuple[Array, Array]:
+        """States (r, 2 d) of the references of arms (r,) at times (r,) s, and torques (r, n) in the period after."""
+        moving = np.array([arm in self._paths for arm in arms.tolist()])
+        if moving.all():
+            return self._following.at(now, arms)
+        states, torques = self._slews.states(now, arms), self._slews.torques(now + 0.5 * self._period, arms)
+        if moving.any():
+            states[moving], torques[moving] = self._following.at(now[moving], arms[moving])
+        return states, torques
+
+    def _plan(self, arms: IntArray, estimate: Estimate, now: Array) -> None:
+        """Plans for arms (r,) that begin, and looks at the parameters of the others now and then."""
+        follows = np.array([arm in self._paths for arm in arms.tolist()])
+        due = (self._ages[arms] > 0) & (self._ages[arms] % ADAPTED == 0)
+        for arm in arms[follows & (self._ages[arms] == 0)].tolist():
+            self._following.begin(arm, self._paths[arm], estimate.parameters)
+        if estimate.parameters:
+            self._following.adapt(arms[follows & due], estimate.parameters)
+        arms, due = arms[~follows], due[~follows]
+        first = arms[self._ages[arms] == 0]
+        if len(first):
+            start = np.where(self._tight[first, None], self._goal[first], estimate.states[first][:, self._motors])
+            self._slews.begin(first, start, self._goal[first])
+            self._slews.adapt(first, estimate.parameters)
+            self._slews.time(first, now[first], first=True)
+        again = arms[np.isin(self._ages[arms], RETIMED)] if estimate.parameters else arms[:0]
+        self._slews.adapt(np.union1d(arms[due], again), estimate.parameters)
+        if len(again):
+            again = again[self._slews.at(now[again], again)[0] < ARRIVING]
+            self._slews.time(again, now[again], first=False)

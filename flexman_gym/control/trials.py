@@ -1,0 +1,219 @@
+"""Trials: arms simulated beside a real one, one as it is estimated and others with one unknown changed each."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from flexman_gym.arrays import Array, Flags, row_dots
+from flexman_gym.control.unknowns import Unknowns
+from flexman_gym.model.model import Model
+from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.families import Method
+
+TURN = 1e-3  # rad, by which an angle at the start is changed to see what follows
+TOGETHER = 32  # arms whose trials are rolled at once, for the memory that they take
+ROUNDING = 1e-12  # added to a matrix of ones on its diagonal
+TRIES, LITTLE, DAMPING = 4, (2.0, 0.02), 1e-3  # sweeps of a fit; falls of the cost, and by period, that end it; first
+
+
+class Prior(NamedTuple):
+    """What is known beforehand of p numbers: mean, deviation, and between which they stay, (p,) each."""
+
+    mean: Array
+    deviation: Array
+    low: Array
+    high: Array
+
+    def clip(self, numbers: Array) -> Array:
+        """Gives the numbers (r, p) that are allowed next to some."""
+        return np.clip(numbers, self.low, self.high)
+
+
+class Sweep(NamedTuple):
+    """What a simulation of r arms from their starts says of the numbers that it was made with.
+
+    Attributes:
+        states: (r, 1 + s, 2 d) of all trials at the end.
+        information: (r, p, p) of the readings about the numbers.
+        gradient: (r, p) half of the slope by which the cost falls.
+        cost: (r,) sum of the squared errors of readings, in standard deviations.
+    """
+
+    states: Array
+    information: Array
+    gradient: Array
+    cost: Array
+
+    def of(self, arms: Flags) -> "Sweep":
+        """Gives what is said of some arms (r,)."""
+        return Sweep(*(values[arms] for values in self))
+
+
+class Trials:
+    """Simulations of an arm for numbers that are estimated: unknowns, angles at the start, and biases of readings.
+
+    Unknowns and angles move the arm; biases are added to what instruments read.
+
+    Args:
+        model: of the arm.
+        moved: method, step (s) and control period (s).
+        unknowns: of the arm.
+        matrix: (m, 2 d) of readings by states.
+        biased: whether the biases of all readings are among the numbers.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        moved: tuple[str | Method, float | str, float],
+        unknowns: Unknowns,
+        matrix: Array,
+        biased: bool,
+    ) -> None:
+        self.model, self.unknowns, self.matrix = model, unknowns, matrix
+        n, known = model.n_joints, len(unknowns.names)
+        self.moving, self.size = known + n, known + n + biased * len(matrix)
+        self.steps = np.concatenate([unknowns.step, np.full(n, TURN)])
+        self._turns = np.zeros((n, 2 * model.n_dof))
+        self._turns[np.arange(n), np.arange(n)] = self._turns[np.arange(n), model.motor_columns] = 1.0
+        self._moved, self._batches = moved, dict[int, Batch]()
+
+    def batch(self, arms: int) -> Batch:
+        """Makes a batch for the trials of some arms."""
+        method, step, period = self._moved
+        return Batch(self.model, method, step, period, arms=arms)
+
+    def changed(self, numbers: Array, steps: Array | None = None) -> Array:
+        """Gives the numbers (r, 1 + s, p) of all trials: as estimated, and each that moves the arm changed."""
+        result = np.repeat(numbers[:, None], 1 + self.moving, axis=1)
+        each = np.arange(self.moving)
+        result[:, 1 + each, each] += self.steps if steps is None else steps
+        return result
+
+    def starts(self, origin: Array, numbers: Array) -> Array:
+        """Gives the states (r, 1 + s, 2 d) from which trials start; `origin` (r, 2 d) has angles of 0 among numbers."""
+        angles = self.changed(numbers)[:, :, len(self.unknowns.names) : self.moving]
+        return origin[:, None] + (angles[..., None] * self._turns).sum(axis=2)
+
+    def parameters(self, numbers: Array) -> dict[str, Array]:
+        """Gives physical parameters, name -> (r, ...), for numbers (r, p)."""
+        return self.unknowns.values(self.model, numbers)
+
+    def slopes(self, states: Array, steps: Array) -> Array:
+        """Gives the slopes (r, 2 d, s) of the states of trials (r, 1 + s, 2 d) by numbers changed by steps (r, s)."""
+        return ((states[:, 1:] - states[:, :1]) / steps[..., None]).transpose(0, 2, 1)
+
+    def reading_slopes(self, slopes: Array) -> Array:
+        """Gives the slopes (r, m, p) of the readings, biases included, by those of the states (r, 2 d, s)."""
+        read = self.matrix @ slopes
+        if self.size == self.moving:
+            return read
+        return np.concatenate([read, np.repeat(np.eye(len(self.matrix))[None], len(read), axis=0)], axis=2)
+
+    def read(self, states: Array, numbers: Array) -> Array:
+        """Gives the readings (r, m) of states (r, 2 d) for numbers (r, p)."""
+        result = row_dots(self.matrix, states[:, None])
+        return result if self.size == self.moving else result + numbers[:, self.moving :]
+
+    def sweep(self, origin: Array, numbers: Array, torques: Array, readings: Array, weights: Array) -> Sweep:
+        """Simulates r arms from their starts through k control periods and compares them with what was read.
+
+        Args:
+            origin: (r, 2 d), see `starts`.
+            numbers: (r, p).
+            torques: (r, k, n) N m that acted in each period.
+            readings: (r, k + 1, m) from the start on.
+            weights: (r, k + 1, m) of the squared errors, 1 / variance, 0 of readings that say nothing.
+        """
+        parts = [slice(first, first + TOGETHER) for first in range(0, len(origin), TOGETHER)]
+        results = [self._sweep(origin[p], numbers[p], torques[p], readings[p], weights[p]) for p in parts]
+        return Sweep(*(np.concatenate(each) for each in zip(*results, strict=True)))
+
+    def _sweep(self, origin: Array, numbers: Array, torques: Array, readings: Array, weights: Array) -> Sweep:
+        arms, periods, n = torques.shape
+        start = self.starts(origin, numbers)
+        trials = start.shape[1]
+        if arms not in self._batches:
+            self._batches[arms] = self.batch(arms * trials)
+        batch, used = self._batches[arms], np.arange(arms * trials)
+        flat = self.changed(numbers).reshape(arms * trials, -1)
+        batch.vary(used, **self.parameters(flat))
+        batch.place(used, start.reshape(arms * trials, -1))
+        drives = np.zeros((arms * trials, periods, n + 6))
+        drives[:, :, :n] = np.repeat(torques, trials, axis=0)
+        rolled = batch.roll(drives)[0].reshape(arms, trials, periods, -1)
+        states = np.concatenate([start[:, :, None], rolled], axis=2)
+        read = (states @ self.matrix.T).transpose(0, 2, 3, 1)  # (r, k + 1, m, 1 + s)
+        slopes = (read[..., 1:] - read[..., :1]) / self.steps
+        if self.size > self.moving:
+            biases = np.broadcast_to(np.eye(len(self.matrix)), (*slopes.shape[:2], *(len(self.matrix),) * 2))
+            slopes = np.concatenate([slopes, biases], axis=3)
+        error = readings - read[..., 0]
+        if self.size > self.moving:
+            error = error - numbers[:, None, self.moving :]
+        root = np.sqrt(weights)
+        slopes = (slopes * root[..., None]).reshape(arms, -1, self.size)
+        error = (error * root).reshape(arms, -1)
+        across = slopes.transpose(0, 2, 1)
+        gradient = row_dots(across, error[:, None])
+        return Sweep(states[:, :, -1].copy(), across @ slopes, gradient, row_dots(error, error))
+
+    def fit(self, origin: Array, numbers: Array, prior: Prior, data: tuple[Array, Array, Array]) -> tuple[Array, Sweep]:
+        """Fits the numbers of r arms to all that was read: Levenberg and Marquardt, a few simulations from the start.
+
+        Args:
+            origin: (r, 2 d), see `starts`.
+            numbers: (r, p), where it begins.
+            prior: of the numbers.
+            data: torques, readings and weights, see `sweep`.
+
+        Returns:
+            The numbers (r, p) and the sweep that was made with them.
+        """
+        periods, damping = data[0].shape[1], np.full(len(origin), DAMPING)
+        certain = 1.0 / prior.deviation**2
+        best, result, least = numbers, self.sweep(origin, numbers, *data), np.full(len(origin), np.inf)
+        tried, sweep = best, result
+        for attempt in range(TRIES):
+            cost = sweep.cost + ((prior.mean - tried) ** 2 * certain).sum(axis=1)
+            better = np.nan_to_num(cost, nan=np.inf) < least
+            damping = np.where(better, 0.3 * damping, 20.0 * damping) if attempt else damping
+            least = np.where(better, cost, least)
+            best = np.where(better[:, None], tried, best)
+            result = Sweep(*(_chosen(better, *both) for both in zip(sweep, result, strict=True)))
+            change, fall = step(result, best, prior, damping)
+            if attempt == TRIES - 1 or (fall < max(LITTLE[0], LITTLE[1] * periods)).all():
+                break
+            tried = prior.clip(best + change)
+            sweep = self.sweep(origin, tried, *data)
+        return best, result
+
+
+def step(sweep: Sweep, numbers: Array, prior: Prior, damping: Array | float = 0.0) -> tuple[Array, Array]:
+    """Gives the change (r, p) of numbers (r, p) that a sweep and the prior ask for, and the fall (r,) of the cost."""
+    certain = 1.0 / prior.deviation**2
+    whole, each = sweep.information.copy(), np.arange(numbers.shape[1])
+    whole[:, each, each] += certain
+    slope = sweep.gradient + certain * (prior.mean - numbers)
+    damped = whole.copy()
+    damped[:, each, each] *= 1.0 + np.reshape(damping, (-1, 1))
+    change = solved(damped, slope)
+    return change, (change * slope).sum(axis=1)
+
+
+def solved(matrices: Array, vectors: Array) -> Array:
+    """Gives x (r, p) of matrices (r, p, p) x = vectors (r, p) in units far apart; 0 where they are not finite."""
+    good: Flags = np.logical_and(np.isfinite(matrices).all(axis=(1, 2)), np.isfinite(vectors).all(axis=1))
+    scale = 1.0 / np.sqrt(np.where(good[:, None], np.diagonal(matrices, axis1=1, axis2=2), 1.0))
+    even = np.where(good[:, None, None], matrices * scale[:, :, None] * scale[:, None], 0.0)
+    each = np.arange(matrices.shape[1])
+    even[:, each, each] = 1.0 + ROUNDING
+    result: Array = (
+        scale * np.linalg.solve(even, np.where(good[:, None], vectors, 0.0)[..., None] * scale[..., None])[..., 0]
+    )
+    return result
+
+
+def _chosen(flags: Array, one: Array, other: Array) -> Array:
+    """Rows of one where flags (r,) say so, else of the other."""
+    return np.where(flags.reshape(-1, *(1,) * (one.ndim - 1)), one, other)

@@ -1,0 +1,90 @@
+"""Resonance: the command prints what was found, for environments, arms and files."""
+
+import csv
+
+import numpy as np
+import pytest
+
+import flexman_gym as fm
+from flexman_gym.__main__ import main
+from flexman_gym.control.modes import ringing_modes
+from flexman_gym.envs.setup import build, setup_of
+
+from oracles.files import REFERENCE
+
+pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")
+
+
+def said(capsys, *given):
+    """The lines that the command prints."""
+    assert main(["resonance", *given]) == 0
+    return capsys.readouterr().out.splitlines()
+
+
+def test_of_an_environment_it_tells_goals_payloads_modes_and_shapers(tmp_path, capsys):
+    out = tmp_path / "modes.csv"
+    lines = said(capsys, "FlexPlanar-v0/payload", "--postures", "2", "--csv", str(out))
+    assert lines[0] == "FlexPlanar-v0/payload: 2 postures, payloads of 0, 0.1, 0.2 kg"
+    assert lines[-1].startswith("recommendation: ")
+    shapers = [line.split(",")[0] for line in lines if line.split(",")[0] in ("zv", "mzv", "zvd", "ei", "two-hump-ei")]
+    assert shapers == ["zv", "mzv", "zvd", "ei", "two-hump-ei"] * 2
+    with out.open() as file:
+        rows = list(csv.DictReader(file))
+    first = [row for row in rows if row["motors"] == "held" and row["mode"] == "1"]
+    assert len(first) == 6 and len({row["motor_angle_1"] for row in first}) == 2
+    model = build(setup_of({"name": "FlexPlanar-v0"})).model  # whose payload is 0.1 kg
+    for row in (row for row in first if row["payload"] == "0.1"):
+        posture = [float(row["motor_angle_1"]), float(row["motor_angle_2"])]
+        assert float(row["frequency"]) == pytest.approx(ringing_modes(model, posture)[0, 0], rel=1e-4)
+    frequencies = np.array([float(row["frequency"]) for row in first])
+    line = next(line for line in lines if line.startswith("1, motors held"))
+    assert [float(each) for each in line.split()[3:6]] == pytest.approx(
+        [frequencies.min(), np.median(frequencies), frequencies.max()], rel=1e-3
+    )
+    left = np.array([float(row["zvd, 1"]) for row in first])
+    line = next(line for line in lines if line.startswith("zvd, 1 "))
+    assert f"{np.median(left):.1f} / {left.max():.1f}" in line
+    assert all(row["zv, 1"] == "" for row in rows if row["motors"] == "free")
+
+
+def test_an_arm_of_the_catalog_and_a_scene_of_it_say_the_same(capsys):
+    """Of one joint without gravity all postures ring alike, so that what it takes is two modes and the least delay."""
+    scene = str(REFERENCE / "paper_fr.json")
+    known, of_file = (said(capsys, name, "--payload", "0", "2", "--postures", "1") for name in ("paper_rrr", scene))
+    assert known[0].endswith("1 postures, payloads of 0, 1, 2 kg") and known[1:] == of_file[1:]
+    assert said(capsys, "one_link")[-1].startswith(
+        "recommendation: zv, 1 + 2, designed for the middle case. It leaves 0.0"
+    )
+
+
+def test_none_is_recommended_with_the_mode_that_is_to_blame(capsys):
+    line = said(capsys, "one_joint", "--payload", "0", "1", "--postures", "1")[-1]
+    assert line.startswith("recommendation: none. The best, ") and " There mode 1 is at " in line
+
+
+def test_what_does_not_bend_needs_no_shaper(tmp_path, capsys):
+    arm = fm.catalog.planar_2r(rotor_inertia=0.1)
+    scene = fm.Scene(
+        arm, fm.ModelChoice(False, 1), fm.ConstantTorque([0.0, 0.0]), fm.Initial([0.0] * 2, [0.0] * 2), 1, 1
+    )
+    scene.save(tmp_path / "scene.json")
+    file = tmp_path / "rigid.yaml"
+    file.write_text("id: FlexPlanar-v0\narm: scene.json\nmodes: 0\ntorque_limit: 5.0\n")
+    assert said(capsys, str(file))[-1] == "recommendation: none, for nothing bends that the motors move"
+
+
+@pytest.mark.parametrize(
+    ("given", "line"),
+    [
+        (["nowhere.json"], "nowhere.json: there is no such file"),
+        (["FlexPlanar-v9"], "FlexPlanar-v9: there is no such file; give one, or one of "),
+        (["FlexOne-v0", "--postures", "0"], "--postures: 0 is not allowed; give a whole number > 0"),
+        (["one_joint", "--payload", "-1", "1"], "payload_mass: [-1.0] is not allowed; give finite numbers >= 0"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(given, line, capsys):
+    try:
+        code = main(["resonance", *given])
+    except SystemExit as stop:
+        code = stop.code
+    assert code == 2 and line in capsys.readouterr().err.splitlines()[-1]
