@@ -9,8 +9,10 @@ from flexman_gym.checks import mapping, one_of, positive, refusal, text
 from flexman_gym.control.controller import Controller
 from flexman_gym.control.discrete import Weights
 from flexman_gym.control.lqr import LQR, TrackingLQR
+from flexman_gym.control.optimised import Optimised
 from flexman_gym.control.pd import PD
 from flexman_gym.control.shaped import Shaped
+from flexman_gym.control.slew_table import SHIPPED, SlewTable
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.families import Method
 from flexman_gym.simulation.methods import DEFAULT
@@ -80,6 +82,11 @@ def _regulator(kind: type[LQR]) -> Callable[..., LQR]:
     return make
 
 
+def _optimised(plant: Plant, table: object = None) -> Optimised:
+    slews = SlewTable.load(SHIPPED if table is None else text("base.table", table))
+    return Optimised(slews, plant.model, plant.torque_limit, plant.period)
+
+
 def _weights(value: object) -> Weights:
     given = mapping("base.weights", value, Weights._fields)
     if len(given) < len(Weights._fields):
@@ -126,6 +133,7 @@ BASES: dict[str, Base] = {
     "lqr": Base(_regulator(LQR), ("model", "true state"), ("weights",)),
     "lqr-tracking": Base(_regulator(TrackingLQR), ("model", "true state"), ("weights",)),
     "lqg": Base(_lqg, ("model",), ("weights", "sensors", "noise", "disturbed", "biased", "fixed")),
+    "optimised": Base(_optimised, ("model", "true state", "its episodes"), ("table",)),
     "adaptive-lqr": Base(_adaptive, ("structure of the model",), ("weights", "sensors", "unknown", "biased")),
     "privileged-lqr": Base(_privileged, ("model", "true state", "true parameters"), ("weights",)),
     "pd-shaped": Base(_shaped_pd, ("model",), ("stiffness", "damping", "shaper", "modes", "places", "duration")),

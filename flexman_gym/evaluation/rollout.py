@@ -11,6 +11,7 @@ from flexman_gym.arrays import Array, IntArray
 from flexman_gym.control.controller import Controller
 from flexman_gym.envs.description import Description
 from flexman_gym.envs.episodes import Episodes
+from flexman_gym.envs.motors import checked_actions
 from flexman_gym.evaluation.entrants import Entrant, find_entrant, parted
 from flexman_gym.metrics import BAND
 
@@ -97,7 +98,10 @@ def rollout(
     recorder.begin()
     episodes.watch = recorder.record
     while not recorder.ends.all():
-        observations, *_ = venv.step(player.act(observations, size).astype(np.float32))
+        # not by a step of `venv`, which would draw an episode anew for each arm whose own has ended
+        acted = player.act(observations, size).astype(np.float32)
+        episodes.step(checked_actions("actions", acted, size, "a number from -1 to 1 for each motor of each arm"))
+        observations = episodes.sight.seen.copy()
     venv.close()
     return recorder.rollout()
 

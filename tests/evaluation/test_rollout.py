@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
+from flexman_gym.control import PD
 from flexman_gym.envs.description import Description
 from flexman_gym.evaluation import FIGURES, Entrant, rollout
 from flexman_gym.metrics import BAND
@@ -50,6 +51,22 @@ def test_an_episode_that_fails_ends_there_and_the_arms_beside_it_go_on():
     assert FIGURES["settling_time"].of(failed) == FIGURES["vibration"].of(failed) == np.inf
     assert np.isnan(together.tips[0, together.lengths[0] + 1 :]).all() and together.tips.shape == (3, 76, 3)
     assert together.actions.shape == (3, 75, 1) and np.isnan(together.rewards[0, together.lengths[0] :]).all()
+
+
+def test_nothing_begins_anew_where_an_episode_has_ended():
+    """The base is told of the episodes of the seeds, and of no others."""
+    told = []
+
+    class Told(PD):
+        def reset(self, arms, episode):
+            told.extend(arms.tolist())
+
+        def act(self, readings, applied=None, playing=None):
+            return np.array([[1.0], [0.0], [0.0]])
+
+    environment = Description("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
+    lengths = rollout(Told([1.0], [0.1], 1.0), environment, SEEDS).lengths
+    assert lengths[0] < 70 and lengths[1:].tolist() == [75, 75] and told == [0, 1, 2]
 
 
 def test_a_failed_episode_is_counted_to_its_last_period():
