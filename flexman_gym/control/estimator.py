@@ -5,11 +5,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags, IntArray, grown, row_dots
-from flexman_gym.control.bases import Plant
 from flexman_gym.control.controller import Episode, Readings
 from flexman_gym.control.innovations import Innovations
 from flexman_gym.control.instruments import make_instruments
 from flexman_gym.control.observer import Estimate
+from flexman_gym.control.plant import Plant
 from flexman_gym.control.prediction import Prediction
 from flexman_gym.control.slopes import Slopes
 from flexman_gym.control.trials import Prior, Sweep, Trials, deviations, solved, step

@@ -6,10 +6,10 @@ import numpy as np
 
 from flexman_gym.arrays import Array, Flags, IntArray, Vector, grown, row_dots
 from flexman_gym.checks import flag, non_negative, refusal, vector
-from flexman_gym.control.bases import Plant
 from flexman_gym.control.controller import Episode, Readings
 from flexman_gym.control.instruments import make_instruments
 from flexman_gym.control.observer import Estimate
+from flexman_gym.control.plant import Plant
 from flexman_gym.control.prediction import Prediction
 from flexman_gym.control.riccati import corrected, predicted, stationary
 from flexman_gym.control.slopes import Slopes

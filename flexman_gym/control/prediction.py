@@ -3,7 +3,7 @@
 import numpy as np
 
 from flexman_gym.arrays import Array, IntArray, grown
-from flexman_gym.control.bases import Plant
+from flexman_gym.control.plant import Plant
 from flexman_gym.control.twins import Twins
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags
-from flexman_gym.control.bases import Plant
+from flexman_gym.control.plant import Plant
 from flexman_gym.control.twins import Twins
 from flexman_gym.kernels.layout import OK
 from flexman_gym.model.linear import coordinate_sizes

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags, row_dots
-from flexman_gym.control.bases import Plant
+from flexman_gym.control.plant import Plant
 from flexman_gym.control.twins import Twins
 from flexman_gym.control.unknowns import Unknowns
 

@@ -3,9 +3,9 @@
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags, IntArray, grown
-from flexman_gym.control.bases import Plant
 from flexman_gym.control.controller import Episode, Readings
 from flexman_gym.control.observer import Estimate
+from flexman_gym.control.plant import Plant
 from flexman_gym.control.prediction import Prediction
 from flexman_gym.simulation.parameters import PARAMETERS
 

@@ -1,6 +1,6 @@
 """Twins: arms that a controller simulates for itself, beside those that it acts on."""
 
-from flexman_gym.control.bases import Plant
+from flexman_gym.control.plant import Plant
 from flexman_gym.simulation.batch import Batch
 
 

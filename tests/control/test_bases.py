@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from flexman_gym.control import BASES, LQR, PD, Shaped, TrackingLQR
-from flexman_gym.control.bases import Plant, make_base
+from flexman_gym.control.bases import make_base
 from flexman_gym.control.discrete import Weights
+from flexman_gym.control.plant import Plant
 from flexman_gym.envs.description import Description
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.setup import build, setup_of

@@ -4,8 +4,8 @@ import numpy as np
 
 from flexman_gym.control.controller import Episode
 from flexman_gym.control.instruments import make_instruments
-from flexman_gym.envs.plant import make_plant
 from flexman_gym.envs.setup import build, setup_of
+from flexman_gym.envs.specification import make_plant
 from flexman_gym.model.statics import rest_states
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.readings import INSTRUMENTS
