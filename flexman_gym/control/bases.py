@@ -92,7 +92,16 @@ def _adaptive(plant: Plant, weights: object = None, **options: Any) -> Controlle
     from flexman_gym.control.feedback import OutputFeedback
     from flexman_gym.control.tracking import Tracking
 
-    return OutputFeedback(Estimator(plant, **options), Tracking(plant, None if weights is None else _weights(weights)))
+    law = Tracking(plant, None if weights is None else _weights(weights))
+    return OutputFeedback(Estimator(plant, **options), law, _safe(plant))
+
+
+def _safe(plant: Plant) -> PD | None:
+    """The PD that was tuned for the arm and its delay, None for an arm for which none was."""
+    try:
+        return _pd(plant)
+    except ValueError:
+        return None
 
 
 def _lqg(plant: Plant, weights: object = None, **options: Any) -> Controller:

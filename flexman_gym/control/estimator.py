@@ -12,7 +12,7 @@ from flexman_gym.control.instruments import make_instruments
 from flexman_gym.control.observer import Estimate
 from flexman_gym.control.prediction import Prediction
 from flexman_gym.control.slopes import Slopes
-from flexman_gym.control.trials import Prior, Sweep, Trials, solved, step
+from flexman_gym.control.trials import Prior, Sweep, Trials, deviations, solved, step
 from flexman_gym.control.unknowns import make_unknowns
 from flexman_gym.model.statics import rest_states
 from flexman_gym.simulation.batch import Batch
@@ -27,6 +27,7 @@ LOST = 100.0  # largest entry of a state of a trial that still says something
 WINDOW = 0.1  # part of the last misfit in its mean
 SPREAD = 0.5  # rad, by which trials may differ before they are drawn together
 CHANGED, QUIET = 1.45, 25  # misfit of an arm that has changed, and periods of a start in which no change is looked for
+WRONG = 20.0  # misfit of an arm that nothing known explains
 BOUND = 10.0  # deviations, up to which an angle at the start is looked for
 
 
@@ -107,7 +108,9 @@ class Estimator:
             for name in (*self._arrays, "_told"):
                 setattr(self, name, grown(getattr(self, name), count))
             self._innovations.grow(count)
-        self._ages[arms], self._told[arms] = 0, episode.start
+        self._ages[arms], self._told[arms], self._pushed[arms] = 0, episode.start, False
+        self.numbers[arms], self._change[arms], self.misfit[arms] = self._prior.mean, 0.0, 1.0
+        self._information[arms] = np.eye(self._trials.size) / self._prior.deviation**2
         self._torques[arms] = 0.0
         self._prediction.reset(arms)
 
@@ -129,17 +132,28 @@ class Estimator:
         self._ages += playing
         return self._predicted(np.flatnonzero(playing))
 
+    @property
+    def wrong(self) -> Flags:
+        """Which arms (b,) nothing known explains, after their change or push has been looked for."""
+        result: Flags = ~(self.misfit < WRONG) & ((self._ages > QUIET) | self._pushed)
+        return result
+
+    @property
+    def estimates(self) -> dict[str, Array]:
+        """Physical parameters by name, (b, ...), their standard deviations by name_deviation, `delay` and `misfit`."""
+        numbers = np.clip(self.numbers + self._change, self._prior.low, self._prior.high)
+        result = self._trials.parameters(numbers)
+        spread = self._trials.unknowns.deviations(deviations(self._information))
+        return result | spread | {"delay": self.delays.astype(float), "misfit": self.misfit}
+
     def _begin(self, arms: IntArray, now: Array) -> None:
         """Begins the fits of arms (r,) with their first readings (r, m)."""
         angles = self._told[arms] if self._encoders is None else now[:, self._encoders]
         self._origin[arms] = rest_states(self._plant.model, angles)
-        self._readings[arms, 0], self.misfit[arms] = now, 1.0
-        self.numbers[arms], self._change[arms] = self._prior.mean, 0.0
+        self._readings[arms, 0] = now
         self.delays[arms] = (sum(self._plant.delay) + 1) // 2
         self._states[arms] = self._trials.starts(self._origin[arms], self.numbers[arms])
         self._steps[arms], self._apart[arms] = self._trials.steps, False
-        self._information[arms] = np.eye(self._trials.size) / self._prior.deviation**2
-        self._pushed[arms] = False
         self._inform(arms)
         if self._plant.push:
             self._pushed[arms] = self._filtered(arms, sudden=False)

@@ -194,14 +194,26 @@ def step(sweep: Sweep, numbers: Array, prior: Prior, damping: Array | float = 0.
 def solved(matrices: Array, vectors: Array) -> Array:
     """Gives x (r, p) of matrices (r, p, p) x = vectors (r, p) in units far apart; 0 where they are not finite."""
     good: Flags = np.logical_and(np.isfinite(matrices).all(axis=(1, 2)), np.isfinite(vectors).all(axis=1))
-    scale = 1.0 / np.sqrt(np.where(good[:, None], np.diagonal(matrices, axis1=1, axis2=2), 1.0))
-    even = np.where(good[:, None, None], matrices * scale[:, :, None] * scale[:, None], 0.0)
-    each = np.arange(matrices.shape[1])
-    even[:, each, each] = 1.0 + ROUNDING
-    result: Array = (
-        scale * np.linalg.solve(even, np.where(good[:, None], vectors, 0.0)[..., None] * scale[..., None])[..., 0]
-    )
+    even, scale = _even(np.where(good[:, None, None], matrices, np.eye(matrices.shape[1])))
+    result: Array = scale * np.linalg.solve(even, (scale * np.where(good[:, None], vectors, 0.0))[..., None])[..., 0]
     return result
+
+
+def deviations(information: Array) -> Array:
+    """Gives the standard deviations (r, p) of numbers of which there is information (r, p, p)."""
+    good: Flags = np.all(np.isfinite(information), axis=(1, 2))
+    even, scale = _even(np.where(good[:, None, None], information, np.eye(information.shape[1])))
+    variances = np.diagonal(np.linalg.inv(even), axis1=1, axis2=2)
+    return np.where(good[:, None], scale * np.sqrt(np.maximum(variances, 0.0)), np.inf)
+
+
+def _even(matrices: Array) -> tuple[Array, Array]:
+    """Matrices (r, p, p) in units that make their diagonals 1, and these units (r, p)."""
+    each = np.arange(matrices.shape[1])
+    scale = 1.0 / np.sqrt(matrices[:, each, each])
+    result = matrices * scale[:, :, None] * scale[:, None]
+    result[:, each, each] = 1.0 + ROUNDING
+    return result, scale
 
 
 def _chosen(flags: Array, one: Array, other: Array) -> Array:
