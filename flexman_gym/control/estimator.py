@@ -12,7 +12,7 @@ from flexman_gym.control.observer import Estimate
 from flexman_gym.control.plant import Plant
 from flexman_gym.control.prediction import Prediction
 from flexman_gym.control.slopes import Slopes
-from flexman_gym.control.trials import Prior, Sweep, Trials, deviations, solved, step
+from flexman_gym.control.trials import Prior, Trials, deviations, solved, step
 from flexman_gym.control.unknowns import make_unknowns
 from flexman_gym.model.statics import rest_states
 from flexman_gym.simulation.batch import Batch
@@ -98,20 +98,20 @@ class Estimator:
         self._information, self._readings = np.zeros((0, p, p)), np.zeros((0, rows, m))
         self._torques = np.zeros((0, late + rows, n))
         self._told, self._prediction = np.zeros((0, n)), Prediction(self._plant)
-        self._steps = np.zeros((0, trials - 1))
+        self._steps, self._informed = np.zeros((0, trials - 1)), np.zeros((0, p + trials - 1))
         self._apart, self._pushed = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
 
     def reset(self, arms: IntArray, episode: Episode) -> None:
         """Starts new episodes of the arms (r,)."""
         count = int(arms.max(initial=-1)) + 1
         if count > len(self._ages):
-            for name in (*self._arrays, "_told"):
+            for name in (*self._arrays, "_told", "_informed"):
                 setattr(self, name, grown(getattr(self, name), count))
             self._innovations.grow(count)
         self._ages[arms], self._told[arms], self._pushed[arms] = 0, episode.start, False
         self.numbers[arms], self._change[arms], self.misfit[arms] = self._prior.mean, 0.0, 1.0
         self._information[arms] = np.eye(self._trials.size) / self._prior.deviation**2
-        self._torques[arms] = 0.0
+        self._torques[arms], self._informed[arms] = 0.0, np.nan
         self._prediction.reset(arms)
 
     def estimate(self, readings: Readings, applied: Array, playing: Flags) -> Estimate:
@@ -154,7 +154,6 @@ class Estimator:
         self.delays[arms] = (sum(self._plant.delay) + 1) // 2
         self._states[arms] = self._trials.starts(self._origin[arms], self.numbers[arms])
         self._steps[arms], self._apart[arms] = self._trials.steps, False
-        self._inform(arms)
         if self._plant.push:
             self._pushed[arms] = self._filtered(arms, sudden=False)
 
@@ -169,16 +168,15 @@ class Estimator:
         self._information[arms] = np.eye(self._trials.size) / self._prior.deviation**2
         self._ages[arms], self.misfit[arms] = 1, 1.0
         self._pushed[arms] = self._filtered(arms, sudden=True)
-        self._inform(arms)
 
     def _filtered(self, arms: IntArray, sudden: bool) -> Flags:
         """Begins to correct the states of arms (r,) by their readings; says for which of them it can."""
         torques = self._prediction.past[arms, self.delays[arms]]
         return self._innovations.begin(arms, self._present(arms), torques, sudden)
 
-    def _inform(self, arms: IntArray) -> None:
-        """Gives the trials of arms (r,) the numbers as they are."""
-        numbers, states, motors = self.numbers[arms], self._states[arms], self._plant.model.motor_columns
+    def _draw_together(self, arms: IntArray) -> None:
+        """Lets trials of arms (r,) that have come too far from the first differ by smaller steps."""
+        states, motors = self._states[arms], self._plant.model.motor_columns
         spread = np.abs(states[:, 1:, motors] - states[:, :1, motors]).max(axis=2) / SPREAD
         far = spread > 1.0
         if far.any():
@@ -186,21 +184,29 @@ class Estimator:
             self._states[arms, 1:] = states[:, :1] + part[..., None] * (states[:, 1:] - states[:, :1])
             self._steps[arms] *= part
             self._apart[arms] |= far.any(axis=1)
-        all_numbers = self._trials.changed(numbers, self._steps[arms]).reshape(-1, numbers.shape[1])
-        self._beside().vary(self._rows(arms).ravel(), **self._trials.parameters(all_numbers))
-        self._prediction.vary(arms, self._trials.parameters(numbers))
+
+    def _inform(self, arms: IntArray) -> None:
+        """Gives the simulated arms beside arms (r,) the numbers as they are, where they have others."""
+        wanted = np.hstack([self.numbers[arms], self._steps[arms]])
+        stale = (wanted != self._informed[arms]).any(axis=1)
+        if stale.any():
+            arms = arms[stale]
+            numbers = self.numbers[arms]
+            all_numbers = self._trials.changed(numbers, self._steps[arms]).reshape(-1, numbers.shape[1])
+            self._beside().vary(self._rows(arms).ravel(), **self._trials.parameters(all_numbers))
+            self._prediction.vary(arms, self._trials.parameters(numbers))
+            self._informed[arms] = wanted[stale]
 
     def _beside(self) -> Batch:
         """The trials of all arms."""
         return self._trials.twins("beside", self._states.shape[0] * self._states.shape[1])
 
-    def _rows(self, arms: IntArray) -> IntArray:
-        """The trials (r, 1 + s) of arms (r,)."""
-        trials = self._states.shape[1]
-        return arms[:, None] * trials + np.arange(trials)
+    def _rows(self, arms: IntArray) -> IntArray:  # (r, 1 + s) of the trials
+        return arms[:, None] * self._states.shape[1] + np.arange(self._states.shape[1])
 
     def _advance(self, arms: IntArray, actions: Array) -> None:
         """Moves the trials of arms (r,) by a period, and keeps what was asked for in it, parts of the limits (r, n)."""
+        self._inform(arms)
         self._prediction.take(arms, actions)
         age, past = self._ages[arms], self._prediction.past
         few = arms[age <= len(self._weights)]
@@ -251,18 +257,20 @@ class Estimator:
         moved = (self.numbers[arms] - before)[:, None, : self._trials.moving]
         self._states[arms] += row_dots(self._trials.slopes(self._states[arms], self._steps[arms]), moved)[:, None]
         self._change[arms] = 0.0
-        self._inform(arms)
+        self._draw_together(arms)
 
     def _replay(self, arms: IntArray, age: int) -> None:
         """Fits the numbers of arms (r,) to all readings since their start."""
         self.numbers[arms] = np.clip(self.numbers[arms] + self._change[arms], self._prior.low, self._prior.high)
         weights = np.broadcast_to(self._weights[: age + 1], (len(arms), age + 1, self._weights.shape[1]))
+        start, read = (self._origin[arms], self.numbers[arms]), self._readings[arms, : age + 1]
         fewest, late = self._plant.delay
         if late > fewest and age <= DELAYS_UNTIL:
-            costs = [self._swept(arms, age, delay, weights).cost for delay in range(fewest, late + 1)]
+            tried = [self._arrived(arms, age, np.full(len(arms), delay)) for delay in range(fewest, late + 1)]
+            costs = [self._trials.sweep(*start, torques, read, weights).cost for torques in tried]
             self.delays[arms] = fewest + np.nan_to_num(np.array(costs), nan=np.inf).argmin(axis=0)
-        data = self._arrived(arms, age, self.delays[arms]), self._readings[arms, : age + 1], weights
-        numbers, sweep = self._trials.fit(self._origin[arms], self.numbers[arms], self._prior, data)
+        data = self._arrived(arms, age, self.delays[arms]), read, weights
+        numbers, sweep = self._trials.fit(*start, self._prior, data)
         well = np.isfinite(sweep.cost) & (np.abs(sweep.states) < LOST).all(axis=(1, 2))
         if not well.all():  # the recursion goes on with them
             self._recur(arms[~well], self._readings[arms[~well], age])
@@ -274,15 +282,7 @@ class Estimator:
         self._change[arms], _ = step(sweep, self.numbers[arms], self._prior)
         self._shift(arms)
 
-    def _swept(self, arms: IntArray, age: int, delay: int, weights: Array) -> Sweep:
-        """A simulation of arms (r,) from their start, with a delay."""
-        torques = self._arrived(arms, age, np.full(len(arms), delay))
-        return self._trials.sweep(
-            self._origin[arms], self.numbers[arms], torques, self._readings[arms, : age + 1], weights
-        )
-
-    def _arrived(self, arms: IntArray, periods: int, delays: IntArray) -> Array:
-        """Torques (r, k, n) that acted on arms (r,) in their first k periods."""
+    def _arrived(self, arms: IntArray, periods: int, delays: IntArray) -> Array:  # (r, k, n) in their first k periods
         return self._torques[arms[:, None], self._plant.delay[1] + np.arange(periods) - delays[:, None]]
 
     def _present(self, arms: IntArray) -> Array:
@@ -296,5 +296,6 @@ class Estimator:
         states = self._states[:, 0].copy()
         states[arms] = self._present(arms)
         numbers = np.clip(self.numbers + self._change, self._prior.low, self._prior.high)
+        self._inform(arms)
         states[arms] = self._prediction(arms, states[arms], self.delays[arms])
         return Estimate(states, self.delays, self._trials.parameters(numbers))
