@@ -11,6 +11,7 @@ from flexman_gym.control.instruments import make_instruments
 from flexman_gym.control.observer import Estimate
 from flexman_gym.control.plant import Plant
 from flexman_gym.control.prediction import Prediction
+from flexman_gym.control.residuals import Residuals
 from flexman_gym.control.slopes import Slopes
 from flexman_gym.control.trials import Prior, Trials, deviations, solved, step
 from flexman_gym.control.unknowns import make_unknowns
@@ -24,10 +25,8 @@ EVERY = 5  # periods after which the trials take over what was estimated
 BIAS = 0.005  # of a range, up to which a biased instrument is off
 HOMED = 1e-4  # rad, deviation of an angle at the start that is told
 LOST = 100.0  # largest entry of a state of a trial that still says something
-WINDOW = 0.1  # part of the last misfit in its mean
 SPREAD = 0.5  # rad, by which trials may differ before they are drawn together
-CHANGED, QUIET = 1.45, 25  # misfit of an arm that has changed, and periods of a start in which no change is looked for
-WRONG = 20.0  # misfit of an arm that nothing known explains
+QUIET = 25  # control periods of a start in which no change is looked for
 BOUND = 10.0  # deviations, up to which an angle at the start is looked for
 
 
@@ -49,17 +48,16 @@ class Estimator:
     Attributes:
         numbers: (b, p) what is estimated: unknowns, angles (rad) of the start against `_origin`, biases.
         delays: (b,) control periods.
-        misfit: (b,) mean square of the last errors of readings, in deviations; 1 where all is as it was assumed.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
     """
 
     _arrays = (
-        "numbers", "delays", "misfit", "_origin", "_states", "_information", "_change", "_ages", "_readings",
+        "numbers", "delays", "_origin", "_states", "_information", "_change", "_ages", "_readings",
         "_torques", "_steps", "_apart", "_pushed",
     )  # fmt: skip
-    kept = (*_arrays, "_innovations", "_prediction")
+    kept = (*_arrays, "_innovations", "_prediction", "_residuals")
 
     def __init__(
         self,
@@ -93,11 +91,12 @@ class Estimator:
         (m, size), p, trials = self._trials.matrix.shape, self._trials.size, 1 + self._trials.moving
         n, late, rows = self._plant.model.n_joints, self._plant.delay[1], len(self._weights)
         self.numbers, self._change = np.zeros((0, p)), np.zeros((0, p))
-        self.misfit, self._origin, self._states = np.zeros(0), np.zeros((0, size)), np.zeros((0, trials, size))
+        self._origin, self._states = np.zeros((0, size)), np.zeros((0, trials, size))
         self.delays, self._ages = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
         self._information, self._readings = np.zeros((0, p, p)), np.zeros((0, rows, m))
         self._torques = np.zeros((0, late + rows, n))
         self._told, self._prediction = np.zeros((0, n)), Prediction(self._plant)
+        self._residuals = Residuals(m)
         self._steps, self._informed = np.zeros((0, trials - 1)), np.zeros((0, p + trials - 1))
         self._apart, self._pushed = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
 
@@ -109,9 +108,10 @@ class Estimator:
                 setattr(self, name, grown(getattr(self, name), count))
             self._innovations.grow(count)
         self._ages[arms], self._told[arms], self._pushed[arms] = 0, episode.start, False
-        self.numbers[arms], self._change[arms], self.misfit[arms] = self._prior.mean, 0.0, 1.0
+        self.numbers[arms], self._change[arms] = self._prior.mean, 0.0
         self._information[arms] = np.eye(self._trials.size) / self._prior.deviation**2
         self._torques[arms], self._informed[arms] = 0.0, np.nan
+        self._residuals.reset(arms)
         self._prediction.reset(arms)
 
     def estimate(self, readings: Readings, applied: Array, playing: Flags) -> Estimate:
@@ -128,23 +128,25 @@ class Estimator:
             for age in np.unique(self._ages[later[again]]).tolist():
                 self._replay(later[again & (self._ages[later] == age)], age)
             self._recur(later[~again], now[later[~again]])
-            self._change_over(later[(self.misfit[later] > CHANGED) & (self._ages[later] > QUIET)])
+            self._change_over(later[self._residuals.changed(later) & (self._ages[later] > QUIET)])
         self._ages += playing
         return self._predicted(np.flatnonzero(playing))
 
     @property
     def wrong(self) -> Flags:
         """Which arms (b,) nothing known explains, after their change or push has been looked for."""
-        result: Flags = ~(self.misfit < WRONG) & ((self._ages > QUIET) | self._pushed)
-        return result
+        return self._residuals.wrong & ((self._ages > QUIET) | self._pushed)
 
     @property
     def estimates(self) -> dict[str, Array]:
         """Physical parameters by name, (b, ...), their standard deviations by name_deviation, `delay` and `misfit`."""
         numbers = np.clip(self.numbers + self._change, self._prior.low, self._prior.high)
-        result = self._trials.parameters(numbers)
         spread = self._trials.unknowns.deviations(deviations(self._information))
-        return result | spread | {"delay": self.delays.astype(float), "misfit": self.misfit}
+        return (
+            self._trials.parameters(numbers)
+            | spread
+            | {"delay": self.delays.astype(float), "misfit": self._residuals.misfit}
+        )
 
     def _begin(self, arms: IntArray, now: Array) -> None:
         """Begins the fits of arms (r,) with their first readings (r, m)."""
@@ -166,7 +168,8 @@ class Estimator:
         self.numbers[arms, known : self._trials.moving], self._change[arms] = 0.0, 0.0
         self._states[arms], self._steps[arms] = states[:, None], self._trials.steps
         self._information[arms] = np.eye(self._trials.size) / self._prior.deviation**2
-        self._ages[arms], self.misfit[arms] = 1, 1.0
+        self._ages[arms] = 1
+        self._residuals.reset(arms)
         self._pushed[arms] = self._filtered(arms, sudden=True)
 
     def _filtered(self, arms: IntArray, sudden: bool) -> Flags:
@@ -219,7 +222,7 @@ class Estimator:
         batch.step(drive, None if moving.all() else moving)
         self._states[arms] = batch.state[rows]
         lost = arms[~(np.abs(self._states[arms]) < LOST).all(axis=(1, 2))]
-        self._states[lost], self.misfit[lost] = self._origin[lost][:, None], np.inf
+        self._states[lost], self._residuals.misfit[lost] = self._origin[lost][:, None], np.inf
 
     def _recur(self, arms: IntArray, now: Array) -> None:
         """Takes the readings (r, m) of arms (r,) into their fits."""
@@ -234,7 +237,7 @@ class Estimator:
         self._information[arms] += weighted @ slopes
         gradient = row_dots(weighted, error[:, None])
         self._change[arms] += solved(self._information[arms], gradient)
-        self.misfit[arms] += WINDOW * ((error**2 * certain).mean(axis=1) - self.misfit[arms])
+        self._residuals.take(arms, error * np.sqrt(certain))
         if pushed.any():
             self._correct(arms[pushed], now[pushed])
         due = arms[self._ages[arms] % EVERY == 0]
@@ -278,7 +281,7 @@ class Estimator:
         self.numbers[arms] = numbers
         self._states[arms], self._steps[arms] = sweep.states, self._trials.steps
         self._information[arms] = sweep.information + np.eye(self._trials.size) / self._prior.deviation**2
-        self.misfit[arms] = sweep.cost / self._weights[: age + 1].size
+        self._residuals.misfit[arms] = sweep.cost / self._weights[: age + 1].size
         self._change[arms], _ = step(sweep, self.numbers[arms], self._prior)
         self._shift(arms)
 
