@@ -140,13 +140,9 @@ class Estimator:
     @property
     def estimates(self) -> dict[str, Array]:
         """Physical parameters by name, (b, ...), their standard deviations by name_deviation, `delay` and `misfit`."""
-        numbers = np.clip(self.numbers + self._change, self._prior.low, self._prior.high)
+        values = self._trials.parameters(self._prior.clip(self.numbers + self._change))
         spread = self._trials.unknowns.deviations(deviations(self._information))
-        return (
-            self._trials.parameters(numbers)
-            | spread
-            | {"delay": self.delays.astype(float), "misfit": self._residuals.misfit}
-        )
+        return values | spread | {"delay": self.delays.astype(float), "misfit": self._residuals.misfit}
 
     def _begin(self, arms: IntArray, now: Array) -> None:
         """Begins the fits of arms (r,) with their first readings (r, m)."""
@@ -164,7 +160,7 @@ class Estimator:
         if not len(arms):
             return
         known, states = len(self.unknowns.names), self._present(arms)
-        self.numbers[arms] = np.clip(self.numbers[arms] + self._change[arms], self._prior.low, self._prior.high)
+        self.numbers[arms] = self._prior.clip(self.numbers[arms] + self._change[arms])
         self.numbers[arms, known : self._trials.moving], self._change[arms] = 0.0, 0.0
         self._states[arms], self._steps[arms] = states[:, None], self._trials.steps
         self._information[arms] = np.eye(self._trials.size) / self._prior.deviation**2
@@ -256,7 +252,7 @@ class Estimator:
     def _shift(self, arms: IntArray) -> None:
         """Lets the trials of arms (r,) take over what was estimated since they last did."""
         before = self.numbers[arms]
-        self.numbers[arms] = np.clip(before + self._change[arms], self._prior.low, self._prior.high)
+        self.numbers[arms] = self._prior.clip(before + self._change[arms])
         moved = (self.numbers[arms] - before)[:, None, : self._trials.moving]
         self._states[arms] += row_dots(self._trials.slopes(self._states[arms], self._steps[arms]), moved)[:, None]
         self._change[arms] = 0.0
@@ -264,7 +260,7 @@ class Estimator:
 
     def _replay(self, arms: IntArray, age: int) -> None:
         """Fits the numbers of arms (r,) to all readings since their start."""
-        self.numbers[arms] = np.clip(self.numbers[arms] + self._change[arms], self._prior.low, self._prior.high)
+        self.numbers[arms] = self._prior.clip(self.numbers[arms] + self._change[arms])
         weights = np.broadcast_to(self._weights[: age + 1], (len(arms), age + 1, self._weights.shape[1]))
         start, read = (self._origin[arms], self.numbers[arms]), self._readings[arms, : age + 1]
         fewest, late = self._plant.delay
@@ -298,7 +294,7 @@ class Estimator:
         """What is known of all arms when torques that the arms (r,) are asked for now begin to act."""
         states = self._states[:, 0].copy()
         states[arms] = self._present(arms)
-        numbers = np.clip(self.numbers + self._change, self._prior.low, self._prior.high)
+        numbers = self._prior.clip(self.numbers + self._change)
         self._inform(arms)
         states[arms] = self._prediction(arms, states[arms], self.delays[arms])
         return Estimate(states, self.delays, self._trials.parameters(numbers))
