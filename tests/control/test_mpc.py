@@ -38,16 +38,13 @@ def test_without_limits_the_first_torque_is_that_of_the_lqr(blocks):
     """Over any horizon, as the cost of its end is that of the LQR; for any torques that were planned before."""
     model, limits, posture = posed()
     linear, random = about(model, posture), np.random.default_rng(0)
-    horizon, d, n = mpc.design(model, posture, limits, WEIGHTS, PERIOD, blocks), model.n_dof, len(limits)
+    horizon, n = mpc.design(model, posture, limits, WEIGHTS, PERIOD, blocks), len(limits)
     transition, inputs = mpc.zero_order_hold(linear, PERIOD)
-    start, planned = 1e-2 * random.normal(size=2 * d), random.normal(size=(len(blocks), n))
-    tip, states = linear.C[:, :d], [start]
+    start, planned = 1e-2 * random.normal(size=2 * model.n_dof), random.normal(size=(len(blocks), n))
+    states = [start]
     for torques in planned:
         states.append(transition @ states[-1] + inputs @ (limits * torques))
-    near = [
-        np.concatenate([tip @ x[:d] / WEIGHTS.tip, tip @ x[d:] / WEIGHTS.tip_speed, x[model.motor_columns] / 0.4])
-        for x in states[1:-1]
-    ]
+    near = [np.concatenate([each / weight for each, weight in parts(linear, model, x)]) for x in states[1:-1]]
     gap = np.concatenate([*near, horizon.ending @ states[-1]])
     slope, free = horizon.slopes @ gap + planned.ravel(), np.full(planned.size, 1e6)
     first = planned[0] + mpc.least(daqp, horizon.curvature, slope, -free, free)[:n]
@@ -65,10 +62,73 @@ def test_near_its_goal_the_controller_is_the_lqr(monkeypatch):
     off[: model.n_dof] = (fm.rest_state(model, posture + np.array([1e-6, -2e-6, 3e-6])) - rest)[: model.n_dof]
     off[model.n_dof + model.motor_columns] = [2e-6, 1e-6, -1e-6]
     state = rest + off
-    action = controller.act({"state": state[None]}, np.zeros((1, 3)), np.array([True]))[0]
     gain = optimal_gain(about(model, posture), model.motor_columns, limits, controller._weights, PERIOD)
     expected = -gain @ off / limits
-    assert np.abs(action - expected).max() < 0.02 * np.abs(expected).max()
+    for planned in (0.0, 1e-5 * np.random.default_rng(2).normal(size=(24, 3))):
+        controller._planned[0], controller._now[0] = planned, 0
+        action = controller.act({"state": state[None]}, np.zeros((1, 3)), np.array([True]))[0]
+        assert np.abs(action - expected).max() < 2e-3 * np.abs(expected).max()
+
+
+def test_changes_of_blocks_cost_the_least():
+    """No change of a block beside them makes the sum of squares of outputs and torques less, period by period."""
+    model, limits, posture = posed()
+    linear, random, blocks = about(model, posture), np.random.default_rng(0), (1, 2, 4)
+    horizon, n = mpc.design(model, posture, limits, WEIGHTS, PERIOD, blocks), len(limits)
+    transition, inputs = mpc.zero_order_hold(linear, PERIOD)
+    start = 1e-2 * random.normal(size=len(transition))
+
+    def outputs(changes):
+        states, torques = [start], np.repeat(changes.reshape(-1, n), blocks, axis=0)
+        for each in torques:
+            states.append(transition @ states[-1] + inputs @ (limits * each))
+        near = [np.concatenate([each / weight for each, weight in parts(linear, model, x)]) for x in states[1:-1]]
+        return np.concatenate([*near, horizon.ending @ states[-1], torques.ravel()])
+
+    nothing, free = np.zeros(n * len(blocks)), np.full(n * len(blocks), 1e6)
+    slope = horizon.slopes @ outputs(nothing)[: horizon.slopes.shape[1]]
+    best = mpc.least(daqp, horizon.curvature, slope, -free, free)
+    across = np.array([outputs(best + one) - outputs(best) for one in np.eye(len(best))])
+    assert np.abs(across @ outputs(best)).max() < 1e-8 * np.abs(across @ outputs(nothing)).max()
+
+
+def parts(linear, model, state):
+    """Tip, its speed and motors of a state, each with its weight."""
+    tip, d = linear.C[:, : model.n_dof], model.n_dof
+    motors = state[model.motor_columns]
+    return (tip @ state[:d], WEIGHTS.tip), (tip @ state[d:], WEIGHTS.tip_speed), (motors, WEIGHTS.motor)
+
+
+def test_on_a_slew_that_the_arm_can_follow_nothing_is_changed():
+    """A slew that the simulator has made, within the limits; the torques of each period are applied in it."""
+    model, limits, posture = posed()
+    controller, random = mpc.MPC(model, limits, PERIOD), np.random.default_rng(3)
+    controller.reset(ONLY, Episode(posture[None], posture[None] + 0.05, PERIOD))
+    torques = fm.holding_torques(model, posture) / limits + 0.05 * random.uniform(-1.0, 1.0, (90, 2))
+    drives, batch = np.zeros((1, 90, 8)), controller._arms(1)
+    drives[0, :, :2] = torques * limits
+    batch.reset(ONLY, fm.rest_state(model, posture)[None])
+    first = batch.outputs.copy()
+    states, outputs = (each[0] for each in batch.roll(drives))
+    states, outputs = np.vstack([fm.rest_state(model, posture), states]), np.vstack([first, outputs])
+    controller._plans[0] = controller._plans[0]._replace(states=states, outputs=outputs, torques=torques)
+    controller._planned[0] = torques[: sum(mpc.BLOCKS)]
+    for period in range(90 - sum(mpc.BLOCKS)):
+        action = controller.act({"state": states[period][None]}, np.zeros((1, 2)), np.array([True]))[0]
+        assert action == pytest.approx(torques[period], abs=1e-9)
+
+
+def test_between_two_postures_slopes_are_between_theirs():
+    model, limits, posture = posed("FlexOne-v0")
+    controller = mpc.MPC(model, limits, PERIOD)
+    controller.reset(ONLY, Episode(posture[None], posture[None] + 1.0, PERIOD))
+    plan = controller._plans[0]
+    each = plan.horizons._replace(slopes=plan.horizons.slopes * np.arange(5.0)[:, None, None])
+    for come, place in ((-0.1, 0.0), (0.3, 1.2), (1.0, 4.0), (1.2, 4.0)):
+        result = controller._between(plan._replace(horizons=each), model.at_rest((posture + come)[None])[0])
+        lower = min(int(place), 3)
+        expected = each.slopes[lower] + (place - lower) * (each.slopes[lower + 1] - each.slopes[lower])
+        assert result.slopes == pytest.approx(expected, abs=1e-9 * np.abs(expected).max() + 1e-12)
 
 
 def test_changes_stay_within_their_bounds_and_cost_the_least():
