@@ -118,6 +118,16 @@ def test_on_a_slew_that_the_arm_can_follow_nothing_is_changed():
         assert action == pytest.approx(torques[period], abs=1e-9)
 
 
+def test_planned_torques_change_by_little_in_a_period():
+    """Of an arm far from where its plan would have it, to either side."""
+    model, limits, posture = posed("FlexOne-v0")
+    goals = np.array([posture + 1.5, posture - 1.5])
+    controller = mpc.MPC(model, limits, PERIOD)
+    controller.reset(np.arange(2), Episode(goals, goals, PERIOD))
+    actions = controller.act({"state": model.at_rest(np.array([posture, posture]))}, goals, np.ones(2, dtype=bool))
+    assert actions == pytest.approx(np.array([[mpc.TRUST], [-mpc.TRUST]]))
+
+
 def test_between_two_postures_slopes_are_between_theirs():
     model, limits, posture = posed("FlexOne-v0")
     controller = mpc.MPC(model, limits, PERIOD)
