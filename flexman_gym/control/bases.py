@@ -54,6 +54,12 @@ def _regulator(kind: type[LQR]) -> Callable[..., LQR]:
     return make
 
 
+def _mpc(plant: Plant) -> Controller:
+    from flexman_gym.control.mpc import MPC
+
+    return MPC(plant.model, plant.torque_limit, plant.period, plant.moved)
+
+
 def _optimised(plant: Plant, table: object = None) -> Optimised:
     slews = SlewTable.load(SHIPPED if table is None else text("base.table", table))
     return Optimised(slews, plant.model, plant.torque_limit, plant.period)
@@ -95,6 +101,7 @@ BASES: dict[str, Base] = {
     "lqr": Base(_regulator(LQR), ("model", "true state"), ("weights",)),
     "lqr-tracking": Base(_regulator(TrackingLQR), ("model", "true state"), ("weights",)),
     "lqg": Base(_lqg, ("model",), ("weights", "sensors", "noise", "disturbed", "biased", "fixed")),
+    "mpc": Base(_mpc, ("model", "true state"), ()),
     "optimised": Base(_optimised, ("model", "true state", "its episodes"), ("table",)),
     "adaptive-lqr": Base(_adaptive, ("structure of the model",), ("weights", "sensors", "unknown", "biased")),
     "privileged-lqr": Base(_privileged, ("model", "true state", "true parameters"), ("weights",)),
