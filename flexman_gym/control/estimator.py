@@ -57,7 +57,7 @@ class Estimator:
         "numbers", "delays", "misfit", "_origin", "_states", "_information", "_change", "_ages", "_readings",
         "_torques", "_past", "_steps", "_apart", "_pushed",
     )  # fmt: skip
-    kept = (*_arrays, "_innovations")
+    kept = (*_arrays, "_innovations", "_beside", "_ahead")
 
     def __init__(
         self,
@@ -154,7 +154,7 @@ class Estimator:
         self.numbers[arms, known : self._trials.moving], self._change[arms] = 0.0, 0.0
         self._states[arms], self._steps[arms] = states[:, None], self._trials.steps
         self._information[arms] = np.eye(self._trials.size) / self._prior.deviation**2
-        self._ages[arms], self.misfit[arms] = 1, 1.0
+        self._ages[arms], self.misfit[arms], self._apart[arms] = 1, 1.0, True  # no start to which a replay goes back
         self._pushed[arms] = self._filtered(arms, sudden=True)
         self._inform(arms)
 
@@ -202,7 +202,7 @@ class Estimator:
         self._beside.step(drive, None if moving.all() else moving)
         self._states[arms] = self._beside.state[rows]
         lost = arms[~(np.abs(self._states[arms]) < LOST).all(axis=(1, 2))]
-        self._states[lost], self.misfit[lost] = self._origin[lost][:, None], np.inf
+        self._states[lost], self.misfit[lost] = self._origin[lost][:, None], LOST
 
     def _recur(self, arms: IntArray, now: Array) -> None:
         """Takes the readings (r, m) of arms (r,) into their fits."""

@@ -261,7 +261,7 @@ def test_a_base_by_name_is_the_controller_itself():
         ({"base": PD}, "base: <class 'flexman_gym.control.pd.PD'> is not allowed; give None, one of pd, lqr, lqr-trac"),
         (
             {"base": 3},
-            "base: 3 is not allowed; give None, one of pd, lqr, lqr-tracking, pd-shaped, or a Controller: ",
+            "base: 3 is not allowed; give None, one of pd, lqr, lqr-tracking, adaptive-lqr, privileged-lqr, ",
         ),
         ({"base": "pd", "arm": fm.catalog.one_joint()}, "gains: None is not allowed; give those of this arm"),
         ({"base": Recorder(sensors=("nose",))}, "sensors: 'nose' is not allowed; give one of full, fine, servo, state"),
