@@ -164,7 +164,7 @@ class Estimator:
         self.numbers[arms, known : self._trials.moving], self._change[arms] = 0.0, 0.0
         self._states[arms], self._steps[arms] = states[:, None], self._trials.steps
         self._information[arms] = np.eye(self._trials.size) / self._prior.deviation**2
-        self._ages[arms] = 1
+        self._ages[arms], self._apart[arms] = 1, True  # there is no start to which a replay goes back
         self._residuals.reset(arms)
         self._pushed[arms] = self._filtered(arms, sudden=True)
 
@@ -218,7 +218,7 @@ class Estimator:
         batch.step(drive, None if moving.all() else moving)
         self._states[arms] = batch.state[rows]
         lost = arms[~(np.abs(self._states[arms]) < LOST).all(axis=(1, 2))]
-        self._states[lost], self._residuals.misfit[lost] = self._origin[lost][:, None], np.inf
+        self._states[lost], self._residuals.misfit[lost] = self._origin[lost][:, None], LOST
 
     def _recur(self, arms: IntArray, now: Array) -> None:
         """Takes the readings (r, m) of arms (r,) into their fits."""

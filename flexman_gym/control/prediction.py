@@ -20,13 +20,14 @@ class Prediction:
     kept = ("past",)
 
     def __init__(self, plant: Plant) -> None:
-        self._twins, self._limits = Twins(plant), np.array(plant.torque_limit)
-        self.past = np.zeros((0, plant.delay[1] + 1, len(self._limits)))
+        self._twins, self._usual = Twins(plant), np.array(plant.torque_limit)
+        self.past, self._limits = np.zeros((0, plant.delay[1] + 1, len(self._usual))), np.zeros((0, len(self._usual)))
 
-    def reset(self, arms: IntArray) -> None:
-        """Starts new episodes of the arms (r,)."""
-        self.past = grown(self.past, int(arms.max(initial=-1)) + 1)
-        self.past[arms] = 0.0
+    def reset(self, arms: IntArray, limits: Array | None = None) -> None:
+        """Starts new episodes of the arms (r,), whose torque limits (r, n) N m may be other than those of the plant."""
+        count = int(arms.max(initial=-1)) + 1
+        self.past, self._limits = grown(self.past, count), grown(self._limits, count)
+        self.past[arms], self._limits[arms] = 0.0, self._usual if limits is None else limits
 
     def vary(self, arms: IntArray, parameters: dict[str, Array]) -> None:
         """Takes physical parameters, name -> (r, ...), of the arms (r,)."""
@@ -36,7 +37,7 @@ class Prediction:
     def take(self, arms: IntArray, actions: Array) -> None:
         """Takes what the motors of arms (r,) were asked for in the last period, parts of the limits (r, n)."""
         self.past[arms, 1:] = self.past[arms, :-1]
-        self.past[arms, 0] = actions * self._limits
+        self.past[arms, 0] = actions * self._limits[arms]
 
     def __call__(self, arms: IntArray, states: Array, delays: IntArray, beside: Array | float = 0.0) -> Array:
         """Gives the states (r, 2 d) of arms (r,) after delays (r,) in control periods.
@@ -47,11 +48,11 @@ class Prediction:
         if not longest:
             return states
         batch = self._twins("prediction", len(self.past))
-        drive, moving = np.zeros((len(self.past), len(self._limits) + 6)), np.zeros(len(self.past), dtype=bool)
+        drive, moving = np.zeros((len(self.past), len(self._usual) + 6)), np.zeros(len(self.past), dtype=bool)
         batch.place(arms, states)
         for period in range(longest):
             lag = delays - 1 - period
             moving[arms] = lag >= 0
-            drive[arms, : len(self._limits)] = self.past[arms, np.maximum(lag, 0)] + beside
+            drive[arms, : len(self._usual)] = self.past[arms, np.maximum(lag, 0)] + beside
             batch.step(drive, moving)
         return batch.state[arms]

@@ -49,8 +49,9 @@ class Slews:
 
     _rows = (
         "start", "way", "shift", "coefficients", "begun", "lasting", "_coordinates", "_torques", "_soft", "_friction",
+        "_own_coordinates", "_own_torques",
     )  # fmt: skip
-    kept = (*_rows, "_now")
+    kept = _rows
 
     def __init__(self, model: Model, limits: Array, share: float, payloads: Sequence[float]) -> None:
         self.model, self._limits, self._share = model, limits, share
@@ -61,7 +62,8 @@ class Slews:
         n, d, p = model.n_joints, model.n_dof, len(payloads)
         self.start, self.way, self.shift = np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, n))
         self._coordinates, self._torques = np.zeros((0, p, 11, 3, d)), np.zeros((0, p, 11, 3, n))
-        self._now = Tables(np.zeros((0, 11, 3, d)), np.zeros((0, 11, 3, n)))  # for the payloads as they are estimated
+        # for the payloads as they are estimated
+        self._own_coordinates, self._own_torques = np.zeros((0, 11, 3, d)), np.zeros((0, 11, 3, n))
         self.coefficients, self.begun, self.lasting = np.zeros((0, 6)), np.zeros(0), np.zeros(0)
         self._soft, self._friction = np.zeros((0, d)), np.zeros((0, 2, n))
         self._flexible = model.constants.motor >= 0
@@ -70,7 +72,6 @@ class Slews:
         """Makes room for so many arms."""
         for name in self._rows:
             setattr(self, name, grown(getattr(self, name), count))
-        self._now = Tables(*(grown(each, count) for each in self._now))
 
     def begin(self, arms: IntArray, start: Array, goal: Array) -> None:
         """Takes paths of the arms (r,) from start to goal, motor angles (r, n) rad; `adapt` and `time` them next."""
@@ -105,8 +106,8 @@ class Slews:
         if not len(arms):
             return
         weights = payload_weights(self._payloads, parameters, arms)
-        for now, every in zip(self._now, (self._coordinates, self._torques), strict=True):
-            now[arms] = (weights[:, :, None, None, None] * every[arms]).sum(axis=1)
+        for own, every in ((self._own_coordinates, self._coordinates), (self._own_torques, self._torques)):
+            own[arms] = (weights[:, :, None, None, None] * every[arms]).sum(axis=1)
         self._soft[arms] = softness(self.model, parameters, arms)
         self._friction[arms] = friction(self.model, parameters, arms)
         if self.model.constants.gravity.any():
@@ -119,7 +120,7 @@ class Slews:
             goal = self.start[arm] + self.way[arm]
             wanted = rest_state(model, goal)[:d]
             for _ in range(AIMED):
-                sagging = self._soft[arm] * self._now.coordinates[arm, -1, REST]
+                sagging = self._soft[arm] * self._own_coordinates[arm, -1, REST]
                 place = model.at_rest((goal + self.shift[arm])[None])[0, :d] + sagging
                 self.shift[arm] += self._give_way.turn(wanted, place)
 
@@ -136,7 +137,7 @@ class Slews:
         place, speed, change = (np.zeros((3, len(arms))) if first else np.array(self.at(now, arms)))[:, :, None]
         tried = quintic(place, speed, change, DURATIONS.astype(float))
         places, speeds, changes = values_at(tried[:, :, None], DURATIONS[:, None] * PARTS)
-        torques = self._mixed(self._now.torques, arms, places, changes, speeds)
+        torques = self._mixed(self._own_torques, arms, places, changes, speeds)
         rates = speeds[..., None] * self.way[arms][:, None, None]
         torques += friction_torques(self.model, self._friction[arms][:, None, None], rates)
         shares = (np.abs(torques) / self._limits).max(axis=(2, 3))
@@ -160,7 +161,10 @@ class Slews:
     def at(self, now: Array, arms: IntArray) -> tuple[Array, Array, Array]:
         """Gives places, speeds (1/s) and second derivatives (1/s^2) of the arms (r,) at times (r,) s."""
         passed = now - self.begun[arms]
-        place, speed, change = values_at(self.coefficients[arms], np.clip(passed, 0.0, self.lasting[arms]))
+        earliest = np.where(
+            self.coefficients[arms, 1] != 0.0, -AHEAD, 0.0
+        )  # one that was timed on its way moved before
+        place, speed, change = values_at(self.coefficients[arms], np.clip(passed, earliest, self.lasting[arms]))
         over = passed >= self.lasting[arms]
         return np.where(over, 1.0, place), np.where(over, 0.0, speed), np.where(over, 0.0, change)
 
@@ -171,7 +175,7 @@ class Slews:
 
     def _coordinates_at(self, now: Array, arms: IntArray) -> Array:
         place, speed, change = self.at(now, arms)
-        result = self._soft[arms] * self._mixed(self._now.coordinates, arms, place, change, speed)
+        result = self._soft[arms] * self._mixed(self._own_coordinates, arms, place, change, speed)
         angles = self.start[arms] + place[:, None] * (self.way[arms] + self.shift[arms])
         result[:, self.model.motor_columns] += angles
         result[:, np.flatnonzero(self._flexible)] += angles[:, self._flexible]
@@ -181,7 +185,7 @@ class Slews:
         """Gives the torques (r, n) N m of the arms (r,) at times (r,) s."""
         place, speed, change = self.at(now, arms)
         rubbing = friction_torques(self.model, self._friction[arms], speed[:, None] * self.way[arms])
-        return self._mixed(self._now.torques, arms, place, change, speed) + rubbing
+        return self._mixed(self._own_torques, arms, place, change, speed) + rubbing
 
 
 def payload_weights(nodes: Array, parameters: Mapping[str, Array], arms: IntArray) -> Array:

@@ -28,7 +28,7 @@ class Tracking:
         weights: of the cost; None takes those of `LQR`.
     """
 
-    kept = ("_slews", "_ages", "_tight", "_goal")
+    kept = ("_slews", "_following", "_ages", "_tight", "_goal")
 
     def __init__(self, plant: Plant, weights: Weights | None = None) -> None:
         model, reach = plant.model, float(plant.model.constants.length.sum())
@@ -42,19 +42,19 @@ class Tracking:
         self._gains = [GainTable(model, self.limits, plant.period, each, self._payloads) for each in (weights, tight)]
         self._motors = model.motor_columns
         self._ages, self._tight = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
-        self._goal, self._paths = np.zeros((0, model.n_joints)), dict[int, Array]()  # of the arms whose goals move
+        self._goal, self._follows = np.zeros((0, model.n_joints)), np.zeros(0, dtype=bool)  # whether goals move
 
     def reset(self, arms: IntArray, episode: Episode) -> None:
         """Starts new episodes of the arms (r,); they are planned from the first estimate of where they are."""
         count = int(arms.max(initial=-1)) + 1
-        self._ages, self._tight, self._goal = (grown(each, count) for each in (self._ages, self._tight, self._goal))
+        for name in ("_ages", "_tight", "_goal", "_follows"):
+            setattr(self, name, grown(getattr(self, name), count))
         self._slews.grow(count)
-        self._ages[arms], self._goal[arms] = 0, episode.goal
+        self._ages[arms], self._goal[arms], self._follows[arms] = 0, episode.goal, episode.reference is not None
         self._tight[arms] = (episode.start == episode.goal).all(axis=1) & (episode.reference is None)
-        for row, arm in enumerate(arms.tolist()):
-            self._paths.pop(arm, None)
-            if episode.reference is not None:
-                self._paths[arm] = episode.reference[row]
+        if episode.reference is not None:
+            for arm, path in zip(arms.tolist(), episode.reference, strict=True):
+                self._following.begin(arm, path)
         for table in self._gains:
             table.save()
 
@@ -81,7 +81,7 @@ class Tracking:
 
     def _reference(self, now: Array, arms: IntArray) -> tuple[Array, Array]:
         """States (r, 2 d) of the references of arms (r,) at times (r,) s, and torques (r, n) in the period after."""
-        moving = np.array([arm in self._paths for arm in arms.tolist()])
+        moving = self._follows[arms]
         if moving.all():
             return self._following.at(now, arms)
         states, torques = self._slews.states(now, arms), self._slews.torques(now + 0.5 * self._period, arms)
@@ -91,13 +91,9 @@ class Tracking:
 
     def _plan(self, arms: IntArray, estimate: Estimate, now: Array) -> None:
         """Plans for arms (r,) that begin, and looks at the parameters of the others now and then."""
-        follows = np.array([arm in self._paths for arm in arms.tolist()])
-        due = (self._ages[arms] > 0) & (self._ages[arms] % ADAPTED == 0)
-        for arm in arms[follows & (self._ages[arms] == 0)].tolist():
-            self._following.begin(arm, self._paths[arm], estimate.parameters)
-        if estimate.parameters:
-            self._following.adapt(arms[follows & due], estimate.parameters)
-        arms, due = arms[~follows], due[~follows]
+        due, follows = self._ages[arms] % ADAPTED == 0, self._follows[arms]
+        self._following.adapt(arms[follows & due], estimate.parameters)
+        arms, due = arms[~follows], due[~follows] & (self._ages[arms[~follows]] > 0)
         first = arms[self._ages[arms] == 0]
         if len(first):
             start = np.where(self._tight[first, None], self._goal[first], estimate.states[first][:, self._motors])

@@ -26,7 +26,7 @@ class Truth:
 
     def reset(self, arms: IntArray, episode: Episode) -> None:
         """Takes parameters and delays of new episodes of the arms (r,)."""
-        self._prediction.reset(arms)
+        self._prediction.reset(arms, episode.drawn.get("torque_limit"))
         count = len(self._prediction.past)
         drawn = {name: values.astype(float) for name, values in episode.drawn.items() if name in PARAMETERS}
         for name, values in drawn.items():

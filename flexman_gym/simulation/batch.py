@@ -115,6 +115,7 @@ class Batch:
         self.rows[arms, :-2], self.rows[arms, -2:] = states, 0.0
         self.status[arms] = layout.OK
         self._known = False
+        self._mover.forget(arms)
 
     def step(self, drive: Array, moving: Flags | None = None) -> None:
         """Moves all arms that have not failed by one control period, during which their drive is constant.

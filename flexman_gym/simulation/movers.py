@@ -1,10 +1,11 @@
 """Movers: the arms of a batch moved one by one by any method, or several abreast by linearly implicit methods.
 
-A mover has six methods. `vary(arms, constants)` gives arms (r,) constants (r, ...) of their own, which
-`constants(arm)` tells. `observe(arms, rows, outputs)` reads the outputs off the rows of some arms. `move(drives,
-periods, rows, outputs, status)` moves the arms whose status is OK by one control period, `periods` (b,) after their
-start, and sets the status of arms that fail. `roll` does so through several, and keeps a trail: rows and outputs after
-each. `sense(drives, rows, out)` finds the tip accelerations (b, TIP_ACCELERATIONS) of all arms.
+A mover has seven methods. `vary(arms, constants)` gives arms (r,) constants (r, ...) of their own, which
+`constants(arm)` tells. `observe(arms, rows, outputs)` reads the outputs off the rows of some arms, and forgets what
+their method remembers from step to step, as `forget(arms)` does alone. `move(drives, periods, rows, outputs, status)`
+moves the arms whose status is OK by one control period, `periods` (b,) after their start, and sets the status of arms
+that fail. `roll` does so through several, and keeps a trail: rows and outputs after each. `sense(drives, rows, out)`
+finds the tip accelerations (b, TIP_ACCELERATIONS) of all arms.
 """
 
 import os
@@ -97,6 +98,9 @@ class Abreast:
         self._observed[arms] = layout.OK
         drives = np.zeros((len(rows), len(self._constants[0].mass) + 6))
         self._advance(drives, self._still, rows, outputs, self._observed)
+
+    def forget(self, arms: IntArray) -> None:
+        """Does nothing: these methods remember nothing from step to step."""
 
     def move(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
         """Moves the arms whose status is OK."""

@@ -51,6 +51,11 @@ class OneByOne:
         for arm in arms:
             self._runs[arm].start(rows[arm], rows[arm].copy(), outputs[arm])
 
+    def forget(self, arms: IntArray) -> None:
+        """Forgets what methods remember from step to step of some arms."""
+        for arm in arms:
+            self._runs[arm].forget()
+
     def move(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
         """Moves the arms whose status is OK."""
         row, result = np.zeros((1, rows.shape[1])), np.zeros((1, layout.OUTPUTS))

@@ -164,9 +164,13 @@ class Run:
             self._lanes = self.constants, (addresses(self.constants, SEQUENCES), *self._lanes[1][1:])
         return arms.run_sequences(self.constants, self.work, self._lanes[1], *rest)
 
+    def forget(self) -> None:
+        """Forgets what the method remembers from step to step."""
+        self.work.pace[0] = self.work.stages[:] = 0.0
+
     def start(self, state: Array, row: Array, result: Array) -> None:
         """Records the state as it is, by a run of no steps, which also loads or compiles the kernels."""
-        self.work.pace[0] = self.work.stages[:] = 0.0
+        self.forget()
         self(self._at_rest, (0.0, 0.0, 0), state, row[None], result[None])
 
     def _by_scipy(self, drive: Array, clock: Clock, state: Array, rows: Array, result: Array) -> tuple[int, int, int]:

@@ -6,10 +6,11 @@ import pytest
 from flexman_gym.control import BASES, LQR, PD, Shaped, TrackingLQR
 from flexman_gym.control.bases import make_base
 from flexman_gym.control.discrete import Weights
-from flexman_gym.control.plant import Plant
+from flexman_gym.control.feedback import OutputFeedback
 from flexman_gym.envs.description import Description
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.setup import build, setup_of
+from flexman_gym.envs.specification import make_plant
 from flexman_gym.evaluation import evaluate, rollout
 
 from oracles.refusals import refusal
@@ -21,10 +22,13 @@ WEIGHTS = {"tip": 0.1, "tip_speed": 0.5, "motor": 0.2}
 
 def plant(name="FlexOne-v0"):
     setup = setup_of({"name": name})
-    return Plant(build(setup).model, setup.torque_limit, setup.control_period, lambda: GAINS)
+    return make_plant(setup, build(setup).model)._replace(gains=lambda: GAINS)
 
 
-KINDS = {"pd": PD, "lqr": LQR, "lqr-tracking": TrackingLQR, "pd-shaped": Shaped}
+KINDS = {
+    "pd": PD, "lqr": LQR, "lqr-tracking": TrackingLQR, "pd-shaped": Shaped,
+    "adaptive-lqr": OutputFeedback, "privileged-lqr": OutputFeedback,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "kind"), KINDS.items())
