@@ -5,7 +5,7 @@ import numpy as np
 from flexman_gym.arrays import Array, Flags, IntArray, grown
 
 FAST, SLOW = 0.1, 0.02  # parts of the last errors in their means
-SURPRISING, DRIFTED = 1.45, 5.5  # mean square of errors; mean errors in the deviations that noise alone gives them
+SURPRISING, DRIFTED = 1.45, 5.5  # mean square above 1, in deviations of that of a period; mean, in deviations of its own
 WRONG = 20.0  # mean square that nothing explains
 
 
@@ -41,7 +41,8 @@ class Residuals:
     def changed(self, arms: IntArray) -> Flags:
         """Says which of the arms (r,) have errors that noise does not explain."""
         drift = np.abs(self._mean[arms]).max(axis=1) / np.sqrt(SLOW / (2.0 - SLOW))
-        result: Flags = (self.misfit[arms] > SURPRISING) | (drift > DRIFTED)
+        square = (self.misfit[arms] - 1.0) / np.sqrt(2.0 / self._mean.shape[1])
+        result: Flags = (square > SURPRISING) | (drift > DRIFTED)
         return result
 
     @property
