@@ -5,7 +5,7 @@ import numpy as np
 from flexman_gym.arrays import Array, Flags, IntArray, grown
 
 FAST, SLOW = 0.1, 0.02  # parts of the last errors in their means
-SURPRISING, DRIFTED = 1.45, 5.5  # mean square above 1, in deviations of that of a period; mean, in deviations of its own
+SURPRISING, DRIFTED = 1.45, 5.5  # mean square above 1, in deviations that a period has; mean, in deviations of its own
 WRONG = 20.0  # mean square that nothing explains
 
 
