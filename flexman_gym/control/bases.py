@@ -47,9 +47,9 @@ def _shaped_pd(plant: Plant, **given: Any) -> Shaped:
 
 
 def _regulator(kind: type[LQR]) -> Callable[..., LQR]:
-    def make(plant: Plant, weights: object = None) -> LQR:
+    def make(plant: Plant, weights: object = None, **options: Any) -> LQR:
         chosen = None if weights is None else _weights(weights)
-        return kind(plant.model, plant.torque_limit, plant.period, chosen)
+        return kind(plant.model, plant.torque_limit, plant.period, chosen, **options)
 
     return make
 
@@ -99,7 +99,7 @@ def _tracking(plant: Plant, weights: object) -> Tracking:
 BASES: dict[str, Base] = {
     "pd": Base(_pd, (), ("stiffness", "damping")),
     "lqr": Base(_regulator(LQR), ("model", "true state"), ("weights",)),
-    "lqr-tracking": Base(_regulator(TrackingLQR), ("model", "true state"), ("weights",)),
+    "lqr-tracking": Base(_regulator(TrackingLQR), ("model", "true state"), ("weights", "law")),
     "lqg": Base(_lqg, ("model",), ("weights", "sensors", "noise", "disturbed", "biased", "fixed")),
     "mpc": Base(_mpc, ("model", "true state"), ()),
     "optimised": Base(_optimised, ("model", "true state", "its episodes"), ("table",)),

@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array, Flags, IntArray, Vector, grown, row_dots
-from flexman_gym.checks import positive
+from flexman_gym.checks import one_of, positive
 from flexman_gym.control.controller import Episode, Readings
 from flexman_gym.control.discrete import Weights, optimal_gain
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.control.reference import plan_path, plan_slew
+from flexman_gym.control.timing import LAWS
 from flexman_gym.model.linear import linearize
 from flexman_gym.model.model import Model, checked_model
 from flexman_gym.model.statics import holding_torques, rest_state
@@ -96,18 +97,27 @@ class GainSchedule(NamedTuple):
 
 
 class TrackingLQR(LQR):
-    """LQR about a minimum-jerk slew within the torque limits, with feed-forward and gains scheduled along the way.
+    """LQR about a slew within the torque limits, with feed-forward and gains scheduled along the way.
 
     An arm that starts at its goal is held there more tightly. Of a task whose goal moves it follows the path of the
-    goal instead. Arguments and errors are those of `LQR`.
+    goal instead. Other arguments and errors are those of `LQR`.
+
+    Args:
+        law: of the slew, "minimum-jerk", "trapezoid" or "double-s".
     """
 
     kept = ("_now",)
 
     def __init__(
-        self, model: Model, torque_limit: float | Vector, period: float, weights: Weights | None = None
+        self,
+        model: Model,
+        torque_limit: float | Vector,
+        period: float,
+        weights: Weights | None = None,
+        law: str = "minimum-jerk",
     ) -> None:
         super().__init__(model, torque_limit, period, weights)
+        self.law = one_of("law", law, LAWS)
         self._plans: list[GainSchedule] = []
         self._now = np.zeros(0, dtype=np.int64)
 
@@ -121,7 +131,7 @@ class TrackingLQR(LQR):
             if np.array_equal(first, last):
                 self._keep(int(arm), self._holding(last))
                 continue
-            slew = plan_slew(self.model, first, last, self.limits, SHARE, self.period)
+            slew = plan_slew(self.model, first, last, self.limits, SHARE, self.period, self.law)
             gains = np.array([self.gain(first + way * (last - first)) for way in np.linspace(0.0, 1.0, GAINS)])
             moved = slew.states[:, motors] - slew.states[0, motors]
             way = row_dots(moved, moved[-1]) / max(moved[-1] @ moved[-1], 1e-12)

@@ -1,21 +1,24 @@
-"""Reference: a minimum-jerk slew of the motors, how the arm bends on it, and the torques that it takes."""
+"""Reference: a motion of the motors that takes what torque there is, how the arm bends on it, and its torques."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import refusal
+from flexman_gym.checks import one_of, refusal
+from flexman_gym.control.timing import LAWS
 from flexman_gym.kernels import outputs
 from flexman_gym.kernels.layout import OUTPUTS, TIP, TIP_VELOCITY, make_work
 from flexman_gym.model.instant import inertial_forces, stiffness_matrix
 from flexman_gym.model.model import Model
-from flexman_gym.model.statics import rest_state
+from flexman_gym.model.statics import rest_state, rest_states
 
 PASSES = 3  # of bending under the inertia of the bent arm
 SINGULAR = 0.05  # part of the largest slope of the tip; joints do not give way into directions with less
 EVERY, RESTING = 4, 6  # control periods between two places of a path that are solved for; such places before its start
-SAMPLES, LONGEST, BISECTIONS = 21, 60.0, 30
+SAMPLES, LONGEST = 21, 60.0  # places whose torques time a motion; s
+HAIR = 1e-9  # of a duration, before accelerations jump
 
 
 class Reference(NamedTuple):
@@ -26,16 +29,6 @@ class Reference(NamedTuple):
 
     states: Array
     torques: Array
-
-
-def minimum_jerk(parts: Array) -> tuple[Array, Array, Array]:
-    """Gives position, speed and acceleration of the minimum-jerk motion from 0 to 1 at parts (T,) of its duration.
-
-    Flash and Hogan, Journal of Neuroscience 5 (1985), 1688.
-    """
-    s = np.clip(parts, 0.0, 1.0)
-    position = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
-    return position, 30.0 * s**2 * (1.0 - s) ** 2, 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
 
 
 class Bending:
@@ -76,32 +69,77 @@ class Bending:
         return x, links + rotors
 
 
-class Path:
-    """The slew of a model from one posture of its motors to another, (n,) rad each, for any duration.
+class Path(NamedTuple):
+    """A way of the links' sides of the joints of a model from rest to rest, for any duration.
 
-    The links' sides of the joints follow the minimum-jerk motion between the two places of rest.
+    Attributes:
+        bending: of the model.
+        ends: (2, d) coordinates at rest before and after.
+        motion: gives angles (k, n) rad, and their first and second derivatives, by parts (k,) of the duration.
+        parts: of the duration at which torques are compared with their limits.
     """
 
-    def __init__(self, model: Model, start: Array, goal: Array) -> None:
-        n = model.n_joints
-        first, last = (rest_state(model, posture)[: model.n_dof] for posture in (start, goal))
-        self._start, self._way, self._bending = first, last[:n] - first[:n], Bending(model)
+    bending: Bending
+    ends: Array
+    motion: Callable[[Array], tuple[Array, Array, Array]]
+    parts: Array
 
-    def at(self, part: float, duration: float) -> tuple[Array, Array]:
-        """Gives the bent coordinates (d,) and the motor torques (n,) N m at a part of a duration (s)."""
-        position, speed, acceleration = (float(each) for each in minimum_jerk(np.array(part)))
-        angles = self._start[: len(self._way)] + position * self._way
-        motion = angles, speed / duration * self._way, acceleration / duration**2 * self._way
-        return self._bending.at(self._start, motion)
-
-    def peak(self, duration: float, limits: Array) -> float:
-        """Gives the largest torque of a slew as a part of the limits (n,) N m."""
-        torques = [self.at(part, duration)[1] for part in np.linspace(0.0, 1.0, SAMPLES)]
-        return float(np.abs(np.array(torques) / limits).max())
+    def at(self, parts: Array, duration: float) -> tuple[Array, Array]:
+        """Gives the bent coordinates (k, d) and the motor torques (k, n) N m at parts (k,) of a duration (s)."""
+        angles, rates, changes = self.motion(parts)
+        motions = zip(angles, rates / duration, changes / duration**2, strict=True)
+        places, torques = zip(*(self.bending.at(self.ends[0], each) for each in motions), strict=True)
+        return np.array(places), np.array(torques)
 
 
-def plan_slew(model: Model, start: Array, goal: Array, limits: Array, share: float, period: float) -> Reference:
-    """Plans the quickest minimum-jerk slew whose torques stay within a share of the limits.
+def slew_path(model: Model, start: Array, goal: Array, law: str = "minimum-jerk") -> Path:
+    """Gives the straight path between postures of the motors (n,) rad, by a law of `timing.LAWS`."""
+    ends, timing = rest_states(model, np.array([start, goal]))[:, : model.n_dof], LAWS[law]
+    first, last = ends[:, : model.n_joints]
+
+    def motion(parts: Array) -> tuple[Array, Array, Array]:
+        place, speed, acceleration = (each[:, None] for each in timing.at(parts))
+        return first + place * (last - first), speed * (last - first), acceleration * (last - first)
+
+    jumps = timing.begins[1:]
+    return Path(Bending(model), ends, motion, _looked_at(jumps - HAIR, jumps))
+
+
+def via_path(model: Model, postures: Array, count: int) -> Path:
+    """Gives the path through postures (m, n) rad of the motors, each at the end of one of `count` control periods.
+
+    It is a cubic spline with two knots more, so that it starts and ends without acceleration (Biagiotti and Melchiorri,
+    Trajectory planning for automatic machines and robots, 2008, section 4.4.4). Times between postures go with the
+    square roots of their distances (Lee, Computer-Aided Design 21, 1989, 363).
+    """
+    from scipy.interpolate import make_interp_spline
+
+    rests, order = rest_states(model, postures)[:, : model.n_dof], np.arange(len(postures))
+    angles, still = rests[:, : model.n_joints], np.zeros(model.n_joints)
+    apart = np.sqrt(np.linalg.norm(np.diff(angles, axis=0), axis=1))
+    rows = np.rint(count * np.append(0.0, np.cumsum(apart)) / apart.sum())
+    rows = np.minimum(np.maximum.accumulate(rows - order) + order, count - order[::-1])  # a period apart at least
+    times = rows / count
+    more = (2.0 * times[0] + times[1]) / 3.0, (times[-2] + 2.0 * times[-1]) / 3.0
+    knots = np.concatenate([np.zeros(4), more[:1], times[1:-1], more[1:], np.ones(4)])
+    rest = [(1, still), (2, still)]
+    spline = make_interp_spline(times, angles, k=3, t=knots, bc_type=(rest, rest))
+
+    def motion(parts: Array) -> tuple[Array, Array, Array]:
+        return spline(parts), spline(parts, 1), spline(parts, 2)
+
+    return Path(Bending(model), rests[[0, -1]], motion, _looked_at(knots[4:-4]))
+
+
+def _looked_at(*places: Array) -> Array:
+    """Parts of a duration all along it, and others where accelerations may be largest."""
+    return np.sort(np.concatenate([np.linspace(0.0, 1.0, SAMPLES), *places]))
+
+
+def plan_slew(
+    model: Model, start: Array, goal: Array, limits: Array, share: float, period: float, law: str = "minimum-jerk"
+) -> Reference:
+    """Plans the quickest slew of a law whose torques stay within a share of the limits.
 
     Args:
         model: of the arm.
@@ -109,26 +147,71 @@ def plan_slew(model: Model, start: Array, goal: Array, limits: Array, share: flo
         limits: (n,) N m.
         share: of the limits, that the slew may take; feedback has the rest.
         period: s.
+        law: a name of `timing.LAWS`.
 
     Raises:
-        ValueError: for a goal whose weight alone takes more than that.
+        ValueError: for a goal whose weight alone takes more than that, and another law.
     """
-    path = Path(model, start, goal)
-    low, high = period, LONGEST
-    if path.peak(high, limits) > share:
+    path = slew_path(model, start, goal, one_of("law", law, LAWS))
+    slew = _quickest(lambda count: path, share * limits, period, 1)
+    if slew is None:
         raise refusal("goal", goal.tolist(), f"a posture that {share:.0%} of the torque limits can hold")
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if path.peak(middle, limits) <= share else (middle, high)
-    count = max(1, int(np.ceil(high / period)))
-    duration, d = count * period, model.n_dof
-    places = np.array([path.at(part, duration)[0] for part in np.linspace(0.0, 1.0, count + 1)])
-    places[0], places[-1] = rest_state(model, start)[:d], rest_state(model, goal)[:d]
+    return slew
+
+
+def plan_via(model: Model, postures: Array, limits: Array, share: float, period: float) -> Reference:
+    """Plans the quickest motion through postures, see `via_path`, whose torques stay within a share of the limits.
+
+    Args:
+        model: of the arm.
+        postures: (m, n) rad, motor angles; it rests at the first and the last.
+        limits: (n,) N m.
+        share: of the limits, that the motion may take; feedback has the rest.
+        period: s.
+
+    Raises:
+        ValueError: for fewer than two postures, one that is that before, and one whose weight alone takes too much.
+    """
+    if len(postures) < 2 or not np.diff(postures, axis=0).any(axis=1).all():
+        raise refusal("postures", postures.tolist(), "two at least, each another than that before")
+    motion = _quickest(lambda count: via_path(model, postures, count), share * limits, period, len(postures) - 1)
+    if motion is None:
+        raise refusal("postures", postures.tolist(), f"postures that {share:.0%} of the torque limits can hold")
+    return motion
+
+
+def _quickest(paths: Callable[[int], Path], bounds: Array, period: float, fewest: int) -> Reference | None:
+    """The path in the fewest control periods in which torques stay within bounds (n,) N m, None where none does.
+
+    Torques are those at rest and what inertia asks, which goes with 1 / T^2: both at one T tell the shortest. Bending
+    changes that a little, so that it is told anew there.
+    """
+    count, short = max(fewest, int(LONGEST / period)), fewest - 1
+    most, path = count, paths(count)
+    rest = path.at(path.parts, np.inf)[1]
+    if (np.abs(rest) >= bounds).any():
+        return None
+    while True:
+        asked = path.at(path.parts, count * period)[1] - rest
+        needed = np.ceil(count * np.sqrt((np.abs(asked) / (bounds - np.sign(asked) * rest)).max()))
+        if not needed <= count:  # nor is no number, of an arm that bends too far
+            if count == most:
+                return None
+            short, count = count, int(min(np.fmax(needed, count + 1), most))
+        elif needed == count or count == short + 1:
+            return _reference(path, count, period)
+        else:
+            count = int(max(needed, short + 1))
+        path = paths(count)
+
+
+def _reference(path: Path, count: int, period: float) -> Reference:
+    """A path in so many control periods."""
+    places, _ = path.at(np.linspace(0.0, 1.0, count + 1), count * period)
+    places[[0, -1]] = path.ends
     speeds = np.gradient(places, period, axis=0) if count > 1 else np.zeros_like(places)
-    speeds[0] = speeds[-1] = 0.0
-    middles = (np.arange(count) + 0.5) / count
-    torques = np.array([path.at(part, duration)[1] for part in middles])
-    return Reference(np.hstack([places, speeds]), torques)
+    speeds[[0, -1]] = 0.0
+    return Reference(np.hstack([places, speeds]), path.at((np.arange(count) + 0.5) / count, count * period)[1])
 
 
 def plan_path(model: Model, postures: Array, period: float) -> Reference:

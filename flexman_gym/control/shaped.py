@@ -11,8 +11,8 @@ from flexman_gym.checks import non_negative, refusal, sequence, vector, whole_nu
 from flexman_gym.control.controller import Controller, Episode, Readings, checked_controller
 from flexman_gym.control.lqr import LQR
 from flexman_gym.control.modes import ringing_modes
-from flexman_gym.control.reference import minimum_jerk
 from flexman_gym.control.shaper import TOLERANCE, Shaper, both, design, sampled
+from flexman_gym.control.timing import minimum_jerk
 from flexman_gym.model.model import Model, checked_model
 from flexman_gym.model.statics import rest_states, rest_tips
 

@@ -8,7 +8,8 @@ import flexman_gym as fm
 from flexman_gym.control import LQR, Controller, Episode, TrackingLQR
 from flexman_gym.control.discrete import Weights, zero_order_hold
 from flexman_gym.control.lqr import SHARE
-from flexman_gym.control.reference import minimum_jerk, plan_path, plan_slew
+from flexman_gym.control.reference import plan_path, plan_slew
+from flexman_gym.control.timing import LAWS, minimum_jerk
 from flexman_gym.envs.catalog import NAMED
 from flexman_gym.envs.sensors import SENSORS
 from flexman_gym.envs.setup import build, setup_of
@@ -204,9 +205,20 @@ def test_weights_are_parts_of_the_reach():
     )
 
 
+@pytest.mark.parametrize("law", LAWS)
+def test_a_slew_has_the_law_that_is_asked_for(law):
+    plain = designed(TrackingLQR)
+    controller = TrackingLQR(plain.model, plain.limits, PERIOD, law=law)
+    starts, goals = postures(controller, 1)
+    controller.reset(np.array([0]), Episode(starts, goals, PERIOD))
+    slew = plan_slew(controller.model, starts[0], goals[0], controller.limits, SHARE, PERIOD, law)
+    assert np.array_equal(controller._plans[0].states, slew.states) and (plain.law == law) == (law == "minimum-jerk")
+
+
 def test_bad_arguments_are_refused_in_one_line():
     model = build(setup_of({"name": "FlexOne-v0"})).model
     assert refusal(LQR, "arm", 1.0, 0.02) == "model: 'arm' is not allowed; give a Model, from build_model"
     assert refusal(LQR, model, -1.0, 0.02).startswith("torque_limit: -1.0 is not allowed; give a finite number > 0")
     assert refusal(TrackingLQR, model, (1.0, 2.0), 0.02).startswith("torque_limit: (1.0, 2.0) is not allowed; give 1")
+    assert refusal(TrackingLQR, model, 1.0, 0.02, None, "s").startswith("law: 's' is not allowed; give one of minimum-")
     assert refusal(LQR, model, 1.0, 0).startswith("period: 0 is not allowed; give a finite number > 0 (s)")

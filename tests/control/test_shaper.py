@@ -6,8 +6,8 @@ from scipy.linalg import expm
 
 import flexman_gym as fm
 from flexman_gym.control.modes import ringing_modes
-from flexman_gym.control.reference import minimum_jerk
 from flexman_gym.control.shaper import SHAPERS, Shaper, both, design, residual, sampled
+from flexman_gym.control.timing import minimum_jerk
 
 from oracles.refusals import refusal
 
