@@ -2,50 +2,22 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
-from flexman_gym.arrays import Array, Vector
 from flexman_gym.checks import mapping, one_of, positive, refusal, text
 from flexman_gym.control.controller import Controller
 from flexman_gym.control.discrete import Weights
+from flexman_gym.control.estimator import Estimator
+from flexman_gym.control.feedback import OutputFeedback
+from flexman_gym.control.kalman import KalmanFilter
 from flexman_gym.control.lqr import LQR, TrackingLQR
 from flexman_gym.control.optimised import Optimised
 from flexman_gym.control.pd import PD
+from flexman_gym.control.plant import Plant
 from flexman_gym.control.shaped import Shaped
 from flexman_gym.control.slew_table import SHIPPED, SlewTable
-from flexman_gym.model.model import Model
-from flexman_gym.simulation.families import Method
-from flexman_gym.simulation.methods import DEFAULT
-
-Gains = Mapping[str, Vector]
-
-
-class Plant(NamedTuple):
-    """What a base is made for.
-
-    Attributes:
-        model: of the arm, as the base knows it.
-        torque_limit: (n,) N m.
-        period: of control, s.
-        gains: makes "stiffness" (N m/rad) and "damping" (N m s/rad) that were tuned for the arm, (n,) each.
-        unknown: name -> (low, high) of the physical parameters that differ from arm to arm, see
-            `simulation.parameters.PARAMETERS`; parts of the nominal value where the table there says factor.
-        delay: fewest and most whole control periods by which torques come late.
-        moved: method and step (s) by which the arm is simulated.
-        push: N, how large forces on the tip may be that nobody tells.
-        measured: gives, name -> (2, size), the range of each quantity that instruments measure and the standard
-            deviation of their noise, in its unit.
-    """
-
-    model: Model
-    torque_limit: tuple[float, ...]
-    period: float
-    gains: Callable[[], Gains]
-    unknown: Mapping[str, tuple[float, float]] = {}
-    delay: tuple[int, int] = (0, 0)
-    moved: tuple[str | Method, float | str] = (DEFAULT, "auto")
-    push: float = 0.0
-    measured: Callable[[], Mapping[str, Array]] = dict
+from flexman_gym.control.tracking import Tracking
+from flexman_gym.control.truth import Truth
 
 
 @dataclass(frozen=True)
@@ -100,20 +72,28 @@ def _weights(value: object) -> Weights:
     return Weights(**{name: positive(f"base.weights.{name}", each) for name, each in given.items()})
 
 
-def _adaptive(plant: Plant, weights: object = None, **options: Any) -> Controller:
-    from flexman_gym.control.estimator import Estimator
-    from flexman_gym.control.feedback import OutputFeedback
-    from flexman_gym.control.tracking import Tracking
-
-    return OutputFeedback(Estimator(plant, **options), Tracking(plant, None if weights is None else _weights(weights)))
+def _adaptive(plant: Plant, weights: object = None, **options: Any) -> OutputFeedback:
+    return OutputFeedback(Estimator(plant, **options), _tracking(plant, weights), _safe(plant))
 
 
-def _privileged(plant: Plant, weights: object = None) -> Controller:
-    from flexman_gym.control.feedback import OutputFeedback
-    from flexman_gym.control.tracking import Tracking
-    from flexman_gym.control.truth import Truth
+def _safe(plant: Plant) -> PD | None:
+    """The PD that was tuned for the arm and its delay, None for an arm for which none was."""
+    try:
+        return _pd(plant)
+    except ValueError:
+        return None
 
-    return OutputFeedback(Truth(plant), Tracking(plant, None if weights is None else _weights(weights)))
+
+def _lqg(plant: Plant, weights: object = None, **options: Any) -> OutputFeedback:
+    return OutputFeedback(KalmanFilter(plant, **options), _tracking(plant, weights))
+
+
+def _privileged(plant: Plant, weights: object = None) -> OutputFeedback:
+    return OutputFeedback(Truth(plant), _tracking(plant, weights))
+
+
+def _tracking(plant: Plant, weights: object) -> Tracking:
+    return Tracking(plant, None if weights is None else _weights(weights))
 
 
 BASES: dict[str, Base] = {
@@ -121,6 +101,7 @@ BASES: dict[str, Base] = {
     "lqr": Base(_regulator(LQR), ("model", "true state"), ("weights",)),
     "lqr-tracking": Base(_regulator(TrackingLQR), ("model", "true state"), ("weights",)),
     "mpc": Base(_mpc, ("model", "true state"), ()),
+    "lqg": Base(_lqg, ("model",), ("weights", "sensors", "noise", "disturbed", "biased", "fixed")),
     "optimised": Base(_optimised, ("model", "true state", "its episodes"), ("table",)),
     "adaptive-lqr": Base(_adaptive, ("structure of the model",), ("weights", "sensors", "unknown", "biased")),
     "privileged-lqr": Base(_privileged, ("model", "true state", "true parameters"), ("weights",)),

@@ -12,7 +12,7 @@ from flexman_gym.arrays import Array, Flags, IntArray
 from flexman_gym.checks import check_members, refusal
 
 Readings = Mapping[str, NDArray[Any]]
-OPTIONAL = ("kept",)  # members that a controller may leave out
+OPTIONAL = ("kept", "estimates")  # members that a controller may leave out
 CALLS = {"reset": ("arms", "episode"), "act": ("readings", "applied", "playing")}
 
 
@@ -49,8 +49,9 @@ class Controller(Protocol):
     arm must not depend on the other arms, to the last bit. Products therefore go row by row (`arrays.row_dots`,
     elementwise): products of BLAS have other last digits for other numbers of arms.
 
-    An optional member is `kept`, () by default: names of attributes, arrays or numbers, that it remembers of an episode
-    beside what `reset` gives it; states of environments then hold them.
+    Optional members are `kept`, () by default: names of attributes, arrays or numbers, that it remembers of an episode
+    beside what `reset` gives it; states of environments then hold them. And `estimates`, {} by default: what it says of
+    the arms, name -> (b, ...), which goes to `info`.
 
     Attributes:
         sensors: names of the sensors that it reads.

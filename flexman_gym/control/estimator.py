@@ -5,13 +5,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags, IntArray, grown, row_dots
-from flexman_gym.control.bases import Plant
 from flexman_gym.control.controller import Episode, Readings
 from flexman_gym.control.innovations import Innovations
 from flexman_gym.control.instruments import make_instruments
 from flexman_gym.control.observer import Estimate
+from flexman_gym.control.plant import Plant
+from flexman_gym.control.prediction import Prediction
+from flexman_gym.control.residuals import Residuals
 from flexman_gym.control.slopes import Slopes
-from flexman_gym.control.trials import Prior, Sweep, Trials, solved, step
+from flexman_gym.control.trials import Prior, Trials, deviations, solved, step
 from flexman_gym.control.unknowns import make_unknowns
 from flexman_gym.model.statics import rest_states
 from flexman_gym.simulation.batch import Batch
@@ -23,9 +25,8 @@ EVERY = 5  # periods after which the trials take over what was estimated
 BIAS = 0.005  # of a range, up to which a biased instrument is off
 HOMED = 1e-4  # rad, deviation of an angle at the start that is told
 LOST = 100.0  # largest entry of a state of a trial that still says something
-WINDOW = 0.1  # part of the last misfit in its mean
 SPREAD = 0.5  # rad, by which trials may differ before they are drawn together
-CHANGED, QUIET = 1.45, 25  # misfit of an arm that has changed, and periods of a start in which no change is looked for
+QUIET = 25  # control periods of a start in which no change is looked for
 BOUND = 10.0  # deviations, up to which an angle at the start is looked for
 
 
@@ -47,17 +48,16 @@ class Estimator:
     Attributes:
         numbers: (b, p) what is estimated: unknowns, angles (rad) of the start against `_origin`, biases.
         delays: (b,) control periods.
-        misfit: (b,) mean square of the last errors of readings, in deviations; 1 where all is as it was assumed.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
     """
 
     _arrays = (
-        "numbers", "delays", "misfit", "_origin", "_states", "_information", "_change", "_ages", "_readings",
-        "_torques", "_past", "_steps", "_apart", "_pushed",
+        "numbers", "delays", "_origin", "_states", "_information", "_change", "_ages", "_readings",
+        "_torques", "_steps", "_apart", "_pushed",
     )  # fmt: skip
-    kept = (*_arrays, "_innovations")
+    kept = (*_arrays, "_innovations", "_prediction", "_residuals")
 
     def __init__(
         self,
@@ -70,7 +70,7 @@ class Estimator:
         model, n = plant.model, plant.model.n_joints
         read = self._instruments = make_instruments(plant, self.sensors)
         unknowns = self.unknowns = make_unknowns(model, plant.unknown if unknown is None else unknown)
-        trials = self._trials = Trials(model, (*plant.moved, plant.period), unknowns, read.matrix, biased)
+        trials = self._trials = Trials(plant, unknowns, read.matrix, biased)
         self._innovations = Innovations(Slopes(plant), read, plant.push)
         self._encoders = None if biased else read.places["motor_angles"]
         starts = np.full(n, HOMED) if self._encoders is None else read.deviations[self._encoders]
@@ -91,26 +91,28 @@ class Estimator:
         (m, size), p, trials = self._trials.matrix.shape, self._trials.size, 1 + self._trials.moving
         n, late, rows = self._plant.model.n_joints, self._plant.delay[1], len(self._weights)
         self.numbers, self._change = np.zeros((0, p)), np.zeros((0, p))
-        self.misfit, self._origin, self._states = np.zeros(0), np.zeros((0, size)), np.zeros((0, trials, size))
+        self._origin, self._states = np.zeros((0, size)), np.zeros((0, trials, size))
         self.delays, self._ages = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
         self._information, self._readings = np.zeros((0, p, p)), np.zeros((0, rows, m))
-        self._torques, self._past = np.zeros((0, late + rows, n)), np.zeros((0, late + 1, n))
-        self._told, self._limits = np.zeros((0, n)), np.array(self._plant.torque_limit)
-        self._steps = np.zeros((0, trials - 1))
+        self._torques = np.zeros((0, late + rows, n))
+        self._told, self._prediction = np.zeros((0, n)), Prediction(self._plant)
+        self._residuals = Residuals(m)
+        self._steps, self._informed = np.zeros((0, trials - 1)), np.zeros((0, p + trials - 1))
         self._apart, self._pushed = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
-        self._beside: Batch | None = None
-        self._ahead: Batch | None = None
 
     def reset(self, arms: IntArray, episode: Episode) -> None:
         """Starts new episodes of the arms (r,)."""
         count = int(arms.max(initial=-1)) + 1
         if count > len(self._ages):
-            for name in (*self._arrays, "_told"):
+            for name in (*self._arrays, "_told", "_informed"):
                 setattr(self, name, grown(getattr(self, name), count))
             self._innovations.grow(count)
-            self._beside, self._ahead = self._trials.batch(count * self._states.shape[1]), self._trials.batch(count)
-        self._ages[arms], self._told[arms] = 0, episode.start
-        self._torques[arms] = self._past[arms] = 0.0
+        self._ages[arms], self._told[arms], self._pushed[arms] = 0, episode.start, False
+        self.numbers[arms], self._change[arms] = self._prior.mean, 0.0
+        self._information[arms] = np.eye(self._trials.size) / self._prior.deviation**2
+        self._torques[arms], self._informed[arms] = 0.0, np.nan
+        self._residuals.reset(arms)
+        self._prediction.reset(arms)
 
     def estimate(self, readings: Readings, applied: Array, playing: Flags) -> Estimate:
         """Gives what is known now; see `Observer`."""
@@ -119,29 +121,37 @@ class Estimator:
         if len(fresh):
             self._begin(fresh, now[fresh])
         if len(later):
-            self._advance(later, applied[later] * self._limits)
+            self._advance(later, applied[later])
             kept = later[self._ages[later] < len(self._weights)]
             self._readings[kept, self._ages[kept]] = now[kept]
             again = np.isin(self._ages[later], REPLAYS) & ~self._apart[later] & ~self._pushed[later]
             for age in np.unique(self._ages[later[again]]).tolist():
                 self._replay(later[again & (self._ages[later] == age)], age)
             self._recur(later[~again], now[later[~again]])
-            self._change_over(later[(self.misfit[later] > CHANGED) & (self._ages[later] > QUIET)])
+            self._change_over(later[self._residuals.changed(later) & (self._ages[later] > QUIET)])
         self._ages += playing
         return self._predicted(np.flatnonzero(playing))
+
+    @property
+    def wrong(self) -> Flags:
+        """Which arms (b,) nothing known explains, after their change or push has been looked for."""
+        return self._residuals.wrong & ((self._ages > QUIET) | self._pushed)
+
+    @property
+    def estimates(self) -> dict[str, Array]:
+        """Physical parameters by name, (b, ...), their standard deviations by name_deviation, `delay` and `misfit`."""
+        values = self._trials.parameters(self._prior.clip(self.numbers + self._change))
+        spread = self._trials.unknowns.deviations(deviations(self._information))
+        return values | spread | {"delay": self.delays.astype(float), "misfit": self._residuals.misfit}
 
     def _begin(self, arms: IntArray, now: Array) -> None:
         """Begins the fits of arms (r,) with their first readings (r, m)."""
         angles = self._told[arms] if self._encoders is None else now[:, self._encoders]
         self._origin[arms] = rest_states(self._plant.model, angles)
-        self._readings[arms, 0], self.misfit[arms] = now, 1.0
-        self.numbers[arms], self._change[arms] = self._prior.mean, 0.0
+        self._readings[arms, 0] = now
         self.delays[arms] = (sum(self._plant.delay) + 1) // 2
         self._states[arms] = self._trials.starts(self._origin[arms], self.numbers[arms])
         self._steps[arms], self._apart[arms] = self._trials.steps, False
-        self._information[arms] = np.eye(self._trials.size) / self._prior.deviation**2
-        self._pushed[arms] = False
-        self._inform(arms)
         if self._plant.push:
             self._pushed[arms] = self._filtered(arms, sudden=False)
 
@@ -150,22 +160,22 @@ class Estimator:
         if not len(arms):
             return
         known, states = len(self.unknowns.names), self._present(arms)
-        self.numbers[arms] = np.clip(self.numbers[arms] + self._change[arms], self._prior.low, self._prior.high)
+        self.numbers[arms] = self._prior.clip(self.numbers[arms] + self._change[arms])
         self.numbers[arms, known : self._trials.moving], self._change[arms] = 0.0, 0.0
         self._states[arms], self._steps[arms] = states[:, None], self._trials.steps
         self._information[arms] = np.eye(self._trials.size) / self._prior.deviation**2
-        self._ages[arms], self.misfit[arms] = 1, 1.0
+        self._ages[arms] = 1
+        self._residuals.reset(arms)
         self._pushed[arms] = self._filtered(arms, sudden=True)
-        self._inform(arms)
 
     def _filtered(self, arms: IntArray, sudden: bool) -> Flags:
         """Begins to correct the states of arms (r,) by their readings; says for which of them it can."""
-        torques = self._past[arms, self.delays[arms]]
+        torques = self._prediction.past[arms, self.delays[arms]]
         return self._innovations.begin(arms, self._present(arms), torques, sudden)
 
-    def _inform(self, arms: IntArray) -> None:
-        """Gives the trials of arms (r,) the numbers as they are."""
-        numbers, states, motors = self.numbers[arms], self._states[arms], self._plant.model.motor_columns
+    def _draw_together(self, arms: IntArray) -> None:
+        """Lets trials of arms (r,) that have come too far from the first differ by smaller steps."""
+        states, motors = self._states[arms], self._plant.model.motor_columns
         spread = np.abs(states[:, 1:, motors] - states[:, :1, motors]).max(axis=2) / SPREAD
         far = spread > 1.0
         if far.any():
@@ -173,36 +183,42 @@ class Estimator:
             self._states[arms, 1:] = states[:, :1] + part[..., None] * (states[:, 1:] - states[:, :1])
             self._steps[arms] *= part
             self._apart[arms] |= far.any(axis=1)
-        assert self._beside is not None and self._ahead is not None
-        all_numbers = self._trials.changed(numbers, self._steps[arms]).reshape(-1, numbers.shape[1])
-        self._beside.vary(self._rows(arms).ravel(), **self._trials.parameters(all_numbers))
-        self._ahead.vary(arms, **self._trials.parameters(numbers))
 
-    def _rows(self, arms: IntArray) -> IntArray:
-        """The trials (r, 1 + s) of arms (r,)."""
-        trials = self._states.shape[1]
-        return arms[:, None] * trials + np.arange(trials)
+    def _inform(self, arms: IntArray) -> None:
+        """Gives the simulated arms beside arms (r,) the numbers as they are, where they have others."""
+        wanted = np.hstack([self.numbers[arms], self._steps[arms]])
+        stale = (wanted != self._informed[arms]).any(axis=1)
+        if stale.any():
+            arms = arms[stale]
+            numbers = self.numbers[arms]
+            all_numbers = self._trials.changed(numbers, self._steps[arms]).reshape(-1, numbers.shape[1])
+            self._beside().vary(self._rows(arms).ravel(), **self._trials.parameters(all_numbers))
+            self._prediction.vary(arms, self._trials.parameters(numbers))
+            self._informed[arms] = wanted[stale]
 
-    def _advance(self, arms: IntArray, torques: Array) -> None:
-        """Moves the trials of arms (r,) by a period, and keeps the torques (r, n) that were asked for in it."""
-        age, late = self._ages[arms], self._plant.delay[1]
-        self._past[arms, 1:] = self._past[arms, :-1]
-        self._past[arms, 0] = torques
-        few = age <= len(self._weights)
-        self._torques[arms[few], late + age[few] - 1] = torques[few]
-        assert self._beside is not None
-        rows = self._rows(arms)
-        drive, moving = (
-            np.zeros((len(self._beside.rows), len(self._limits) + 6)),
-            np.zeros(len(self._beside.rows), bool),
-        )
-        drive[rows, : len(self._limits)] = self._past[arms, self.delays[arms]][:, None]
+    def _beside(self) -> Batch:
+        """The trials of all arms."""
+        return self._trials.twins("beside", self._states.shape[0] * self._states.shape[1])
+
+    def _rows(self, arms: IntArray) -> IntArray:  # (r, 1 + s) of the trials
+        return arms[:, None] * self._states.shape[1] + np.arange(self._states.shape[1])
+
+    def _advance(self, arms: IntArray, actions: Array) -> None:
+        """Moves the trials of arms (r,) by a period, and keeps what was asked for in it, parts of the limits (r, n)."""
+        self._inform(arms)
+        self._prediction.take(arms, actions)
+        age, past = self._ages[arms], self._prediction.past
+        few = arms[age <= len(self._weights)]
+        self._torques[few, self._plant.delay[1] + self._ages[few] - 1] = past[few, 0]
+        batch, rows, n = self._beside(), self._rows(arms), past.shape[2]
+        drive, moving = np.zeros((len(batch.rows), n + 6)), np.zeros(len(batch.rows), dtype=bool)
+        drive[rows, :n] = past[arms, self.delays[arms]][:, None]
         moving[rows] = True
-        self._beside.place(rows.ravel(), self._states[arms].reshape(rows.size, -1))
-        self._beside.step(drive, None if moving.all() else moving)
-        self._states[arms] = self._beside.state[rows]
+        batch.place(rows.ravel(), self._states[arms].reshape(rows.size, -1))
+        batch.step(drive, None if moving.all() else moving)
+        self._states[arms] = batch.state[rows]
         lost = arms[~(np.abs(self._states[arms]) < LOST).all(axis=(1, 2))]
-        self._states[lost], self.misfit[lost] = self._origin[lost][:, None], np.inf
+        self._states[lost], self._residuals.misfit[lost] = self._origin[lost][:, None], np.inf
 
     def _recur(self, arms: IntArray, now: Array) -> None:
         """Takes the readings (r, m) of arms (r,) into their fits."""
@@ -217,7 +233,7 @@ class Estimator:
         self._information[arms] += weighted @ slopes
         gradient = row_dots(weighted, error[:, None])
         self._change[arms] += solved(self._information[arms], gradient)
-        self.misfit[arms] += WINDOW * ((error**2 * certain).mean(axis=1) - self.misfit[arms])
+        self._residuals.take(arms, error * np.sqrt(certain))
         if pushed.any():
             self._correct(arms[pushed], now[pushed])
         due = arms[self._ages[arms] % EVERY == 0]
@@ -230,28 +246,30 @@ class Estimator:
         error = now[:, None] - self._trials.read(
             states.reshape(-1, states.shape[2]), numbers.reshape(-1, numbers.shape[2])
         ).reshape(*states.shape[:2], -1)
-        gain = self._innovations.gains(arms, states[:, 0], self._past[arms, self.delays[arms]])
+        gain = self._innovations.gains(arms, states[:, 0], self._prediction.past[arms, self.delays[arms]])
         self._states[arms] = states + row_dots(gain[:, None], error[:, :, None])
 
     def _shift(self, arms: IntArray) -> None:
         """Lets the trials of arms (r,) take over what was estimated since they last did."""
         before = self.numbers[arms]
-        self.numbers[arms] = np.clip(before + self._change[arms], self._prior.low, self._prior.high)
+        self.numbers[arms] = self._prior.clip(before + self._change[arms])
         moved = (self.numbers[arms] - before)[:, None, : self._trials.moving]
         self._states[arms] += row_dots(self._trials.slopes(self._states[arms], self._steps[arms]), moved)[:, None]
         self._change[arms] = 0.0
-        self._inform(arms)
+        self._draw_together(arms)
 
     def _replay(self, arms: IntArray, age: int) -> None:
         """Fits the numbers of arms (r,) to all readings since their start."""
-        self.numbers[arms] = np.clip(self.numbers[arms] + self._change[arms], self._prior.low, self._prior.high)
+        self.numbers[arms] = self._prior.clip(self.numbers[arms] + self._change[arms])
         weights = np.broadcast_to(self._weights[: age + 1], (len(arms), age + 1, self._weights.shape[1]))
+        start, read = (self._origin[arms], self.numbers[arms]), self._readings[arms, : age + 1]
         fewest, late = self._plant.delay
         if late > fewest and age <= DELAYS_UNTIL:
-            costs = [self._swept(arms, age, delay, weights).cost for delay in range(fewest, late + 1)]
+            tried = [self._arrived(arms, age, np.full(len(arms), delay)) for delay in range(fewest, late + 1)]
+            costs = [self._trials.sweep(*start, torques, read, weights).cost for torques in tried]
             self.delays[arms] = fewest + np.nan_to_num(np.array(costs), nan=np.inf).argmin(axis=0)
-        data = self._arrived(arms, age, self.delays[arms]), self._readings[arms, : age + 1], weights
-        numbers, sweep = self._trials.fit(self._origin[arms], self.numbers[arms], self._prior, data)
+        data = self._arrived(arms, age, self.delays[arms]), read, weights
+        numbers, sweep = self._trials.fit(*start, self._prior, data)
         well = np.isfinite(sweep.cost) & (np.abs(sweep.states) < LOST).all(axis=(1, 2))
         if not well.all():  # the recursion goes on with them
             self._recur(arms[~well], self._readings[arms[~well], age])
@@ -259,19 +277,11 @@ class Estimator:
         self.numbers[arms] = numbers
         self._states[arms], self._steps[arms] = sweep.states, self._trials.steps
         self._information[arms] = sweep.information + np.eye(self._trials.size) / self._prior.deviation**2
-        self.misfit[arms] = sweep.cost / self._weights[: age + 1].size
+        self._residuals.misfit[arms] = sweep.cost / self._weights[: age + 1].size
         self._change[arms], _ = step(sweep, self.numbers[arms], self._prior)
         self._shift(arms)
 
-    def _swept(self, arms: IntArray, age: int, delay: int, weights: Array) -> Sweep:
-        """A simulation of arms (r,) from their start, with a delay."""
-        torques = self._arrived(arms, age, np.full(len(arms), delay))
-        return self._trials.sweep(
-            self._origin[arms], self.numbers[arms], torques, self._readings[arms, : age + 1], weights
-        )
-
-    def _arrived(self, arms: IntArray, periods: int, delays: IntArray) -> Array:
-        """Torques (r, k, n) that acted on arms (r,) in their first k periods."""
+    def _arrived(self, arms: IntArray, periods: int, delays: IntArray) -> Array:  # (r, k, n) in their first k periods
         return self._torques[arms[:, None], self._plant.delay[1] + np.arange(periods) - delays[:, None]]
 
     def _present(self, arms: IntArray) -> Array:
@@ -284,17 +294,7 @@ class Estimator:
         """What is known of all arms when torques that the arms (r,) are asked for now begin to act."""
         states = self._states[:, 0].copy()
         states[arms] = self._present(arms)
-        numbers = np.clip(self.numbers + self._change, self._prior.low, self._prior.high)
-        assert self._ahead is not None
-        drive, moving = np.zeros((len(states), len(self._limits) + 6)), np.zeros(len(states), dtype=bool)
-        for period in range(int(self.delays[arms].max(initial=0))):
-            lag = self.delays - 1 - period
-            moving[:] = False
-            moving[arms] = lag[arms] >= 0
-            drive[:, : len(self._limits)] = self._past[np.arange(len(states)), np.maximum(lag, 0)]
-            if period == 0:
-                self._ahead.place(arms, states[arms])
-            self._ahead.step(drive, moving)
-        if self.delays[arms].any():
-            states[arms] = self._ahead.state[arms]
+        numbers = self._prior.clip(self.numbers + self._change)
+        self._inform(arms)
+        states[arms] = self._prediction(arms, states[arms], self.delays[arms])
         return Estimate(states, self.delays, self._trials.parameters(numbers))

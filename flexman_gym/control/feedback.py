@@ -1,9 +1,11 @@
 """Feedback: a controller made of an observer and the law that tracks references by what the observer says."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from flexman_gym.arrays import Array, Flags, IntArray
-from flexman_gym.control.controller import Episode, Readings
+from flexman_gym.arrays import Array, Flags, IntArray, grown
+from flexman_gym.control.controller import Controller, Episode, Readings
 from flexman_gym.control.observer import Observer
 from flexman_gym.control.tracking import Tracking
 
@@ -11,22 +13,43 @@ from flexman_gym.control.tracking import Tracking
 class OutputFeedback:
     """Torques of a tracking law on the state that an observer estimates.
 
+    Where the observer says that it is wrong, as its readings cannot be explained by any arm that it knows, a fallback
+    takes over until the episode ends.
+
     Args:
-        observer: says where the arm is, and what it is like.
+        observer: says where the arm is, and what it is like. Its optional member `wrong`, (b,) flags, says where not.
         law: that follows references.
+        fallback: that needs no model, such as a PD; None for none.
     """
 
-    kept = ("observer", "law")
+    kept = ("observer", "law", "fallback", "_given_up")
 
-    def __init__(self, observer: Observer, law: Tracking) -> None:
-        self.observer, self.law, self.sensors = observer, law, tuple(observer.sensors)
+    def __init__(self, observer: Observer, law: Tracking, fallback: Controller | None = None) -> None:
+        self.observer, self.law, self.fallback = observer, law, fallback
+        self.sensors = (*observer.sensors, *(fallback.sensors if fallback else ()))
+        self._given_up = np.zeros(0, dtype=bool)
+
+    @property
+    def estimates(self) -> Mapping[str, Array]:
+        """What the observer says of the arms, name -> (b, ...)."""
+        return getattr(self.observer, "estimates", {})
 
     def reset(self, arms: IntArray, episode: Episode) -> None:
         """Starts new episodes of the arms (r,)."""
         self.observer.reset(arms, episode)
         self.law.reset(arms, episode)
+        if self.fallback:
+            self.fallback.reset(arms, episode)
+        self._given_up = grown(self._given_up, int(arms.max(initial=-1)) + 1)
+        self._given_up[arms] = False
 
     def act(self, readings: Readings, applied: Array, playing: Flags) -> Array:
         """Gives actions (b, n), parts of the torque limits."""
         estimate = self.observer.estimate(readings, applied, playing)
-        return np.clip(self.law.torques(estimate, playing) / self.law.limits, -1.0, 1.0)
+        self._given_up |= getattr(self.observer, "wrong", False)
+        torques = self.law.torques(estimate, playing & ~self._given_up) - estimate.disturbance
+        result = np.clip(torques / self.law.limits, -1.0, 1.0)
+        if self.fallback and self._given_up.any():
+            safe = np.asarray(self.fallback.act(readings, applied, playing), dtype=float)
+            result = np.where(self._given_up[:, None], safe, result)
+        return result

@@ -7,8 +7,8 @@ import numpy as np
 
 from flexman_gym.arrays import Array
 from flexman_gym.checks import refusal
-from flexman_gym.control.bases import Plant
 from flexman_gym.control.controller import Readings
+from flexman_gym.control.plant import Plant
 from flexman_gym.simulation.readings import INSTRUMENTS
 from flexman_gym.simulation.readings import Readings as Linear
 

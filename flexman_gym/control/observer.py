@@ -15,11 +15,13 @@ class Estimate(NamedTuple):
         lead: (b,) whole control periods from now to that moment.
         parameters: name -> (b, ...) physical parameters as they are estimated, in their units; those that are not in it
             are the model's.
+        disturbance: (b, n) constant torques on the motors beside those that are asked for, N m.
     """
 
     states: Array
     lead: IntArray
     parameters: Mapping[str, Array]
+    disturbance: Array | float = 0.0
 
 
 class Observer(Protocol):

@@ -8,7 +8,7 @@ import numpy as np
 from flexman_gym.arrays import Array
 
 DOUBLINGS = 20  # a million periods
-SETTLED = 1e-6  # part by which the last doubling may still change a deviation
+SETTLED = 1e-6  # part by which the last doubling may still change a variance
 
 
 def predicted(covariance: Array, transition: Array, noise: Array) -> Array:
@@ -27,7 +27,7 @@ def corrected(covariance: Array, matrix: Array, variances: Array) -> tuple[Array
         variances: (m,) of the noise of readings.
     """
     across = matrix @ covariance
-    gain = np.linalg.solve(across @ matrix.T + np.diag(variances), across).mT
+    gain: Array = np.asarray(np.linalg.solve(across @ matrix.T + np.diag(variances), across), dtype=float).mT
     left = np.eye(matrix.shape[1]) - gain @ matrix
     return gain, _even(left @ covariance @ left.mT + (gain * variances) @ gain.mT)
 
@@ -50,8 +50,8 @@ def stationary(transition: Array, noise: Array, matrix: Array, variances: Array)
         onward, spread = through[..., :size], through[..., size:]
         result = _even(result + passing.mT @ result @ onward)
         told, passing = _even(told + passing @ spread @ passing.mT), passing @ onward
-    deviations, earlier = (np.sqrt(np.diagonal(each, axis1=-2, axis2=-1)) for each in (result, before))
-    unknown = deviations > (1.0 + SETTLED) * earlier
+    now, earlier = (np.diagonal(each, axis1=-2, axis2=-1) for each in (result, before))
+    unknown = now > (1.0 + SETTLED) * earlier
     return np.where(unknown[..., None] | unknown[..., None, :], np.inf, result)
 
 

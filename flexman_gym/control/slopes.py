@@ -3,10 +3,10 @@
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags
-from flexman_gym.control.bases import Plant
+from flexman_gym.control.plant import Plant
+from flexman_gym.control.twins import Twins
 from flexman_gym.kernels.layout import OK
 from flexman_gym.model.linear import coordinate_sizes
-from flexman_gym.simulation.batch import Batch
 
 TOGETHER = 16  # arms whose neighbours are moved at once, for the memory that they take
 STATE, FORCE = 1e-5, 1e-3  # by which coordinates (of their size) and forces (of their scale) are changed
@@ -31,7 +31,7 @@ class Slopes:
         self._changes = np.concatenate([np.tile(STATE * coordinate_sizes(model), 2), FORCE * self.scales])
         self._size = 2 * model.n_dof
         self._around = np.vstack([np.zeros(len(self._changes)), np.diag(self._changes)])  # the arm, its neighbours
-        self._batch = Batch(model, *plant.moved, plant.period, arms=TOGETHER * len(self._around))
+        self._twins = Twins(plant)
 
     def __call__(self, states: Array, torques: Array) -> tuple[Array, Flags]:
         """Gives the slopes (r, 2 d, 2 d + n + 3) by states, torques and forces on the tip; where they are good (r,).
@@ -47,7 +47,8 @@ class Slopes:
         return result, good
 
     def _differences(self, states: Array, torques: Array) -> tuple[Array, Flags]:
-        batch, shape, n = self._batch, (len(states), len(self._around)), len(self.scales)
+        batch = self._twins("slopes", TOGETHER * len(self._around))
+        shape, n = (len(states), len(self._around)), len(self.scales)
         used = np.arange(shape[0] * shape[1])
         place = np.concatenate([states, torques, np.zeros((len(states), 3))], axis=1)
         near = (place[:, None] + self._around).reshape(len(used), -1)

@@ -3,13 +3,13 @@
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags, IntArray, grown, row_dots
-from flexman_gym.control.bases import Plant
 from flexman_gym.control.controller import Episode
 from flexman_gym.control.discrete import Weights
 from flexman_gym.control.following import Following
 from flexman_gym.control.gains import GainTable
 from flexman_gym.control.lqr import HOLDING, MOTOR, SHARE, TIP, TIP_SPEED
 from flexman_gym.control.observer import Estimate
+from flexman_gym.control.plant import Plant
 from flexman_gym.control.slews import Slews
 
 RETIMED = (6, 12, 20, 30, 45)  # control periods after which a slew is timed anew with the parameters as estimated

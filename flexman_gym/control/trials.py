@@ -5,10 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags, row_dots
+from flexman_gym.control.plant import Plant
+from flexman_gym.control.twins import Twins
 from flexman_gym.control.unknowns import Unknowns
-from flexman_gym.model.model import Model
-from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.families import Method
 
 TURN = 1e-3  # rad, by which an angle at the start is changed to see what follows
 TOGETHER = 32  # arms whose trials are rolled at once, for the memory that they take
@@ -55,8 +54,7 @@ class Trials:
     Unknowns and angles move the arm; biases are added to what instruments read.
 
     Args:
-        model: of the arm.
-        moved: method, step (s) and control period (s).
+        plant: the arm, and how it is simulated.
         unknowns: of the arm.
         matrix: (m, 2 d) of readings by states.
         biased: whether the biases of all readings are among the numbers.
@@ -64,24 +62,18 @@ class Trials:
 
     def __init__(
         self,
-        model: Model,
-        moved: tuple[str | Method, float | str, float],
+        plant: Plant,
         unknowns: Unknowns,
         matrix: Array,
         biased: bool,
     ) -> None:
-        self.model, self.unknowns, self.matrix = model, unknowns, matrix
+        model = self.model = plant.model
+        self.twins, self.unknowns, self.matrix = Twins(plant), unknowns, matrix
         n, known = model.n_joints, len(unknowns.names)
         self.moving, self.size = known + n, known + n + biased * len(matrix)
         self.steps = np.concatenate([unknowns.step, np.full(n, TURN)])
         self._turns = np.zeros((n, 2 * model.n_dof))
         self._turns[np.arange(n), np.arange(n)] = self._turns[np.arange(n), model.motor_columns] = 1.0
-        self._moved, self._batches = moved, dict[int, Batch]()
-
-    def batch(self, arms: int) -> Batch:
-        """Makes a batch for the trials of some arms."""
-        method, step, period = self._moved
-        return Batch(self.model, method, step, period, arms=arms)
 
     def changed(self, numbers: Array, steps: Array | None = None) -> Array:
         """Gives the numbers (r, 1 + s, p) of all trials: as estimated, and each that moves the arm changed."""
@@ -133,9 +125,7 @@ class Trials:
         arms, periods, n = torques.shape
         start = self.starts(origin, numbers)
         trials = start.shape[1]
-        if arms not in self._batches:
-            self._batches[arms] = self.batch(arms * trials)
-        batch, used = self._batches[arms], np.arange(arms * trials)
+        batch, used = self.twins("sweep", arms * trials), np.arange(arms * trials)
         flat = self.changed(numbers).reshape(arms * trials, -1)
         batch.vary(used, **self.parameters(flat))
         batch.place(used, start.reshape(arms * trials, -1))
@@ -204,14 +194,26 @@ def step(sweep: Sweep, numbers: Array, prior: Prior, damping: Array | float = 0.
 def solved(matrices: Array, vectors: Array) -> Array:
     """Gives x (r, p) of matrices (r, p, p) x = vectors (r, p) in units far apart; 0 where they are not finite."""
     good: Flags = np.logical_and(np.isfinite(matrices).all(axis=(1, 2)), np.isfinite(vectors).all(axis=1))
-    scale = 1.0 / np.sqrt(np.where(good[:, None], np.diagonal(matrices, axis1=1, axis2=2), 1.0))
-    even = np.where(good[:, None, None], matrices * scale[:, :, None] * scale[:, None], 0.0)
-    each = np.arange(matrices.shape[1])
-    even[:, each, each] = 1.0 + ROUNDING
-    result: Array = (
-        scale * np.linalg.solve(even, np.where(good[:, None], vectors, 0.0)[..., None] * scale[..., None])[..., 0]
-    )
+    even, scale = _even(np.where(good[:, None, None], matrices, np.eye(matrices.shape[1])))
+    result: Array = scale * np.linalg.solve(even, (scale * np.where(good[:, None], vectors, 0.0))[..., None])[..., 0]
     return result
+
+
+def deviations(information: Array) -> Array:
+    """Gives the standard deviations (r, p) of numbers of which there is information (r, p, p)."""
+    good: Flags = np.all(np.isfinite(information), axis=(1, 2))
+    even, scale = _even(np.where(good[:, None, None], information, np.eye(information.shape[1])))
+    variances = np.diagonal(np.linalg.inv(even), axis1=1, axis2=2)
+    return np.where(good[:, None], scale * np.sqrt(np.maximum(variances, 0.0)), np.inf)
+
+
+def _even(matrices: Array) -> tuple[Array, Array]:
+    """Matrices (r, p, p) in units that make their diagonals 1, and these units (r, p)."""
+    each = np.arange(matrices.shape[1])
+    scale = 1.0 / np.sqrt(matrices[:, each, each])
+    result = matrices * scale[:, :, None] * scale[:, None]
+    result[:, each, each] = 1.0 + ROUNDING
+    return result, scale
 
 
 def _chosen(flags: Array, one: Array, other: Array) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 from flexman_gym.arrays import Array, IntArray
 from flexman_gym.checks import mapping, number_array, refusal
 from flexman_gym.model.model import Model
-from flexman_gym.simulation.parameters import PARAMETERS
+from flexman_gym.simulation.parameters import ARM, PARAMETERS
 
 STEP = 0.03  # of a range, by which an unknown is changed to see what follows
 BEYOND = 0.08  # of a range, by which an estimate may leave it
@@ -48,6 +48,15 @@ class Unknowns:
                 result[name] = whole
             else:
                 result[name] = values[:, 0]
+        return result
+
+    def deviations(self, numbers: Array) -> dict[str, Array]:
+        """Gives the deviations, name_deviation -> (r,) or (r, entries), of the deviations (r, p or more) of numbers."""
+        result = {}
+        for name in dict.fromkeys(self.names):
+            columns = np.flatnonzero(np.array(self.names) == name)
+            values = numbers[:, columns] * self.scales[columns]
+            result[f"{name}_deviation"] = values[:, 0] if PARAMETERS[name].of == ARM else values
         return result
 
 

@@ -175,6 +175,8 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
         info["tip"], info["target"], info["goal_angles"] = view.tip.copy(), view.target.copy(), view.goal_angles.copy()
         if episodes.effects is not None:
             info["drawn"] = episodes.effects.of(0)
+        if estimates := getattr(episodes.base, "estimates", None):
+            info["estimates"] = {name: values[0].copy() for name, values in estimates.items()}
         return reward, info
 
 

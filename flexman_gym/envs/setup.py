@@ -13,9 +13,9 @@ from flexman_gym.control.history import checked_history
 from flexman_gym.control.pd import PD, torque_limits
 from flexman_gym.envs.catalog import DEFAULT, NAMED
 from flexman_gym.envs.limits import Limits
-from flexman_gym.envs.plant import make_plant
 from flexman_gym.envs.randomisation import Randomisation
 from flexman_gym.envs.sensors import find_sensors
+from flexman_gym.envs.specification import make_plant
 from flexman_gym.envs.tasks import Task, check_task, find_task
 from flexman_gym.fidelity.choose import Choice, assembled_modes, choose_model
 from flexman_gym.model.model import Model, build_model

@@ -45,7 +45,7 @@ def give(field: str, old: Any, data: Any) -> Any:
         _check_kind(field, data, dict, "a mapping")
         new = {name: give(f"{field}.{name}", old.get(name), each) for name, each in data.items()}
         return old if new.keys() == old.keys() and all(new[name] is old[name] for name in new) else new
-    if isinstance(old, list):
+    if isinstance(old, list | tuple):  # arrays of a tuple are written into
         _check_kind(field, data, list, "a list")
         if len(data) != len(old):
             raise refusal(field, f"{len(data)} entries", f"{len(old)} entries")

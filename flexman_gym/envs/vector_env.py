@@ -183,6 +183,8 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
         infos |= {"target": view.target.copy(), "goal_angles": view.goal_angles.copy()}
         if episodes.effects is not None:
             infos["drawn"] = episodes.effects.drawn
+        if estimates := getattr(episodes.base, "estimates", None):
+            infos["estimates"] = {name: values.copy() for name, values in estimates.items()}
         return rewards, _with_masks(infos, np.ones(self.num_envs, dtype=bool))
 
     @property  # type: ignore[misc]

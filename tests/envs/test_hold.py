@@ -257,7 +257,7 @@ def test_a_base_by_name_is_the_controller_itself():
     [
         ({"hold": 0}, "hold: 0 is not allowed; give a whole number from 1 to 1000"),
         ({"hold": 2.5}, "hold: 2.5 is not allowed; give a whole number from 1 to 1000"),
-        ({"base": "lqg"}, "base: 'lqg' is not allowed; give one of pd, lqr, lqr-tracking"),
+        ({"base": "pid"}, "base: 'pid' is not allowed; give one of pd, lqr, lqr-tracking"),
         ({"base": PD}, "base: <class 'flexman_gym.control.pd.PD'> is not allowed; give None, one of pd, lqr, lqr-trac"),
         ({"base": 3}, "base: 3 is not allowed; give None, one of pd, lqr, lqr-tracking, "),
         ({"base": "pd", "arm": fm.catalog.one_joint()}, "gains: None is not allowed; give those of this arm"),

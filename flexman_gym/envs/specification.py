@@ -1,11 +1,11 @@
-"""Plant: what a controller is told of an environment for which it is made."""
+"""Specification: what a controller is told of an environment for which it is made."""
 
 from typing import Any
 
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.control.bases import Plant
+from flexman_gym.control.plant import Plant
 from flexman_gym.envs.catalog import NAMED
 from flexman_gym.envs.sensors.array import measured_names
 from flexman_gym.envs.sensors.instrument import Instrument

@@ -1,0 +1,30 @@
+"""Compares controllers on the arm that nobody knows: python scripts/control.py --folder docs"""
+
+import argparse
+
+from studies.control.cases import CASES, Row, played
+from studies.control.page import page
+from studies.places import folder
+from studies.table import read_rows, write_rows
+
+
+def main() -> None:
+    """Reads the command line, plays the episodes that are missing and writes table and page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--episodes", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=9000, help="of the first episode")
+    parser.add_argument("--only", help="cases whose names begin so")
+    parser.add_argument("--folder", type=folder, default="out/control", help="where table and page go")
+    options = parser.parse_args()
+    path = options.folder / "control.csv"
+    rows = {row.case: row for row in read_rows(path, Row)} if path.exists() else {}
+    for case in CASES:
+        if not options.only or case.name.startswith(options.only):
+            row = rows[case.name] = played(case, options.episodes, options.seed)
+            print(row, flush=True)
+            write_rows([rows[each.name] for each in CASES if each.name in rows], path)
+    (options.folder / "control.md").write_text(page([rows[case.name] for case in CASES if case.name in rows]))
+
+
+if __name__ == "__main__":
+    main()
