@@ -92,7 +92,10 @@ def _adaptive(plant: Plant, weights: object = None, **options: Any) -> Controlle
     from flexman_gym.control.feedback import OutputFeedback
     from flexman_gym.control.tracking import Tracking
 
-    return OutputFeedback(Estimator(plant, **options), Tracking(plant, None if weights is None else _weights(weights)))
+    observer = Estimator(plant, **options)
+    if options.get("unknown") is not None:
+        plant = plant._replace(unknown=options["unknown"])
+    return OutputFeedback(observer, Tracking(plant, None if weights is None else _weights(weights)))
 
 
 def _privileged(plant: Plant, weights: object = None) -> Controller:

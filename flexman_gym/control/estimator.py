@@ -25,7 +25,7 @@ HOMED = 1e-4  # rad, deviation of an angle at the start that is told
 LOST = 100.0  # largest entry of a state of a trial that still says something
 WINDOW = 0.1  # part of the last misfit in its mean
 SPREAD = 0.5  # rad, by which trials may differ before they are drawn together
-CHANGED, QUIET = 1.45, 25  # misfit of an arm that has changed, and periods of a start in which no change is looked for
+CHANGED, QUIET = 1.45, 25  # misfit above 1 that tells a change, in deviations of a period; periods without a look
 BOUND = 10.0  # deviations, up to which an angle at the start is looked for
 
 
@@ -126,7 +126,8 @@ class Estimator:
             for age in np.unique(self._ages[later[again]]).tolist():
                 self._replay(later[again & (self._ages[later] == age)], age)
             self._recur(later[~again], now[later[~again]])
-            self._change_over(later[(self.misfit[later] > CHANGED) & (self._ages[later] > QUIET)])
+            much = 1.0 + CHANGED * np.sqrt(2.0 / now.shape[1])
+            self._change_over(later[(self.misfit[later] > much) & (self._ages[later] > QUIET)])
         self._ages += playing
         return self._predicted(np.flatnonzero(playing))
 
@@ -139,8 +140,7 @@ class Estimator:
         self.delays[arms] = (sum(self._plant.delay) + 1) // 2
         self._states[arms] = self._trials.starts(self._origin[arms], self.numbers[arms])
         self._steps[arms], self._apart[arms] = self._trials.steps, False
-        self._information[arms] = np.eye(self._trials.size) / self._prior.deviation**2
-        self._pushed[arms] = False
+        self._information[arms], self._pushed[arms] = np.eye(self._trials.size) / self._prior.deviation**2, False
         self._inform(arms)
         if self._plant.push:
             self._pushed[arms] = self._filtered(arms, sudden=False)

@@ -1,4 +1,4 @@
-"""Placed: an arm of a batch with parameters of its own is a model of its own, and goes on from any state it is put at."""
+"""Placed: an arm of a batch with own parameters is a model of its own, and goes on from any state it is put at."""
 
 from dataclasses import replace
 
