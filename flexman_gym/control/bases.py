@@ -72,7 +72,8 @@ def _weights(value: object) -> Weights:
     return Weights(**{name: positive(f"base.weights.{name}", each) for name, each in given.items()})
 
 
-def _adaptive(plant: Plant, weights: object = None, **options: Any) -> OutputFeedback:
+def _adaptive(plant: Plant, weights: object = None, unknown: Any = None, **options: Any) -> OutputFeedback:
+    plant = plant if unknown is None else plant._replace(unknown=unknown)
     return OutputFeedback(Estimator(plant, **options), _tracking(plant, weights), _safe(plant))
 
 

@@ -128,7 +128,8 @@ class Estimator:
             for age in np.unique(self._ages[later[again]]).tolist():
                 self._replay(later[again & (self._ages[later] == age)], age)
             self._recur(later[~again], now[later[~again]])
-            self._change_over(later[self._residuals.changed(later) & (self._ages[later] > QUIET)])
+            if (changed := self._residuals.changed(later) & (self._ages[later] > QUIET)).any():
+                self._change_over(later[changed])
         self._ages += playing
         return self._predicted(np.flatnonzero(playing))
 
@@ -157,8 +158,6 @@ class Estimator:
 
     def _change_over(self, arms: IntArray) -> None:
         """Lets arms (r,) that their fit explains no longer begin anew: a load was picked up, or something pushes."""
-        if not len(arms):
-            return
         known, states = len(self.unknowns.names), self._present(arms)
         self.numbers[arms] = self._prior.clip(self.numbers[arms] + self._change[arms])
         self.numbers[arms, known : self._trials.moving], self._change[arms] = 0.0, 0.0
@@ -207,12 +206,11 @@ class Estimator:
         """Moves the trials of arms (r,) by a period, and keeps what was asked for in it, parts of the limits (r, n)."""
         self._inform(arms)
         self._prediction.take(arms, actions)
-        age, past = self._ages[arms], self._prediction.past
-        few = arms[age <= len(self._weights)]
+        past, few = self._prediction.past, arms[self._ages[arms] <= len(self._weights)]
         self._torques[few, self._plant.delay[1] + self._ages[few] - 1] = past[few, 0]
-        batch, rows, n = self._beside(), self._rows(arms), past.shape[2]
-        drive, moving = np.zeros((len(batch.rows), n + 6)), np.zeros(len(batch.rows), dtype=bool)
-        drive[rows, :n] = past[arms, self.delays[arms]][:, None]
+        batch, rows = self._beside(), self._rows(arms)
+        drive, moving = np.zeros((len(batch.rows), past.shape[2] + 6)), np.zeros(len(batch.rows), dtype=bool)
+        drive[rows, : past.shape[2]] = past[arms, self.delays[arms]][:, None]
         moving[rows] = True
         batch.place(rows.ravel(), self._states[arms].reshape(rows.size, -1))
         batch.step(drive, None if moving.all() else moving)
@@ -261,8 +259,8 @@ class Estimator:
     def _replay(self, arms: IntArray, age: int) -> None:
         """Fits the numbers of arms (r,) to all readings since their start."""
         self.numbers[arms] = self._prior.clip(self.numbers[arms] + self._change[arms])
-        weights = np.broadcast_to(self._weights[: age + 1], (len(arms), age + 1, self._weights.shape[1]))
         start, read = (self._origin[arms], self.numbers[arms]), self._readings[arms, : age + 1]
+        weights = np.broadcast_to(self._weights[: age + 1], read.shape)
         fewest, late = self._plant.delay
         if late > fewest and age <= DELAYS_UNTIL:
             tried = [self._arrived(arms, age, np.full(len(arms), delay)) for delay in range(fewest, late + 1)]
@@ -277,6 +275,8 @@ class Estimator:
         self.numbers[arms] = numbers
         self._states[arms], self._steps[arms] = sweep.states, self._trials.steps
         self._information[arms] = sweep.information + np.eye(self._trials.size) / self._prior.deviation**2
+        if age <= 2 * QUIET:
+            self._residuals.reset(arms)  # which were those of the linearisation
         self._residuals.misfit[arms] = sweep.cost / self._weights[: age + 1].size
         self._change[arms], _ = step(sweep, self.numbers[arms], self._prior)
         self._shift(arms)

@@ -161,7 +161,7 @@ class Trials:
             The numbers (r, p) and the sweep that was made with them.
         """
         periods, damping = data[0].shape[1], np.full(len(origin), DAMPING)
-        certain = 1.0 / prior.deviation**2
+        certain, going = 1.0 / prior.deviation**2, np.ones(len(origin), dtype=bool)
         best, result, least = numbers, self.sweep(origin, numbers, *data), np.full(len(origin), np.inf)
         tried, sweep = best, result
         for attempt in range(TRIES):
@@ -172,9 +172,10 @@ class Trials:
             best = np.where(better[:, None], tried, best)
             result = Sweep(*(_chosen(better, *both) for both in zip(sweep, result, strict=True)))
             change, fall = step(result, best, prior, damping)
-            if attempt == TRIES - 1 or (fall < max(LITTLE[0], LITTLE[1] * periods)).all():
+            going &= fall >= max(LITTLE[0], LITTLE[1] * periods)
+            if attempt == TRIES - 1 or not going.any():
                 break
-            tried = prior.clip(best + change)
+            tried = np.where(going[:, None], prior.clip(best + change), best)  # no arm goes on because others do
             sweep = self.sweep(origin, tried, *data)
         return best, result
 

@@ -10,8 +10,9 @@ from flexman_gym.checks import mapping, number_array, refusal
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.parameters import ARM, PARAMETERS
 
-STEP = 0.03  # of a range, by which an unknown is changed to see what follows
+STEP = 0.0003  # of a range, by which an unknown is changed to see what follows; 0.03 shifts a phase by a radian in 2 s
 BEYOND = 0.08  # of a range, by which an estimate may leave it
+SURE = 1e-3  # of a number that is known, or of 1 where it is 0: the range in which it is
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +66,8 @@ def make_unknowns(model: Model, ranges: Mapping[str, tuple[float, float]]) -> Un
 
     Args:
         model: of the arm.
-        ranges: name -> (low, high) of physical parameters in `simulation.parameters.PARAMETERS`, low < high; parts of
-            the nominal value where the table there says factor, one for each joint or link.
+        ranges: name -> (low, high) of physical parameters in `simulation.parameters.PARAMETERS`; parts of the
+            nominal value where the table there says factor, one for each joint or link.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
@@ -74,8 +75,8 @@ def make_unknowns(model: Model, ranges: Mapping[str, tuple[float, float]]) -> Un
     names, joints, scales, spans = [], [], [], []
     for name, span in mapping("unknown", ranges, tuple(PARAMETERS)).items():
         low, high = number_array(f"unknown.{name}", span, (2,), "a range (low, high)")
-        if not 0.0 <= low < high:
-            raise refusal(f"unknown.{name}", span, "a range (low, high) with 0 <= low < high")
+        if not 0.0 <= low <= high:
+            raise refusal(f"unknown.{name}", span, "a range (low, high) with 0 <= low <= high")
         row = PARAMETERS[name]
         nominal = np.atleast_1d(row.nominal(model))
         free = ~row.fixed(model) if row.shape(model.n_joints) else np.ones(1, dtype=bool)
@@ -85,7 +86,7 @@ def make_unknowns(model: Model, ranges: Mapping[str, tuple[float, float]]) -> Un
             scales.append(float(nominal[joint]) if row.factor else 1.0)
             spans.append((low, high))
     low, high = np.array(spans).reshape(-1, 2).T
-    wide = high - low
+    wide = np.where(high > low, high - low, SURE * np.where(high > 0.0, high, 1.0))
     return Unknowns(
         tuple(names), np.array(joints, dtype=np.int64), np.array(scales), 0.5 * (low + high), wide / np.sqrt(12.0),
         STEP * wide, np.maximum(low - BEYOND * wide, 0.0), high + BEYOND * wide,

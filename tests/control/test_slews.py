@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control.reference import Path
+from flexman_gym.control.reference import slew_path
 from flexman_gym.control.slews import DURATIONS, Slews, friction, friction_torques, payload_weights, softness
 from flexman_gym.model.instant import acceleration
 from flexman_gym.model.statics import rest_tips
@@ -58,16 +58,16 @@ def test_torques_of_a_rigid_arm_are_those_that_accelerate_it_so():
 
 
 def test_a_flexible_arm_is_bent_as_on_a_minimum_jerk_slew():
-    """Without weight; what `Path` solves for at each moment comes from tables here, linear in the inertia."""
+    """Without weight; what `slew_path` solves for at each moment comes from tables here, linear in the inertia."""
     own = fm.build_model(replace(arm(), gravity=(0.0, 0.0, 0.0)), 1, 1)
     slews = begun(own, (own.constants.payload_mass[0],))
-    path, lasting, d = Path(own, START[0], GOAL[0]), slews.lasting[0], own.n_dof
+    path, lasting, d = slew_path(own, START[0], GOAL[0]), slews.lasting[0], own.n_dof
     result, expected = [], []
     for now in times(slews, 21)[:, None]:
         state = slews.states(now, ONE)[0]
         assert state[d : d + 2] == pytest.approx(slews.at(now, ONE)[1] * slews.way[0], abs=0.01)
         result.append(np.concatenate([state[:d], slews.torques(now, ONE)[0]]))
-        expected.append(np.concatenate(path.at(now[0] / lasting, lasting)))
+        expected.append(np.concatenate([each[0] for each in path.at(now / lasting, lasting)]))
     bent = np.array(expected)
     bent[:, 2:4] -= bent[:, :2]  # motors against links
     gone, size = np.abs(np.array(result) - expected), np.abs(bent[:, 2:]).max(axis=0)

@@ -1,0 +1,286 @@
+"""Estimator: it finds what is unknown of arms that a test knows, is as sure of it as it may be, and notices changes."""
+
+import numpy as np
+import pytest
+
+from flexman_gym.control.estimator import Estimator
+from flexman_gym.model.statics import rest_states
+from flexman_gym.simulation.batch import Batch
+
+from oracles.bench import Bench, drawn_parameters, pushes, small_plant
+
+UNKNOWN = {"payload_mass": (0.0, 0.3), "joint_stiffness_factor": (0.7, 1.3), "link_stiffness_factor": (0.7, 1.3)}
+PLANAR = {"payload_mass": (0.0, 0.2), "joint_stiffness_factor": (0.7, 1.3), "link_stiffness_factor": (0.7, 1.3)}
+NOISE = 1e-3
+
+
+def plant_of(name="FlexOne-v0", noise=NOISE, **more):
+    return small_plant(name, {**(UNKNOWN if name == "FlexOne-v0" else PLANAR), **more, "sensor_noise": (noise, noise)})
+
+
+def bench_of(plant, arms, seed=0, **more):
+    """Arms that are drawn as the plant says."""
+    random = np.random.default_rng(seed)
+    n = plant.model.n_joints
+    parameters = drawn_parameters(plant, arms, random)
+    bench = Bench(plant, random.uniform(-0.8, 0.8, (arms, n)), parameters, seed=seed, **more)
+    return bench, parameters, random
+
+
+def relative_errors(plant, estimate, parameters):
+    """Largest error of each parameter, as a part of its range."""
+    result = {}
+    for name, (low, high) in plant.unknown.items():
+        scale = (high - low) * (1.0 if name == "payload_mass" else plant.model.constants.joint_stiffness)
+        scale = high - low if name == "link_stiffness" else scale
+        result[name] = np.abs((estimate.parameters[name] - parameters[name]) / scale).max()
+    return result
+
+
+@pytest.mark.parametrize("name", ["FlexOne-v0", "FlexPlanar-v0"])
+def test_without_noise_it_comes_to_the_truth(name):
+    """Exact instruments, believed to 1e-4 of their ranges: parameters and states of all arms."""
+    plant = plant_of(name, noise=0.0)
+    bench, parameters, random = bench_of(plant, 4)
+    estimates = bench.follow(Estimator(plant), pushes(random, 66, 4, plant.model.n_joints))
+    errors = relative_errors(plant, estimates[-1], parameters)
+    assert max(errors.values()) < 1e-5, errors
+    speeds = np.abs(bench.batch.state).max()
+    assert np.abs(estimates[-1].states - bench.batch.state).max() < 1e-6 * speeds
+    assert estimates[0].states == pytest.approx(rest_states(plant.model, bench.start)), (
+        "at first they are where they say"
+    )
+
+
+def test_delays_are_found_and_states_are_those_in_which_torques_begin_to_act():
+    plant = plant_of(delay=(0, 2))
+    delays = np.array([0, 1, 2, 0, 1, 2])
+    bench, parameters, random = bench_of(plant, 6, delays=delays)
+    actions = pushes(random, 46, 6, 1, held=4)
+    observer = Estimator(plant)
+    estimates = bench.follow(observer, actions)
+    assert estimates[-1].lead.tolist() == observer.delays.tolist() == delays.tolist()
+    assert estimates[8].lead.tolist() == delays.tolist(), "after the first replay"
+    said = estimates[-1].states
+    for lead in range(2):  # what is asked for now acts on none of the arms before its lead is over
+        assert said[delays == lead] == pytest.approx(bench.batch.state[delays == lead], abs=1e-3)
+        bench.step(np.zeros((6, 1)))
+    assert said[delays == 2] == pytest.approx(bench.batch.state[delays == 2], abs=1e-3)
+    assert max(relative_errors(plant, estimates[-1], parameters).values()) < 1e-3
+
+
+@pytest.mark.parametrize("delay", [1, 2])
+def test_a_delay_that_is_known_is_the_delay(delay):
+    plant = plant_of(delay=(delay, delay))
+    bench, parameters, random = bench_of(plant, 3, delays=delay)
+    estimate = bench.follow(Estimator(plant), pushes(random, 46, 3, 1, held=4))[-1]
+    assert estimate.lead.tolist() == [delay] * 3
+    assert max(relative_errors(plant, estimate, parameters).values()) < 1e-3
+
+
+def normalised_errors(observer, plant, parameters):
+    """Errors of the numbers (b, p) of the arms' parameters, in the standard deviations that the observer has."""
+    numbers = observer.numbers + observer._change
+    known = len(observer.unknowns.names)
+    columns = []
+    for i, name in enumerate(observer.unknowns.names):
+        values = parameters[name] if parameters[name].ndim == 1 else parameters[name][:, observer.unknowns.joints[i]]
+        columns.append(numbers[:, i] - values / observer.unknowns.scales[i])
+    covariance = np.linalg.inv(observer._information)[:, :known, :known]
+    return np.array(columns).T, covariance
+
+
+@pytest.mark.parametrize(("name", "periods"), [("FlexOne-v0", 30), ("FlexOne-v0", 72), ("FlexPlanar-v0", 34)])
+def test_it_is_as_sure_as_it_may_be(name, periods):
+    """Of 60 arms drawn from the prior, with noise: squares of whitened errors have mean 1, at and after a replay.
+
+    The mean of 60 x 3 squares has a standard deviation of 0.105. The misfit, of some tens of readings, is about 1.
+    """
+    plant = plant_of(name)
+    bench, parameters, random = bench_of(plant, 60, seed=3, noise=1.0)
+    observer = Estimator(plant)
+    bench.follow(observer, pushes(random, periods, 60, plant.model.n_joints))
+    assert not observer._pushed.any(), "no false alarm"
+    errors, covariance = normalised_errors(observer, plant, parameters)
+    squares = np.einsum("bi,bij,bj->b", errors, np.linalg.inv(covariance), errors)
+    assert squares.mean() / errors.shape[1] == pytest.approx(1.0, abs=0.3)
+    assert observer.estimates["misfit"].mean() == pytest.approx(1.0, abs=0.1)
+    prior = observer.unknowns.deviation
+    deviations = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    assert (deviations < 0.5 * prior).all(), "it has learned"
+
+
+def test_more_readings_make_it_surer():
+    """Over the periods between two replays, of what stays: information grows by what each reading says, once."""
+    plant = plant_of()
+    bench, _, random = bench_of(plant, 2, seed=1, noise=1.0)
+    observer = Estimator(plant)
+    bench.follow(observer, pushes(random, 45, 2, 1))
+    whole = observer._information.copy()
+    sweep_information = whole - np.eye(4) / observer._prior.deviation**2
+    assert np.linalg.eigvalsh(sweep_information).min() > -1e-3 * np.abs(whole).max()
+    before = whole
+    for action in pushes(random, 3, 2, 1):
+        bench.step(action)
+        observer.estimate(bench.readings(), bench.applied, np.ones(2, dtype=bool))
+        slopes = observer._trials.reading_slopes(observer._trials.slopes(observer._states, observer._steps))
+        added = observer._information - before
+        expected = slopes.transpose(0, 2, 1) @ (slopes * (observer._instruments.deviations**-2.0)[:, None])
+        if (observer._ages[0] - 1) % 5:
+            assert added == pytest.approx(expected, rel=1e-9)
+        before = observer._information.copy()
+
+
+def test_a_reading_of_the_wrong_sign_does_not_pass_unnoticed():
+    """Nor does one that is late: the misfit says that the arm is not the one that is simulated."""
+    plant = plant_of()
+    bench, _, random = bench_of(plant, 2, noise=1.0)
+    given = bench.readings
+    bench.readings = lambda: {**given(), "root_strains": -given()["root_strains"]}
+    observer = Estimator(plant)
+    bench.follow(observer, pushes(random, 28, 2, 1))
+    assert (observer.estimates["misfit"] > 2.0).all()
+
+
+def test_a_payload_that_changes_on_the_way_is_noticed_and_found():
+    plant = plant_of()
+    bench, parameters, random = bench_of(plant, 2, noise=1.0)
+    bench.batch.vary(np.arange(2), **parameters | {"payload_mass": np.array([0.05, 0.05])})
+    observer = Estimator(plant)
+    estimates = bench.follow(observer, pushes(random, 50, 2, 1))
+    assert np.abs(estimates[-1].parameters["payload_mass"] - 0.05).max() < 0.02
+    bench.batch.vary(
+        np.array([1]), **{name: each[1:] for name, each in parameters.items()} | {"payload_mass": np.array([0.25])}
+    )
+    estimates = bench.follow(observer, pushes(random, 110, 2, 1), begin=False)
+    changed = [estimate.parameters["payload_mass"] for estimate in estimates]
+    assert changed[-1] == pytest.approx([0.05, 0.25], abs=0.02)
+    assert observer._pushed.tolist() == [False, True]
+    assert np.abs(estimates[-1].states - bench.batch.state)[:, :2].max() < 0.02
+
+
+def test_a_force_that_nobody_tells_is_borne():
+    """A filter takes the place of the fit; the state stays where it is, though the fit would leave it."""
+    plant = plant_of("FlexPlanar-v0", tip_load=(0.0, 1.0))
+    bench, _, random = bench_of(plant, 2, noise=1.0)
+    observer = Estimator(plant)
+    assert plant.push == 1.0
+    actions = 0.5 * pushes(random, 60, 2, 2)
+    bench.force = np.array([0.7, 0.0, -0.7])
+    estimates = bench.follow(observer, actions)
+    assert observer._pushed.all()
+    error = np.abs(estimates[-1].states - bench.batch.state)
+    assert error[:, :4].max() < 0.02 and (observer.estimates["misfit"] < 3.0).all()
+
+
+def test_an_arm_whose_trials_are_lost_begins_anew():
+    """A simulation that went wrong says nothing; the arm is followed again from where it is."""
+    plant = plant_of()
+    bench, _, random = bench_of(plant, 2, noise=1.0)
+    observer = Estimator(plant)
+    bench.follow(observer, pushes(random, 35, 2, 1))
+    observer._states[0] = np.nan
+    estimates = bench.follow(observer, pushes(random, 70, 2, 1), begin=False)
+    assert np.isfinite(observer.estimates["misfit"]).all() and (observer.estimates["misfit"] < 20.0).all()
+    assert np.abs(estimates[-1].states - bench.batch.state)[:, :2].max() < 0.02
+
+
+def test_an_arm_that_begins_anew_is_never_simulated_from_a_start_that_it_has_left(monkeypatch):
+    plant = plant_of()
+    bench, _, random = bench_of(plant, 1, noise=1.0)
+    observer = Estimator(plant)
+    bench.follow(observer, pushes(random, 32, 1, 1))
+    monkeypatch.setattr(observer, "_filtered", lambda arms, sudden: np.zeros(len(arms), dtype=bool))
+    observer._change_over(np.array([0]))
+    monkeypatch.setattr(observer, "_replay", lambda *_: pytest.fail("a replay"))
+    estimates = bench.follow(observer, pushes(random, 20, 1, 1), begin=False)
+    assert np.abs(estimates[-1].states - bench.batch.state)[:, :2].max() < 0.05
+
+
+def test_encoders_that_are_off_are_found_out():
+    """Biases of all readings of up to 0.5 % of their ranges; the start is taken as it was told."""
+    plant = plant_of()
+    ranges = {name: values[0] for name, values in plant.measured().items()}
+    names = ("motor_angles", "motor_rates", "joint_twists", "joint_twist_rates", "root_strains")
+    signs = np.random.default_rng(4)
+    biases = {name: 0.004 * signs.uniform(-1.0, 1.0, len(ranges[name])) * ranges[name] for name in names}
+    bench, parameters, random = bench_of(plant, 3, noise=1.0, biases=biases)
+    actions = pushes(random, 66, 3, 1)
+    observer = Estimator(plant, biased=True)
+    estimate = bench.follow(observer, actions)[-1]
+    found = observer.numbers[:, observer._trials.moving :] + observer._change[:, observer._trials.moving :]
+    size = np.concatenate([ranges[name] for name in names])
+    true = np.concatenate([biases[name] for name in names])
+    assert np.abs((found - true) / size).max() < 1e-3
+    assert np.abs(estimate.parameters["payload_mass"] - parameters["payload_mass"]).max() < 0.03
+    assert (observer.estimates["misfit"] < 1.3).all()
+    bench, _, random = bench_of(plant, 3, noise=1.0, biases=biases)
+    plain = Estimator(plant)
+    bench.follow(plain, actions[:28])
+    assert (plain.estimates["misfit"] > 1.3).all(), "one that knows of no biases sees that something is wrong"
+
+
+def test_arms_that_begin_at_different_times_do_not_touch_each_other():
+    """The second begins 9 periods after the first; each gets what it gets alone, to the bit."""
+    plant = plant_of(delay=(0, 1))
+
+    def run(seeds, begins):
+        observer, result = Estimator(plant), []
+        benches = [bench_of(plant, 1, seed=seed, noise=1.0, delays=seed % 2) for seed in seeds]
+        pushed = [pushes(random, 40, 1, 1) for *_, random in benches]
+        for period in range(40):
+            fresh = np.flatnonzero(np.array(begins) == period)
+            if period == 0 or len(fresh):
+                arms = np.arange(len(seeds)) if period == 0 else fresh
+                start = np.concatenate([benches[arm][0].start for arm in arms])
+                observer.reset(arms, benches[0][0].episode().__class__(start, start, plant.period))
+            playing = np.array(begins) <= period
+            each = [bench.readings() for bench, *_ in benches]
+            readings = {name: np.concatenate([one[name] for one in each]) for name in each[0]}
+            applied = np.concatenate([bench.applied for bench, *_ in benches])
+            result.append(observer.estimate(readings, applied, playing))
+            for arm in np.flatnonzero(playing):
+                benches[arm][0].step(pushed[arm][period - begins[arm]])
+        return result
+
+    both, first = run([0, 1], [0, 9]), run([0], [0])
+    for one, other in zip(both, first, strict=True):
+        assert np.array_equal(one.states[0], other.states[0]) and one.lead[0] == other.lead[0]
+        assert all(np.array_equal(one.parameters[name][0], other.parameters[name][0]) for name in plant.unknown)
+
+
+def test_trials_that_part_are_drawn_together_and_their_steps_with_them():
+    """Slopes stay what they are when trials are drawn together; the arm as it is estimated stays where it is."""
+    plant = plant_of("FlexPlanar-v0")
+    bench, _, random = bench_of(plant, 2, noise=1.0)
+    observer = Estimator(plant)
+    bench.follow(observer, pushes(random, 10, 2, 2))
+    motors, some = plant.model.motor_columns, np.arange(2)
+    observer._states[1, 2, motors] += 3.0
+    before, steps = observer._states.copy(), observer._steps.copy()
+    slopes = observer._trials.slopes(before, steps)
+    observer._draw_together(some)
+    assert np.array_equal(observer._states[:, 0], before[:, 0]) and observer._apart.tolist() == [False, True]
+    assert observer._trials.slopes(observer._states, observer._steps) == pytest.approx(slopes, rel=1e-6, abs=1e-6)
+    assert observer._steps[1, 1] < 0.3 * steps[1, 1]
+    spread = np.abs(observer._states[:, 1:, motors] - observer._states[:, :1, motors]).max()
+    assert spread <= 0.5 * (1.0 + 1e-9)
+
+
+def test_its_trials_have_the_numbers_that_it_says():
+    """After a shift the trials move as arms with those numbers, one changed each by its step."""
+    plant = plant_of("FlexPlanar-v0")
+    bench, _, random = bench_of(plant, 2, noise=1.0)
+    observer = Estimator(plant)
+    bench.follow(observer, pushes(random, 15, 2, 2))
+    states, trials = observer._states.copy(), observer._trials
+    bench.step(np.full((2, 2), 0.2))
+    observer._advance(np.arange(2), bench.applied)
+    numbers = trials.changed(observer.numbers, observer._steps).reshape(-1, trials.size)
+    alone = Batch(plant.model, *plant.moved, plant.period, arms=len(numbers))
+    alone.vary(np.arange(len(numbers)), **trials.parameters(numbers))
+    alone.reset(np.arange(len(numbers)), states.reshape(len(numbers), -1))
+    drive = np.zeros((len(numbers), 8))
+    drive[:, :2] = np.repeat(bench.applied * plant.torque_limit, len(numbers) // 2, axis=0)
+    alone.step(drive)
+    assert np.array_equal(observer._states.reshape(len(numbers), -1), alone.state)

@@ -1,0 +1,170 @@
+"""Tracking: references of the moment in which torques begin to act, gains for the arm as it is, and what both do."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+import flexman_gym as fm
+from flexman_gym.control.controller import Episode
+from flexman_gym.control.lqr import HOLDING, LQR
+from flexman_gym.control.observer import Estimate
+from flexman_gym.control.tracking import Tracking
+from flexman_gym.envs.vector_env import FlexManVectorEnv
+from flexman_gym.simulation.parameters import varied_model
+
+from oracles.bench import SMALL, small_plant
+from oracles.equality import same
+
+UNKNOWN = {"payload_mass": (0.0, 0.2), "joint_stiffness_factor": (0.7, 1.3), "link_stiffness_factor": (0.7, 1.3)}
+LAB = {**UNKNOWN, "delay": (0, 2), "sensor_noise": (0.001, 0.001)}
+ONE, ON = np.array([0]), np.ones(1, dtype=bool)
+START, GOAL = np.array([[0.1, -0.3]]), np.array([[0.6, 0.4]])
+
+
+def estimate(states, lead=0, **parameters):
+    """Of one arm."""
+    given = {name: np.array([value]) for name, value in parameters.items()}
+    return Estimate(np.atleast_2d(states), np.array([lead]), given)
+
+
+def law(start=START, goal=GOAL, randomisation=UNKNOWN, path=None):
+    """A law in an episode of one arm, and its plant."""
+    plant = small_plant("FlexPlanar-v0", randomisation)
+    own = Tracking(plant)
+    own.reset(ONE, Episode(start, goal, plant.period, path))
+    return own, plant
+
+
+def test_on_its_reference_it_only_feeds_forward():
+    own, plant = law()
+    rest = fm.rest_state(plant.model, START[0])
+    own.torques(estimate(rest, payload_mass=0.1), ON)
+    for period in range(1, 5):
+        now = np.array([period * plant.period])
+        state, forward = own._slews.states(now, ONE), own._slews.torques(now + 0.5 * plant.period, ONE)
+        assert own.torques(estimate(state, payload_mass=0.1), ON) == pytest.approx(forward, abs=1e-9)
+
+
+@pytest.mark.parametrize("lead", [0, 2])
+def test_it_follows_the_reference_of_the_moment_in_which_torques_act(lead):
+    """A slew begins when the first torque arrives; of a path that moves by itself the moment counts."""
+    own, plant = law()
+    rest = fm.rest_state(plant.model, START[0])
+    first = own.torques(estimate(rest, lead), ON)
+    other, _ = law()
+    assert first == pytest.approx(other.torques(estimate(rest), ON)) and own._slews.begun[0] == lead * plant.period
+    way = np.sin(np.linspace(0.0, 1.5, 61))[:, None] ** 3 * [0.4, -0.5]
+    follower, _ = law(way[:1], way[:1], path=lambda: way[None])
+    for period in range(12):
+        now = np.array([(period + lead) * plant.period])
+        follower._following.adapt(ONE, {})
+        state, forward = follower._following.at(now, ONE)
+        assert follower.torques(estimate(state, lead), ON) == pytest.approx(forward, abs=1e-9)
+
+
+@pytest.mark.parametrize("payload", [0.0, 0.2])
+@pytest.mark.parametrize("held", [False, True])
+def test_off_its_reference_it_is_the_regulator_of_the_arm_as_it_is_estimated(payload, held):
+    """At a posture of the table; an arm that starts at its goal is held more tightly."""
+    goal = 0.17 * np.array([[1.0, 2.0]])
+    own, plant = law(goal if held else goal - 0.1, goal)
+    own.torques(estimate(fm.rest_state(plant.model, (goal if held else goal - 0.1)[0]), payload_mass=payload), ON)
+    own.limits = np.full(2, 1e9)  # so that nothing is cut off
+    own._ages[:] = 3001  # long at the goal, and no period in which it looks at parameters
+    true = varied_model(plant.model, payload_mass=payload)
+    regulator = LQR(true, plant.torque_limit, plant.period)
+    weights = regulator.weights._replace(tip=HOLDING * regulator.weights.tip) if held else regulator.weights
+    gain = regulator.gain(goal[0], weights)
+    state = own._slews.states(np.array([60.0]), ONE)
+    state[:, plant.model.motor_columns] = goal
+    off = 1e-6 * np.random.default_rng(0).standard_normal(state.shape)
+    off[:, plant.model.motor_columns] = 0.0
+    torques = []
+    for each in (state, state + off):
+        own._ages[:] = 3001
+        torques.append(own.torques(estimate(each, payload_mass=payload), ON)[0])
+    assert torques[0] - torques[1] == pytest.approx(gain @ off[0], rel=1e-5, abs=1e-9)
+
+
+def test_torques_are_within_the_limits_and_arms_that_rest_have_none():
+    plant = small_plant("FlexPlanar-v0", UNKNOWN)
+    own, arms = Tracking(plant), np.arange(2)
+    own.reset(arms, Episode(START.repeat(2, 0), GOAL.repeat(2, 0), plant.period))
+    far = np.array([fm.rest_state(plant.model, START[0])] * 2)
+    playing = np.array([True, False])
+    own.torques(Estimate(far, np.zeros(2, dtype=int), {}), playing)
+    far[:, plant.model.n_dof + plant.model.motor_columns] = 50.0
+    result = own.torques(Estimate(far, np.zeros(2, dtype=int), {}), playing)
+    assert result[0].tolist() == [-limit for limit in plant.torque_limit] and result[1].tolist() == [0.0, 0.0]
+    assert own._ages.tolist() == [2, 0]
+
+
+# In environments
+
+
+SETTINGS = {
+    "adaptive": {"base": "adaptive-lqr", "randomisation": LAB},
+    "biased": {"base": {"kind": "adaptive-lqr", "biased": True}, "randomisation": LAB},
+    "nothing unknown": {"base": "adaptive-lqr"},
+    "privileged": {"base": "privileged-lqr", "randomisation": LAB},
+    "pushed": {"base": "adaptive-lqr", "randomisation": {**LAB, "tip_load": (0.0, 0.3)}},
+    "path": {"base": "adaptive-lqr", "randomisation": LAB, "name": "FlexPlanar-Track-v0"},
+}
+
+
+@pytest.mark.parametrize("which", SETTINGS)
+def test_one_arm_gets_the_same_bits_alone_and_among_others(which):
+    settings = {**SMALL, "horizon": 0.24, **SETTINGS[which]}
+    name = settings.pop("name", "FlexPlanar-v0")
+    arms = gym.make_vec(name, 3, "vector_entry_point", autoreset_mode="SameStep", **settings)
+    singles = gym.make_vec(name, 3, "sync", vector_kwargs={"autoreset_mode": AutoresetMode.SAME_STEP}, **settings)
+    for actual, expected in zip(arms.reset(seed=2), singles.reset(seed=2), strict=True):
+        same(actual, expected, "reset")
+    zero, ends = np.zeros(arms.action_space.shape, dtype=np.float32), 0
+    for period in range(40):
+        result = arms.step(zero)
+        for actual, expected in zip(result, singles.step(zero), strict=True):
+            same(actual, expected, f"period {period}")
+        ends += np.sum(result[2] | result[3])
+    assert ends >= 3, "new episodes were seen"
+
+
+@pytest.mark.parametrize("which", SETTINGS)
+def test_an_environment_made_alike_goes_on_from_a_state(which):
+    """To the last bit, with trials, filters and references on their way."""
+    settings = {**SMALL, "name": "FlexPlanar-v0", "horizon": 3.0, **SETTINGS[which]}
+    env, other = (FlexManVectorEnv(2, **settings) for _ in range(2))
+    env.reset(seed=1)
+    other.reset(seed=5)
+    zero = np.zeros(env.action_space.shape, dtype=np.float32)
+    for _ in range(33):
+        env.step(zero)
+    for _ in range(8):
+        other.step(zero)
+    other.set_state(env.get_state())
+    for period in range(20):
+        assert np.array_equal(env.step(zero)[0], other.step(zero)[0]), period
+
+
+@pytest.mark.parametrize("which", ["adaptive", "nothing unknown", "privileged"])
+def test_it_brings_an_arm_to_its_goal(which):
+    settings = {**SMALL, "name": "FlexPlanar-v0", "horizon": 4.0, **SETTINGS[which]}
+    env = FlexManVectorEnv(3, **settings)
+    _, infos = env.reset(seed=9000)
+    zero = np.zeros(env.action_space.shape, dtype=np.float32)
+    for _ in range(300):
+        *_, infos = env.step(zero)
+    assert not env.episodes.failures
+    assert (infos["tip_error"] < {"adaptive": 0.01, "nothing unknown": 2e-3, "privileged": 1e-2}[which]).all()
+    observer = env.episodes.base.observer
+    if which == "adaptive":
+        assert np.array_equal(observer.delays, env.episodes.effects.drawn["delay"])
+
+
+def test_what_is_said_to_be_unknown_counts_for_observer_and_law():
+    """Given by hand, in place of what the environment draws."""
+    base = {"kind": "adaptive-lqr", "unknown": {"payload_mass": (0.0, 0.2)}}
+    env = FlexManVectorEnv(1, name="FlexPlanar-v0", base=base, **SMALL)
+    assert env.episodes.base.observer.unknowns.names == ("payload_mass",)
+    assert env.episodes.base.law._payloads == (0.0, 0.1, 0.2)

@@ -1,0 +1,93 @@
+"""Plant: what a controller is told of an environment is what the environment does, and no draw."""
+
+import numpy as np
+import pytest
+
+from flexman_gym.envs.env import FlexManEnv
+from flexman_gym.envs.setup import build, setup_of
+from flexman_gym.envs.specification import make_plant
+from flexman_gym.envs.vector_env import FlexManVectorEnv
+from flexman_gym.simulation.run import find_method
+
+SMALL = {"elements": 1, "modes": 1}
+RANDOM = {
+    "payload_mass": (0.0, 0.2), "joint_stiffness_factor": (0.7, 1.3), "delay": (1, 3), "tip_load": (0.5, 2.0),
+    "sensor_noise": (0.0, 0.003), "torque_limit_factor": (0.9, 1.1),
+}  # fmt: skip
+
+
+def plant_of(name="FlexPlanar-v0", **settings):
+    setup = setup_of({"name": name, **SMALL, **settings})
+    model = build(setup).model
+    return make_plant(setup, model), setup, model
+
+
+def test_it_tells_ranges_and_no_more():
+    plant, setup, model = plant_of(randomisation=RANDOM)
+    assert plant.model is model and plant.torque_limit == setup.torque_limit
+    assert plant.period == setup.control_period and plant.gains() == setup.pd_gains
+    assert plant.unknown == {"payload_mass": (0.0, 0.2), "joint_stiffness": (0.7, 1.3)}
+    assert plant.delay == (1, 3) and plant.push == 2.0
+
+
+def test_of_an_environment_that_draws_nothing_all_is_known():
+    plant, *_ = plant_of()
+    assert (plant.unknown, plant.delay, plant.push) == ({}, (0, 0), 0.0)
+    assert not any(values[1].any() for values in plant.measured().values())
+
+
+def test_what_a_task_disturbs_is_told_too():
+    plant, *_ = plant_of("FlexPlanar-Hold-v0")
+    assert plant.push == 0.5
+
+
+@pytest.mark.parametrize("settings", [{}, {"step": 0.0025}, {"method": "ros2"}])
+def test_it_moves_arms_as_the_environment_does(settings):
+    plant, *_ = plant_of(**settings)
+    batch = FlexManEnv(name="FlexPlanar-v0", **SMALL, **settings).episodes.batch
+    assert find_method(plant.moved[0]) == batch.method
+    assert round(plant.period / plant.moved[1]) == batch.substeps
+
+
+def deviations(settings, names, arms=400):
+    """Standard deviation of what a base reads at the start, over many arms that start alike."""
+
+    class Reading:
+        sensors, heard = ("motor_encoders", "joint_encoders", "strain"), None
+
+        def reset(self, arms, episode):
+            pass
+
+        def act(self, readings, applied, playing):
+            self.heard = {name: np.array(values) for name, values in readings.items()}
+            return np.zeros_like(applied)
+
+    base = Reading()
+    env = FlexManVectorEnv(arms, name="FlexPlanar-v0", base=base, **SMALL, **settings)
+    env.reset(seed=0, options={"start": [0.1, 0.2], "goal_angles": [0.3, 0.4]})
+    env.step(np.zeros((arms, 2), dtype=np.float32))
+    return {name: base.heard[name].std(axis=0) for name in names}
+
+
+def test_deviations_are_those_of_what_a_base_reads():
+    """Of the largest noise that may be drawn; ranges are what the noise is a part of."""
+    noise = {"randomisation": {"sensor_noise": (0.002, 0.002)}}
+    plant, *_ = plant_of(**noise)
+    names = ("motor_angles", "motor_rates", "joint_twists", "joint_twist_rates", "root_strains")
+    measured = plant.measured()
+    for name, seen in deviations(noise, names).items():
+        assert measured[name][1] == pytest.approx(0.002 * measured[name][0])
+        assert seen == pytest.approx(measured[name][1], rel=0.15), name
+    limits = setup_of({"name": "FlexPlanar-v0"}).limits
+    assert measured["motor_angles"][0].tolist() == [limits.angle] * 2
+    assert measured["motor_rates"][0].tolist() == [limits.rate] * 2
+
+
+def test_the_flaws_of_an_instrument_add_to_the_noise():
+    """Noise by squares, and rounding by a step over the square root of 12."""
+    flawed = {"kind": "motor_encoders", "noise": 0.003, "quantisation": 0.01}
+    plant, *_ = plant_of(sensors=[flawed, "joint_encoders"], randomisation={"sensor_noise": (0.0, 0.001)})
+    measured = plant.measured()
+    parts = {name: (values[1] / values[0]).max() for name, values in measured.items()}
+    assert parts["motor_angles"] == pytest.approx(np.sqrt(0.003**2 + 0.001**2 + 0.01**2 / 12.0))
+    assert parts["joint_twists"] == pytest.approx(0.001)
