@@ -162,6 +162,8 @@ def plan_slew(
 def plan_via(model: Model, postures: Array, limits: Array, share: float, period: float) -> Reference:
     """Plans the quickest motion through postures, see `via_path`, whose torques stay within a share of the limits.
 
+    Postures are at ends of periods, which bends the spline a little with each duration: a shorter one may be left out.
+
     Args:
         model: of the arm.
         postures: (m, n) rad, motor angles; it rests at the first and the last.
