@@ -96,10 +96,8 @@ class Batch:
         """
         if not np.abs(states).max(initial=0.0) <= layout.LARGEST_STATE:
             bounded("states", states.ravel().tolist(), layout.LARGEST_STATE)
-        self.rows[arms, :-2], self.rows[arms, -2:] = states, 0.0
-        self.status[arms] = layout.OK
+        self.place(arms, states)
         self._periods[arms] = self._drive[arms] = 0.0
-        self._known = False
         self._mover.observe(arms, self.rows, self.outputs)
         energy = np.empty(len(self.rows))
         outputs.energies(self.outputs, energy)
