@@ -90,7 +90,7 @@ def improvements(scores: Array, others: Array) -> Array:
     ours, theirs = samples("scores", scores, 2), samples("others", others, 2)
     if ours.shape != theirs.shape:
         raise refusal("others", theirs.shape, f"scores of the same episodes, {ours.shape}")
-    return 0.5 * (1.0 + (ours > theirs) - (ours < theirs))
+    return np.where(ours == theirs, 0.5, ours > theirs)
 
 
 def normalised_scores(rewards: Array, zero: float, one: float, most: float) -> Array | None:
