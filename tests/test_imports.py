@@ -27,9 +27,9 @@ FLOORS = {
     "draw": "simulation model scene kernels arrays checks",
     "envs": "draw control fidelity simulation model scene kernels arrays checks",
     "metrics": "arrays checks",
-    "evaluation": "metrics envs control simulation scene arrays checks",
-    "agents": "flexman_gym evaluation envs metrics draw control simulation scene arrays checks",
     "verification": "simulation model scene kernels arrays checks",
+    "evaluation": "verification metrics envs draw control simulation scene arrays checks",
+    "agents": "flexman_gym evaluation envs metrics draw control simulation scene arrays checks",
     "commands": "flexman_gym agents verification evaluation envs draw control fidelity simulation model scene kernels "
     "checks",
     "__main__": "flexman_gym commands",

@@ -4,6 +4,14 @@ Times begin with the first sample, which is that of the reset. Errors are distan
 """
 
 from flexman_gym.metrics.actions import effort, power_above, roughness
+from flexman_gym.metrics.comparison import (
+    improvements,
+    interquartile_mean,
+    mean,
+    normalised_scores,
+    performance_profile,
+    stratified_interval,
+)
 from flexman_gym.metrics.intervals import median_interval, upper_median
 from flexman_gym.metrics.settling import (
     BAND,
@@ -29,14 +37,20 @@ __all__ = [
     "effort",
     "energy_left",
     "final_error",
+    "improvements",
+    "interquartile_mean",
+    "mean",
     "median_interval",
+    "normalised_scores",
     "overshoot",
     "peak_to_peak",
+    "performance_profile",
     "power_above",
     "residual_vibration",
     "rms",
     "roughness",
     "settling_time",
     "squared_acceleration",
+    "stratified_interval",
     "upper_median",
 ]

@@ -91,9 +91,26 @@ def test_precision_halves_the_step_and_measures_against_the_reference(capsys):
     assert "diverged           -" in capsys.readouterr().out
 
 
+def test_the_league_is_played_and_grows(tmp_path, capsys):
+    """By one entrant more, where the others have played, and by no run that is not there."""
+    where = ["--folder", str(tmp_path), "--episodes", "2"]
+    assert main(["league", *where, "--entrants", "zero", "privileged-lqr", "--environments", "FlexOne-v0"]) == 0
+    assert main(["league", *where, "--add", "pd"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(",")[0] for line in lines if " of " in line] == [
+        "1 of 2: zero on FlexOne-v0", "2 of 2: privileged-lqr on FlexOne-v0", "1 of 1: pd on FlexOne-v0"
+    ]  # fmt: skip
+    page = (tmp_path / "league.md").read_text()
+    assert all(f"| `{entrant}` |" in page for entrant in ("zero", "privileged-lqr", "pd"))
+
+
 @pytest.mark.parametrize(
     ("given", "line"),
     [
+        (["league", "--episodes", "0"], "--episodes: 0 is not allowed; give a whole number >= 1"),
+        (["league", "--sweep", "mass"], "sweep: 'mass' is not allowed; give one of payload"),
+        (["league", "--add", "nowhere"], "nowhere/settings.json: no such file"),
+        (["league", "--environments", "FlexPlanar-v9"], "FlexPlanar-v9: there is no such file"),
         (["simulate", "nowhere.json"], "nowhere.json: there is no such file"),
         (["simulate", SCENE, "--method", "rk5"], "method: 'rk5' is not allowed; give one of "),
         (["choose", SCENE, "--tolerance", "0"], "tolerance: 0.0 is not allowed; give a finite number > 0"),

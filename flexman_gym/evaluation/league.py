@@ -1,0 +1,243 @@
+"""League: all entrants in the same episodes, played cell by cell and kept as rows, so that a killed one goes on."""
+
+import csv
+import hashlib
+import io
+import json
+import multiprocessing
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from time import process_time
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexman_gym.arrays import Array, Flags, IntArray
+from flexman_gym.control.controller import Controller, Episode, Readings
+from flexman_gym.control.slew_table import SHIPPED, SlewTable
+from flexman_gym.envs.description import Description
+from flexman_gym.envs.setup import build, setup_of
+from flexman_gym.evaluation.entrants import BASELINES, Entrant, find_entrant
+from flexman_gym.evaluation.figures import FIGURES
+from flexman_gym.evaluation.folder import BEST, NEWEST, SETTINGS, write
+from flexman_gym.evaluation.rollout import rollout
+from flexman_gym.evaluation.submission import check_seeds, is_buildable
+from flexman_gym.evaluation.venues import find_venue
+
+ROWS, CELLS = "rows.csv", "cells.csv"
+BLOCK = 25  # episodes side by side in a cell
+PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy")
+MULTIPLE = "multiple"  # of the settling time of the optimised slew
+VALUES = (*FIGURES, MULTIPLE)
+SCALE = ("zero", "privileged-lqr")  # whose rewards mean 0 and 1, so that they are played everywhere
+
+
+class Row(NamedTuple):
+    """An episode: what played it, as a hash, who, where, its seed, and its VALUES; nan where there is none."""
+
+    key: str
+    entrant: str
+    venue: str
+    seed: int
+    values: tuple[float, ...]
+
+
+class Cell(NamedTuple):
+    """A block of episodes: who, where, and the seeds from the first to the one before `end`.
+
+    Attributes:
+        action, design: CPU time of an action of an arm and of the start of an episode, microseconds.
+        why: it was not played, "" where it was.
+    """
+
+    key: str
+    entrant: str
+    venue: str
+    first: int
+    end: int
+    action: float = np.nan
+    design: float = np.nan
+    why: str = ""
+
+
+class Book:
+    """What is played so far: rows by venue, entrant and seed, and cells by venue, entrant and first seed."""
+
+    def __init__(self, rows: Iterable[Row] = (), cells: Iterable[Cell] = ()) -> None:
+        self.rows = {(row.venue, row.entrant, row.seed): row for row in rows}
+        self.cells = {(cell.venue, cell.entrant, cell.first): cell for cell in cells}
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Reads the rows and cells of a folder; an empty book where there are none."""
+        if not (folder / ROWS).exists():
+            return cls()
+        rows = [Row(key, who, venue, int(seed), tuple(map(float, values)))
+                for key, who, venue, seed, *values in _read(folder / ROWS)]  # fmt: skip
+        cells = [Cell(key, who, venue, int(first), int(end), float(action), float(design), why)
+                 for key, who, venue, first, end, action, design, why in _read(folder / CELLS)]  # fmt: skip
+        return cls(rows, cells)
+
+    def save(self, folder: Path) -> None:
+        """Writes both, sorted, so that the order in which they were played leaves no trace."""
+        rows = ([*row[:4], *map(repr, row.values)] for _, row in sorted(self.rows.items()))
+        _write(folder / CELLS, Cell._fields, (cell for _, cell in sorted(self.cells.items())))
+        _write(folder / ROWS, (*Row._fields[:4], *VALUES), rows)
+
+    def has(self, cell: Cell) -> bool:
+        """Whether a cell was played, or could not be, with what would play it now."""
+        known = self.cells.get((cell.venue, cell.entrant, cell.first))
+        return known is not None and known.key == cell.key and known.end >= cell.end
+
+    def add(self, cell: Cell, rows: Iterable[Row]) -> None:
+        """Takes what was played, in place of all that another version of the entrant or the venue did."""
+        who = cell.venue, cell.entrant
+        self.rows = {place: row for place, row in self.rows.items() if place[:2] != who or row.key == cell.key}
+        self.cells = {place: each for place, each in self.cells.items() if place[:2] != who or each.key == cell.key}
+        self.cells[*who, cell.first] = cell
+        self.rows |= {(*who, row.seed): row for row in rows}
+
+
+def play_league(
+    entrants: Sequence[str], venues: Sequence[str], seeds: range, folder: Path, jobs: int = 1,
+    say: Callable[[str], None] = print,
+) -> Book:  # fmt: skip
+    """Plays the cells that a folder does not have yet, and writes its files after each.
+
+    Args:
+        entrants: names, or folders of runs.
+        venues: see `find_venue`.
+        seeds: of the episodes, one after the other.
+        folder: of the files.
+        jobs: processes; rows are the same for any number of them.
+        say: is told of each cell.
+
+    Raises:
+        FileNotFoundError, ValueError: one line, also for a run that was trained on some of the seeds.
+    """
+    for entrant in entrants:
+        check_seeds(entrant, seeds)
+    book = Book.load(folder)
+    keys = {(who, venue): key_of(who, venue) for venue in venues for who in entrants}
+    blocks = [(first, min(first + BLOCK, seeds.stop)) for first in range(seeds.start, seeds.stop, BLOCK)]
+    cells = [Cell(key, *place, *block) for place, key in keys.items() for block in blocks]
+    left = [cell for cell in cells if not book.has(cell)]
+    folder.mkdir(parents=True, exist_ok=True)
+    for count, (cell, rows) in enumerate(_spread(left, jobs), 1):
+        book.add(cell, rows)
+        book.save(folder)
+        say(f"{count} of {len(left)}: {cell.entrant} on {cell.venue}, {cell.first} to {cell.end - 1}{_said(cell)}")
+    return book
+
+
+def play(cell: Cell) -> tuple[Cell, list[Row]]:
+    """Plays a cell; one that is refused says why and has no rows."""
+    try:
+        venue, entrant = find_venue(cell.venue), find_entrant(cell.entrant)
+        if _is_lab(cell.venue) and not is_buildable(cell.entrant) and cell.entrant not in SCALE:
+            return cell._replace(why="it needs more than a laboratory can tell it"), []
+        seeds, (player, watch) = range(cell.first, cell.end), _watched(entrant, venue.told)
+        result = rollout(player, venue.environment, seeds)
+    except ValueError as error:
+        return cell._replace(why=str(error).splitlines()[0]), []
+    times, rows = slew_times(venue.environment), []
+    for seed, record in zip(seeds, result.records, strict=True):
+        values = {name: figure.of(record) for name, figure in FIGURES.items()}
+        multiple = values["settling_time"] / times.get(seed, np.nan)
+        rows.append(Row(cell.key, cell.entrant, cell.venue, seed, (*values.values(), multiple)))
+    action, design = (watch.acting, watch.designing) if watch else (0.0, 0.0)
+    return cell._replace(action=1e6 * action / float(np.sum(result.lengths)), design=1e6 * design / len(seeds)), rows
+
+
+def slew_times(environment: Description) -> dict[int, float]:
+    """Settling times (s) of the optimised slews of an environment by seed, where the table that is shipped is its."""
+    table = SlewTable.load(SHIPPED)
+    same = table.about.get("environment") == environment.whole()
+    return {seed: table.settling_time(seed) for seed in table.found} if same else {}
+
+
+def key_of(entrant: str, venue: str) -> str:
+    """Hash of all that rows follow from: the settings of venue and entrant, the files of a run, and versions."""
+    parts: list[Any] = [each.whole() for each in find_venue(venue)]
+    parts += [{name: _version(name) for name in PACKAGES}, _is_lab(venue)]
+    files = [] if entrant in BASELINES else [Path(entrant) / name for name in (SETTINGS, BEST, NEWEST)]
+    known = [hashlib.sha256(path.read_bytes()).hexdigest() for path in files if path.is_file()] or [entrant]
+    return hashlib.sha256(json.dumps([parts, known], sort_keys=True).encode()).hexdigest()[:16]
+
+
+class _Watched:
+    """A controller and the CPU time (s) that it has taken."""
+
+    def __init__(self, inner: Controller) -> None:
+        self.inner, self.sensors, self.acting, self.designing = inner, inner.sensors, 0.0, 0.0
+
+    def __deepcopy__(self, memo: object) -> Self:
+        return self  # which a rollout makes of what may act elsewhere: the time must be told
+
+    def reset(self, arms: IntArray, episode: Episode) -> None:
+        begun = process_time()
+        self.inner.reset(arms, episode)
+        self.designing += process_time() - begun
+
+    def act(self, readings: Readings, applied: Array, playing: Flags) -> NDArray[Any]:
+        begun = process_time()
+        result = self.inner.act(readings, applied, playing)
+        self.acting += process_time() - begun
+        return result
+
+
+def _watched(entrant: Entrant, told: Description) -> tuple[Entrant, _Watched | None]:
+    """An entrant as it is made for what it is told, with a watch; zero and random torques take no time."""
+    if "base" not in entrant.interface:
+        return entrant, None
+    setup = setup_of({"name": told.id, **told.keywords(), **entrant.interface})
+    base = setup.base_controller(build(setup).model)
+    assert base is not None
+    watch = _Watched(base)
+    return replace(entrant, interface={**entrant.interface, "base": watch}), watch
+
+
+def _spread(cells: Sequence[Cell], jobs: int) -> Iterator[tuple[Cell, list[Row]]]:
+    """Plays cells, as they end."""
+    if jobs == 1:
+        yield from map(play, cells)
+        return
+    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
+        try:
+            for done in as_completed([pool.submit(play, cell) for cell in cells]):
+                yield done.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _is_lab(venue: str) -> bool:
+    """Whether only what a laboratory measures may be known there."""
+    return "=" not in venue and Description.find(venue).whole_settings().get("sensors") == "lab"
+
+
+def _said(cell: Cell) -> str:
+    return f": {cell.why}" if cell.why else f", {cell.action:.0f} us an action"
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:  # a checkout that is not installed
+        return ""
+
+
+def _read(path: Path) -> Iterator[list[str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        lines = csv.reader(file)
+        next(lines)
+        yield from lines
+
+
+def _write(path: Path, heads: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([heads, *rows])
+    write(path, lambda file: file.write(text.getvalue().encode()))

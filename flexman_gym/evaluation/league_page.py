@@ -1,0 +1,263 @@
+"""League page: the standing as a page, from rows alone: which controller to take, tables, charts and rules."""
+
+from pathlib import Path
+
+import numpy as np
+
+from flexman_gym.draw.league import Curve, score_chart
+from flexman_gym.envs.catalog import DEFAULT
+from flexman_gym.evaluation.figures import MEAN, MEDIAN, Figure, figures_of
+from flexman_gym.evaluation.league import MULTIPLE, SCALE, Book, slew_times
+from flexman_gym.evaluation.standing import Interval, Standing, value_of
+from flexman_gym.evaluation.submission import needs, training_seconds
+from flexman_gym.evaluation.venues import SWEEPS, find_venue
+from flexman_gym.metrics import mean, median_interval, performance_profile, stratified_interval
+from flexman_gym.simulation.parameters import PARAMETERS
+from flexman_gym.verification.machine import machine_text
+from flexman_gym.verification.markdown import bullets, introduced_table
+
+PAGE, CHART = "league.md", "league.png"
+ASKED = f"{DEFAULT}/unknown-lab"  # where an arm is as a laboratory has it
+BROKEN = 0.5  # of the episodes that settle, or of the score where goals move: less is broken
+THRESHOLDS = np.linspace(-0.2, 1.4, 81)
+TEXT = """# The league
+
+All entrants play the same episodes. `flexman league` writes this page anew from its rows.
+
+## Which one to take
+
+{conclusion}
+
+## On the whole
+
+The score of an episode's reward is 0 for no torque and 1 for an LQR that is told everything, both in the mean.
+A score above 1 is possible: `optimised` knows its episodes beforehand.
+The table has the interquartile mean of the scores in all venues with a scale, and its bootstrap interval at 95 %.
+A venue has no scale where its ends are less than 5 % of the largest reward apart.
+*Better* is the probability of a larger reward than the next row's in the same episode.
+*Action* is CPU time for one arm among {block} side by side, and *start* that of a new episode.
+
+{whole}
+![Scores by venue, and the part of all episodes above each score]({chart})
+
+## Venue by venue
+
+Scores and shares are means, other figures medians, with bootstrap intervals; roughness and effort are bare means.
+An entrant reads its own sensors, whatever the venue has.
+In `unknown-lab` it may not need more than a laboratory can tell it, except for the ends of the scale.
+
+{venues}
+{sweeps}## Rules
+
+{rules}
+
+Computed with {machine}.
+"""
+RULES = """\
+- Seeds from 5000 on are for tuning and selection. Those from 9000 on are for the test, and nothing is chosen on them.
+- Training begins at the seed 1000000, or later.
+- Whoever tunes a classical entrant may take as much computing time as the training of the policy beside it.
+- A fair submission is the folder of a run with its settings, its curves and its policy.
+- It is judged as it is: one policy for all venues, with the sensors that it learned with.
+- `flexman league --add FOLDER` refuses a run that has seen a seed of the test, as far as its settings tell.
+- Rows hold a hash of the venue, the entrant and the versions of packages. Another hash is played anew.
+- Rows are the same to the bit in every repeat, for any number of processes."""
+HEADS = ("entrant", "needs", "score", "venues", "better", "action, us", "start, ms", "training, min")
+
+
+def write_page(book: Book, folder: Path) -> None:
+    """Writes the page and its charts into a folder; without Matplotlib the page alone."""
+    standing = Standing(book)
+    try:
+        _draw(standing, folder)
+    except ImportError as error:
+        print(f"no charts: {error}")
+    (folder / PAGE).write_text(page(standing), encoding="utf-8")
+
+
+def page(standing: Standing) -> str:
+    """Gives the page."""
+    longest = max((cell.end - cell.first for cell in standing.book.cells.values()), default=0)
+    said = {
+        "conclusion": conclusion(standing),
+        "block": longest,
+        "whole": _whole(standing),
+        "chart": CHART,
+        "venues": "\n".join(line for venue in standing.venues for line in _venue(standing, venue)),
+        "sweeps": "\n".join(line for name in standing.sweeps for line in _sweep(standing, name)),
+        "rules": RULES,
+        "machine": machine_text(),
+    }
+    return TEXT.format(**said)
+
+
+def conclusion(standing: Standing) -> str:
+    """Says which entrant to take for an arm that nobody knows, what it costs and where it breaks."""
+    known = standing.buildable(ASKED)
+    if not known:
+        return f"Nobody who could act on a real arm has played `{ASKED}`."
+    best, *others = known
+    settled, time = standing.settled(best, ASKED)
+    action, start = standing.cost(best, [ASKED])
+    said = [
+        f"Take `{best}` for an arm whose payload, stiffness and delay nobody knows (`{ASKED}`).",
+        f"It settles {settled:.0%} of the episodes, half of them within {-time:.2f} s."
+        if settled > 0.5 else f"It settles {settled:.0%} of the episodes.",
+        f"It needs to know: {_needs(best)}.",
+        f"An action takes {action:.3g} microseconds, and the start of an episode {1e-3 * start:.3g} ms.",
+    ]  # fmt: skip
+    if others:
+        won = standing.better(best, others[0], [ASKED])
+        part, _ = standing.settled(others[0], ASKED)
+        said += [f"The next is `{others[0]}`, which settles {part:.0%}."]
+        said += [f"The first has the larger reward in {_share(won)} of the same episodes."] if won else []
+    one = standing.values(SCALE[1], ASKED, "settling_time")
+    if one:
+        said.append(f"An LQR that is told everything needs {median_interval(np.array([*one.values()]))[0]:.2f} s.")
+    broken = [f"`{venue}`" for venue in _everywhere(standing) if _is_broken(standing, best, venue)]
+    said.append(f"It breaks in: {', '.join(broken)}." if broken else "It breaks in none of the venues that it played.")
+    unplayed = [f"`{venue}`" for venue in _everywhere(standing) if standing.why(best, venue)]
+    return "\n".join([*said, *([f"It did not play: {', '.join(unplayed)}."] if unplayed else [])])
+
+
+def _everywhere(standing: Standing) -> list[str]:
+    return [*standing.venues, *(venue for each in standing.sweeps.values() for venue in each)]
+
+
+def _is_broken(standing: Standing, entrant: str, venue: str) -> bool:
+    if standing.why(entrant, venue):
+        return False
+    if "settling_time" in {each.name for each in _figures(venue)}:
+        return standing.settled(entrant, venue)[0] < BROKEN
+    score = standing.score(entrant, venue)
+    return score is not None and score[0] < BROKEN
+
+
+def _whole(standing: Standing) -> str:
+    count, rows = len(standing.counted), []
+    for entrant, after in zip(standing.entrants, [*standing.entrants[1:], ""], strict=True):
+        won = standing.better(entrant, after, standing.counted) if after else None
+        action, start = standing.cost(entrant, standing.venues)
+        trained = training_seconds(entrant)
+        rows.append([
+            f"`{entrant}`", _needs(entrant), _interval(standing.whole[entrant]),
+            f"{count - len(standing.missed(entrant))} of {count}", _share(won) if won else "-",
+            _number(action), _number(1e-3 * start), "-" if trained is None else _number(trained / 60.0),
+        ])  # fmt: skip
+    counted = ", ".join(f"`{venue}`" for venue in standing.counted)
+    return "\n".join(introduced_table(f"Venues: {counted}.", HEADS, rows))
+
+
+def _venue(standing: Standing, venue: str) -> list[str]:
+    """The section of a venue."""
+    environment = find_venue(venue).environment
+    figures, times = _figures(venue), slew_times(environment)
+    played = [each for each in standing.entrants if not standing.why(each, venue)]
+    scores = {each: standing.score(each, venue) or (np.nan,) * 3 for each in played}
+    played.sort(key=lambda each: -np.nan_to_num(scores[each][0], nan=0.0))
+    heads = ["entrant", "score", *(figure.head for figure in figures), *(["times optimised"] if times else []),
+             "action, us"]  # fmt: skip
+    rows = []
+    for entrant in played:
+        cells = [_cell(figure, standing.values(entrant, venue, figure.name)) for figure in figures]
+        multiple = [*standing.values(entrant, venue, MULTIPLE).values()]
+        cells += [_interval(median_interval(np.array(multiple)))] if times else []
+        rows.append([f"`{entrant}`", _interval(scores[entrant]), *cells, _number(standing.cost(entrant, [venue])[0])])
+    count = len({seed for place, _, seed in standing.book.rows if place == venue})
+    lines = [f"### {venue}", "", *introduced_table(f"{count} episodes.", heads, rows)]
+    return [*lines, *bullets(_notes(standing, venue, bool(times))), ""]
+
+
+def _notes(standing: Standing, venue: str, times: bool) -> list[str]:
+    """Why cells of a venue are empty, and who knows a wrong arm."""
+    said = [f"`{each}` has no row: {standing.why(each, venue)}."
+            for each in standing.entrants if standing.why(each, venue)]  # fmt: skip
+    if not standing.scale(venue):
+        said.append("There is no score: the ends of the scale are too close, or were not played.")
+    if not times:
+        said.append("There is no multiple of the optimised slew: no table holds slews of this venue.")
+    drawn = find_venue(venue).environment.setup().disturbed
+    if drawn is not None and set(drawn.effects) & set(PARAMETERS):
+        there = [each for each in standing.entrants if not standing.why(each, venue)]
+        wrong = [f"`{each}`" for each in there if {"model"} == {"model", "true parameters"} & set(needs(each))]
+        said += [f"The nominal arm is known to {', '.join(wrong)}: a wrong one here."] if wrong else []
+    return [*said, "A dash is no number: more than half of the episodes did not settle, or failed."]
+
+
+def _sweep(standing: Standing, name: str) -> list[str]:
+    """The section of a sweep."""
+    venues = standing.sweeps[name]
+    played = [each for each in standing.entrants if any(not standing.why(each, venue) for venue in venues)]
+    rows = []
+    for entrant in played:
+        cells = []
+        for venue in venues:
+            score = standing.score(entrant, venue)
+            settled = "" if standing.why(entrant, venue) else f"{standing.settled(entrant, venue)[0]:.0%}"
+            cells.append(f"{_interval(score)}, {settled}" if score else settled or "no row")
+        rows.append([f"`{entrant}`", *cells])
+    swept = SWEEPS[name.rpartition("/")[2]]
+    heads = [swept.what, *(f"{value_of(venue):g}" for venue in venues)]
+    text = "The score, and the part of the episodes that settles."
+    lines = [f"## {name}", "", f"![Scores over {swept.what}]({_file(name)})", "", *introduced_table(text, heads, rows)]
+    why = {standing.why(each, venue): f"`{each}` has no row at {value_of(venue):g}: {standing.why(each, venue)}."
+           for each in standing.entrants for venue in venues if standing.why(each, venue)}  # fmt: skip
+    return [*lines, *bullets(why.values()), ""]
+
+
+def _draw(standing: Standing, folder: Path) -> None:
+    """Draws the chart of the venues, and one for each sweep."""
+    counted = standing.counted
+    curves = {each: _curve(standing, each, counted, np.arange(float(len(counted)))) for each in standing.entrants}
+    profiles = {}
+    for entrant in standing.entrants:
+        if counted and not standing.missed(entrant):
+            (scores,) = standing.scores([entrant], counted)
+            profiles[entrant] = THRESHOLDS, performance_profile(scores, THRESHOLDS)
+    if counted:
+        score_chart(curves, "", folder / CHART, counted, profiles)
+    for name, venues in standing.sweeps.items():
+        places = np.array([value_of(venue) for venue in venues])
+        curves = {each: _curve(standing, each, venues, places) for each in standing.entrants}
+        score_chart(curves, SWEEPS[name.rpartition("/")[2]].what, folder / _file(name))
+
+
+def _curve(standing: Standing, entrant: str, venues: list[str], places: np.ndarray) -> Curve:
+    found = np.array([standing.score(entrant, venue) or (np.nan,) * 3 for venue in venues]).reshape(-1, 3)
+    return Curve(places, *found.T)
+
+
+def _figures(venue: str) -> tuple[Figure, ...]:
+    figures = figures_of(find_venue(venue).environment.setup().task)
+    return tuple(each for each in figures if each.name != "reward")  # which the score shows
+
+
+def _cell(figure: Figure, values: dict[int, float]) -> str:
+    numbers = figure.scale * np.array([*values.values()])
+    if figure.many == MEDIAN:
+        return _interval(median_interval(numbers))
+    if figure.many == MEAN:
+        return _number(float(numbers.mean()))
+    return _share((float(numbers.mean()), *stratified_interval(numbers[:, None], mean)))
+
+
+def _interval(numbers: Interval) -> str:
+    middle, low, high = map(_number, numbers)
+    return middle if middle == low == high else f"{middle} ({low} to {high})"
+
+
+def _number(value: float) -> str:
+    return f"{round(value, 3) + 0.0:.3g}" if np.isfinite(value) else "-"
+
+
+def _share(numbers: Interval) -> str:
+    middle, low, high = (f"{100.0 * each:.0f}" for each in numbers)
+    return f"{middle} %" if low == high else f"{middle} % ({low} to {high})"
+
+
+def _needs(entrant: str) -> str:
+    return ", ".join(needs(entrant)) or "its motors"
+
+
+def _file(name: str) -> str:
+    return f"league-{name.replace('/', '-')}.png"

@@ -1,0 +1,87 @@
+"""Venues: where a league is played: named environments, their conditions, and sweeps of one number of them."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from flexman_gym.checks import one_of, refusal
+from flexman_gym.envs.catalog import DEFAULT
+from flexman_gym.envs.description import NOMINAL, Description
+from flexman_gym.evaluation.entrants import parted
+
+CONDITIONS = ("payload", "stiffness", "delay", "random-delay", "friction", "unknown", "unknown-lab")
+TASKS = ("FlexRRR-Track-v0", "FlexRRR-Hold-v0", "FlexRRR-Gravity-v0", "FlexPlanar-v0")
+USUAL = (DEFAULT, *(f"{DEFAULT}/{condition}" for condition in CONDITIONS), *TASKS)
+KNOWN_NOISE = 0.001  # of the ranges, which controllers are told in the sweep of noise
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A number that is changed over a range, beyond what controllers are told.
+
+    Attributes:
+        what: of an axis.
+        values: that are played.
+        told: settings that controllers are made for; None where they are told the truth.
+        condition: whose settings these change.
+        setting: gives the settings that are played, for a value.
+    """
+
+    what: str
+    values: tuple[float, ...]
+    told: Mapping[str, Any] | None
+    condition: str
+    setting: Callable[[float], dict[str, Any]]
+
+
+def _drawn(*names: str) -> Callable[[float], dict[str, Any]]:
+    return lambda value: {"randomisation": {name: [value, value] for name in names}}
+
+
+SWEEPS = {
+    "payload": Sweep("payload, kg", (0.0, 5.0, 10.0, 15.0, 20.0, 25.0), {}, "payload", _drawn("payload_mass")),
+    "stiffness": Sweep("stiffness of joints and links, parts of the nominal one", (0.5, 0.7, 0.85, 1.0, 1.15, 1.3, 1.5),
+                       {}, "stiffness", _drawn("joint_stiffness_factor", "link_stiffness_factor")),
+    "delay": Sweep("delay, control periods", (0.0, 1.0, 2.0, 3.0), {}, "random-delay", _drawn("delay")),
+    "noise": Sweep("noise of sensors, parts of their ranges", (0.0, 0.001, 0.003, 0.01),
+                   _drawn("sensor_noise")(KNOWN_NOISE), NOMINAL, _drawn("sensor_noise")),
+    "period": Sweep("control period, s", (0.005, 0.01, 0.02, 0.04), None, NOMINAL,
+                    lambda value: {"control_period": value}),
+}  # fmt: skip
+
+
+class Venue(NamedTuple):
+    """Where episodes are played, and the environment that controllers are made for."""
+
+    environment: Description
+    told: Description
+
+
+def find_venue(name: str) -> Venue:
+    """Gives the venue of an environment, or of a value of a sweep such as "FlexRRR-v0/payload=25".
+
+    Raises:
+        FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
+    """
+    id, _, tail = name.rpartition("/")
+    sweep, equals, value = tail.partition("=")
+    if not equals:
+        described = parted(Description.find(name))[0]
+        return Venue(described, described)
+    swept = SWEEPS[one_of("sweep", sweep, SWEEPS)]
+    try:
+        played = swept.setting(int(value) if value.isdecimal() else float(value))
+    except ValueError:
+        raise refusal("sweep", name, f"a number after {sweep}=") from None
+    told = parted(Description.under(id, swept.condition))[0].whole_settings()
+    heard = played if swept.told is None else swept.told
+    return Venue(*(Description.from_dict({"id": id, **told, **each}) for each in (played, heard)))
+
+
+def sweep_names(id: str, sweep: str) -> list[str]:
+    """Gives the names of the venues of a sweep of an environment.
+
+    Raises:
+        ValueError: for another sweep.
+    """
+    return [f"{id}/{sweep}={value:g}" for value in SWEEPS[one_of("sweep", sweep, SWEEPS)].values]

@@ -1,0 +1,111 @@
+"""Comparison: what many episodes say of who is better, and how surely (Agarwal et al., NeurIPS 2021; rliable).
+
+Scores (N, M) are those of one entrant in N episodes on each of M environments; those of another are of the same
+episodes.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from flexman_gym.arrays import Array
+from flexman_gym.checks import finite, positive, refusal, whole_number
+from flexman_gym.metrics.samples import samples
+
+CUT = 0.25  # of the scores at each end, which the interquartile mean leaves out
+LEAST_APART = 0.05  # of the largest reward, by which the ends of the scale of scores must differ
+MOST_DRAWN = 10**8  # numbers in all samples
+
+Statistic = Callable[[Array], Array]
+
+
+def interquartile_mean(values: Array) -> Array:
+    """Gives the mean of the middle half of values (..., K); a quarter of them, rounded down, is cut off at each end.
+
+    Raises:
+        ValueError: for values without a sample.
+    """
+    result = np.sort(samples("values", values, 1, 2), axis=-1)
+    cut = int(CUT * result.shape[-1])
+    return np.mean(result[..., cut : result.shape[-1] - cut], axis=-1)
+
+
+def mean(values: Array) -> Array:
+    """Gives the mean of values (..., K)."""
+    return np.mean(samples("values", values, 1, 2), axis=-1)
+
+
+def stratified_interval(
+    scores: Array, statistic: Statistic = interquartile_mean, level: float = 0.95, draws: int = 2000
+) -> tuple[float, float]:
+    """Gives the bootstrap interval (low, high) of a statistic of scores (N, M).
+
+    Episodes are drawn anew with replacement, for each environment by itself, so that each has as many as before. The
+    interval holds the given share of the statistics of such samples; the draws are the same every time.
+
+    Args:
+        scores: (N, M).
+        statistic: of values (..., K) along the last axis.
+        level: above 0 and below 1.
+        draws: how many samples.
+
+    Raises:
+        ValueError: for scores without a sample, such a level, and for draws that are no whole number from 1 on or hold
+            more than a hundred million numbers together.
+    """
+    result = samples("scores", scores, 2)
+    level = positive("level", level)
+    if not level < 1.0:
+        raise refusal("level", level, "a number > 0 and < 1")
+    draws = whole_number("draws", draws, 1, max(1, MOST_DRAWN // result.size))
+    count, strata = result.shape
+    picked = np.random.default_rng(0).integers(count, size=(draws, count, strata))
+    drawn = result[picked, np.arange(strata)].reshape(draws, -1)
+    low, high = np.quantile(statistic(drawn), [0.5 * (1.0 - level), 0.5 * (1.0 + level)], method="nearest")
+    return float(low), float(high)
+
+
+def performance_profile(scores: Array, thresholds: Array) -> Array:
+    """Gives the part (T,) of scores (N, M) that lies above each of the thresholds (T,).
+
+    Performance profiles after Dolan and More, Benchmarking optimization software with performance profiles,
+    Mathematical Programming 2002.
+
+    Raises:
+        ValueError: for scores or thresholds without a sample.
+    """
+    result, levels = samples("scores", scores, 2), samples("thresholds", thresholds, 1)
+    above: Array = np.mean(result.ravel() > levels[:, None], axis=-1)
+    return above
+
+
+def improvements(scores: Array, others: Array) -> Array:
+    """Says of each episode (N, M) whether its score is above that of another in the same episode: 1, 0, or 0.5 if even.
+
+    Their mean is the paired probability of improvement; `stratified_interval` with `mean` gives its interval.
+
+    Raises:
+        ValueError: for scores without a sample, and others of another shape.
+    """
+    ours, theirs = samples("scores", scores, 2), samples("others", others, 2)
+    if ours.shape != theirs.shape:
+        raise refusal("others", theirs.shape, f"scores of the same episodes, {ours.shape}")
+    return np.where(ours == theirs, 0.5, ours > theirs)
+
+
+def normalised_scores(rewards: Array, zero: float, one: float, most: float) -> Array | None:
+    """Gives rewards (...) on a scale that has 0 and 1 at two of them; None where these are too close to be one.
+
+    They are too close below a twentieth of the largest reward, and where the reward at 1 is not the larger one.
+
+    Args:
+        rewards: of episodes.
+        zero, one: the rewards that mean 0 and 1.
+        most: the largest reward that an episode can have.
+
+    Raises:
+        ValueError: for numbers that are not finite, and a largest reward that is not > 0.
+    """
+    result = samples("rewards", rewards, 0, 1, 2)
+    span = finite("one", one) - finite("zero", zero)
+    return None if span < LEAST_APART * positive("most", most) else (result - zero) / span

@@ -1,0 +1,179 @@
+"""League: rows are those of a rollout, to the bit the same however they are played, and a killed league goes on."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from flexman_gym.control.slew_table import SHIPPED, SlewTable
+from flexman_gym.envs.description import Description
+from flexman_gym.evaluation import FIGURES, league, rollout
+from flexman_gym.evaluation.entrants import BASELINES
+from flexman_gym.evaluation.league import MULTIPLE, ROWS, VALUES, Book, Cell, play, play_league, slew_times
+from flexman_gym.evaluation.seeds import SELECTION, training_seed
+from flexman_gym.evaluation.submission import check_seeds, is_buildable, needs, training_seconds
+from flexman_gym.evaluation.venues import SWEEPS, USUAL, find_venue, sweep_names
+
+from oracles.refusals import refusal
+
+ENTRANTS, SEEDS = ["zero", "random", "pd", "lqr-tracking"], range(9000, 9005)
+
+
+@pytest.fixture
+def venue(tmp_path):
+    """An environment that takes little time, as a file."""
+    path = tmp_path / "one.yaml"
+    path.write_text("id: FlexOne-v0\nhorizon: 1.5\nrandomisation: {sensor_noise: [0.001, 0.001]}\n")
+    return str(path)
+
+
+@pytest.fixture
+def small_blocks(monkeypatch):
+    """Two episodes a cell."""
+    monkeypatch.setattr(league, "BLOCK", 2)
+
+
+def played(venue, folder, entrants=ENTRANTS, jobs=1, seeds=SEEDS):
+    """What a league said, and its rows as bytes."""
+    said = []
+    play_league(entrants, [venue], seeds, folder, jobs, said.append)
+    return said, (folder / ROWS).read_bytes()
+
+
+def test_rows_hold_the_figures_of_a_rollout_to_the_bit(venue, tmp_path):
+    played(venue, tmp_path, ["pd", "privileged-lqr"])
+    with (tmp_path / ROWS).open(newline="") as file:
+        rows = [*csv.DictReader(file)]
+    assert len(rows) == 10
+    for entrant in ("pd", "privileged-lqr"):
+        ours = [row for row in rows if row["entrant"] == entrant]
+        assert [int(row["seed"]) for row in ours] == [*SEEDS]
+        records = rollout(entrant, venue, SEEDS).records
+        for name, figure in FIGURES.items():
+            assert [float(row[name]) for row in ours] == figure.each(records).tolist(), name
+    assert all(row[MULTIPLE] == "nan" for row in rows), "no table has slews of this one"
+
+
+def test_rows_are_the_same_in_repeats_and_over_two_processes(venue, tmp_path, small_blocks):
+    said, rows = played(venue, tmp_path / "a")
+    assert len(said) == 4 * 3, "cells of two, two and one episode"
+    assert played(venue, tmp_path / "b")[1] == rows
+    assert played(venue, tmp_path / "c", jobs=2)[1] == rows
+    assert played(venue, tmp_path / "a") == ([], rows), "nothing is left"
+
+
+def test_a_killed_league_goes_on(venue, tmp_path, small_blocks):
+    def kill(said):
+        if said.startswith("5 of"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        play_league(ENTRANTS, [venue], SEEDS, tmp_path / "a", 1, kill)
+    said, rows = played(venue, tmp_path / "a")
+    assert len(said) == 12 - 5 and rows == played(venue, tmp_path / "b")[1]
+
+
+def test_a_new_entrant_plays_alone_and_more_episodes_are_those_that_miss(venue, tmp_path, small_blocks):
+    played(venue, tmp_path, ["zero"], seeds=range(9000, 9004))
+    said, _ = played(venue, tmp_path, ["zero", "pd"], seeds=range(9000, 9006))
+    assert [each.split(" us")[0].split(": ")[1].partition(" on")[0] for each in said] == ["zero", "pd", "pd", "pd"]
+    assert len(Book.load(tmp_path).rows) == 12
+
+
+def test_another_environment_by_the_same_name_is_played_anew(venue, tmp_path):
+    before = played(venue, tmp_path / "a", ["zero", "pd"])[1]
+    (tmp_path / "one.yaml").write_text("id: FlexOne-v0\nhorizon: 1.0\n")
+    said, after = played(venue, tmp_path / "a", ["pd"], seeds=range(9000, 9002))
+    assert len(said) == 1 and after != before
+    kept = {(row.entrant, row.seed) for row in Book.load(tmp_path / "a").rows.values()}
+    assert kept == {("zero", seed) for seed in SEEDS} | {("pd", 9000), ("pd", 9001)}, "no row of the old one"
+
+
+def test_a_book_reads_what_it_wrote(tmp_path):
+    rows = [
+        league.Row("k", "pd", "a, b", seed, (np.inf, np.nan, 0.1 + 0.2, *np.arange(7.0).tolist())) for seed in (3, 2)
+    ]
+    cells = [Cell("k", "pd", "a, b", 2, 4, 1.5, 0.0), Cell("k", "lqr", "a, b", 2, 4, why='it, "that"')]
+    book = Book(rows, cells)
+    book.save(tmp_path)
+    again = Book.load(tmp_path)
+    assert repr(sorted(again.rows.items())) == repr(sorted(book.rows.items())), "infinite ones and nan, too"
+    assert repr(sorted(again.cells.items())) == repr(sorted(book.cells.items()))
+    assert Book.load(tmp_path / "nowhere").rows == {}
+
+
+def test_who_cannot_play_says_why(venue):
+    cell, rows = play(Cell("", "optimised", venue, 9000, 9001))
+    assert rows == [] and cell.why.startswith("table: ") and np.isnan(cell.action)
+    for entrant, words in (("lqr", "it needs more than a laboratory can tell it"), ("optimised", "it needs more")):
+        assert play(Cell("", entrant, "FlexPlanar-v0/unknown-lab", 9000, 9001))[0].why.startswith(words)
+
+
+def test_the_multiple_is_that_of_the_optimised_slew():
+    """Whose own is 1; it is told of no other environment."""
+    table = SlewTable.load(SHIPPED)
+    assert slew_times(Description("FlexRRR-v0")) == {seed: table.settling_time(seed) for seed in range(9000, 9100)}
+    assert all(slew_times(find_venue(each).environment) == {} for each in USUAL[1:])
+    at = VALUES.index(MULTIPLE)
+    for entrant in ("optimised", "lqr-tracking"):
+        rows = play(Cell("", entrant, "FlexRRR-v0", 9000, 9003))[1]
+        multiples = np.array([row.values[at] for row in rows])
+        assert (multiples == 1.0 if entrant == "optimised" else multiples > 1.2).all()
+
+
+def test_only_who_is_not_told_the_truth_could_be_built():
+    known = {each for each in BASELINES if is_buildable(each)}
+    assert known >= {"pd", "pd-shaped", "lqg", "adaptive-lqr"}
+    assert not known & {"lqr", "lqr-tracking", "privileged-lqr", "optimised"}
+
+
+def test_in_a_sweep_controllers_are_told_the_range_and_arms_have_the_value():
+    played, told = (each.setup() for each in find_venue("FlexRRR-v0/payload=25"))
+    assert played.disturbed.payload_mass == (25.0, 25.0) and told.disturbed.payload_mass == (0.0, 20.0)
+    played, told = (each.setup() for each in find_venue("FlexRRR-v0/delay=3"))
+    assert (played.latest_delay, told.latest_delay) == (3, 2)
+    assert told.gains == Description.find("FlexRRR-v0/random-delay").setup().gains
+    played, told = (each.setup() for each in find_venue("FlexRRR-v0/noise=0"))
+    assert played.disturbed.sensor_noise == (0.0, 0.0) and told.disturbed.sensor_noise == (0.001, 0.001)
+    played, told = (each.setup() for each in find_venue("FlexRRR-v0/period=0.04"))
+    assert played.control_period == told.control_period == 0.04
+    played, told = (each.setup() for each in find_venue("FlexRRR-v0/stiffness=0.5"))
+    assert played.disturbed.link_stiffness_factor == played.disturbed.joint_stiffness_factor == (0.5, 0.5)
+    assert told.disturbed.link_stiffness_factor == (0.7, 1.3)
+
+
+def test_every_venue_has_an_environment():
+    for name in [*USUAL, *(each for sweep in SWEEPS for each in sweep_names("FlexRRR-v0", sweep))]:
+        assert find_venue(name).environment.setup().base is None, "what acts is the entrant's"
+    assert refusal(find_venue, "FlexRRR-v0/mass=3").startswith("sweep: 'mass' is not allowed; give one of payload")
+    assert "a number after payload=" in refusal(find_venue, "FlexRRR-v0/payload=much")
+
+
+def test_a_run_that_has_seen_a_seed_of_the_test_is_refused(tmp_path):
+    def run(**changes):
+        settings = {"seed": 3, "envs": 4, "judge_every": 100, "environment": {"id": "FlexOne-v0"}} | changes
+        (tmp_path / "settings.json").write_text(json.dumps(settings))
+        return str(tmp_path)
+
+    first = training_seed(3)
+    check_seeds(run(), range(9000, 9100))
+    check_seeds(run(), [first - 1, first + 4, SELECTION.start - 1, SELECTION.stop])
+    check_seeds(run(judge_every=0), SELECTION)
+    for seen in ([first], [first + 3], [*range(9000, 9100), SELECTION.start], [SELECTION.stop - 1]):
+        line = refusal(check_seeds, run(), seen)
+        assert f"neither trained nor chosen on the seed {seen[-1]}, which is one of the test" in line
+    assert "a run whose settings.json say seed" in refusal(check_seeds, run(seed=None), range(9000, 9100))
+    assert "neither trained nor chosen" in refusal(play_league, [run()], ["FlexOne-v0"], SELECTION, tmp_path / "league")
+
+
+def test_a_run_tells_what_it_sees_and_how_long_it_took(tmp_path):
+    for sensors, known in (("full", ("training", "true state")), ("lab", ("training",)), ("servo", ("training",)),
+                           ({"kind": "full", "noise": 0.01}, ("training", "true state"))):  # fmt: skip
+        settings = {"environment": {"id": "FlexOne-v0", "sensors": sensors}}
+        (tmp_path / "settings.json").write_text(json.dumps(settings))
+        assert needs(str(tmp_path)) == known
+    assert training_seconds(str(tmp_path)) is None and training_seconds("pd") is None
+    (tmp_path / "progress.csv").write_text("time/time_elapsed,time/fps\n10,1\n25,1\n")
+    (tmp_path / "progress-400.csv").write_text("time/fps,time/time_elapsed\n1,\n1,7\n")
+    assert training_seconds(str(tmp_path)) == 32.0

@@ -1,0 +1,115 @@
+"""Standing: made-up rows of known answer, venue by venue and on the whole, and the page that is made of them."""
+
+import numpy as np
+import pytest
+
+from flexman_gym.evaluation.league import VALUES, Book, Cell, Row
+from flexman_gym.evaluation.league_page import ASKED, CHART, PAGE, conclusion, page, write_page
+from flexman_gym.evaluation.standing import Standing
+
+NOMINAL, UNKNOWN, FRICTION = "FlexRRR-v0", "FlexRRR-v0/unknown", "FlexRRR-v0/friction"
+REWARDS = {"zero": 100.0, "privileged-lqr": 300.0, "pd": 150.0, "lqg": 250.0, "lqr": 280.0}
+
+
+def book(rewards=REWARDS, venues=(NOMINAL, UNKNOWN, ASKED), settled=None, count=12, spread=10.0):
+    """Episodes whose rewards lie evenly around those given; `settled`, (entrant, venue) -> time (s), 3 s without."""
+    rows, cells = [], []
+    for venue in venues:
+        for entrant, reward in rewards.items():
+            if reward is None:
+                cells.append(Cell("k", entrant, venue, 9000, 9000 + count, why="it has no model"))
+                continue
+            cells.append(Cell("k", entrant, venue, 9000, 9000 + count, 12.0, 3000.0))
+            for i, part in enumerate(np.linspace(-1.0, 1.0, count)):
+                time = (settled or {}).get((entrant, venue), 3.0)
+                values = dict.fromkeys(VALUES, 0.0) | {"reward": reward + spread * part, "settling_time": time}
+                values |= {"settled": float(np.isfinite(time)), "multiple": time / 2.0}
+                rows.append(Row("k", entrant, venue, 9000 + i, tuple(values[name] for name in VALUES)))
+    return Book(rows, cells)
+
+
+def standing(*given, **more):
+    """The standing of such a book."""
+    return Standing(book(*given, **more))
+
+
+def test_scores_lie_between_who_does_nothing_and_who_knows_all():
+    known = standing()
+    assert known.score("zero", NOMINAL)[0] == pytest.approx(0.0, abs=1e-12)
+    assert known.score("privileged-lqr", NOMINAL)[0] == pytest.approx(1.0)
+    middle, low, high = known.score("pd", NOMINAL)
+    assert middle == pytest.approx(0.25) and 0.2 < low < middle < high < 0.3
+    assert known.whole["lqg"][0] == pytest.approx(0.75)
+    assert known.entrants == ["privileged-lqr", "lqr", "lqg", "pd", "zero"]
+
+
+def test_of_two_venues_with_the_same_episodes_one_counts():
+    assert standing().venues == [NOMINAL, UNKNOWN, ASKED] and standing().counted == [NOMINAL, UNKNOWN]
+
+
+def test_there_is_no_scale_where_its_ends_are_close_or_missing():
+    """A slew has 500 control periods, each worth 1 at most."""
+    assert standing(REWARDS | {"privileged-lqr": 124.0}).scale(NOMINAL) is None
+    assert standing(REWARDS | {"privileged-lqr": 126.0}).scale(NOMINAL) == pytest.approx((100.0, 126.0, 500.0))
+    missing = standing({"pd": 1.0, "zero": 2.0})
+    assert missing.scale(NOMINAL) is None and missing.counted == [] and missing.score("pd", NOMINAL) is None
+    assert "There is no score" in page(missing)
+
+
+def test_better_is_asked_in_the_same_episode():
+    known = standing()
+    assert known.better("lqg", "pd", [NOMINAL, UNKNOWN]) == (1.0, 1.0, 1.0)
+    assert known.better("pd", "lqg", [NOMINAL]) == (0.0, 0.0, 0.0)
+    assert known.better("pd", "lqr", ["nowhere"]) is None
+
+
+def test_who_misses_a_venue_stands_after_the_others():
+    one, two = book(), book({"optimised": 400.0}, [NOMINAL])
+    known = Standing(Book([*one.rows.values(), *two.rows.values()], [*one.cells.values(), *two.cells.values()]))
+    assert known.entrants[-1] == "optimised" and known.missed("optimised") == [UNKNOWN]
+    assert known.why("optimised", UNKNOWN) == "it was not played there" and known.why("optimised", NOMINAL) == ""
+    assert known.whole["optimised"][0] == pytest.approx(1.5), "above 1 is shown"
+
+
+def test_the_one_to_take_settles_most_and_first_and_is_told_no_truth():
+    times = {("pd", ASKED): np.inf, ("lqg", ASKED): 4.0, ("lqr", ASKED): 2.0, ("lqg", FRICTION): np.inf}
+    known = standing(venues=(NOMINAL, UNKNOWN, ASKED, FRICTION), settled=times)
+    assert known.buildable(ASKED) == ["lqg", "pd"]
+    said = conclusion(known)
+    assert said.startswith("Take `lqg` for an arm whose payload, stiffness and delay nobody knows")
+    for words in ("settles 100% of the episodes, half of them within 4.00 s", "needs to know: model",
+                  "An action takes 12 microseconds, and the start of an episode 3 ms", "`pd`, which settles 0%",
+                  "told everything needs 3.00 s", "breaks in: `FlexRRR-v0/friction`"):  # fmt: skip
+        assert words in said, words
+    quicker = standing(settled={("pd", ASKED): 2.9})
+    assert quicker.buildable(ASKED) == ["pd", "lqg"] and "breaks in none" in conclusion(quicker)
+    assert "Nobody who could act" in conclusion(standing(venues=(NOMINAL,)))
+
+
+def test_no_cell_of_the_page_is_empty_without_a_sentence(tmp_path):
+    rows = book(REWARDS | {"lqr-tracking": None}, [NOMINAL, ASKED, "FlexRRR-Track-v0", "FlexRRR-v0/payload=25"])
+    write_page(rows, tmp_path)
+    text = (tmp_path / PAGE).read_text()
+    for venue in (NOMINAL, ASKED, "FlexRRR-Track-v0"):
+        section = text.split(f"### {venue}\n")[1].split("\n#")[0]
+        for entrant in REWARDS:
+            assert f"| `{entrant}` |" in section
+        assert "`lqr-tracking` has no row: it has no model." in section
+    assert "`lqr-tracking` has no row at 25: it has no model." in text and "## FlexRRR-v0/payload" in text
+    cells = [cell.strip() for line in text.splitlines() if line.startswith("|") for cell in line.split("|")[1:-1]]
+    assert cells and all(cells) and "nan" not in cells
+    known = text.split("known to ")[1].split(":")[0]
+    assert "`lqg`" in known and "`privileged-lqr`" not in known and "`pd`" not in known
+
+
+def test_the_charts_are_there(tmp_path):
+    pytest.importorskip("matplotlib")
+    write_page(book(venues=(NOMINAL, UNKNOWN, "FlexRRR-v0/delay=0", "FlexRRR-v0/delay=1")), tmp_path)
+    assert {path.name for path in tmp_path.glob("*.png")} == {CHART, "league-FlexRRR-v0-delay.png"}
+    text = (tmp_path / PAGE).read_text()
+    assert all(f"]({path.name})" in text for path in tmp_path.glob("*.png"))
+
+
+def test_sweeps_go_from_the_smallest_value():
+    names = [f"FlexRRR-v0/payload={value}" for value in (10, 5, 25)]
+    assert standing(venues=names).sweeps == {"FlexRRR-v0/payload": [names[1], names[0], names[2]]}
