@@ -109,6 +109,12 @@ def test_no_cell_of_the_page_is_empty_without_a_sentence(tmp_path):
     assert "`lqg`" in known and "`privileged-lqr`" not in known and "`pd`" not in known
 
 
+def test_each_is_compared_with_the_next():
+    lines = page(standing(REWARDS | {"lqg": 280.0})).split("| entrant | needs |")[1].splitlines()[2:7]
+    assert [line.split("|")[1].strip(" `") for line in lines] == ["privileged-lqr", "lqg", "lqr", "pd", "zero"]
+    assert [line.split("|")[5].strip() for line in lines] == ["100 %", "50 %", "100 %", "100 %", "-"]
+
+
 def test_the_charts_are_there(tmp_path):
     pytest.importorskip("matplotlib")
     write_page(book(venues=(NOMINAL, UNKNOWN, "FlexRRR-v0/delay=0", "FlexRRR-v0/delay=1")), tmp_path)
