@@ -8,7 +8,6 @@ import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import process_time
 from typing import Any, NamedTuple, Self
@@ -27,10 +26,10 @@ from flexman_gym.evaluation.folder import BEST, NEWEST, SETTINGS, write
 from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.evaluation.submission import check_seeds, is_buildable
 from flexman_gym.evaluation.venues import find_venue
+from flexman_gym.verification.machine import machine
 
 ROWS, CELLS = "rows.csv", "cells.csv"
 BLOCK = 25  # episodes side by side in a cell
-PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy")
 MULTIPLE = "multiple"  # of the settling time of the optimised slew
 VALUES = (*FIGURES, MULTIPLE)
 SCALE = ("zero", "privileged-lqr")  # whose rewards mean 0 and 1, so that they are played everywhere
@@ -74,7 +73,7 @@ class Book:
     @classmethod
     def load(cls, folder: Path) -> Self:
         """Reads the rows and cells of a folder; an empty book where there are none."""
-        if not (folder / ROWS).exists():
+        if not (folder / CELLS).exists():
             return cls()
         rows = [Row(key, who, venue, int(seed), tuple(map(float, values)))
                 for key, who, venue, seed, *values in _read(folder / ROWS)]  # fmt: skip
@@ -85,8 +84,8 @@ class Book:
     def save(self, folder: Path) -> None:
         """Writes both, sorted, so that the order in which they were played leaves no trace."""
         rows = ([*row[:4], *map(repr, row.values)] for _, row in sorted(self.rows.items()))
-        _write(folder / CELLS, Cell._fields, (cell for _, cell in sorted(self.cells.items())))
         _write(folder / ROWS, (*Row._fields[:4], *VALUES), rows)
+        _write(folder / CELLS, Cell._fields, (cell for _, cell in sorted(self.cells.items())))  # last: a cell has rows
 
     def has(self, cell: Cell) -> bool:
         """Whether a cell was played, or could not be, with what would play it now."""
@@ -109,8 +108,7 @@ def play_league(
     """Plays the cells that a folder does not have yet, and writes its files after each.
 
     Args:
-        entrants: names, or folders of runs.
-        venues: see `find_venue`.
+        entrants, venues: see `find_entrant` and `find_venue`.
         seeds: of the episodes, one after the other.
         folder: of the files.
         jobs: processes; rows are the same for any number of them.
@@ -130,7 +128,8 @@ def play_league(
     for count, (cell, rows) in enumerate(_spread(left, jobs), 1):
         book.add(cell, rows)
         book.save(folder)
-        say(f"{count} of {len(left)}: {cell.entrant} on {cell.venue}, {cell.first} to {cell.end - 1}{_said(cell)}")
+        what = cell.why or f"{cell.action:.0f} us an action"
+        say(f"{count} of {len(left)}: {cell.entrant} on {cell.venue}, {cell.first} to {cell.end - 1}: {what}")
     return book
 
 
@@ -163,7 +162,7 @@ def slew_times(environment: Description) -> dict[int, float]:
 def key_of(entrant: str, venue: str) -> str:
     """Hash of all that rows follow from: the settings of venue and entrant, the files of a run, and versions."""
     parts: list[Any] = [each.whole() for each in find_venue(venue)]
-    parts += [{name: _version(name) for name in PACKAGES}, _is_lab(venue)]
+    parts += [machine() | {"processor": ""}, _is_lab(venue)]
     files = [] if entrant in BASELINES else [Path(entrant) / name for name in (SETTINGS, BEST, NEWEST)]
     known = [hashlib.sha256(path.read_bytes()).hexdigest() for path in files if path.is_file()] or [entrant]
     return hashlib.sha256(json.dumps([parts, known], sort_keys=True).encode()).hexdigest()[:16]
@@ -217,17 +216,6 @@ def _spread(cells: Sequence[Cell], jobs: int) -> Iterator[tuple[Cell, list[Row]]
 def _is_lab(venue: str) -> bool:
     """Whether only what a laboratory measures may be known there."""
     return "=" not in venue and Description.find(venue).whole_settings().get("sensors") == "lab"
-
-
-def _said(cell: Cell) -> str:
-    return f": {cell.why}" if cell.why else f", {cell.action:.0f} us an action"
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:  # a checkout that is not installed
-        return ""
 
 
 def _read(path: Path) -> Iterator[list[str]]:

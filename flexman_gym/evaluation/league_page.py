@@ -20,48 +20,7 @@ PAGE, CHART = "league.md", "league.png"
 ASKED = f"{DEFAULT}/unknown-lab"  # where an arm is as a laboratory has it
 BROKEN = 0.5  # of the episodes that settle, or of the score where goals move: less is broken
 THRESHOLDS = np.linspace(-0.2, 1.4, 81)
-TEXT = """# The league
-
-All entrants play the same episodes. `flexman league` writes this page anew from its rows.
-
-## Which one to take
-
-{conclusion}
-
-## On the whole
-
-The score of an episode's reward is 0 for no torque and 1 for an LQR that is told everything, both in the mean.
-A score above 1 is possible: `optimised` knows its episodes beforehand.
-The table has the interquartile mean of the scores in all venues with a scale, and its bootstrap interval at 95 %.
-A venue has no scale where its ends are less than 5 % of the largest reward apart.
-*Better* is the probability of a larger reward than the next row's in the same episode.
-*Action* is CPU time for one arm among {block} side by side, and *start* that of a new episode.
-
-{whole}
-![Scores by venue, and the part of all episodes above each score]({chart})
-
-## Venue by venue
-
-Scores and shares are means, other figures medians, with bootstrap intervals; roughness and effort are bare means.
-An entrant reads its own sensors, whatever the venue has.
-In `unknown-lab` it may not need more than a laboratory can tell it, except for the ends of the scale.
-
-{venues}
-{sweeps}## Rules
-
-{rules}
-
-Computed with {machine}.
-"""
-RULES = """\
-- Seeds from 5000 on are for tuning and selection. Those from 9000 on are for the test, and nothing is chosen on them.
-- Training begins at the seed 1000000, or later.
-- Whoever tunes a classical entrant may take as much computing time as the training of the policy beside it.
-- A fair submission is the folder of a run with its settings, its curves and its policy.
-- It is judged as it is: one policy for all venues, with the sensors that it learned with.
-- `flexman league --add FOLDER` refuses a run that has seen a seed of the test, as far as its settings tell.
-- Rows hold a hash of the venue, the entrant and the versions of packages. Another hash is played anew.
-- Rows are the same to the bit in every repeat, for any number of processes."""
+TEXT = Path(__file__).parent / "league.md"  # with names in braces
 HEADS = ("entrant", "needs", "score", "venues", "better", "action, us", "start, ms", "training, min")
 
 
@@ -77,18 +36,16 @@ def write_page(book: Book, folder: Path) -> None:
 
 def page(standing: Standing) -> str:
     """Gives the page."""
-    longest = max((cell.end - cell.first for cell in standing.book.cells.values()), default=0)
     said = {
         "conclusion": conclusion(standing),
-        "block": longest,
+        "block": max((cell.end - cell.first for cell in standing.book.cells.values()), default=0),
         "whole": _whole(standing),
         "chart": CHART,
         "venues": "\n".join(line for venue in standing.venues for line in _venue(standing, venue)),
         "sweeps": "\n".join(line for name in standing.sweeps for line in _sweep(standing, name)),
-        "rules": RULES,
         "machine": machine_text(),
     }
-    return TEXT.format(**said)
+    return TEXT.read_text(encoding="utf-8").format(**said)
 
 
 def conclusion(standing: Standing) -> str:
@@ -200,25 +157,25 @@ def _sweep(standing: Standing, name: str) -> list[str]:
     heads = [swept.what, *(f"{value_of(venue):g}" for venue in venues)]
     text = "The score, and the part of the episodes that settles."
     lines = [f"## {name}", "", f"![Scores over {swept.what}]({_file(name)})", "", *introduced_table(text, heads, rows)]
-    why = {standing.why(each, venue): f"`{each}` has no row at {value_of(venue):g}: {standing.why(each, venue)}."
-           for each in standing.entrants for venue in venues if standing.why(each, venue)}  # fmt: skip
-    return [*lines, *bullets(why.values()), ""]
+    why = {(each, standing.why(each, venue)): value_of(venue)
+           for each in played for venue in venues if standing.why(each, venue)}  # fmt: skip
+    said = [f"`{each}` has no row at {value:g}: {words}." for (each, words), value in why.items()]
+    never = ", ".join(f"`{each}`" for each in standing.entrants if each not in played)
+    return ["", *lines, *bullets([*said, *([f"Nothing was played by {never}."] if never else [])])]
 
 
 def _draw(standing: Standing, folder: Path) -> None:
     """Draws the chart of the venues, and one for each sweep."""
     counted = standing.counted
     curves = {each: _curve(standing, each, counted, np.arange(float(len(counted)))) for each in standing.entrants}
-    profiles = {}
-    for entrant in standing.entrants:
-        if counted and not standing.missed(entrant):
-            (scores,) = standing.scores([entrant], counted)
-            profiles[entrant] = THRESHOLDS, performance_profile(scores, THRESHOLDS)
+    scores = {each: standing.scores([each], counted)[0] for each in standing.entrants if not standing.missed(each)}
+    profiles = {each: (THRESHOLDS, performance_profile(own, THRESHOLDS)) for each, own in scores.items() if own.size}
     if counted:
         score_chart(curves, "", folder / CHART, counted, profiles)
     for name, venues in standing.sweeps.items():
         places = np.array([value_of(venue) for venue in venues])
-        curves = {each: _curve(standing, each, venues, places) for each in standing.entrants}
+        there = [each for each in standing.entrants if any(standing.score(each, venue) for venue in venues)]
+        curves = {each: _curve(standing, each, venues, places) for each in there}
         score_chart(curves, SWEEPS[name.rpartition("/")[2]].what, folder / _file(name))
 
 

@@ -10,7 +10,14 @@ from flexman_gym.arrays import Array
 from flexman_gym.evaluation.league import SCALE, VALUES, Book, Row
 from flexman_gym.evaluation.submission import is_buildable
 from flexman_gym.evaluation.venues import USUAL, find_venue
-from flexman_gym.metrics import improvements, interquartile_mean, mean, normalised_scores, stratified_interval
+from flexman_gym.metrics import (
+    improvements,
+    interquartile_mean,
+    mean,
+    normalised_scores,
+    paired_score,
+    stratified_interval,
+)
 
 Interval = tuple[float, float, float]  # a number and the ends of its interval
 
@@ -72,23 +79,22 @@ class Standing:
         said = [cell.why for place, cell in self.book.cells.items() if place[:2] == (venue, entrant)]
         return said[0] if said else "it was not played there"
 
-    def scale(self, venue: str) -> tuple[float, float, float] | None:
-        """The mean rewards that mean 0 and 1, and the largest one; None where they are too close, or not there."""
+    def scale(self, venue: str) -> tuple[float, float] | None:
+        """The mean rewards that mean 0 and 1; None where they are too close, or not there."""
         ends = [np.array([*self.values(each, venue, "reward").values()]) for each in SCALE]
         if not all(map(len, ends)):
             return None
         zero, one = (float(each.mean()) for each in ends)
-        most = _longest(venue)
-        return None if normalised_scores(ends[0], zero, one, most) is None else (zero, one, most)
+        return None if normalised_scores(ends[0], zero, one, _longest(venue)) is None else (zero, one)
 
-    def scores(self, entrants: Sequence[str], venues: Sequence[str]) -> list[Array]:
-        """Scores (N, M) of each of the entrants in the N episodes that all of them have in each of the M venues."""
+    def scores(self, entrants: Sequence[str], venues: Sequence[str]) -> Array:
+        """Scores (E, N, M) of E entrants in the N episodes that all of them have in each of M venues with a scale."""
         rewards = [[self.values(who, venue, "reward") for venue in venues] for who in entrants]
-        seeds = sorted(set.intersection(*(set(each) for row in rewards for each in row)))
-        scales = [self.scale(venue) for venue in venues]
-        columns = [[normalised_scores(np.array([each[seed] for seed in seeds]), *scale)
-                    for each, scale in zip(row, scales, strict=True) if scale] for row in rewards]  # fmt: skip
-        return [np.stack([each for each in row if each is not None], axis=1) for row in columns]
+        seeds = sorted(set.intersection(*(set(each) for row in rewards for each in row))) if venues else []
+        shape = len(entrants), len(seeds), len(venues)
+        values = np.reshape([[[each[seed] for each in row] for seed in seeds] for row in rewards], shape)
+        zero, one = np.reshape([self.scale(venue) for venue in venues], (-1, 2)).astype(float).T
+        return (values - zero) / (one - zero)
 
     def missed(self, entrant: str) -> list[str]:
         """The venues of the whole in which an entrant has no row."""
@@ -96,10 +102,12 @@ class Standing:
 
     def score(self, entrant: str, venue: str) -> Interval | None:
         """The score of an entrant's mean reward, and its interval; None without a row or a scale."""
-        if not self.scale(venue) or not self.values(entrant, venue, "reward"):
+        if not self.scale(venue) or self.why(entrant, venue):
             return None
-        (scores,) = self.scores([entrant], [venue])
-        return float(mean(scores[:, 0])), *stratified_interval(scores, mean)
+        three = [self.values(each, venue, "reward") for each in (entrant, *SCALE)]
+        seeds = sorted(set.intersection(*map(set, three)))
+        ours, zeros, ones = (np.array([each[seed] for seed in seeds]) for each in three)
+        return paired_score(ours, zeros, ones) if seeds else None
 
     @cached_property
     def whole(self) -> dict[str, Interval]:
@@ -107,16 +115,18 @@ class Standing:
         result: dict[str, Interval] = {}
         for entrant in dict.fromkeys(entrant for _, entrant, _ in self.book.cells):
             venues = [venue for venue in self.counted if venue not in self.missed(entrant)]
-            scores = self.scores([entrant], venues)[0] if venues else np.full((1, 1), -np.inf)
-            result[entrant] = float(interquartile_mean(scores.ravel())), *stratified_interval(scores)
+            scores = self.scores([entrant], venues)[0]
+            known = scores if scores.size else np.full((1, 1), -np.inf)
+            result[entrant] = float(interquartile_mean(known.ravel())), *stratified_interval(known)
         return result
 
     def better(self, entrant: str, other: str, venues: Sequence[str]) -> Interval | None:
         """Probability of a larger reward than another's in the same episode, and its interval; None without any."""
         both = [each for each in venues if self.scale(each) and not self.why(entrant, each) + self.why(other, each)]
-        if not both:
+        ours, theirs = self.scores([entrant, other], both)
+        if not ours.size:
             return None
-        won = improvements(*self.scores([entrant, other], both))
+        won = improvements(ours, theirs)
         return float(won.mean()), *stratified_interval(won, mean)
 
     def settled(self, entrant: str, venue: str) -> tuple[float, float]:

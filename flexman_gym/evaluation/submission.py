@@ -27,7 +27,7 @@ def needs(entrant: str) -> tuple[str, ...]:
     """
     if entrant in BASELINES:
         return BASES[entrant].knows if entrant in BASES else ()
-    sensors = plain_sensors(_described(entrant).setup().sensors)
+    sensors = plain_sensors(Description.from_dict(_settings(entrant).get("environment")).setup().sensors)
     kinds = {each["kind"] if isinstance(each, dict) else each for each in sensors}
     return ("training", "true state") if kinds & set(TRUE_SENSORS) else ("training",)
 
@@ -65,10 +65,6 @@ def check_seeds(entrant: str, seeds: Sequence[int]) -> None:
     if seen:
         allowed = f"a policy that was neither trained nor chosen on the seed {min(seen)}, which is one of the test"
         raise refusal("entrant", entrant, allowed)
-
-
-def _described(entrant: str) -> Description:
-    return Description.from_dict(_settings(entrant).get("environment"))
 
 
 def _settings(entrant: str) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from flexman_gym.metrics.comparison import (
     interquartile_mean,
     mean,
     normalised_scores,
+    paired_score,
     performance_profile,
     stratified_interval,
 )
@@ -43,6 +44,7 @@ __all__ = [
     "median_interval",
     "normalised_scores",
     "overshoot",
+    "paired_score",
     "peak_to_peak",
     "performance_profile",
     "power_above",

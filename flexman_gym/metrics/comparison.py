@@ -20,11 +20,7 @@ Statistic = Callable[[Array], Array]
 
 
 def interquartile_mean(values: Array) -> Array:
-    """Gives the mean of the middle half of values (..., K); a quarter of them, rounded down, is cut off at each end.
-
-    Raises:
-        ValueError: for values without a sample.
-    """
+    """Gives the mean of the middle half of values (..., K); a quarter of them, rounded down, is cut off at each end."""
     result = np.sort(samples("values", values, 1, 2), axis=-1)
     cut = int(CUT * result.shape[-1])
     return np.mean(result[..., cut : result.shape[-1] - cut], axis=-1)
@@ -50,30 +46,44 @@ def stratified_interval(
         draws: how many samples.
 
     Raises:
-        ValueError: for scores without a sample, such a level, and for draws that are no whole number from 1 on or hold
-            more than a hundred million numbers together.
+        ValueError: for scores without a sample, another level, and draws that hold more than a hundred million numbers.
     """
     result = samples("scores", scores, 2)
-    level = positive("level", level)
-    if not level < 1.0:
-        raise refusal("level", level, "a number > 0 and < 1")
     draws = whole_number("draws", draws, 1, max(1, MOST_DRAWN // result.size))
     count, strata = result.shape
     picked = np.random.default_rng(0).integers(count, size=(draws, count, strata))
-    drawn = result[picked, np.arange(strata)].reshape(draws, -1)
-    low, high = np.quantile(statistic(drawn), [0.5 * (1.0 - level), 0.5 * (1.0 + level)], method="nearest")
+    return _interval(statistic(result[picked, np.arange(strata)].reshape(draws, -1)), level)
+
+
+def paired_score(
+    rewards: Array, zeros: Array, ones: Array, level: float = 0.95, draws: int = 2000
+) -> tuple[float, float, float]:
+    """Gives the score of a mean reward, and its bootstrap interval, for which all three are drawn together.
+
+    Args:
+        rewards, zeros, ones: (N,) of the entrant and of those who mean 0 and 1, in the same episodes.
+        level, draws: see `stratified_interval`.
+
+    Raises:
+        ValueError: as there.
+    """
+    three = np.stack([samples("rewards", each, 1) for each in (rewards, zeros, ones)])
+    draws = whole_number("draws", draws, 1, max(1, MOST_DRAWN // three.size))
+    picked = np.random.default_rng(0).integers(three.shape[1], size=(draws, three.shape[1]))
+    ours, zero, one = three[:, np.vstack([np.arange(three.shape[1]), picked])].mean(axis=-1)
+    found = (ours - zero) / (one - zero)
+    return float(found[0]), *_interval(found[1:], level)
+
+
+def _interval(values: Array, level: float) -> tuple[float, float]:
+    if not positive("level", level) < 1.0:
+        raise refusal("level", level, "a number > 0 and < 1")
+    low, high = np.quantile(values, [0.5 * (1.0 - level), 0.5 * (1.0 + level)], method="nearest")
     return float(low), float(high)
 
 
 def performance_profile(scores: Array, thresholds: Array) -> Array:
-    """Gives the part (T,) of scores (N, M) that lies above each of the thresholds (T,).
-
-    Performance profiles after Dolan and More, Benchmarking optimization software with performance profiles,
-    Mathematical Programming 2002.
-
-    Raises:
-        ValueError: for scores or thresholds without a sample.
-    """
+    """Gives the part (T,) of scores (N, M) above each of the thresholds (T,) (Dolan and More 2002)."""
     result, levels = samples("scores", scores, 2), samples("thresholds", thresholds, 1)
     above: Array = np.mean(result.ravel() > levels[:, None], axis=-1)
     return above
@@ -85,7 +95,7 @@ def improvements(scores: Array, others: Array) -> Array:
     Their mean is the paired probability of improvement; `stratified_interval` with `mean` gives its interval.
 
     Raises:
-        ValueError: for scores without a sample, and others of another shape.
+        ValueError: for others of another shape.
     """
     ours, theirs = samples("scores", scores, 2), samples("others", others, 2)
     if ours.shape != theirs.shape:
@@ -102,9 +112,6 @@ def normalised_scores(rewards: Array, zero: float, one: float, most: float) -> A
         rewards: of episodes.
         zero, one: the rewards that mean 0 and 1.
         most: the largest reward that an episode can have.
-
-    Raises:
-        ValueError: for numbers that are not finite, and a largest reward that is not > 0.
     """
     result = samples("rewards", rewards, 0, 1, 2)
     span = finite("one", one) - finite("zero", zero)

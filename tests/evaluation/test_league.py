@@ -77,8 +77,15 @@ def test_a_killed_league_goes_on(venue, tmp_path, small_blocks):
 def test_a_new_entrant_plays_alone_and_more_episodes_are_those_that_miss(venue, tmp_path, small_blocks):
     played(venue, tmp_path, ["zero"], seeds=range(9000, 9004))
     said, _ = played(venue, tmp_path, ["zero", "pd"], seeds=range(9000, 9006))
-    assert [each.split(" us")[0].split(": ")[1].partition(" on")[0] for each in said] == ["zero", "pd", "pd", "pd"]
+    assert [each.split(": ")[1].partition(" on")[0] for each in said] == ["zero", "pd", "pd", "pd"]
     assert len(Book.load(tmp_path).rows) == 12
+
+
+def test_a_block_that_was_short_is_played_whole(venue, tmp_path):
+    played(venue, tmp_path, ["pd"], seeds=range(9000, 9002))
+    said, rows = played(venue, tmp_path, ["pd"])
+    assert len(said) == 1 and len(Book.load(tmp_path).rows) == 5
+    assert played(venue, tmp_path, ["pd"], seeds=range(9000, 9002)) == ([], rows), "fewer are there already"
 
 
 def test_another_environment_by_the_same_name_is_played_anew(venue, tmp_path):
@@ -88,6 +95,29 @@ def test_another_environment_by_the_same_name_is_played_anew(venue, tmp_path):
     assert len(said) == 1 and after != before
     kept = {(row.entrant, row.seed) for row in Book.load(tmp_path / "a").rows.values()}
     assert kept == {("zero", seed) for seed in SEEDS} | {("pd", 9000), ("pd", 9001)}, "no row of the old one"
+
+
+def test_a_league_that_is_killed_between_its_files_misses_no_row(venue, tmp_path, monkeypatch):
+    """Rows come first: a cell that is told to be played has them."""
+
+    def write(path, fill):
+        if path.name == league.CELLS:
+            raise KeyboardInterrupt
+        true_write(path, fill)
+
+    true_write = league.write
+    monkeypatch.setattr(league, "write", write)
+    with pytest.raises(KeyboardInterrupt):
+        played(venue, tmp_path / "a", ["pd"])
+    monkeypatch.undo()
+    assert played(venue, tmp_path / "a", ["pd"])[1] == played(venue, tmp_path / "b", ["pd"])[1]
+
+
+def test_another_version_of_a_package_plays_anew(venue, tmp_path, monkeypatch):
+    played(venue, tmp_path, ["zero"])
+    assert played(venue, tmp_path, ["zero"])[0] == []
+    monkeypatch.setattr(league, "machine", lambda: {"numpy": "0.1"})
+    assert len(played(venue, tmp_path, ["zero"])[0]) == 1
 
 
 def test_a_book_reads_what_it_wrote(tmp_path):
@@ -141,6 +171,14 @@ def test_in_a_sweep_controllers_are_told_the_range_and_arms_have_the_value():
     played, told = (each.setup() for each in find_venue("FlexRRR-v0/stiffness=0.5"))
     assert played.disturbed.link_stiffness_factor == played.disturbed.joint_stiffness_factor == (0.5, 0.5)
     assert told.disturbed.link_stiffness_factor == (0.7, 1.3)
+
+
+def test_who_plays_a_sweep_is_made_for_what_it_is_told(tmp_path, monkeypatch):
+    """No observer is made for one payload: its range has a width."""
+    made = []
+    monkeypatch.setattr(league, "_watched", lambda entrant, told: made.append(told) or (entrant, None))
+    play(Cell("", "zero", "FlexRRR-v0/payload=25", 9000, 9001))
+    assert [each.setup().disturbed.payload_mass for each in made] == [(0.0, 20.0)]
 
 
 def test_every_venue_has_an_environment():

@@ -37,8 +37,7 @@ def test_scores_lie_between_who_does_nothing_and_who_knows_all():
     known = standing()
     assert known.score("zero", NOMINAL)[0] == pytest.approx(0.0, abs=1e-12)
     assert known.score("privileged-lqr", NOMINAL)[0] == pytest.approx(1.0)
-    middle, low, high = known.score("pd", NOMINAL)
-    assert middle == pytest.approx(0.25) and 0.2 < low < middle < high < 0.3
+    assert known.score("pd", NOMINAL) == pytest.approx((0.25, 0.25, 0.25)), "episodes differ alike for all"
     assert known.whole["lqg"][0] == pytest.approx(0.75)
     assert known.entrants == ["privileged-lqr", "lqr", "lqg", "pd", "zero"]
 
@@ -50,7 +49,7 @@ def test_of_two_venues_with_the_same_episodes_one_counts():
 def test_there_is_no_scale_where_its_ends_are_close_or_missing():
     """A slew has 500 control periods, each worth 1 at most."""
     assert standing(REWARDS | {"privileged-lqr": 124.0}).scale(NOMINAL) is None
-    assert standing(REWARDS | {"privileged-lqr": 126.0}).scale(NOMINAL) == pytest.approx((100.0, 126.0, 500.0))
+    assert standing(REWARDS | {"privileged-lqr": 126.0}).scale(NOMINAL) == pytest.approx((100.0, 126.0))
     missing = standing({"pd": 1.0, "zero": 2.0})
     assert missing.scale(NOMINAL) is None and missing.counted == [] and missing.score("pd", NOMINAL) is None
     assert "There is no score" in page(missing)
@@ -69,6 +68,14 @@ def test_who_misses_a_venue_stands_after_the_others():
     assert known.entrants[-1] == "optimised" and known.missed("optimised") == [UNKNOWN]
     assert known.why("optimised", UNKNOWN) == "it was not played there" and known.why("optimised", NOMINAL) == ""
     assert known.whole["optimised"][0] == pytest.approx(1.5), "above 1 is shown"
+
+
+def test_who_played_other_episodes_is_beside_no_other():
+    one, two = book({"zero": 100.0, "privileged-lqr": 300.0}), book({"pd": 200.0})
+    moved = [row._replace(seed=row.seed + 1000) for row in two.rows.values()]
+    known = Standing(Book([*one.rows.values(), *moved], [*one.cells.values(), *two.cells.values()]))
+    assert known.score("pd", NOMINAL) is None and known.better("pd", "zero", [NOMINAL]) is None
+    assert "| `pd` |" in page(known)
 
 
 def test_the_one_to_take_settles_most_and_first_and_is_told_no_truth():
@@ -95,11 +102,17 @@ def test_no_cell_of_the_page_is_empty_without_a_sentence(tmp_path):
         for entrant in REWARDS:
             assert f"| `{entrant}` |" in section
         assert "`lqr-tracking` has no row: it has no model." in section
-    assert "`lqr-tracking` has no row at 25: it has no model." in text and "## FlexRRR-v0/payload" in text
+    assert "Nothing was played by `lqr-tracking`." in text.split("## FlexRRR-v0/payload")[1]
     cells = [cell.strip() for line in text.splitlines() if line.startswith("|") for cell in line.split("|")[1:-1]]
     assert cells and all(cells) and "nan" not in cells
     known = text.split("known to ")[1].split(":")[0]
     assert "`lqg`" in known and "`privileged-lqr`" not in known and "`pd`" not in known
+
+
+def test_each_is_compared_with_the_next():
+    lines = page(standing(REWARDS | {"lqg": 280.0})).split("| entrant | needs |")[1].splitlines()[2:7]
+    assert [line.split("|")[1].strip(" `") for line in lines] == ["privileged-lqr", "lqg", "lqr", "pd", "zero"]
+    assert [line.split("|")[5].strip() for line in lines] == ["100 %", "50 %", "100 %", "100 %", "-"]
 
 
 def test_the_charts_are_there(tmp_path):

@@ -11,6 +11,7 @@ from flexman_gym.metrics import (
     interquartile_mean,
     mean,
     normalised_scores,
+    paired_score,
     performance_profile,
     stratified_interval,
 )
@@ -88,3 +89,17 @@ def test_ends_that_are_too_close_are_no_scale():
     assert normalised_scores(rewards, 300.0, 100.0, 500.0) is None, "who knows all is worse than who does nothing"
     assert refusal(normalised_scores, rewards, 0.0, 1.0, 0.0).startswith("most: 0.0 is not allowed")
     assert refusal(normalised_scores, rewards, 0.0, np.inf, 1.0).startswith("one: inf is not allowed")
+
+
+def test_a_paired_score_has_no_width_where_all_differ_alike_from_episode_to_episode():
+    """What episodes are worth differs by much; it does not make the score of anybody less sure."""
+    worth = 50.0 * np.random.default_rng(3).standard_normal(30)
+    assert paired_score(worth, worth, worth + 200.0) == (0.0, 0.0, 0.0)
+    assert paired_score(worth + 200.0, worth, worth + 200.0) == (1.0, 1.0, 1.0)
+    assert paired_score(worth + 300.0, worth, worth + 200.0) == pytest.approx((1.5, 1.5, 1.5))
+    noisy = worth + 300.0 + np.random.default_rng(4).standard_normal(30)
+    middle, low, high = paired_score(noisy, worth, worth + 200.0)
+    assert middle == pytest.approx((noisy - worth).mean() / 200.0)
+    error = 1.96 * (noisy - worth).std() / 200.0 / np.sqrt(30.0)
+    assert [low, high] == pytest.approx([middle - error, middle + error], rel=1e-3)
+    assert "level" in refusal(paired_score, noisy, worth, worth + 1.0, 1.0)
