@@ -25,7 +25,7 @@ Each row is {episodes}. The columns are:
 - *p-p*: median of the tip's motion from peak to peak in the last 3 s, in mm.
 - *error*: median distance at the end, in mm.
 - *failed*: part of the episodes that broke a limit.
-- *RMS*: of the error in all episodes after the first 2 s, in mm.
+- *RMS*: of the error in all episodes after the first 2 s, in mm, where a tip follows or holds.
 - *cost*: CPU time of a control period of an arm, in ms, the environment and all designs included.
 
 {table}
@@ -49,11 +49,22 @@ def page(rows: Sequence[Row]) -> str:
     """The page of these rows."""
     heads = ["case", "settled", "settling", "p-p", "error", "failed", "RMS", "cost"]
     table = [
-        [row.case, f"{row.settled:.0%}", f"{row.settling_time:.2f}", f"{1e3 * row.vibration:.3g}",
-         f"{1e3 * row.error:.3g}", f"{row.failed:.0%}", f"{1e3 * row.followed:.3g}", f"{1e3 * row.cost:.2f}"]
+        [row.case, f"{row.settled:.0%}", _finite(row.settling_time, ".2f"), _finite(1e3 * row.vibration, ".3g"),
+         _finite(1e3 * row.error, ".3g"), f"{row.failed:.0%}", _followed(row), f"{1e3 * row.cost:.2f}"]
         for row in rows
     ]  # fmt: skip
-    return PAGE.format(episodes="100 episodes", table=markdown_table(heads, table), conclusion=_conclusion(rows))
+    return PAGE.format(
+        episodes="100 episodes", table="\n".join(markdown_table(heads, table)), conclusion=_conclusion(rows)
+    )
+
+
+def _finite(value: float, how: str) -> str:
+    return format(value, how) if value < float("inf") else "-"
+
+
+def _followed(row: Row) -> str:
+    """The RMS error where the tip has nothing to slew to."""
+    return f"{1e3 * row.followed:.3g}" if "Track" in row.case or "Hold" in row.case else "-"
 
 
 def _conclusion(rows: Sequence[Row]) -> str:
@@ -68,6 +79,11 @@ def _conclusion(rows: Sequence[Row]) -> str:
     changed = by_case.get("adaptive-lqr, a load that changes")
     if changed and changed.again is not None:
         said.append(f"Three seconds after a load has changed, {changed.again:.0%} of the arms are settled again.")
+    for task in ("Track", "Hold"):
+        told, own = (by_case.get(f"{who}, FlexRRR-{task}-v0") for who in ("privileged-lqr", "adaptive-lqr"))
+        if told and own:
+            ratio = own.followed / told.followed
+            said.append(f"In {task} its error is {ratio:.2g} times that of an LQR which is told everything.")
     broken = [row.case.partition(", ")[2] for row in rows if row.case.startswith("adaptive") and row.settled < 0.5]
     if broken:
         said.append(f"It does not settle: {', '.join(broken)}.")
