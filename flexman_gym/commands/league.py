@@ -36,8 +36,7 @@ def run(options: argparse.Namespace) -> int:
 
     for name, least in (("episodes", 1), ("jobs", 1), ("seed", 0)):
         if getattr(options, name) < least:
-            allowed = f"give a whole number >= {least}"
-            options.parser.error(f"--{name}: {getattr(options, name)} is not allowed; {allowed}")
+            options.parser.error(f"--{name}: {getattr(options, name)} is not allowed; give a whole number >= {least}")
     venues = options.environments or USUAL
     if options.sweep:
         venues = [each for id in options.environments or [DEFAULT] for sweep in options.sweep

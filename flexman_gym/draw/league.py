@@ -21,12 +21,9 @@ class Curve(NamedTuple):
 
 
 def score_chart(
-    curves: Mapping[str, Curve],
-    what: str,
-    path: str | Path,
-    names: Sequence[str] = (),
+    curves: Mapping[str, Curve], what: str, path: str | Path, names: Sequence[str] = (),
     profiles: Mapping[str, tuple[Array, Array]] | None = None,
-) -> None:
+) -> None:  # fmt: skip
     """Draws the scores of entrants, and beside them their profiles where there are any.
 
     Args:
@@ -64,8 +61,6 @@ def score_chart(
 
 
 def _look(number: int) -> dict[str, Any]:
-    colours = len(LINK_COLOURS)
-    style = ("-", "--", ":")[number // colours % 3]
-    mark = MARKS[(number + number // colours) % len(MARKS)]
-    return {"color": LINK_COLOURS[number % colours], "marker": mark, "linestyle": style, "linewidth": 1.4,
-            "markersize": 5}  # fmt: skip
+    again, colour = divmod(number, len(LINK_COLOURS))
+    look = {"color": LINK_COLOURS[colour], "marker": MARKS[(colour + again) % len(MARKS)]}
+    return look | {"linestyle": ("-", "--", ":")[again % 3], "linewidth": 1.4, "markersize": 5}

@@ -1,7 +1,6 @@
 """Venues: where a league is played: named environments, their conditions, and sweeps of one number of them."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from flexman_gym.checks import one_of, refusal
@@ -15,23 +14,22 @@ USUAL = (DEFAULT, *(f"{DEFAULT}/{condition}" for condition in CONDITIONS), *TASK
 KNOWN_NOISE = 0.001  # of the ranges, which controllers are told in the sweep of noise
 
 
-@dataclass(frozen=True)
-class Sweep:
+class Sweep(NamedTuple):
     """A number that is changed over a range, beyond what controllers are told.
 
     Attributes:
         what: of an axis.
         values: that are played.
-        told: settings that controllers are made for; None where they are told the truth.
-        condition: whose settings these change.
         setting: gives the settings that are played, for a value.
+        condition: whose settings these change.
+        told: what controllers are told instead; None for the truth.
     """
 
     what: str
     values: tuple[float, ...]
-    told: Mapping[str, Any] | None
-    condition: str
     setting: Callable[[float], dict[str, Any]]
+    condition: str = NOMINAL
+    told: Mapping[str, Any] | None = {}
 
 
 def _drawn(*names: str) -> Callable[[float], dict[str, Any]]:
@@ -39,14 +37,13 @@ def _drawn(*names: str) -> Callable[[float], dict[str, Any]]:
 
 
 SWEEPS = {
-    "payload": Sweep("payload, kg", (0.0, 5.0, 10.0, 15.0, 20.0, 25.0), {}, "payload", _drawn("payload_mass")),
+    "payload": Sweep("payload, kg", (0.0, 5.0, 10.0, 15.0, 20.0, 25.0), _drawn("payload_mass"), "payload"),
     "stiffness": Sweep("stiffness of joints and links, parts of the nominal one", (0.5, 0.7, 0.85, 1.0, 1.15, 1.3, 1.5),
-                       {}, "stiffness", _drawn("joint_stiffness_factor", "link_stiffness_factor")),
-    "delay": Sweep("delay, control periods", (0.0, 1.0, 2.0, 3.0), {}, "random-delay", _drawn("delay")),
-    "noise": Sweep("noise of sensors, parts of their ranges", (0.0, 0.001, 0.003, 0.01),
-                   _drawn("sensor_noise")(KNOWN_NOISE), NOMINAL, _drawn("sensor_noise")),
-    "period": Sweep("control period, s", (0.005, 0.01, 0.02, 0.04), None, NOMINAL,
-                    lambda value: {"control_period": value}),
+                       _drawn("joint_stiffness_factor", "link_stiffness_factor"), "stiffness"),
+    "delay": Sweep("delay, control periods", (0.0, 1.0, 2.0, 3.0), _drawn("delay"), "random-delay"),
+    "noise": Sweep("noise of sensors, parts of their ranges", (0.0, 0.001, 0.003, 0.01), _drawn("sensor_noise"),
+                   told=_drawn("sensor_noise")(KNOWN_NOISE)),
+    "period": Sweep("control period, s", (0.005, 0.01, 0.02, 0.04), lambda value: {"control_period": value}, told=None),
 }  # fmt: skip
 
 
