@@ -213,7 +213,7 @@ def _share(numbers: Interval) -> str:
 
 
 def _needs(entrant: str) -> str:
-    return ", ".join(needs(entrant)) or "its motors"
+    return ", ".join(needs(entrant)) or ("nothing" if entrant in ("zero", "random") else "its motors")
 
 
 def _file(name: str) -> str:

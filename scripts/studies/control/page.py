@@ -49,8 +49,8 @@ def page(rows: Sequence[Row]) -> str:
     """The page of these rows."""
     heads = ["case", "settled", "settling", "p-p", "error", "failed", "RMS", "cost"]
     table = [
-        [row.case, f"{row.settled:.0%}", _finite(row.settling_time, ".2f"), _finite(1e3 * row.vibration, ".3g"),
-         _finite(1e3 * row.error, ".3g"), f"{row.failed:.0%}", _followed(row), f"{1e3 * row.cost:.2f}"]
+        [row.case, f"{100 * row.settled:.0f} %", _finite(row.settling_time, ".2f"), _finite(1e3 * row.vibration, ".3g"),
+         _finite(1e3 * row.error, ".3g"), f"{100 * row.failed:.0f} %", _followed(row), f"{1e3 * row.cost:.2f}"]
         for row in rows
     ]  # fmt: skip
     return PAGE.format(
@@ -73,12 +73,14 @@ def _conclusion(rows: Sequence[Row]) -> str:
     known, ours = by_case.get("privileged-lqr, unknown"), by_case.get("adaptive-lqr, unknown-lab")
     if known and ours:
         said.append(
-            f"The observer's LQR settles {ours.settled:.0%} of the unknown arms, in {ours.settling_time:.2f} s. "
-            f"Told everything, an LQR takes {known.settling_time:.2f} s."
+            f"The observer's LQR settles {100 * ours.settled:.0f} % of the unknown arms, in "
+            f"{ours.settling_time:.2f} s. Told everything, an LQR takes {known.settling_time:.2f} s."
         )
     changed = by_case.get("adaptive-lqr, a load that changes")
     if changed and changed.again is not None:
-        said.append(f"Three seconds after a load has changed, {changed.again:.0%} of the arms are settled again.")
+        said.append(
+            f"Three seconds after a load has changed, {100 * changed.again:.0f} % of the arms are settled again."
+        )
     for task in ("Track", "Hold"):
         told, own = (by_case.get(f"{who}, FlexRRR-{task}-v0") for who in ("privileged-lqr", "adaptive-lqr"))
         if told and own:
