@@ -142,7 +142,8 @@ def play(cell: Cell) -> tuple[Cell, list[Row]]:
         seeds, (player, watch) = range(cell.first, cell.end), _watched(entrant, venue.told)
         result = rollout(player, venue.environment, seeds)
     except ValueError as error:
-        return cell._replace(why=str(error).splitlines()[0]), []
+        words, _, allowed = str(error).splitlines()[0].partition(" is not allowed; give ")
+        return cell._replace(why=f"{words.split(':')[0]}: only {allowed}" if allowed else words), []
     times, rows = slew_times(venue.environment), []
     for seed, record in zip(seeds, result.records, strict=True):
         values = {name: figure.of(record) for name, figure in FIGURES.items()}

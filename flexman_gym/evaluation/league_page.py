@@ -61,7 +61,7 @@ def conclusion(standing: Standing) -> str:
         f"It settles {settled:.0%} of the episodes, half of them within {-time:.2f} s."
         if settled > 0.5 else f"It settles {settled:.0%} of the episodes.",
         f"It needs to know: {_needs(best)}.",
-        f"An action takes {action:.3g} microseconds, and the start of an episode {1e-3 * start:.3g} ms.",
+        f"An action takes {_number(action)} microseconds, and the start of an episode {_number(1e-3 * start)} ms.",
     ]  # fmt: skip
     if others:
         won = standing.better(best, others[0], [ASKED])
@@ -204,7 +204,9 @@ def _interval(numbers: Interval) -> str:
 
 
 def _number(value: float) -> str:
-    return f"{round(value, 3) + 0.0:.3g}" if np.isfinite(value) else "-"
+    if not np.isfinite(value):
+        return "-"
+    return f"{value:.0f}" if abs(value) >= 100.0 else f"{round(value, 3) + 0.0:.3g}"
 
 
 def _share(numbers: Interval) -> str:
