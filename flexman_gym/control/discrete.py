@@ -53,15 +53,20 @@ def optimal_gain(linear: LinearModel, motors: Array, limits: Array, weights: Wei
         return _gain(linear, motors, limits, weights, period)
 
 
+def weighted_outputs(linear: LinearModel, motors: Array, weights: Weights) -> Array:
+    """Gives what a cost squares (6 + n, 2 d): tip, its velocity and motor angles, parts of their weights."""
+    d, n = len(linear.A) // 2, len(motors)
+    tip, outputs = linear.C[:, :d], np.zeros((6 + n, 2 * d))
+    outputs[:3, :d], outputs[3:6, d:] = tip / weights.tip, tip / weights.tip_speed
+    outputs[6:, motors] = np.eye(n) / weights.motor
+    return outputs
+
+
 def _gain(linear: LinearModel, motors: Array, limits: Array, weights: Weights, period: float) -> Array:
     from scipy.linalg import solve_discrete_are
 
     transition, inputs = zero_order_hold(linear, period)
-    d, n = len(transition) // 2, len(limits)
-    tip = linear.C[:, :d]
-    outputs = np.zeros((6 + n, 2 * d))
-    outputs[:3, :d], outputs[3:6, d:] = tip / weights.tip, tip / weights.tip_speed
-    outputs[6:, motors] = np.eye(n) / weights.motor
+    n, outputs = len(limits), weighted_outputs(linear, motors, weights)
     cost = np.diag(1.0 / limits**2)
     # torques in parts of their limits, so that the equation is well scaled
     scaled = inputs * limits

@@ -7,7 +7,7 @@ import numpy as np
 from flexman_gym.arrays import Array, Flags, IntArray, grown, row_dots
 from flexman_gym.control.controller import Episode, Readings
 from flexman_gym.control.innovations import Innovations
-from flexman_gym.control.instruments import make_instruments
+from flexman_gym.control.instruments import BIAS, make_instruments
 from flexman_gym.control.observer import Estimate
 from flexman_gym.control.plant import Plant
 from flexman_gym.control.prediction import Prediction
@@ -16,13 +16,11 @@ from flexman_gym.control.slopes import Slopes
 from flexman_gym.control.trials import Prior, Trials, deviations, solved, step
 from flexman_gym.control.unknowns import make_unknowns
 from flexman_gym.model.statics import rest_states
-from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.readings import INSTRUMENTS
 
 REPLAYS = (6, 12, 20, 30, 45, 65, 90, 130, 200, 300)  # control periods after which all is simulated again
 DELAYS_UNTIL = 20  # at replays so early the delay is looked for
 EVERY = 5  # periods after which the trials take over what was estimated
-BIAS = 0.005  # of a range, up to which a biased instrument is off
 HOMED = 1e-4  # rad, deviation of an angle at the start that is told
 LOST = 100.0  # largest entry of a state of a trial that still says something
 SPREAD = 0.5  # rad, by which trials may differ before they are drawn together
@@ -109,7 +107,7 @@ class Estimator:
             self._innovations.grow(count)
         self._ages[arms], self._told[arms], self._pushed[arms] = 0, episode.start, False
         self.numbers[arms], self._change[arms] = self._prior.mean, 0.0
-        self._information[arms] = np.eye(self._trials.size) / self._prior.deviation**2
+        self._information[arms] = self._prior.information
         self._torques[arms], self._informed[arms] = 0.0, np.nan
         self._residuals.reset(arms)
         self._prediction.reset(arms)
@@ -162,7 +160,7 @@ class Estimator:
         self.numbers[arms] = self._prior.clip(self.numbers[arms] + self._change[arms])
         self.numbers[arms, known : self._trials.moving], self._change[arms] = 0.0, 0.0
         self._states[arms], self._steps[arms] = states[:, None], self._trials.steps
-        self._information[arms] = np.eye(self._trials.size) / self._prior.deviation**2
+        self._information[arms] = self._prior.information
         self._ages[arms], self._apart[arms] = 1, True  # there is no start to which a replay goes back
         self._residuals.reset(arms)
         self._pushed[arms] = self._filtered(arms, sudden=True)
@@ -191,13 +189,14 @@ class Estimator:
             arms = arms[stale]
             numbers = self.numbers[arms]
             all_numbers = self._trials.changed(numbers, self._steps[arms]).reshape(-1, numbers.shape[1])
-            self._beside().vary(self._rows(arms).ravel(), **self._trials.parameters(all_numbers))
+            self._trials.twins(*self._all_trials).vary(self._rows(arms).ravel(), **self._trials.parameters(all_numbers))
             self._prediction.vary(arms, self._trials.parameters(numbers))
             self._informed[arms] = wanted[stale]
 
-    def _beside(self) -> Batch:
-        """The trials of all arms."""
-        return self._trials.twins("beside", self._states.shape[0] * self._states.shape[1])
+    @property
+    def _all_trials(self) -> tuple[str, int]:
+        """Purpose and number of the trials of all arms."""
+        return "beside", self._states.shape[0] * self._states.shape[1]
 
     def _rows(self, arms: IntArray) -> IntArray:  # (r, 1 + s) of the trials
         return arms[:, None] * self._states.shape[1] + np.arange(self._states.shape[1])
@@ -208,13 +207,10 @@ class Estimator:
         self._prediction.take(arms, actions)
         past, few = self._prediction.past, arms[self._ages[arms] <= len(self._weights)]
         self._torques[few, self._plant.delay[1] + self._ages[few] - 1] = past[few, 0]
-        batch, rows = self._beside(), self._rows(arms)
-        drive, moving = np.zeros((len(batch.rows), past.shape[2] + 6)), np.zeros(len(batch.rows), dtype=bool)
-        drive[rows, : past.shape[2]] = past[arms, self.delays[arms]][:, None]
-        moving[rows] = True
-        batch.place(rows.ravel(), self._states[arms].reshape(rows.size, -1))
-        batch.step(drive, None if moving.all() else moving)
-        self._states[arms] = batch.state[rows]
+        rows, torques = self._rows(arms), past[arms, self.delays[arms]]
+        states = self._states[arms].reshape(rows.size, -1)
+        moved = self._trials.twins.moved(self._all_trials, rows.ravel(), states, torques.repeat(rows.shape[1], axis=0))
+        self._states[arms] = moved.reshape(*rows.shape, -1)
         lost = arms[~(np.abs(self._states[arms]) < LOST).all(axis=(1, 2))]
         self._states[lost], self._residuals.misfit[lost] = self._origin[lost][:, None], LOST
 
@@ -274,7 +270,7 @@ class Estimator:
         arms, numbers, sweep = arms[well], numbers[well], sweep.of(well)
         self.numbers[arms] = numbers
         self._states[arms], self._steps[arms] = sweep.states, self._trials.steps
-        self._information[arms] = sweep.information + np.eye(self._trials.size) / self._prior.deviation**2
+        self._information[arms] = sweep.information + self._prior.information
         if age <= 2 * QUIET:
             self._residuals.reset(arms)  # which were those of the linearisation
         self._residuals.misfit[arms] = sweep.cost / self._weights[: age + 1].size

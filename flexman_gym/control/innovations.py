@@ -42,22 +42,21 @@ class Innovations:
             torques: that act.
             sudden: whether something has just pushed them, so that the estimate is not exact.
         """
-        well = self._linearise(arms, states, torques)
-        inputs = self._slopes(states, torques)[0][..., states.shape[1] :]
+        inputs, well = self._linearise(arms, states, torques)
         noise = self._noise[arms] + sudden * self._noise_of(inputs, SUDDENLY)
         covariance = stationary(self._transition[arms], noise, self._matrix, self._variances)
         result: Flags = well & np.isfinite(covariance).all(axis=(1, 2))
         self.covariance[arms[result]] = covariance[result]
         return result
 
-    def _linearise(self, arms: IntArray, states: Array, torques: Array) -> Flags:
-        """Takes the slopes of the motion of arms (r,); says where they are good."""
+    def _linearise(self, arms: IntArray, states: Array, torques: Array) -> tuple[Array, Flags]:
+        """Takes the slopes of the motion of arms (r,); gives those by forces, and says where they are good."""
         slopes, good = self._slopes(states, torques)
-        some, size = arms[good], states.shape[1]
-        self._transition[some] = slopes[good][..., :size]
-        self._noise[some] = self._noise_of(slopes[good][..., size:], QUIETLY)
+        some, inputs = arms[good], slopes[..., states.shape[1] :]
+        self._transition[some] = slopes[good][..., : states.shape[1]]
+        self._noise[some] = self._noise_of(inputs[good], QUIETLY)
         self._designed[some] = states[good]
-        return good
+        return inputs, good
 
     def _noise_of(self, inputs: Array, parts: tuple[float, float]) -> Array:
         """The covariance (r, 2 d, 2 d) of what forces, parts of their scales, add in a period."""

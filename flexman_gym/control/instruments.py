@@ -12,6 +12,7 @@ from flexman_gym.control.plant import Plant
 from flexman_gym.simulation.readings import INSTRUMENTS
 from flexman_gym.simulation.readings import Readings as Linear
 
+BIAS = 0.005  # of a range, up to which a biased reading is off
 FLOOR = 1e-4  # of a range, least deviation of a reading: no model is truer
 
 

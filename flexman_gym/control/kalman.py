@@ -7,7 +7,7 @@ import numpy as np
 from flexman_gym.arrays import Array, Flags, IntArray, Vector, grown, row_dots
 from flexman_gym.checks import flag, non_negative, refusal, vector
 from flexman_gym.control.controller import Episode, Readings
-from flexman_gym.control.instruments import make_instruments
+from flexman_gym.control.instruments import BIAS, make_instruments
 from flexman_gym.control.observer import Estimate
 from flexman_gym.control.plant import Plant
 from flexman_gym.control.prediction import Prediction
@@ -20,7 +20,7 @@ from flexman_gym.simulation.readings import INSTRUMENTS
 TORQUE, FORCE = 0.005, 0.005  # of their scales, deviation of unknown torques and forces on the tip, new each period
 UNLIKE = 0.03  # in place of the latter where arms differ from the model: payloads and springs pull with what is amiss
 OFFSET, DRIFT = 0.1, 0.05  # of the torque limits, deviation of a constant torque at first; and what a second adds to it
-BIAS, LASTING = 0.005, 30.0  # of a range, up to which a reading is off; s, for which it keeps that
+LASTING = 30.0  # s, for which a bias stays
 EVERY = 5  # control periods between two looks at the slopes of the motion
 
 
@@ -159,8 +159,7 @@ class KalmanFilter:
         places, core, model = self._instruments.places["motor_angles"], slice(0, self._size), self._plant.model
         self.states[arms, core], held = self._rest(now[:, places])
         self._transition[arms], self._noise[arms], _ = self._system(self.states[arms, core], held)
-        turns, joints = np.zeros((model.n_joints, self._size)), np.arange(model.n_joints)
-        turns[joints, joints] = turns[joints, model.motor_columns] = 1.0
+        turns = model.at_rest(np.eye(model.n_joints))
         covariance, each = np.zeros_like(self._noise[arms]), np.arange(self._size, len(self._noise[0]))
         covariance[:, core, core] = self._settled(self._transition[arms], self._noise[arms], core)
         covariance[:, core, core] += (turns.T * self._variances[places]) @ turns
@@ -177,12 +176,7 @@ class KalmanFilter:
                 again = arms[due][good]
                 self._transition[again], self._noise[again] = transition[good], noise[good]
             self.covariance[arms] = predicted(self.covariance[arms], self._transition[arms], self._noise[arms])
-        batch = self._twins("filter", len(self._ages))
-        drive, moving = np.zeros((len(self._ages), torques.shape[1] + 6)), np.zeros(len(self._ages), dtype=bool)
-        drive[arms, : torques.shape[1]], moving[arms] = torques, True
-        batch.place(arms, states)
-        batch.step(drive, moving)
-        self.states[arms, : self._size] = batch.state[arms]
+        self.states[arms, : self._size] = self._twins.moved(("filter", len(self._ages)), arms, states, torques)
         self.states[arms, self._size :] *= self._keeping
 
     def _offset(self, arms: IntArray) -> Array:

@@ -22,6 +22,12 @@ SHARE = 0.95  # of the torque limits, for the feed-forward
 GAINS, PATH_GAINS = 3, 25  # postures along a slew, and along a path, for which gains are designed
 
 
+def usual_weights(model: Model) -> Weights:
+    """Gives 20 cm of tip, 1 m/s and 0.5 rad for 8.5 m of reach, and as large parts of other reaches."""
+    reach = float(model.constants.length.sum())
+    return Weights(TIP * reach, TIP_SPEED * reach, MOTOR)
+
+
 class LQR:
     """Linear-quadratic regulator at the goal: holding torques - K (state - rest at the goal), saturated.
 
@@ -31,7 +37,7 @@ class LQR:
         model: of the arm, with as many coordinates as the one that is controlled.
         torque_limit: N m, one number or one for each joint.
         period: of control, s.
-        weights: of the cost; None takes 20 cm of tip, 1 m/s and 0.5 rad for 8.5 m of reach, and parts of other reaches.
+        weights: of the cost; None takes `usual_weights`.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
@@ -43,10 +49,10 @@ class LQR:
         self, model: Model, torque_limit: float | Vector, period: float, weights: Weights | None = None
     ) -> None:
         checked_model(model)
-        n, d, reach = model.n_joints, model.n_dof, float(model.constants.length.sum())
+        n, d = model.n_joints, model.n_dof
         self.model, self.period = model, positive("period", period, "s")
         self.limits = np.array(torque_limits("torque_limit", torque_limit, n))
-        self.weights = weights or Weights(TIP * reach, TIP_SPEED * reach, MOTOR)
+        self.weights = weights or usual_weights(model)
         self._gains, self._rest, self._held = np.zeros((0, n, 2 * d)), np.zeros((0, 2 * d)), np.zeros((0, n))
 
     def gain(self, posture: Array, weights: Weights | None = None) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from flexman_gym.arrays import Array, Flags, IntArray, Vector, grown, row_dots
 from flexman_gym.checks import refusal
 from flexman_gym.control.controller import Episode, Readings
-from flexman_gym.control.discrete import Weights, zero_order_hold
+from flexman_gym.control.discrete import Weights, weighted_outputs, zero_order_hold
 from flexman_gym.control.lqr import MOTOR
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.control.reference import plan_slew
@@ -56,9 +56,7 @@ def design(
     linear = linearize(model, state=rest_state(model, posture), torque=holding_torques(model, posture))
     transition, inputs = zero_order_hold(linear, period)
     inputs, d, n = inputs * limits, model.n_dof, len(limits)
-    tip, outputs = linear.C[:, :d], np.zeros((6 + n, 2 * d))
-    outputs[:3, :d], outputs[3:6, d:] = tip / weights.tip, tip / weights.tip_speed
-    outputs[6:, model.motor_columns] = np.eye(n) / weights.motor
+    outputs = weighted_outputs(linear, model.motor_columns, weights)
     squares, axes = np.linalg.eigh(solve_discrete_are(transition, inputs, outputs.T @ outputs, np.eye(n)))
     ending = np.sqrt(np.maximum(squares, 0.0))[:, None] * axes.T
     state, rows = np.zeros((2 * d, n * len(blocks))), []

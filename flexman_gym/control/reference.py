@@ -252,8 +252,7 @@ class GiveWay:
 
     def __init__(self, model: Model) -> None:
         self._model, self._work, self._row = model, make_work(model.constants), np.zeros(OUTPUTS)
-        self._turns = np.eye(model.n_dof)[: model.n_joints]
-        self._turns[np.arange(model.n_joints), model.motor_columns] = 1.0
+        self._turns = model.at_rest(np.eye(model.n_joints))[:, : model.n_dof].copy()
 
     def turn(self, rest: Array, place: Array) -> Array:
         """Gives the turn (n,) rad, to first order, for coordinates (d,) each; none into directions that take far."""

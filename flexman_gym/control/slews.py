@@ -84,12 +84,11 @@ class Slews:
     def _bent(self, payload: int, start: Array, goal: Array) -> Tables:
         """The tables of one arm with one payload."""
         model, bending, way = self._models[payload], self._bendings[payload], goal - start
-        n, motors = model.n_joints, self.model.motor_columns
+        n = model.n_joints
         coordinates, torques = np.zeros((11, 3, model.n_dof)), np.zeros((11, 3, n))
         for row, place in enumerate(PLACES):
             posture = start + place * way
-            rest, straight = rest_state(model, posture)[: model.n_dof], np.zeros(model.n_dof)
-            straight[:n] = straight[motors] = posture
+            rest, straight = rest_state(model, posture)[: model.n_dof], model.at_rest(posture[None])[0, : model.n_dof]
             coordinates[row, REST], torques[row, REST] = rest - straight, holding_torques(model, posture)
             links, still = rest[:n], np.zeros(n)
             at_rest, held = bending.at(rest, (links, still, still))

@@ -7,7 +7,7 @@ from flexman_gym.control.controller import Episode
 from flexman_gym.control.discrete import Weights
 from flexman_gym.control.following import Following
 from flexman_gym.control.gains import GainTable
-from flexman_gym.control.lqr import HOLDING, MOTOR, SHARE, TIP, TIP_SPEED
+from flexman_gym.control.lqr import HOLDING, SHARE, usual_weights
 from flexman_gym.control.observer import Estimate
 from flexman_gym.control.plant import Plant
 from flexman_gym.control.slews import Slews
@@ -31,8 +31,8 @@ class Tracking:
     kept = ("_slews", "_following", "_ages", "_tight", "_goal")
 
     def __init__(self, plant: Plant, weights: Weights | None = None) -> None:
-        model, reach = plant.model, float(plant.model.constants.length.sum())
-        weights = weights or Weights(TIP * reach, TIP_SPEED * reach, MOTOR)
+        model = plant.model
+        weights = weights or usual_weights(model)
         low, high = plant.unknown.get("payload_mass", (model.constants.payload_mass[0],) * 2)
         self._payloads = (low, 0.5 * (low + high), high) if high > low else (low,)
         self.limits, self._period = np.array(plant.torque_limit), plant.period

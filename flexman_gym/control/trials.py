@@ -23,6 +23,11 @@ class Prior(NamedTuple):
     low: Array
     high: Array
 
+    @property
+    def information(self) -> Array:
+        """Information (p, p) about the numbers."""
+        return np.diag(1.0 / self.deviation**2)
+
     def clip(self, numbers: Array) -> Array:
         """Gives the numbers (r, p) that are allowed next to some."""
         return np.clip(numbers, self.low, self.high)
@@ -72,8 +77,7 @@ class Trials:
         n, known = model.n_joints, len(unknowns.names)
         self.moving, self.size = known + n, known + n + biased * len(matrix)
         self.steps = np.concatenate([unknowns.step, np.full(n, TURN)])
-        self._turns = np.zeros((n, 2 * model.n_dof))
-        self._turns[np.arange(n), np.arange(n)] = self._turns[np.arange(n), model.motor_columns] = 1.0
+        self._turns = model.at_rest(np.eye(n))
 
     def changed(self, numbers: Array, steps: Array | None = None) -> Array:
         """Gives the numbers (r, 1 + s, p) of all trials: as estimated, and each that moves the arm changed."""

@@ -1,5 +1,8 @@
 """Twins: arms that a controller simulates for itself, beside those that it acts on."""
 
+import numpy as np
+
+from flexman_gym.arrays import Array, IntArray
 from flexman_gym.control.plant import Plant
 from flexman_gym.simulation.batch import Batch
 
@@ -23,6 +26,23 @@ class Twins:
             plant = self._plant
             self._batches[key] = Batch(plant.model, *plant.moved, plant.period, arms=arms)
         return self._batches[key]
+
+    def moved(self, twins: tuple[str, int], arms: IntArray, states: Array, forces: Array) -> Array:
+        """Gives the states (r, 2 d) a control period after others.
+
+        Args:
+            twins: purpose and number of the arms of a batch.
+            arms: (r,) those that move.
+            states: (r, 2 d) before.
+            forces: (r, k) the first of the n + 6 numbers of a drive, see `Batch.step`.
+        """
+        batch = self(*twins)
+        drive, moving = np.zeros((twins[1], self._plant.model.n_joints + 6)), np.zeros(twins[1], dtype=bool)
+        drive[arms, : forces.shape[1]], moving[arms] = forces, True
+        batch.place(arms, states)
+        batch.step(drive, None if moving.all() else moving)
+        result: Array = batch.state[arms]
+        return result
 
     def __deepcopy__(self, memo: object) -> "Twins":
         return Twins(self._plant)
