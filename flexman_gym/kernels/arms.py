@@ -139,14 +139,14 @@ constants_of_sequences, work_of_sequences = _reader(Constants, SEQUENCES), _read
 
 
 @inner
-def proceed(constants, work, tableau, sweeps, clock, state):
-    """Moves state and ledger, an array of work space, under work.drive; then fills work.outputs.
+def proceed(constants, work, tableau, sweeps, steps, state):
+    """Moves state and ledger, an array of work space, under work.drive by steps, their length (s) and number.
 
-    By a linearly implicit method, or, without a tableau (None), by sweeps, see `swept_step`.
+    By a linearly implicit method, or, without a tableau (None), by sweeps, see `swept_step`. Then fills work.outputs.
     """
-    d = len(state) // 2 - 1
-    for n in range(clock.substeps):
-        moment = clock.time + n * clock.step, clock.step
+    d, (step, count) = len(state) // 2 - 1, steps
+    for n in range(count):
+        moment = n * step, step
         if tableau is None:
             swept_step(constants, work, sweeps, None, moment, state)
         else:
@@ -156,7 +156,7 @@ def proceed(constants, work, tableau, sweeps, clock, state):
 
 
 @released
-def advance_arms(tables, work_table, method, drives, clock, rows, out, status, trail):
+def advance_arms(tables, work_table, method, drives, steps, rows, out, status, trail):
     """Moves arms by a method, a tableau or None with sweeps as in `proceed`, through periods of constant drives.
 
     `tables` (groups, fields, 3) are the addresses of the constants of each group of ARMS_ABREAST arms, drives are (b,
@@ -171,7 +171,7 @@ def advance_arms(tables, work_table, method, drives, clock, rows, out, status, t
             fill_lanes(rows, first, state)
             for t in range(drives.shape[1]):
                 fill_lanes(drives[:, t], first, work.drive)
-                proceed(constants_of_arms(tables[group]), work, method[0], method[1], clock, state)
+                proceed(constants_of_arms(tables[group]), work, method[0], method[1], steps, state)
                 for arm in range(first, end):
                     if status[arm] == OK and not lane_in_bounds(state, arm - first):
                         status[arm] = DIVERGED
@@ -182,14 +182,14 @@ def advance_arms(tables, work_table, method, drives, clock, rows, out, status, t
 
 
 @released
-def advance_one(table, work_table, method, drives, clock, rows, out, status, trail):
+def advance_one(table, work_table, method, drives, steps, rows, out, status, trail):
     """The same for a single arm."""
     work = work_of_one(work_table)
     copy(rows[0], work.row)
     for t in range(drives.shape[1]):
         if status[0] == OK:
             copy(drives[0, t], work.drive)
-            proceed(constants_of_one(table), work, method[0], method[1], clock, work.row)
+            proceed(constants_of_one(table), work, method[0], method[1], steps, work.row)
             status[0] = DIVERGED if out_of_bounds(work.row) else OK
             if status[0] == OK:
                 copy(work.row, rows[0])
@@ -207,7 +207,7 @@ def follow(trail, arm, t, rows, out):
 
 @released
 def run_arms(tables, work_table, tableau, sweeps, drives, clock, rows, out, counts):
-    """Runs of arms by fixed steps as in `proceed`, each under the table of its own drive (b, 6, n + 6).
+    """Runs of arms by fixed steps as in `proceed`, each under the table of its own drive (b, 7, n + 6).
 
     Overwrites rows (b, r + 1, 2 d + 2) behind the first one, from which an arm starts, and outputs `out` (b, r + 1,
     OUTPUTS). counts (b, 2) = how many rows are valid behind the first, and the steps that were taken.

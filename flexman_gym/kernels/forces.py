@@ -4,7 +4,7 @@ import math
 
 from flexman_gym.kernels.compile import inner
 from flexman_gym.kernels.lanes import choose_below, fused, vanishes
-from flexman_gym.kernels.layout import AMPLITUDE, FREQUENCY, OFFSET, PHASE, START, STOP
+from flexman_gym.kernels.layout import AMPLITUDE, FREQUENCY, OFFSET, PHASE, SLOPE, START, STOP
 from flexman_gym.kernels.linalg import (
     ZERO,
     add,
@@ -21,10 +21,12 @@ from flexman_gym.kernels.linalg import (
 
 @inner
 def drive_at(table, time, out):
-    """out (n + 6,) = the drive of a table (6, n + 6) at the time (s); without one (None) out holds it, constant."""
+    """out (n + 6,) = the drive of a table (7, n + 6) at the time (s); without one (None) out holds it, constant."""
     if table is not None:
         for i in range(len(out)):
             value = table[OFFSET, i]
+            if not vanishes(table[SLOPE, i]):
+                value += table[SLOPE, i] * time
             if not vanishes(table[AMPLITUDE, i]):
                 angle = 2.0 * math.pi * table[FREQUENCY, i] * time + table[PHASE, i]
                 value += table[AMPLITUDE, i] * math.sin(angle)

@@ -22,7 +22,10 @@ from flexman_gym.kernels.stiffening import stretch_forces
 
 @kernel
 def inertial_forces(constants, work, x, v, acceleration, out):
-    """out (d,) = generalised inertial and gravitational forces at x, v (d,) for accelerations (d,)."""
+    """out (d,) = generalised inertial and gravitational forces at x, v (d,) for accelerations (d,).
+
+    work.reaction (n + 1, 6) = what each link needs at its origin, in its own frame, and the payload at the last tip.
+    """
     positions(constants, work, x)
     velocities(constants, work, v)
     n = len(constants.mass)
@@ -36,10 +39,12 @@ def inertial_forces(constants, work, x, v, acceleration, out):
         store_pair(work.frame_acceleration, i, linear, angular)
         linear, angular = tip_acceleration(constants, work, i, (linear, angular), acceleration)
     force, moment = payload_force(constants, work, (linear, angular))
+    store_pair(work.reaction, n, force, moment)
     for i in range(n - 1, -1, -1):
         frame = load_pair(work.frame_acceleration, i)
         elastic_forces(constants, work, i, frame, (force, moment), acceleration, out)
         force, moment = link_force(constants, work, i, frame, (force, moment), acceleration)
+        store_pair(work.reaction, i, force, moment)
         axis, m = load(constants.axis, i), constants.motor[i]
         push, alone = rotor_push(constants, i, frame[1], acceleration), 0.0
         if constants.carried_inertia[i] == 0.0:

@@ -9,7 +9,8 @@ work done by motors and disturbances and the energy dissipated since the start (
 
 Drive. What moves the arm from outside is n + 6 numbers: the torque of each motor (N m), or its acceleration (rad/s^2)
 where it is prescribed; the force on the tip (N) and the acceleration of the base (m/s^2), both in the base frame. Its
-table (6, n + 6) has a column for each: offset + amplitude sin(2 pi frequency t + phase) while start <= t < stop.
+table (7, n + 6) has a column for each: offset + slope t + amplitude sin(2 pi frequency t + phase) while start <= t <
+stop.
 
 Symbols. Single capital letters stand for these and nothing else:
 
@@ -55,7 +56,7 @@ ARMS_ABREAST = 8  # arms that one call moves at once
 STAGES = 16  # the most stages of a method, with the evaluation at the end of the step
 SEQUENCES = 8  # the most sequences of an extrapolation
 
-OFFSET, AMPLITUDE, FREQUENCY, PHASE, START, STOP = 0, 1, 2, 3, 4, 5
+OFFSET, AMPLITUDE, FREQUENCY, PHASE, START, STOP, SLOPE = 0, 1, 2, 3, 4, 5, 6
 
 # Columns of an output row.
 TIP_AT, TIP_VELOCITY_AT, DEFLECTION_AT, DEFLECTION_RATE_AT = 0, 3, 6, 9
@@ -118,7 +119,8 @@ class Constants(NamedTuple):
     station_row: IntArray  # (n,) where the b numbers of each link start
     station_mass: Array  # (s,)
     station_position: Array  # (s,) along the link
-    station_shape: Rows  # (3, b) displacement of the centreline per unit coordinate
+    station_offset: Array  # (2 s,) of each link two rows of s_i, y and z: where lumped masses are beside the centreline
+    station_shape: Rows  # (3, b) displacement of the stations per unit coordinate
     # the same without zeros: per unit of coordinate `source`, entry e moves the stations of its link by the s_i values
     # from place_row[i] + e s_i on
     place_start: IntArray  # (3 n + 1,) of x, y, z of each link
@@ -152,7 +154,8 @@ class Work(NamedTuple):
     shape: Array  # (9 k,) U, by rows
     coupling: Vectors  # (k, 3) integral of r x S_a dm
     moment_shape: Vectors  # (k, 3) integral of S_a dm
-    place: Array  # (3 s,) of each link three rows of s_i: displacement of the stations without foreshortening
+    place: Array  # (3 s,) of each link three rows of s_i: displacement of the stations without foreshortening, along y
+    # and z with their offset
     back: Array  # (s,) - 1/2 q^T G q
     bend_stations: Array  # (b,) of each link k_i rows of s_i: G q
     bend: Array  # (b,) of each link s_i rows of station_width[i]: G q
@@ -193,6 +196,7 @@ class Work(NamedTuple):
     joint_force: Array  # (n,)
     motor_torque: Array  # (n,) that a prescribed motion takes
     frame_acceleration: Pairs  # (n, 6) of the link's frame, gravity as an upward acceleration of the base
+    reaction: Pairs  # (n + 1, 6) force and moment that each link needs at its origin, the payload at the last tip
     # integrators
     stages: Rows  # (STAGES, 2 d + 2)
     stage_state: Array  # (2 d + 2,)
@@ -205,7 +209,7 @@ class Work(NamedTuple):
     outputs: Array  # (OUTPUTS,)
     pace: Array  # (1,) the step at which an adaptive run ended, 0 before
     progress: Array  # (3,) in the interval in which a run paused: 1, steps taken, seconds passed; zeros without a pause
-    table: Rows  # (6, n + 6) of the drive, of arms abreast each of which has its own
+    table: Rows  # (7, n + 6) of the drive, of arms abreast each of which has its own
 
 
 def make_work(constants: Constants, zeros: Callable[[tuple[int, ...]], Array] = np.zeros) -> Work:
@@ -227,10 +231,10 @@ def make_work(constants: Constants, zeros: Callable[[tuple[int, ...]], Array] = 
         "factor": (rows,), "joint_column": (n, 6), "joint_pivot": (n,), "spring": (n,),
         "motor_inertia": (n,), "friction_slope": (n,), "drive": (n + 6,), "field": (1, 3), "tip_force": (1, 3),
         "force": (size // 2 - 1,), "elastic_force": (k,), "joint_force": (n,), "motor_torque": (n,),
-        "frame_acceleration": (n, 6),
+        "frame_acceleration": (n, 6), "reaction": (n + 1, 6),
         "stages": (STAGES, size), "stage_state": (size,), "shift": (size,), "trial": (size,),
         "rates": (size // 2 - 1,), "extrapolated": (SEQUENCES, size), "estimate": (2, size), "row": (size,),
-        "outputs": (OUTPUTS,), "pace": (1,), "progress": (3,), "table": (6, n + 6),
+        "outputs": (OUTPUTS,), "pace": (1,), "progress": (3,), "table": (7, n + 6),
     }  # fmt: skip
     return Work(**{name: zeros(shape) for name, shape in shapes.items()})
 

@@ -4,7 +4,8 @@ import math
 
 from flexman_gym.kernels.compile import kernel
 from flexman_gym.kernels.lanes import fused
-from flexman_gym.kernels.layout import DEFLECTION_RATE_AT, JOINT_ENERGY, LINK_ENERGY, TIP_AT, TIP_VELOCITY_AT
+from flexman_gym.kernels.layout import DEFLECTION_RATE_AT, JOINT_ENERGY, LINK_ENERGY, OK, TIP_AT, TIP_VELOCITY_AT
+from flexman_gym.kernels.outputs import residuals
 
 
 @kernel
@@ -19,14 +20,15 @@ def combine(rows, start, source, value, out):
 
 
 @kernel
-def read_views(rows, outputs, targets, readings, motion, vectors, numbers):
-    """What a `View` has of b arms, from rows (b, 2 d + 2), outputs (b, OUTPUTS) and targets (b, 3).
+def read_views(rows, outputs, energies, turned, targets, readings, motion, vectors, numbers):
+    """What a `View` has of b arms, from rows (b, 2 d + 2), outputs (b, OUTPUTS), energies at the start and what is
+    turned over (b,), and targets (b, 3).
 
     motion (b, m) = the linear readings, as `combine` takes them, and the velocity of the tip; vectors (b, 2, 3) =
-    target - tip and the deflection rate; numbers (3, b) = the lengths of both and the elastic energy.
+    target - tip and the deflection rate; numbers (5, b) = the lengths of both, the elastic energy, the residual of the
+    energy and what is turned over.
     """
-    start, source, value = readings
-    combine(rows, start, source, value, motion)
+    combine(rows, readings[0], readings[1], readings[2], motion)
     last = motion.shape[1] - 3
     for b in range(len(rows)):
         for j in range(3):
@@ -36,7 +38,8 @@ def read_views(rows, outputs, targets, readings, motion, vectors, numbers):
         for i in range(2):
             x, y, z = vectors[b, i, 0], vectors[b, i, 1], vectors[b, i, 2]
             numbers[i, b] = math.sqrt(x * x + y * y + z * z)
-        numbers[2, b] = outputs[b, LINK_ENERGY] + outputs[b, JOINT_ENERGY]
+        numbers[2, b], numbers[4, b] = outputs[b, LINK_ENERGY] + outputs[b, JOINT_ENERGY], turned[b]
+    residuals(rows, outputs, energies, numbers[3])
 
 
 @kernel
@@ -57,17 +60,17 @@ def read_everything(motion, angles, velocity, goal_angles, vectors, numbers, nea
 
 
 @kernel
-def beyond(motion, limits, observations, bound, flags):
-    """flags (b,) = 1 for an arm of whose motion (b, m) a magnitude is beyond its limit (m,), or is no number, or of
-    whose observations (b, s) one is beyond its bound (s,), else 0; returns how many are 1."""
+def beyond(motion, limits, observations, bound, status, flags):
+    """flags (b,) = whether an arm has a status that is not OK, or a magnitude of its motion (b, m) beyond its limit
+    (m,), or of its observations (b, s) beyond its bound (s,), as what is no number is; returns how many have."""
     many = 0
     for b in range(len(flags)):
-        flags[b] = 0
+        flags[b] = status[b] != OK
         for j in range(len(limits)):
             if not abs(motion[b, j]) <= limits[j]:
-                flags[b] = 1
+                flags[b] = True
         for j in range(len(bound)):
             if not abs(observations[b, j]) <= bound[j]:
-                flags[b] = 1
+                flags[b] = True
         many += flags[b]
     return many

@@ -30,8 +30,10 @@ def shorten_tip(constants, work, i, x, elastic):
     width, row = constants.station_width[i], constants.station_row[i]
     for s in range(0, count, group_size(work.back)):
         place = station_motion(constants, i, s, x, elastic)
-        for c in range(3):
-            store_lanes(work.place, 3 * first + c * count + s, place[c])
+        store_lanes(work.place, 3 * first + s, place[0])
+        for c in range(1, 3):
+            offset = load_lanes(constants.station_offset, 2 * first + (c - 1) * count + s)
+            store_lanes(work.place, 3 * first + c * count + s, place[c] + offset)
         back = 0.0
         for a in range(start, stop):
             bend = station_bend(constants, i, s, a, x, elastic)

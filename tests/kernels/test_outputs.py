@@ -12,22 +12,24 @@ LIMITS, BOUND = np.array([1.0, 2.0]), np.array([3.0])
 
 
 @pytest.mark.parametrize(
-    ("motion", "seen", "flag"),
+    ("motion", "seen", "status", "flag"),
     [
-        ([1.0, -2.0], [3.0], 0),
-        ([1.5, 0.0], [0.0], 1),
-        ([0.0, -2.5], [0.0], 1),
-        ([0.0, np.nan], [0.0], 1),
-        ([0.0, 0.0], [-3.5], 1),
-        ([0.0, 0.0], [np.nan], 1),
-        ([0.0, 0.0], [np.inf], 1),
+        ([1.0, -2.0], [3.0], layout.OK, False),
+        ([1.5, 0.0], [0.0], layout.OK, True),
+        ([0.0, -2.5], [0.0], layout.OK, True),
+        ([0.0, np.nan], [0.0], layout.OK, True),
+        ([0.0, 0.0], [-3.5], layout.OK, True),
+        ([0.0, 0.0], [np.nan], layout.OK, True),
+        ([0.0, 0.0], [np.inf], layout.OK, True),
+        ([0.0, 0.0], [0.0], layout.DIVERGED, True),
+        ([0.0, 0.0], [0.0], layout.NOT_CONVERGED, True),
     ],
 )
-def test_an_arm_is_beyond_its_limits_or_what_its_sensors_can_say(motion, seen, flag):
+def test_an_arm_is_beyond_its_limits_or_what_its_sensors_can_say_or_has_failed(motion, seen, status, flag):
     """A number that is none is beyond all of them; the arm beside is not asked."""
-    flags = np.full(2, 7)
-    many = beyond(np.array([[0.5, 0.5], motion]), LIMITS, np.array([[0.5], seen]), BOUND, flags)
-    assert flags.tolist() == [0, flag] and many == flag
+    flags, states = np.array([True, False]), np.array([layout.OK, status])
+    many = beyond(np.array([[0.5, 0.5], motion]), LIMITS, np.array([[0.5], seen]), BOUND, states, flags)
+    assert flags.tolist() == [False, flag] and many == flag
 
 
 def test_the_full_state_is_motion_errors_nearness_and_speed():

@@ -1,0 +1,260 @@
+"""Raster: triangles and lines become pixels, with depth, light from two sides, soft shadow and smooth edges.
+
+Everything is drawn into samples, several to a pixel, which are averaged at the end. Only the box around what was drawn
+last is touched again, so that a frame costs what changes. The same numbers give the same bits: arithmetic is exact to
+the order in which it is written.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from flexman_gym.kernels.compile import inner, kernel
+
+AMBIENT, HIGH, KEY, FILL = 0.36, 0.10, 0.62, 0.22  # light from all sides, from above, from the sun and from opposite
+GLOSS, RIM = 0.35, 0.16  # of the highlight, and of the darker edge that sets a shape off its background
+SUN, OPPOSITE = (-0.2933, -0.4609, 0.8376), (0.8491, 0.4717, 0.2358)  # directions towards both lamps
+FAINT = 0.003  # shadow that nobody sees
+
+
+class Canvas(NamedTuple):
+    """Memory of a picture of H x W pixels with s x s samples each.
+
+    Attributes:
+        colour: (s H, s W, 3) uint8 samples.
+        depth: (s H, s W) float32, one over the distance along the view; 0 where nothing is.
+        mask: (s H, s W) uint8, the samples of one silhouette.
+        back: (s H, s W, 3) uint8 of the empty scene.
+        shadow, scratch: (H, W) float32.
+        picture, plain: (H, W, 3) uint8, the result, and that of the empty scene.
+        box: (4,) first and last column and row of the samples that were drawn to; empty where last < first.
+    """
+
+    colour: np.ndarray
+    depth: np.ndarray
+    mask: np.ndarray
+    back: np.ndarray
+    shadow: np.ndarray
+    scratch: np.ndarray
+    picture: np.ndarray
+    plain: np.ndarray
+    box: np.ndarray
+
+
+@kernel
+def project(points, eye, axes, lens, out):
+    """out (p, 3) = column, row and one over the distance along the view of points (p, 3).
+
+    axes (3, 3) are right, up and forward of the camera as rows; lens (3,) focal length and centre in samples.
+    """
+    for i in range(len(points)):
+        a, b, c = points[i, 0] - eye[0], points[i, 1] - eye[1], points[i, 2] - eye[2]
+        x = axes[0, 0] * a + axes[0, 1] * b + axes[0, 2] * c
+        y = axes[1, 0] * a + axes[1, 1] * b + axes[1, 2] * c
+        near = 1.0 / max(axes[2, 0] * a + axes[2, 1] * b + axes[2, 2] * c, 1e-6)
+        out[i, 0], out[i, 1], out[i, 2] = lens[1] + lens[0] * x * near, lens[2] - lens[0] * y * near, near
+
+
+@inner
+def bounds(low_x, high_x, low_y, high_y, box, height, width):
+    """First and last column and row that a shape can touch; the box grows by them."""
+    left, right = max(int(np.floor(low_x)), 0), min(int(np.ceil(high_x)), width - 1)
+    top, bottom = max(int(np.floor(low_y)), 0), min(int(np.ceil(high_y)), height - 1)
+    if left <= right and top <= bottom:
+        box[0], box[1] = min(box[0], left), max(box[1], right)
+        box[2], box[3] = min(box[2], top), max(box[3], bottom)
+    return left, right, top, bottom
+
+
+@inner
+def luminance(n0, n1, n2, e0, e1, e2):
+    """Light that a surface sends on, as a factor of its colour, and what is added to it; normal and view not unit."""
+    scale = 1.0 / np.sqrt(n0 * n0 + n1 * n1 + n2 * n2 + 1e-30)
+    n0, n1, n2 = n0 * scale, n1 * scale, n2 * scale
+    scale = 1.0 / np.sqrt(e0 * e0 + e1 * e1 + e2 * e2 + 1e-30)
+    e0, e1, e2 = e0 * scale, e1 * scale, e2 * scale
+    factor = AMBIENT + HIGH * n2 + KEY * max(n0 * SUN[0] + n1 * SUN[1] + n2 * SUN[2], 0.0)
+    factor += FILL * max(n0 * OPPOSITE[0] + n1 * OPPOSITE[1] + n2 * OPPOSITE[2], 0.0)
+    h0, h1, h2 = e0 + SUN[0], e1 + SUN[1], e2 + SUN[2]
+    scale = 1.0 / np.sqrt(h0 * h0 + h1 * h1 + h2 * h2 + 1e-30)
+    shine = max((n0 * h0 + n1 * h1 + n2 * h2) * scale, 0.0)
+    shine *= shine
+    shine *= shine
+    shine *= shine
+    shine *= shine
+    shine *= shine  # to the power of 32
+    edge = 1.0 - max(n0 * e0 + n1 * e1 + n2 * e2, 0.0)
+    return factor, 255.0 * GLOSS * shine - 80.0 * RIM * edge * edge * edge
+
+
+@kernel
+def shade(canvas, screen, points, normals, colours, faces, eye):
+    """Draws triangles faces (f, 3) of points (p, 3) that are at screen (p, 3), where they face the eye.
+
+    Normals and colours (p, 3) belong to the points and change linearly between them.
+    """
+    height, width = canvas.depth.shape
+    for t in range(len(faces)):
+        i, j, k = faces[t, 0], faces[t, 1], faces[t, 2]
+        x0, y0, x1, y1, x2, y2 = screen[i, 0], screen[i, 1], screen[j, 0], screen[j, 1], screen[k, 0], screen[k, 1]
+        area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+        if not area < 0.0:  # seen from behind: rows grow downwards
+            continue
+        whole = 1.0 / area
+        left, right, top, bottom = bounds(
+            min(x0, x1, x2), max(x0, x1, x2), min(y0, y1, y2), max(y0, y1, y2), canvas.box, height, width
+        )
+        for row in range(top, bottom + 1):
+            y = row + 0.5
+            for column in range(left, right + 1):
+                x = column + 0.5
+                u = ((x1 - x) * (y2 - y) - (x2 - x) * (y1 - y)) * whole
+                v = ((x2 - x) * (y0 - y) - (x0 - x) * (y2 - y)) * whole
+                w = 1.0 - u - v
+                if u < 0.0 or v < 0.0 or w < 0.0:
+                    continue
+                near = np.float32(u * screen[i, 2] + v * screen[j, 2] + w * screen[k, 2])
+                if near <= canvas.depth[row, column]:
+                    continue
+                canvas.depth[row, column] = near
+                factor, more = luminance(
+                    u * normals[i, 0] + v * normals[j, 0] + w * normals[k, 0],
+                    u * normals[i, 1] + v * normals[j, 1] + w * normals[k, 1],
+                    u * normals[i, 2] + v * normals[j, 2] + w * normals[k, 2],
+                    eye[0] - (u * points[i, 0] + v * points[j, 0] + w * points[k, 0]),
+                    eye[1] - (u * points[i, 1] + v * points[j, 1] + w * points[k, 1]),
+                    eye[2] - (u * points[i, 2] + v * points[j, 2] + w * points[k, 2]),
+                )
+                for c in range(3):
+                    value = (u * colours[i, c] + v * colours[j, c] + w * colours[k, c]) * factor + more
+                    canvas.colour[row, column, c] = np.uint8(min(max(value, 0.0), 255.0))
+
+
+@kernel
+def cover(screen, faces, mask, depth, box):
+    """Sets mask to 1 where triangles lie and nothing is drawn; with a depth of one entry, everywhere they lie."""
+    height, width = mask.shape
+    everywhere = depth.size == 1
+    for t in range(len(faces)):
+        i, j, k = faces[t, 0], faces[t, 1], faces[t, 2]
+        x0, y0, x1, y1, x2, y2 = screen[i, 0], screen[i, 1], screen[j, 0], screen[j, 1], screen[k, 0], screen[k, 1]
+        area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+        if not area < 0.0:
+            continue
+        whole = 1.0 / area
+        left, right, top, bottom = bounds(
+            min(x0, x1, x2), max(x0, x1, x2), min(y0, y1, y2), max(y0, y1, y2), box, height, width
+        )
+        for row in range(top, bottom + 1):
+            y = row + 0.5
+            for column in range(left, right + 1):
+                if mask[row, column] > 0 or not (everywhere or depth[row, column] == 0.0):
+                    continue
+                x = column + 0.5
+                u = ((x1 - x) * (y2 - y) - (x2 - x) * (y1 - y)) * whole
+                v = ((x2 - x) * (y0 - y) - (x0 - x) * (y2 - y)) * whole
+                if u >= 0.0 and v >= 0.0 and u + v <= 1.0:
+                    mask[row, column] = 1
+
+
+@kernel
+def stroke(canvas, screen, radius, faintest, colour):
+    """Draws a line along screen (p, 3) with a radius in samples, from faint and thin to full at its last point.
+
+    Where it lies behind something it is not seen. Each sample takes it once, with the part of `faintest` to 1 that its
+    place on the line has.
+    """
+    height, width = canvas.depth.shape
+    last = len(screen) - 1
+    for t in range(last - 1, -1, -1):
+        x0, y0, x1, y1 = screen[t, 0], screen[t, 1], screen[t + 1, 0], screen[t + 1, 1]
+        dx, dy = x1 - x0, y1 - y0
+        part = faintest + (1.0 - faintest) * (t + 1.0) / last
+        thick = radius * (0.4 + 0.6 * part)
+        left, right, top, bottom = bounds(
+            min(x0, x1) - thick,
+            max(x0, x1) + thick,
+            min(y0, y1) - thick,
+            max(y0, y1) + thick,
+            canvas.box,
+            height,
+            width,
+        )
+        for row in range(top, bottom + 1):
+            for column in range(left, right + 1):
+                along = ((column + 0.5 - x0) * dx + (row + 0.5 - y0) * dy) / (dx * dx + dy * dy + 1e-12)
+                along = min(max(along, 0.0), 1.0)
+                ex, ey = column + 0.5 - x0 - along * dx, row + 0.5 - y0 - along * dy
+                near = np.float32(screen[t, 2] + along * (screen[t + 1, 2] - screen[t, 2]))
+                if ex * ex + ey * ey > thick * thick or near < canvas.depth[row, column]:
+                    continue
+                if canvas.mask[row, column] == 0:
+                    canvas.mask[row, column] = 2
+                    for c in range(3):
+                        old = canvas.colour[row, column, c]
+                        canvas.colour[row, column, c] = np.uint8(old + part * (colour[c] - old))
+
+
+@kernel
+def soften(shadow, scratch, box, radius):
+    """Blurs what lies in the box (4,) of a shadow (H, W) by two means over 2 radius + 1 pixels each way."""
+    height, width = shadow.shape
+    box[0], box[1] = max(box[0] - 2 * radius, 0), min(box[1] + 2 * radius, width - 1)
+    box[2], box[3] = max(box[2] - 2 * radius, 0), min(box[3] + 2 * radius, height - 1)
+    left, right, top, bottom = box[0], box[1], box[2], box[3]
+    part = 1.0 / (2 * radius + 1)
+    for _ in range(2):
+        for row in range(top, bottom + 1):
+            for column in range(left, right + 1):
+                total = 0.0
+                for other in range(max(column - radius, left), min(column + radius, right) + 1):
+                    total += shadow[row, other]
+                scratch[row, column] = total * part
+        for row in range(top, bottom + 1):
+            for column in range(left, right + 1):
+                total = 0.0
+                for other in range(max(row - radius, top), min(row + radius, bottom) + 1):
+                    total += scratch[other, column]
+                shadow[row, column] = total * part
+
+
+@kernel
+def darken(canvas, box, dark):
+    """Lays the shadow in the box (4,) of pixels over the empty scene, and takes it away again from its memory."""
+    samples = len(canvas.depth) // len(canvas.shadow)
+    for row in range(box[2], box[3] + 1):
+        for column in range(box[0], box[1] + 1):
+            part = dark * canvas.shadow[row, column]
+            canvas.shadow[row, column] = 0.0
+            if part <= FAINT:
+                continue
+            for y in range(row * samples, (row + 1) * samples):
+                for x in range(column * samples, (column + 1) * samples):
+                    for c in range(3):
+                        canvas.colour[y, x, c] = np.uint8(canvas.back[y, x, c] * (1.0 - part))
+    left, right, top, bottom = (
+        box[0] * samples,
+        (box[1] + 1) * samples - 1,
+        box[2] * samples,
+        (box[3] + 1) * samples - 1,
+    )
+    canvas.box[0], canvas.box[1] = min(canvas.box[0], left), max(canvas.box[1], right)
+    canvas.box[2], canvas.box[3] = min(canvas.box[2], top), max(canvas.box[3], bottom)
+
+
+@kernel
+def resolve(canvas, ghost, part):
+    """Averages the samples in the box, and lays the colour `ghost` (3,) over those of mask 1 by a part."""
+    samples = len(canvas.depth) // len(canvas.shadow)
+    height, width = canvas.shadow.shape
+    for row in range(canvas.box[2] // samples, min(canvas.box[3] // samples + 1, height)):
+        for column in range(canvas.box[0] // samples, min(canvas.box[1] // samples + 1, width)):
+            for c in range(3):
+                total = 0.0
+                for y in range(row * samples, (row + 1) * samples):
+                    for x in range(column * samples, (column + 1) * samples):
+                        value = float(canvas.colour[y, x, c])
+                        if canvas.mask[y, x] == 1:
+                            value += part * (ghost[c] - value)
+                        total += value
+                canvas.picture[row, column, c] = np.uint8(total / (samples * samples) + 0.5)
