@@ -2,6 +2,9 @@
 
 import json
 import re
+import struct
+import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +13,10 @@ import yaml
 from flexman_gym.checks import one_of, shown
 
 MOST_BYTES = 1_000_000
+BROKEN = (
+    ValueError, KeyError, TypeError, AttributeError, EOFError, OSError, MemoryError, RecursionError, OverflowError,
+    NotImplementedError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error,
+)  # fmt: skip  # what reading a file of noise may raise, one of arrays too
 
 
 class _Mapping(list[tuple[Any, Any]]):
@@ -55,7 +62,7 @@ def read(path: Path) -> Any:
         ValueError: for another suffix, for a file that is not a plain file of at most 1 MB or not UTF-8, for broken
             text, for a repeated key, and for a nesting without end; one line says which.
     """
-    suffix = _suffix(path)
+    ending = suffix(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: there is no such file")
     if not path.is_file():
@@ -68,7 +75,7 @@ def read(path: Path) -> Any:
     except UnicodeDecodeError as error:
         raise ValueError(f"byte {error.start} is not UTF-8; give UTF-8 text") from None
     try:
-        return _tree("", _parse(text, suffix))
+        return _tree("", _parse(text, ending))
     except RecursionError:
         raise ValueError("lists or mappings are nested too deeply; give fewer levels") from None
 
@@ -89,28 +96,29 @@ def write(path: Path, data: Any) -> None:
     Raises:
         ValueError: for an unknown suffix.
     """
-    if _suffix(path) == ".json":
+    if suffix(path) == ".json":
         text = json.dumps(data, indent=1) + "\n"
     else:
         text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=120)
     path.write_text(text, encoding="utf-8", newline="\n")
 
 
-def _suffix(path: Path) -> str:
+def suffix(path: Path) -> str:
+    """Gives the suffix of a file that can be written; raises ValueError for another one."""
     return one_of(f"the suffix of {path}", path.suffix, (".json", ".yaml", ".yml"))
 
 
-def _parse(text: str, suffix: str) -> Any:
+def _parse(text: str, ending: str) -> Any:
     """Gives the content of the file, with `_Mapping` for every mapping."""
     try:
-        if suffix == ".json":
+        if ending == ".json":
             return json.loads(text, object_pairs_hook=_Mapping)
         return yaml.load(text, Loader=_Loader)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 0
         raise ValueError(f"line {line}: {error.problem}; give valid YAML") from None
     except (yaml.YAMLError, ValueError) as error:
-        raise ValueError(f"{' '.join(str(error).split())}; give valid {suffix[1:].upper()}") from None
+        raise ValueError(f"{' '.join(str(error).split())}; give valid {ending[1:].upper()}") from None
 
 
 def _tree(path: str, data: Any) -> Any:

@@ -1,8 +1,25 @@
 """Inertia: that of a rigid body, checked."""
 
+from typing import Any
+
 import numpy as np
 
-from flexman_gym.checks import refusal, sequence, vector
+from flexman_gym.arrays import Matrix, Vector
+from flexman_gym.checks import MOST, bounded, refusal, sequence, vector
+
+
+def body(name: str, inertia: Matrix | None, offset: Vector | None) -> dict[str, Any]:
+    """Gives the inertia and the offset of a rigid body as they are stored; None stays None.
+
+    Raises:
+        ValueError: for an inertia that no rigid body has, and for an offset that is not three numbers up to 1e30.
+    """
+    if inertia is not None:
+        inertia = inertia_matrix(f"{name}.inertia", inertia)
+    if offset is not None:
+        offset = vector(f"{name}.offset", offset, 3, "m")
+        bounded(f"{name}.offset", offset, MOST, "m")
+    return {"inertia": inertia, "offset": offset}
 
 
 def inertia_matrix(name: str, value: object) -> tuple[tuple[float, ...], ...]:

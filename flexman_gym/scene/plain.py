@@ -2,14 +2,23 @@
 
 import warnings
 from dataclasses import fields, is_dataclass
-from functools import partial
+from inspect import signature
+from pathlib import Path
 from typing import Any, TypeVar
 
-from flexman_gym.checks import one_of, refusal, sequence
-from flexman_gym.scene.arm import Arm, Joint, Link, NonUniformLink, Payload
+from flexman_gym.checks import mapping, one_of, refusal, sequence, text
+from flexman_gym.scene.arm import Arm, Payload
 from flexman_gym.scene.drive import ConstantTorque, Signal, SineTorque
+from flexman_gym.scene.joint import Joint
+from flexman_gym.scene.link import IDENTITY, Link, NonUniformLink
+from flexman_gym.scene.lumped import LumpedMass
+from flexman_gym.scene.motor import Motor
+from flexman_gym.scene.record import read_record, write_record
+from flexman_gym.scene.samples import SampledAngles, SampledSignal, SampledTorque, samples_of
+from flexman_gym.scene.sections import SHAPES, Outline
 
 Part = TypeVar("Part")
+MOST_INSIDE = 100  # samples in a scene file; more go to a CSV file beside it
 
 # Sections of arms in the catalog that no section can have; each says why there, and a file of it need not warn again.
 SECTION = ("area", "second_moment_y", "second_moment_z")
@@ -19,11 +28,19 @@ KNOWN_SECTIONS = ((0.028, 8.33e-7, 8.33e-7), (4e-4, 1.3e-8, 4e-9))
 # be left out as well, but is always written.
 OPTIONAL: dict[str, tuple[str, ...]] = {
     "Arm": ("modal_damping_ratio",),
+    "Link": ("masses", "outline"),
+    "NonUniformLink": ("masses",),
+    "LumpedMass": ("inertia", "offset"),
+    "Outline": ("wall",),
     "Payload": ("inertia", "offset"),
-    "Joint": ("viscous_friction", "coulomb_friction", "coulomb_rate", "torque_limit"),
+    "Joint": ("viscous_friction", "coulomb_friction", "coulomb_rate", "torque_limit", "motor"),
+    "Motor": ("current_limit", "speed_limit", "efficiency", "encoder_resolution"),
     "ModelChoice": ("modes", "spinning_rotors", "rotary_inertia"),
     "Initial": ("state",),
     "Signal": tuple(field.name for field in fields(Signal)),
+    "SampledSignal": ("hold",),
+    "SampledTorque": ("hold",),
+    "SampledAngles": ("deviation",),
     "Scene": ("prescribed", "tip_force", "base_acceleration"),
 }
 
@@ -35,7 +52,7 @@ def arm_of(data: object) -> Arm:
         ValueError: for entries that are not allowed; it names the field (`arm.links[1].length`).
     """
     entries = entries_of(Arm, "arm", data)
-    for name, part in (("links", _link), ("joints", partial(part_of, Joint))):
+    for name, part in (("links", _link), ("joints", _joint)):
         items = sequence(f"arm.{name}", entries[name], "mappings")
         entries[name] = [part(f"arm.{name}[{i}]", item) for i, item in enumerate(items)]
     if entries.get("payload") is not None:
@@ -44,28 +61,132 @@ def arm_of(data: object) -> Arm:
 
 
 def _link(path: str, data: object) -> Link | NonUniformLink:
-    """Builds a Link from a mapping, or a NonUniformLink from one with `sections`, which have no orientation."""
-    if not isinstance(data, dict) or "sections" not in data:
-        return part_of(Link, path, data)
-    entries = entries_of(NonUniformLink, path, data)
+    """Builds a Link from a mapping, or a NonUniformLink from one with `sections`, which have no orientation.
+
+    A mapping with a `shape` has the sizes and the material of `Link.strip`, `Link.tube` or `Link.rod`.
+    """
+    entries = _with_masses(path, data)
+    if "shape" in entries:
+        maker = getattr(Link, one_of(f"{path}.shape", entries.pop("shape"), SHAPES))
+        mapping(path, entries, list(signature(maker).parameters))
+        try:
+            link: Link = maker(**entries)
+            return link
+        except TypeError as error:
+            raise refusal(path, entries, f"what {maker.__qualname__} takes: {str(error).split('() ')[-1]}") from None
+        except ValueError as error:
+            raise ValueError(path + str(error).removeprefix("Link")) from None
+    if "sections" not in entries:
+        return _uniform(path, entries)
+    entries = entries_of(NonUniformLink, path, entries)
     items = sequence(f"{path}.sections", entries["sections"], "mappings")
-    for i, item in enumerate(items):
-        entries_of(Link, f"{path}.sections[{i}]", item, "orientation")
-    entries["sections"] = [built(Link, f"{path}.sections[{i}]", item) for i, item in enumerate(items)]
+    entries["sections"] = [
+        _uniform(f"{path}.sections[{i}]", _bare(item), "orientation", "masses") for i, item in enumerate(items)
+    ]
     return built(NonUniformLink, path, entries)
 
 
-def torque_of(data: object) -> ConstantTorque | SineTorque:
-    """Builds the torque that a mapping with a `kind` describes.
+def _with_masses(path: str, data: object) -> dict[str, Any]:
+    """Gives a copy of the mapping of a link with its lumped masses built."""
+    entries = dict(data) if isinstance(data, dict) else entries_of(Link, path, data)
+    if "masses" in entries:
+        items = enumerate(sequence(f"{path}.masses", entries["masses"], "mappings"))
+        entries["masses"] = [part_of(LumpedMass, f"{path}.masses[{i}]", item) for i, item in items]
+    return entries
+
+
+def _bare(section: object) -> object:
+    """Gives a section without the entries that it cannot have, where they say nothing, as `dataclasses.asdict` does."""
+    nothing = {"orientation": [list(row) for row in IDENTITY], "masses": []}
+    if not isinstance(section, dict):
+        return section
+    return {name: value for name, value in section.items() if name not in nothing or value != nothing[name]}
+
+
+def _uniform(path: str, data: object, *left_out: str) -> Link:
+    entries = entries_of(Link, path, data, *left_out)
+    if entries.get("outline") is not None:
+        entries["outline"] = part_of(Outline, f"{path}.outline", entries["outline"])
+    return built(Link, path, entries)
+
+
+def _joint(path: str, data: object) -> Joint:
+    """Builds a Joint from a mapping; one with a motor has its rotor inertia from there."""
+    if not isinstance(data, dict) or data.get("motor") is None:
+        return part_of(Joint, path, data)
+    entries = entries_of(Joint, path, {"rotor_inertia": 0.0} | data)
+    entries["motor"] = part_of(Motor, f"{path}.motor", entries["motor"])
+    return built(Joint, path, entries)
+
+
+def torque_of(data: object, folder: Path) -> ConstantTorque | SineTorque | SampledTorque:
+    """Builds the torque that a mapping with a `kind` describes; of a sampled one "csv" may stand for times and values.
 
     Raises:
+        FileNotFoundError: where a CSV file is missing in the folder.
         ValueError: for entries that are not allowed; it names the field (`torque.value`).
     """
     if not isinstance(data, dict):
         raise refusal("torque", data, "a mapping with the key kind")
-    kinds: dict[str, type[ConstantTorque | SineTorque]] = {kind.kind: kind for kind in (ConstantTorque, SineTorque)}
+    kinds: dict[str, Any] = {kind.kind: kind for kind in (ConstantTorque, SineTorque, SampledTorque)}
     kind = kinds[one_of("torque.kind", data.get("kind"), kinds)]
-    return part_of(kind, "torque", {name: value for name, value in data.items() if name != "kind"})
+    entries = {name: value for name, value in data.items() if name != "kind"}
+    if kind is SampledTorque and "csv" in entries:
+        given = mapping("torque", entries, ("csv", "columns", "hold"))
+        return SampledTorque.from_csv(folder / text("torque.csv", given.pop("csv")), **given)
+    return part_of(kind, "torque", entries)
+
+
+def signal_of(
+    path: str, data: object, units: tuple[str, ...], folder: Path
+) -> Signal | SampledSignal | SampledAngles | None:
+    """Builds the signal of a mapping: None of None, samples of one with times, or with "csv" and a "column" in it.
+
+    Args:
+        path: the name of the field of the file that holds the mapping.
+        data: the mapping.
+        units: in which a column may be.
+        folder: against which the name of a CSV file is meant.
+
+    Raises:
+        FileNotFoundError: where the CSV file is missing.
+        ValueError: for entries that are not allowed; it names the field.
+    """
+    if data is None:
+        return None
+    keys = data if isinstance(data, dict) else {}
+    if "csv" in keys:
+        more = dict(mapping(path, data, ("csv", "column", "hold", "deviation")))
+        record = read_record(folder / text(f"{path}.csv", more.pop("csv")))
+        return samples_of(record, text(f"{path}.column", more.pop("column", None)), units, more)
+    if "angles" in keys and "rad" in units:
+        return part_of(SampledAngles, path, data)
+    return part_of(SampledSignal, path, data) if "times" in keys else part_of(Signal, path, data)
+
+
+def beside(path: Path, data: dict[str, Any]) -> dict[str, Any]:
+    """Writes samples of a scene's mapping, where they are many, to CSV files beside the path; gives what is left."""
+    result = dict(data)
+    if len(data["torque"].get("times", ())) > MOST_INSIDE:
+        heads = [f"torque_{i} (N m)" for i in range(1, len(data["torque"]["values"][0]) + 1)]
+        columns = dict(zip(heads, zip(*data["torque"]["values"], strict=True), strict=True))
+        result["torque"] = _kept(path, "torque", data["torque"], columns)
+    for name, unit in (("prescribed", "rad/s^2"), ("tip_force", "N"), ("base_acceleration", "m/s^2")):
+        for i, item in enumerate(data.get(name) or ()):
+            if item is not None and len(item.get("times", ())) > MOST_INSIDE:
+                label, turned = f"{name}_{i}", "angles" in item
+                columns = {f"{label} ({'rad' if turned else unit})": item["angles" if turned else "values"]}
+                result[name] = list(result[name])
+                result[name][i] = _kept(path, label, item, columns) | {"column": label}
+    return result
+
+
+def _kept(path: Path, label: str, item: dict[str, Any], columns: dict[str, Any]) -> dict[str, Any]:
+    """Writes columns to a CSV file; gives the item with its name in their place."""
+    file = path.with_name(f"{path.stem}_{label}.csv")
+    write_record(file, item["times"], columns)
+    more = {name: value for name, value in item.items() if name not in ("times", "values", "angles")}
+    return more | {"csv": file.name}
 
 
 def part_of(kind: type[Part], path: str, data: object) -> Part:
@@ -128,11 +249,15 @@ def plain(value: Any) -> Any:
         return [plain(entry) for entry in value]
     if not is_dataclass(value):
         return value
-    entries: dict[str, Any] = {"kind": value.kind} if isinstance(value, ConstantTorque | SineTorque) else {}
+    entries: dict[str, Any] = {"kind": value.kind} if hasattr(value, "kind") else {}
     for field in fields(value):
         entry = getattr(value, field.name)
         if field.name not in OPTIONAL.get(type(value).__name__, ()) or entry != field.default:
             entries[field.name] = plain(entry)
+    if isinstance(value, Joint) and value.motor:
+        del entries["rotor_inertia"]
+        if value.motor.current_limit is not None:
+            del entries["torque_limit"]
     if isinstance(value, NonUniformLink):
         for section in entries["sections"]:
             del section["orientation"]

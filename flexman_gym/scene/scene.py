@@ -1,7 +1,7 @@
 """Scene: an arm, its model choice, its torque, its initial state and a duration, kept in a JSON or YAML file."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.arrays import Vector
 from flexman_gym.checks import (
+    WHOLE,
     positive,
     refusal,
     sequence,
@@ -20,10 +21,13 @@ from flexman_gym.checks import (
 from flexman_gym.scene import file as scene_file
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.choice import ModelChoice
-from flexman_gym.scene.drive import ConstantTorque, Signal, SineTorque, drive_table, signals
-from flexman_gym.scene.plain import arm_of, built, entries_of, part_of, plain, torque_of
+from flexman_gym.scene.drive import ConstantTorque, Pieces, Signal, SineTorque, signals
+from flexman_gym.scene.naming import find_arm
+from flexman_gym.scene.plain import beside, built, entries_of, part_of, plain, signal_of, torque_of
+from flexman_gym.scene.samples import SampledAngles, SampledSignal, SampledTorque
 
 MOST_OUTPUT_STEPS = 10_000_000
+UNITS = {"prescribed": ("rad", "rad/s^2"), "tip_force": ("N",), "base_acceleration": ("m/s^2",)}  # of columns of a CSV
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,7 @@ class Scene:
     """One run: everything that a simulation needs except its method.
 
     Attributes:
-        arm: the arm.
+        arm: the arm, or what `scene.naming.find_arm` takes for one.
         model: how finely the arm is modelled.
         torque: of the motors.
         initial: the state at t = 0.
@@ -65,33 +69,33 @@ class Scene:
         output_step: time between outputs, s. The duration is a whole number of output steps (to 1e-9 of itself), at
             most 10 million.
         note: free text for the reader.
-        prescribed: (n,) a Signal in rad/s^2 for a motor whose motion is given (a joint where it is rigid), the
-            acceleration; None for a motor that its torque drives. None in place of the list where torques drive all
-            motors.
-        tip_force: three Signals in N, the force on the tip of the last link in the base frame; None without one.
-        base_acceleration: three Signals in m/s^2, the acceleration of the base as a whole in the base frame; None
+        prescribed: (n,) a Signal or SampledSignal in rad/s^2 for a motor whose motion is given (a joint where it is
+            rigid), the acceleration, or SampledAngles, which set its part of `initial`, too; None for a motor that its
+            torque drives. None in place of the list where torques drive all motors.
+        tip_force: three Signals or SampledSignals in N, the force on the tip of the last link in the base frame; None
             without one.
+        base_acceleration: the same in m/s^2, the acceleration of the base as a whole in the base frame.
 
     Raises:
-        ValueError: for a part that has the wrong type or does not fit the number of joints of the arm, and for a torque
-            on a motor whose motion is prescribed.
+        ValueError: for a part that has the wrong type or does not fit the number of joints of the arm, for a torque on
+            a motor whose motion is prescribed, and for samples that do not last from 0 to the duration.
     """
 
     arm: Arm
     model: ModelChoice
-    torque: ConstantTorque | SineTorque
+    torque: ConstantTorque | SineTorque | SampledTorque
     initial: Initial
     duration: float
     output_step: float
     note: str = ""
-    prescribed: Sequence[Signal | None] | None = None
-    tip_force: Sequence[Signal] | None = None
-    base_acceleration: Sequence[Signal] | None = None
+    prescribed: Sequence[Signal | SampledSignal | SampledAngles | None] | None = None
+    tip_force: Sequence[Signal | SampledSignal] | None = None
+    base_acceleration: Sequence[Signal | SampledSignal] | None = None
 
     def __post_init__(self) -> None:
-        self._check_part("arm", Arm)
+        store(self, arm=find_arm(self.arm))
         self._check_part("model", ModelChoice)
-        self._check_part("torque", ConstantTorque, SineTorque)
+        self._check_part("torque", ConstantTorque, SineTorque, SampledTorque)
         self._check_part("initial", Initial)
         store(
             self,
@@ -106,6 +110,9 @@ class Scene:
         if not 0.5 < steps <= MOST_OUTPUT_STEPS or abs(steps - round(steps)) > 1e-9 * steps:
             allowed = f"1 to {MOST_OUTPUT_STEPS} whole steps in the duration {self.duration} s"
             raise refusal("Scene.output_step", self.output_step, allowed)
+        self._check_samples()
+        if any(isinstance(motion, SampledAngles) for motion in self.prescribed or ()):
+            store(self, initial=self._started())
 
     def _check_part(self, part: str, *kinds: type) -> None:
         """Refuses a part of another kind, or one whose tuples do not hold one entry for each joint."""
@@ -114,30 +121,54 @@ class Scene:
             raise refusal(f"Scene.{part}", value, " or ".join(kind.__name__ for kind in kinds))
         if isinstance(value, Arm):
             return
-        for name, entry in vars(value).items():
+        entries = {"values": value.values[0]} if isinstance(value, SampledTorque) else vars(value)
+        for name, entry in entries.items():
             if name != "state" and isinstance(entry, tuple) and len(entry) != self.arm.n_joints:
                 raise refusal(f"Scene.{part}.{name}", entry, f"{self.arm.n_joints} values, one for each joint")
 
-    def _checked_motion(self) -> tuple[Signal | None, ...] | None:
+    def _checked_motion(self) -> tuple[Signal | SampledSignal | SampledAngles | None, ...] | None:
         """Checks the prescribed motions; it refuses a motion and a torque on the same motor."""
         if self.prescribed is None:
             return None
         name, count = "Scene.prescribed", self.arm.n_joints
         motions = tuple(sequence(name, self.prescribed, "a Signal or None for each joint"))
-        if len(motions) != count or not all(isinstance(motion, Signal | None) for motion in motions):
-            raise refusal(name, self.prescribed, f"{count} of Signal or None, one for each joint")
+        kinds = Signal | SampledSignal | SampledAngles | None
+        if len(motions) != count or not all(isinstance(motion, kinds) for motion in motions):
+            allowed = f"{count} of Signal or None, one for each joint, or of SampledSignal or SampledAngles"
+            raise refusal(name, self.prescribed, allowed)
         for i, (motion, torque) in enumerate(zip(motions, self.torque.signals(), strict=True)):
-            if motion is not None and (torque.offset, torque.amplitude) != (0.0, 0.0):
-                value = max(torque.offset, torque.amplitude, key=abs)
-                raise refusal(f"Scene.torque of joint {i}", value, "0 (N m): the motion of this joint is prescribed")
+            if motion is not None and torque.largest != 0.0:
+                allowed = "0 (N m): the motion of this joint is prescribed"
+                raise refusal(f"Scene.torque of joint {i}", torque.largest, allowed)
         return motions if any(motions) else None
 
+    def _check_samples(self) -> None:
+        """Refuses samples that begin late or end early."""
+        for name in ("torque", "prescribed", "tip_force", "base_acceleration"):
+            part = getattr(self, name)
+            for i, item in enumerate(part.signals() if name == "torque" else part or ()):
+                if not isinstance(item, SampledSignal | SampledAngles):
+                    continue
+                end = item.times[-1] if isinstance(item, SampledAngles) else item.end
+                if item.times[0] > 0.0 or end < self.duration * (1.0 - WHOLE):
+                    said = f"samples from {item.times[0]:g} to {end:g} s"
+                    raise refusal(f"Scene.{name}[{i}]", said, f"samples from 0 to {self.duration:g} s or longer")
+
+    def _started(self) -> Initial:
+        """The initial state, with angles and rates of the prescribed motions that know theirs."""
+        angles, rates = list(self.initial.joint_angles), list(self.initial.joint_rates)
+        for i, motion in enumerate(self.prescribed or ()):
+            if isinstance(motion, SampledAngles):
+                angles[i], rates[i] = motion.start()
+        return replace(self.initial, joint_angles=tuple(angles), joint_rates=tuple(rates))
+
     @property
-    def drive(self) -> NDArray[np.float64]:
-        """Table of the drive (6, n + 6) as the kernels read it, see `kernels.layout`."""
+    def pieces(self) -> Pieces:
+        """The drive as the kernels read it."""
         motions, none = self.prescribed or [None] * self.arm.n_joints, [None] * 3
-        motors = [motion or torque for motion, torque in zip(motions, self.torque.signals(), strict=True)]
-        return drive_table([*motors, *(self.tip_force or none), *(self.base_acceleration or none)])
+        given = [motion.acceleration if isinstance(motion, SampledAngles) else motion for motion in motions]
+        motors = [motion or torque for motion, torque in zip(given, self.torque.signals(), strict=True)]
+        return Pieces([*motors, *(self.tip_force or none), *(self.base_acceleration or none)], self.duration)
 
     @property
     def output_times(self) -> NDArray[np.float64]:
@@ -154,34 +185,38 @@ class Scene:
                 (`arm.links[1].length`), the value and what is allowed.
         """
         try:
-            return cls.from_dict(scene_file.read(Path(path)))
+            return cls.from_dict(scene_file.read(Path(path)), Path(path).parent)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
 
     def save(self, path: str | Path) -> None:
         """Writes the scene to a .json, .yaml or .yml file, from which `load` gives an equal one.
 
+        More than a hundred samples go to CSV files beside it, such as scene_torque.csv beside scene.json.
+
         Raises:
             ValueError: for another suffix.
         """
-        scene_file.write(Path(path), self.to_dict())
+        scene_file.suffix(Path(path))
+        scene_file.write(Path(path), beside(Path(path), self.to_dict()))
 
     @classmethod
-    def from_dict(cls, data: object) -> Self:
-        """Builds the scene that the mapping of a scene file describes.
+    def from_dict(cls, data: object, folder: Path = Path()) -> Self:
+        """Builds the scene that the mapping of a scene file describes; CSV files are meant against the folder.
 
         Raises:
+            FileNotFoundError: where a CSV file is missing.
             ValueError: one line that names the field (`arm.links[1].length`), the value and what is allowed.
         """
         entries = entries_of(Scene, "", data)
-        entries["arm"] = arm_of(entries["arm"])
+        entries["arm"] = find_arm(entries["arm"])
         entries["model"] = part_of(ModelChoice, "model", entries["model"])
-        entries["torque"] = torque_of(entries["torque"])
+        entries["torque"] = torque_of(entries["torque"], folder)
         entries["initial"] = part_of(Initial, "initial", entries["initial"])
         for name in ("prescribed", "tip_force", "base_acceleration"):
             if entries.get(name) is not None:
                 items = enumerate(sequence(name, entries[name], "a list of mappings"))
-                entries[name] = [None if item is None else part_of(Signal, f"{name}[{i}]", item) for i, item in items]
+                entries[name] = [signal_of(f"{name}[{i}]", item, UNITS[name], folder) for i, item in items]
         return built(cls, "", entries)
 
     def to_dict(self) -> dict[str, Any]:

@@ -9,7 +9,9 @@ EVERYTHING = {
     "tip_load": (0.0, 10.0),
     "base_sway": (0.0, 0.2), "impulse_gap": 0.2,
 }  # fmt: skip
-FRICTION = {"viscous_friction_factor": (0.5, 1.5), "coulomb_friction_factor": (0.5, 1.5)}  # of an arm that has some
+FRICTION = {  # and damping of links, of an arm that has some
+    "viscous_friction_factor": (0.5, 1.5), "coulomb_friction_factor": (0.5, 1.5), "link_damping_factor": (0.5, 1.5),
+}  # fmt: skip
 ALL_PARTS = ("motor_encoders", "joint_encoders", "strain", "accelerometer", "tip", "command")
 FLAWED = {"kind": "lab", "noise": 0.002, "bias": 0.001, "quantisation": 1e-4, "delay": 1, "every": 2, "dropped": 0.2}
 

@@ -96,6 +96,14 @@ TARGETS = {
     "ConstantTorque": Target(fm.ConstantTorque, {"value": TWO}, ("value",)),
     "SineTorque": Target(fm.SineTorque, {"amplitude": TWO, "frequency_hz": [1.0, 2.0], "phase": TWO}, ("phase",)),
     "Signal": Target(fm.Signal, fields_of(fm.Signal(1.0)), ("offset", "amplitude", "frequency", "phase")),
+    "SampledTorque": Target(
+        fm.SampledTorque, {"times": [0.0, 0.1], "values": [TWO, TWO], "hold": "linear"}, ("times", "values"),
+    ),
+    "SampledSignal": Target(fm.SampledSignal, {"times": [0.0, 0.1], "values": [1.0, 2.0]}, ("times", "values")),
+    "SampledAngles": Target(
+        fm.SampledAngles, {"times": [0.0, 0.1, 0.2, 0.4], "angles": [0.0, 1.0, 1.0, 2.0], "deviation": 0.01},
+        ("times", "angles", "deviation"),
+    ),
     "Initial": Target(fm.Initial, {"joint_angles": TWO, "joint_rates": TWO}, ("joint_angles", "joint_rates")),
     "Scene": Target(fm.Scene, fields_of(SCENE), ("duration", "output_step"), weight=2.0),
     "Scene.from_dict": Target(fm.Scene.from_dict, {"data": SCENE.to_dict()}, weight=4.0),

@@ -58,7 +58,7 @@ def test_the_duration_is_a_whole_number_of_output_steps(duration, output_step):
 @pytest.mark.parametrize(
     ("part", "value", "field"),
     [
-        ("arm", None, "Scene.arm"),
+        ("arm", None, "arm"),
         ("model", {}, "Scene.model"),
         ("torque", (1.0, 1.0, 1.0), "Scene.torque"),
         ("initial", (0.0, 0.0, 0.0), "Scene.initial"),

@@ -11,9 +11,11 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexman_gym.scene.arm import IDENTITY, Arm, Joint, Link, NonUniformLink, Payload
+from flexman_gym.scene.arm import Arm, Payload
 from flexman_gym.scene.choice import ModelChoice
 from flexman_gym.scene.drive import ConstantTorque, SineTorque
+from flexman_gym.scene.joint import Joint
+from flexman_gym.scene.link import IDENTITY, Link, NonUniformLink
 from flexman_gym.scene.scene import Initial, Scene
 
 from oracles.files import REFERENCE
@@ -21,7 +23,7 @@ from oracles.refusals import offenders, refusal
 
 REFERENCES = sorted(REFERENCE.glob("*.json"))
 # Of the printed area of link 1 in the reference scenes, and of sections of any numbers.
-pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")
+pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning", "ignore:.*slip of units")
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", UserWarning)
     SCENE = Scene.load(REFERENCES[0])

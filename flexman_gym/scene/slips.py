@@ -1,0 +1,110 @@
+"""Slips: warnings of numbers that can only be in another unit."""
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+# least and most of what is usual with room to spare, and what is often given in its place
+USUAL: dict[str, tuple[float, float, str, str]] = {
+    "Link.length": (1e-3, 100.0, "m", "mm"),
+    "Link.youngs_modulus": (1e5, 2e12, "Pa", "GPa or MPa; 69 GPa is 69e9"),
+    "Link.shear_modulus": (3e4, 1e12, "Pa", "GPa or MPa; 26 GPa is 26e9"),
+    "Link.density": (20.0, 25e3, "kg/m^3", "g/cm^3 or kg/m; 2.7 g/cm^3 is 2700"),
+    "Motor.rotor_inertia": (0.0, 1.0, "kg m^2", "g cm^2; 100 g cm^2 is 1e-5"),
+    "Motor.torque_constant": (1e-6, 10.0, "N m/A", "mN m/A"),
+    "Motor.speed_limit": (0.1, 5e3, "rad/s", "revolutions per minute"),
+    "Motor.encoder_resolution": (0.0, 0.8, "rad", "counts in a turn; 4096 of them are 2 pi / 4096"),
+    "Joint.rotor_inertia": (0.0, 1e5, "kg m^2", "g cm^2"),
+    "Arm.modal_damping_ratio": (0.0, 0.3, "1", "per cent; 0.5 % is 0.005"),
+    "Arm.stiffness_proportional_damping": (0.0, 1.0, "s", "ms"),
+    "control_period": (0.0, 1.0, "s", "ms"),
+}
+FAT = 5.0  # lengths of a link to which no section reaches
+WOUND = 10.0  # polar moments of area, of which the torsion constant has at most one
+GRAVITY = 300.0  # m/s^2
+HEAVY, FAR = 100.0, 20.0  # masses and reaches of an arm
+SLOWEST, QUICKEST = 0.01, 1e4  # Hz, of the first mode
+
+
+def warn_of_slips(owner: str, values: Mapping[str, Any], depth: int = 5) -> None:
+    """Warns (UserWarning) of the first of some values by name that is not usual, in one line.
+
+    Args:
+        owner: whose values they are, such as "Link"; "" for none.
+        values: numbers by name; others and None are left alone.
+        depth: of the line that is blamed, in calls from here.
+    """
+    for name, value in values.items():
+        field = f"{owner}.{name}".removeprefix(".")
+        least, most, unit, other = USUAL.get(field, (-math.inf, math.inf, "", ""))
+        if isinstance(value, float) and not least <= value <= most:
+            usual = f"at most {most:g}" if value > most else f"at least {least:g}"
+            warn(f"{field}: {value:g} ({unit}) looks like a slip of units, usual is {usual}; was it in {other}?", depth)
+            return
+
+
+def warn_of_section(length: float, area: float, polar: float, torsion: float) -> None:
+    """Warns (UserWarning) of a section that is far too large for the length (m) of its link.
+
+    Args:
+        length: m.
+        area, polar, torsion: m^2, sum of both second moments of area and torsion constant, m^4.
+    """
+    radius, size = math.sqrt(polar / area), math.sqrt(area)
+    if size > FAT * length:
+        said = f"Link.area: {area:g} (m^2) is wider than the link is long, a slip of units; in mm^2, sizes in mm?"
+    elif radius > FAT * length:
+        said = (
+            f"Link.second_moment_y + second_moment_z: {polar:g} (m^4) reaches {radius:.3g} m, a slip of units; in mm^4?"
+        )
+    elif torsion > WOUND * polar:
+        said = f"Link.torsion_constant: {torsion:g} (m^4) exceeds the polar moment {polar:g}, a slip of units?"
+    else:
+        return
+    warn(said, 5)
+
+
+def warn_of_loads(name: str, mass: float, inertia: Any, offset: Any, arm: tuple[float, float]) -> None:
+    """Warns (UserWarning) of a body that is far too heavy or too large for an arm.
+
+    Args:
+        name: of the body.
+        mass, inertia, offset: kg, (3, 3) kg m^2 and (3,) m, None where there is none.
+        arm: mass of its links (kg) and their length (m).
+    """
+    size = math.sqrt(max(inertia[i][i] for i in range(3)) / mass) if inertia is not None and mass > 0.0 else 0.0
+    away = max(map(abs, offset)) if offset is not None else 0.0
+    if mass > HEAVY * arm[0]:
+        said = f"{name}.mass: {mass:g} (kg) is {mass / arm[0]:.3g} times what the links weigh, a slip of units; in g?"
+    elif away > FAR * arm[1]:
+        said = f"{name}.offset: {away:g} (m) is far beyond an arm of {arm[1]:g} m, a slip of units; was it in mm?"
+    elif size > FAR * arm[1]:
+        said = f"{name}.inertia: the body would reach {size:.3g} m, a slip of units; was it in g cm^2 or kg mm^2?"
+    else:
+        return
+    warn(said, 6)
+
+
+def warn_of_gravity(gravity: tuple[float, ...]) -> None:
+    """Warns (UserWarning) of a gravity (m/s^2) that no place has where arms are."""
+    size = math.hypot(*gravity)
+    if size > GRAVITY:
+        warn(f"Arm.gravity: {size:g} (m/s^2) looks like a slip of units; was it in mm/s^2? 9810 mm/s^2 are 9.81", 6)
+
+
+def warn_of_modes(rates: Sequence[float]) -> None:
+    """Warns (UserWarning) of an arm whose links bend, with what they carry, at angular frequencies that none has.
+
+    Args:
+        rates: rad/s, of the first mode of each link that bends.
+    """
+    frequency = min(rates, default=2.0 * math.pi) / (2.0 * math.pi)
+    if not SLOWEST <= frequency <= QUICKEST:
+        usual = f"usual is {SLOWEST:g} to {QUICKEST:g} Hz; look at the units of moduli, sizes and masses"
+        warn(f"arm: its links first bend at {frequency:.3g} Hz, which looks like a slip of units; {usual}", 4)
+
+
+def warn(line: str, depth: int) -> None:
+    """Warns (UserWarning), blaming the caller `depth` calls up."""
+    warnings.warn(line, UserWarning, stacklevel=depth)

@@ -1,0 +1,85 @@
+"""Browser: Chromium without a window, by the WebDriver protocol that chromedriver speaks (w3.org/TR/webdriver2)."""
+
+import json
+import shutil
+import socket
+import subprocess
+import time
+import urllib.error
+import urllib.request
+
+ARGUMENTS = ["--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+             "--disable-dev-shm-usage", "--hide-scrollbars", "--no-first-run", "--disable-background-networking",
+             "--window-size=1280,720"]  # fmt: skip
+OFFLINE = "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1"
+MISSING = next((f"needs {name} (apt: chromium chromium-driver)" for name in ("chromium", "chromedriver")
+                if shutil.which(name) is None), "")  # fmt: skip
+
+
+class Browser:
+    """A window without a screen, in which no host but this one has an address."""
+
+    def __init__(self, *more):
+        with socket.socket() as place:
+            place.bind(("127.0.0.1", 0))
+            port = place.getsockname()[1]
+        self._process = subprocess.Popen(["chromedriver", f"--port={port}"], stdout=subprocess.DEVNULL)
+        self._root = f"http://127.0.0.1:{port}"
+        options = {"binary": shutil.which("chromium"), "args": [*ARGUMENTS, OFFLINE, *more]}
+        wanted = {"goog:chromeOptions": options, "goog:loggingPrefs": {"browser": "ALL"}}
+        for _ in range(100):
+            try:
+                session = self._ask("POST", "/session", {"capabilities": {"alwaysMatch": wanted}})
+                break
+            except (ConnectionError, urllib.error.URLError):
+                time.sleep(0.1)
+        self._root += f"/session/{session['sessionId']}"
+
+    def _ask(self, method, path, data=None):
+        body = None if data is None else json.dumps(data).encode()
+        request = urllib.request.Request(self._root + path, body, {"Content-Type": "application/json"}, method=method)
+        with urllib.request.urlopen(request, timeout=120) as answer:
+            return json.load(answer)["value"]
+
+    def open(self, address):
+        """Opens a page and waits until it is ready for tests."""
+        self._ask("POST", "/url", {"url": address})
+        self.wait("window.replay !== undefined")
+
+    def run(self, script, *arguments):
+        """Gives what a script returns."""
+        return self._ask("POST", "/execute/sync", {"script": script, "args": list(arguments)})
+
+    def wait(self, condition, seconds=60):
+        """Waits until an expression is true."""
+        for _ in range(10 * seconds):
+            if self.run(f"return Boolean({condition})"):
+                return
+            time.sleep(0.1)
+        raise TimeoutError(condition)
+
+    def press(self, identity, part):
+        """Presses with the mouse on an element, at a part of its width from its left."""
+        box = self.run("const b = document.getElementById(arguments[0]).getBoundingClientRect();"
+                       "return [b.left, b.top, b.width, b.height]", identity)  # fmt: skip
+        x, y = round(box[0] + part * box[2]), round(box[1] + box[3] / 2)
+        steps = [{"type": "pointerMove", "duration": 0, "x": x, "y": y}, {"type": "pointerDown", "button": 0},
+                 {"type": "pointerUp", "button": 0}]  # fmt: skip
+        mouse = {"type": "pointer", "id": "mouse", "parameters": {"pointerType": "mouse"}, "actions": steps}
+        self._ask("POST", "/actions", {"actions": [mouse]})
+
+    def said(self):
+        """Gives the messages of the console."""
+        return [each["message"] for each in self._ask("POST", "/se/log", {"type": "browser"})]
+
+    def picture(self):
+        """Gives what is seen, base64 of a PNG."""
+        return self._ask("GET", "/screenshot")
+
+    def close(self):
+        """Ends browser and driver."""
+        try:
+            self._ask("DELETE", "")
+        finally:
+            self._process.terminate()
+            self._process.wait()

@@ -1,0 +1,107 @@
+"""Shipped: a made-up policy in the files of one that is exported, and such files with something wrong in them.
+
+`PYTHONPATH=tests python -m oracles.shipped 1000` reads so many, and prints what was found.
+"""
+
+import json
+import sys
+import tempfile
+from collections import Counter
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from flexman_gym.control.network import Network
+from flexman_gym.envs.description import Description
+from flexman_gym.evaluation.entrants import load_shipped, observed
+from flexman_gym.evaluation.shipped import ABOUT, ARRAYS, COUNT, write_shipped
+
+from oracles.mutants import bent, mangled
+
+DESCRIBED = Description.from_dict({
+    "id": "FlexPlanar-v0", "base": "pd", "hold": 5, "sensors": ["full", "fine"], "horizon": 1.0,
+    "gains": {"stiffness": [39.0, 5.56], "damping": [9.35, 1.33]},
+})  # fmt: skip
+FIRST = "mlp_extractor.policy_net.0"
+
+
+def made_up(described=DESCRIBED, seed=0):
+    """What is said of a policy, and its arrays: random layers that do something."""
+    random, names = np.random.default_rng(seed), observed(described)
+    size, joints = sum(each["size"] for each in names), described.setup().arm.n_joints
+    shapes = {f"{FIRST}.weight": (7, size), f"{FIRST}.bias": (7,), "action_net.weight": (joints, 7),
+              "action_net.bias": (joints,)}  # fmt: skip
+    layers = {name: random.normal(0.0, 0.3, shape).astype(np.float32) for name, shape in shapes.items()}
+    moments = {"mean": random.normal(0.0, 0.1, size), "var": random.uniform(0.5, 2.0, size)}
+    seen = random.normal(0.0, 1.0, (COUNT, size)).astype(np.float32)
+    actions = Network("ppo", None, layers, moments)(seen)
+    settings = {"algo": "ppo", "hyperparameters": {}, "seed": 3, "envs": 4, "judge_every": 0}
+    about = {
+        "words": "Made up.", "licence": "MIT", "commit": "", "versions": {}, "training_seconds": 2.0, "league": {},
+        "recipe": {"name": "", "settings": settings}, "environment": described.whole(), "observation": names,
+    }  # fmt: skip
+    arrays = layers | {f"statistics.{name}": each for name, each in moments.items()}
+    return about, arrays | {"check.observations": seen, "check.actions": actions}
+
+
+@cache
+def files():
+    """The files of the policy."""
+    with tempfile.TemporaryDirectory() as folder:
+        write_shipped(Path(folder), *made_up())
+        return {name: (Path(folder) / name).read_bytes() for name in (ABOUT, ARRAYS)}
+
+
+@cache
+def torques():
+    """Observations, and what the network of the policy gives for them."""
+    with tempfile.TemporaryDirectory() as folder:
+        seen = np.random.default_rng(1).normal(0.0, 1.0, (5, made_up()[1]["statistics.mean"].size)).astype(np.float32)
+        return seen, acting(Path(folder), files()).network(seen)
+
+
+def acting(folder, contents):
+    """The policy in a folder into which files of these contents are written."""
+    for name, content in contents.items():
+        (folder / name).write_bytes(content)
+    return load_shipped(folder).interface["base"]
+
+
+def mutant(random):
+    """The files with bytes of one of them changed, or its JSON bent; of the arrays that is the header."""
+    name = (ABOUT, ARRAYS)[random.integers(2)]
+    content = files()[name]
+    if random.integers(2) == 0:
+        wrong = mangled(random, content)
+    elif name == ABOUT:
+        wrong = json.dumps(bent(random, json.loads(content))).encode()
+    else:
+        start = 8 + int.from_bytes(content[:8], "little")
+        header = json.dumps(bent(random, json.loads(content[8:start]))).encode()
+        wrong = len(header).to_bytes(8, "little") + header + content[start:]
+    return {**files(), name: wrong}
+
+
+def outcome(seed, folder):
+    """("acts" or "refused", "") of the mutant with a seed, or ("finding", what was wrong)."""
+    try:
+        policy = acting(folder, mutant(np.random.default_rng(seed)))
+    except (ValueError, FileNotFoundError) as error:
+        line = str(error)
+        clear = "\n" not in line and str(folder) in line and len(line) < 700 and line.isprintable()
+        return ("refused", "") if clear else ("finding", line)
+    except Exception as error:
+        return "finding", f"{type(error).__name__}: {error}"
+    same = np.array_equal(policy.network(torques()[0]), torques()[1])
+    same &= policy.base.stiffness.tolist() == DESCRIBED.settings["gains"]["stiffness"] and policy._hold == 5
+    return ("acts", "") if same else ("finding", "it acts otherwise")
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as place:
+        result = [(seed, *outcome(seed, Path(place))) for seed in range(int(sys.argv[1]))]
+    for row in result:
+        if row[1] == "finding":
+            print(" | ".join(map(str, row))[:600])
+    print(dict(Counter(kind for _, kind, _ in result)))
