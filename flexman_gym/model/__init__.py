@@ -1,30 +1,41 @@
 """Model: an arm turned into numbers, and its dynamics at an instant."""
 
+from flexman_gym.model.curves import Curves, curves
 from flexman_gym.model.instant import (
     acceleration,
+    damping_matrix,
     frequencies,
     inverse_dynamics,
     mass_matrix,
+    stiffness_matrix,
     tip_acceleration,
 )
-from flexman_gym.model.linear import LinearModel, linearize
+from flexman_gym.model.linear import linearize
 from flexman_gym.model.model import Model, build_model, scene_model
+from flexman_gym.model.state_space import LinearModel
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.model.strain import curvature, strain
+from flexman_gym.model.vibration import Modes, modes
 
 __all__ = [
+    "Curves",
     "LinearModel",
     "Model",
+    "Modes",
     "acceleration",
     "build_model",
     "curvature",
+    "curves",
+    "damping_matrix",
     "frequencies",
     "holding_torques",
     "inverse_dynamics",
     "linearize",
     "mass_matrix",
+    "modes",
     "rest_state",
     "scene_model",
+    "stiffness_matrix",
     "strain",
     "tip_acceleration",
 ]

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flexman_gym.arrays import Array
+from flexman_gym.model.bodies import body_points, body_stations
 from flexman_gym.model.element import (
     GAUSS_POINTS,
     NODE_COORDINATES,
@@ -24,7 +25,7 @@ from flexman_gym.model.element import (
     section_points,
 )
 from flexman_gym.model.stations import beam_stations
-from flexman_gym.scene.arm import Link, NonUniformLink
+from flexman_gym.scene.link import Link, NonUniformLink
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,9 @@ class Beam:
             (S^jt, S^jr).
         shortening: (s, k, k) G at each station; the foreshortening of the centreline from 0 to the station is 1/2 q^T G
             q.
-        stations: (s, 2) mass (kg) and place (m) of each station on the centreline; the first is the tip, without mass.
-        station_shapes: (s, 3, k) displacement of the centreline at the stations per unit coordinate.
+        stations: (s, 4) mass (kg) and place along x, y and z (m) of each station; the first is the tip, without mass.
+            Those of lumped masses may lie beside the centreline.
+        station_shapes: (s, 3, k) displacement of the stations per unit coordinate.
         polar: (t,) inertia about the beam axis of sections that resist no other rotation, kg m^2; empty with rotary
             inertia, which the mass points hold.
         twist: (t, k) rotation of these sections about the beam axis per unit coordinate.
@@ -119,16 +121,20 @@ def build_beam(link: Link | NonUniformLink, elements: int, flexible: bool = True
         link: the link.
         elements: in each section of the link; k = 6 * elements * number of sections.
         flexible: False makes the link rigid, with k = 0.
-        rotary_inertia: False lets the sections resist rotation about the beam axis only.
+        rotary_inertia: False lets the sections resist rotation about the beam axis only; lumped masses keep their
+            inertia.
     """
     pieces = beam_elements(link, elements)
     size = NODE_COORDINATES * (len(pieces) + 1)
     stiffness = np.zeros((size, size))
     for piece in pieces:
         stiffness[piece.nodes, piece.nodes] += beam_stiffness(piece.section, piece.length)
-    masses, positions, shapes = _mass_points(pieces, size, rotary_inertia)
-    polar, twist = _spinning_sections([] if rotary_inertia else pieces, size)
-    shortening, stations, station_shapes = beam_stations(pieces, size)
+    points, stations = mass_points(pieces, size, rotary_inertia), beam_stations(pieces, size)
+    if link.masses:
+        points = _joined(points, body_points(link.masses, pieces, size))
+        stations = _joined(stations, body_stations(link.masses, pieces, size))
+    (masses, positions, shapes), (shortening, centres, station_shapes) = points, stations
+    polar, twist = spinning_sections([] if rotary_inertia else pieces, size)
     kept = slice(NODE_COORDINATES, size if flexible else NODE_COORDINATES)
     identity = np.eye(size)
     return Beam(
@@ -139,20 +145,29 @@ def build_beam(link: Link | NonUniformLink, elements: int, flexible: bool = True
         tip_translation=identity[-6:-3, kept],
         tip_rotation=identity[-3:, kept],
         shortening=shortening[:, kept, kept],
-        stations=stations,
+        stations=centres,
         station_shapes=station_shapes[:, :, kept],
         polar=polar,
         twist=twist[:, kept],
     )
 
 
-def _mass_points(elements: Sequence[Element], size: int, rotary_inertia: bool) -> tuple[Array, Array, Array]:
-    """Gives masses (p,), positions (p, 3) and shapes (p, 3, size) of the mass points."""
+def _joined(first: tuple[Array, ...], second: tuple[Array, ...]) -> tuple[Array, Array, Array]:
+    """Gives three arrays with the rows of the first and then those of the second."""
+    one, two, three = (np.concatenate(rows) for rows in zip(first, second, strict=True))
+    return one, two, three
+
+
+def mass_points(
+    elements: Sequence[Element], size: int, rotary_inertia: bool, until: float = np.inf
+) -> tuple[Array, Array, Array]:
+    """Gives masses (p,), positions (p, 3) and shapes (p, 3, size) of the mass points of a link up to a position (m)."""
     abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
     masses, positions, shapes = [], [], []
     for section, start, length, nodes in elements:
         points = section_points(section) if rotary_inertia else np.zeros((1, 2))
-        for xi, weight in zip((1 + abscissae) / 2, weights / 2, strict=True):
+        end = np.clip((until - start) / length, 0.0, 1.0)
+        for xi, weight in zip(end * (1 + abscissae) / 2, end * weights / 2, strict=True):
             for y, z in points:
                 masses.append(weight * length * section.density * section.area / len(points))
                 positions.append([start + xi * length, y, z])
@@ -162,16 +177,18 @@ def _mass_points(elements: Sequence[Element], size: int, rotary_inertia: bool) -
     return np.array(masses), np.array(positions), np.array(shapes)
 
 
-def _spinning_sections(elements: Sequence[Element], size: int) -> tuple[Array, Array]:
-    """Gives polar inertias (t,) in kg m^2 and twists (t, size) of sections at the Gauss points of the elements."""
+def spinning_sections(elements: Sequence[Element], size: int, until: float = np.inf) -> tuple[Array, Array]:
+    """Gives polar inertias (t,) in kg m^2 and twists (t, size) of sections at Gauss points up to a position (m)."""
     abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
     count = len(elements) * GAUSS_POINTS
     polar, twist = np.zeros(count), np.zeros((count, size))
-    for i, (section, _, length, nodes) in enumerate(elements):
+    for i, (section, start, length, nodes) in enumerate(elements):
+        end = np.clip((until - start) / length, 0.0, 1.0)
         rows = slice(GAUSS_POINTS * i, GAUSS_POINTS * (i + 1))
-        polar[rows] = weights / 2 * length * section.density * (section.second_moment_y + section.second_moment_z)
+        area = section.second_moment_y + section.second_moment_z
+        polar[rows] = end * weights / 2 * length * section.density * area
         _, _, _, inner, *_, outer, _, _ = range(nodes.start, nodes.stop)
-        twist[rows, inner], twist[rows, outer] = (1 - abscissae) / 2, (1 + abscissae) / 2
+        twist[rows, inner], twist[rows, outer] = (1 - end) + end * (1 - abscissae) / 2, end * (1 + abscissae) / 2
     return polar, twist
 
 

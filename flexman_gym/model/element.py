@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.scene.arm import Link, NonUniformLink
+from flexman_gym.scene.link import Link, NonUniformLink
 
 NODE_COORDINATES = 6  # u, v, w, phi_x, theta_y = -w', theta_z = v'
 GAUSS_POINTS = 4  # exact to degree 7; the mass of cubic Hermite shapes has degree 6

@@ -1,11 +1,12 @@
 """Instant: accelerations, forces and natural frequencies of a model at a state."""
 
 from collections.abc import Callable
+from typing import TypeGuard
 
 import numpy as np
 
-from flexman_gym.arrays import Array, Flags, Vector
-from flexman_gym.checks import bounded, flag, refusal, vector
+from flexman_gym.arrays import Array, Flags, Matrix, Vector
+from flexman_gym.checks import bounded, flag, number_array, refusal, vector
 from flexman_gym.kernels import dynamics, inverse, outputs, tip
 from flexman_gym.kernels.layout import (
     LARGEST_STATE,
@@ -16,7 +17,9 @@ from flexman_gym.kernels.layout import (
     make_work,
 )
 from flexman_gym.model.model import Model, checked_model
-from flexman_gym.model.rounding import solvable
+from flexman_gym.model.natural import natural_modes
+
+Forces = Callable[[Array, Array, Array], Array]
 
 # Central differences over one, two and three steps h, each with its weight in Richardson's extrapolation to h = 0. The
 # error of a first derivative is h^6 / 140 times the seventh derivative, of a second one h^6 / 560 times the eighth.
@@ -50,29 +53,44 @@ def mass_matrix(model: Model, state: Vector) -> Array:
         ValueError: for a wrong shape or values that are not finite.
     """
     x, _ = split_state(model, state)
-    forces, rest = inertial_forces(model, weightless=True), np.zeros(model.n_dof)
+    return _mass_matrix(model, inertial_forces(model, np.zeros(3)), x)
+
+
+def _mass_matrix(model: Model, forces: Forces, x: Array) -> Array:
+    """Gives the mass matrix (d, d) at coordinates (d,), a column for each unit of acceleration."""
+    rest = np.zeros(model.n_dof)
     matrix = np.array([forces(x, rest, unit) for unit in np.eye(model.n_dof)])
     return (matrix + matrix.T) / 2
 
 
 def stiffness_matrix(model: Model) -> Array:
-    """Gives the stiffness matrix (d, d) of links and joint springs."""
-    return _structure(model, model.constants.joint_stiffness, model.constants.stiffness)
+    """Gives the stiffness matrix (d, d) of links and joint springs: N m/rad, N/m and so on, by the coordinates.
+
+    Raises:
+        ValueError: for anything but a Model.
+    """
+    return _structure(checked_model(model), model.constants.joint_stiffness, model.constants.stiffness)
 
 
 def damping_matrix(model: Model) -> Array:
-    """Gives the damping matrix (d, d) of links, joint dampers and viscous friction."""
-    matrix = _structure(model, model.constants.joint_damping, model.constants.damping)
+    """Gives the damping matrix (d, d) of links, joint dampers and viscous friction, times s of the stiffness.
+
+    Raises:
+        ValueError: for anything but a Model.
+    """
+    matrix = _structure(checked_model(model), model.constants.joint_damping, model.constants.damping)
     matrix[model.motor_columns, model.motor_columns] += model.constants.viscous_friction
     return matrix
 
 
-def frequencies(model: Model, joint_angles: Vector | None = None, lock_joints: bool = False) -> Array:
+def frequencies(model: Model, joint_angles: Vector | Matrix | None = None, lock_joints: bool = False) -> Array:
     """Gives the undamped natural frequencies of the unloaded arm at rest, ascending, Hz; gravity is left out.
+
+    The slow ones are exact up to rounding, beside fast ones too, so that they can be differentiated by differences.
 
     Args:
         model: the model.
-        joint_angles: (n,) rad, zero by default.
+        joint_angles: (n,) rad, zero by default; or (k, n), for as many rows of frequencies.
         lock_joints: False leaves the motors free. There are then d frequencies; the first n are zero, as the arm can
             turn about its joints. True clamps the motors (the joints where they are rigid); the other d - n frequencies
             remain.
@@ -80,23 +98,30 @@ def frequencies(model: Model, joint_angles: Vector | None = None, lock_joints: b
     Raises:
         ValueError: for anything but a Model, for wrong joint angles and a wrong flag.
     """
-    checked_model(model)
-    angles = np.zeros(model.n_joints) if joint_angles is None else joint_angles
-    flag("lock_joints", lock_joints)
-    mass = mass_matrix(model, model.initial_state(angles))
-    stiffness = stiffness_matrix(model)
-    if lock_joints:
-        free = np.setdiff1d(np.arange(model.n_dof), model.motor_columns)
-        mass, stiffness = mass[np.ix_(free, free)], stiffness[np.ix_(free, free)]
-    if len(mass) == 0:
-        return np.zeros(0)
-    from scipy.linalg import eigh
-
-    with solvable("frequencies"):
-        squares = eigh(stiffness, mass, eigvals_only=True)
+    n = checked_model(model).n_joints
+    angles = np.zeros(n) if joint_angles is None else joint_angles
+    if _several(angles):
+        angles = number_array("joint_angles", angles, (len(angles), n), f"numbers ({n},) or (k, {n}), rad")
+    rows = angles if _several(angles) else [angles]
+    free = np.arange(model.n_dof)
+    if flag("lock_joints", lock_joints):
+        free = np.setdiff1d(free, model.motor_columns)
+    stiffness, result = stiffness_matrix(model)[np.ix_(free, free)], np.zeros((len(rows), len(free)))
+    forces = inertial_forces(model, np.zeros(3))
+    for row, posture in zip(result, rows, strict=True):
+        mass = _mass_matrix(model, forces, split_state(model, model.initial_state(posture))[0])[np.ix_(free, free)]
+        row[:] = natural_modes(mass, stiffness)[0] if len(free) else 0.0
     if not lock_joints:
-        squares[: model.n_joints] = 0.0  # rounding leaves their square roots at millihertz
-    return np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi)
+        result[:, :n] = 0.0
+    result = np.sqrt(np.maximum(result, 0.0)) / (2 * np.pi)
+    return result if rows is angles else result[0]
+
+
+def _several(angles: object) -> TypeGuard[Array]:
+    """Whether joint angles are those of several postures."""
+    if isinstance(angles, np.ndarray):
+        return angles.ndim > 1
+    return isinstance(angles, list | tuple) and bool(angles) and isinstance(angles[0], list | tuple | np.ndarray)
 
 
 def tip_acceleration(model: Model, state: Vector, torque: Vector) -> Array:
@@ -221,14 +246,14 @@ def _structure(model: Model, joints: Array, links: Array) -> Array:
     return matrix
 
 
-def inertial_forces(model: Model, weightless: bool = False) -> Callable[[Array, Array, Array], Array]:
+def inertial_forces(model: Model, gravity: Array | None = None) -> Forces:
     """Gives a function of coordinates, speeds and accelerations (d,) whose value is the forces (d,) that they demand.
 
     Args:
         model: the model.
-        weightless: whether gravity is left out.
+        gravity: (3,) m/s^2, in place of that of the model.
     """
-    constants = model.constants._replace(gravity=np.zeros(3)) if weightless else model.constants
+    constants = model.constants if gravity is None else model.constants._replace(gravity=gravity)
     work = make_work(constants)
 
     def forces(x: Array, v: Array, rates: Array) -> Array:

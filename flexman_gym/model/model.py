@@ -15,12 +15,14 @@ from flexman_gym.model.modes import kept_modes, loaded_modes, modal_damping, out
 from flexman_gym.model.packing import packed, packed_constants
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.choice import MOST_ELEMENTS, ModelChoice
+from flexman_gym.scene.naming import ArmLike, find_arm
 from flexman_gym.scene.scene import Scene
+from flexman_gym.scene.slips import warn_of_modes
 
 REMEMBERED = 24  # finite elements of an arm, up to which its links are remembered whole, some megabytes of them
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Model:
     """A discretised arm, as `build_model` returns it.
 
@@ -39,6 +41,19 @@ class Model:
     constants: layout.Constants
     bases: tuple[Array, ...]
     modal_damping: Array
+
+    def __repr__(self) -> str:
+        bends = [self.bases[i].shape[1] for i in range(self.n_joints)]
+        springs = "".join("s" if motor >= 0 else "r" for motor in self.constants.motor)
+        length, mass = float(self.constants.length.sum()), float(self.constants.mass.sum())
+        switches = [name for name in ("stiffening", "spinning_rotors", "rotary_inertia") if getattr(self.choice, name)]
+        return (
+            f"<Model: {self.n_dof} coordinates, of {self.n_joints} joints, {self.n_motors} motors on springs and "
+            f"{self.n_elastic} of bending links\n"
+            f"  links: {length:.4g} m, {mass:.4g} kg, elastic coordinates {bends}; joints, spring or rigid: {springs}\n"
+            f"  payload {self.constants.payload_mass[0]:.4g} kg, gravity {self.constants.gravity.tolist()} m/s^2\n"
+            f"  {', '.join(switches) or 'no further switches'}>"
+        )
 
     @property
     def n_joints(self) -> int:
@@ -103,7 +118,7 @@ class Model:
 
 
 def build_model(
-    arm: Arm,
+    arm: ArmLike,
     elements: int | tuple[int, ...] = 2,
     modes: int | tuple[int | tuple[int, ...], ...] | None = None,
     flexible_links: bool | tuple[bool, ...] = True,
@@ -116,7 +131,7 @@ def build_model(
     """Discretises an arm.
 
     Args:
-        arm: the arm.
+        arm: the arm, or what `scene.naming.find_arm` takes for one.
         elements: finite elements of a Link, or of each section of a NonUniformLink; one value or one per link. A link
             has at most 64 elements in all, and 6 * elements * number of sections coordinates.
         modes: loaded component modes kept of a flexible link, at most its number of coordinates; one value or one per
@@ -131,9 +146,8 @@ def build_model(
     Raises:
         ValueError: one line with field, value and what is allowed.
     """
-    switches = {"spinning_rotors": spinning_rotors, "rotary_inertia": rotary_inertia}
-    instance("arm", arm, Arm, "an Arm")
-    choice = ModelChoice(flexible_links, elements, modes, flexible_joints, stiffening, **switches)
+    arm = find_arm(arm)
+    choice = ModelChoice(flexible_links, elements, modes, flexible_joints, stiffening, spinning_rotors, rotary_inertia)
     n = arm.n_joints
     flexible = _each("flexible_links", choice.flexible_links, n)
     counts = _each("elements", choice.elements, n)
@@ -144,10 +158,12 @@ def build_model(
             raise refusal(f"elements[{i}]", count, f"at most {most} for each of the {len(link.sections)} sections")
     whole = _remembered if sum(len(link.sections) for link in arm.links) * max(counts) <= REMEMBERED else _whole_links
     bases, dampings, reduced = [], [], []
-    for i, (beam, modes_) in enumerate(whole(arm, counts, flexible, choice.rotary_inertia)):
+    beams = whole(arm, counts, flexible, choice.rotary_inertia)
+    warn_of_modes([modes_[0][0] for _, modes_ in beams if len(modes_[0])])
+    for i, (beam, modes_) in enumerate(beams):
         basis = kept_modes(modes_[1], kept[i] if flexible[i] else None, f"modes[{i}]")
         bases.append(basis)
-        dampings.append(basis.T @ modal_damping(beam.stiffness, modes_, arm.modal_damping_ratio) @ basis)
+        dampings.append(basis.T @ modal_damping(beam.stiffness, modes_, arm.damping_ratios[i]) @ basis)
         reduced.append(beam.reduced(basis))
     damping = packed([*dampings, np.zeros(LANES)], 1)
     return Model(arm, choice, packed_constants(arm, tuple(reduced), damping, choice), tuple(bases), damping)

@@ -33,9 +33,8 @@ def outboard_inertias(arm: Arm, beams: tuple[Beam, ...]) -> Array:
     inertia = np.zeros((6, 6))
     if arm.payload is not None:
         mount = np.array(arm.links[-1].orientation).T
-        centre = _carry(mount @ (arm.payload.offset or np.zeros(3)))[:3]
-        inertia = arm.payload.mass * centre.T @ centre
-        inertia[3:, 3:] += mount @ (arm.payload.inertia or np.zeros((3, 3))) @ mount.T
+        offset, own = arm.payload.offset or np.zeros(3), arm.payload.inertia or np.zeros((3, 3))
+        inertia = body_inertia(arm.payload.mass, mount @ offset, mount @ own @ mount.T)
     result = np.zeros((len(beams), 6, 6))
     rotations = zero_pose_rotations(arm)
     for i in reversed(range(len(beams))):
@@ -131,6 +130,20 @@ def modal_damping(stiffness: Array, modes: tuple[Array, Array], ratio: float) ->
     # K shape / frequency^2 is the loaded mass matrix times the shape, the inverse of the shapes.
     inverse = stiffness @ shapes / frequencies**2
     return 2.0 * ratio * inverse * frequencies @ inverse.T
+
+
+def body_inertia(mass: float, offset: Array, inertia: Array) -> Array:
+    """Gives the inertia (6, 6) about a point, linear part first, of a body whose centre is at an offset (3,) m from it.
+
+    Args:
+        mass: kg.
+        offset: m.
+        inertia: (3, 3) about the centre, kg m^2.
+    """
+    centre = _carry(offset)[:3]
+    result: Array = mass * centre.T @ centre
+    result[3:, 3:] += inertia
+    return result
 
 
 def _carry(offset: Array) -> Array:

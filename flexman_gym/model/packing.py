@@ -1,5 +1,6 @@
 """Packing: an arm and its reduced beams as the constants that the kernels read."""
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -119,7 +120,7 @@ def _stations(beams: tuple[Beam, ...], stiffening: bool) -> dict[str, np.ndarray
     widths = LANES * -(-sizes // LANES)
     counts = np.array([LANES * -(-len(beam.stations) // LANES) for beam in beams]) * (sizes > 0) * stiffening
     start, row, offsets = _starts(counts), _starts(widths * counts), _starts(sizes)
-    points, shapes = np.zeros((2, start[-1])), np.zeros((3, row[-1]))
+    points, shapes = np.zeros((4, start[-1])), np.zeros((3, row[-1]))
     places, bends = [], []
     for i, beam in enumerate(beams):
         known = min(counts[i], len(beam.stations))
@@ -134,7 +135,8 @@ def _stations(beams: tuple[Beam, ...], stiffening: bool) -> dict[str, np.ndarray
         size = np.sqrt(np.diag(beam.shortening[0]))
         bends.append((drawn, np.outer(size, size)))
     result = {"station_start": start, "station_width": widths, "station_row": row[:-1], "station_mass": points[0]}
-    result |= {"station_position": points[1], "station_shape": shapes}
+    beside = [points[2:, first:last].ravel() for first, last in pairwise(start)]
+    result |= {"station_position": points[1], "station_offset": np.concatenate(beside), "station_shape": shapes}
     return result | _rows("place", places, offsets) | _rows("bend", bends, offsets)
 
 

@@ -26,7 +26,7 @@ def beam_stations(elements: Sequence[Element], size: int) -> tuple[Array, Array,
         size: number of node coordinates of the link, the clamped node included.
 
     Returns:
-        G (s, size, size), stations (s, 2) with mass (kg) and place (m), and shapes (s, 3, size).
+        G (s, size, size), stations (s, 4) with mass (kg) and place along x, y and z (m), and shapes (s, 3, size).
     """
     count = GROUP * -(-(len(elements) + 2) // GROUP) - 1
     abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
@@ -54,8 +54,10 @@ def beam_stations(elements: Sequence[Element], size: int) -> tuple[Array, Array,
     integrals[0], shapes[0, :, nodes] = integral, shape
     for i, element in enumerate(elements):
         integrals[1:, element.nodes, element.nodes] = sums[:, i]
-    tip = [[0.0, elements[-1][1] + elements[-1][2]]]
-    return integrals, np.vstack([tip, np.column_stack([masses, places])]), shapes
+    stations = np.zeros((count + 1, 4))
+    stations[0, 1] = elements[-1].start + elements[-1].length
+    stations[1:, 0], stations[1:, 1] = masses, places
+    return integrals, stations, shapes
 
 
 def _blocks(matrix: Array, count: int) -> Array:

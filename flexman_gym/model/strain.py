@@ -73,7 +73,7 @@ def root_gauges(model: Model) -> Array:
             continue
         root = model.elements(i)[0]
         nodes = np.vstack([np.zeros((NODE_COORDINATES, basis.shape[1])), basis])[root.nodes]
-        _, twist, about_y, about_z = _derivatives(0.0, root.length) @ nodes
+        _, twist, about_y, about_z = element_strains(0.0, root.length) @ nodes
         rows = radii[:, None] * np.array([-about_z, about_y, twist])
         result[model.elastic_columns(i), 3 * i : 3 * i + 3] = rows.T
     return result
@@ -91,10 +91,10 @@ def _deformation(model: Model, state: Vector, link: int, position: float) -> Arr
         return np.zeros(4)
     nodes = np.append(np.zeros(NODE_COORDINATES), basis @ x[model.elastic_columns(i)])
     element, xi = find_element(model.elements(i), place)
-    return _derivatives(xi, element.length) @ nodes[element.nodes]
+    return element_strains(xi, element.length) @ nodes[element.nodes]
 
 
-def _derivatives(xi: float, length: float) -> Array:
+def element_strains(xi: float, length: float) -> Array:
     """Gives u', phi', theta_y' = -w'' and theta_z' = v'' (4, 12) of an element per unit of its node coordinates."""
     u, v, w, phi, theta_y, theta_z = range(NODE_COORDINATES)
     rows = np.zeros((4, 2, NODE_COORDINATES))

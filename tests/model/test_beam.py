@@ -10,7 +10,7 @@ from scipy.linalg import eigh
 
 from flexman_gym.model.beam import build_beam, shape_integrals
 from flexman_gym.model.element import beam_shapes, beam_stiffness, section_points
-from flexman_gym.scene.arm import Link
+from flexman_gym.scene.link import Link
 
 from oracles.chains import QUICK, random_link
 from oracles.dense import beam_points

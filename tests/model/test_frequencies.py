@@ -91,3 +91,13 @@ def test_frequencies_are_those_of_the_dense_mass_matrix_and_stiffness(sample):
 
 
 # Bad input
+
+
+@pytest.mark.parametrize("lock_joints", [False, True])
+def test_many_postures_have_the_frequencies_of_each(lock_joints):
+    model = fm.build_model(fm.catalog.paper_rrr(), elements=1)
+    postures = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 3))
+    expected = [fm.frequencies(model, posture, lock_joints) for posture in postures]
+    assert np.array_equal(fm.frequencies(model, postures, lock_joints), expected)
+    with pytest.raises(ValueError, match=r"^joint_angles: .*; give numbers \(3,\) or \(k, 3\), rad$"):
+        fm.frequencies(model, postures[:, :2], lock_joints)

@@ -14,7 +14,7 @@ from flexman_gym.kernels import layout, outputs
 from flexman_gym.model.beam import build_beam
 from flexman_gym.model.model import scene_model
 from flexman_gym.model.modes import outboard_inertias
-from flexman_gym.scene.arm import IDENTITY
+from flexman_gym.scene.link import IDENTITY
 
 from oracles.chains import QUICK, random_link, samples
 from oracles.dense import Chain
