@@ -1,10 +1,11 @@
 """Simulation: models moved through time, one or many, by methods that are data."""
 
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.episode import Episode
 from flexman_gym.simulation.methods import METHODS, generalised_alpha
 from flexman_gym.simulation.scenes import simulate
 from flexman_gym.simulation.several import simulate_all
 from flexman_gym.simulation.simulator import Simulator
 from flexman_gym.simulation.trajectory import Trajectory
 
-__all__ = ["METHODS", "Batch", "Simulator", "Trajectory", "generalised_alpha", "simulate", "simulate_all"]
+__all__ = ["METHODS", "Batch", "Episode", "Simulator", "Trajectory", "generalised_alpha", "simulate", "simulate_all"]

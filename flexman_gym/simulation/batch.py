@@ -1,13 +1,14 @@
 """Batch: arms of one model that move side by side."""
 
-from collections.abc import Collection
-from typing import NoReturn
+from collections.abc import Callable, Collection
+from typing import Any, NoReturn
 
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags
 from flexman_gym.checks import bounded, positive, refusal, whole_number
 from flexman_gym.kernels import layout, outputs
+from flexman_gym.kernels.periods import close
 from flexman_gym.model.model import Model, checked_model
 from flexman_gym.simulation.families import LinearlyImplicit, Method, Sweeps
 from flexman_gym.simulation.methods import DEFAULT
@@ -35,6 +36,7 @@ class Batch:
         outputs: (b, OUTPUTS) tip, deflection and energies at that state; columns in `kernels.layout`.
         status: (b,) int64 of the last step: OK, DIVERGED or NOT_CONVERGED of `kernels.layout`. An arm that failed keeps
             state and outputs of the end of its last good control period and rests until it is reset.
+        start_energy: (b,) kinetic + elastic + gravitational energy at the last reset, J.
         energy_turnover: (b,) the largest since the reset of kinetic + elastic energy, of work and of dissipation, J.
         nominal: the model's value of each physical parameter that `vary` can change, by name.
 
@@ -43,7 +45,7 @@ class Batch:
     """
 
     kept = (
-        "rows", "outputs", "status", "_periods", "energy_turnover", "_start_energy", "_mover", "_drive", "_felt",
+        "rows", "outputs", "status", "_periods", "energy_turnover", "start_energy", "_mover", "_drive", "_felt",
         "_known",
     )  # fmt: skip
 
@@ -71,7 +73,7 @@ class Batch:
         tolerance = find_tolerance(self.method, fixed, rtol, atol)
         self._bound = tolerance, joints
         period = self.control_period, self.substeps
-        self._mover: OneByOne | Abreast
+        self._mover: Any
         if isinstance(self.method, LinearlyImplicit | Sweeps) and tolerance is None:
             constants = model.constants._replace(prescribed=prescribed_flags(n, joints))
             self._mover = Abreast(constants, self.method, period, count, threads)
@@ -82,7 +84,7 @@ class Batch:
         self.outputs = np.zeros((count, layout.OUTPUTS))
         self.status = np.zeros(count, dtype=np.int64)
         self._periods = np.zeros(count)  # control periods since the reset
-        self.energy_turnover, self._start_energy = np.zeros(count), np.zeros(count)
+        self.energy_turnover, self.start_energy = np.zeros(count), np.zeros(count)
         self._drive = np.zeros((count, n + 6))  # of the last good control period, zeros after a reset
         self._felt, self._known = np.zeros((count, layout.TIP_ACCELERATIONS)), False
         self.nominal = nominal_parameters(model)
@@ -101,7 +103,7 @@ class Batch:
         self._mover.observe(arms, self.rows, self.outputs)
         energy = np.empty(len(self.rows))
         outputs.energies(self.outputs, energy)
-        self._start_energy[arms], self.energy_turnover[arms] = energy[arms], 0.0
+        self.start_energy[arms], self.energy_turnover[arms] = energy[arms], 0.0
         outputs.turn_over(self.rows, self.outputs, self.energy_turnover)
 
     def place(self, arms: np.ndarray, states: Array) -> None:
@@ -124,21 +126,14 @@ class Batch:
             moving: (b,) arms that are moved, the others rest; None moves all.
         """
         if moving is None:
-            self._mover.move(drive, self._periods, self.rows, self.outputs, self.status)
-            moved = self.status == layout.OK
+            status = self.status
+            self._mover.move(drive, self._periods, self.rows, self.outputs, status)
         else:
             status = np.where(moving, self.status, RESTING)
             self._mover.move(drive, self._periods, self.rows, self.outputs, status)
             self.status[moving] = status[moving]
-            moved = status == layout.OK
-        if np.count_nonzero(moved) == len(moved):  # all, which takes less time
-            self._periods += 1.0
-            self._drive[:] = drive
-        else:
-            self._periods += moved
-            np.copyto(self._drive, drive, where=moved[:, None])
         self._known = False
-        outputs.turn_over(self.rows, self.outputs, self.energy_turnover)
+        close(self.rows, self.outputs, status, drive, self._periods, self._drive, self.energy_turnover)
 
     def roll(self, drives: Array) -> tuple[Array, Array]:
         """Moves all arms that have not failed through T control periods, with Python's lock released.
@@ -218,6 +213,10 @@ class Batch:
         self._known = False
         self._mover.vary(arms, varied_constants(self.model, len(arms), parameters))
 
+    def hand_over(self, make: Callable[[Any], Any]) -> None:
+        """Lets another mover, made of the present one, move all arms from their next reset on; see `movers`."""
+        self._mover = make(self._mover)
+
     @property
     def time(self) -> Array:
         """Seconds since the reset (b,)."""
@@ -227,7 +226,7 @@ class Batch:
     def energy_residual(self) -> Array:
         """Work - dissipation - change of energy since the reset (b,), J; see `Trajectory`."""
         result = np.empty(len(self.rows))
-        outputs.residuals(self.rows, self.outputs, self._start_energy, result)
+        outputs.residuals(self.rows, self.outputs, self.start_energy, result)
         return result
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from flexman_gym.arrays import Array
 from flexman_gym.kernels import layout
 from flexman_gym.model.instant import frequencies, stiffness_matrix
-from flexman_gym.model.linear import coordinate_sizes
 from flexman_gym.model.model import Model
+from flexman_gym.model.slopes import coordinate_sizes
 from flexman_gym.simulation.amplification import explicit_limit
 from flexman_gym.simulation.families import Method
 from flexman_gym.simulation.run import Run
@@ -25,7 +25,7 @@ class Failure(NamedTuple):
     Attributes:
         run: what moved the arm.
         model: the model.
-        drive: (6, n + 6) table of the drive.
+        drive: (7, n + 6) table of the drive.
         moment: time (s) of the last good state, step (s) and steps that were to follow.
         state: (2 d + 2,) last good state and its ledger.
         status: "diverged", "not converged" or "ok".

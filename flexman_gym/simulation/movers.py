@@ -27,7 +27,7 @@ from flexman_gym.simulation.families import LinearlyImplicit, Sweeps
 from flexman_gym.simulation.helper import Helper
 from flexman_gym.simulation.one_by_one import Trail, own_constants, roll_by_periods
 
-SHARE = 8  # groups that are worth a thread: to wake a thread takes as long as to move two to four, often longer
+SHARE = 4  # groups that are worth a thread: to hand them over takes as long as to move one or two
 
 
 class Abreast:
@@ -48,7 +48,7 @@ class Abreast:
     ) -> None:
         self._method: tuple[Tableau | None, tuple[int, int | None]]  # tableau, or sweeps without one
         self._method = (None, method.counts) if isinstance(method, Sweeps) else (method.tableau, (0, None))
-        self._clock, self._still = Clock(0.0, period[0] / period[1], period[1], 0.0, 0.0), Clock(0.0, 0.0, 0, 0.0, 0.0)
+        self._step, self._substeps = period[0] / period[1], period[1]
         self._alone = arms == 1 and len(constants.station_mass) == 0
         groups = -(-arms // ARMS_ABREAST)
         if self._alone:
@@ -97,25 +97,25 @@ class Abreast:
         self._observed[:] = layout.NOT_CONVERGED
         self._observed[arms] = layout.OK
         drives = np.zeros((len(rows), len(self._constants[0].mass) + 6))
-        self._advance(drives, self._still, rows, outputs, self._observed)
+        self._advance(drives, 0, rows, outputs, self._observed)
 
     def forget(self, arms: IntArray) -> None:
         """Does nothing: these methods remember nothing from step to step."""
 
     def move(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
         """Moves the arms whose status is OK."""
-        self._advance(drives, self._clock, rows, outputs, status)
+        self._advance(drives, self._substeps, rows, outputs, status)
 
     def roll(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray, trail: Trail) -> None:
         """Moves the arms whose status is OK through periods of drives (b, T, n + 6), in calls that are not too long."""
-        if self._clock.substeps > self._most:
+        if self._substeps > self._most:
             roll_by_periods(self, drives, periods, (rows, outputs, status), trail)
             return
-        for first, count in pieces(drives.shape[1], self._most // self._clock.substeps):
+        for first, count in pieces(drives.shape[1], self._most // self._substeps):
             some = slice(first, first + count)
             part: Trail = tuple(np.ascontiguousarray(each[:, some]) for each in trail)  # type: ignore[assignment]
             given = np.ascontiguousarray(drives[:, some])
-            self._move(given, [self._clock], (rows, outputs, status), max(1, self._most // count), part)
+            self._move(given, [self._substeps], (rows, outputs, status), max(1, self._most // count), part)
             trail[0][:, some], trail[1][:, some] = part
 
     def sense(self, drives: Array, rows: Array, result: Array) -> None:
@@ -131,27 +131,33 @@ class Abreast:
 
         self._share(share)
 
-    def run(self, drives: Array, rows: Array, outputs: Array, counts: IntArray) -> None:
-        """Moves all arms from row to row, a period apart, each by its drive (b, 6, n + 6); as `kernels.arms.run_arms`.
+    def run(
+        self, drives: Array, rows: Array, outputs: Array, counts: IntArray, moment: tuple[float, float, int]
+    ) -> None:
+        """Moves all arms from row to row, a period apart, each by its drive (b, 7, n + 6); as `kernels.arms.run_arms`.
 
-        Not for an arm that is moved alone.
+        The moment is the time of the first row (s), the step (s) and the steps in a period. Not for an arm that is
+        moved alone.
         """
+        clock = Clock(*moment, 0.0, 0.0)
 
         def share(groups: slice, work: IntArray) -> Iterator[None]:
             for group in range(groups.start, groups.stop):
                 arms = _arms(slice(group, group + 1))
                 given = self._tables[group : group + 1], work, *self._method, drives[arms]
-                yield from self._run_group(given, rows[arms], outputs[arms], counts[arms])
+                yield from self._run_group(given, clock, rows[arms], outputs[arms], counts[arms])
 
         self._share(share)
 
-    def _run_group(self, given: tuple[Any, ...], rows: Array, outputs: Array, counts: IntArray) -> Iterator[None]:
+    def _run_group(
+        self, given: tuple[Any, ...], whole: Clock, rows: Array, outputs: Array, counts: IntArray
+    ) -> Iterator[None]:
         """Moves a group of arms from row to row in calls that are not too long."""
         last, well = rows[:, 0].copy(), np.ones(len(rows), dtype=bool)
-        for row, many, steps, first in row_pieces(rows.shape[1] - 1, self._clock.substeps, self._most):
+        for row, many, steps, first in row_pieces(rows.shape[1] - 1, whole.substeps, self._most):
             part, read = (np.zeros((len(rows), many + 1, each.shape[2])) for each in (rows, outputs))
             part[:, 0], now = last, np.zeros_like(counts)
-            clock = self._clock._replace(substeps=steps, first=first)
+            clock = whole._replace(substeps=steps, first=first)
             kernels.run_arms(*given, clock, part, read, now)
             rows[:, row + 1 : row + many + 1], outputs[:, row + 1 : row + many + 1] = part[:, 1:], read[:, 1:]
             if first == 0:
@@ -160,15 +166,15 @@ class Abreast:
             last, well = part[:, -1], well & (now[:, 0] == many)
             yield
 
-    def _advance(self, drives: Array, clock: Clock, rows: Array, outputs: Array, status: IntArray) -> None:
+    def _advance(self, drives: Array, substeps: int, rows: Array, outputs: Array, status: IntArray) -> None:
         """Moves the arms whose status is OK; a long way in several calls, or else not at all."""
-        together = max(1, self._most // max(1, clock.substeps))  # groups in a call
-        if together >= len(self._tables) and clock.substeps <= self._most:
-            self._move(drives[:, None], [clock], (rows, outputs, status), together)
+        together = max(1, self._most // max(1, substeps))  # groups in a call
+        if together >= len(self._tables) and substeps <= self._most:
+            self._move(drives[:, None], [substeps], (rows, outputs, status), together)
             return
         new, read, after = rows.copy(), outputs.copy(), status.copy()
-        clocks = [clock._replace(substeps=steps) for _, steps in pieces(clock.substeps, self._most)]
-        self._move(drives[:, None], clocks or [clock], (new, read, after), together)
+        parts = [steps for _, steps in pieces(substeps, self._most)]
+        self._move(drives[:, None], parts or [0], (new, read, after), together)
         moved = (after == layout.OK)[:, None]
         np.copyto(rows, new, where=moved)
         np.copyto(outputs, read, where=moved)
@@ -177,12 +183,12 @@ class Abreast:
     def _move(
         self,
         drives: Array,
-        clocks: list[Clock],
+        parts: list[int],
         moved: tuple[Array, Array, IntArray],
         together: int,
         trail: Trail | None = None,
     ) -> None:
-        """Moves rows, outputs and status of the arms, so many groups in a call, by one clock after the other.
+        """Moves rows, outputs and status of the arms, so many groups in a call, by some steps after others.
 
         Drives (b, T, n + 6) are those of T periods, of which a trail keeps rows and outputs.
         """
@@ -190,18 +196,18 @@ class Abreast:
         kept = trail or self._no_trail
         if self._alone:
             given = self._tables[0], self._work_tables[0], self._method, drives
-            for clock in clocks:
+            for part in parts:
                 if status[0] == layout.OK:
-                    kernels.advance_one(*given, clock, *moved, kept)
+                    kernels.advance_one(*given, (self._step, part), *moved, kept)
             return
 
         def share(groups: slice, work: IntArray) -> Iterator[None]:
             for first, count in pieces(groups.stop - groups.start, together):
                 some = slice(groups.start + first, groups.start + first + count)
                 arms = _arms(some)
-                for clock in clocks:
+                for part in parts:
                     kernels.advance_arms(
-                        self._tables[some], work, self._method, drives[arms], clock,
+                        self._tables[some], work, self._method, drives[arms], (self._step, part),
                         rows[arms], outputs[arms], status[arms], (kept[0][arms], kept[1][arms]),
                     )  # fmt: skip
                     yield

@@ -1,13 +1,17 @@
 """Parameters: the one table of the physical parameters in which the arms of a batch may differ."""
 
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags
 from flexman_gym.checks import MOST, number_array, one_of, refusal
 from flexman_gym.model.model import Model
+from flexman_gym.scene.arm import Arm, Payload
+from flexman_gym.scene.link import NonUniformLink
 
 ARM, JOINT, LINK = "arm", "joint", "link"
 
@@ -28,6 +32,10 @@ def _smooth(model: Model) -> Flags:
     return model.constants.rubbing == 0
 
 
+def _undamped(model: Model) -> Flags:
+    return np.array(model.arm.damping_ratios) == 0.0
+
+
 def _everywhere(model: Model) -> Flags:
     return np.ones(model.n_joints, dtype=bool)
 
@@ -40,8 +48,8 @@ class Parameter:
         unit: of its values.
         of: "arm" for one number, "joint" or "link" for one number of each, (n,).
         nominal: gives the value of a model.
-        constants: gives the changed fields of `kernels.layout.Constants`, (r, ...), for the values of r arms. Each must
-            be of the type `Own` there.
+        constants: gives the changed fields of `kernels.layout.Constants`, (r, ...), for the values of r arms of all
+            parameters that are given, by name. Each field must be of the type `Own` there.
         factor: whether a randomisation draws factors on the nominal value instead of values.
         fixed: gives (n,) where the value must stay nominal, as the model has no coordinate on which it could act.
         needed: gives (n,) where the value must not be 0.
@@ -51,7 +59,7 @@ class Parameter:
     unit: str
     of: str
     nominal: Callable[[Model], Array]
-    constants: Callable[[Model, Array], dict[str, Array]]
+    constants: Callable[[Model, Mapping[str, Array]], dict[str, Array]]
     factor: bool = False
     fixed: Callable[[Model], Flags] = _nowhere
     needed: Callable[[Model], Flags] = _nowhere
@@ -89,51 +97,66 @@ class Parameter:
         return values
 
 
-def _payload(model: Model, masses: Array) -> dict[str, Array]:
-    nominal, mass = model.constants, masses[:, None]
+def _payload(model: Model, given: Mapping[str, Array]) -> dict[str, Array]:
+    nominal, mass = model.constants, given["payload_mass"][:, None]
     heavier = mass / nominal.payload_mass[0] if nominal.payload_mass[0] > 0.0 else np.zeros_like(mass)
     return {"payload_mass": mass, "payload_inertia": heavier * nominal.payload_inertia}
 
 
-def _rotors(model: Model, inertia: Array) -> dict[str, Array]:
+def _rotors(model: Model, given: Mapping[str, Array]) -> dict[str, Array]:
+    inertia = given["rotor_inertia"]
     return {"rotor_inertia": inertia, "carried_inertia": inertia * model.choice.spinning_rotors}
 
 
-def _links(model: Model, factors: Array) -> dict[str, Array]:
-    """Scales the stiffness of each link; proportional damping follows it, modal damping keeps its ratio."""
+def _same(name: str) -> Callable[[Model, Mapping[str, Array]], dict[str, Array]]:
+    return lambda model, given: {name: given[name]}
+
+
+def _links(model: Model, given: Mapping[str, Array]) -> dict[str, Array]:
+    """Scales stiffness and modal damping of each link; proportional damping follows, modal damping keeps its ratio."""
     nominal = model.constants
-    factor = np.ones((len(factors), len(nominal.stiffness)))
-    factor[:, : nominal.square_start[-1]] = np.repeat(factors, np.diff(nominal.square_start), axis=1)
-    stiffness = factor * nominal.stiffness
-    damping = model.arm.stiffness_proportional_damping * stiffness + np.sqrt(factor) * model.modal_damping
-    return {"stiffness": stiffness, "damping": damping}
+    factor = _of_blocks(model, given["link_stiffness"]) if "link_stiffness" in given else np.ones((1, 1))
+    stiffness, modal = factor * nominal.stiffness, np.sqrt(factor) * model.modal_damping
+    if "link_damping" in given:
+        ratios = np.array(model.arm.damping_ratios)
+        modal = modal * _of_blocks(model, given["link_damping"] / np.where(ratios > 0.0, ratios, 1.0))
+    damping = model.arm.stiffness_proportional_damping * stiffness + modal
+    return {"stiffness": stiffness, "damping": damping} if "link_stiffness" in given else {"damping": damping}
+
+
+def _of_blocks(model: Model, factors: Array) -> Array:
+    """Factors (r, n) of links for the entries of their packed blocks, (r, q + LANES)."""
+    result = np.ones((len(factors), len(model.constants.stiffness)))
+    result[:, : model.constants.square_start[-1]] = np.repeat(factors, np.diff(model.constants.square_start), axis=1)
+    return result
 
 
 PARAMETERS: dict[str, Parameter] = {
     "payload_mass": Parameter("kg", ARM, lambda model: model.constants.payload_mass[0], _payload),
     "joint_stiffness": Parameter(
-        "N m/rad", JOINT, lambda model: model.constants.joint_stiffness,
-        lambda model, values: {"joint_stiffness": values}, factor=True, fixed=_rigid, needed=_flexible,
+        "N m/rad", JOINT, lambda model: model.constants.joint_stiffness, _same("joint_stiffness"), factor=True,
+        fixed=_rigid, needed=_flexible,
     ),
     "joint_damping": Parameter(
-        "N m s/rad", JOINT, lambda model: model.constants.joint_damping,
-        lambda model, values: {"joint_damping": values}, fixed=_rigid,
+        "N m s/rad", JOINT, lambda model: model.constants.joint_damping, _same("joint_damping"), fixed=_rigid,
     ),
     "rotor_inertia": Parameter(
         "kg m^2", JOINT, lambda model: model.constants.rotor_inertia, _rotors, factor=True, needed=_flexible,
     ),
     "viscous_friction": Parameter(
-        "N m s/rad", JOINT, lambda model: model.constants.viscous_friction,
-        lambda model, values: {"viscous_friction": values}, factor=True,
+        "N m s/rad", JOINT, lambda model: model.constants.viscous_friction, _same("viscous_friction"), factor=True,
     ),
     "coulomb_friction": Parameter(
-        "N m", JOINT, lambda model: model.constants.coulomb_friction,
-        lambda model, values: {"coulomb_friction": values}, factor=True, fixed=_smooth,
-        lacking="without Coulomb friction",
+        "N m", JOINT, lambda model: model.constants.coulomb_friction, _same("coulomb_friction"), factor=True,
+        fixed=_smooth, lacking="without Coulomb friction",
     ),
     "link_stiffness": Parameter(
         "factor on the elastic moduli", LINK, lambda model: np.ones(model.n_joints), _links, factor=True,
         needed=_everywhere,
+    ),
+    "link_damping": Parameter(
+        "damping ratio of every mode", LINK, lambda model: np.array(model.arm.damping_ratios), _links, factor=True,
+        fixed=_undamped, lacking="of links without modal damping",
     ),
 }  # fmt: skip
 
@@ -152,8 +175,8 @@ def varied_constants(model: Model, count: int, parameters: Mapping[str, object])
     rows = {name: PARAMETERS[one_of("parameters", name, PARAMETERS)] for name in parameters}
     checked = {name: row.checked(name, parameters[name], model, count) for name, row in rows.items()}
     result: dict[str, Array] = {}
-    for name, row in rows.items():
-        result |= row.constants(model, checked[name])
+    for row in rows.values():
+        result |= row.constants(model, checked)
     return result
 
 
@@ -171,3 +194,47 @@ def varied_model(model: Model, **parameters: object) -> Model:
     """
     changed = varied_constants(model, 1, {name: np.asarray(value)[None] for name, value in parameters.items()})
     return replace(model, constants=model.constants._replace(**{name: rows[0] for name, rows in changed.items()}))
+
+
+def varied_arm(arm: Arm, values: Mapping[str, Array]) -> Arm:
+    """Gives an arm with other physical parameters; its motors keep their gear, and their rotors take the new inertia.
+
+    Args:
+        arm: the arm.
+        values: of some parameters by their name in PARAMETERS, as `varied_model` takes them. Of a rigid joint stiffness
+            and damping are passed over.
+    """
+    links = arm.links
+    if "link_stiffness" in values:
+        links = [_stiffer(link, float(each)) for link, each in zip(links, values["link_stiffness"], strict=True)]
+    joints = [_varied_joint(joint, values, i) for i, joint in enumerate(arm.joints)]
+    payload: Any = arm.payload
+    if "payload_mass" in values:
+        mass, load = float(values["payload_mass"]), arm.payload or Payload(0.0)
+        inertia = None if load.inertia is None else np.array(load.inertia) * (mass / load.mass)
+        payload = Payload(mass, inertia if mass else None, load.offset if mass else None)
+    ratios = values.get("link_damping", arm.modal_damping_ratio)
+    return replace(arm, links=links, joints=joints, payload=payload, modal_damping_ratio=ratios)
+
+
+def _varied_joint(joint: Any, values: Mapping[str, Array], i: int) -> Any:
+    """A joint with the numbers that are given for it."""
+    own = {"viscous_friction": "viscous_friction", "coulomb_friction": "coulomb_friction"}
+    own |= {"rotor_inertia": "rotor_inertia"}
+    if joint.stiffness is not None:
+        own |= {"stiffness": "joint_stiffness", "damping": "joint_damping"}
+    changes: dict[str, Any] = {field: float(values[name][i]) for field, name in own.items() if name in values}
+    if joint.motor is not None and "rotor_inertia" in changes:
+        shaft = changes.pop("rotor_inertia") / joint.motor.gear_ratio**2
+        motor = replace(joint.motor, rotor_inertia=shaft)
+        changes |= {"motor": motor, "rotor_inertia": motor.reflected_inertia}
+    return replace(joint, **changes)
+
+
+def _stiffer(link: Any, factor: float) -> Any:
+    """A link with so many times its elastic moduli."""
+    if isinstance(link, NonUniformLink):
+        return replace(link, sections=[_stiffer(section, factor) for section in link.sections])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of its section, which was said when the link was made
+        return replace(link, youngs_modulus=factor * link.youngs_modulus, shear_modulus=factor * link.shear_modulus)

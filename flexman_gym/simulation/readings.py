@@ -5,12 +5,8 @@ import numpy as np
 from flexman_gym.arrays import Array, IntArray
 from flexman_gym.kernels.readings import combine
 from flexman_gym.model.model import Model
-from flexman_gym.model.strain import root_gauges
+from flexman_gym.model.readings import UNITS, reading_rows
 
-UNITS = {
-    "motor_angles": "rad", "motor_rates": "rad/s", "joint_twists": "rad", "joint_twist_rates": "rad/s",
-    "link_deflections": "m", "link_deflection_rates": "m/s", "root_strains": "1",
-}  # fmt: skip
 INSTRUMENTS = {  # name of a sensor whose readings are linear in the state -> what it measures
     "motor_encoders": ("motor_angles", "motor_rates"),
     "joint_encoders": ("joint_twists", "joint_twist_rates"),  # on both sides of a spring
@@ -29,18 +25,11 @@ class Readings:
     """
 
     def __init__(self, model: Model) -> None:
-        n, d = model.n_joints, model.n_dof
-        bending = np.zeros((2 * d, 2 * n))
-        for i in range(n):
-            start, stop = model.constants.elastic_start[i : i + 2]
-            bending[model.elastic_columns(i), 2 * i : 2 * i + 2] = model.constants.tip_translation[start:stop, 1:]
-        angles = np.eye(2 * d)[:, model.motor_columns]
-        twist = angles - np.eye(2 * d)[:, :n]
-        parts = [each for part in (angles, twist, bending) for each in (part, np.roll(part, d, axis=0))]
-        ends = np.cumsum([0, *(part.shape[1] for part in parts)]).tolist()
+        *parts, strains = reading_rows(model).values()
+        ends = np.cumsum([0, *map(len, parts)]).tolist()
         self.places = {name: slice(*both) for name, *both in zip(UNITS, ends, ends[1:], strict=False)}
-        self.motion = _entries(np.hstack(parts))
-        self.strains = _entries(root_gauges(model))
+        self.motion = _entries(np.vstack(parts))
+        self.strains = _entries(strains)
 
     def named(self, states: Array) -> dict[str, Array]:
         """Gives all readings (T, ...) of states (T, 2 d) by name."""
@@ -52,9 +41,8 @@ class Readings:
         return {name: motion[:, place] for name, place in self.places.items()} | {"root_strains": strains}
 
 
-def _entries(matrix: Array) -> tuple[IntArray, IntArray, Array]:
-    """The rows (2 d, m) of a linear reading without their zeros, most of it, as `combine` takes them."""
-    rows = matrix.T
+def _entries(rows: Array) -> tuple[IntArray, IntArray, Array]:
+    """The rows (m, 2 d) of a linear reading without their zeros, most of it, as `combine` takes them."""
     start: IntArray = np.append(0, np.cumsum(np.count_nonzero(rows, axis=1)))
     source: IntArray = np.nonzero(rows)[1]
     return start, source, rows[rows != 0.0]

@@ -103,7 +103,7 @@ def sequence_rounds(sequence: Sequence[int], lanes: int) -> IntArray:
 class Run:
     """A method bound to a model, as a call that advances a state in place and fills rows and outputs.
 
-    The arguments of a call are the table of the drive (6, n + 6), time, step and substeps, a state with its ledger (2 d
+    The arguments of a call are the table of the drive (7, n + 6), time, step and substeps, a state with its ledger (2 d
     + 2,), rows (r, 2 d + 2) and outputs (r, OUTPUTS). It returns the status, the number of valid rows and the number of
     evaluations.
 

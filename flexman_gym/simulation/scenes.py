@@ -1,6 +1,7 @@
 """Scenes: a whole scene moved through time."""
 
 import time as clock
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -10,13 +11,15 @@ from flexman_gym.arrays import Array
 from flexman_gym.checks import WHOLE, bounded, instance, parts, positive, refusal, vector
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import STATUS
+from flexman_gym.kernels.stages import derivative
 from flexman_gym.model.model import Model, checked_model, scene_model
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.explanation import Failure, explain, explain_energy
 from flexman_gym.simulation.families import Method
 from flexman_gym.simulation.methods import DEFAULT
+from flexman_gym.simulation.piecewise import run_pieces
 from flexman_gym.simulation.run import MOST_STEPS, Run, find_method, find_tolerance
-from flexman_gym.simulation.trajectory import Trajectory, trajectory
+from flexman_gym.simulation.trajectory import Moved, Trajectory, trajectory
 
 
 def simulate(
@@ -35,7 +38,8 @@ def simulate(
         method: a Method or a name from `METHODS`. "auto" takes "midpoint_3_sweeps" with a step and the
             reference "dop853" without one.
         step: s. It divides the output step of the scene, into at most 100000 steps, or is a multiple of it; a multiple
-            gives an output after every step. None lets a method that estimates its error choose its steps. A reference
+            gives an output after every step. Steps are shorter where a sample of the drive ends one. None lets a
+            method that estimates its error choose its steps. A reference
             always chooses its steps; the given step is its first guess.
         rtol, atol: relative and absolute local error, of a method that chooses its steps.
 
@@ -101,12 +105,12 @@ def follow(scene: Scene, plan: Plan, constants: dict[str, Any] | None = None) ->
     states, outputs = np.zeros((rows + 1, len(state))), np.zeros((rows + 1, layout.OUTPUTS))
     run.start(state, states[0], outputs[0])
     started = clock.perf_counter()
-    moment = (0.0, interval / plan.substeps, plan.substeps)
-    status, valid, evaluations = run(scene.drive, moment, state, states[1:], outputs[1:])
+    times = interval, plan.substeps
+    status, valid, evaluations, _ = run_pieces(run, scene.pieces, times, state, states[1:], outputs[1:])
     elapsed = clock.perf_counter() - started
     outcome = (STATUS[status], evaluations, elapsed)
-    explained = partial(explanation, scene, plan, constants)
-    return trajectory(model, interval, states[: valid + 1], outputs[: valid + 1], outcome, explained)
+    told = partial(explanation, scene, plan, constants), partial(motion, scene, plan, constants)
+    return trajectory(model, interval, states[: valid + 1], outputs[: valid + 1], outcome, *told)
 
 
 def bound_run(scene: Scene, plan: Plan, constants: dict[str, Any] | None = None) -> Run:
@@ -121,11 +125,24 @@ def explanation(scene: Scene, plan: Plan, constants: dict[str, Any] | None, resu
     run, step = bound_run(scene, plan, constants), plan.interval / plan.substeps
     if result.status != STATUS[layout.OK]:
         last = np.append(result.states[-1], [result.work[-1], result.dissipation[-1]])
-        moment = (float(result.time[-1]), step, plan.substeps)
-        return explain(Failure(run, plan.model, scene.drive, moment, last, result.status))
+        row, rows, outputs = len(result.time) - 1, np.zeros((1, len(last))), np.zeros((1, layout.OUTPUTS))
+        again = run_pieces(run, scene.pieces, (plan.interval, plan.substeps), last, rows, outputs, row)
+        return explain(Failure(bound_run(scene, plan, constants), plan.model, *again[3], result.status))
     late = result.energy_alarm()
     early = result.states[result.time <= (late or 0.0)]
     return "" if late is None else explain_energy(plan.model, run, step, late, early)
+
+
+def motion(scene: Scene, plan: Plan, constants: dict[str, Any] | None, result: Trajectory) -> Moved:
+    """Gives the accelerations of a trajectory of a scene, and what drove it; where samples jump, behind the jump."""
+    run, size, pieces = bound_run(scene, plan, constants), result.states.shape[1], scene.pieces
+    slope, slopes, drives = np.zeros(size + 2), [], []
+    for time, state in zip(result.time, result.states, strict=True):
+        piece = min(int(np.searchsorted(pieces.moments, time, side="right")), len(pieces.moments) - 1) - 1
+        derivative(run.constants, run.work, pieces.table(piece), time, np.append(state, [0.0, 0.0]), slope)
+        slopes.append(slope[size // 2 : size].copy())
+        drives.append(run.work.drive.copy())
+    return Moved(replace(plan.model, constants=run.constants), np.array(slopes), np.array(drives))
 
 
 def _start(scene: Scene, model: Model) -> Array:

@@ -6,16 +6,18 @@ from functools import partial
 
 import numpy as np
 
-from flexman_gym.arrays import Array
+from flexman_gym.arrays import Array, IntArray
 from flexman_gym.checks import refusal, sequence, whole_number
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import STATUS
 from flexman_gym.model.model import Model
+from flexman_gym.scene.drive import Pieces
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.batch import MOST_ARMS, MOST_THREADS
 from flexman_gym.simulation.families import LinearlyImplicit, Method, Sweeps
 from flexman_gym.simulation.movers import Abreast
 from flexman_gym.simulation.parameters import varied_constants
+from flexman_gym.simulation.piecewise import calls
 from flexman_gym.simulation.run import prescribed_flags
 from flexman_gym.simulation.scenes import (
     Plan,
@@ -23,6 +25,7 @@ from flexman_gym.simulation.scenes import (
     find_plan,
     first_state,
     follow,
+    motion,
     prescribed_joints,
 )
 from flexman_gym.simulation.trajectory import Trajectory, trajectory
@@ -42,7 +45,8 @@ def simulate_all(
     """Simulates b scenes of one model, which may differ in torques, disturbances and initial state.
 
     Linearly implicit methods with fixed steps move eight of them at once, in about twice the time of one. The others
-    run one after the other. Each trajectory is, bit for bit, that of `simulate`.
+    run one after the other, and so do scenes whose samples are of different moments. Each trajectory is, bit for bit,
+    that of `simulate`.
 
     Args:
         scenes: b scenes, of the same duration and output step, and with the same joints prescribed.
@@ -63,9 +67,10 @@ def simulate_all(
         _check_alike(f"scenes[{i}]", scene, scenes[0], model is None)
     varied = varied_constants(plan.model, len(scenes), parameters)
     lanes = isinstance(plan.method, LinearlyImplicit | Sweeps) and plan.tolerance is None and len(scenes) > 1
-    if not lanes:
+    drives = [scene.pieces for scene in scenes] if lanes else []
+    if not lanes or not all(np.array_equal(each.moments, drives[0].moments) for each in drives):
         return [follow(scene, plan, _own(varied, i)) for i, scene in enumerate(scenes)]
-    return _abreast(scenes, plan, varied, threads)
+    return _abreast(scenes, plan, varied, drives, threads)
 
 
 def _check_alike(name: str, scene: object, first: Scene, built: bool) -> None:
@@ -83,8 +88,10 @@ def _check_alike(name: str, scene: object, first: Scene, built: bool) -> None:
         raise refusal(name, "a scene of other joints", f"{first.arm.n_joints} joints, with {joints} prescribed")
 
 
-def _abreast(scenes: list[Scene], plan: Plan, varied: dict[str, Array], threads: int) -> list[Trajectory]:
-    """Simulates scenes by fixed steps of a linearly implicit method."""
+def _abreast(
+    scenes: list[Scene], plan: Plan, varied: dict[str, Array], drives: list[Pieces], threads: int
+) -> list[Trajectory]:
+    """Simulates scenes, whose drives have their pieces in common, by fixed steps of a linearly implicit method."""
     model, method, count = plan.model, plan.method, len(scenes)
     assert isinstance(method, LinearlyImplicit | Sweeps)
     flags = prescribed_flags(model.n_joints, prescribed_joints(scenes[0]))
@@ -93,18 +100,41 @@ def _abreast(scenes: list[Scene], plan: Plan, varied: dict[str, Array], threads:
     mover.vary(np.arange(count), varied)
     starts = np.array([first_state(scene, model) for scene in scenes])
     rows, outputs = np.zeros((count, plan.rows + 1, starts.shape[1])), np.zeros((count, plan.rows + 1, layout.OUTPUTS))
-    rows[:, 0], counts = starts, np.zeros((count, 2), dtype=np.int64)
+    rows[:, 0] = starts
     started = clock.perf_counter()
-    mover.run(np.array([scene.drive for scene in scenes]), rows, outputs, counts)
+    counts = _moved(mover, drives, plan, rows, outputs)
     seconds = (clock.perf_counter() - started) / count
     stages = method.evaluations
     result = []
     for i, (states, read, (valid, steps)) in enumerate(zip(rows, outputs, counts.tolist(), strict=True)):
         status = STATUS[layout.OK if valid == plan.rows else layout.DIVERGED]
         outcome = status, steps * stages, seconds
-        explained = partial(explanation, scenes[i], plan, _own(varied, i))
-        result.append(trajectory(model, plan.interval, states[: valid + 1], read[: valid + 1], outcome, explained))
+        own = scenes[i], plan, _own(varied, i)
+        told = partial(explanation, *own), partial(motion, *own)
+        result.append(trajectory(model, plan.interval, states[: valid + 1], read[: valid + 1], outcome, *told))
     return result
+
+
+def _moved(mover: Abreast, drives: list[Pieces], plan: Plan, rows: Array, outputs: Array) -> IntArray:
+    """Fills rows and outputs behind the first, piece by piece; how many are valid and the steps taken, (b, 2)."""
+    counts, well, last = np.zeros((len(rows), 2), dtype=np.int64), np.ones(len(rows), dtype=bool), rows[:, 0]
+    for call in calls(drives[0], plan.interval, plan.substeps, range(plan.rows)):
+        part, read, now = (
+            rows[:, call.row :][:, : call.rows + 1],
+            outputs[:, call.row :][:, : call.rows + 1],
+            0 * counts,
+        )
+        if not call.rows:
+            part, read = (np.zeros((len(rows), 2, each.shape[2])) for each in (rows, outputs))
+            part[:, 0] = last
+        mover.run(np.array([each.table(call.piece) for each in drives]), part, read, now, call.moment)
+        if call.moment[0] == 0.0:
+            outputs[:, 0] = read[:, 0]
+        if call.complete and not call.rows:
+            rows[:, call.row + 1], outputs[:, call.row + 1] = part[:, 1], read[:, 1]
+        counts[well] += now[well] if call.complete or call.rows else now[well] * (0, 1)
+        last, well = part[:, -1], well & (now[:, 0] == part.shape[1] - 1)
+    return counts
 
 
 def _own(varied: dict[str, Array], scene: int) -> dict[str, Array]:

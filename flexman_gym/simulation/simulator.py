@@ -16,6 +16,7 @@ from flexman_gym.simulation.explanation import Failure, explain, explain_energy
 from flexman_gym.simulation.families import Method
 from flexman_gym.simulation.methods import DEFAULT
 from flexman_gym.simulation.run import prescribed_flags
+from flexman_gym.simulation.trajectory import Trajectory, trajectory
 
 
 class Simulator:
@@ -56,6 +57,7 @@ class Simulator:
         self.state, self.outputs = self.batch.state[0], self.batch.outputs[0]
         self.prescribed = prescribed_flags(model.n_joints, prescribed) > 0
         self._drive = np.zeros((1, model.n_joints + 6))
+        self._kept: list[tuple[Array, Array]] | None = None
 
     def reset(
         self,
@@ -83,6 +85,35 @@ class Simulator:
             angles = np.zeros(self.model.n_joints) if joint_angles is None else joint_angles
             start = self.model.initial_state(angles, joint_rates)
         self.batch.reset(np.zeros(1, dtype=np.int64), start[None])
+        if self._kept is not None:
+            self.keep()
+
+    def keep(self) -> None:
+        """Keeps the state now and after every `step` from now on, for `trajectory`; a reset begins anew.
+
+        What was kept before is forgotten. An environment moves its arm without `step`.
+        """
+        self._kept = []
+        self._keep_now()
+
+    def _keep_now(self) -> None:
+        if self._kept is not None:
+            self._kept.append((self.batch.rows[0].copy(), self.outputs.copy()))
+
+    def trajectory(self) -> Trajectory:
+        """Gives what was kept, from time 0 on: a row for each control period that went well.
+
+        Work and dissipation count from its start. Evaluations and seconds are not counted, they are 0.
+
+        Raises:
+            RuntimeError: where `keep` was not called before.
+        """
+        if self._kept is None:
+            raise RuntimeError("nothing was kept: call keep() before the motion")
+        states, outputs = (np.array(each) for each in zip(*self._kept, strict=True))
+        states[:, -2:] -= states[0, -2:]
+        outcome = self.status, 0, 0.0
+        return trajectory(self.model, self.control_period, states, outputs, outcome, lambda _: self.explanation())
 
     def step(
         self,
@@ -118,6 +149,8 @@ class Simulator:
         if base_acceleration is not None:
             drive[n + 3 :] = _numbers("base_acceleration", base_acceleration, 3, "m/s^2")
         self.batch.step(self._drive)
+        if self.status == STATUS[layout.OK]:
+            self._keep_now()
         return self.status
 
     def _prescribe(self, drive: Array, acceleration: Vector | None) -> None:

@@ -1,25 +1,41 @@
 """Trajectory: the solution of a scene at its output times, with the audit of its energy."""
 
-import csv
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import positive
+from flexman_gym.checks import positive, refusal, vector, whole_number
 from flexman_gym.kernels import layout
+from flexman_gym.model.loads import Frames, frames, part_energies, section_forces
 from flexman_gym.model.model import Model
+from flexman_gym.model.readings import UNITS, names_of
+from flexman_gym.scene.record import write_columns
 from flexman_gym.simulation.energy import ENERGY_ALARM, alarm, turnover
-from flexman_gym.simulation.readings import UNITS, Readings
+from flexman_gym.simulation.readings import Readings
+
+
+class Moved(NamedTuple):
+    """A model with the constants that it was moved with, its accelerations (T, d) and the drive (T, n + 6)."""
+
+    model: Model
+    accelerations: Array
+    drives: Array
 
 
 def _nothing(result: "Trajectory") -> str:
     return ""
 
 
-@dataclass(frozen=True, eq=False)
+def _unknown(result: "Trajectory") -> Moved:
+    raise refusal("trajectory", "one without a scene", "one of simulate or simulate_all, whose torques are known")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
     """The solution of a scene at T output times; after a divergence only the times before it.
 
@@ -40,6 +56,7 @@ class Trajectory:
         wall_seconds: time in the integrator, without compilation.
         model: that was moved.
         explained: what `explanation` asks.
+        moved: gives the accelerations, for loads and energies.
     """
 
     time: Array
@@ -58,11 +75,79 @@ class Trajectory:
     wall_seconds: float
     model: Model
     explained: Callable[["Trajectory"], str] = field(default=_nothing, repr=False)
+    moved: Callable[["Trajectory"], Moved] = field(default=_unknown, repr=False)
+
+    def __repr__(self) -> str:
+        n = self.joint_angles.shape[1]
+        joints = "joint" if n == 1 else "joints"
+        end = f"{self.time[-1]:g} s, {len(self.time)} outputs" if len(self.time) else "no output"
+        alarm = self.energy_alarm() if len(self.time) else None
+        return (
+            f"<Trajectory: {self.status}, {end}, {n} {joints}, {self.model.n_dof} coordinates\n"
+            f"  {self.evaluations} evaluations in {self.wall_seconds:.3g} s\n"
+            f"  tip at the end {np.round(self.tip[-1:], 4).tolist()} m, most deflection "
+            f"{np.linalg.norm(self.deflection, axis=1).max(initial=0.0):.4g} m\n"
+            f"  energy residual {np.abs(self.energy_residual).max(initial=0.0):.3g} J"
+            + (f", too large from {alarm:g} s on: see explanation()" if alarm is not None else "")
+            + ">"
+        )
 
     @property
     def readings(self) -> dict[str, Array]:
         """What sensors of environments measure, (T, ...) by the names of `View`; UNITS of `simulation.readings`."""
         return Readings(self.model).named(self.states)
+
+    @cached_property
+    def _seen(self) -> tuple[Moved, Frames]:
+        moved = self.moved(self)
+        return moved, frames(moved.model, self.states, moved.accelerations, moved.drives)
+
+    @property
+    def accelerations(self) -> Array:
+        """Accelerations (T, d) of all coordinates under the torques of the scene.
+
+        Raises:
+            ValueError: for a trajectory of which no torques are known; so do the next three.
+        """
+        return self._seen[0].accelerations
+
+    @property
+    def joint_reactions(self) -> Array:
+        """Force (N) and moment (N m) of each joint on the link behind it, (T, n, 6), in the frame of that link.
+
+        Their part about the axis of the joint is the torque on the link.
+        """
+        return self._seen[1].reaction[:, :-1]
+
+    def section_forces(self, link: int, positions: Sequence[float]) -> Array:
+        """Gives what sections of a link carry, (T, P, 6) in the frame of the link at its origin.
+
+        They are the normal force, the shear forces along y and z (N), the torsion and the bending moments about y and z
+        (N m) with which the outboard part acts on the inboard one, by its inertia and weight (d'Alembert). Tension is
+        positive, and a moment about z bends as E I v''. At a lumped mass it is the section before it. Between the
+        joints of a model with foreshortening it has the error of its stations.
+
+        Args:
+            link: counted from 0.
+            positions: (P,) along the link, from 0 at its joint to its length at its tip, m.
+
+        Raises:
+            ValueError: for a link or a position that does not exist.
+        """
+        i, (moved, seen) = whole_number("link", link, 0, self.model.n_joints - 1), self._seen
+        length, places = self.model.arm.links[i].length, vector("positions", positions, unit="m")
+        for k, place in enumerate(places):
+            if not 0.0 <= place <= length:
+                raise refusal(f"positions[{k}]", place, f"a number from 0 to {length} (m), the length of link {i}")
+        return section_forces(moved.model, seen, self.states, moved.accelerations, i, places)
+
+    def energies(self) -> dict[str, Array]:
+        """Gives the energy of each part, J, by name: (T, n) of links, rotors and joints, (T, 1) of the payload.
+
+        The names are link_kinetic, link_elastic, link_gravitational, rotor_kinetic, joint_elastic, payload_kinetic and
+        payload_gravitational. All of them together are `energy`.
+        """
+        return part_energies(self._seen[0].model, self._seen[1], self.states)
 
     def explanation(self) -> str:
         """Says what went first in a failure or an energy alarm, and what to change; "" while all is well.
@@ -98,10 +183,8 @@ class Trajectory:
                 result[f"{name}_{end} ({unit})"] = column
         for name, values in self.readings.items():
             if name != "motor_angles":  # which are there
-                ends = [f"{joint}" for joint in joints]
-                parts = {1: ("",), 2: ("_y", "_z"), 3: ("_y", "_z", "_torsion")}[values.shape[1] // len(ends)]
-                heads = [f"{name.removesuffix('s')}_{end}{part}" for end in ends for part in parts]
-                result |= dict(zip((f"{head} ({UNITS[name]})" for head in heads), values.T, strict=True))
+                heads = names_of(name, UNITS[name], values.shape[1], len(joints))
+                result |= dict(zip(heads, values.T, strict=True))
         for name in ("energy", "moving_energy", "work", "dissipation", "energy_residual"):
             result[f"{name} (J)"] = getattr(self, name)
         return result
@@ -114,11 +197,7 @@ class Trajectory:
         Raises:
             OSError: where the file cannot be written.
         """
-        columns = self.columns()
-        with Path(path).open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file)
-            writer.writerow(columns)
-            writer.writerows(np.column_stack(list(columns.values())).tolist())
+        write_columns(path, self.columns())
 
     def energy_alarm(self, level: float = ENERGY_ALARM) -> float | None:
         """Gives the first time (s) at which the energy residual is too large, or None.
@@ -140,6 +219,7 @@ def trajectory(
     outputs: Array,
     outcome: tuple[str, int, float],
     explained: Callable[[Trajectory], str] = _nothing,
+    moved: Callable[[Trajectory], Moved] = _unknown,
 ) -> Trajectory:
     """Builds a trajectory from rows at equal intervals.
 
@@ -150,6 +230,7 @@ def trajectory(
         outputs: (T, OUTPUTS).
         outcome: status, evaluations and seconds in the integrator.
         explained: says why a trajectory failed.
+        moved: gives its accelerations.
     """
     size = 2 * model.n_dof
     return Trajectory(
@@ -169,4 +250,5 @@ def trajectory(
         wall_seconds=outcome[2],
         model=model,
         explained=explained,
+        moved=moved,
     )

@@ -1,5 +1,6 @@
 """View: the motion and the goals of the arms of a batch as named arrays."""
 
+from collections.abc import Iterable
 from functools import cached_property
 from typing import Any
 
@@ -10,10 +11,11 @@ from flexman_gym.kernels import layout
 from flexman_gym.kernels import paths as kernels
 from flexman_gym.kernels.readings import combine, read_views
 from flexman_gym.model.instant import frequencies
+from flexman_gym.model.readings import UNITS
 from flexman_gym.model.statics import rest_states, rest_tips
 from flexman_gym.model.strain import gauge_radii
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.readings import UNITS, Readings
+from flexman_gym.simulation.readings import Readings
 
 REACHED, SLOPE = 1e-9, 1e-4  # of the reach: a place that is reached; slopes of the tip that turn no joint
 Number = Any  # (b,), or a number of a single arm; only arithmetic and NumPy's functions are used on it
@@ -95,11 +97,8 @@ class View:
         self.goal_rates, self.target_velocity = np.zeros((arms, n)), np.zeros((arms, 3))
         self._vectors = np.zeros((arms, 2, 3))  # with the deflection rate; their lengths: tip_error and tip_vibration
         self.target_error = self._vectors[:, 0]
-        self.tip_error: Number = np.zeros(arms)
-        self.tip_vibration: Number = np.zeros(arms)
-        self.elastic_energy: Number = np.zeros(arms)
-        self.energy_residual: Number = np.zeros(arms)
-        self.energy_turnover: Number = np.zeros(arms)
+        self._numbers = np.zeros((5, arms))
+        self._name(self._numbers)
         self.effort: Number = np.zeros(arms)
         self.action = np.zeros((arms, n))
         self.failed: Number = np.zeros(arms, dtype=bool)
@@ -107,11 +106,16 @@ class View:
     def read(self) -> None:
         """Reads the present states of the arms, for their present goals."""
         batch = self._batch
-        numbers = np.empty((3, len(self.motion)))
-        motion, vectors = self.motion, self._vectors
-        read_views(batch.rows, batch.outputs, self.target, self._readings.motion, motion, vectors, numbers)
-        self.tip_error, self.tip_vibration, self.elastic_energy = numbers
-        self.energy_residual, self.energy_turnover = batch.energy_residual, batch.energy_turnover
+        self._numbers = np.empty((5, len(self.motion)))
+        read_views(
+            batch.rows, batch.outputs, batch.start_energy, batch.energy_turnover, self.target, self._readings.motion,
+            self.motion, self._vectors, self._numbers,
+        )  # fmt: skip
+        self._name(self._numbers)
+
+    def _name(self, numbers: Iterable[Number]) -> None:
+        """Gives their names to what `read_views` has put side by side."""
+        (self.tip_error, self.tip_vibration, self.elastic_energy, self.energy_residual, self.energy_turnover) = numbers
 
     @property
     def root_strains(self) -> Array:
@@ -186,11 +190,8 @@ class View:
         one = self._one or self._make_alone()
         if len(one.plan) != len(self.plan):
             one.plan = {name: values[0, ...] for name, values in self.plan.items()}
-        one.tip_error, one.tip_vibration = self.tip_error.item(), self.tip_vibration.item()
-        one.elastic_energy, one.energy_residual = self.elastic_energy.item(), self.energy_residual.item()
-        one.energy_turnover, one.effort, one.failed = (
-            self.energy_turnover.item(), self.effort.item(), self.failed.item(),
-        )  # fmt: skip
+        one._name(self._numbers[:, 0].tolist())
+        one.effort, one.failed = self.effort.item(), self.failed.item()
         return one
 
     def renew(self) -> None:

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.simulation.readings import UNITS, Readings
+from flexman_gym.model.readings import UNITS
+from flexman_gym.simulation.readings import Readings
 
 
 @pytest.fixture(scope="module")

@@ -62,7 +62,7 @@ def test_constants_that_are_changed_between_two_calls_count(monkeypatch):
         first.start(state, rows[0], outputs[0])
         if change:
             first.constants = other.constants._replace(prescribed=first.constants.prescribed)
-        first(driven().drive, (0.0, 0.01, 3), state, rows, outputs)
+        first(driven().pieces.table(), (0.0, 0.01, 3), state, rows, outputs)
         ends.append(state)
     assert np.array_equal(*ends)
 

@@ -1,0 +1,142 @@
+"""MuJoCo: arms of a batch as lumped pieces that MuJoCo moves, see `model.mjcf` and `replica`."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import mujoco  # type: ignore[import-not-found, import-untyped, unused-ignore]
+import numpy as np
+
+from flexman_gym.arrays import Array, Flags, IntArray
+from flexman_gym.checks import refusal
+from flexman_gym.model.mjcf import link_pieces, mjcf
+from flexman_gym.model.model import Model
+from flexman_gym.simulation.parameters import varied_arm
+from flexman_gym.simulation.replica import Moment, Stations
+
+PIECES = 3  # of a section: natural frequencies of the named arms are then within 3 % up to the sixth
+MOMENT = 1e-5  # s, over which changes of places are taken for speeds
+
+
+class Link(NamedTuple):
+    """Where a link of n pieces beside its first is found.
+
+    Attributes:
+        root: number of its joint's body; those of its pieces follow.
+        turn: (3, 3) from its beam frame to that body.
+        angles: (n, 3) numbers of the coordinates of its hinges.
+        ahead: (n,) m, from the hinges of a piece to the end of their segment.
+        stations: (n,) m, of these ends along the link.
+    """
+
+    root: int
+    turn: Array
+    angles: IntArray
+    ahead: Array
+    stations: Array
+
+
+class MuJoCo:
+    """A Double: each arm is a model of MuJoCo of its own.
+
+    Its places and speeds are those of MuJoCo's bodies, exactly: no small angles.
+    """
+
+    def __init__(self, model: Model, period: float, arms: int) -> None:
+        if any(joint.coulomb_friction for joint in model.arm.joints):
+            raise refusal("plant", "mujoco", "arms without Coulomb friction: its law is another one there")
+        self._arm, self._period = model.arm, period
+        self._models: list[Any] = [mujoco.MjModel.from_xml_string(mjcf(model.arm, PIECES))] * arms
+        self._datas = [mujoco.MjData(each) for each in self._models]
+        one, numbers = self._models[0], np.arange(model.n_joints)
+        self._motors: IntArray = np.array([one.joint(f"motor {i}").qposadr[0] for i in numbers])
+        self._springs = self._motors + np.array([joint.stiffness is not None for joint in model.arm.joints])
+        self._links = [_find(one, i, link) for i, link in enumerate(model.arm.links)]
+        self.stations: Stations = [link.stations for link in self._links]
+        mujoco.set_mju_user_warning(lambda message: None)  # else it writes a file about every divergence
+
+    def start(self, arm: int, shape: Array, rate: Array, parameters: Mapping[str, Array]) -> None:
+        """Puts an arm into a shape."""
+        model = mujoco.MjModel.from_xml_string(mjcf(varied_arm(self._arm, parameters), PIECES))
+        self._models[arm], data = model, mujoco.MjData(model)
+        self._datas[arm] = data
+        model.opt.timestep = self._period / np.ceil(self._period / model.opt.timestep)
+        n = len(self._motors)
+        for values, result in ((shape, data.qpos), (rate, data.qvel)):
+            result[self._springs] = values[:n]  # of a rigid joint it is the motor
+            flexible = self._springs != self._motors
+            result[self._motors[flexible]] = values[n : 2 * n][flexible]
+            result[self._springs[flexible]] -= values[n : 2 * n][flexible]
+            first = 2 * n
+            for link in self._links:
+                turns = values[first : first + 6 * len(link.stations)].reshape(-1, 6)[:, 3:]
+                result[link.angles] = np.diff(turns, axis=0, prepend=0.0)
+                first += 6 * len(link.stations)
+
+    def move(self, drives: Array, moving: Flags) -> Flags:
+        """Moves arms by a control period."""
+        n, well = len(self._motors), np.ones(len(moving), dtype=bool)
+        for arm in np.flatnonzero(moving).tolist():
+            model, data = self._models[arm], self._datas[arm]
+            data.qfrc_applied[self._motors] = drives[arm, :n]
+            model.opt.gravity[:] = np.array(self._arm.gravity) - drives[arm, n + 3 :]
+            force = data.xfrc_applied[-1, :3] = drives[arm, n : n + 3]
+            data.xfrc_applied[-1, 3:] = np.cross(data.site_xpos[0] - data.xipos[-1], force)
+            mujoco.mj_step(model, data, round(self._period / model.opt.timestep))
+            broken = data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or not np.isfinite(data.qpos).all()
+            well[arm] = not broken
+        return well
+
+    def read(self, arms: IntArray) -> Moment:
+        """Says where arms are."""
+        result = []
+        for arm in arms.tolist():
+            model, data = self._models[arm], self._datas[arm]
+            places, speeds = data.qpos.copy(), data.qvel.copy()
+            now = []
+            for ahead in (-MOMENT, MOMENT, 0.0):
+                data.qpos[:] = places + ahead * speeds
+                mujoco.mj_kinematics(model, data)
+                now.append(np.concatenate([self._shape(data), data.site_xpos[0]]))
+            shape, rate = now[2], (now[1] - now[0]) / (2.0 * MOMENT)
+            result.append([shape[:-3], rate[:-3], np.concatenate([shape[-3:], rate[-3:]])])
+        columns = zip(*result, strict=True) if result else ([], [], [])
+        width = 2 * len(self._motors) + 6 * sum(map(len, self.stations))
+        return Moment(
+            *(np.reshape(list(each), (-1, size)) for each, size in zip(columns, (width, width, 6), strict=True))
+        )
+
+    def _shape(self, data: Any) -> Array:
+        """Angles of joints and motors, then the stations of each link, at the present places of the bodies."""
+        motors = data.qpos[self._motors]
+        springs = np.where(self._springs != self._motors, data.qpos[self._springs], 0.0)
+        parts = [motors + springs, motors]
+        for link in self._links:
+            bodies = slice(link.root + 1, link.root + 1 + len(link.stations))
+            frame = data.xmat[link.root].reshape(3, 3) @ link.turn
+            turned = data.xmat[bodies].reshape(-1, 3, 3)
+            ends = data.xpos[bodies] + turned[:, :, 0] * link.ahead[:, None] - data.xpos[link.root]
+            moved = ends @ frame
+            moved[:, 0] -= link.stations
+            parts.append(np.hstack([moved, _rotation_vectors(frame.T @ turned)]).ravel())
+        return np.concatenate(parts)
+
+
+def _find(model: Any, number: int, link: Any) -> Link:
+    """Where a link is in MuJoCo's model of its arm."""
+    cut = link_pieces(link, PIECES)
+    starts = np.array([piece.start for piece in cut[1:]])
+    ends = np.concatenate([np.arange(1, PIECES + 1) * section.length / PIECES for section in link.sections])
+    lengths = np.repeat(np.cumsum([0.0, *(section.length for section in link.sections[:-1])]), PIECES)
+    stations = ends + lengths
+    name = f"link_{number}"
+    angles = [[model.joint(f"{name}_{j}_{letter}").qposadr[0] for letter in "xyz"] for j in range(len(starts))]
+    return Link(model.body(name).id, np.array(link.orientation), np.array(angles), stations - starts, stations)
+
+
+def _rotation_vectors(turned: Array) -> Array:
+    """Rotation vectors (k, 3) of rotations (k, 3, 3) by less than a right angle."""
+    vectors = np.stack([turned[:, 2, 1] - turned[:, 1, 2], turned[:, 0, 2] - turned[:, 2, 0],
+                        turned[:, 1, 0] - turned[:, 0, 1]], axis=1) / 2.0  # fmt: skip
+    sines = np.minimum(np.linalg.norm(vectors, axis=1), 1.0)
+    factors = np.divide(np.arcsin(sines), sines, out=np.ones_like(sines), where=sines > 0.0)
+    return np.asarray(vectors * factors[:, None])
