@@ -1,0 +1,250 @@
+"""Fit: an arm whose free numbers are those that its measurements ask for, and how well these tell them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flexman_gym.arrays import Array
+from flexman_gym.checks import instance, positive, refusal, whole_number
+from flexman_gym.fit.doubts import doubts, untold
+from flexman_gym.fit.free import Free
+from flexman_gym.fit.measurement import Measurement
+from flexman_gym.fit.problem import Problem
+from flexman_gym.fit.response import Response
+from flexman_gym.fit.ringing import ringings
+from flexman_gym.model.model import build_model
+from flexman_gym.scene import file as scene_file
+from flexman_gym.scene.arm import Arm
+from flexman_gym.scene.plain import plain
+from flexman_gym.simulation.parameters import ARM, PARAMETERS, nominal_parameters
+
+POOR, FAR = 0.9, 3.0  # R2 below which, and deviations of a frequency beyond which, other starts are tried
+SPREAD, FEW = 1.0, 3  # of the logarithms of other starts, and how many of the best are followed
+WEAK = 1e-8  # of a prior that nobody feels, in place of an infinite deviation
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """An arm that was fitted to measurements.
+
+    Attributes:
+        arm: with the fitted numbers.
+        values: name as it was given to `fit` -> a number, or (n,) one for each joint or link; in the units of
+            `simulation.parameters.PARAMETERS`, link_stiffness as a factor on the moduli of the arm that was given.
+        deviations: name -> their standard deviations, 0 of what was not free. Residuals that are not white count as so
+            many fewer samples.
+        undetermined: the numbers that the data cannot tell, such as "joint_stiffness[1]".
+        explanation: one sentence that says which these are, and which cannot be told apart.
+        warnings: what looks wrong with the data: a unit, a sign, a filter, single samples.
+        gains: name of an output with an unknown gain -> gain and standard deviation.
+        scores: "record 0, motor_angle_1" -> R2 of an output, the part of its variance that the arm explains.
+        frequencies: what was measured of ringing, computed, and the standard deviation, (k, 3) rows.
+        correlation: (p, p) of the free numbers in their order.
+        choice: elements and modes of the model.
+        records: that were fitted.
+        step: s, of the simulation; None for the interval between samples.
+    """
+
+    arm: Arm
+    values: dict[str, Any]
+    deviations: dict[str, Any]
+    undetermined: tuple[str, ...]
+    explanation: str
+    warnings: tuple[str, ...]
+    gains: dict[str, tuple[float, float]]
+    scores: dict[str, float]
+    frequencies: Array
+    correlation: Array
+    choice: dict[str, Any] = field(repr=False)
+    records: tuple[Measurement, ...] = field(repr=False)
+    step: float | None = field(repr=False)
+
+    def predicted(self, record: Measurement) -> dict[str, Array]:
+        """Gives the outputs (T,) of a measurement, by name, as the fitted arm and its sensors show them.
+
+        Offsets are those of the record itself: the mean of what is left.
+        """
+        model = build_model(self.arm, **self.choice)
+        nominal = {"payload_mass": nominal_parameters(model)["payload_mass"][None]}
+        signals = Response(self.arm, record, self.step).signals(model, nominal)[0]
+        result = {}
+        for name, values in zip(record.outputs, signals, strict=True):
+            shown = values * self.gains.get(name, (1.0, 0.0))[0]
+            left = (np.asarray(record.outputs[name]) - shown)[record.compared]
+            result[name] = shown + (left.mean() if name in record.offsets else 0.0)
+        return result
+
+    def score(self, record: Measurement) -> dict[str, float]:
+        """Gives R2 of each output of a measurement, which need not be one of those that were fitted."""
+        shown, kept = self.predicted(record), record.compared
+        return {name: r_squared(np.asarray(record.outputs[name])[kept], each[kept]) for name, each in shown.items()}
+
+    def save(self, path: str | Path) -> None:
+        """Writes the arm to a .json, .yaml or .yml file, with the key arm, as a description of an environment has it.
+
+        Raises:
+            ValueError: for another suffix.
+        """
+        scene_file.write(Path(path), {"arm": plain(self.arm)})
+
+    def report(self, folder: str | Path) -> None:
+        """Writes fit.md, fit.png and arm.yaml into a folder; the picture needs Matplotlib."""
+        from flexman_gym.fit.report import write_report
+
+        write_report(self, Path(folder))
+
+
+def fit(
+    arm: Arm,
+    free: str | Sequence[str],
+    frequencies: Any = None,
+    damping: Any = None,
+    records: Sequence[Measurement] = (),
+    *,
+    elements: int | tuple[int, ...] = 2,
+    modes: int | tuple[int | tuple[int, ...], ...] | None = None,
+    step: float | None = None,
+    starts: int = 12,
+    check: bool = True,
+) -> Fit:
+    """Fits physical parameters of an arm to what was measured of it.
+
+    Least squares over the residuals in standard deviations, by Gauss-Newton steps in a region of trust. Slopes of
+    frequencies are exact; those of time records are central differences of arms that move side by side. A fit that
+    remains poor is started anew from other places. Steps of the simulation are halved until they matter no more.
+
+    Args:
+        arm: where the fit starts.
+        free: names in `simulation.parameters.PARAMETERS`, such as "link_stiffness" for those of all links, or
+            "joint_stiffness[1]" for one joint, counted from 0.
+        frequencies: (k,) Hz, the lowest ones at zero angles with held motors, to 0.5 %; or a mapping of the arguments
+            of `Ringing`, which says other postures, motors and deviations; or several mappings.
+        damping: (k,) damping ratios of these frequencies, to 10 %.
+        records: of Measurement.
+        elements, modes: of the model, see `build_model`.
+        step: s, of the simulation, to begin with; None takes the interval between samples.
+        starts: other places that are tried where the fit is poor, within a factor of e.
+        check: whether units, signs, filters and single samples of the records are looked at. For each output that is
+            not explained well, and passed no filter, that takes another fit, with one.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed; where there are fewer data than free numbers.
+    """
+    free_numbers, ringing = Free(instance("arm", arm, Arm, "an Arm"), free), ringings(frequencies, damping)
+    whole_number("starts", starts, 0, 10**4)
+    records = tuple(instance(f"records[{i}]", each, Measurement, "a Measurement") for i, each in enumerate(records))
+    step = None if step is None else positive("step", step, "s")
+    choice = {"elements": elements, "modes": modes}
+    responses = [Response(free_numbers.arm, each, step) for each in records]
+    problem = Problem(free_numbers, ringing, responses, choice)
+    count = sum(len(part.measured) for part in problem.parts)
+    if count < len(free_numbers.numbers):
+        allowed = f"at least as many as free numbers, {len(free_numbers.numbers)}"
+        raise refusal("frequencies, damping and records", f"{count} numbers", allowed)
+    x = problem.refined(_best(problem, starts, np.random.default_rng(0)))
+    said = doubts(problem, x) if check else ()
+    return _concluded(problem, x, said, (records, choice, min((each.step for each in responses), default=None)))
+
+
+def _best(problem: Problem, starts: int, rng: np.random.Generator) -> Array:
+    """The unknowns of the best fit, from the start of the problem, and from others where that is poor."""
+    x = problem.solved(problem.start)
+    if not _poor(problem, x) or not starts:
+        return x
+    places = [problem.start.copy() for _ in range(starts)]
+    for place in places:
+        place[: len(problem.free.numbers)] += rng.uniform(-SPREAD, SPREAD, len(problem.free.numbers))
+    places.sort(key=lambda place: _misfit(problem, place))
+    found = [x, *(problem.solved(place) for place in places[:FEW])]
+    return min(found, key=lambda place: _misfit(problem, place))
+
+
+def _misfit(problem: Problem, x: Array) -> float:
+    """What can be compared between weights: the parts of variances and squared deviations that are left, summed."""
+    total = 0.0
+    for part, rows in zip(problem.parts, problem.divided(problem.evaluated(x)[0]), strict=True):
+        left = rows if part.record < 0 else rows * part.sigma / max(float(np.std(part.measured)), 1e-300)
+        total += float(np.mean(left**2))
+    return total
+
+
+def _poor(problem: Problem, x: Array) -> bool:
+    for part, rows in zip(problem.parts, problem.divided(problem.evaluated(x)[0]), strict=True):
+        if part.record < 0 and np.abs(rows).max() > FAR:
+            return True
+        if (
+            part.record >= 0
+            and 1.0 - np.mean((rows * part.sigma) ** 2) / max(float(np.var(part.measured)), 1e-300) < POOR
+        ):
+            return True
+    return False
+
+
+def _concluded(problem: Problem, x: Array, said: tuple[str, ...], given: tuple[Any, ...]) -> Fit:
+    """What follows from the unknowns."""
+    residuals, free = problem.evaluated(x)[0], problem.free
+    covariance, p = _covariance(problem, x), len(free.numbers)
+    values, deviations = problem.values(x), np.sqrt(np.diag(covariance))
+    own, spread = free.parameters(values), free.parameters(values * deviations[:p], rest=0.0)
+    names, sentence = untold(free, values, covariance[:p, :p])
+    gains = {
+        name.removeprefix("gain of "): (float(x[p + i]), float(deviations[p + i]))
+        for i, name in enumerate(problem.nuisances) if name.startswith("gain")
+    }  # fmt: skip
+    scores, rows = {}, [np.zeros((0, 3))]
+    for part, own_rows in zip(problem.parts, problem.divided(residuals), strict=True):
+        shown = part.measured + own_rows * part.sigma
+        if part.record < 0:
+            rows.append(np.column_stack([part.measured, shown, part.sigma]))
+        else:
+            scores[f"record {part.record}, {part.name}"] = r_squared(part.measured, shown)
+    size = np.sqrt(np.diag(covariance[:p, :p]))
+    return Fit(
+        free.changed(values), _named(free, own), _named(free, spread), names, sentence, said, gains,
+        scores,
+        np.vstack(rows), covariance[:p, :p] / np.outer(size, size), given[1], given[0], given[2],
+    )  # fmt: skip
+
+
+def _named(free: Free, parameters: Mapping[str, Array]) -> dict[str, Any]:
+    """Values by the names that were given."""
+    result: dict[str, Any] = {}
+    for name, numbers in free.asked.items():
+        kind, one = numbers[0].parameter, "[" in name or PARAMETERS[numbers[0].parameter].of == ARM
+        values = np.ravel(parameters[kind])
+        result[name] = float(values[numbers[0].place or 0]) if one else values
+    return result
+
+
+def _covariance(problem: Problem, x: Array) -> Array:
+    """Covariance (u, u) of the unknowns: noise that is not white or differs between records counts as it is."""
+    residuals, slopes = problem.evaluated(x)
+    weak = WEAK * np.eye(len(x)) * np.maximum((slopes**2).sum(axis=0).max(), 1.0) * 1e-4
+    inverse = np.linalg.inv(slopes.T @ slopes + weak)
+    share = len(x) / len(residuals)
+    middle = np.zeros_like(inverse)
+    for part, rows, own in zip(problem.parts, problem.divided(residuals), problem.divided(slopes), strict=True):
+        noise = 1.0 if part.record < 0 else float(np.mean(rows**2)) / max(1.0 - share, 0.1) * _memory(rows)
+        middle += noise * own.T @ own
+    return np.asarray(inverse @ (middle + weak) @ inverse)
+
+
+def _memory(rows: Array) -> float:
+    """Samples that count as one: 1 of white noise, more where neighbours are alike."""
+    left = rows - rows.mean()
+    size, power = len(left), float(left @ left)
+    if power <= 0.0:
+        return 1.0
+    spectrum = np.abs(np.fft.rfft(left, 2 * size)) ** 2
+    alike = np.fft.irfft(spectrum)[:size] / power
+    ends = np.flatnonzero(alike < 2.0 / np.sqrt(size))
+    return float(1.0 + 2.0 * alike[1 : ends[0] if len(ends) else size].sum())
+
+
+def r_squared(measured: Array, shown: Array) -> float:
+    """1 less the part of the variance that is left."""
+    spread = float(np.sum((measured - measured.mean()) ** 2))
+    return 1.0 - float(np.sum((measured - shown) ** 2)) / max(spread, 1e-300)
