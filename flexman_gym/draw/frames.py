@@ -1,136 +1,142 @@
-"""Frames: pictures of an arm at one state after another, painted in Matplotlib.
-
-Matplotlib is imported when something is drawn.
-"""
+"""Frames: pictures of an arm at one state after another, painted by kernels, without a display or Matplotlib."""
 
 from collections.abc import Sequence
-from functools import lru_cache
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array
-from flexman_gym.checks import refusal, vector, whole_number
-from flexman_gym.draw.style import DARK, LIGHT, LINK_COLOURS, MIDDLE, RED, new_figure
-from flexman_gym.model.element import NODE_COORDINATES, beam_shapes, find_element
-from flexman_gym.model.model import Model
+from flexman_gym.arrays import Array, Vector
+from flexman_gym.checks import flag, non_negative, number_array, refusal, vector, whole_number
+from flexman_gym.draw.camera import Camera, direction, fitted, reached
+from flexman_gym.draw.mesh import Mesh, cylinder, joined, outlines, ring, sphere, tube_faces, tubes
+from flexman_gym.draw.overlay import Caption, draw_caption, strain_colours
+from flexman_gym.draw.style import rgb, round_number
+from flexman_gym.kernels import raster, scenery
+from flexman_gym.model.curves import curves
+from flexman_gym.model.model import Model, checked_model
 
-AZIMUTH, ELEVATION = np.radians(-62.0), np.radians(24.0)  # of the camera, seen from the base; +X points to the right
-DISTANCE = 5.0  # from the camera to the base, in reaches of the arm
-# Bounds of the picture, in reaches of the arm and seen from the base: it holds the ground and an arm that points up.
-SIDE, BOTTOM, TOP = 1.04, -0.58, 1.03
-POINTS = 16  # of the line of a link
-LARGEST_PICTURE = 10_000  # pixels a side
+POINTS = 24  # of the curve of a link
+SAMPLES = 2  # of a pixel, each way
+LARGEST_PICTURE = 4096  # pixels a side
+CLEAR, CLEAR_WITH_OVERLAY = np.full(4, 0.06), np.array([0.06, 0.06, 0.15, 0.15])  # parts at left, right, top, bottom
+BELOW = 0.05  # of the reach, from the lowest thing to the floor
+BENT = 0.01  # deflection of a link as a part of its length, whose strain ends the scale of colours without limits
+GHOST, MOTOR, TIP, TARGET, POST = "#5b6b82", "#334155", "#1e293b", "#e11d48", "#64748b"
+LOAD, TRAIL, PLUMB = "#8a6d3b", "#6d28d9", "#e58ba0"
+GHOST_SHARE, SHADOW_SHARE, TRAIL_START = 0.42, 0.34, 0.05
+STEEL = 7800.0  # kg/m^3, of the ball that a payload is drawn as
 
 
-def arm_lines(model: Model, state: Sequence[float] | Array, points: int = POINTS) -> Array:
-    """Gives the deformed centreline of every link, from joint to tip, as points (n, points, 3) in the base frame, m.
+class Shot(NamedTuple):
+    """A camera and the empty scene that it sees.
 
-    Between the nodes of an element the line has the shapes of the element, cubic for bending. With foreshortening its
-    ends are exact.
-
-    Args:
-        model: the arm.
-        state: (2 d,).
-        points: number of points of each line, at least 2.
-
-    Raises:
-        ValueError: for a wrong shape, values that are not finite or fewer than 2 points.
+    Attributes:
+        camera: in pixels.
+        floor: height, m.
+        back: (s H, s W, 3) samples.
+        plain: (H, W, 3) pixels.
     """
-    x = np.array(vector("state", state, 2 * model.n_dof))
-    constants = model.constants
-    mounts = constants.mount.reshape(-1, 3, 3)
-    lines = np.zeros((model.n_joints, whole_number("points", points, 2, 1000), 3))
-    frame, origin, bend = np.eye(3), np.zeros(3), np.zeros(3)
-    for i, shapes in enumerate(_centreline_shapes(model, points)):
-        elastic = x[model.elastic_columns(i)]
-        frame = frame @ _turn(bend) @ mounts[i] @ _turn(x[i] * constants.axis[i])
-        local = shapes @ elastic
-        local[:, 0] += np.linspace(0.0, constants.length[i], points)
-        if model.choice.stiffening:
-            local[:, 0] -= _shortened(model, i, elastic, local)
-        lines[i] = origin + local @ frame.T
-        origin = lines[i, -1]
-        bend = elastic @ constants.tip_rotation[constants.elastic_start[i] : constants.elastic_start[i + 1]]
-    return lines
 
-
-def _shortened(model: Model, link: int, elastic: Array, line: Array) -> Array:
-    """Gives the foreshortening (points,) along a line (points, 3), exact at the tip, else by its slopes."""
-    constants = model.constants
-    columns, stations = (slice(*field[link : link + 2]) for field in (constants.elastic_start, constants.station_start))
-    entries = np.arange(*constants.bend_start[[columns.start, columns.stop]])
-    # the first station is the tip
-    values = constants.bend_value[constants.bend_row[link] + entries * (stations.stop - stations.start)]
-    rows = np.repeat(elastic, np.diff(constants.bend_start[columns.start : columns.stop + 1]))
-    tip = 0.5 * (values * rows) @ elastic[constants.bend_source[entries] - columns.start]
-    drawn = np.cumsum(np.concatenate([[0.0], (np.diff(line[:, 1:], axis=0) ** 2).sum(axis=1)]))
-    return tip * drawn / drawn[-1] if drawn[-1] > 0.0 else np.zeros(len(line))
-
-
-@lru_cache(maxsize=16)
-def _centreline_shapes(model: Model, points: int) -> tuple[Array, ...]:
-    """Gives the displacement (points, 3, k_i) of even points of each link's centreline per unit coordinate."""
-    result = []
-    for i, (basis, length) in enumerate(zip(model.bases, model.constants.length, strict=True)):
-        elements = model.elements(i) if basis.shape[1] else []
-        shapes = np.zeros((points, 3, len(basis) + NODE_COORDINATES))
-        for shape, place in zip(shapes, np.linspace(0.0, length, points), strict=True):
-            if elements:
-                element, xi = find_element(elements, place)
-                shape[:, element.nodes] = beam_shapes(xi, element.length, 0.0, 0.0)
-        result.append(shapes[:, :, NODE_COORDINATES:] @ basis)  # node 0 is clamped
-    return tuple(result)
-
-
-def _turn(rotation_vector: Array) -> Array:
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_rotvec(rotation_vector).as_matrix()
+    camera: Camera
+    floor: float
+    back: NDArray[np.uint8]
+    plain: NDArray[np.uint8]
 
 
 class FramePainter:
-    """Paints an arm at one state after another, always from the same camera and at the same scale.
+    """Paints an arm at one state after another.
 
-    A frame shows the deformed links in colours, joints as dots, the tip, the rigid arm at the motor angles as a thin
-    line, the shadow of the arm on the ground and the target, if any. The ground is a disc as wide as the reach. The
-    picture holds all of it and the arm above it; it may lose the tip of an arm that points down.
+    A frame shows the links, which bend and twist, in colours of the strain at their surface: red is stretched, blue
+    compressed. It shows motors, payload, target, the rigid arm at the motor angles as a grey ghost, the way of the tip,
+    and the shadow on a floor with a grid. The same arguments give the same picture, bit for bit.
 
     Args:
         model: the arm.
         size: width and height in pixels.
+        camera: azimuth and elevation in degrees, and a zoom if wanted; None chooses them by the joints.
+        gain: by which the deflection is multiplied in the picture, which says so.
+        overlays: whether numbers are written over the picture.
+        shadow: whether there is one; a moving picture without it is a third smaller.
 
     Raises:
-        ImportError: without Matplotlib.
-        ValueError: for a size that is not two whole numbers.
+        ValueError: one line with field, value and what is allowed.
+
+    Attributes:
+        model, size, gain, overlays: as given.
+        reach: the sum of the lengths of the links, m.
+        radii: (n,) m, of the motors as they are drawn.
+        scale: strain at the ends of the colours; 0 for an arm that does not bend.
     """
 
-    def __init__(self, model: Model, size: tuple[int, int] = (480, 360)) -> None:
+    def __init__(
+        self,
+        model: Model,
+        size: tuple[int, int] = (480, 360),
+        camera: Vector | None = None,
+        gain: float = 1.0,
+        overlays: bool = True,
+        shadow: bool = True,
+    ) -> None:
         if not isinstance(size, tuple | list) or len(size) != 2:
             raise refusal("size", size, "two numbers of pixels, width and height")
-        self.size = tuple(whole_number(f"size[{i}]", side, 16, LARGEST_PICTURE) for i, side in enumerate(size))
-        self.model = model
+        width, height = (whole_number(f"size[{i}]", side, 16, LARGEST_PICTURE) for i, side in enumerate(size))
+        self.model, self.size = checked_model(model), (width, height)
+        self.gain, self.overlays = non_negative("gain", gain), flag("overlays", overlays)
+        self._shadow = flag("shadow", shadow)
+        self._direction = direction(model, camera)
         self.reach = float(model.constants.length.sum())
-        self._camera = _camera()
-        width, height = self.size
-        dpi = 100.0 * min(width / 480, height / 360)  # lines and dots grow with the picture
-        # Matplotlib cuts a fraction of a pixel off: the tenth keeps rounding from cutting a whole one.
-        self._figure = new_figure(((width + 0.1) / dpi, (height + 0.1) / dpi), dpi)
-        self._axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        half = np.array([width, height]) / 2 * self.reach * max(2 * SIDE / width, (TOP - BOTTOM) / height)
-        middle = (TOP + BOTTOM) / 2 * self.reach
-        self._axes.set(xlim=(-half[0], half[0]), ylim=(middle - half[1], middle + half[1]))
-        self._axes.axis("off")
-        self._ground()
-        self._artists()
+        self._sections = outlines(model, POINTS)
+        self.radii = np.clip([1.3 * each.radius for each in self._sections], 0.012 * self.reach, 0.05 * self.reach)
+        self._tubes = tube_faces(model.n_joints, POINTS)
+        self._grid = round_number(self.reach / 10)
+        self.scale = _strain_scale(model) if model.n_elastic else 0.0
+        samples, memory = (height * SAMPLES, width * SAMPLES), (height, width)
+        self._canvas = raster.Canvas(
+            *(np.zeros(each, dtype=kind) for each, kind in (
+                ((*samples, 3), "u1"), (samples, "f4"), (samples, "u1"), ((*samples, 3), "u1"), (memory, "f4"),
+                (memory, "f4"), ((*memory, 3), "u1"), ((*memory, 3), "u1"), (4, "i8"))))  # fmt: skip
+        self._shown: Shot | None = None
 
-    def paint(self, state: Sequence[float] | Array, target: Sequence[float] | Array | None = None) -> NDArray[np.uint8]:
+    def shot(self, points: Array | None = None) -> Shot:
+        """Gives a camera that has points and the base in the picture, and the empty scene that it sees.
+
+        Args:
+            points: (p, 3) m, base frame; None takes all that the arm can reach.
+        """
+        camera, floor = self.camera(reached(self.model) if points is None else points)
+        canvas, (width, height) = self._canvas, self.size
+        back, plain = np.zeros_like(canvas.back), np.zeros_like(canvas.plain)
+        scenery.lay_floor(back, camera.eye, camera.axes, camera.lens * SAMPLES, floor, self.reach, self._grid)
+        whole = canvas._replace(
+            colour=back, back=back, picture=plain, box=np.array([0, SAMPLES * width - 1, 0, SAMPLES * height - 1])
+        )
+        raster.resolve(whole._replace(mask=np.zeros_like(canvas.mask)), np.zeros(3), 0.0)
+        return Shot(camera, floor, back, plain)
+
+    def camera(self, points: Array) -> tuple[Camera, float]:
+        """Gives the camera of a `shot`, and the height of the floor, m; points as there."""
+        places = np.concatenate([np.asarray(points, dtype=float).reshape(-1, 3), np.zeros((1, 3))])
+        floor = float(places[:, 2].min()) - BELOW * self.reach
+        places = np.concatenate([places, [[0.0, 0.0, floor]]])
+        return fitted(places, self._direction, self.size, CLEAR_WITH_OVERLAY if self.overlays else CLEAR), floor
+
+    def paint(
+        self,
+        state: Vector,
+        target: Vector | None = None,
+        caption: Caption | None = None,
+        trail: Array | None = None,
+        shot: Shot | None = None,
+    ) -> NDArray[np.uint8]:
         """Paints the arm at a state.
 
         Args:
             state: (2 d,).
             target: (3,) in the base frame, m; None without one.
+            caption: what is written over it.
+            trail: (t, 3) m where the tip was, the oldest first.
+            shot: from where it is seen; None takes that of the last frame, and all that the arm can reach at first.
 
         Returns:
             The picture (height, width, 3).
@@ -138,97 +144,154 @@ class FramePainter:
         Raises:
             ValueError: for a wrong shape or values that are not finite.
         """
-        lines = arm_lines(self.model, state)
-        motors = np.asarray(state, dtype=float)[self.model.motor_columns]
-        ghost = arm_lines(self.model, self.model.initial_state(motors.tolist()), points=2)
-        self._draw(self._ghost, ghost.reshape(-1, 3))
-        self._draw(self._shadow, lines.reshape(-1, 3) * (1.0, 1.0, 0.0))
-        self._draw(self._joints, lines[:, 0])
-        self._draw(self._tip, lines[-1, -1:])
-        nearness = lines.mean(axis=1) @ self._camera[2]
-        for line, (edge, core), rank in zip(lines, self._links, nearness.argsort().argsort(), strict=True):
-            for artist in (edge, core):
-                self._draw(artist, line)
-                artist.set_zorder(10 + rank)
-        for artist in (self._target, self._plumb):
-            artist.set_visible(target is not None)
+        x = np.array(vector("state", state, 2 * self.model.n_dof))
+        place = None if target is None else np.array(vector("target", target, 3, "m"))
+        self._show(shot or self._shown or self.shot())
+        assert self._shown is not None
+        bent, rigid = (curves(self.model, x, POINTS, gain) for gain in (self.gain, 0.0))
+        points, normals, strain = tubes(bent, self._sections)
+        links = strain_colours(strain / self.scale) if self.scale else np.tile(rgb("#b8bec8"), (len(points), 1))
+        parts = self._parts(bent.positions, bent.frames, place)
+        mesh = joined([Mesh(points, normals, self._tubes), *(part for part, _ in parts)])
+        colours = np.concatenate([links, *(np.tile(rgb(colour), (len(part.points), 1)) for part, colour in parts)])
+        self._draw(mesh, colours)
+        if trail is not None and len(trail) > 1:
+            way = number_array("trail", trail, (len(trail), 3), "places (t, 3), m")
+            self._line(way, 1.2, TRAIL_START, TRAIL)
+        if place is not None:
+            self._line(np.array([[*place[:2], self._shown.floor], place]), 0.5, 1.0, PLUMB)
+        if self.gain != 1.0:
+            true = curves(self.model, x, 2).positions[-1, -1]
+            self._line(np.array([true, true + 1e-6]), 3.0, 1.0, TRAIL)
+        canvas, ghost = self._canvas, self._seen(tubes(rigid, self._sections)[0], SAMPLES)
+        raster.cover(ghost, self._tubes, canvas.mask, canvas.depth, canvas.box)
+        raster.resolve(canvas, rgb(GHOST), GHOST_SHARE)
+        picture = canvas.picture.copy()
+        if self.overlays:
+            draw_caption(picture, caption or Caption(), self.gain, self.scale, self._grid)
+        return picture
+
+    def _show(self, shot: Shot) -> None:
+        """Brings back the empty scene of this shot where something was drawn, or everywhere for another shot."""
+        canvas = self._canvas
+        if shot is not self._shown:
+            height, width = canvas.mask.shape
+            canvas.box[:] = 0, width - 1, 0, height - 1
+            self._shown, self._canvas = shot, canvas._replace(back=shot.back, plain=shot.plain)
+        left, right, top, bottom = canvas.box
+        if right >= left:
+            drawn = slice(top, bottom + 1), slice(left, right + 1)
+            canvas.colour[drawn], canvas.depth[drawn], canvas.mask[drawn] = shot.back[drawn], 0.0, 0
+            pixels = slice(top // SAMPLES, bottom // SAMPLES + 1), slice(left // SAMPLES, right // SAMPLES + 1)
+            canvas.picture[pixels] = shot.plain[pixels]
+        canvas.box[:] = 1 << 30, -1, 1 << 30, -1
+
+    def _seen(self, points: Array, samples: int) -> Array:
+        """Gives columns, rows and nearness (p, 3) of points, for so many samples of a pixel."""
+        assert self._shown is not None
+        camera, result = self._shown.camera, np.empty_like(points)
+        raster.project(np.ascontiguousarray(points), camera.eye, camera.axes, camera.lens * samples, result)
+        return result
+
+    def _draw(self, mesh: Mesh, colours: Array) -> None:
+        """Draws a mesh and its shadow on the floor; colours (p, 3)."""
+        assert self._shown is not None
+        canvas, sun, box = self._canvas, np.array(raster.SUN), np.array([1 << 30, -1, 1 << 30, -1])
+        if self._shadow:
+            fallen = mesh.points - (mesh.points[:, 2:] - self._shown.floor) / sun[2] * sun
+            raster.cover(self._seen(fallen, 1), mesh.faces, canvas.shadow, np.zeros((1, 1), dtype=np.float32), box)
+        if box[1] >= 0:
+            raster.soften(canvas.shadow, canvas.scratch, box, max(2, self.size[1] // 180))
+            raster.darken(canvas, box, SHADOW_SHARE)
+        screen = self._seen(mesh.points, SAMPLES)
+        raster.shade(canvas, screen, mesh.points, mesh.normals, colours, mesh.faces, self._shown.camera.eye)
+
+    def _line(self, points: Array, radius: float, faintest: float, colour: str) -> None:
+        """Draws a line with a radius in pixels of a picture of 480 rows."""
+        thick = radius * SAMPLES * max(self.size[1] / 480, 0.5)
+        raster.stroke(self._canvas, self._seen(points, SAMPLES), thick, faintest, rgb(colour))
+
+    def _parts(self, positions: Array, frames: Array, target: Array | None) -> list[tuple[Mesh, str]]:
+        """Gives motors, post, tip with payload and target, each with its colour."""
+        assert self._shown is not None
+        model, radii, up, floor = self.model, self.radii, np.array([0.0, 0.0, 1.0]), self._shown.floor
+        result = [
+            (
+                cylinder().placed(positions[i, 0], frames[i, 0] @ model.constants.axis[i], radii[i], 1.15 * radii[i]),
+                MOTOR,
+            )
+            for i in range(model.n_joints)
+        ]
+        foot, half = np.array([0.0, 0.0, floor / 2]), -floor / 2
+        result.append((cylinder(0.01).placed(foot, up, 0.8 * radii[0], half), POST))
+        result.append((cylinder().placed(np.array([0.0, 0.0, floor]), up, 2.0 * radii[0], 0.25 * radii[0]), POST))
+        load, end = model.arm.payload, positions[-1, -1]
+        result.append((sphere().placed(end, up, radii[-1], radii[-1]), TIP))
+        if load is not None:
+            ball = max((load.mass / STEEL * 0.75 / np.pi) ** (1 / 3), radii[-1])
+            held = frames[-1, -1] @ (np.array(model.arm.links[-1].orientation).T @ (load.offset or np.zeros(3)))
+            result.append((sphere().placed(end + held, up, ball, ball), LOAD))
         if target is not None:
-            place = np.array(vector("target", target, 3, "m"))
-            self._draw(self._target, place[None])
-            self._draw(self._plumb, place * [[1.0, 1.0, 1.0], [1.0, 1.0, 0.0]])
-        self._figure.canvas.draw()
-        return np.array(np.asarray(self._figure.canvas.buffer_rgba())[..., :3])
-
-    def _draw(self, artist: Any, places: Array) -> None:
-        artist.set_data(*self._project(places).T)
-
-    def _project(self, places: Array) -> Array:
-        """Gives picture coordinates (p, 2), in metres at the base, of places (p, 3) in the base frame."""
-        seen = places @ self._camera.T
-        distance = DISTANCE * self.reach
-        return seen[:, :2] * (distance / (distance - seen[:, 2:]))
-
-    def _ground(self) -> None:
-        """Draws a disc as wide as the reach, with circles at round distances and the axes X and Y."""
-        turn = np.linspace(0.0, 2 * np.pi, 97)
-        circle = np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=1)
-        spacing = _round_number(self.reach / 5)
-        rim = self._project(self.reach * circle)
-        self._axes.fill(*rim.T, facecolor="#f4f5f7", edgecolor=LIGHT, linewidth=1.0, zorder=0)
-        for radius in np.arange(spacing, self.reach, spacing):
-            self._axes.plot(*self._project(radius * circle).T, color=LIGHT, linewidth=0.7, zorder=1)
-        for end, name in ((np.array([1.0, 0.0, 0.0]), "x"), (np.array([0.0, 1.0, 0.0]), "y")):
-            self._axes.plot(*self._project(self.reach * end * [[-1.0], [1.0]]).T, color=LIGHT, linewidth=0.7, zorder=1)
-            self._axes.text(*self._project(0.95 * self.reach * end[None])[0], name, color=MIDDLE, fontsize=8, zorder=2)
-        note = f"circles every {spacing:g} m; thin line: rigid arm at the motor angles"
-        self._axes.text(0.02, 0.02, note, color=MIDDLE, fontsize=7, transform=self._axes.transAxes)
-
-    def _artists(self) -> None:
-        """Makes everything that moves, without places yet."""
-
-        def line(**style: Any) -> Any:
-            return self._axes.plot([], [], **{"solid_capstyle": "round", "solid_joinstyle": "round"} | style)[0]
-
-        self._shadow = line(color="#c9ccd2", linewidth=2.6, zorder=3)
-        self._plumb = line(color=RED, linewidth=0.8, linestyle=":", zorder=4)
-        self._ghost = line(color="#6b7280", linewidth=1.2, zorder=5)
-        colours = [LINK_COLOURS[i % len(LINK_COLOURS)] for i in range(self.model.n_joints)]
-        self._links = [(line(color=DARK, linewidth=5.0), line(color=colour, linewidth=3.6)) for colour in colours]
-        dots = {"linestyle": "", "markeredgecolor": "white", "markeredgewidth": 1.0, "color": DARK, "zorder": 1000}
-        self._axes.plot(*self._project(np.zeros((1, 3))).T, marker="s", **dots | {"markersize": 10.0, "zorder": 9})
-        self._joints = line(marker="o", markersize=6.5, **dots)
-        self._tip = line(marker="D", markersize=5.5, **dots)
-        self._target = line(marker="X", markersize=9.0, **dots | {"color": RED})
+            result.append((sphere().placed(target, up, 0.55 * radii[-1], 0.55 * radii[-1]), TARGET))
+            facing = -self._shown.camera.axes[2]
+            result.append((ring().placed(target, facing, 2.0 * radii[-1], 2.0 * radii[-1]), TARGET))
+        return result
 
 
 def arm_frame(
-    model: Model,
-    state: Sequence[float] | Array,
-    target: Sequence[float] | Array | None = None,
-    size: tuple[int, int] = (480, 360),
+    model: Model, state: Vector, target: Vector | None = None, size: tuple[int, int] = (480, 360)
 ) -> NDArray[np.uint8]:
-    """Paints one picture (height, width, 3) of an arm; for many pictures keep a FramePainter.
+    """Paints one picture (height, width, 3) of an arm, as near as it fits; for many pictures keep a FramePainter.
 
     Args:
         model, size: as of a FramePainter.
         state, target: as of `FramePainter.paint`.
 
     Raises:
-        ImportError: without Matplotlib.
         ValueError: as of FramePainter and its `paint`.
     """
-    return FramePainter(model, size).paint(state, target)
+    painter = FramePainter(model, size)
+    points = curves(model, state, POINTS).positions.reshape(-1, 3)
+    if target is not None:
+        points = np.vstack([points, vector("target", target, 3, "m")])
+    return painter.paint(state, target, shot=painter.shot(points))
 
 
-def _camera() -> Array:
-    """Gives the directions right, up and towards the camera in the base frame, the rows of (3, 3)."""
-    across, along = np.cos(ELEVATION), np.sin(ELEVATION)
-    towards = np.array([across * np.cos(AZIMUTH), across * np.sin(AZIMUTH), along])
-    right = np.array([-np.sin(AZIMUTH), np.cos(AZIMUTH), 0.0])
-    return np.array([right, np.cross(towards, right), towards])
+def grid(frames: Sequence[NDArray[np.uint8]], across: int | None = None) -> NDArray[np.uint8]:
+    """Gives frames of one size side by side, in rows, as one picture.
+
+    Args:
+        frames: (height, width, 3) each, such as a vector environment renders.
+        across: frames in a row; None takes about as many as there are rows.
+
+    Raises:
+        ValueError: for no frames, and for frames of different sizes.
+    """
+    if not len(frames) or len({each.shape for each in frames}) > 1:
+        raise refusal("frames", [each.shape for each in frames], "at least one, all of one size")
+    across = across or int(np.ceil(np.sqrt(len(frames))))
+    down = -(-len(frames) // across)
+    height, width, _ = frames[0].shape
+    result = np.full((down * height, across * width, 3), 255, dtype=np.uint8)
+    for i, frame in enumerate(frames):
+        row, column = divmod(i, across)
+        result[row * height : (row + 1) * height, column * width : (column + 1) * width] = frame
+    return result
 
 
-def _round_number(value: float) -> float:
-    """Gives the least of 1, 2, 5, 10, ... times a power of ten that is not below a value > 0."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(next(power * step for step in (1, 2, 5, 10) if power * step >= value))
+def _strain_scale(model: Model) -> float:
+    """Gives a round strain about as large as motors cause: that of half a torque limit in the link it turns.
+
+    Where no joint says a limit, it is that of a tip force that bends a link by a small part of its length.
+    """
+    result = []
+    for link, joint in zip(model.arm.links, model.arm.joints, strict=True):
+        section = link.sections[0]
+        moment = min(section.second_moment_y, section.second_moment_z)
+        known = section.outline
+        radius = np.sqrt(3.0 * moment / section.area) if known is None else min(known.y, known.z) / 2
+        bent = 3 * BENT / link.length
+        if joint.torque_limit:
+            bent = 0.5 * joint.torque_limit / (section.youngs_modulus * moment)
+        result.append(float(radius * bent))
+    return round_number(max(result))

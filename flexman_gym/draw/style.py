@@ -2,10 +2,25 @@
 
 from typing import Any
 
+import numpy as np
+
+from flexman_gym.arrays import Array
+
 # Colours that people who cannot tell red from green can tell apart (Okabe and Ito).
 BLUE, ORANGE, GREEN, SKY, YELLOW, RED = "#0072B2", "#E69F00", "#009E73", "#56B4E9", "#F0E442", "#D55E00"
 LINK_COLOURS = (BLUE, ORANGE, GREEN, SKY, YELLOW, RED)
 DARK, MIDDLE, LIGHT = "#222222", "#8a8f98", "#d5d8dd"
+
+
+def rgb(colour: str) -> Array:
+    """Gives red, green and blue (3,) from 0 to 255 of a colour such as "#0072b2"."""
+    return np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)], dtype=float)
+
+
+def round_number(value: float) -> float:
+    """Gives the least of 1, 2, 5, 10, ... times a power of ten that is not below a value > 0."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(next(power * step for step in (1, 2, 5, 10) if power * step >= value))
 
 
 def new_figure(inches: tuple[float, float], dpi: float, **options: Any) -> Any:

@@ -1,270 +1,226 @@
-"""Draw: the lines of an arm end where the simulator puts its tip, and pictures show what they are given."""
+"""Frames: what is in them lies where a camera sees it, has the colours of its strain, and is the same again."""
 
+import subprocess
 import sys
 
 import numpy as np
 import pytest
-from matplotlib.image import imread
 
-from flexman_gym.draw import frames
-from flexman_gym.draw.figures import paper_figures
-from flexman_gym.draw.frames import AZIMUTH, DISTANCE, ELEVATION, FramePainter, arm_frame, arm_lines
-from flexman_gym.draw.style import BLUE, LIGHT, ORANGE, RED
-from flexman_gym.model.model import build_model
-from flexman_gym.scene import catalog
-from flexman_gym.scene.arm import Arm, Joint
-from flexman_gym.scene.choice import ModelChoice
-from flexman_gym.scene.drive import ConstantTorque
-from flexman_gym.scene.scene import Initial, Scene
-from flexman_gym.simulation.scenes import simulate
-from flexman_gym.simulation.simulator import Simulator
+import flexman_gym as fm
+from flexman_gym.draw.frames import GHOST, GHOST_SHARE, TARGET, TIP, FramePainter, arm_frame, grid
+from flexman_gym.draw.mesh import cylinder, outlines, ring, sphere, tube_faces, tubes
+from flexman_gym.draw.overlay import Caption, strain_colours, words
+from flexman_gym.draw.style import rgb
 
-ARM = catalog.paper_rrr()
-ANGLES = (0.4, 0.5, -0.8)
-SHADOW, GHOST = "#c9ccd2", "#6b7280"
-
-
-def trajectory(flexible_links, flexible_joints, output_step=0.01, arm=ARM):
-    n = arm.n_joints
-    choice = ModelChoice(flexible_links, 1, flexible_joints=flexible_joints)
-    start = Initial((0.0,) * n, (0.0,) * n)
-    return simulate(Scene(arm, choice, ConstantTorque((400.0,) * n), start, 0.05, output_step), method="rk4", step=1e-5)
+ARM = fm.catalog.paper_rrr()
+MODEL = fm.build_model(ARM, modes=4)
+BENT = MODEL.initial_state((0.4, 0.5, -0.8))
+BENT[MODEL.elastic_columns(1)] = 2.0
+TARGET_AT = (5.0, 1.0, 2.0)
+ONE = fm.build_model(fm.catalog.one_link())
 
 
 @pytest.fixture(scope="module")
-def cases():
-    return [trajectory(False, False), trajectory(True, False), trajectory(True, True)]
+def painter():
+    return FramePainter(MODEL, (320, 240), overlays=False)
 
 
-@pytest.mark.parametrize("modes", [None, 4, 0])
-@pytest.mark.parametrize("elements", [1, 3])
-@pytest.mark.parametrize("stiffening", [False, True])
-def test_the_lines_of_a_deformed_arm_end_at_its_tip(stiffening, elements, modes):
-    model = build_model(ARM, elements=elements, modes=modes, stiffening=stiffening)
-    simulator = Simulator(model)
-    state = simulator.state.copy()
-    state[: model.n_dof] = np.random.default_rng(1).normal(0.0, 0.1, model.n_dof)
-    simulator.reset(state=state)
-    lines = arm_lines(model, state)
-    assert np.allclose(lines[-1, -1], simulator.tip, rtol=0.0, atol=1e-12)
-    assert np.array_equal(lines[1:, 0], lines[:-1, -1])
+def hue(picture, place, colour, radius=2):
+    """How near to a hue the pixels around a column and a row are, as a cosine of colours less their grey."""
+    column, row = np.rint(place).astype(int)
+    part = (
+        picture[row - radius : row + radius + 1, column - radius : column + radius + 1].astype(float).mean(axis=(0, 1))
+    )
+    one, other = part - part.mean(), rgb(colour) - rgb(colour).mean()
+    return one @ other / (np.linalg.norm(one) * np.linalg.norm(other) + 1e-9)
 
 
-def test_the_lines_follow_a_simulation(cases):
-    model = build_model(ARM, elements=1)
-    for state, tip in zip(cases[2].states, cases[2].tip, strict=True):
-        assert np.allclose(arm_lines(model, state)[-1, -1], tip, rtol=0.0, atol=1e-12)
+def force(load, model=ONE):
+    """The state of a clamped link under forces and moments (6,) at its tip."""
+    columns, state = model.elastic_columns(0), np.zeros(2 * model.n_dof)
+    inner = fm.stiffness_matrix(model)[columns, columns]
+    state[columns] = np.linalg.solve(inner, model.bases[0][-6:].T @ np.array(load))
+    return state
 
 
-@pytest.mark.parametrize("flexible", [True, False, (False, True, False)])
-def test_the_lines_of_an_undeformed_arm_are_straight(flexible):
-    model = build_model(ARM, flexible_links=flexible)
-    points = 7
-    lines = arm_lines(model, model.initial_state(ANGLES), points)
-    assert lines.shape == (3, points, 3)
-    for line, link in zip(lines, ARM.links, strict=True):
-        along = np.linspace(0.0, 1.0, points)[:, None]
-        assert np.allclose(line, line[0] + along * (line[-1] - line[0]), rtol=0.0, atol=1e-13)
-        assert np.linalg.norm(line[-1] - line[0]) == pytest.approx(link.length, rel=1e-13)
+def test_a_frame_has_its_size_and_is_the_same_from_another_painter_and_after_others(painter):
+    shot = painter.shot()
+    first = painter.paint(BENT, TARGET_AT, shot=shot)
+    assert (
+        first.shape == (240, 320, 3) and first.dtype == np.uint8 and len(np.unique(first.reshape(-1, 3), axis=0)) > 99
+    )
+    kept = first.copy()
+    for state, target in ((BENT, None), (MODEL.initial_state((0.0, 0.0, 0.0)), TARGET_AT)):
+        assert (painter.paint(state, target) != first).any()
+    painter.paint(BENT, shot=painter.shot([TARGET_AT]))
+    assert np.array_equal(first, kept), "a later frame wrote into an earlier one"
+    assert np.array_equal(painter.paint(BENT, TARGET_AT, shot=shot), first)
+    other = FramePainter(MODEL, (320, 240), overlays=False)
+    assert np.array_equal(other.paint(BENT, TARGET_AT), first), "all that it can reach, as above"
 
 
-def test_a_tip_load_bends_a_link_into_the_cubic_of_a_cantilever():
-    """w(x) = w(L) (3 (x/L)^2 - (x/L)^3) / 2, on a mesh of any number of elements."""
-    arm = catalog.one_link()
-    model = build_model(arm, elements=3)
-    stiffness = model.constants.stiffness[: 18 * 18].reshape(18, 18)
-    load = np.zeros(18)
-    load[13] = 1.0  # v of the last node
-    state = model.initial_state([0.0])
-    state[model.elastic_columns(0)] = np.linalg.solve(stiffness, load)
-    x, y, z = arm_lines(model, state, points=20)[0].T
-    link, along = arm.links[0], np.linspace(0.0, 1.0, 20)
-    sag = link.length**3 / (3.0 * link.youngs_modulus * link.second_moment_z)
-    assert np.allclose(y, sag * (3.0 * along**2 - along**3) / 2.0, rtol=1e-9, atol=0.0)
-    assert np.allclose(x, link.length * along) and np.allclose(z, 0.0)
+def test_target_tip_and_ghost_are_where_a_pinhole_sees_them(painter):
+    shot = painter.shot()
+    picture, empty = painter.paint(BENT, TARGET_AT, shot=shot), shot.plain
+    assert hue(picture, shot.camera.project(np.array(TARGET_AT)), TARGET) > 0.95
+    tip = shot.camera.project(fm.curves(MODEL, BENT, 2).positions[-1, -1])
+    assert picture[tuple(np.rint(tip[::-1]).astype(int))].mean() < 2.5 * rgb(TIP).mean() < empty.min()
+    ghost = fm.curves(MODEL, MODEL.initial_state((0.4, 0.5, -0.8)), 9).positions[1, 4]
+    column, row = np.rint(shot.camera.project(ghost)).astype(int)
+    patch = slice(row - 2, row + 3), slice(column - 2, column + 3)
+    full = empty[patch] + GHOST_SHARE * (rgb(GHOST) - empty[patch])
+    assert np.abs(picture[patch] - full).max(axis=2).min() < 2.0, "a pixel that the ghost covers wholly"
 
 
-def test_a_bent_link_that_shortens_keeps_its_length_all_the_way_along_the_line():
-    """Its points stay as far apart as they were, to the fourth order of the slope."""
-    model, points = build_model(catalog.one_link(), elements=3, modes=1, stiffening=True), 200
-    state = model.initial_state([0.0])
-    state[model.elastic_columns(0)] = 1.0
-    state[model.elastic_columns(0)] = 0.1 * model.constants.length[0] / arm_lines(model, state)[0, -1, 1]
-    (line,) = arm_lines(model, state, points)
-    apart = np.linalg.norm(np.diff(line, axis=0), axis=1) * (points - 1) / model.constants.length[0]
-    assert abs(line[-1, 1]) > 0.09 * model.constants.length[0] and apart == pytest.approx(1.0, abs=1e-3)
+@pytest.mark.parametrize("gain", [1.0, 3.0])
+def test_the_tip_is_drawn_where_the_gain_puts_it(gain):
+    painter = FramePainter(MODEL, (320, 240), gain=gain, overlays=False)
+    shot = painter.shot()
+    picture, there = painter.paint(BENT, shot=shot), fm.curves(MODEL, BENT, 2, gain).positions[-1, -1]
+    column, row = np.rint(shot.camera.project(there)).astype(int)
+    assert picture[row, column].mean() < 90.0
+    other = shot.camera.project(fm.curves(MODEL, BENT, 2, gain**2 + 1.0).positions[-1, -1])
+    assert np.linalg.norm(other - (column, row)) > 8, "far enough apart to tell"
+    column, row = np.rint(other).astype(int)
+    assert picture[row, column].mean() > 120.0
+
+
+def test_the_axes_of_the_base_point_right_away_and_up(painter):
+    camera = painter.shot().camera
+    origin, x, y, z = camera.project(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]))
+    assert x[0] > origin[0] and y[0] > origin[0] and y[1] < origin[1] and z[1] < origin[1] - 1
+    assert z[0] == pytest.approx(origin[0], abs=1.0)
+    centre, seen = np.array([3.0, -2.0, 1.0]), camera.axes @ (np.array([3.0, -2.0, 1.0]) - camera.eye)
+    assert camera.project(centre) == pytest.approx(camera.lens[1:] + camera.lens[0] * seen[:2] / seen[2] * (1, -1))
+    assert np.linalg.det(camera.axes) == pytest.approx(-1.0), "right, up and forward are left-handed"
 
 
 @pytest.mark.parametrize("size", [(480, 360), (333, 217), (200, 500)])
-def test_a_frame_has_the_size_asked_for_and_is_not_blank(size):
-    model = build_model(ARM, modes=2)
-    frame = arm_frame(model, model.initial_state(ANGLES), (5.0, 1.0, 2.0), size)
-    assert frame.shape == (size[1], size[0], 3) and frame.dtype == np.uint8
-    assert len(np.unique(frame.reshape(-1, 3), axis=0)) > 20
+def test_all_points_are_between_the_edges_and_two_of_them_touch(size):
+    points = np.random.default_rng(0).normal(size=(40, 3)) * (3.0, 1.0, 2.0)
+    painter = FramePainter(MODEL, size, (30.0, 20.0), overlays=False)
+    camera, floor = painter.camera(points)
+    parts = camera.project(np.vstack([points, np.zeros(3), [0.0, 0.0, floor]])) / size
+    assert floor < points[:, 2].min() and (parts > 0.06 - 1e-9).all() and (parts < 0.94 + 1e-9).all()
+    assert ((parts.min(axis=0) < 0.065) & (parts.max(axis=0) > 0.935)).any()
+    nearer = painter.camera(points)[0].eye, FramePainter(MODEL, size, (30.0, 20.0, 2.0)).camera(points)[0].eye
+    assert np.linalg.norm(nearer[1] - points.mean(axis=0)) < 0.7 * np.linalg.norm(nearer[0] - points.mean(axis=0))
 
 
-def test_a_painter_shows_state_and_target_and_forgets_the_last_frame():
-    model = build_model(ARM, modes=2)
-    painter = FramePainter(model)
-    straight, raised = model.initial_state((0.0, 0.0, 0.0)), model.initial_state(ANGLES)
-    bent = straight.copy()
-    bent[model.elastic_columns(1)] = 0.5
-    first = painter.paint(straight)
-    kept = first.copy()
-    for other in (painter.paint(raised), painter.paint(bent), painter.paint(straight, (5.0, 1.0, 2.0))):
-        assert (other != first).any()
-    assert np.array_equal(first, kept), "a later frame wrote into an earlier one"
-    assert np.array_equal(painter.paint(straight), first)
+# Surfaces and their colours
 
 
-def test_nothing_of_the_arm_is_cut_off_above_the_ground():
-    """A border of the picture stays white, but for the note in the corner, wherever the arm points."""
-    model = build_model(ARM, modes=0)
-    painter = FramePainter(model)
-    for turn in np.linspace(0.0, 2 * np.pi, 9):
-        for angles in ((turn, 0.0, 0.0), (turn, np.pi / 2, 0.0), (turn, np.pi / 4, 0.0)):
-            frame = painter.paint(model.initial_state(angles))
-            assert (frame[:3] == 255).all() and (frame[:, :3] == 255).all() and (frame[:, -3:] == 255).all()
+def test_surfaces_are_closed_and_point_outwards():
+    straight = fm.curves(ONE, np.zeros(2 * ONE.n_dof), 5)
+    links = (*tubes(straight, outlines(ONE, 5))[:2], tube_faces(1, 5))
+    for points, normals, faces in (links, cylinder(), sphere(), ring()):
+        a, b, c = (points[faces[:, k]] for k in range(3))
+        across = np.cross(b - a, c - a)
+        assert (a * across).sum() / 6 > 0.0 and np.allclose(across.sum(axis=0), 0.0, atol=1e-12), "a volume, no hole"
+        outward = np.linalg.norm(across, axis=1) > 1e-9
+        smooth = normals[faces[outward]].sum(axis=1)
+        assert (np.sign((smooth * across[outward]).sum(axis=1)) >= 0).mean() > 0.95
 
 
-def test_bad_input_is_refused_in_one_line():
-    model = build_model(ARM, modes=0)
-    state = model.initial_state(ANGLES)
-    painter = FramePainter(model)
+def test_sections_turn_with_the_twist_and_show_the_strain_of_bending():
+    """-y v'' + z (-w'') at the true edge of the section, and y turns towards z under a positive moment."""
+    sections, link = outlines(ONE, 5), fm.catalog.one_link().links[0]
+    state = force([0.0, 7.0, 0.0, 0.0, 0.0, 0.0])
+    points, _, strain = tubes(fm.curves(ONE, state, 5), sections)
+    edge = np.abs(sections[0].gauges[..., 0]).max()
+    expected = 7.0 * link.length * edge / (link.youngs_modulus * link.second_moment_z)
+    root = strain.reshape(5, -1)[0]
+    assert root.max() == pytest.approx(expected) and root.min() == pytest.approx(-expected)
+    assert points.reshape(5, -1, 3)[0, root.argmin(), 1] > 0.0, "bent to +y, compressed there"
+    twisted, _, _ = tubes(fm.curves(ONE, force([0, 0, 0, 30.0, 0, 0]), 5, 20.0), sections)
+    first, last = twisted.reshape(5, -1, 3)[[0, -1], :, 1:]
+    assert (first[:, 0] * last[:, 1] - first[:, 1] * last[:, 0] > 0.0).all(), "counter-clockwise about +x"
+
+
+def test_colours_run_from_blue_over_grey_to_red_with_the_scale_at_their_ends():
+    ends = strain_colours(np.array([-2.0, -1.0, 0.0, 1.0, 2.0]))
+    assert np.array_equal(ends[0], ends[1]) and np.array_equal(ends[3], ends[4])
+    assert ends[1, 2] > 180 > ends[1, 0] and ends[3, 0] > 180 > ends[3, 2] and np.ptp(ends[2]) < 10
+    half = strain_colours(np.array([0.5]))[0]
+    assert half == pytest.approx((ends[2] + ends[3]) / 2)
+
+
+@pytest.mark.parametrize(("sign", "colour"), [(1.0, "#c0202c"), (-1.0, "#2f57c8")])
+def test_the_side_that_is_stretched_is_red(sign, colour):
+    """From in front the side at -y is seen: a force to +y stretches it; at the scale the colour is full."""
+    painter = FramePainter(ONE, (320, 240), (-90.0, 0.0), overlays=False)
+    link, edge = fm.catalog.one_link().links[0], np.abs(outlines(ONE, 2)[0].gauges[..., 0]).max()
+    load = painter.scale * link.youngs_modulus * link.second_moment_z / (edge * link.length)
+    state, shot = force([0.0, sign * load, 0.0, 0.0, 0.0, 0.0]), painter.shot()
+    picture = painter.paint(state, shot=shot)
+    root, tip = shot.camera.project(fm.curves(ONE, state, 9).positions[0, [2, 7]])
+    assert hue(picture, root, colour, 1) > 0.97
+    strong, weak = (np.ptp(picture[tuple(np.rint(place[::-1]).astype(int))].astype(float)) for place in (root, tip))
+    assert strong > 30.0 and strong > 2.0 * weak, "less strain towards the tip"
+
+
+def test_a_shadow_lies_on_the_floor_and_the_arm_over_it(painter):
+    shot = painter.shot()
+    flat, up = (painter.paint(MODEL.initial_state(angles), shot=shot) for angles in ((0.0, 0.0, 0.0), (0.0, 1.4, 0.0)))
+    darker = [(frame.astype(int) - shot.plain).sum(axis=2) < -30 for frame in (flat, up)]
+    assert darker[0].sum() > 500 and (darker[0] != darker[1]).sum() > 300
+
+
+# Numbers over the picture
+
+
+def test_overlays_say_time_error_torques_and_a_gain_and_can_be_left_out():
+    plain, spoken = (FramePainter(MODEL, (320, 240), None, 2.0, overlays) for overlays in (False, True))
+    shot = spoken.shot()
+    assert np.array_equal(plain.paint(BENT, shot=shot), plain.paint(BENT, caption=Caption("a", 1.0, 0.1), shot=shot))
+    bare = spoken.paint(BENT, shot=shot)
+    for caption in (Caption("title"), Caption(time=1.0), Caption(error=0.01), Caption(reward=0.5)):
+        changed = (spoken.paint(BENT, caption=caption, shot=shot) != bare).any(axis=2)
+        assert changed.any() and not changed[60:].any(), "above"
+    up, down = (spoken.paint(BENT, caption=Caption(torques=np.array([t, 0, 0])), shot=shot) for t in (0.9, -0.9))
+    rows = np.flatnonzero((up != down).any(axis=(1, 2)))
+    assert rows.min() > 120 and (up != down).any(axis=(0, 2)).nonzero()[0].min() > 200, "below, at the right"
+    assert (bare != FramePainter(MODEL, (320, 240)).paint(spoken.model.initial_state(np.zeros(3)), shot=shot)).any()
+
+
+def test_letters_have_shapes_and_unknown_ones_are_question_marks():
+    assert words("8", 12).max() == 1.0 and words("ab", 12).shape[1] > words("a", 12).shape[1]
+    assert np.array_equal(words("\N{SNOWMAN}", 12), words("?", 12)) and words("", 12).shape[1] == 0
+
+
+def test_a_grid_has_every_frame_in_its_place():
+    frames = [np.full((4, 6, 3), value, dtype=np.uint8) for value in range(5)]
+    result = grid(frames)
+    assert result.shape == (8, 18, 3)
+    assert result[0, ::6, 0].tolist() == [0, 1, 2] and result[4, ::6, 0].tolist() == [3, 4, 255]
+    for wrong in ([], [frames[0], frames[0][1:]]):
+        with pytest.raises(ValueError, match=r"^frames: "):
+            grid(wrong)
+
+
+def test_frames_need_no_matplotlib():
+    script = "import sys; sys.modules['matplotlib'] = sys.modules['PIL'] = None\n" \
+             "import flexman_gym as fm; m = fm.build_model(fm.catalog.one_link())\n" \
+             "print(fm.draw.arm_frame(m, m.initial_state([0.1])).shape)"  # fmt: skip
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "(360, 480, 3)"
+
+
+def test_bad_input_is_refused_in_one_line(painter):
     for field, attempt in {
-        "state": lambda: painter.paint(state[:-1]),
-        "state[0]": lambda: painter.paint(np.full(len(state), np.nan)),
-        "target": lambda: painter.paint(state, (1.0, 2.0)),
-        "points": lambda: arm_lines(model, state, 1),
-        "size": lambda: FramePainter(model, 480),
-        "size[1]": lambda: FramePainter(model, (480, 0)),
+        "state": lambda: painter.paint(BENT[:-1]),
+        "state[0]": lambda: painter.paint(np.full(len(BENT), np.nan)),
+        "target": lambda: painter.paint(BENT, (1.0, 2.0)),
+        "trail": lambda: painter.paint(BENT, trail=np.zeros((4, 2))),
+        "size": lambda: FramePainter(MODEL, 480),
+        "size[1]": lambda: FramePainter(MODEL, (480, 0)),
+        "camera": lambda: FramePainter(MODEL, camera=(1.0,)),
+        "camera[1]": lambda: FramePainter(MODEL, camera=(1.0, 90.0)),
+        "camera[2]": lambda: FramePainter(MODEL, camera=(1.0, 80.0, 0.0)),
+        "gain": lambda: FramePainter(MODEL, gain=-1.0),
+        "overlays": lambda: FramePainter(MODEL, overlays=1),
+        "model": lambda: arm_frame(ARM, BENT),
     }.items():
         with pytest.raises(ValueError) as error:
             attempt()
         assert str(error.value).startswith(f"{field}: ") and "\n" not in str(error.value)
-
-
-def test_paper_figures_are_written(cases, tmp_path):
-    paths = paper_figures(*cases, tmp_path / "new" / "folder")
-    assert [path.name for path in paths] == [f"figure_{i:02d}.png" for i in range(6, 12)] + ["paper_figures.png"]
-    for path in paths:
-        picture = imread(path)
-        assert min(picture.shape[:2]) > 300 and len(np.unique(picture)) > 20
-
-
-def test_paper_figures_refuse_what_does_not_fit_together(cases, tmp_path):
-    rigid, links, both = cases
-    with pytest.raises(ValueError, match=r"^flexible_both\.time: .*output times of the rigid case$"):
-        paper_figures(rigid, links, trajectory(True, True, output_step=0.025), tmp_path)
-    planar = trajectory(False, False, arm=catalog.planar_2r())
-    with pytest.raises(ValueError, match=r"^flexible_links\.joint_angles: .*; give 3 joints"):
-        paper_figures(planar, links, both, tmp_path)
-    assert not list(tmp_path.iterdir())
-
-
-def test_without_matplotlib_one_line_names_the_extra(cases, monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    for attempt in (lambda: FramePainter(build_model(ARM, modes=0)), lambda: paper_figures(*cases, tmp_path)):
-        with pytest.raises(ImportError, match=r"^pictures need Matplotlib: pip install 'flexman_gym\[render\]'$"):
-            attempt()
-
-
-# What is seen
-
-
-def of_colour(frame, text):
-    """Where a frame (height, width, 3) has exactly a colour such as "#0072b2"."""
-    return (frame == [int(text[i : i + 2], 16) for i in (1, 3, 5)]).all(axis=2)
-
-
-def folded(angle):
-    """A frame of two links in one plane with the camera: the first to the right, the second turned by an angle."""
-    link, right = catalog.one_link().links[0], np.array([-np.sin(AZIMUTH), np.cos(AZIMUTH), 0.0])
-    along, across = np.cos(ELEVATION) * np.cos(AZIMUTH), np.cos(ELEVATION) * np.sin(AZIMUTH)
-    towards = np.array([along, across, np.sin(ELEVATION)])
-    first = np.array([right, [-right[1], right[0], 0.0], [0.0, 0.0, 1.0]])  # axes of the first link, as rows
-    arm = Arm([link, link], [Joint((0.0, 0.0, 1.0), 1.0), Joint(first @ np.cross(right, towards), 1.0)])
-    model = build_model(arm, flexible_links=False)
-    return arm_frame(model, model.initial_state((np.arctan2(right[1], right[0]), angle)))
-
-
-@pytest.mark.parametrize(("angle", "above", "below"), [(np.pi - 0.4, ORANGE, BLUE), (0.4 - np.pi, BLUE, ORANGE)])
-def test_where_two_links_overlap_the_nearer_one_is_on_top(angle, above, below):
-    """The second, orange one comes back over the first, blue one, nearer to the camera or farther from it."""
-    frame = folded(angle)
-    assert of_colour(frame, above).sum() > 300 > 30 > of_colour(frame, below).sum()
-
-
-def test_the_shadow_lies_on_the_ground_below_the_arm():
-    """That of a raised link lies where a lying one would, as long as the cosine says; one that points up has none."""
-    model = build_model(catalog.one_link((0.0, -1.0, 0.0)), flexible_links=False)
-    flat, raised, upright = (arm_frame(model, model.initial_state((angle,))) for angle in (0.0, 1.0, np.pi / 2))
-    shadow, lying = of_colour(raised, SHADOW), (flat != upright).any(axis=2)
-    assert shadow.sum() > 200 and not (shadow & ~lying).any()
-    columns, whole = np.flatnonzero(shadow.any(axis=0)), np.flatnonzero(of_colour(flat, BLUE).any(axis=0))
-    assert np.ptp(columns) == pytest.approx(np.cos(1.0) * np.ptp(whole), rel=0.15), "seen from somewhat nearer"
-    link = np.argwhere(of_colour(raised, BLUE))
-    assert link[link[:, 1] == columns[-1], 0].max() < np.flatnonzero(shadow[:, columns[-1]]).min(), "the link is above"
-    assert not of_colour(upright, SHADOW).any()
-
-
-def seen(places, reach):
-    """Where rays from a camera to places (p, 3) go through the plane of the base that the camera looks at."""
-    right, along = np.array([-np.sin(AZIMUTH), np.cos(AZIMUTH), 0.0]), np.array([np.cos(AZIMUTH), np.sin(AZIMUTH), 0.0])
-    towards = np.cos(ELEVATION) * along + np.sin(ELEVATION) * np.array([0.0, 0.0, 1.0])
-    camera = DISTANCE * reach * towards
-    rays = np.asarray(places) - camera
-    hits = camera - rays * (DISTANCE * reach / (rays @ towards))[:, None]
-    return np.column_stack([hits @ right, hits @ np.cross(towards, right)])
-
-
-@pytest.fixture
-def axes(monkeypatch):
-    """Gives the axes of a painter."""
-    made, new_figure = [], frames.new_figure
-    monkeypatch.setattr(frames, "new_figure", lambda *given: made.append(new_figure(*given)) or made[-1])
-
-    def painted(*given):
-        FramePainter(build_model(ARM, modes=1)).paint(*given)
-        return made[-1].axes[0]
-
-    return painted
-
-
-def curves(axes, colour):
-    """What the lines without markers of a colour show, in the order in which they were drawn."""
-    lines = [line for line in axes.get_lines() if line.get_color() == colour and line.get_marker() == "None"]
-    return [np.column_stack(line.get_data()) for line in lines]
-
-
-def test_the_thin_line_is_the_rigid_arm_at_the_motor_angles_as_a_camera_sees_it(axes):
-    """Joints are elsewhere, as far as springs are wound up."""
-    model = build_model(ARM, modes=1)
-    state = model.initial_state((0.0, 0.0, 0.0))
-    state[model.motor_columns] = ANGLES
-    places = arm_lines(model, model.initial_state(ANGLES), points=2).reshape(-1, 3)
-    (result,) = curves(axes(state), GHOST)
-    assert result == pytest.approx(seen(places, model.constants.length.sum()), abs=1e-9)
-
-
-def test_a_line_hangs_from_the_target_to_the_ground_below_it(axes):
-    model = build_model(ARM, modes=1)
-    result = curves(axes(model.initial_state(ANGLES), (3.0, 1.0, 2.0)), RED)[0]
-    assert result == pytest.approx(seen([(3.0, 1.0, 2.0), (3.0, 1.0, 0.0)], model.constants.length.sum()), abs=1e-9)
-
-
-def test_circles_and_axes_are_where_the_picture_says(axes):
-    model = build_model(ARM, modes=1)
-    reach, result = model.constants.length.sum(), axes(model.initial_state(ANGLES))
-    said = {text.get_text(): np.array(text.get_position()) for text in result.texts}
-    (note,) = (text for text in said if text.startswith("circles every "))
-    radii = float(note.split()[2]) * np.arange(1, 10)
-    radii = radii[radii < reach]
-    drawn = curves(result, LIGHT)
-    assert len(drawn) == len(radii) + 2 > 4
-    for radius, circle in zip(radii, drawn, strict=False):
-        turn = np.linspace(0.0, 2 * np.pi, len(circle))
-        places = radius * np.column_stack([np.cos(turn), np.sin(turn), 0.0 * turn])
-        assert circle == pytest.approx(seen(places, reach), abs=1e-9)
-    ends = seen([(reach, 0.0, 0.0), (0.0, reach, 0.0)], reach)
-    assert [np.linalg.norm(ends - said[name], axis=1).argmin() for name in "xy"] == [0, 1]

@@ -1,0 +1,143 @@
+"""Overlay: numbers, bars and a scale of colours that are written over a frame."""
+
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexman_gym.arrays import Array
+from flexman_gym.draw.style import LINK_COLOURS, rgb
+
+GLYPHS = Path(__file__).parent / "glyphs.npz"  # of scripts/glyphs.py
+SIZES = (10, 12, 14, 18, 24, 32)  # pixels of the letters there are
+TIMES = "\N{MULTIPLICATION SIGN}"
+INK, SOFT, WARNING = "#1f2937", "#6b7280", "#b91c1c"
+Picture = NDArray[np.uint8]
+
+
+class Caption(NamedTuple):
+    """What a frame says of its moment; what is None or "" is left out.
+
+    Attributes:
+        title: of the picture.
+        time: s.
+        error: distance of tip and target, m.
+        reward: of the last step.
+        torques: (n,) what the motors were asked for, parts of their limits.
+    """
+
+    title: str = ""
+    time: float | None = None
+    error: float | None = None
+    reward: float | None = None
+    torques: Array | None = None
+
+
+@lru_cache(maxsize=len(SIZES))
+def _font(size: int) -> tuple[dict[str, int], NDArray[np.uint8], list[int]]:
+    with np.load(GLYPHS) as data:
+        letters = {chr(letter): place for place, letter in enumerate(data["letters"].tolist())}
+        return letters, data[f"shape_{size}"], data[f"start_{size}"].tolist()
+
+
+@lru_cache(maxsize=256)
+def words(text: str, size: int) -> NDArray[np.float32]:
+    """Gives how much of each pixel (h, w) letters of a size cover, from 0 to 1; a letter without a shape is a "?"."""
+    letters, shapes, starts = _font(size)
+    places = [letters.get(letter, letters["?"]) for letter in text]
+    parts = [shapes[:, starts[place] : starts[place + 1]] for place in places]
+    return np.concatenate([shapes[:, :0], *parts], axis=1).astype(np.float32) / np.float32(255.0)
+
+
+def letter_size(height: int) -> int:
+    """Gives the size of letters that a picture of so many rows takes."""
+    return max(size for size in SIZES if size <= max(height / 33.0, SIZES[0]))
+
+
+def write(picture: Picture, text: str, place: tuple[int, int], size: int, colour: str = INK) -> None:
+    """Writes text into a picture: its upper left corner at column and row, its right end there where column < 0."""
+    shape = words(text, size)
+    column, row = place
+    if column < 0:
+        column += picture.shape[1] - shape.shape[1]
+    top, left = max(-row, 0), max(-column, 0)
+    part = picture[max(row, 0) : max(row + shape.shape[0], 0), max(column, 0) : max(column + shape.shape[1], 0)]
+    blend(part, colour, shape[top : top + part.shape[0], left : left + part.shape[1], None])
+
+
+def blend(part: Picture, colour: str, share: "NDArray[np.float32] | float") -> None:
+    """Lays a colour over a part of a picture, by a share from 0 to 1."""
+    base = part.astype(np.float32)
+    part[:] = (base + np.float32(share) * (rgb(colour).astype(np.float32) - base) + np.float32(0.5)).astype(np.uint8)
+
+
+def box(picture: Picture, columns: tuple[int, int], rows: tuple[int, int], colour: str, share: float = 1.0) -> None:
+    """Fills a rectangle, its ends left out."""
+    blend(picture[rows[0] : rows[1], columns[0] : columns[1]], colour, share)
+
+
+def draw_caption(picture: Picture, caption: Caption, gain: float, scale: float, grid: float) -> None:
+    """Writes what a frame says: title, time and error above, strain and torques below, and a gain that is not 1.
+
+    Args:
+        picture: (height, width, 3), in place.
+        caption: what is known.
+        gain: of the deflection.
+        scale: strain at the ends of the colours; 0 for an arm that cannot bend.
+        grid: distance of the lines of the floor, m.
+    """
+    height, width = picture.shape[:2]
+    size, small = letter_size(height), letter_size(int(0.82 * height))
+    edge, line = size, round(1.45 * size)
+    if caption.title:
+        write(picture, caption.title, (edge, edge // 2), size)
+    row = edge // 2 + line * bool(caption.title)
+    error = "tip error {:.2f} m" if (caption.error or 0.0) >= 1.0 else "tip error {:.1f} mm"
+    known = (
+        (0.0, caption.time, "t {:.2f} s", 1.0),
+        (6.5, caption.error, error, 1e3 if error.endswith("mm") else 1.0),
+        (18.0, caption.reward, "reward {:.2f}", 1.0),
+    )
+    for column, value, form, factor in known:  # at places of their own, so that they stand still while numbers change
+        if value is not None:
+            write(picture, form.format(factor * value), (edge + round(column * small), row), small)
+    if gain != 1.0:
+        write(picture, f"deflection {TIMES} {gain:g}", (-edge, edge // 2), size, WARNING)
+    said = f"grid {grid:g} m"
+    if scale > 0.0:
+        unit, factor = ("µε", 1e6) if scale < 1e-3 else ("%", 1e2)
+        said = f"strain ±{factor * scale:g} {unit}   {said}"
+        _colour_bar(picture, (edge, height - edge), small)
+    write(picture, said, (edge, height - edge - max(small // 2, 5) - round(1.4 * small)), small)
+    if caption.torques is not None:
+        _bars(picture, caption.torques, (width - edge, height - edge), small)
+
+
+def _colour_bar(picture: Picture, place: tuple[int, int], size: int) -> None:
+    """Draws the scale of strain, its lower left corner at a place."""
+    column, row = place
+    wide, high = min(9 * size, picture.shape[1] - 2 * column), max(size // 2, 5)
+    share = np.linspace(-1.0, 1.0, wide)
+    picture[row - high : row, column : column + wide] = np.rint(strain_colours(share))
+
+
+def _bars(picture: Picture, torques: Array, place: tuple[int, int], size: int) -> None:
+    """Draws a bar for each motor from the middle up or down, the lower right corner at a place."""
+    wide, half, gap = size, round(2.3 * size), size // 2
+    column, middle = place[0] - len(torques) * (wide + gap) + gap, place[1] - half
+    write(picture, "torque / limit", (place[0] - picture.shape[1], middle - half - round(1.5 * size)), size)
+    for i, torque in enumerate(np.clip(torques, -1.0, 1.0)):
+        first = column + i * (wide + gap)
+        box(picture, (first, first + wide), (middle - half, middle + half), SOFT, 0.8)
+        box(picture, (first + 1, first + wide - 1), (middle - half + 1, middle + half - 1), "#ffffff", 0.9)
+        rows = sorted((middle, middle - round(half * torque)))
+        box(picture, (first + 1, first + wide - 1), (rows[0], rows[1]), LINK_COLOURS[i % len(LINK_COLOURS)])
+        box(picture, (first - 2, first + wide + 2), (middle, middle + 1), SOFT)
+
+
+def strain_colours(share: Array) -> Array:
+    """Gives colours (..., 3) from 0 to 255 of strains as parts of the scale: blue for -1, grey for 0, red for 1."""
+    ends = np.where(share[..., None] < 0.0, (47.0, 87.0, 200.0), (192.0, 32.0, 44.0))
+    return np.array([205.0, 208.0, 212.0]) + np.clip(np.abs(share), 0.0, 1.0)[..., None] * (ends - (205, 208, 212))

@@ -1,0 +1,41 @@
+"""Bundles the replay page: builds it from `scripts/web` with three.js and uPlot into the folder draw, or compares."""
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+WEB, DRAW = ROOT / "scripts" / "web", ROOT / "flexman_gym" / "draw"
+FILES = ("replay.js", "replay.css")
+
+
+def main() -> int:
+    """Reads the command line, builds, and writes or compares; returns the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing; tell what differs")
+    options = parser.parse_args()
+    if not (WEB / "node_modules").is_dir():
+        subprocess.run(["npm", "ci", "--no-audit", "--no-fund"], cwd=WEB, check=True)
+    with tempfile.TemporaryDirectory() as folder:
+        built = build(Path(folder))
+    if not options.check:
+        for name, content in built.items():
+            (DRAW / name).write_bytes(content)
+        return 0
+    different = [name for name, content in built.items() if (DRAW / name).read_bytes() != content]
+    print(f"different: {', '.join(different)}" if different else "as its sources say")
+    return int(bool(different))
+
+
+def build(folder: Path) -> dict[str, bytes]:
+    """Gives the files of the bundle, name -> content, with the licences of what is in them."""
+    command = ["node_modules/.bin/esbuild", "main.js", "--bundle", "--minify", "--legal-comments=eof", "--charset=utf8",
+               "--log-level=warning", f"--outfile={folder / FILES[0]}"]  # fmt: skip
+    subprocess.run(command, cwd=WEB, check=True)
+    return {name: (folder / name).read_bytes() for name in FILES}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

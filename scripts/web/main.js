@@ -1,0 +1,136 @@
+// Replay: the page of recorded episodes, or of one that goes on and comes by server-sent events.
+import './style.css';
+import { curves, memory, tip } from './kinematics.js';
+import { Plot } from './plots.js';
+import { Run, floats, readArm } from './runs.js';
+import { Stage, View } from './scene.js';
+
+const $ = id => document.getElementById(id), data = JSON.parse($('data').textContent);
+const arms = data.arms.map(readArm), runs = data.runs.map(run => new Run(run, arms[run.arm]));
+const show = { ghost: true, strain: true, trace: true };
+let time = 0, gain = 1, playing = false, speed = 1, dirty = true, views = [], stage = null, following = data.live;
+const last = () => Math.max(...runs.map(run => run.last));
+const lines = runs.length > 3 ? 2 : 1, columns = Math.ceil(runs.length / lines);
+
+try {
+  stage = new Stage($('gl'), data.stage);
+  views = runs.map(run => new View(run, data.stage));
+  stage.orbit.addEventListener('change', () => { dirty = true; });
+} catch (error) {
+  $('sorry').hidden = false;
+}
+
+const labels = runs.map(run => {
+  const label = document.createElement('div'), name = document.createElement('b'), said = document.createElement('span');
+  label.className = 'label';
+  label.style.borderColor = run.colour;
+  name.textContent = run.name;  // somebody's text, never HTML
+  label.append(name, said);
+  $('labels').append(label);
+  return { label, said };
+});
+
+const seek = t => { time = Math.min(last(), Math.max(0, t)); playing = following = false; pose(); };
+const millimetres = e => Number.isFinite(e) ? `tip error ${(1e3 * e).toPrecision(e < 1e-3 ? 2 : 4)} mm` : '';
+
+function pose() {
+  runs.forEach((run, k) => {
+    if (run.rows && views[k]) views[k].pose(Math.min(time, run.last), gain, show, data.stage.strain, stage.camera);
+    labels[k].said.textContent = [run.rows ? millimetres(run.at('error', 0, time)) : 'waiting', time > run.last ? run.note : ''].filter(Boolean).join(', ');
+  });
+  $('clock').textContent = time.toFixed(2) + ' s';
+  $('time').value = time;
+  if (!following) plots.forEach(plot => plot.mark(time));
+  dirty = true;
+}
+
+// Plots
+
+const times = () => Float64Array.from({ length: Math.max(...runs.map(run => run.rows)) }, (_, i) => i * runs[0].dt);
+const names = [...new Set(runs.flatMap(run => run.readings.map(each => each.name)))];
+const parts = [
+  () => runs.map(run => ({ name: run.name, colour: run.colour, number: 0, values: run.series('error', 0, 1e3) })),
+  () => runs.flatMap(run => run.arm.links.map((_, j) => ({ name: `${run.name} ${j + 1}`, colour: run.colour, number: j, values: run.series('torque', j) }))),
+  () => runs.flatMap(run => {
+    const chosen = $('reading').value, size = run.readings.find(each => each.name === chosen)?.size ?? 0;
+    return Array.from({ length: size }, (_, c) => ({ name: `${run.name} ${c + 1}`, colour: run.colour, number: c, values: run.reading(chosen, c) }));
+  }),
+];
+names.forEach(name => $('reading').append(new Option(name, name)));
+$('plot3').hidden = !names.length;
+const plots = [new Plot($('plot1'), 'tip error (mm)', seek, true), new Plot($('plot2'), 'torque / limit (joint 1 solid, 2 dashed, 3 dotted)', seek, false)];
+if (names.length) plots.push(new Plot($('plot3'), '', seek, false));
+const redraw = () => plots.forEach((plot, k) => plot.show(times(), parts[k]()));
+$('reading').onchange = () => { plots[2].show(times(), parts[2]()); plots[2].mark(time); };
+
+// Controls
+
+const said = () => { $('gaintext').textContent = gain === 1 ? 'true scale' : `deflection \u00d7 ${gain.toFixed(gain < 10 ? 1 : 0)}, dot: true tip`; };
+$('gain').oninput = event => { gain = 10 ** +event.target.value; if (Math.abs(gain - 1) < 0.03) gain = 1; said(); pose(); };
+$('time').oninput = event => seek(+event.target.value);
+$('play').onclick = () => {
+  if (data.live) { following = !following; return; }
+  playing = !playing;
+  if (playing && time >= last()) time = 0;
+};
+$('speed').onchange = event => { speed = +event.target.value; };
+for (const name in show) $(name).onchange = event => { show[name] = event.target.checked; pose(); };
+$('home').onclick = () => { stage?.reset(); };
+addEventListener('keydown', event => {
+  if (event.target.tagName === 'SELECT' || event.target.tagName === 'INPUT') return;
+  if (event.key === ' ') { event.preventDefault(); $('play').click(); }
+  const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+  if (step) { event.preventDefault(); seek(time + step * runs[0].dt); }
+});
+
+function layout() {
+  stage?.size(columns, lines);
+  labels.forEach(({ label }, k) => {
+    label.style.left = `calc(${100 * (k % columns) / columns}% + 12px)`;
+    label.style.top = `calc(${100 * Math.floor(k / columns) / lines}% + 10px)`;
+  });
+  $('time').max = last();
+  $('time').step = runs[0].dt / 4;
+  requestAnimationFrame(() => plots.forEach(plot => plot.resize()));
+  dirty = true;
+}
+
+// Live: a row after another, "begin" before a new episode
+
+if (data.live) {
+  const source = new EventSource('live');
+  source.addEventListener('begin', () => { runs[0].rows = 0; time = 0; });
+  source.onmessage = event => {
+    runs[0].add(floats(event.data));
+    if (following) { time = last(); $('time').max = time; pose(); }
+  };
+  source.onerror = () => { labels[0].said.textContent = 'the environment is closed'; };
+  setInterval(() => { if (following && runs[0].rows > 1) { plots.slice(0, 2).forEach((plot, k) => { plot.set(times(), parts[k]()); plot.mark(time); }); } }, 250);
+  $('speed').hidden = true;
+}
+
+redraw();
+said();
+layout();
+stage?.reset();
+pose();
+addEventListener('resize', layout);
+let before = performance.now();
+requestAnimationFrame(function loop(now) {
+  if (playing) {
+    time += speed * (now - before) / 1e3;
+    if (time >= last()) { time = last(); playing = false; }
+    pose();
+  }
+  before = now;
+  $('play').textContent = (data.live ? following : playing) ? '\u275a\u275a' : '\u25b6';
+  if (dirty && stage) { dirty = false; stage.draw(views, columns, lines); }
+  requestAnimationFrame(loop);
+});
+
+// For tests and for a console: tips in metres at the time that is shown.
+window.replay = {
+  seek, runs, rows: () => runs.map(run => run.rows),
+  tips: (g = 1) => runs.map(run => Array.from(tip(curves(run.arm, run.coordinates(time, new Float64Array(run.arm.width)), g, memory(run.arm))))),
+  drawn: () => views.map(view => view.tip.position.toArray()),
+};

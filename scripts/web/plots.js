@@ -1,0 +1,59 @@
+// Plots: numbers over time, where a click seeks.
+import uPlot from 'uplot';
+
+const DASHES = [[], [6, 3], [2, 3], [8, 3, 2, 3]];
+const LEAST = 1e-3;  // mm, what an axis of powers shows at least
+
+export class Plot {
+  constructor(element, title, seek, powers) {
+    Object.assign(this, { element, title, seek, powers, time: 0, head: element.querySelector('select')?.clientHeight ?? 0 });
+  }
+
+  // Shows lines: name, colour, number (for its dashes) and values, over times.
+  show(times, lines) {
+    this.u?.destroy();
+    const mark = u => {
+      const x = u.valToPos(this.time, 'x', true), c = u.ctx;
+      c.save();
+      c.setLineDash([]);  // the last line leaves its own
+      c.strokeStyle = '#111827';
+      c.lineWidth = devicePixelRatio;
+      c.beginPath();
+      c.moveTo(x, u.bbox.top);
+      c.lineTo(x, u.bbox.top + u.bbox.height);
+      c.stroke();
+      c.restore();
+    };
+    const small = lines.length > 4;
+    const series = lines.map(l => ({ label: l.name, stroke: l.colour, width: 1.4, dash: DASHES[l.number % DASHES.length], points: { show: false } }));
+    const limits = { x: { time: false }, y: this.powers ? { distr: 3 } : {} };
+    this.u = new uPlot({ title: this.title, ...this.room(), legend: { show: !small, live: false }, cursor: { drag: { x: false, y: false } },
+      scales: limits, axes: [{ size: 30 }, { size: 58 }], series: [{ label: 'time' }, ...series], hooks: { draw: [mark] } },
+    this.data(times, lines), this.element);
+    this.u.over.addEventListener('pointerdown', event => {
+      const go = e => this.seek(this.u.posToVal(e.clientX - this.u.over.getBoundingClientRect().left, 'x'));
+      const stop = () => { removeEventListener('pointermove', go); removeEventListener('pointerup', stop); };
+      go(event);
+      addEventListener('pointermove', go);
+      addEventListener('pointerup', stop);
+    });
+    requestAnimationFrame(() => this.resize());  // before, the legend is not laid out
+  }
+
+  data(times, lines) { return [times, ...lines.map(l => this.powers ? l.values.map(v => v === null ? null : Math.max(v, LEAST)) : l.values)]; }
+
+  set(times, lines) { this.u.setData(this.data(times, lines)); }
+
+  // uPlot takes numbers; title and legend come on top of its height.
+  room() { return { width: Math.max(this.element.clientWidth, 50), height: Math.max(this.element.clientHeight - this.head - 40, 50) }; }
+
+  resize() {
+    const legend = this.element.querySelector('.u-legend')?.clientHeight ?? 0, title = this.element.querySelector('.u-title')?.clientHeight ?? 0;
+    this.u.setSize({ width: this.room().width, height: Math.max(this.element.clientHeight - this.head - legend - title - 4, 50) });
+  }
+
+  mark(time) {
+    this.time = time;
+    this.u.redraw(false, false);
+  }
+}

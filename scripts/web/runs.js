@@ -1,0 +1,67 @@
+// Runs: episodes as arrays that are read from the page, or that grow while they come.
+
+const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0)).buffer;
+export const floats = text => new Float32Array(bytes(text));
+
+export const readArm = arm => ({ ...arm, links: arm.links.map(link => ({
+  ...link, rows: floats(link.rows), slopes: floats(link.slopes), points: floats(link.points),
+  normals: floats(link.normals), gauges: floats(link.gauges) })) });
+
+// Columns that belong to a row: coordinates, target, error, torques as parts of their limits, reward.
+export class Run {
+  constructor(data, arm) {
+    Object.assign(this, { name: data.name, colour: data.colour, note: data.note, dt: data.dt, arm });
+    this.sizes = { x: arm.width, target: 3, error: 1, torque: arm.links.length };
+    this.rows = data.rows;
+    for (const name in this.sizes) this[name] = data.rows ? floats(data[name]) : new Float32Array(1024 * this.sizes[name]);
+    this.readings = (data.readings ?? []).map(each => ({ ...each, values: new Int16Array(bytes(each.values)) }));
+  }
+
+  get last() { return Math.max(0, this.rows - 1) * this.dt; }
+
+  // Adds a row: all columns side by side.
+  add(row) {
+    let at = 0;
+    for (const name in this.sizes) {
+      const size = this.sizes[name];
+      if ((this.rows + 1) * size > this[name].length) {
+        const more = new Float32Array(2 * this[name].length);
+        more.set(this[name]);
+        this[name] = more;
+      }
+      this[name].set(row.subarray(at, at + size), this.rows * size);
+      at += size;
+    }
+    this.rows += 1;
+  }
+
+  // The row before a time and the part of the way to the next.
+  place(time) {
+    const f = Math.min(Math.max(time / this.dt, 0), this.rows - 1), i = Math.max(0, Math.min(Math.floor(f), this.rows - 2));
+    return [i, f - i];
+  }
+
+  // Entry c of a column at a time, linear between rows.
+  at(name, c, time) {
+    const [i, w] = this.place(time), size = this.sizes[name], values = this[name];
+    return w === 0 ? values[i * size + c] : (1 - w) * values[i * size + c] + w * values[(i + 1) * size + c];
+  }
+
+  coordinates(time, into) {
+    for (let c = 0; c < this.arm.width; c++) into[c] = this.at('x', c, time);
+    return into;
+  }
+
+  // Entry c of a column over time.
+  series(name, c, factor = 1) {
+    const size = this.sizes[name];
+    return Array.from({ length: this.rows }, (_, i) => { const v = factor * this[name][i * size + c]; return Number.isFinite(v) ? v : null; });
+  }
+
+  // Entry c of a reading over time.
+  reading(name, c) {
+    const each = this.readings.find(one => one.name === name);
+    if (!each || c >= each.size) return Array(this.rows).fill(null);
+    return Array.from({ length: this.rows }, (_, i) => each.values[i * each.size + c] * each.scale[c] + each.middle[c]);
+  }
+}

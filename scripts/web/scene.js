@@ -1,0 +1,169 @@
+// Scene: an arm with its ghost, target, trace, floor and light, as three.js draws it.
+import { BufferAttribute, BufferGeometry, CircleGeometry, Color, CylinderGeometry, DirectionalLight, DoubleSide,
+  DynamicDrawUsage, Fog, GridHelper, Group, HemisphereLight, Line, LineBasicMaterial, Mesh, MeshBasicMaterial,
+  MeshStandardMaterial, PCFShadowMap, PerspectiveCamera, Scene, ShadowMaterial, SphereGeometry, TorusGeometry, Vector3,
+  WebGLRenderer } from 'three';
+import { OrbitControls } from 'three/examples/jsm/controls/OrbitControls.js';
+import { curves, memory } from './kinematics.js';
+
+const SIDES = 16, TRACE = 150, TRACE_STEP = 0.0125, UP = new Vector3(0, 1, 0);
+const COLD = [47, 87, 200], MIDDLE = [205, 208, 212], HOT = [192, 32, 44];
+const linear = v => (v /= 255) <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+
+function tube(arm, material) {
+  const n = arm.links.length, P = arm.points, index = [], geometry = new BufferGeometry();
+  const quad = (a, b, c, d) => index.push(a, b, c, a, c, d);
+  for (let i = 0; i < n; i++) {
+    const at = (p, s) => (i * P + p) * SIDES + s % SIDES;
+    for (let p = 0; p < P - 1; p++) for (let s = 0; s < SIDES; s++) quad(at(p, s), at(p, s + 1), at(p + 1, s + 1), at(p + 1, s));
+    for (let s = 1; s < SIDES - 1; s++) index.push(at(0, 0), at(0, s + 1), at(0, s), at(P - 1, 0), at(P - 1, s), at(P - 1, s + 1));
+  }
+  for (const name of ['position', 'normal', 'color'])
+    geometry.setAttribute(name, new BufferAttribute(new Float32Array(n * P * SIDES * 3), 3).setUsage(DynamicDrawUsage));
+  geometry.setIndex(index);
+  const mesh = new Mesh(geometry, material);
+  mesh.frustumCulled = false;
+  return mesh;
+}
+
+function bend(mesh, arm, out, scale) {
+  const { position, normal, color } = mesh.geometry.attributes, X = position.array, N = normal.array, C = color.array;
+  arm.links.forEach((link, i) => {
+    for (let p = 0; p < arm.points; p++) {
+      const b = i * arm.points + p, F = out.frame.subarray(9 * b, 9 * b + 9);
+      for (let s = 0; s < SIDES; s++) {
+        const o = 2 * (p * SIDES + s), v = 3 * (b * SIDES + s), { points, normals, gauges } = link;
+        for (let a = 0; a < 3; a++) {
+          X[v + a] = out.position[3 * b + a] + F[3 * a + 1] * points[o] + F[3 * a + 2] * points[o + 1];
+          N[v + a] = F[3 * a + 1] * normals[o] + F[3 * a + 2] * normals[o + 1];
+        }
+        const strain = out.stretch[b] - gauges[o] * out.curvature[3 * b + 2] + gauges[o + 1] * out.curvature[3 * b + 1];
+        const part = scale ? Math.max(-1, Math.min(1, strain / scale)) : 0, end = part < 0 ? COLD : HOT;
+        for (let a = 0; a < 3; a++) C[v + a] = linear(MIDDLE[a] + (end[a] - MIDDLE[a]) * Math.abs(part));
+      }
+    }
+  });
+  position.needsUpdate = normal.needsUpdate = color.needsUpdate = true;
+}
+
+// The scene of one run.
+export class View {
+  constructor(run, stage) {
+    const arm = run.arm, reach = stage.reach, scene = new Scene(), plain = colour => new MeshStandardMaterial({ color: colour, roughness: 0.5 });
+    Object.assign(this, { run, scene, q: new Float64Array(arm.width), out: memory(arm), other: memory(arm) });
+    scene.background = new Color(0xeef2f7);
+    scene.fog = new Fog(0xeef2f7, 2 * stage.distance, 5 * stage.distance);
+    scene.add(new HemisphereLight(0xffffff, 0xb9c3d0, 1.9));
+    const sun = new DirectionalLight(0xffffff, 2.2), box = sun.shadow.camera;
+    sun.position.set(-0.35, -0.55, 1).multiplyScalar(3 * reach);
+    sun.castShadow = true;
+    sun.shadow.mapSize.set(2048, 2048);
+    sun.shadow.bias = -5e-4;
+    box.left = box.bottom = -1.3 * reach;
+    box.right = box.top = 1.3 * reach;
+    box.far = 8 * reach;
+    scene.add(sun);
+    const floor = new Mesh(new CircleGeometry(4 * reach, 64), new ShadowMaterial({ opacity: 0.25 }));
+    floor.position.z = stage.floor;
+    floor.receiveShadow = true;
+    const grid = new GridHelper(60 * stage.step, 60, 0x8d99a8, 0xc9d2dd);
+    grid.rotation.x = Math.PI / 2;  // three's floor is x-z
+    grid.position.z = stage.floor - 1e-3 * reach;
+    this.body = tube(arm, new MeshStandardMaterial({ vertexColors: true, roughness: 0.4, side: DoubleSide }));
+    this.body.castShadow = true;
+    this.ghost = tube(arm, new MeshBasicMaterial({ color: 0x64748b, transparent: true, opacity: 0.25, depthWrite: false }));
+    const post = new Mesh(new CylinderGeometry(0.8 * arm.radii[0], 0.8 * arm.radii[0], -stage.floor, 32), plain(0x64748b));
+    post.rotation.x = Math.PI / 2;
+    post.position.z = stage.floor / 2;
+    this.joints = arm.radii.map(r => new Mesh(new CylinderGeometry(r, r, 2.3 * r, 32), plain(0x334155)));
+    const r = arm.radii.at(-1), red = new MeshStandardMaterial({ color: 0xe11d48, emissive: 0x70081f });
+    this.tip = new Mesh(new SphereGeometry(r, 24, 16), plain(0x1e293b));
+    this.mark = new Mesh(new SphereGeometry(0.5 * r, 24, 16), new MeshBasicMaterial({ color: 0x6d28d9 }));
+    this.target = new Group().add(new Mesh(new SphereGeometry(0.55 * r, 24, 16), red), new Mesh(new TorusGeometry(2 * r, 0.2 * r, 10, 48), red));
+    for (const mesh of [post, this.tip, ...this.joints]) mesh.castShadow = true;
+    this.trace = new Line(new BufferGeometry().setAttribute('position', new BufferAttribute(new Float32Array(3 * TRACE), 3)), new LineBasicMaterial({ color: 0x6d28d9 }));
+    this.trace.frustumCulled = false;
+    scene.add(floor, grid, this.body, this.ghost, post, ...this.joints, this.tip, this.mark, this.target, this.trace);
+  }
+
+  // Puts everything where it is at a time.
+  pose(time, gain, show, scale, camera) {
+    const { run, out, other, q } = this, arm = run.arm, P = arm.points;
+    const end = each => each.position.slice(-3);
+    curves(arm, run.coordinates(time, q), gain, out);
+    bend(this.body, arm, out, show.strain ? scale : 0);
+    this.ghost.visible = show.ghost;
+    if (show.ghost) bend(this.ghost, arm, curves(arm, q, 0, other), 0);
+    this.joints.forEach((mesh, j) => {
+      mesh.position.fromArray(out.position, 3 * j * P);
+      mesh.quaternion.setFromUnitVectors(UP, new Vector3().fromArray(out.axis, 3 * j));
+    });
+    this.tip.position.fromArray(end(out));
+    this.mark.visible = gain !== 1;
+    this.mark.position.fromArray(end(curves(arm, q, 1, other)));
+    const target = [0, 1, 2].map(c => run.at('target', c, time));
+    this.target.visible = target.every(Number.isFinite);
+    if (this.target.visible) this.target.position.fromArray(target);
+    this.target.quaternion.copy(camera.quaternion);
+    this.trace.visible = show.trace;
+    if (show.trace) {
+      const way = this.trace.geometry.attributes.position;
+      for (let j = 0; j < TRACE; j++) {
+        curves(arm, run.coordinates(Math.max(0, time - (TRACE - 1 - j) * TRACE_STEP), q), gain, other);
+        way.setXYZ(j, ...end(other));
+      }
+      way.needsUpdate = true;
+    }
+  }
+}
+
+// Renderer, camera and orbit that all views share; throws where the browser has no WebGL.
+export class Stage {
+  constructor(canvas, stage) {
+    this.renderer = new WebGLRenderer({ canvas, antialias: true });
+    this.renderer.shadowMap.enabled = true;
+    this.renderer.shadowMap.type = PCFShadowMap;
+    this.renderer.setScissorTest(true);
+    this.camera = new PerspectiveCamera(30, 1, 0.02 * stage.reach, 60 * stage.reach);
+    this.camera.up.set(0, 0, 1);
+    this.orbit = new OrbitControls(this.camera, canvas);
+    this.canvas = canvas;
+    this.stage = stage;
+  }
+
+  // The nearest place from which all points are between the edges, as draw/camera.py finds it.
+  reset() {
+    const back = new Vector3(...this.stage.towards), right = new Vector3(-back.y, back.x, 0).normalize();
+    const axes = [right, back.clone().cross(right), back.clone().negate()], room = [0.88, 0.74];
+    const seen = this.stage.points.map(point => axes.map(axis => axis.dot(new Vector3(...point))));
+    const slope = Math.tan(Math.PI / 12), half = [slope * this.camera.aspect * room[0], slope * room[1]];
+    const depths = seen.map(each => each[2]), mean = depths.reduce((a, b) => a + b) / depths.length;
+    const least = half.map((h, a) => Math.max(...seen.map(each => each[a] - h * each[2])));
+    const most = half.map((h, a) => Math.min(...seen.map(each => each[a] + h * each[2])));
+    const depth = Math.min(...half.map((h, a) => (most[a] - least[a]) / (2 * h)), Math.min(...depths) - 0.05 * this.stage.reach);
+    const place = [(least[0] + most[0]) / 2, (least[1] + most[1]) / 2, depth];
+    const at = new Vector3();
+    axes.forEach((axis, a) => at.addScaledVector(axis, place[a]));
+    this.camera.position.copy(at);
+    this.orbit.target.copy(at.addScaledVector(axes[2], mean - depth));
+    this.orbit.update();
+  }
+
+  size(columns, lines) {
+    const w = this.canvas.clientWidth, h = this.canvas.clientHeight;
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.renderer.setSize(w, h, false);
+    this.camera.aspect = (w / columns) / (h / lines);
+    this.camera.updateProjectionMatrix();
+  }
+
+  draw(views, columns, lines) {
+    const w = this.canvas.clientWidth / columns, h = this.canvas.clientHeight / lines;
+    views.forEach((view, k) => {
+      const area = [(k % columns) * w, (lines - 1 - Math.floor(k / columns)) * h, w - 1, h - 1];
+      this.renderer.setViewport(...area);
+      this.renderer.setScissor(...area);
+      this.renderer.render(view.scene, this.camera);
+    });
+  }
+}

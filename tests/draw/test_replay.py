@@ -1,0 +1,146 @@
+"""Replay: the page holds the episodes, moves them as the package does, asks nobody, and runs no text as code."""
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import flexman_gym as fm
+from flexman_gym.draw.replay import packed, replay_page
+from flexman_gym.simulation.episode import Episode, about
+
+from oracles.browser import MISSING, Browser
+from oracles.files import ROOT
+
+EVIL = "</script><script>window.harm = 1</script><img src=x onerror=window.harm=2>&<!--"
+ROWS = 101
+
+
+def episode(name="pd", stiffening=False, rows=ROWS, seed=0):
+    """Arms that wave about, with readings."""
+    model = fm.build_model(fm.catalog.paper_rrr(joint_stiffness=5000.0), 1, modes=4, stiffening=stiffening)
+    random, time = np.random.default_rng(seed), 0.02 * np.arange(rows)
+    states = np.sin(
+        np.outer(time, random.uniform(0.5, 3.0, 2 * model.n_dof)) + random.uniform(0.0, 6.0, 2 * model.n_dof)
+    )
+    states[:, model.n_joints + model.n_motors :] *= 0.5
+    states[:, model.motor_columns] = states[:, : model.n_joints] + 0.02
+    tips = fm.curves(model, states, 2).positions[:, -1, -1]
+    actions = random.uniform(-1.0, 1.0, (rows - 1, 3))
+    targets = np.tile(tips[-1], (rows, 1))
+    told = about(model, name=name, seed=5000, environment="FlexRRR-v0", units={})
+    readings = {"motor_angles": states[:, model.motor_columns], "tip": tips}
+    errors = np.linalg.norm(tips - targets, axis=1)
+    return Episode(time, states, tips, targets, errors, actions, 400.0 * actions, np.ones(rows - 1), readings, told)
+
+
+def embedded(page):
+    """The data in a page."""
+    return json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)[1])
+
+
+def test_the_page_holds_what_was_recorded_and_text_is_text():
+    one = episode(EVIL)
+    page = replay_page([one, episode("lqr", seed=1)], EVIL)
+    assert page.count("<script") == 2 == page.count("</script>") and "<img" not in page.split("<script")[0]
+    data = embedded(page)
+    assert data["runs"][0]["name"] == EVIL and len(data["arms"]) == 1, "both are of one arm"
+    x = np.frombuffer(base64.b64decode(data["runs"][0]["x"]), "<f4").reshape(ROWS, -1)
+    assert np.array_equal(x, one.states[:, : one.model.n_dof].astype("f4"))
+    for reading, (name, values) in zip(data["runs"][0]["readings"], one.readings.items(), strict=True):
+        steps = np.frombuffer(base64.b64decode(reading["values"]), "<i2").reshape(values.shape)
+        assert reading["name"] == name
+        assert steps * reading["scale"] + reading["middle"] == pytest.approx(values, abs=np.ptp(values) * 2e-5)
+    assert not re.search(r'(src|href)="?http', page.replace(data["runs"][0]["name"], ""))
+
+
+def test_ten_seconds_of_two_controllers_are_a_megabyte_at_most():
+    pages = [replay_page([episode(rows=rows), episode("lqr", rows=rows, seed=1)]) for rows in (101, 501)]
+    assert len(pages[1].encode()) < 1e6 and len(pages[1]) > len(pages[0]) + 1e5
+
+
+def test_runs_of_one_name_are_numbered_and_a_scene_needs_no_task():
+    names = [run["name"] for run in embedded(replay_page([episode(), episode(seed=1)]))["runs"]]
+    assert names == ["pd 1", "pd 2"]
+    bare = episode()
+    for each in (bare.targets, bare.errors, bare.actions):
+        each[:] = np.nan
+    assert embedded(replay_page([replace(bare, readings={})]))["runs"][0]["readings"] == []
+    for wrong in ([], [bare] * 9):
+        with pytest.raises(ValueError, match=r"^episodes: .* give 1 to 8 of them$"):
+            replay_page(wrong)
+
+
+def test_the_command_writes_a_page_and_says_what_is_wrong(tmp_path):
+    command = [sys.executable, "-m", "flexman_gym", "replay"]
+    paths = [episode(name).save(tmp_path / f"{name}.npz") for name in ("pd", "lqr")]
+    page = tmp_path / "new" / "page.html"
+    done = subprocess.run([*command, *map(str, paths), "--out", str(page)], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith(f"{page}: ") and [run["name"] for run in embedded(page.read_text())["runs"]] == [
+        "pd", "lqr",
+    ]  # fmt: skip
+
+
+def test_numbers_are_packed_little_endian():
+    assert base64.b64decode(packed(np.array([1.0]))) == b"\0\0\x80\x3f"
+
+
+@pytest.mark.skipif(not (ROOT / "scripts" / "web" / "node_modules").is_dir(), reason="needs npm ci in scripts/web")
+def test_the_bundle_is_what_its_sources_say():
+    done = subprocess.run([sys.executable, ROOT / "scripts" / "bundle.py", "--check"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "as its sources say\n"), done.stderr
+
+
+# In a browser
+
+
+@pytest.fixture(scope="module")
+def browser():
+    if MISSING:
+        pytest.skip(MISSING)
+    made = Browser()
+    yield made
+    made.close()
+
+
+def test_the_page_draws_moves_and_asks_nobody(browser, tmp_path):
+    episodes = [episode(EVIL), episode("stiff", stiffening=True, seed=1)]
+    (tmp_path / "page.html").write_text(replay_page(episodes, EVIL))
+    browser.open(f"file://{tmp_path / 'page.html'}")
+    for row in (0, 37, 100):
+        browser.run("replay.seek(arguments[0])", 0.02 * row)
+        tips = np.array([each.tips[row] for each in episodes])
+        assert np.abs(browser.run("return replay.tips()") - tips).max() < 1e-6
+        assert np.abs(browser.run("return replay.drawn()") - tips).max() < 1e-6
+    browser.press("time", 0.5)
+    there = float(browser.run("return document.getElementById('time').value"))
+    assert 0.9 < there < 1.1 and browser.run("return document.getElementById('clock').textContent") == f"{there:.2f} s"
+    browser.press("gain", 0.6)
+    gain = 10 ** float(browser.run("return document.getElementById('gain').value"))
+    assert gain > 3.0
+    for drawn, each in zip(browser.run("return replay.drawn()"), episodes, strict=True):
+        between = np.array([np.interp(there, each.time, column) for column in each.states.T])
+        assert drawn == pytest.approx(fm.curves(each.model, between, 2, gain).positions[-1, -1], abs=2e-6 * gain**2)
+    assert browser.run("return window.harm") is None and browser.run("return document.title") == EVIL
+    assert browser.run("return performance.getEntriesByType('resource').length") == 0
+    assert browser.said() == []
+    assert shutil.which("chromium") and len(base64.b64decode(browser.picture())) > 20_000
+
+
+def test_without_webgl_the_page_says_so_and_has_its_curves(tmp_path):
+    if MISSING:
+        pytest.skip(MISSING)
+    (tmp_path / "page.html").write_text(replay_page([episode()]))
+    browser = Browser("--disable-gpu", "--disable-3d-apis")
+    try:
+        browser.open(f"file://{tmp_path / 'page.html'}")
+        assert browser.run("return [document.getElementById('sorry').hidden, replay.drawn().length]") == [False, 0]
+        assert browser.run("return document.querySelectorAll('.uplot canvas').length") == 3
+    finally:
+        browser.close()
