@@ -1,15 +1,16 @@
 """Bases: the controllers that have a name, what each needs to know, and how it is made for an arm."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from flexman_gym.checks import mapping, one_of, positive, refusal, text
+from flexman_gym.checks import flag, mapping, positive, refusal, text
 from flexman_gym.control.controller import Controller
 from flexman_gym.control.discrete import Weights
 from flexman_gym.control.estimator import Estimator
 from flexman_gym.control.feedback import OutputFeedback
 from flexman_gym.control.kalman import KalmanFilter
+from flexman_gym.control.kind import checked_kind
 from flexman_gym.control.lqr import LQR, TrackingLQR
 from flexman_gym.control.optimised import Optimised
 from flexman_gym.control.pd import PD
@@ -46,10 +47,10 @@ def _shaped_pd(plant: Plant, **given: Any) -> Shaped:
     return Shaped(_pd(plant, **gains), plant.model, **given)
 
 
-def _regulator(kind: type[LQR]) -> Callable[..., LQR]:
+def _regulator(law: type[LQR]) -> Callable[..., LQR]:
     def make(plant: Plant, weights: object = None, **options: Any) -> LQR:
         chosen = None if weights is None else _weights(weights)
-        return kind(plant.model, plant.torque_limit, plant.period, chosen, **options)
+        return law(plant.model, plant.torque_limit, plant.period, chosen, **options)
 
     return make
 
@@ -89,8 +90,8 @@ def _lqg(plant: Plant, weights: object = None, **options: Any) -> OutputFeedback
     return OutputFeedback(KalmanFilter(plant, **options), _tracking(plant, weights))
 
 
-def _privileged(plant: Plant, weights: object = None) -> OutputFeedback:
-    return OutputFeedback(Truth(plant), _tracking(plant, weights))
+def _privileged(plant: Plant, weights: object = None, doubt: object = False) -> OutputFeedback:
+    return OutputFeedback(Truth(plant, flag("base.doubt", doubt)), _tracking(plant, weights))
 
 
 def _tracking(plant: Plant, weights: object) -> Tracking:
@@ -105,7 +106,7 @@ BASES: dict[str, Base] = {
     "mpc": Base(_mpc, ("model", "true state"), ()),
     "optimised": Base(_optimised, ("model", "true state", "its episodes"), ("table",)),
     "adaptive-lqr": Base(_adaptive, ("structure of the model",), ("weights", "sensors", "unknown", "biased")),
-    "privileged-lqr": Base(_privileged, ("model", "true state", "true parameters"), ("weights",)),
+    "privileged-lqr": Base(_privileged, ("model", "true state", "true parameters"), ("weights", "doubt")),
     "pd-shaped": Base(_shaped_pd, ("model",), ("stiffness", "damping", "shaper", "modes", "places", "duration")),
 }
 
@@ -116,13 +117,7 @@ def checked_base(value: object) -> tuple[str, dict[str, Any]]:
     Raises:
         ValueError: one line with field, value and what is allowed.
     """
-    if isinstance(value, str):
-        return one_of("base", value, BASES), {}
-    if not isinstance(value, Mapping) or "kind" not in value:
-        raise refusal("base", value, "a name, or a mapping with a name at kind and its arguments")
-    kind = one_of("base.kind", text("base.kind", value["kind"]), BASES)
-    given = {text("a key of base", name): each for name, each in value.items() if name != "kind"}
-    return kind, mapping("base", given, BASES[kind].takes)
+    return checked_kind("base", value, {name: base.takes for name, base in BASES.items()})
 
 
 def make_base(value: object, plant: Plant) -> Controller:
@@ -131,5 +126,5 @@ def make_base(value: object, plant: Plant) -> Controller:
     Raises:
         ValueError: one line with field, value and what is allowed.
     """
-    kind, arguments = checked_base(value)
-    return BASES[kind].make(plant, **arguments)
+    name, arguments = checked_base(value)
+    return BASES[name].make(plant, **arguments)

@@ -5,9 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import positive
-from flexman_gym.model.linear import LinearModel
 from flexman_gym.model.rounding import solvable
+from flexman_gym.model.state_space import LinearModel, held
 
 
 class Weights(NamedTuple):
@@ -22,18 +21,8 @@ class Weights(NamedTuple):
 
 
 def zero_order_hold(linear: LinearModel, period: float) -> tuple[Array, Array]:
-    """Gives the transition of states (2 d, 2 d) and of torques (2 d, n) over a period (s) of constant torques.
-
-    It is exact: the exponential of [[A, B], [0, 0]] times the period (Van Loan, IEEE Trans. Automatic Control 23,
-    1978).
-    """
-    from scipy.linalg import expm
-
-    size, n = linear.B.shape
-    block = np.zeros((size + n, size + n))
-    block[:size, :size], block[:size, size:] = linear.A, linear.B
-    result = expm(positive("period", period, "s") * block)
-    return result[:size, :size], result[:size, size:]
+    """Gives the transition of states (2 d, 2 d) and of torques (2 d, n) over a period (s) of constant torques."""
+    return held(linear.A, linear.B, period)
 
 
 def optimal_gain(linear: LinearModel, motors: Array, limits: Array, weights: Weights, period: float) -> Array:

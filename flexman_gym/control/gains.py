@@ -43,6 +43,7 @@ class GainTable:
         alike = np.allclose(holding_torques(model, somewhere), holding_torques(model, somewhere + turn))
         self._joints = np.arange(1 if alike else 0, model.n_joints)
         self._rows: dict[tuple[int, ...], int] = {}
+        self._rows_of: dict[bytes, list[int]] = {}  # those of the corners of a cell
         self._gains = np.zeros((0, model.n_joints, 2 * model.n_dof))
         self._cells = np.zeros((0, 1 + len(self._joints)), dtype=np.int64)  # of each arm, and the rows of its corners
         self._corners = np.zeros((0, 2 ** (1 + len(self._joints))), dtype=np.int64)
@@ -80,7 +81,10 @@ class GainTable:
             self._cells, self._corners = np.concatenate([self._cells, far]), grown(self._corners, count)
         moved: Flags = (cells != self._cells[arms]).any(axis=1)
         for arm, cell in zip(arms[moved], cells[moved], strict=True):
-            self._corners[arm] = [self._row(tuple(key)) for key in (cell + self._steps).tolist()]
+            key = cell.tobytes()
+            if key not in self._rows_of:
+                self._rows_of[key] = [self._row(tuple(corner)) for corner in (cell + self._steps).tolist()]
+            self._corners[arm] = self._rows_of[key]
         self._cells[arms] = cells
 
     def _row(self, key: tuple[int, ...]) -> int:

@@ -4,15 +4,16 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array, Vector
-from flexman_gym.control.discrete import zero_order_hold
 from flexman_gym.model.linear import linearize
 from flexman_gym.model.model import Model
 from flexman_gym.model.statics import holding_torques, rest_state
 
 FACTORS, PHASES = np.geomspace(1.0, 16.0, 25), np.linspace(0.0, 90.0, 19)  # degrees, at which margins are looked for
 TURN = 1j * np.pi / 180.0  # by a degree
+Response = NDArray[np.complex128]
 
 
 class Loop(NamedTuple):
@@ -43,19 +44,31 @@ class Margins(NamedTuple):
     phase: float
 
 
-def sampled_loop(model: Model, joint_angles: Vector, period: float, delay: int = 0) -> Loop:
-    """Gives the loop of an arm at rest at joint angles (n,) rad whose torques come `delay` periods (s) late."""
+def sampled_loop(
+    model: Model, joint_angles: Vector, period: float, delay: int = 0, bandwidth: float | None = None
+) -> Loop:
+    """Gives the loop of an arm at rest at joint angles (n,) rad whose torques come `delay` periods (s) late.
+
+    With a bandwidth (Hz) the drives lag besides, see `lag`; what they have reached belongs to the state.
+    """
     linear = linearize(model, state=rest_state(model, joint_angles), torque=holding_torques(model, joint_angles))
-    transition, inputs = zero_order_hold(linear, period)
-    size, n = inputs.shape
-    late = np.zeros((size + delay * n, size + delay * n))
-    late[:size, :size] = transition
-    entry = np.vstack([inputs, np.zeros((delay * n, n))])
-    if delay:  # the newest torques stand first, the oldest act
-        late[:size, -n:], entry[:size] = inputs, 0.0
-        late[size + n :, size:-n] = np.eye((delay - 1) * n)
-        entry[size : size + n] = np.eye(n)
+    sampled = linear.discrete(period, delay * period)
+    late, entry, n = sampled.A, sampled.B, model.n_joints
+    if bandwidth is not None:
+        left, mean = lag(period, bandwidth)
+        late = np.block([[late, mean * entry], [np.zeros((n, len(late))), left * np.eye(n)]])
+        entry = np.vstack([(1.0 - mean) * entry, (1.0 - left) * np.eye(n)])
     return Loop(late, entry, model.motor_columns, model.n_dof + model.motor_columns)
+
+
+def lag(period: float, bandwidth: float) -> tuple[float, float]:
+    """Gives how a first-order lag of a bandwidth (Hz) passes a period (s) in which it is asked for the same.
+
+    Returns:
+        The parts of the distance to what is asked for that are left at the end of the period, and in its mean.
+    """
+    turned = 2.0 * np.pi * bandwidth * period
+    return float(np.exp(-turned)), float(-np.expm1(-turned) / turned)
 
 
 def margins(loops: Sequence[Loop], stiffness: Vector, damping: Vector) -> Margins:
@@ -83,11 +96,42 @@ def has_margins(loops: Sequence[Loop], stiffness: Vector, damping: Vector, least
     return all(_stable(loop, stiffness, damping, change) for change in changes for loop in loops)
 
 
+def spectral_radius(loop: Loop, stiffness: Vector, damping: Vector) -> float:
+    """Gives the largest magnitude of an eigenvalue of a loop that a PD closes; below 1 where it is stable."""
+    return float(np.abs(np.linalg.eigvals(loop.transition - loop.inputs @ _gain(loop, stiffness, damping))).max())
+
+
+def _gain(loop: Loop, stiffness: Vector, damping: Vector) -> Array:
+    """The gain (n, m) of a PD on the state of a loop."""
+    n, gain = loop.inputs.shape[1], np.zeros(loop.inputs.T.shape)
+    gain[np.arange(n), loop.motors], gain[np.arange(n), loop.rates] = stiffness, damping
+    return gain
+
+
 def _stable(loop: Loop, stiffness: Vector, damping: Vector, change: complex) -> bool:
     """Whether a loop is stable while the torques of any one motor, and those of all, are multiplied by a number."""
-    n, m = loop.inputs.shape[1], len(loop.transition)
-    gain = np.zeros((n, m))
-    gain[np.arange(n), loop.motors], gain[np.arange(n), loop.rates] = stiffness, damping
+    n, gain = loop.inputs.shape[1], _gain(loop, stiffness, damping)
     motors = np.ones((1, n)) if n == 1 or change == 1.0 else np.vstack([np.eye(n), np.ones(n)])
     closed = loop.transition - (loop.inputs * (1.0 + motors[:, None] * (change - 1.0))) @ gain
     return bool((np.abs(np.linalg.eigvals(closed)) < 1.0).all())
+
+
+def open_loops(loop: Loop, stiffness: Vector, damping: Vector, frequencies: Vector, period: float) -> Response:
+    """Gives the responses (n, f) of a PD's loops, each opened at one motor while the others act.
+
+    Args:
+        loop: of `sampled_loop`.
+        stiffness: (n,) N m/rad.
+        damping: (n,) N m s/rad.
+        frequencies: (f,) Hz, below half the sampling frequency.
+        period: of sampling, s.
+    """
+    n, size = loop.inputs.shape[1], len(loop.transition)
+    gain, result = np.zeros((n, size)), []
+    gain[np.arange(n), loop.motors], gain[np.arange(n), loop.rates] = stiffness, damping
+    turns = np.exp(2j * np.pi * period * np.asarray(frequencies, dtype=float))
+    for motor in range(n):
+        acting = np.where(np.arange(n) == motor, 0.0, 1.0)[:, None] * gain
+        others = turns[:, None, None] * np.eye(size) - (loop.transition - loop.inputs @ acting)
+        result.append(np.linalg.solve(others, loop.inputs[:, motor][None, :, None])[..., 0] @ gain[motor])
+    return np.array(result)

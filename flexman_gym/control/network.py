@@ -32,6 +32,10 @@ class Network:
     Attributes:
         size: of an observation.
         joints: n, of an action.
+        mean, scale: (size,) of what is seen, which is taken off, and by which the rest is multiplied.
+        layers: weights (m, k) and bias (m,) of each.
+        activation: "tanh" or "relu".
+        bent: whether a tanh ends the actions, which are cut off without it.
 
     Raises:
         ValueError: one line, for arrays that are missing, of shapes that do not follow on each other, or not finite.
@@ -39,29 +43,40 @@ class Network:
 
     def __init__(self, algo: str, activation: str | None, parameters: object, statistics: object) -> None:
         first, last, usual, self._end = NAMES[one_of("algo", algo, NAMES)]
-        self._function = FUNCTIONS[one_of("activation", activation or usual, FUNCTIONS)]
+        self.activation, self.bent = one_of("activation", activation or usual, FUNCTIONS), self._end is np.tanh
+        self._function = FUNCTIONS[self.activation]
         result = {name: _finite(f"policy.{name}", each) for name, each in _mapping("policy", parameters).items()}
         moments = _mapping("statistics", statistics)
-        self._mean = _finite("statistics.mean", moments.get("mean"))
-        self._scale = 1.0 / np.sqrt(_finite("statistics.var", moments.get("var"), 0.0) + LEAST)
+        self.mean = _finite("statistics.mean", moments.get("mean"))
+        self.scale = 1.0 / np.sqrt(_finite("statistics.var", moments.get("var"), 0.0) + LEAST)
         numbers = sorted({int(name[len(first) :].split(".")[0]) for name in result if _is_layer(name, first)})
-        self._layers = [_layer(result, name) for name in (*(f"{first}{number}" for number in numbers), last)]
-        sizes = [self._mean.size, *(len(bias) for _, bias in self._layers)]
-        for (weights, _), size in zip(self._layers, sizes, strict=False):
+        self.layers = [_layer(result, name) for name in (*(f"{first}{number}" for number in numbers), last)]
+        sizes = [self.mean.size, *(len(bias) for _, bias in self.layers)]
+        for (weights, _), size in zip(self.layers, sizes, strict=False):
             if weights.shape[1] != size:
                 raise refusal("policy", f"a layer of {weights.shape[1]} numbers", f"one of {size}")
-        if self._scale.shape != self._mean.shape or self._mean.ndim != 1:
-            raise refusal("statistics.var", f"an array {self._scale.shape}", f"one of {self._mean.shape}")
+        if self.scale.shape != self.mean.shape or self.mean.ndim != 1:
+            raise refusal("statistics.var", f"an array {self.scale.shape}", f"one of {self.mean.shape}")
         self.size, self.joints = sizes[0], sizes[-1]
 
     def __call__(self, observations: NDArray[np.floating]) -> Array:
         """Gives the actions (b, n) for observations (b, size)."""
-        values = np.clip((observations - self._mean) * self._scale, -LARGEST, LARGEST)
-        for weights, bias in self._layers[:-1]:
+        values = np.clip((observations - self.mean) * self.scale, -LARGEST, LARGEST)
+        for weights, bias in self.layers[:-1]:
             values = self._function(row_dots(values[:, None], weights) + bias)
-        weights, bias = self._layers[-1]
+        weights, bias = self.layers[-1]
         actions: Array = self._end(row_dots(values[:, None], weights) + bias)
         return actions
+
+
+def layers_of(algo: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Gives those of the parameters that act, without critics and what explores.
+
+    Raises:
+        ValueError: for another algorithm.
+    """
+    first, last, *_ = NAMES[one_of("algo", algo, NAMES)]
+    return {name: each for name, each in parameters.items() if _is_layer(name, first) or name.startswith(f"{last}.")}
 
 
 def _is_layer(name: str, first: str) -> bool:

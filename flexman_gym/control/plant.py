@@ -26,6 +26,8 @@ class Plant(NamedTuple):
         push: N, how large forces on the tip may be that nobody tells.
         measured: gives, name -> (2, size), the range of each quantity that instruments measure and the standard
             deviation of their noise, in its unit.
+        bandwidth: Hz, of drives that follow what they are asked for as a first-order lag; None for such that do so at
+            once.
     """
 
     model: Model
@@ -37,3 +39,4 @@ class Plant(NamedTuple):
     moved: tuple[str | Method, float | str] = (DEFAULT, "auto")
     push: float = 0.0
     measured: Callable[[], Mapping[str, Array]] = dict
+    bandwidth: float | None = None

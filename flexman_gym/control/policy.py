@@ -1,13 +1,17 @@
 """Policy: a learned policy as a controller, with its sensors, its memory, its hold, and the base it learned beside."""
 
+from typing import Any
+
 import numpy as np
-from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array, Flags, IntArray, grown
 from flexman_gym.checks import refusal
+from flexman_gym.control.actions import ActionMode, Torque, make_action_mode, shown_size
+from flexman_gym.control.bases import make_base
 from flexman_gym.control.controller import Controller, Episode, Readings
 from flexman_gym.control.history import History, parts_of
 from flexman_gym.control.network import Network
+from flexman_gym.control.plant import Plant
 
 
 class Policy:
@@ -19,9 +23,10 @@ class Policy:
         history: observations, or times (s) of averages, see `History`.
         hold: control periods for which an action is kept (action repeat).
         base: what acts beside it, so that its actions are a residual; None for nothing.
+        mode: what its actions mean, made for the same base; None for torques.
     """
 
-    kept = ("_ages", "_actions", "_past", "base")
+    kept = ("_ages", "_actions", "_past", "base", "mode")
 
     def __init__(
         self,
@@ -30,10 +35,14 @@ class Policy:
         history: int | tuple[float, ...] = 1,
         hold: int = 1,
         base: Controller | None = None,
+        mode: ActionMode | None = None,
     ) -> None:
         self.network, self._kind, self._hold, self.base = network, history, hold, base
-        self.sensors = (*sensors, *(base.sensors if base else ()))
-        self._parts = parts_of(history)
+        self.mode = mode or Torque(network.joints, base)
+        if network.joints != len(self.mode.names):
+            raise refusal("actions", self.mode.names, f"a mode of {network.joints} numbers, which the policy gives")
+        self.sensors = (*sensors, *self.mode.sensors)
+        self._parts, self._shown = parts_of(history), shown_size(self.mode)
         self._ages, self._actions = np.zeros(0, dtype=np.int64), np.zeros((0, network.joints), dtype=np.float32)
         self._past = self._history(0, 1.0)
 
@@ -42,17 +51,16 @@ class Policy:
 
     def reset(self, arms: IntArray, episode: Episode) -> None:
         """Starts new episodes of the arms (r,)."""
-        if episode.start.shape[1] != self.network.joints:
-            raise refusal("base", f"a policy of {self.network.joints} motors", f"one of {episode.start.shape[1]}")
+        if episode.start.shape[1] != self.mode.joints:
+            raise refusal("base", f"a policy of {self.mode.joints} motors", f"one of {episode.start.shape[1]}")
         count = int(arms.max(initial=-1)) + 1
         if count > len(self._ages):
             self._ages, self._actions = grown(self._ages, count), grown(self._actions, count)
             self._past = self._history(count, episode.period).following(self._past)
         self._ages[arms] = 0
-        if self.base:
-            self.base.reset(arms, episode)
+        self.mode.reset(arms, episode)
 
-    def act(self, readings: Readings, applied: Array, playing: Flags) -> NDArray[np.floating]:
+    def act(self, readings: Readings, applied: Array, playing: Flags) -> Array:
         """Gives the actions (b, n); the network is asked anew where an action has lasted.
 
         Raises:
@@ -61,20 +69,19 @@ class Policy:
         due = playing & (self._ages % self._hold == 0)
         if due.any():
             now = self._observed(readings)
+            if self._shown:
+                now = np.concatenate([now, self.mode.look(readings, applied, due)], axis=1)  # type: ignore[attr-defined]
             for arms, see in ((due & (self._ages == 0), self._past.begin), (due & (self._ages > 0), self._past.add)):
                 rows = np.flatnonzero(arms)
                 if len(rows):
                     self._actions[rows] = self.network(see(now[rows], rows).astype(np.float32))
         self._ages += playing
-        if self.base is None:
-            return self._actions.copy()
-        beside = np.asarray(self.base.act(readings, applied, playing), dtype=np.float64)
-        return np.clip(beside + self._actions, -1.0, 1.0)
+        return self.mode.act(self._actions.astype(np.float64), readings, applied, playing)
 
     def _observed(self, readings: Readings) -> Array:
         """What its own sensors read (b, size), which stands before what those of the base do."""
         parts: list[Array] = []
-        size, wanted = 0, self.network.size // self._parts
+        size, wanted = 0, self.network.size // self._parts - self._shown
         for values in readings.values():
             if size >= wanted:
                 break
@@ -84,4 +91,26 @@ class Policy:
             raise refusal(
                 "base", f"a policy of {wanted} observed numbers", f"one of {size}, which its sensors read here"
             )
-        return np.concatenate(parts, axis=1)
+        return np.concatenate([np.zeros((len(self._ages), 0)), *parts], axis=1)
+
+
+class Learned:
+    """A policy whose base is made for the arm on which it acts.
+
+    Args:
+        network, sensors, history, hold: as of a `Policy`.
+        base: as `make_base` takes it.
+        actions: as `make_action_mode` takes it.
+    """
+
+    def __init__(self, network: Network, sensors: tuple[object, ...], history: Any, hold: int, **made: Any) -> None:
+        self.network, self._policy, self._made = network, (network, sensors, history, hold), made
+
+    def made_for(self, plant: Plant) -> Policy:
+        """Gives the policy for a plant.
+
+        Raises:
+            ValueError: one line, for a mode of another number of actions.
+        """
+        base = make_base(self._made["base"], plant)
+        return Policy(*self._policy, base, make_action_mode(self._made["actions"], plant, base))

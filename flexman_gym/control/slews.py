@@ -18,6 +18,7 @@ DURATIONS = 0.2 * 1.045 ** np.arange(110)  # s, that are tried; the last is 24 s
 PARTS = np.linspace(0.0, 1.0, 17)[1:-1]  # of a duration at which torques are compared with their limits
 REST, CHANGE, SPEED = 0, 1, 2  # layers of a table: at rest, times s'', times s'^2
 AIMED = 2  # steps of Newton by which the end of a path is turned
+REMEMBERED = 1000  # paths, of 20 kB each
 AHEAD = 0.01  # s, of the differences that give the speeds of bent coordinates
 
 
@@ -45,11 +46,14 @@ class Slews:
         limits: (n,) N m.
         share: of the limits that a slew may take; feedback has the rest.
         payloads: kg, one or three, ascending.
+
+    Attributes:
+        pace, quickening: (b,) how many times faster than timed the clock of a slew runs, and how fast that grows (1/s).
     """
 
     _rows = (
         "start", "way", "shift", "coefficients", "begun", "lasting", "_coordinates", "_torques", "_soft", "_friction",
-        "_own_coordinates", "_own_torques",
+        "_own_coordinates", "_own_torques", "pace", "quickening",
     )  # fmt: skip
     kept = _rows
 
@@ -66,6 +70,8 @@ class Slews:
         self._own_coordinates, self._own_torques = np.zeros((0, 11, 3, d)), np.zeros((0, 11, 3, n))
         self.coefficients, self.begun, self.lasting = np.zeros((0, 6)), np.zeros(0), np.zeros(0)
         self._soft, self._friction = np.zeros((0, d)), np.zeros((0, 2, n))
+        self.pace, self.quickening = np.zeros(0), np.zeros(0)
+        self._paths: dict[tuple[bytes, bytes], list[Tables]] = {}
         self._flexible = model.constants.motor >= 0
 
     def grow(self, count: int) -> None:
@@ -76,9 +82,14 @@ class Slews:
     def begin(self, arms: IntArray, start: Array, goal: Array) -> None:
         """Takes paths of the arms (r,) from start to goal, motor angles (r, n) rad; `adapt` and `time` them next."""
         self.start[arms], self.way[arms], self.shift[arms] = start, goal - start, 0.0
+        self.pace[arms], self.quickening[arms] = 1.0, 0.0
         for arm, first, last in zip(arms, start, goal, strict=True):
-            for payload in range(len(self._models)):
-                tables = self._bent(payload, first, last)
+            key = first.tobytes(), last.tobytes()
+            if key not in self._paths:
+                if len(self._paths) >= REMEMBERED:
+                    self._paths.clear()
+                self._paths[key] = [self._bent(payload, first, last) for payload in range(len(self._models))]
+            for payload, tables in enumerate(self._paths[key]):
                 self._coordinates[arm, payload], self._torques[arm, payload] = tables
 
     def _bent(self, payload: int, start: Array, goal: Array) -> Tables:
@@ -137,8 +148,9 @@ class Slews:
         tried = quintic(place, speed, change, DURATIONS.astype(float))
         places, speeds, changes = values_at(tried[:, :, None], DURATIONS[:, None] * PARTS)
         torques = self._mixed(self._own_torques, arms, places, changes, speeds)
-        rates = speeds[..., None] * self.way[arms][:, None, None]
-        torques += friction_torques(self.model, self._friction[arms][:, None, None], rates)
+        if self._friction[arms].any():
+            rates = speeds[..., None] * self.way[arms][:, None, None]
+            torques += friction_torques(self.model, self._friction[arms][:, None, None], rates)
         shares = (np.abs(torques) / self._limits).max(axis=(2, 3))
         good = shares <= self._share
         chosen = np.where(good.any(axis=1), good.argmax(axis=1), shares.argmin(axis=1))
@@ -160,20 +172,26 @@ class Slews:
     def at(self, now: Array, arms: IntArray) -> tuple[Array, Array, Array]:
         """Gives places, speeds (1/s) and second derivatives (1/s^2) of the arms (r,) at times (r,) s."""
         passed = now - self.begun[arms]
-        earliest = np.where(
-            self.coefficients[arms, 1] != 0.0, -AHEAD, 0.0
-        )  # one that was timed on its way moved before
+        # one that was timed on its way moved before
+        earliest = np.where(self.coefficients[arms, 1] != 0.0, -AHEAD * self.pace[arms], 0.0)
         place, speed, change = values_at(self.coefficients[arms], np.clip(passed, earliest, self.lasting[arms]))
         over = passed >= self.lasting[arms]
         return np.where(over, 1.0, place), np.where(over, 0.0, speed), np.where(over, 0.0, change)
 
+    def _paced(self, now: Array, arms: IntArray) -> tuple[Array, Array, Array]:
+        """The same at the pace of a clock that runs faster or slower than the slews were timed for."""
+        place, speed, change = self.at(now, arms)
+        pace = self.pace[arms]
+        return place, speed * pace, change * pace**2 + speed * self.quickening[arms]
+
     def states(self, now: Array, arms: IntArray) -> Array:
         """Gives the states (r, 2 d) of the arms (r,) at times (r,) s."""
-        before, here, after = (self._coordinates_at(now + step, arms) for step in (-AHEAD, 0.0, AHEAD))
+        steps = AHEAD * self.pace[arms]
+        before, here, after = (self._coordinates_at(now + step, arms) for step in (-steps, 0.0, steps))
         return np.concatenate([here, (after - before) / (2.0 * AHEAD)], axis=1)
 
     def _coordinates_at(self, now: Array, arms: IntArray) -> Array:
-        place, speed, change = self.at(now, arms)
+        place, speed, change = self._paced(now, arms)
         result = self._soft[arms] * self._mixed(self._own_coordinates, arms, place, change, speed)
         angles = self.start[arms] + place[:, None] * (self.way[arms] + self.shift[arms])
         result[:, self.model.motor_columns] += angles
@@ -182,7 +200,7 @@ class Slews:
 
     def torques(self, now: Array, arms: IntArray) -> Array:
         """Gives the torques (r, n) N m of the arms (r,) at times (r,) s."""
-        place, speed, change = self.at(now, arms)
+        place, speed, change = self._paced(now, arms)
         rubbing = friction_torques(self.model, self._friction[arms], speed[:, None] * self.way[arms])
         return self._mixed(self._own_torques, arms, place, change, speed) + rubbing
 

@@ -6,7 +6,7 @@ from flexman_gym.arrays import Array, Flags
 from flexman_gym.control.plant import Plant
 from flexman_gym.control.twins import Twins
 from flexman_gym.kernels.layout import OK
-from flexman_gym.model.linear import coordinate_sizes
+from flexman_gym.model.slopes import coordinate_sizes
 
 TOGETHER = 16  # arms whose neighbours are moved at once, for the memory that they take
 STATE, FORCE = 1e-5, 1e-3  # by which coordinates (of their size) and forces (of their scale) are changed

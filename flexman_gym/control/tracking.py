@@ -10,6 +10,7 @@ from flexman_gym.control.gains import GainTable
 from flexman_gym.control.lqr import HOLDING, SHARE, usual_weights
 from flexman_gym.control.observer import Estimate
 from flexman_gym.control.plant import Plant
+from flexman_gym.control.shape import Shape
 from flexman_gym.control.slews import Slews
 
 RETIMED = (6, 12, 20, 30, 45)  # control periods after which a slew is timed anew with the parameters as estimated
@@ -26,9 +27,13 @@ class Tracking:
     Args:
         plant: the arm and what is unknown of it.
         weights: of the cost; None takes those of `LQR`.
+
+    Attributes:
+        slews: that the arms follow.
+        shape: what an agent makes of them; None for nothing.
     """
 
-    kept = ("_slews", "_following", "_ages", "_tight", "_goal")
+    kept = ("slews", "_following", "_ages", "_tight", "_goal", "_planned", "shape")
 
     def __init__(self, plant: Plant, weights: Weights | None = None) -> None:
         model = plant.model
@@ -37,19 +42,22 @@ class Tracking:
         self._payloads = (low, 0.5 * (low + high), high) if high > low else (low,)
         self.limits, self._period = np.array(plant.torque_limit), plant.period
         self._following = Following(model, plant.period, self._payloads)
-        self._slews = Slews(model, self.limits, SHARE, self._payloads)
+        self.slews = Slews(model, self.limits, SHARE, self._payloads)
         tight = weights._replace(tip=HOLDING * weights.tip)
         self._gains = [GainTable(model, self.limits, plant.period, each, self._payloads) for each in (weights, tight)]
         self._motors = model.motor_columns
+        self.shape: Shape | None = None
+        self._planned = np.zeros(0, dtype=bool)  # in this period
         self._ages, self._tight = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
         self._goal, self._follows = np.zeros((0, model.n_joints)), np.zeros(0, dtype=bool)  # whether goals move
 
     def reset(self, arms: IntArray, episode: Episode) -> None:
         """Starts new episodes of the arms (r,); they are planned from the first estimate of where they are."""
         count = int(arms.max(initial=-1)) + 1
-        for name in ("_ages", "_tight", "_goal", "_follows"):
+        for name in ("_ages", "_tight", "_goal", "_follows", "_planned"):
             setattr(self, name, grown(getattr(self, name), count))
-        self._slews.grow(count)
+        self.slews.grow(count)
+        self._planned[arms] = False
         self._ages[arms], self._goal[arms], self._follows[arms] = 0, episode.goal, episode.reference is not None
         self._tight[arms] = (episode.start == episode.goal).all(axis=1) & (episode.reference is None)
         if episode.reference is not None:
@@ -63,18 +71,40 @@ class Tracking:
         arms, result = np.flatnonzero(playing), np.zeros((len(playing), len(self.limits)))
         if not len(arms):
             return result
-        now = (self._ages + estimate.lead).astype(float) * self._period
-        self._plan(arms, estimate, now)
-        states, (reference, forward) = estimate.states[arms], self._reference(now[arms], arms)
+        self.plan(estimate, playing)
+        if self.shape:
+            self.shape.quicken(arms)
+        now = self.clock(estimate, arms)
+        states, (reference, forward) = estimate.states[arms], self._reference(now, arms)
         payloads = self._payload(estimate)[arms]
         gains = np.zeros((len(arms), len(self.limits), states.shape[1]))
         for table, some in zip(self._gains, (~self._tight[arms], self._tight[arms]), strict=True):
             if some.any():
                 gains[some] = table(arms[some], states[some][:, self._motors], payloads[some])
         asked = forward - row_dots(gains, (states - reference)[:, None])
+        if self.shape:
+            asked += self.shape.advance(arms, self.slews.at(now, arms)[0])
         result[arms] = np.clip(asked, -self.limits, self.limits)
         self._ages += playing
+        self._planned[arms] = False
         return result
+
+    def clock(self, estimate: Estimate, arms: IntArray) -> Array:
+        """Gives the times (r,) s on the slews of arms (r,) at which torques that are asked for now begin to act."""
+        now = (self._ages[arms] + estimate.lead[arms]).astype(float) * self._period
+        return now + self.shape.ahead[arms] if self.shape else now
+
+    def plan(self, estimate: Estimate, playing: Flags) -> None:
+        """Plans for the arms (b,) that are playing, once in a period; `torques` does it where nobody has."""
+        due = playing & ~self._planned
+        if due.any():
+            arms = np.flatnonzero(due)
+            self._plan(arms, estimate)
+            self._planned |= due
+
+    def reference(self, estimate: Estimate, arms: IntArray) -> Array:
+        """Gives the states (r, 2 d) in which arms (r,) should be when torques that are asked for now begin to act."""
+        return self._reference(self.clock(estimate, arms), arms)[0]
 
     def _payload(self, estimate: Estimate) -> Array:
         return estimate.parameters.get("payload_mass", np.full(len(estimate.states), self._payloads[0]))
@@ -84,12 +114,15 @@ class Tracking:
         moving = self._follows[arms]
         if moving.all():
             return self._following.at(now, arms)
-        states, torques = self._slews.states(now, arms), self._slews.torques(now + 0.5 * self._period, arms)
+        middle = now + 0.5 * self._period * self.slews.pace[arms]
+        states, torques = self.slews.states(now, arms), self.slews.torques(middle, arms)
+        if self.shape:
+            states += self.shape.offset_states(arms)
         if moving.any():
             states[moving], torques[moving] = self._following.at(now[moving], arms[moving])
         return states, torques
 
-    def _plan(self, arms: IntArray, estimate: Estimate, now: Array) -> None:
+    def _plan(self, arms: IntArray, estimate: Estimate) -> None:
         """Plans for arms (r,) that begin, and looks at the parameters of the others now and then."""
         due, follows = self._ages[arms] % ADAPTED == 0, self._follows[arms]
         self._following.adapt(arms[follows & due], estimate.parameters)
@@ -97,11 +130,11 @@ class Tracking:
         first = arms[self._ages[arms] == 0]
         if len(first):
             start = np.where(self._tight[first, None], self._goal[first], estimate.states[first][:, self._motors])
-            self._slews.begin(first, start, self._goal[first])
-            self._slews.adapt(first, estimate.parameters)
-            self._slews.time(first, now[first], first=True)
+            self.slews.begin(first, start, self._goal[first])
+            self.slews.adapt(first, estimate.parameters)
+            self.slews.time(first, self.clock(estimate, first), first=True)
         again = arms[np.isin(self._ages[arms], RETIMED)] if estimate.parameters else arms[:0]
-        self._slews.adapt(np.union1d(arms[due], again), estimate.parameters)
+        self.slews.adapt(np.union1d(arms[due], again), estimate.parameters)
         if len(again):
-            again = again[self._slews.at(now[again], again)[0] < ARRIVING]
-            self._slews.time(again, now[again], first=False)
+            again = again[self.slews.at(self.clock(estimate, again), again)[0] < ARRIVING]
+            self.slews.time(again, self.clock(estimate, again), first=False)

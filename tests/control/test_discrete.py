@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 import flexman_gym as fm
 from flexman_gym.control.discrete import Weights, optimal_gain, zero_order_hold
-from flexman_gym.model.linear import LinearModel
+from flexman_gym.model.state_space import LinearModel
 
 from oracles.chains import QUICK, samples
 from oracles.refusals import refusal

@@ -42,7 +42,7 @@ def test_on_its_reference_it_only_feeds_forward():
     own.torques(estimate(rest, payload_mass=0.1), ON)
     for period in range(1, 5):
         now = np.array([period * plant.period])
-        state, forward = own._slews.states(now, ONE), own._slews.torques(now + 0.5 * plant.period, ONE)
+        state, forward = own.slews.states(now, ONE), own.slews.torques(now + 0.5 * plant.period, ONE)
         assert own.torques(estimate(state, payload_mass=0.1), ON) == pytest.approx(forward, abs=1e-9)
 
 
@@ -53,7 +53,7 @@ def test_it_follows_the_reference_of_the_moment_in_which_torques_act(lead):
     rest = fm.rest_state(plant.model, START[0])
     first = own.torques(estimate(rest, lead), ON)
     other, _ = law()
-    assert first == pytest.approx(other.torques(estimate(rest), ON)) and own._slews.begun[0] == lead * plant.period
+    assert first == pytest.approx(other.torques(estimate(rest), ON)) and own.slews.begun[0] == lead * plant.period
     way = np.sin(np.linspace(0.0, 1.5, 61))[:, None] ** 3 * [0.4, -0.5]
     follower, _ = law(way[:1], way[:1], path=lambda: way[None])
     for period in range(12):
@@ -76,7 +76,7 @@ def test_off_its_reference_it_is_the_regulator_of_the_arm_as_it_is_estimated(pay
     regulator = LQR(true, plant.torque_limit, plant.period)
     weights = regulator.weights._replace(tip=HOLDING * regulator.weights.tip) if held else regulator.weights
     gain = regulator.gain(goal[0], weights)
-    state = own._slews.states(np.array([60.0]), ONE)
+    state = own.slews.states(np.array([60.0]), ONE)
     state[:, plant.model.motor_columns] = goal
     off = 1e-6 * np.random.default_rng(0).standard_normal(state.shape)
     off[:, plant.model.motor_columns] = 0.0

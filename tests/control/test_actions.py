@@ -1,0 +1,121 @@
+"""Actions: what an agent's numbers mean is a part that can be exchanged, and torques are the usual one."""
+
+import numpy as np
+import pytest
+
+from flexman_gym.control.actions import ACTIONS, Mode, Torque
+from flexman_gym.control.network import Network
+from flexman_gym.control.policy import Policy
+from flexman_gym.envs.env import FlexManEnv
+from flexman_gym.envs.vector_env import FlexManVectorEnv
+
+from oracles.refusals import refusal
+
+SETTINGS = {"name": "FlexPlanar-v0", "horizon": 0.3}
+
+
+class Winding:
+    """A mode of one's own with a memory: a single number turns all motors, more with each control period."""
+
+    kept = ("wound",)
+    names, sensors = ("winding",), ("servo",)
+
+    def __init__(self, plant, base, rate=0.01):
+        self.joints, self.base, self.rate = len(plant.torque_limit), base, rate
+        self.wound = np.zeros(0)
+
+    def reset(self, arms, episode):
+        self.wound = np.concatenate([self.wound, np.zeros(max(0, arms.max() + 1 - len(self.wound)))])
+        self.wound[arms] = 0.0
+        self.base.reset(arms, episode)
+
+    def act(self, actions, readings, applied, playing):
+        self.wound += self.rate * actions[:, 0] * playing
+        turned = self.wound[:, None] - 0.01 * readings["motor_rates"]
+        return np.clip(self.base.act(readings, applied, playing) + turned, -1.0, 1.0)
+
+
+@pytest.fixture
+def winding(monkeypatch):
+    monkeypatch.setitem(ACTIONS, "winding", Mode(Winding, ("rate",)))
+    return {**SETTINGS, "actions": {"kind": "winding", "rate": 0.02}, "base": "pd"}
+
+
+def test_a_mode_says_how_many_numbers_an_action_has_and_acts_in_every_period(winding):
+    env = FlexManVectorEnv(2, **winding, hold=4)
+    assert env.single_action_space.shape == (1,) and env.action_space.shape == (2, 1)
+    env.reset(seed=0)
+    for step in range(1, 4):
+        env.step(np.array([[0.5], [-1.0]], dtype=np.float32))
+        assert env.episodes.acting.mode.wound == pytest.approx([0.04 * step, -0.08 * step])
+    env.reset(seed=1)
+    assert not env.episodes.acting.mode.wound.any(), "a new episode begins anew"
+    said = refusal(env.step, np.zeros((2, 2), dtype=np.float32))
+    assert said.endswith("give 2 rows of 1 numbers from -1 to 1")
+
+
+def test_a_state_holds_what_a_mode_remembers(winding):
+    one, other = FlexManEnv(**winding), FlexManEnv(**winding)
+    one.reset(seed=1)
+    for _ in range(5):
+        one.step(np.ones(1, dtype=np.float32))
+    other.reset(seed=2)
+    other.set_state(one.get_state())
+    asked = []
+    for env in (one, other):
+        env.step(np.zeros(1, dtype=np.float32))
+        asked.append(env.episodes.view.action.copy())
+    assert np.array_equal(*asked) and other.episodes.acting.mode.wound == pytest.approx([0.1])
+
+
+def test_a_policy_acts_in_its_mode_wherever_it_plays(winding):
+    """As an agent in its own environment, and as the base of one where actions are torques."""
+    beside = FlexManVectorEnv(3, **winding, hold=2, sensors="servo")
+    random = np.random.default_rng(0)
+    layers = {"action_net.weight": random.normal(size=(1, 6)), "action_net.bias": np.ones(1)}
+    network = Network("ppo", None, layers, {"mean": np.zeros(6), "var": np.ones(6)})
+    base = beside.setup.controller("pd", beside.batch.model)
+    mode = Winding(beside.episodes.acting.plant, base, 0.02)
+    alone = FlexManVectorEnv(3, **SETTINGS, base=Policy(network, beside.setup.sensors, 1, 2, base, mode))
+    asked, played = [], []
+    beside.episodes.watch = lambda: asked.append(beside.episodes.view.action.copy())
+    alone.episodes.watch = lambda: played.append(alone.episodes.view.action.copy())
+    seen = beside.reset(seed=3)[0]
+    alone.reset(seed=3)
+    for _ in range(5):
+        seen, *_ = beside.step(network(seen).astype(np.float32))
+    for _ in range(10):
+        alone.step(np.zeros((3, 2), dtype=np.float32))
+    assert np.array_equal(asked, played) and np.abs(asked).max() > 0.01
+    said = refusal(lambda: Policy(network, beside.setup.sensors, mode=Torque(2)))
+    assert said == "actions: ('torque_1', 'torque_2') is not allowed; give a mode of 1 numbers, which the policy gives"
+
+
+def test_torques_are_added_to_a_base_up_to_the_limits():
+    class Half:
+        sensors = ()
+
+        def reset(self, arms, episode):
+            pass
+
+        def act(self, readings, applied, playing):
+            return np.full((2, 2), 0.75)
+
+    given = np.array([[0.5, -0.5], [-1.0, 0.125]])
+    playing = np.ones(2, dtype=bool)
+    assert Torque(2).act(given, {}, given, playing) is given, "without a base they are what they are"
+    assert Torque(2, Half()).act(given, {}, given, playing).tolist() == [[1.0, 0.25], [-0.25, 0.875]]
+    assert Torque(2).names == ("torque_1", "torque_2")
+
+
+@pytest.mark.parametrize(
+    ("value", "line"),
+    [
+        ("torques", "actions: 'torques' is not allowed; give one of torque"),
+        ({"kind": "torque", "rate": 1.0}, "actions: 'rate' is not allowed; give "),
+        ({"kind": "spin"}, "actions.kind: 'spin' is not allowed; give one of torque"),
+        (3, "actions: 3 is not allowed; give a name, or a mapping with a name at kind and its arguments"),
+    ],
+)
+def test_other_modes_are_refused_in_one_line(value, line):
+    assert refusal(lambda: FlexManEnv(**SETTINGS, actions=value)).startswith(line)
