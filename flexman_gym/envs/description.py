@@ -5,23 +5,22 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Self
 
-from flexman_gym.checks import mapping, one_of, refusal, sequence, text
+from flexman_gym.checks import one_of, refusal, sequence, text
 from flexman_gym.envs.catalog import DEFAULT, NAMED
-from flexman_gym.envs.limits import Limits
+from flexman_gym.envs.limits import Limits, find_limits
 from flexman_gym.envs.randomisation import Randomisation
 from flexman_gym.envs.sensors import plain_sensors
 from flexman_gym.envs.setup import Setup, setup_of
 from flexman_gym.envs.tasks import TASKS, find_task
-from flexman_gym.scene import catalog, file
-from flexman_gym.scene.arm import Arm, Payload
-from flexman_gym.scene.plain import arm_of, part_of, plain
+from flexman_gym.scene import file
+from flexman_gym.scene.arm import Arm
+from flexman_gym.scene.naming import find_arm
+from flexman_gym.scene.plain import plain
 
-ARMS = ("paper_rrr", "planar_2r", "one_link", "vertical_2r", "one_joint")  # functions of the catalog
 WHOLE = ("arm", "task", "limits")  # what a named environment has before a change leads into it
 NOMINAL = "nominal"  # the condition without changes
 FILES = Path(__file__).parent / "conditions"  # a folder for each arm, with a file of changes for each condition
 CONDITIONS = (NOMINAL, *sorted({path.stem for path in FILES.glob("*/*.yaml")}))
-SUFFIXES = (".json", ".yaml", ".yml")
 
 
 @dataclass(frozen=True)
@@ -126,9 +125,9 @@ class Description:
     def keywords(self) -> dict[str, Any]:
         """Keyword arguments of `gym.make` and `gym.make_vec`."""
         makers = {
-            "arm": lambda value: read_arm(value, self.folder),
+            "arm": lambda value: find_arm(value, self.folder),
             "task": find_task,
-            "limits": lambda value: Limits(**mapping("limits", value, [each.name for each in fields(Limits)])),
+            "limits": find_limits,
             "modes": _tuples, "elements": _tuples,
         }  # fmt: skip
         settings = self.whole_settings()
@@ -201,25 +200,6 @@ def described(setup: Setup) -> dict[str, Any]:
     return data
 
 
-def read_arm(value: object, folder: Path = Path()) -> Arm:
-    """The arm that a name, a path, or a mapping describes; see `Description`."""
-    if isinstance(value, str) and value.endswith(SUFFIXES):
-        data = file.read(folder / value)
-        return arm_of(data.get("arm", data) if isinstance(data, dict) and "links" not in data else data)
-    if isinstance(value, str) or (isinstance(value, dict) and "catalog" in value):
-        given = {} if isinstance(value, str) else value
-        arguments = {text("a key of arm", name): each for name, each in given.items() if name != "catalog"}
-        name = value if isinstance(value, str) else value["catalog"]
-        if isinstance(arguments.get("payload"), dict):
-            arguments["payload"] = part_of(Payload, "arm.payload", arguments["payload"])
-        try:
-            arm: Arm = getattr(catalog, one_of("arm", name, ARMS))(**arguments)
-        except TypeError as error:
-            raise refusal("arm", arguments, f"what {name} takes: {str(error).split('() ')[-1]}") from None
-        return arm
-    return arm_of(value)
-
-
 def _tuples(value: object) -> object:
     """Lists as tuples, all the way down."""
     return tuple(map(_tuples, value)) if isinstance(value, list) else value
@@ -258,7 +238,7 @@ def _plain(name: str, value: Any) -> Any:
         return {"kind": kind, **asdict(value)}
     if name == "sensors":
         return plain_sensors(value)
-    if name == "base" and isinstance(value, dict):
+    if name in ("base", "actions", "reward") and isinstance(value, dict):
         return dict(value)
     if name == "gains" and value is not None:
         return {each: list(numbers) for each, numbers in value.items()}

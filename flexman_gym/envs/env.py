@@ -1,21 +1,25 @@
 """Environment: a simulator, a task and sensors behind Gymnasium's interface."""
 
+import math
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
-from flexman_gym.checks import one_of, whole_number
+from flexman_gym.arrays import Vector
+from flexman_gym.checks import whole_number
 from flexman_gym.envs.description import find_setup
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.motors import action_space, checked_actions
 from flexman_gym.envs.options import check_parameters
 from flexman_gym.envs.remembering import Remembering
+from flexman_gym.envs.rendering import MODES, RENDER, make_rendering
 from flexman_gym.envs.setup import build
 from flexman_gym.kernels import layout
-from flexman_gym.model.model import Model
 from flexman_gym.simulation.simulator import Simulator
 
 Observation = NDArray[np.float32]
@@ -62,7 +66,9 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
         In [0, 1] a step, less a penalty for a failure: `Slew` has the terms, `info["reward_terms"]` their values.
 
     Start and end
-        `reset(seed=...)` draws start and target; `reset(options={"start": angles, "goal_angles": angles})` sets them.
+        `reset(seed=...)` draws start and target; `reset(options={"start": angles, "goal_angles": angles})` sets them,
+        or the places of the tip where they are, "start_tip" and "goal_tip", (3,) m in the base frame. Of the postures
+        that lead there it takes the one whose joints turn least, a goal from the start and a start from zero angles.
         "parameters", a dict, sets physical parameters of the arm from this episode on (see `Batch.vary`). An arm starts
         at rest. Under gravity its weight bends it, and the target is where it rests at the goal posture.
 
@@ -92,8 +98,13 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
         it from others; rewards and observations differ from then on (`method="ros2", step=0.005` has the old ones).
 
     Args:
-        render_mode: None or "rgb_array".
+        render_mode: None, "rgb_array", or "human". The latter shows every step at its pace: in a window of pygame where
+            there is a display, else on a page of this machine whose address a line on stderr says.
         render_size: width and height of a frame in pixels.
+        render_camera: azimuth and elevation in degrees, and a zoom if wanted; None chooses them by the joints. The
+            picture always holds the arm at start and goal, and the target.
+        render_gain: by which the deflection is multiplied in a frame, which says so.
+        render_overlays: whether time, tip error, reward, torques and scales are written over a frame.
         settings: the attributes of `Setup`: arm, task, limits, fidelity and so on; and "condition", one of
             `envs.description.CONDITIONS`, which changes some of those that are not given.
 
@@ -101,26 +112,45 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
         ValueError: one line with field, value and what is allowed.
     """
 
+    _spec: EnvSpec | None = None
     kept, spaces = ("_np_random", "_np_random_seed"), ("action_space",)
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012
+    metadata = {"render_modes": list(MODES), "render_fps": 50}  # noqa: RUF012
 
     def __init__(
-        self, *, render_mode: str | None = None, render_size: tuple[int, int] = (480, 360), **settings: Any
+        self,
+        *,
+        render_mode: str | None = None,
+        render_size: tuple[int, int] = (480, 360),
+        render_camera: Vector | None = None,
+        render_gain: float = 1.0,
+        render_overlays: bool = True,
+        **settings: Any,
     ) -> None:
-        self.render_mode = checked_mode(render_mode)
-        self._made = {"render_mode": render_mode, "render_size": render_size, **settings}
-        setup = find_setup(settings, ("render_mode", "render_size"))
+        self.render_mode, given = render_mode, (render_size, render_camera, render_gain, render_overlays)
+        self._made = dict(zip(RENDER, (render_mode, *given), strict=True)) | settings
+        setup = find_setup(settings, RENDER)
         model, method, step, self.choice = build(setup)
         self.simulator = Simulator(model, method, step, setup.control_period)
         self.setup, self.task, self.torque_limit = setup, setup.task, np.array(setup.torque_limit)
         self.episodes = Episodes(setup, self.simulator.batch)
         self.sensors = self.episodes.sensors
         self.observation_space = observation_space(self.episodes)
-        self.action_space = action_space(model)
+        size = len(self.episodes.acting.mode.names)
+        self.action_space = action_space(size)
         self.metadata = FlexManEnv.metadata | {"render_fps": round(1 / self.simulator.control_period)}
-        self._shape = (model.n_joints,)
-        self._allowed = f"{model.n_joints} numbers from -1 to 1"
-        self._painter = painter(render_mode, model, render_size)
+        self._shape = (size,)
+        self._allowed = f"{size} numbers from -1 to 1"
+        self._rendering = make_rendering(render_mode, self.episodes, setup.name, given)
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What Gymnasium knows of the environment, with the steps after which an episode is truncated."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, given: EnvSpec | None) -> None:
+        steps = math.ceil(self.setup.longest / self.setup.hold)
+        self._spec = None if given is None else replace(given, max_episode_steps=steps)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -136,6 +166,7 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
         with self._undoing(options):
             super().reset(seed=whole)
             self.episodes.reset(ONLY, [self.np_random], options)
+        self._show()
         return self.episodes.sight.seen[0].copy(), self._outcome()[1]
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -153,6 +184,7 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
         reward, info = self._outcome()
         if mean is not None:
             reward = mean.item()
+        self._show()
         return episodes.sight.seen[0].copy(), reward, bool(episodes.failures), bool(episodes.truncated[0]), info
 
     def _generators(self, own: dict[str, Any]) -> list[np.random.Generator | None]:
@@ -160,10 +192,21 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
 
     def render(self) -> NDArray[np.uint8] | None:
         """A frame (height, width, 3) uint8 of the deformed arm and the target."""
-        if self._painter is None:
+        if self.render_mode == "human":
+            return None  # every step has been shown
+        if self._rendering is None:
             gym.logger.warn('render() needs render_mode="rgb_array" in gym.make')
             return None
-        return self._painter.paint(self.simulator.state, self.episodes.view.target[0])
+        return self._rendering.frame(0)
+
+    def _show(self) -> None:
+        if self.render_mode == "human" and self._rendering is not None:
+            self._rendering.show()
+
+    def close(self) -> None:
+        """Closes what a person looked at."""
+        if self._rendering is not None:
+            self._rendering.close()
 
     def _outcome(self) -> tuple[float, dict[str, Any]]:
         """Reward and info of the state that the arm is in."""
@@ -183,17 +226,3 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
 def observation_space(episodes: Episodes) -> spaces.Space[Any]:
     """The space of observations of one arm."""
     return spaces.Box(-episodes.sight.bound, episodes.sight.bound, dtype=np.float32)
-
-
-def checked_mode(render_mode: str | None) -> str | None:
-    """The render mode; raises ValueError for one that there is not."""
-    return None if render_mode is None else one_of("render_mode", render_mode, ("rgb_array",))
-
-
-def painter(render_mode: str | None, model: Model, size: tuple[int, int]) -> Any:
-    """A FramePainter, None without a render mode."""
-    if render_mode is None:
-        return None
-    from flexman_gym.draw.frames import FramePainter  # which needs the extra [render]
-
-    return FramePainter(model, size)

@@ -2,26 +2,28 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from flexman_gym.arrays import Array, Flags, IntArray, row_dots
+from flexman_gym.arrays import Array, Flags, IntArray
 from flexman_gym.checks import one_of, refusal
-from flexman_gym.control.controller import Episode
+from flexman_gym.control.controller import Controller
+from flexman_gym.envs.acting import Acting
 from flexman_gym.envs.effects import Stage
 from flexman_gym.envs.effects.active import Effects
 from flexman_gym.envs.limits import broken
 from flexman_gym.envs.motors import Motors
 from flexman_gym.envs.options import given_options
+from flexman_gym.envs.places import postures_of
 from flexman_gym.envs.sensors import Sensors, measured_names
 from flexman_gym.envs.sensors.measured import Measured
 from flexman_gym.envs.setup import Setup
 from flexman_gym.envs.sight import Observations, Sight, sight_parts
 from flexman_gym.envs.snapshot import give, take
-from flexman_gym.envs.tasks.task import goal_path
+from flexman_gym.envs.tasks.rewards import reward_terms
 from flexman_gym.kernels import layout
+from flexman_gym.kernels.periods import ask, outlast
 from flexman_gym.kernels.readings import beyond
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.energy import alarm
@@ -40,7 +42,7 @@ class Episodes:
         failures: of the last step, arm -> what happened.
         over, truncated: (b,) whether an arm's episode is over, by a failure or because it has lasted `longest` control
             periods; and whether by the latter.
-        base: the controller that acts beside the agent, None without one.
+        acting: what actions mean, and the base beside the agent.
         hold: control periods for which the agent's part of an action is kept.
         watch: called after every control period, also those within an action that is kept; None for nothing.
     """
@@ -49,12 +51,13 @@ class Episodes:
 
     def __init__(self, setup: Setup, batch: Batch) -> None:
         self.batch, self.task, self.view = batch, setup.task, View(batch)
+        self._terms = reward_terms(setup.task, setup.reward)
         arms = len(batch.rows)
         self._limits = np.concatenate(list(setup.limits.bounds(self.view).values()))
-        self.motors = Motors(setup.torque_limit, arms)
-        self.base = setup.base_controller(batch.model)
+        self.motors = Motors(setup.torque_limit, arms, setup.lag)
+        self.acting = Acting(setup, batch.model)
         self.effects = self._effects(setup)
-        self.sight = Sight(setup, self.view, self.base, self.effects)
+        self.sight = Sight(setup, self.view, self.acting.mode, self.effects)
         self._energy_alarm, self._told = setup.energy_alarm, setup.tell
         for name in setup.tell:
             one_of("tell", name, self.view.units)
@@ -63,29 +66,35 @@ class Episodes:
         self.failures: dict[int, str] = {}
         self.over, self.truncated = np.ones(arms, dtype=bool), np.zeros(arms, dtype=bool)
         self._unseen, self._unbounded = np.zeros((arms, 0)), np.zeros(0)
-        self._ages, self._beyond = np.zeros(arms, dtype=np.int64), np.zeros(arms, dtype=np.int64)
+        self._ages, self._beyond = np.zeros(arms, dtype=np.int64), np.zeros(arms, dtype=bool)
+        self._all = np.ones(arms, dtype=bool)
 
     def _effects(self, setup: Setup) -> Effects | None:
         """What disturbs the arms, of the randomisation and of the task."""
         randomisation = setup.disturbed
         if randomisation is None:
             return None
-        parts, own = sight_parts(setup, self.base)
+        parts, own = sight_parts(setup, self.acting.mode)
         bound = Measured(self.view, setup.limits, measured_names([*parts, *own])).bound
         nominal = np.array(setup.torque_limit)
         stage = Stage(self.batch, setup.limits, bound, self.motors.limits, nominal, randomisation.impulse_gap)
         return Effects(randomisation, stage)
 
     @property
+    def base(self) -> Controller | None:
+        """The controller that acts beside the agent, None without one."""
+        return self.acting.base
+
+    @property
     def sensors(self) -> Sensors:
         """What is seen of the arms."""
         return self.sight.sensors
 
-    def give(self, data: object, base: object, randoms: Sequence[np.random.Generator | None]) -> None:
-        """Puts all arms, and the base, where they were when `snapshot.take` took the data of both.
+    def give(self, data: object, acting: object, randoms: Sequence[np.random.Generator | None]) -> None:
+        """Puts all arms, and what acts on them, where they were when `snapshot.take` took the data of both.
 
         Args:
-            data, base: what was taken.
+            data, acting: what was taken.
             randoms: the generators of the arms, given back already.
 
         Raises:
@@ -96,10 +105,10 @@ class Episodes:
             self.effects.drawn = take(self.effects.drawn)  # the present one may be in somebody's hands
         self.over[:] = True
         give("state.episodes", self, data)
-        if self.base and view.plan:  # it makes again what it does not remember
+        if view.plan:  # a base makes again what it does not remember
             posture = self.task.goal(view.plan, np.zeros(len(self.over)), view).angles
-            self._inform_base(np.arange(len(self.over)), view.plan, posture)
-        give("state.base", self.base, base)
+            self.acting.begin(np.arange(len(self.over)), view.plan, posture, view, self.effects)
+        give("state.acting", self.acting, acting)
         if self.effects is not None:
             self.effects.follow(randoms)
         view.renew()
@@ -120,7 +129,8 @@ class Episodes:
         """Starts new episodes of the arms with the indices (r,), each drawn from its own generator.
 
         Options may set what the task draws, such as "start" and "goal_angles", for all arms or with a leading axis b,
-        and "parameters" of the arms from this episode on: a dict of what `Batch.vary` takes, in the same way.
+        both also by places of the tip, "start_tip" and "goal_tip" (3,) m, see `postures_of`; and "parameters" of the
+        arms from this episode on: a dict of what `Batch.vary` takes.
 
         Raises:
             ValueError: one line with field, value and what is allowed; the episodes of these arms are then over.
@@ -136,26 +146,23 @@ class Episodes:
             parameters = self.effects.draw(arms, randoms, parameters)
         if parameters:
             self.batch.vary(arms, **parameters)
-        plan |= {name: values[arms] for name, values in given.items()}
+        plan = postures_of(plan | {name: values[arms] for name, values in given.items()}, self.view)
         self._set_goal(arms, plan)
         start = self.view.rest_states(plan["start"])
         if self.effects is not None:
             self.effects.change_start(arms, start)
         self.batch.reset(arms, start)
+        self.motors.reached[arms] = 0.0
         self.view.effort[arms], self.view.failed[arms], self.view.action[arms] = 0.0, False, 0.0
         self._ages[arms], self.truncated[arms] = 0, False
         self.view.read()
         self.sight.begin(arms, randoms)
-        self._begin(arms, options)
-        if self.base:
-            self._inform_base(arms, plan, self.view.goal_angles[arms])
-
-    def _inform_base(self, arms: IntArray, plan: Mapping[str, Array], posture: Array) -> None:
-        """Tells the base of start and first goal (r, n) of new episodes, and of the path of a goal that moves."""
-        assert self.base is not None
-        path = partial(goal_path, self.task, plan, self.longest, self.view) if self.task.moves else None
-        drawn = {name: values[arms] for name, values in self.effects.drawn.items()} if self.effects else {}
-        self.base.reset(arms, Episode(plan["start"], posture, self.view.control_period, path, drawn))
+        self._check_start(arms, options)
+        self.acting.begin(arms, plan, self.view.goal_angles[arms], self.view, self.effects)
+        self.failures = {arm: text for arm, text in self.failures.items() if arm not in arms}
+        self.acting.look(self.sight, self.view, np.isin(np.arange(len(self.over)), arms))
+        self.sight.first(arms)
+        self.over[arms] = False
 
     def _check_plan(self, plan: object) -> None:
         """Refuses what a task draws without a start that has an angle for each joint."""
@@ -173,32 +180,29 @@ class Episodes:
         view.target[arms], view.goal_angles[arms] = self.task.goal(plan, np.zeros(len(arms)), view)
         view.target_velocity[arms] = view.goal_rates[arms] = 0.0
 
-    def _begin(self, arms: IntArray, options: object) -> None:
-        """Lets the episodes of arms that have just been reset and read begin."""
+    def _check_start(self, arms: IntArray, options: object) -> None:
+        """Refuses a start beyond the limits of arms that have just been reset and read."""
         for arm in arms:
             if failure := self._broken(arm):
                 field, value = ("options", options) if options else ("task", self.task)
                 raise refusal(field, value, f"a start and a goal within the limits ({failure})")
-        self.failures = {arm: text for arm, text in self.failures.items() if arm not in arms}
-        self.sight.first(arms)
-        self.over[arms] = False
 
     def step(self, actions: Array) -> Number | None:
-        """Moves all arms by `hold` control periods under actions (b, n), parts of the torque limits.
+        """Moves all arms by `hold` control periods under actions (b, k) of the agent.
 
         An arm whose episode ends on the way stays as it was then. One whose episode was over has no outcome worth
         reading before it is reset. Returns the mean reward (b,) of the periods that an arm moved in; None where an
         action is kept for one period only, whose reward is that of the outcome.
         """
         if self.hold == 1:
-            self._period(actions, None)
-            self._judge(None, last=True)
+            self._period(actions, self._all)
+            self._judge(self._all, last=True)
             self._see()
             return None
         playing, total, count = ~self.over, np.zeros(len(actions)), np.zeros(len(actions))
         for period in range(self.hold):
-            self._period(actions, None if playing.all() else playing)
-            self._judge(None if playing.all() else playing, last=period == self.hold - 1)
+            self._period(actions, self._all if playing.all() else playing)
+            self._judge(self._all if playing.all() else playing, last=period == self.hold - 1)
             total[playing] += self.rewards(self.view)[playing]
             count += playing
             playing = ~self.over
@@ -208,53 +212,44 @@ class Episodes:
         self._see()
         return total / np.maximum(count, 1.0)
 
-    def _period(self, actions: Array, playing: Flags | None) -> None:
-        """Moves the arms that are playing, None for all, by one control period."""
-        if self.base:
-            acted = self.base.act(self.sight.readings, self.view.action.copy(), ~self.over)
-            actions = np.clip(np.asarray(acted, dtype=np.float64) + actions, -1.0, 1.0)
+    def _period(self, actions: Array, playing: Flags) -> None:
+        """Moves the arms that are playing by one control period."""
+        view, motors, everyone = self.view, self.motors, playing is self._all
+        actions = np.ascontiguousarray(self.acting.asked(actions, self.sight, view, ~self.over))
         arriving = actions
         if self.effects is not None:
-            arriving = self.effects.motor_actions(actions)
-            self.effects.disturb(self.motors.forces, self.motors.accelerations, self.over)
-        self.batch.step(self.motors.drive(arriving), playing)
-        self._ages += 1 if playing is None else playing
-        view, effort = self.view, row_dots(actions, actions) / actions.shape[1]
-        if playing is None:
-            view.effort, view.action[:] = effort, actions
-        else:
-            view.effort = np.where(playing, effort, view.effort)
-            view.action[playing] = actions[playing]
+            arriving = np.ascontiguousarray(self.effects.motor_actions(actions))
+            self.effects.disturb(motors.forces, motors.accelerations, self.over)
+        arriving = motors.followed(arriving)
+        ask(actions, arriving, motors.limits, playing, motors.drive, view.action, view.effort)
+        self.batch.step(motors.drive, None if everyone else playing)
         if self.task.moves:
             self._move_goals(playing)
         view.read()
-        self.sight.measure(None if playing is None else np.flatnonzero(playing))
+        self.sight.measure(None if everyone else np.flatnonzero(playing))
 
-    def _judge(self, playing: Flags | None, last: bool) -> None:
-        """Ends the episodes of arms that have left their limits or lasted long enough.
+    def _judge(self, playing: Flags, last: bool) -> None:
+        """Ends the episodes of arms that are playing and have left their limits or lasted long enough.
 
         After the last period of an action it reads the sensors too, whose numbers have bounds of their own.
         """
         view = self.view
-        if playing is None and np.count_nonzero(view.failed):
+        if playing is self._all and np.count_nonzero(view.failed):
             self.failures, view.failed = {}, np.zeros_like(view.failed)
         observations, bound = self._unseen, self._unbounded
         if last:
             self.sight.sensors.read()
             observations, bound = self.sight.sensors.observations, self.sight.sensors.bound
-        many = beyond(view.motion, self._limits, observations, bound, self._beyond)
-        if many or np.count_nonzero(self.batch.status):
-            ended = self._beyond | (self.batch.status != layout.OK)
-            self._fail(np.flatnonzero(ended if playing is None else ended & playing))
-        self.truncated = self._ages >= self.longest
-        if np.count_nonzero(self.truncated):
+        if beyond(view.motion, self._limits, observations, bound, self.batch.status, self._beyond):
+            self._fail(np.flatnonzero(self._beyond & playing))
+        if outlast(self._ages, playing, self.longest, self.truncated):
             self.over |= self.truncated
         if self.watch is not None:
             self.watch()
 
-    def _move_goals(self, playing: Flags | None) -> None:
+    def _move_goals(self, playing: Flags) -> None:
         """Sets the goals of this moment, and how fast the targets have come there, of the arms that are playing."""
-        view, arms = self.view, slice(None) if playing is None else playing
+        view, arms = self.view, slice(None) if playing is self._all else playing
         goal = self.task.goal(view.plan, self.batch.time, view)
         view.target_velocity[arms] = (goal.target[arms] - view.target[arms]) / view.control_period
         view.goal_rates[arms] = (goal.angles[arms] - view.goal_angles[arms]) / view.control_period
@@ -263,6 +258,7 @@ class Episodes:
     def _see(self) -> None:
         """Keeps what is seen now of the arms that have not failed."""
         failed = self.view.failed
+        self.acting.look(self.sight, self.view, ~self.over | (self.truncated & ~failed))
         self.sight.next(np.flatnonzero(~failed) if np.count_nonzero(failed) else None)
 
     def _fail(self, arms: IntArray) -> None:
@@ -280,11 +276,11 @@ class Episodes:
 
     def rewards(self, view: View) -> Number:
         """Rewards of the control period just over."""
-        return sum(self.task.reward_terms(view).values())
+        return sum(self._terms(view).values())
 
     def outcome(self, view: View) -> tuple[Number, dict[str, Any]]:
         """Reward and the part of the info that is numbers, from the view of all arms or from that of the only one."""
-        terms, residual = self.task.reward_terms(view), view.energy_residual
+        terms, residual = self._terms(view), view.energy_residual
         return sum(terms.values()), {
             "tip_error": view.tip_error,
             "tip_vibration": view.tip_vibration,

@@ -1,11 +1,11 @@
 """Limits: how far an arm may move before its episode ends."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import positive, store
+from flexman_gym.checks import mapping, positive, store
 from flexman_gym.simulation.view import View
 
 
@@ -60,3 +60,12 @@ def broken(values: Array, bound: Array, places: dict[str, slice], units: dict[st
     first = int(np.argmin(inside))
     name = next(name for name, place in places.items() if first < place.stop)
     return f"{name} {values[first]:.4g} {units[name]} beyond {bound[first]:.4g}"
+
+
+def find_limits(value: object) -> Limits:
+    """Gives the Limits of a mapping of their numbers.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    return Limits(**mapping("limits", value, [each.name for each in fields(Limits)]))

@@ -8,6 +8,7 @@ import numpy as np
 
 from flexman_gym.arrays import Array
 from flexman_gym.checks import one_of, refusal, sequence, vector
+from flexman_gym.envs.places import TIPS
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.parameters import PARAMETERS
 
@@ -16,7 +17,7 @@ def given_options(
     options: Mapping[str, Any] | None, plan: Mapping[str, Array], size: tuple[int, int]
 ) -> dict[str, Any]:
     """The options with a leading axis for the arms; `size` is (b, n), how many arms and joints there are."""
-    names = [*plan, "parameters"]
+    names = [*plan, *(name for name, posture in TIPS.items() if posture in plan), "parameters"]
     if options is not None and not isinstance(options, dict):
         raise refusal("options", options, f"a dict with {', '.join(names[:-1])} or {names[-1]}")
     given: dict[str, Any] = {}
@@ -25,7 +26,10 @@ def given_options(
         if one_of("options", name, names) == "parameters":
             given[name] = _parameters(field, value, size)
         else:
-            given[name] = _each(field, value, plan[name].shape[1:], size)
+            if TIPS.get(name) in given or name in [TIPS.get(other) for other in given]:
+                raise refusal(field, value, "either a posture or a place of the tip")
+            shape = (3,) if name in TIPS else plan[name].shape[1:]
+            given[name] = _each(field, value, shape, size[0], "m" if name in TIPS else "rad" * (shape == size[1:]))
     return given
 
 
@@ -37,9 +41,8 @@ def check_parameters(options: object, batch: Batch) -> None:
             PARAMETERS[name].checked(f"{field}[{name!r}]", values, model, arms)
 
 
-def _each(field: str, value: object, shape: tuple[int, ...], size: tuple[int, int]) -> Array:
+def _each(field: str, value: object, shape: tuple[int, ...], arms: int, unit: str) -> Array:
     """Numbers (b, ...) of all arms from those of one, shape (...), or of each."""
-    arms, unit = size[0], "rad" if shape == size[1:] else ""
     if len(shape) != 1:
         return _numbers(field, value, (arms, *shape))
     entries = sequence(field, value, "numbers")

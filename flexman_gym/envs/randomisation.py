@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from flexman_gym.checks import non_negative, one_of, positive, refusal, vector
+from flexman_gym.checks import non_negative, positive, refusal, text, vector
 from flexman_gym.envs.effects import SIGNALS, Range
 from flexman_gym.simulation.parameters import PARAMETERS
 
@@ -37,7 +37,8 @@ class Randomisation:
     def __init__(self, *, impulse_gap: float | None = None, **ranges: Any) -> None:
         self.impulse_gap = GAP if impulse_gap is None else positive("Randomisation.impulse_gap", impulse_gap, "s")
         for name in ranges:
-            one_of("randomisation", name, (*known(), "impulse_gap"))
+            if name not in (known() | {"impulse_gap": ""}):
+                raise refusal("randomisation", name, f"one of {' '.join(known())} impulse_gap")
         self.given = ranges if impulse_gap is None else {**ranges, "impulse_gap": self.impulse_gap}
         self.ranges = {
             effect: _range(name, ranges[name]) for name, effect in known().items() if ranges.get(name) is not None
@@ -83,3 +84,12 @@ def given_name(effect: str) -> str:
     """The name of the range from which an effect draws, which says whether it is one of factors."""
     of = PARAMETERS[effect] if effect in PARAMETERS else SIGNALS[effect]
     return f"{effect}_factor" if getattr(of, "factor", False) else effect
+
+
+def find_randomisation(value: object) -> Randomisation | None:
+    """Gives a Randomisation, that of a dict of its arguments, or None; raises ValueError for anything else."""
+    if isinstance(value, dict):
+        return Randomisation(**{text("a key of randomisation", name): each for name, each in value.items()})
+    if value is not None and not isinstance(value, Randomisation):
+        raise refusal("randomisation", value, "a Randomisation, or a dict of its arguments")
+    return value

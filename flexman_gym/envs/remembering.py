@@ -30,12 +30,12 @@ class Remembering:
     def get_state(self) -> dict[str, Any]:
         """Gives all that the environment remembers, as dicts and lists of arrays and plain data.
 
-        That is the motion of every arm, its episode and its parameters, what effects and base remember, and every
+        That is the motion of every arm, its episode and its parameters, what effects and what acts remember, and every
         random generator. An environment made alike goes on from it as this one would, to the last bit.
         """
         spaces = {name: take(_space(self, name)._np_random) for name in self.spaces}
         own = {name: take(getattr(self, name)) for name in self.kept}
-        return {**own, **spaces, "episodes": take(self.episodes), "base": take(self.episodes.base)}
+        return {**own, **spaces, "episodes": take(self.episodes), "acting": take(self.episodes.acting)}
 
     def set_state(self, state: dict[str, Any]) -> Observations:
         """Puts the environment where `get_state` found one made alike; returns what is seen (b, size) of its arms.
@@ -43,7 +43,7 @@ class Remembering:
         Raises:
             ValueError: one line, for the state of another environment; the episodes are then over.
         """
-        names = {*self.kept, *self.spaces, "episodes", "base"}
+        names = {*self.kept, *self.spaces, "episodes", "acting"}
         if not isinstance(state, dict) or state.keys() != names:
             result = sorted(map(str, state)) if isinstance(state, dict) else state
             raise refusal("state", result, f"what get_state gave: {', '.join(sorted(names))}")
@@ -52,7 +52,7 @@ class Remembering:
         for name, random in {**own, **spaces}.items():
             if not isinstance(random, list | int | np.random.Generator | None):
                 raise refusal(f"state.{name}", random, "what get_state gave")
-        self.episodes.give(state["episodes"], state["base"], self._generators(own))
+        self.episodes.give(state["episodes"], state["acting"], self._generators(own))
         for name, value in own.items():
             setattr(self, name, value)
         for name, random in spaces.items():

@@ -6,23 +6,28 @@ from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from typing import Any, NamedTuple
 
-from flexman_gym.checks import mapping, one_of, positive, refusal, sequence, store, text, vector, whole_number
+from flexman_gym.checks import mapping, one_of, physical, positive, refusal, sequence, store, text, vector, whole_number
+from flexman_gym.control.actions import checked_action_mode
 from flexman_gym.control.bases import BASES, checked_base, make_base
 from flexman_gym.control.controller import Controller, checked_controller
 from flexman_gym.control.history import checked_history
+from flexman_gym.control.margins import lag
 from flexman_gym.control.pd import PD, torque_limits
+from flexman_gym.control.policy import Learned
 from flexman_gym.envs.catalog import DEFAULT, NAMED
-from flexman_gym.envs.limits import Limits
-from flexman_gym.envs.randomisation import Randomisation
+from flexman_gym.envs.choosing import choose
+from flexman_gym.envs.hints import HINTS
+from flexman_gym.envs.limits import Limits, find_limits
+from flexman_gym.envs.randomisation import Randomisation, find_randomisation
 from flexman_gym.envs.sensors import find_sensors
 from flexman_gym.envs.specification import make_plant
 from flexman_gym.envs.tasks import Task, check_task, find_task
-from flexman_gym.fidelity.choose import Choice, assembled_modes, choose_model
+from flexman_gym.envs.tasks.rewards import checked_reward
+from flexman_gym.fidelity.choose import Choice, assembled_modes
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.arm import Arm
-from flexman_gym.scene.choice import ModelChoice
-from flexman_gym.scene.drive import SineTorque
-from flexman_gym.scene.scene import Initial, Scene
+from flexman_gym.scene.naming import find_arm
+from flexman_gym.scene.slips import warn_of_slips
 from flexman_gym.simulation.energy import ENERGY_ALARM
 from flexman_gym.simulation.families import Method
 from flexman_gym.simulation.methods import DEFAULT as DEFAULT_METHOD
@@ -31,7 +36,6 @@ from flexman_gym.simulation.run import default_step
 CHOSEN = ("elements", "modes", "method", "step", "stiffening")  # by fidelity="auto"
 SHORTEST_PERIOD, LONGEST_PERIOD = 1e-9, 100.0  # s, of control
 LONGEST_HOLD, MOST_PERIODS = 1000, 10**9
-SLEW, SLEW_START = 3.0, 0.4  # s and rad, of the motion for which fidelity="auto" chooses
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +44,10 @@ class Setup:
 
     Attributes:
         name: of a named environment, which gives what is None below.
-        arm: an Arm.
+        arm: an Arm, or what `scene.naming.find_arm` takes for one.
         task: a Task, such as `Slew()`; its name, "slew"; or a mapping with that at "kind" and its arguments.
+        reward: weights of the task's terms, name -> factor, which is 1 for the others; or a function that gives the
+            reward (b,) of a View in their place, a failure included (`view.failed`). None for the terms as they are.
         sensors: a name, a mapping with a name at "kind" and flaws (noise, bias, quantisation, delay, every, dropped),
             a Sensor of one's own, or a tuple of these; `envs.sensors` has the names.
         history: the agent sees the last k observations, the newest first; or, for a tuple of times (s), the present one
@@ -58,6 +64,12 @@ class Setup:
         gains: of base="pd", a mapping with "stiffness" (N m/rad) and "damping" (N m s/rad), one for each joint; None
             takes those that were tuned for the arm of the named environment, which no arm with other links or motors
             has.
+        actions: what an action of the agent means: a name in `control.actions.ACTIONS`, "torque" for torques as parts
+            of their limits, "current" of motors, "position" or "velocity" of their servos, or "shaping" for the
+            reference that the base tracks; or a mapping with a name at "kind" and its arguments. A servo acts in every
+            control period: with control_period=0.002 and hold=10 it runs at 500 Hz under an agent at 50 Hz.
+        drive_bandwidth: Hz, with which the torque of a motor follows what it is asked for, as a first-order lag; None
+            for at once.
         hold: control periods for which the agent's part of an action is kept (action repeat). A step then takes so
             many: its reward is the mean of theirs, its info that of the last; an episode that ends on the way ends
             there.
@@ -78,14 +90,17 @@ class Setup:
     name: str = DEFAULT
     arm: Arm = None  # type: ignore[assignment]
     task: Task = None  # type: ignore[assignment]
+    reward: Any = None
     sensors: Any = None
     history: Any = 1
     limits: Limits = None  # type: ignore[assignment]
     torque_limit: Any = None
     control_period: float = None  # type: ignore[assignment]
     horizon: float = None  # type: ignore[assignment]
-    base: Controller | Mapping[str, Any] | str | None = None
+    base: Controller | Learned | Mapping[str, Any] | str | None = None
     gains: Any = None
+    actions: Any = "torque"
+    drive_bandwidth: float | None = None
     hold: int = 1
     fidelity: str = "default"
     tolerance: float | None = None
@@ -108,8 +123,8 @@ class Setup:
             ("limits", Limits, "Limits"),
         ):
             value = getattr(self, field)
-            if field == "task" and isinstance(value, str | dict):
-                value = find_task(value)
+            if isinstance(value, str | dict) or (field == "arm" and value is not None):  # names, specifications as JSON
+                value = {"arm": find_arm, "task": find_task, "limits": find_limits}[field](value)
             if value is None:
                 value = named.arm() if field == "arm" else getattr(named, field)
             elif not isinstance(value, kind) or isinstance(value, type):
@@ -122,8 +137,9 @@ class Setup:
             torque_limit=self._torque_limits(),
             control_period=_period(period),
             energy_alarm=positive("energy_alarm", self.energy_alarm),
-            randomisation=_randomisation(self.randomisation),
+            randomisation=find_randomisation(self.randomisation),
             history=checked_history(self.history),
+            reward=checked_reward(self.reward),
             tell=tuple(text(f"tell[{i}]", name) for i, name in enumerate(sequence("tell", self.tell, "names"))),
         )
         horizon = named.horizon if self.horizon is None else self.horizon
@@ -133,8 +149,11 @@ class Setup:
         check_task(self.task)
         if isinstance(self.base, str | dict):
             checked_base(self.base)
-        elif self.base is not None:
+        elif self.base is not None and not isinstance(self.base, Learned):
             checked_controller("base", self.base, f"None, one of {', '.join(BASES)}, or ")
+        checked_action_mode(self.actions)
+        if self.drive_bandwidth is not None:
+            store(self, drive_bandwidth=physical("drive_bandwidth", self.drive_bandwidth, "Hz"))
         if self.base == "pd":
             store(self, gains=self.pd_gains)
         self._check_fidelity()
@@ -177,6 +196,11 @@ class Setup:
         return int(delay[1]) if delay else 0
 
     @property
+    def lag(self) -> tuple[float, float] | None:
+        """How drives of that bandwidth pass a control period, see `control.margins.lag`; None for at once."""
+        return None if self.drive_bandwidth is None else lag(self.control_period, self.drive_bandwidth)
+
+    @property
     def longest(self) -> int:
         """Control periods after which an episode is truncated."""
         return max(1, round(self.horizon / self.control_period))
@@ -208,6 +232,8 @@ class Setup:
 
         It warns (UserWarning) where sampling and delay make a PD unstable.
         """
+        if isinstance(self.base, Learned):
+            return self.base.made_for(make_plant(self, model))  # type: ignore[return-value]
         if not isinstance(self.base, str | dict):
             return self.base  # type: ignore[return-value]
         result = self.controller(self.base, model)
@@ -222,6 +248,7 @@ def _period(value: object) -> float:
     period = positive("control_period", value, "s")
     if not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
         raise refusal("control_period", value, f"a number from {SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} (s)")
+    warn_of_slips("", {"control_period": period}, depth=6)
     return period
 
 
@@ -237,7 +264,7 @@ class Fidelity(NamedTuple):
 def build(setup: Setup) -> Fidelity:
     """Builds the model of a setup, or lets `choose_model` choose it."""
     if setup.fidelity == "auto":
-        choice = _chosen(setup)
+        choice = choose(setup)
         return Fidelity(choice.model, choice.method, choice.step, choice)
     modes = setup.modes
     if isinstance(modes, str):
@@ -260,35 +287,11 @@ def setup_of(settings: dict[str, Any], others: Collection[str] = ()) -> Setup:
     for name, value in settings.items():
         if name not in known:
             near = get_close_matches(name, known, 1, 0.0)[0]
-            raise refusal(name, value, f"a known setting: the nearest is {near}; all: {', '.join(sorted(known))}")
+            allowed = f"a known setting: the nearest is {near}; all: {' '.join(sorted(known))}"
+            raise refusal(name, value, HINTS.get(name, allowed))
     return Setup(**settings)
-
-
-def _chosen(setup: Setup) -> Choice:
-    """Fidelity for a slew: sine torques of the limits from a posture in the middle of the range of the named task."""
-    n = setup.arm.n_joints
-    start = [SLEW_START * (-1.0) ** i for i in range(n)]
-    steps = max(1, round(SLEW / setup.control_period))
-    scene = Scene(
-        setup.arm,
-        ModelChoice(True, 2, spinning_rotors=setup.spinning_rotors, rotary_inertia=setup.rotary_inertia),
-        SineTorque(setup.torque_limit, [0.5] * n, [0.0] * n),
-        Initial(start, [0.0] * n),
-        duration=steps * setup.control_period,
-        output_step=setup.control_period,
-    )
-    tolerance = positive("tolerance", setup.tolerance, "m")
-    return choose_model(scene, tolerance, longest_step=setup.control_period)
 
 
 def _links_and_motors(arm: Arm) -> tuple[object, ...]:
     """What gains of a PD are tuned for."""
     return arm.links, [(joint.axis, joint.rotor_inertia, joint.stiffness) for joint in arm.joints]
-
-
-def _randomisation(value: object) -> Randomisation | None:
-    if isinstance(value, dict):
-        return Randomisation(**{text("a key of randomisation", name): each for name, each in value.items()})
-    if value is not None and not isinstance(value, Randomisation):
-        raise refusal("randomisation", value, "a Randomisation, or a dict of its arguments")
-    return value

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array, IntArray
-from flexman_gym.control.controller import Controller
+from flexman_gym.control.actions import ActionMode, shown_size
 from flexman_gym.control.history import History
+from flexman_gym.control.shaping import LARGEST
 from flexman_gym.envs.effects.active import Effects
 from flexman_gym.envs.sensors import Sensors, find_sensors, measured_names
 from flexman_gym.envs.sensors.measured import Measured
@@ -29,9 +30,9 @@ class Sight:
 
     kept = ("_measured", "sensors", "_base_sensors", "_history", "seen")
 
-    def __init__(self, setup: Setup, view: View, base: Controller | None, effects: Effects | None) -> None:
+    def __init__(self, setup: Setup, view: View, acting: ActionMode, effects: Effects | None) -> None:
         self._effects, arms = effects, len(view.motion)
-        parts, own = sight_parts(setup, base)
+        parts, own = sight_parts(setup, acting)
         self._measured = None
         if effects is not None and effects.measures:
             self._measured = Measured(view, setup.limits, measured_names([*parts, *own]))
@@ -39,11 +40,13 @@ class Sight:
         self.sensors = Sensors(parts, source, setup.limits)  # type: ignore[arg-type]
         self._base_sensors = Sensors(own, source, setup.limits, "base", self.sensors)  # type: ignore[arg-type]
         self._history: History | None = None
-        size, parts_of_history = len(self.sensors.bound), 1
+        self._shown = np.zeros((arms, shown_size(acting)))
+        bound = np.concatenate([self.sensors.bound, np.full(self._shown.shape[1], LARGEST)])
+        size, parts_of_history = len(bound), 1
         if setup.history != 1:
             self._history = History(setup.history, setup.hold * setup.control_period, arms, size)
             parts_of_history = self._history.parts
-        self.bound = np.tile(self.sensors.bound, parts_of_history).astype(np.float32)
+        self.bound = np.tile(bound, parts_of_history).astype(np.float32)
         self.seen: Observations = np.zeros((arms, len(self.bound)), dtype=np.float32)
         self._all = np.arange(arms)
 
@@ -69,12 +72,12 @@ class Sight:
 
     def first(self, arms: IntArray) -> None:
         """Lets the arms (r,) see the first observation of their episodes."""
-        now = self.sensors.observations[arms]
+        now = self._now[arms]
         self.seen[arms] = now if self._history is None else self._history.begin(now, arms)
 
     def next(self, good: IntArray | None) -> None:
         """Lets the arms (r,) that have not failed, None for all, see what the sensors have read."""
-        now = self.sensors.observations
+        now = self._now
         if self._history is not None:
             arms = self._all if good is None else good
             self.seen[arms] = self._history.add(now[arms], arms)
@@ -82,6 +85,17 @@ class Sight:
             self.seen[:] = now
         else:
             self.seen[good] = now[good]
+
+    def show(self, shown: Array) -> None:
+        """Takes what the mode of the actions shows the agent now, (b, size)."""
+        self._shown[:] = shown
+
+    @property
+    def _now(self) -> Array:
+        """What sensors observe and the mode shows, (b, size)."""
+        if not self._shown.shape[1]:
+            return self.sensors.observations
+        return np.concatenate([self.sensors.observations, self._shown], axis=1)
 
     @property
     def readings(self) -> dict[str, Array]:
@@ -97,6 +111,6 @@ class Sight:
         self._base_sensors.renew(randoms)
 
 
-def sight_parts(setup: Setup, base: Controller | None) -> tuple[list[object], tuple[object, ...]]:
-    """The sensors of the agent, with those of the task, and those of the base."""
-    return [*setup.sensors, *setup.task.sensors], find_sensors(base.sensors) if base else ()
+def sight_parts(setup: Setup, acting: ActionMode) -> tuple[list[object], tuple[object, ...]]:
+    """The sensors of the agent, with those of the task, and those of what acts beside it."""
+    return [*setup.sensors, *setup.task.sensors], find_sensors(acting.sensors)

@@ -33,6 +33,7 @@ def make_plant(setup: Any, model: Model) -> Plant:
         (setup.method, setup.step or default_step(setup.control_period, NAMED[setup.name].longest_step)),
         float(drawn.get("tip_load", (0.0, 0.0))[1]),
         lambda: _measured(setup, model, drawn.get("sensor_noise", (0.0, 0.0))[1]),
+        setup.drive_bandwidth,
     )
 
 

@@ -10,21 +10,22 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array, Flags, IntArray
+from flexman_gym.arrays import Array, Flags, IntArray, Vector
 from flexman_gym.checks import one_of, refusal, sequence, whole_number
 from flexman_gym.envs.description import find_setup
-from flexman_gym.envs.env import LARGEST_SEED, FlexManEnv, checked_mode, observation_space, painter
+from flexman_gym.envs.env import LARGEST_SEED, FlexManEnv, observation_space
 from flexman_gym.envs.episodes import Episodes, Observations
 from flexman_gym.envs.motors import action_space, checked_actions
 from flexman_gym.envs.options import check_parameters
 from flexman_gym.envs.remembering import Remembering
+from flexman_gym.envs.rendering import RENDER, make_rendering
 from flexman_gym.envs.setup import build
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import MOST_ARMS, Batch
 
 Infos = dict[str, Any]
 LONGEST = 10**9  # steps of an episode
-OWN = ("num_envs", "threads", "max_episode_steps", "autoreset_mode", "render_mode", "render_size")
+OWN = ("num_envs", "threads", "max_episode_steps", "autoreset_mode", *RENDER)
 
 
 class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
@@ -40,10 +41,11 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
 
     Args:
         num_envs: number of arms.
-        threads: that move them, at most one for 64 arms; a second one pays where a core has nothing else to do.
+        threads: that move them, at most one for 32 arms; a second one pays where a core has nothing else to do.
         max_episode_steps: steps after which an episode is truncated; None takes the `horizon`.
         autoreset_mode: an AutoresetMode of Gymnasium, or its value.
-        render_mode, render_size: see `FlexManEnv`; a frame of each arm.
+        render_mode, render_size, render_camera, render_gain, render_overlays: see `FlexManEnv`; a frame of each arm,
+            of which `draw.grid` makes one picture.
         settings: the attributes of `Setup`, and "condition"; see `FlexManEnv`.
 
     Raises:
@@ -51,7 +53,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
     """
 
     kept, spaces = ("_randoms", "_seeds"), ("action_space", "single_action_space")
-    metadata = FlexManEnv.metadata | {"autoreset_mode": AutoresetMode.NEXT_STEP}
+    metadata = FlexManEnv.metadata | {"render_modes": ["rgb_array"], "autoreset_mode": AutoresetMode.NEXT_STEP}
 
     def __init__(
         self,
@@ -62,36 +64,41 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
         render_size: tuple[int, int] = (480, 360),
+        render_camera: Vector | None = None,
+        render_gain: float = 1.0,
+        render_overlays: bool = True,
         **settings: Any,
     ) -> None:
         modes = {mode.value: mode for mode in AutoresetMode}
         chosen = autoreset_mode.value if isinstance(autoreset_mode, AutoresetMode) else autoreset_mode
         self.autoreset_mode = modes[one_of("autoreset_mode", chosen, modes)]
         self.num_envs = whole_number("num_envs", num_envs, 1, MOST_ARMS)
-        self.render_mode = checked_mode(render_mode)
-        given = num_envs, threads, max_episode_steps, autoreset_mode, render_mode, render_size
+        self.render_mode, look = render_mode, (render_size, render_camera, render_gain, render_overlays)
+        given = num_envs, threads, max_episode_steps, autoreset_mode, render_mode, *look
         self._made = dict(zip(OWN, given, strict=True)) | settings
         setup = find_setup(settings, OWN)
         model, method, step, self.choice = build(setup)
-        self._painter = painter(render_mode, model, render_size)
         period = setup.control_period
         self.batch = Batch(model, method, step, period, arms=num_envs, threads=threads)
         self.setup, self.task, self.torque_limit = setup, setup.task, np.array(setup.torque_limit)
         self.episodes = Episodes(setup, self.batch)
+        self._rendering = make_rendering(render_mode, self.episodes, setup.name, look, ("rgb_array",))
         if max_episode_steps is not None:
             self.episodes.longest = setup.hold * whole_number("max_episode_steps", max_episode_steps, 1, LONGEST)
         self.max_episode_steps = -(-self.episodes.longest // setup.hold)
         self.sensors = self.episodes.sensors
         self.single_observation_space = observation_space(self.episodes)
-        self.single_action_space = action_space(model)
+        size = len(self.episodes.acting.mode.names)
+        self.single_action_space = action_space(size)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode, "render_fps": round(1 / period)}
-        self._shape = (num_envs, model.n_joints)
-        self._allowed = f"{num_envs} rows of {model.n_joints} numbers from -1 to 1"
+        self._shape = (num_envs, size)
+        self._allowed = f"{num_envs} rows of {size} numbers from -1 to 1"
         self._randoms: list[np.random.Generator | None] = [None] * num_envs
         self._seeds = [-1] * num_envs
         self._ok, self._no_failure = (np.full(num_envs, text, dtype=object) for text in (layout.STATUS[0], ""))
+        self._everyone = np.ones(num_envs, dtype=bool)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -118,7 +125,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
         return self.episodes.sight.seen.copy(), infos if mask is None else _masked(infos, mask)
 
     def step(self, actions: NDArray[Any]) -> tuple[Observations, Array, Flags, Flags, Infos]:
-        """Applies actions (num_envs, n) for `hold` control periods, and resets as the autoreset mode says.
+        """Applies actions (num_envs, k) for `hold` control periods, and resets as the autoreset mode says.
 
         Raises:
             ValueError: for actions of another shape or outside the action space.
@@ -147,11 +154,10 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Frames (height, width, 3) uint8 of the deformed arms and their targets."""
-        if self._painter is None:
+        if self._rendering is None:
             logger.warn('render() needs render_mode="rgb_array" in gymnasium.make_vec')
             return None
-        arms = zip(self.batch.state, self.episodes.view.target, strict=True)
-        return tuple(self._painter.paint(state, target) for state, target in arms)
+        return tuple(map(self._rendering.frame, range(self.num_envs)))
 
     def _finish(self, ended: Flags, infos: Infos) -> Infos:
         """Resets the arms that have ended; returns the infos of all, with what the ended ones were."""
@@ -179,13 +185,15 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
         status, failure = self._ok.copy(), self._no_failure.copy()
         for arm, text in episodes.failures.items():
             status[arm], failure[arm] = layout.STATUS[self.batch.status[arm]], text
-        infos |= {"status": status, "failure": failure, "tip": view.tip.copy()}
-        infos |= {"target": view.target.copy(), "goal_angles": view.goal_angles.copy()}
+        infos |= {
+            "status": status, "failure": failure, "tip": view.tip.copy(), "target": view.target.copy(),
+            "goal_angles": view.goal_angles.copy(),
+        }  # fmt: skip
         if episodes.effects is not None:
             infos["drawn"] = episodes.effects.drawn
         if estimates := getattr(episodes.base, "estimates", None):
             infos["estimates"] = {name: values.copy() for name, values in estimates.items()}
-        return rewards, _with_masks(infos, np.ones(self.num_envs, dtype=bool))
+        return rewards, _with_masks(infos, self._everyone.copy())
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
@@ -224,10 +232,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
 
 def _arrays(info: Infos) -> Infos:
     """The info of an arm alone, with an axis for the arms in front of every number and array."""
-    result = {}
-    for key, value in info.items():
-        result[key] = _arrays(value) if isinstance(value, dict) else np.array([value])
-    return result
+    return {key: _arrays(value) if isinstance(value, dict) else np.array([value]) for key, value in info.items()}
 
 
 def _with_masks(infos: Infos, mask: Flags) -> Infos:

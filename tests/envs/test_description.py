@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 import flexman_gym as fm
 from flexman_gym.control import PD
 from flexman_gym.envs import NAMED
-from flexman_gym.envs.description import Description, described, read_arm
+from flexman_gym.envs.description import Description, described
 from flexman_gym.envs.setup import Setup
 from flexman_gym.scene import file
+from flexman_gym.scene.naming import find_arm
 from flexman_gym.scene.plain import plain
 
 from oracles.chains import QUICK
@@ -88,9 +89,9 @@ def test_an_arm_is_a_name_a_mapping_a_file_of_an_arm_or_of_a_scene(tmp_path):
     file.write(tmp_path / "arm.yaml", plain(arm))
     fm.catalog.paper_scene("ff").save(tmp_path / "scene.json")
     for value in ("paper_rrr", {"catalog": "paper_rrr"}, plain(arm), "arm.yaml", "scene.json"):
-        assert read_arm(value, tmp_path) == arm, value
+        assert find_arm(value, tmp_path) == arm, value
     heavy = {"catalog": "paper_rrr", "payload": {"mass": 3.0}, "rotor_inertia": 10.0}
-    assert read_arm(heavy) == fm.catalog.paper_rrr(payload=fm.Payload(3.0), rotor_inertia=10.0)
+    assert find_arm(heavy) == fm.catalog.paper_rrr(payload=fm.Payload(3.0), rotor_inertia=10.0)
 
 
 # Changes
@@ -159,7 +160,7 @@ def test_changes_may_be_whole_only_together():
         ({"task": "reach"}, "task: 'reach' is not allowed; give one of slew, track"),
         ({"task": {"kind": "slew", "goal": 1}}, "task: 'goal' is not allowed; give one of start, slew"),
         ({"arm": "puma"}, "arm: 'puma' is not allowed; give one of paper_rrr, planar_2r"),
-        ({"arm": 3}, "arm: 3 is not allowed; give a mapping with the keys links, joints"),
+        ({"arm": 3}, "arm: 3 is not allowed; give an Arm, a mapping, a file"),
         ({"arm": {"catalog": "paper_rrr", "payload": {"mas": 1}}}, "arm.payload.mas: 1 is not allowed; give only the"),
         ({"arm": {"catalog": "vertical_2r", "color": 1}}, "arm: "),
         ({"sensors": ["nose"]}, "sensors: 'nose' is not allowed; give one of full, fine, servo, state"),

@@ -10,7 +10,6 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import flexman_gym as fm
-from flexman_gym.draw.frames import arm_lines
 from flexman_gym.envs.env import FlexManEnv
 
 POSTURE = (0.3, 0.4, -0.5)
@@ -185,7 +184,9 @@ def test_the_observation_is_what_the_simulator_says():
         }.items():
             seen = observation[env.sensors.slices[name]]
             assert seen == pytest.approx(values, rel=1e-6, abs=1e-6), name
-        assert info["tip"] == pytest.approx(arm_lines(simulator.model, simulator.state)[-1, -1], abs=1e-12)
+        assert info["tip"] == pytest.approx(
+            fm.curves(simulator.model, simulator.state, 16).positions[-1, -1], abs=1e-12
+        )
         assert info["tip_error"] == pytest.approx(np.linalg.norm(info["target"] - info["tip"]), rel=1e-12)
         assert info["tip_vibration"] == pytest.approx(np.linalg.norm(simulator.deflection_rate), rel=1e-12)
 

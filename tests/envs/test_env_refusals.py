@@ -25,8 +25,8 @@ from oracles.episodes import EVERYTHING
         ({"task": {"reward": "bells"}}, "task", "one of slew, track, hold, or a mapping with that at kind"),
         ({"task": 5}, "task", "a task"),
         ({"limits": 4.0}, "limits", "Limits"),
-        ({"arm": "paper_rrr"}, "arm", "an Arm"),
-        ({"render_mode": "human"}, "render_mode", "one of rgb_array"),
+        ({"arm": 3}, "arm", "an Arm"),
+        ({"render_mode": "ansi"}, "render_mode", "one of human, rgb_array"),
     ],
 )
 def test_a_bad_argument_is_refused_in_one_line(arguments, field, allowed):
@@ -52,9 +52,9 @@ def test_a_bad_action_is_refused_in_one_line_and_changes_nothing(action):
 @pytest.mark.parametrize(
     ("options", "allowed"),
     [
-        ({"speed": 1.0}, "one of start, goal_angles, parameters"),
+        ({"speed": 1.0}, "one of start, goal_angles, start_tip, goal_tip, parameters"),
         ({"start": [5.0, 0.0, 0.0]}, "a start and a goal within the limits"),
-        (3, "a dict with start, goal_angles or parameters"),
+        (3, "a dict with start, goal_angles, start_tip, goal_tip or parameters"),
     ],
 )
 def test_bad_options_are_refused_in_one_line_and_end_the_episode(options, allowed):

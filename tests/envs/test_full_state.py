@@ -8,7 +8,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import flexman_gym as fm
-from flexman_gym.draw.frames import arm_lines
 from flexman_gym.envs.limits import broken
 from flexman_gym.envs.sensors import FullState, Sensors
 from flexman_gym.simulation.batch import Batch
@@ -92,7 +91,7 @@ def test_the_deflection_of_a_link_is_where_its_drawn_tip_went(link, modes):
     bent[columns] = np.random.default_rng(link).normal(0.0, 0.05, columns.stop - columns.start)
     simulator = Simulator(model)
     simulator.reset(state=bent)
-    moved = arm_lines(model, bent)[link, -1] - arm_lines(model, straight)[link, -1]
+    moved = fm.curves(model, bent, 16).positions[link, -1] - fm.curves(model, straight, 16).positions[link, -1]
     expected = np.zeros((3, 2))
     expected[link] = (moved @ list(beam_frames(angles))[link])[1:]
     assert np.abs(expected).max() > 1e-6
@@ -115,7 +114,7 @@ def test_rates_are_the_slopes_of_what_they_are_rates_of(modes):
         ("link_deflections", "link_deflection_rates"),
     ):
         assert result[rate] == pytest.approx((later[name] - earlier[name]) / (2 * step), abs=1e-8)
-    ends = [arm_lines(model, other.state)[-1, -1] for other in (before, after)]
+    ends = [fm.curves(model, other.state, 16).positions[-1, -1] for other in (before, after)]
     assert result["tip_velocity"] == pytest.approx((ends[1] - ends[0]) / (2 * step), abs=1e-7)
 
 

@@ -12,6 +12,7 @@ from gymnasium.utils.env_checker import check_env
 import flexman_gym as fm
 from flexman_gym.envs import NAMED
 from flexman_gym.envs.env import FlexManEnv
+from flexman_gym.envs.rendering import RENDER
 from flexman_gym.envs.setup import Setup, setup_of
 from flexman_gym.envs.vector_env import OWN, FlexManVectorEnv
 from flexman_gym.metrics import settling_time
@@ -115,17 +116,19 @@ def test_the_switches_are_all_that_build_model_has():
 SETTINGS = {
     "arm": fm.catalog.vertical_2r(), "task": fm.Slew(), "sensors": "fine", "limits": fm.Limits(rate=9.0),
     "history": 2, "gains": {"stiffness": (9.0, 3.0), "damping": (2.0, 1.0)}, "tell": ("motor_angles",),
-    "torque_limit": (9.0, 3.0), "control_period": 0.02, "horizon": 0.1, "base": "pd", "hold": 3, "fidelity": "default",
+    "torque_limit": (9.0, 3.0), "control_period": 0.02, "horizon": 0.1, "base": "pd", "hold": 3,
+    "fidelity": "default", "actions": {"kind": "torque"}, "drive_bandwidth": 30.0, "reward": {"effort": 2.0},
     "tolerance": None, "elements": 1, "modes": 2, "method": "implicit_midpoint", "step": 0.01, "stiffening": True,
     "spinning_rotors": True, "rotary_inertia": False, "energy_alarm": 0.2, "randomisation": {"delay": (0, 2)},
-    "render_mode": None, "render_size": (64, 48),
+    "render_mode": None, "render_size": (64, 48), "render_camera": (10.0, 20.0), "render_gain": 2.0,
+    "render_overlays": False,
 }  # fmt: skip
 
 
 def test_gym_make_and_gym_make_vec_take_the_same_keywords():
     """All of them at once, none of them the default; both give the same episode."""
-    assert {each.name for each in fields(Setup)} - {"name"} == SETTINGS.keys() - {"render_mode", "render_size"}
-    assert set(OWN) - {"num_envs", "threads", "max_episode_steps", "autoreset_mode"} == {"render_mode", "render_size"}
+    assert {each.name for each in fields(Setup)} - {"name"} == SETTINGS.keys() - {*RENDER}
+    assert set(OWN) - {"num_envs", "threads", "max_episode_steps", "autoreset_mode"} == {*RENDER}
     single = gym.make("FlexPlanar-v0", **SETTINGS)
     many = gym.make_vec("FlexPlanar-v0", 2, "vector_entry_point", **SETTINGS)
     seen, others = single.reset(seed=3)[0], many.reset(seed=3)[0]

@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 
 from flexman_gym import Slew
 
+from oracles.refusals import refusal
+
 RANGES = {"tip_error": (0.0, 0.7), "tip_vibration": (0.0, 0.2), "effort": (0.0, 0.1)}  # as the docstring of Slew says
 QUICK = settings(deadline=None, derandomize=True)
 LENGTHS = st.floats(0.0, 100.0)
@@ -126,3 +128,25 @@ def test_the_distance_looks_a_tenth_of_a_second_ahead():
         square = error**2 + (0.1 * np.linalg.norm(velocity)) ** 2
         expected = 1 - np.log(1 + square * (425 / reach) ** 2) / np.log(1 + (425 / 1.7) ** 2)
         assert task.reward_terms(view)["distance"] == pytest.approx(expected, abs=1e-12)
+
+
+def test_exponential_closeness_is_the_sum_that_the_docstring_says():
+    """0.1, 0.25 and 0.65 by 1/e at 0.6, 0.15 and 0.03 m of 8.5 m; in parts of the reach of another arm."""
+    task = Slew(reward="exponential")
+    for reach in (8.5, 1.0):
+        errors = np.array([0.0, 0.03, 0.15, 0.6, 50.0]) * reach / 8.5
+        near = errors * 8.5 / reach
+        expected = 0.1 * np.exp(-near / 0.6) + 0.25 * np.exp(-near / 0.15) + 0.65 * np.exp(-near / 0.03)
+        assert terms(errors, task=task, reach=reach)["closeness"] == pytest.approx(expected)
+    assert terms(task=task, failed=True)["failure"] == -10.0
+
+
+def test_episodes_keep_to_pairs_of_start_and_goal():
+    """As many as were asked for, the same for all generators, none of them twice."""
+    view, task = SimpleNamespace(n_joints=3), Slew(pairs=5)
+    drawn = [task.draw(np.random.default_rng(seed), view) for seed in range(60)]
+    pairs = {(each["start"].tobytes(), each["goal_angles"].tobytes()) for each in drawn}
+    assert len(pairs) == 5 == len({start for start, _ in pairs})
+    free = [Slew().draw(np.random.default_rng(seed), view)["start"].tobytes() for seed in range(60)]
+    assert len(set(free)) == 60
+    assert refusal(lambda: Slew(pairs=-1)).startswith("Slew.pairs: -1 is not allowed")

@@ -1,8 +1,12 @@
-"""Rewards: what nearness to a target is worth, for the tasks."""
+"""Rewards: what nearness to a target is worth, and terms of a task with weights or a function in their place."""
+
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from flexman_gym.arrays import Array, row_dots
+from flexman_gym.checks import finite, mapping, refusal, text
 from flexman_gym.simulation.view import Number, View
 
 NEAR, FAR, LOOK_AHEAD = 1.0 / 425.0, 1.0 / 1.7, 0.1  # of the reach, and s
@@ -17,3 +21,28 @@ def distance_reward(view: View, velocity: Array) -> Number:
     near, far, moving = NEAR * view.reach, FAR * view.reach, LOOK_AHEAD * velocity
     square = view.tip_error * view.tip_error + row_dots(moving, moving)
     return 1.0 - np.log1p(square / near**2) / np.log1p((far / near) ** 2)
+
+
+def checked_reward(value: object) -> Any:
+    """Gives None, weights of terms as a dict, or a function; raises ValueError for anything else."""
+    if isinstance(value, dict):
+        return {text("a key of reward", name): finite(f"reward.{name}", each) for name, each in value.items()}
+    if value is not None and not callable(value):
+        raise refusal("reward", value, "None, a mapping of weights of the task's terms, or a function of a View")
+    return value
+
+
+def reward_terms(task: Any, reward: Any) -> Callable[[View], dict[str, Number]]:
+    """Gives what says the terms of a reward: those of a task, with weights, or "own", what a function gives."""
+    if reward is None:
+        terms: Callable[[View], dict[str, Number]] = task.reward_terms
+        return terms
+    if not isinstance(reward, dict):
+        return lambda view: {"own": reward(view)}
+
+    def weighed(view: View) -> dict[str, Number]:
+        terms = task.reward_terms(view)
+        mapping("reward", reward, terms)
+        return {name: reward.get(name, 1.0) * each for name, each in terms.items()}
+
+    return weighed

@@ -7,13 +7,15 @@ from typing import ClassVar
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import non_negative, one_of, positive, store
+from flexman_gym.checks import non_negative, one_of, positive, store, whole_number
 from flexman_gym.envs.sensors.sensor import Sensor
 from flexman_gym.envs.tasks.rewards import distance_reward
 from flexman_gym.envs.tasks.task import Goal
 from flexman_gym.simulation.view import Number, View
 
 WIDTHS = (2.0 / 8.5, 0.4 / 8.5, 0.08 / 8.5)  # of the reach: three bells that reward closeness
+CLOSENESS = ((0.1, 0.6 / 8.5), (0.25, 0.15 / 8.5), (0.65, 0.03 / 8.5))  # weights, and lengths in reaches
+PAIRS_SEED, MOST_PAIRS = 8_500, 100_000
 CALM = 0.3 / 8.5  # reaches a second: tip vibration that halves the reward for calm
 
 
@@ -43,11 +45,15 @@ class Slew:
             distance       1 - ln(1 + (e^2 + (0.1 s v)^2) / n^2) / ln(1 + (f / n)^2), n = R / 425 (20 mm), f = R / 1.7
                            (5 m)
         It is 1 at rest on the target, 0 at a distance f and below zero beyond.
+        With reward="exponential" it is a sum, in [0, 1], over three lengths l of weights times exp(-e / l), for
+        policies that shape the motion of a controller which stops anyway:
+            closeness      0.1, 0.25 and 0.65 for l = R times 0.071, 0.018 and 0.0035 (0.6, 0.15 and 0.03 m)
 
     Start
         At rest at motor angles drawn uniformly from +-start, undeformed but for the weight of the arm. The target is
         where the tip of the resting arm would be at a posture drawn uniformly from +-slew around the start, so that it
-        can be reached. The options "start" and "goal_angles" of a reset set both.
+        can be reached. The options "start" and "goal_angles" of a reset set both, or "start_tip" and "goal_tip" by
+        places of the tip, see `FlexManEnv`.
 
     End
         Truncated after the horizon of the environment; terminated by a failure.
@@ -60,7 +66,9 @@ class Slew:
 
     Attributes:
         start, slew: rad.
-        reward: "bells" or "distance".
+        reward: "bells", "distance" or "exponential".
+        pairs: how many starts with their goals there are, of which an episode draws one; 0 for any. Controllers that
+            plan remember those that they have seen, which makes training with few of them quicker.
         failure_penalty: reward lost by a failure, >= 0.
 
     Raises:
@@ -71,6 +79,7 @@ class Slew:
     slew: float = 0.8
     failure_penalty: float = 10.0
     reward: str = "bells"
+    pairs: int = 0
     sensors: ClassVar[tuple[Sensor, ...]] = ()
     moves: ClassVar[bool] = False
 
@@ -80,11 +89,14 @@ class Slew:
             start=non_negative("Slew.start", self.start, "rad"),
             slew=positive("Slew.slew", self.slew, "rad"),
             failure_penalty=non_negative("Slew.failure_penalty", self.failure_penalty),
-            reward=one_of("Slew.reward", self.reward, ("bells", "distance")),
+            reward=one_of("Slew.reward", self.reward, ("bells", "distance", "exponential")),
+            pairs=whole_number("Slew.pairs", self.pairs, 0, MOST_PAIRS),
         )
 
     def draw(self, random: np.random.Generator, view: View) -> dict[str, Array]:
         """Start and goal postures (n,) rad of one episode."""
+        if self.pairs:
+            random = np.random.default_rng([PAIRS_SEED, int(random.integers(self.pairs))])
         start = random.uniform(-self.start, self.start, view.n_joints)
         return {"start": start, "goal_angles": start + random.uniform(-self.slew, self.slew, view.n_joints)}
 
@@ -97,6 +109,9 @@ class Slew:
         failure = 0.0 - self.failure_penalty * view.failed
         if self.reward == "distance":
             return {"distance": distance_reward(view, view.tip_velocity), "failure": failure}
+        if self.reward == "exponential":
+            near = [weight * np.exp(-view.tip_error / (length * view.reach)) for weight, length in CLOSENESS]
+            return {"closeness": near[0] + near[1] + near[2], "failure": failure}
         square, vibration, calm = view.tip_error * view.tip_error, view.tip_vibration, (CALM * view.reach) ** 2
         near = [width**2 / (width**2 + square) for width in (part * view.reach for part in WIDTHS)]
         return {

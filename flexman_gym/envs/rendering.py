@@ -1,0 +1,119 @@
+"""Rendering: pictures of arms in the midst of their episodes, as Gymnasium asks for them."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexman_gym.arrays import Array
+from flexman_gym.checks import one_of
+from flexman_gym.draw.frames import FramePainter, Shot
+from flexman_gym.draw.overlay import Caption
+from flexman_gym.envs.episodes import Episodes
+from flexman_gym.model.curves import curves
+
+RENDER = ("render_mode", "render_size", "render_camera", "render_gain", "render_overlays")
+MODES = ("human", "rgb_array")
+TRAIL = 1.5  # s of the way of the tip
+PLACES, BETWEEN, TIMES = 5, 7, 24  # on each link; postures from start to goal; moments of a goal that moves
+
+
+class Rendering:
+    """Paints the arms of an environment, each from a camera that has its whole task in the picture.
+
+    Args:
+        episodes: of the arms.
+        title: of the pictures.
+        look: size, camera, gain and overlays, see FramePainter.
+
+    Attributes:
+        screen: where a person sees the first arm, None before that.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed.
+    """
+
+    def __init__(self, episodes: Episodes, title: str, look: tuple[Any, ...]) -> None:
+        self._episodes, self._title, self._painter = episodes, title, FramePainter(episodes.batch.model, *look)
+        self.screen: Any = None
+        arms = len(episodes.over)
+        self._plans: list[object] = [None] * arms
+        self._shots: list[Shot | None] = [None] * arms
+        self._trails: list[list[tuple[float, Array]]] = [[] for _ in range(arms)]
+
+    def frame(self, arm: int) -> NDArray[np.uint8]:
+        """Gives a picture (height, width, 3) of an arm, its target and its numbers, now."""
+        episodes, view = self._episodes, self._episodes.view
+        if self._is_new(arm):
+            self._trails[arm], self._shots[arm] = [], self._painter.shot(self.stage(arm))
+        time = float(episodes.batch.time[arm])
+        trail = [entry for entry in self._trails[arm] if time - TRAIL <= entry[0] < time]
+        self._trails[arm] = [*trail, (time, view.tip[arm].copy())]
+        reward = float(np.broadcast_to(episodes.rewards(view), len(episodes.over))[arm]) if time > 0.0 else None
+        caption = Caption(self._title, time, float(view.tip_error[arm]), reward, view.action[arm].copy())
+        way = np.array([tip for _, tip in self._trails[arm]])
+        return self._painter.paint(view.state[arm], view.target[arm], caption, way, self._shots[arm])
+
+    def _is_new(self, arm: int) -> bool:
+        """Whether another episode has begun since this was asked."""
+        plan = {name: values[arm].tolist() for name, values in self._episodes.view.plan.items()}
+        before, self._plans[arm] = self._plans[arm], plan
+        return plan != before
+
+    def show(self) -> None:
+        """Shows the first arm to a person: in a window where there is a display, else on a page of this machine."""
+        from flexman_gym.draw.live import Live, row_of  # a server, whose import takes time
+        from flexman_gym.draw.window import Window, has_display
+
+        view, model = self._episodes.view, self._episodes.batch.model
+        period = self._episodes.hold * view.control_period
+        if self.screen is None:
+            shown = self._painter
+            self.screen = (
+                Window(shown.size, self._title, period)
+                if has_display()
+                else Live(model, self._title, period, shown.scale)
+            )
+        if isinstance(self.screen, Window):
+            return self.screen.show(self.frame(0))
+        if self._is_new(0) or self._episodes.batch.time[0] == 0.0:
+            self.screen.begin(self.stage(0))
+        self.screen.show(row_of(view.state[0, : model.n_dof], view.target[0], view.tip_error[0], view.action[0]))
+
+    def close(self) -> None:
+        """Closes window or page."""
+        if self.screen is not None:
+            self.screen.close()
+            self.screen = None
+
+    def stage(self, arm: int) -> Array:
+        """Gives points (p, 3) m that the picture of an episode holds: the arm now, at the start and on to its goals."""
+        episodes, view, model = self._episodes, self._episodes.view, self._episodes.batch.model
+        times = np.linspace(0.0, episodes.longest * view.control_period, TIMES if episodes.task.moves else 1)
+        plan = {name: np.repeat(values[arm : arm + 1], len(times), axis=0) for name, values in view.plan.items()}
+        goal, start = episodes.task.goal(plan, times, view), plan["start"][0]
+        between = start + np.linspace(0.0, 1.0, BETWEEN)[:, None] * (goal.angles[0] - start)
+        states = [view.state[arm : arm + 1], view.rest_states(np.array([start, goal.angles[-1]]))]
+        states += [model.at_rest(np.concatenate([between, goal.angles]))]
+        places = curves(model, np.concatenate(states), PLACES).positions.reshape(-1, 3)
+        return np.concatenate([places, goal.target, view.target[arm : arm + 1]])
+
+
+def make_rendering(
+    mode: str | None, episodes: Episodes, title: str, look: tuple[Any, ...], modes: tuple[str, ...] = MODES
+) -> Rendering | None:
+    """Gives what renders in a mode, None for none.
+
+    Args:
+        mode: render mode of Gymnasium.
+        episodes, title: see Rendering.
+        look: size, camera, gain and overlays, in the order of RENDER.
+        modes: that there are.
+
+    Raises:
+        ValueError: for another mode, and what a FramePainter refuses.
+    """
+    if mode is None:
+        return None
+    one_of("render_mode", mode, modes)
+    return Rendering(episodes, title, look)

@@ -1,0 +1,71 @@
+"""Rewards: terms of a task may have weights, a function may take their place, and a spec says how long it goes on."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from flexman_gym.envs.description import Description, described
+from flexman_gym.envs.env import FlexManEnv
+from flexman_gym.envs.vector_env import FlexManVectorEnv
+
+from oracles.refusals import refusal
+
+ACTIONS = np.random.default_rng(0).uniform(-0.3, 0.3, (5, 3)).astype(np.float32)
+
+
+def played(**settings):
+    """Reward and info of each of some steps."""
+    env = FlexManEnv(**settings)
+    env.reset(seed=1)
+    return [(reward, info) for _, reward, _, _, info in map(env.step, ACTIONS)]
+
+
+def test_weights_multiply_terms():
+    plain, weighed = played(), played(reward={"tip_error": 2.0, "effort": 0.0})
+    for (_, info), (reward, other) in zip(plain, weighed, strict=True):
+        terms = info["reward_terms"]
+        assert reward == pytest.approx(2.0 * terms["tip_error"] + terms["tip_vibration"], rel=1e-14)
+        assert other["reward_terms"]["effort"] == 0.0 < terms["effort"]
+        assert other["reward_terms"]["tip_vibration"] == terms["tip_vibration"]
+
+
+def test_a_function_takes_their_place_for_one_arm_and_for_many():
+    def own(view):
+        return -view.tip_error - 0.1 * view.tip_vibration
+
+    for reward, info in played(reward=own):
+        assert reward == -info["tip_error"] - 0.1 * info["tip_vibration"] == info["reward_terms"]["own"]
+    many = FlexManVectorEnv(2, reward=own)
+    many.reset(seed=1)
+    rewards = [many.step(np.stack([each, each]))[1] for each in ACTIONS]
+    assert [each[0] for each in rewards] == [reward for reward, _ in played(reward=own)]
+
+
+def test_a_file_holds_weights_and_no_function():
+    weights = {"distance": 0.5}
+    whole = Description.from_dict({"id": "FlexOne-v0", "reward": weights}).whole()
+    assert whole["reward"] == weights == described(Description.from_dict(whole).setup())["reward"]
+    assert refusal(described, FlexManEnv(reward=len).setup).startswith("reward: ")
+
+
+@pytest.mark.parametrize("wrong", [{"tip_error": "1"}, {"tip_error": np.inf}, {1: 1.0}, 3.0, "distance"])
+def test_other_rewards_are_refused(wrong):
+    assert "reward" in refusal(lambda: FlexManEnv(reward=wrong))
+
+
+def test_a_weight_of_no_term_is_refused_at_the_first_step():
+    env = FlexManEnv(reward={"distance": 1.0})
+    line = refusal(env.reset)
+    assert line.startswith("reward: ") and "tip_error" in line
+
+
+def test_the_spec_has_the_steps_of_an_episode():
+    for settings, steps in (({}, 500), ({"hold": 5}, 100), ({"horizon": 0.3, "hold": 2}, 8), ({"horizon": 20.0}, 1000)):
+        env = gym.make("FlexRRR-v0", **settings)
+        assert env.spec.max_episode_steps == steps
+    env = gym.make("FlexRRR-v0", horizon=0.1, hold=2)
+    env.reset(seed=0)
+    ends = [env.step(np.zeros(3, dtype=np.float32))[3] for _ in range(env.spec.max_episode_steps)]
+    assert ends == [False, False, True]
+    assert gym.make(env.spec).spec.max_episode_steps == 3
+    assert gym.make("FlexRRR-v0", max_episode_steps=7).spec.max_episode_steps == 7
