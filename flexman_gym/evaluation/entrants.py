@@ -3,24 +3,31 @@
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.checks import refusal
+from flexman_gym.control.actions import make_action_mode
 from flexman_gym.control.bases import BASES, checked_base
 from flexman_gym.control.controller import Controller
 from flexman_gym.control.network import Network
-from flexman_gym.control.policy import Policy
+from flexman_gym.control.policy import Learned, Policy
 from flexman_gym.envs.description import Description
+from flexman_gym.envs.description import described as described_setup
 from flexman_gym.envs.setup import build
+from flexman_gym.envs.specification import make_plant
 from flexman_gym.evaluation.folder import BEST, NEWEST, SETTINGS, check_settings, existing, is_foreign, read_data
+from flexman_gym.evaluation.shipped import ABOUT, POLICIES, place, read_shipped
 
 Act = Callable[[NDArray[np.float32], tuple[int, ...]], NDArray[np.floating]]
-INTERFACE = ("base", "hold", "sensors", "history")  # settings of what acts, not of what is moved
+INTERFACE = ("base", "hold", "sensors", "history", "actions")  # settings of what acts, not of what is moved
 BASELINES = (*BASES, "zero", "random")
+ENTRANTS = (*BASELINES, *POLICIES)  # all that have a name
 
 
 @dataclass(frozen=True)
@@ -30,18 +37,21 @@ class Entrant:
     Attributes:
         name: as in a table.
         act: actions for observations (b, size) and the shape (b, n) that they have.
-        interface: base, its gains, hold, sensors and history.
+        interface: base, its gains, hold, sensors and history; None for those of the environment in which it acts.
         environment: the environment that it was trained on; None for a baseline, which suits any.
     """
 
     name: str
     act: Act
-    interface: dict[str, Any] = field(default_factory=dict)
+    interface: dict[str, Any] | None = field(default_factory=dict)
     environment: Description | None = None
 
 
 def find_entrant(entrant: object) -> Entrant:
-    """Gives the entrant that a name, a mapping as `base` takes it, the folder of a training run, or a Controller means.
+    """Gives the entrant that a name, a mapping as `base` takes it, a folder, a Controller or a predictor means.
+
+    A name is one of BASELINES and POLICIES. A folder holds a training run or an exported policy. A predictor is an
+    object with `predict`, as Stable-Baselines3 has them, see `predicting`.
 
     Raises:
         FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
@@ -52,7 +62,11 @@ def find_entrant(entrant: object) -> Entrant:
         return Entrant(type(entrant).__name__, still, {"base": entrant})
     if isinstance(entrant, dict):
         return Entrant(checked_base(entrant)[0], still, {"base": entrant})
+    if hasattr(entrant, "predict") and not isinstance(entrant, type):
+        return predicting(entrant)
     name = str(entrant)
+    if folder := place(name):
+        return load_shipped(folder)
     if name in BASES:
         return Entrant(name, still, {"base": name})
     if name == "zero":
@@ -60,11 +74,70 @@ def find_entrant(entrant: object) -> Entrant:
     if name == "random":
         random = np.random.default_rng(0)
         return Entrant(name, lambda observations, shape: random.uniform(-1.0, 1.0, shape))
-    folder = Path(name)
-    if not folder.is_dir():
-        allowed = f"the folder of a training run, or one of {', '.join(BASELINES)}"
+    if name.endswith(".zip"):
+        raise _untrusted(name)
+    if not Path(name).is_dir():
+        allowed = f"the folder of a training run, or one of {', '.join(ENTRANTS)}"
         raise FileNotFoundError(f"entrant: {name} is not allowed; give {allowed}")
-    return load_run(folder)
+    return load_run(Path(name))
+
+
+def load_shipped(folder: Path) -> Entrant:
+    """Loads a policy that was exported; nothing in its files is run.
+
+    Raises:
+        FileNotFoundError, ValueError: one line, see `read_shipped`, also where its sensors read something else now.
+    """
+    about, network = read_shipped(folder)
+    try:
+        described = Description.from_dict(about["environment"])
+        if observed(described) != about["observation"]:
+            raise refusal("observation", about["observation"], "the names, units and sizes that its sensors read here")
+        policy = acting(network, described, about["recipe"]["settings"].get("base_in_use"))
+    except ValueError as error:
+        raise ValueError(f"{folder / ABOUT}: {error}") from None
+    return Entrant(folder.name, still, {"base": policy}, parted(described)[0])
+
+
+def observed(described: Description) -> list[dict[str, Any]]:
+    """Gives what the agent of an environment observes, in order: name, unit and how many numbers, without history."""
+    venv = gym.make_vec(described.id, 1, "vector_entry_point", **described.keywords())
+    episodes: Any = venv.unwrapped.episodes  # type: ignore[attr-defined]
+    venv.close()
+    seen = [(name, episodes.sensors.units[name], part.stop - part.start)
+            for name, part in episodes.sensors.slices.items()]  # fmt: skip
+    seen += [(name, "1", size) for name, size in getattr(episodes.acting.mode, "shown", {}).items()]
+    return [{"name": name, "unit": unit, "size": size} for name, unit, size in seen]
+
+
+def predicting(model: Any, described: Description | None = None) -> Entrant:
+    """Gives the entrant of an object with `predict`, which gives actions (b, n) for observations (b, size).
+
+    A model of Stable-Baselines3 brings the environment that it learned in, and the statistics of a `VecNormalize`
+    there. Anything else sees what the environment shows in which it is to act.
+
+    Args:
+        model: the object; `predict` may also give a pair with the actions first.
+        described: the environment that it learned in, where the model does not bring it.
+    """
+    beside = getattr(model, "get_vec_normalize_env", lambda: None)()
+    arms = getattr(model, "get_env", lambda: None)()
+    if described is None and arms is not None:
+        described = Description.from_dict(described_setup(arms.get_attr("setup")[0]))
+    environment, interface = (None, None) if described is None else parted(described)
+
+    told = {"deterministic": True}
+    try:
+        signature(model.predict).bind(None, **told)
+    except TypeError:
+        told = {}  # which an object of one's own need not know
+
+    def act(observations: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.floating]:
+        seen = observations if beside is None else beside.normalize_obs(observations)
+        said = model.predict(seen, **told)
+        return np.clip(np.asarray(said[0] if isinstance(said, tuple) else said, dtype=np.float32), -1, 1).reshape(shape)
+
+    return Entrant(type(model).__name__, act, interface, environment)
 
 
 def load_run(folder: Path) -> Entrant:
@@ -74,13 +147,13 @@ def load_run(folder: Path) -> Entrant:
         FileNotFoundError, ValueError: one clear line.
     """
     if is_foreign(folder):
-        allowed = "--trust, if you trust whoever made them: they are pickles, which run any code when they are read"
-        raise ValueError(f"entrant: the files of Stable-Baselines3 in {folder} are not read; give {allowed}")
+        raise _untrusted(folder)
     text = existing(folder / SETTINGS).read_bytes().decode("utf-8", errors="replace")
     try:
         settings = json.loads(text)
         described = Description.from_dict(settings["environment"])
         algo, activation = settings["algo"], settings["hyperparameters"].get("activation")
+        in_use = settings.get("base_in_use")
     except (KeyError, TypeError, AttributeError, ValueError, RecursionError) as error:
         said = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ValueError(f"{folder / SETTINGS}: {said}; give the settings of a training run") from None
@@ -91,15 +164,24 @@ def load_run(folder: Path) -> Entrant:
         network = Network(algo, activation, data.get("policy"), data.get("statistics"))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-    return Entrant(folder.name, still, {"base": _policy(network, described)}, parted(described)[0])
+    return Entrant(folder.name, still, {"base": acting(network, described, in_use)}, parted(described)[0])
 
 
-def _policy(network: Network, described: Description) -> Policy:
-    """The policy that a network is with all that it learned with."""
+def _untrusted(place: object) -> ValueError:
+    allowed = "--trust, if you trust whoever made them: they are pickles, which run any code when they are read"
+    return ValueError(f"entrant: the files of Stable-Baselines3 in {place} are not read; give {allowed}")
+
+
+def acting(network: Network, described: Description, in_use: object = None) -> Policy | Learned:
+    """Gives what a network is with all that it learned with, or with a base in use made where it acts."""
     setup = described.setup()
-    base = setup.controller(setup.base, build(setup).model) if isinstance(setup.base, str | dict) else setup.base
-    sensors = (*setup.sensors, *setup.task.sensors)
-    return Policy(network, sensors, setup.history, setup.hold, base)  # type: ignore[arg-type]
+    own = network, (*setup.sensors, *setup.task.sensors), setup.history, setup.hold
+    if in_use is not None:
+        checked_base(in_use)
+        return Learned(*own, base=in_use, actions=setup.actions)
+    model = build(setup).model
+    base = setup.controller(setup.base, model) if isinstance(setup.base, str | dict) else setup.base
+    return Policy(*own, base, make_action_mode(setup.actions, make_plant(setup, model), base))  # type: ignore[arg-type]
 
 
 def parted(described: Description) -> tuple[Description, dict[str, Any]]:

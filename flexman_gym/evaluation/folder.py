@@ -3,10 +3,8 @@
 import fcntl
 import json
 import os
-import struct
 import sys
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -15,14 +13,11 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from flexman_gym.envs.snapshot import joined, parted
+from flexman_gym.scene.file import BROKEN
 
 SETTINGS, NEWEST, BEST, LOCK = "settings.json", "newest.npz", "best.npz", "lock"
 FOREIGN = "model.zip"  # of Stable-Baselines3
 FREE = ("steps", "judge_every")  # settings that may be others where a run goes on
-BROKEN = (
-    ValueError, KeyError, TypeError, AttributeError, EOFError, OSError, MemoryError, RecursionError, OverflowError,
-    NotImplementedError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error,
-)  # fmt: skip  # what reading a file of noise may raise
 TEXT = "data.json"  # the name of the plain data among the arrays of a file
 
 

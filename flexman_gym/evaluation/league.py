@@ -8,6 +8,7 @@ import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from time import process_time
 from typing import Any, NamedTuple, Self
@@ -23,20 +24,28 @@ from flexman_gym.envs.setup import build, setup_of
 from flexman_gym.evaluation.entrants import BASELINES, Entrant, find_entrant
 from flexman_gym.evaluation.figures import FIGURES
 from flexman_gym.evaluation.folder import BEST, NEWEST, SETTINGS, write
-from flexman_gym.evaluation.rollout import rollout
+from flexman_gym.evaluation.physical import find_plant
+from flexman_gym.evaluation.rollout import Record, rollout
+from flexman_gym.evaluation.shipped import ABOUT, ARRAYS, place
 from flexman_gym.evaluation.submission import check_seeds, is_buildable
 from flexman_gym.evaluation.venues import find_venue
+from flexman_gym.metrics import damping_ratio
 from flexman_gym.verification.machine import machine
 
+PACKAGE = Path(__file__).parents[1]
 ROWS, CELLS = "rows.csv", "cells.csv"
 BLOCK = 25  # episodes side by side in a cell
 MULTIPLE = "multiple"  # of the settling time of the optimised slew
-VALUES = (*FIGURES, MULTIPLE)
+DAMPING = "damping"  # equivalent ratio of the tip's swings from its first arrival on
+VALUES = (*FIGURES, MULTIPLE, DAMPING)
+# what a row follows from beside entrant, venue and packages; texts of pages are not among it
+SOURCES = ("arrays.py", "kernels", "scene", "model", "simulation", "control", "envs", "metrics",
+           *(f"evaluation/{name}.py" for name in ("entrants", "figures", "league", "physical", "rollout")))  # fmt: skip
 SCALE = ("zero", "privileged-lqr")  # whose rewards mean 0 and 1, so that they are played everywhere
 
 
 class Row(NamedTuple):
-    """An episode: what played it, as a hash, who, where, its seed, and its VALUES; nan where there is none."""
+    """An episode: what it follows from, as a hash, who, where, its seed, and its VALUES; nan where there is none."""
 
     key: str
     entrant: str
@@ -140,7 +149,7 @@ def play(cell: Cell) -> tuple[Cell, list[Row]]:
         if _is_lab(cell.venue) and not is_buildable(cell.entrant) and cell.entrant not in SCALE:
             return cell._replace(why="it needs more than a laboratory can tell it"), []
         seeds, (player, watch) = range(cell.first, cell.end), _watched(entrant, venue.told)
-        result = rollout(player, venue.environment, seeds)
+        result = rollout(player, venue.environment, seeds, moved=find_plant(venue.plant))
     except ValueError as error:
         words, _, allowed = str(error).splitlines()[0].partition(" is not allowed; give ")
         return cell._replace(why=f"{words.split(':')[0]}: only {allowed}" if allowed else words), []
@@ -148,7 +157,8 @@ def play(cell: Cell) -> tuple[Cell, list[Row]]:
     for seed, record in zip(seeds, result.records, strict=True):
         values = {name: figure.of(record) for name, figure in FIGURES.items()}
         multiple = values["settling_time"] / times.get(seed, np.nan)
-        rows.append(Row(cell.key, cell.entrant, cell.venue, seed, (*values.values(), multiple)))
+        values |= {MULTIPLE: multiple, DAMPING: equivalent_damping(record)}
+        rows.append(Row(cell.key, cell.entrant, cell.venue, seed, tuple(values.values())))
     action, design = (watch.acting, watch.designing) if watch else (0.0, 0.0)
     return cell._replace(action=1e6 * action / float(np.sum(result.lengths)), design=1e6 * design / len(seeds)), rows
 
@@ -160,11 +170,35 @@ def slew_times(environment: Description) -> dict[int, float]:
     return {seed: table.settling_time(seed) for seed in table.found} if same else {}
 
 
+def equivalent_damping(record: Record) -> float:
+    """Gives the damping ratio of the tip's swings along the axis of its largest motion after its first arrival.
+
+    It is infinite where the tip does not swing, and 0 where it never comes within the band.
+    """
+    inside = np.flatnonzero(record.errors <= record.band)
+    if record.failure or not len(inside) or len(record.tips) - inside[0] < 3:
+        return 0.0
+    tips = record.tips[inside[0] :]
+    ratio = damping_ratio(tips[:, np.argmax(np.ptp(tips, axis=0))])
+    return np.inf if np.isnan(ratio) else ratio
+
+
+@cache
+def digest_of_code() -> str:
+    """Gives a hash of the files of SOURCES."""
+    found = (path for name in SOURCES for path in ([PACKAGE / name] if "." in name else (PACKAGE / name).rglob("*")))
+    files = sorted(path for path in found if path.suffix in (".py", ".yaml", ".npz"))
+    text = b"".join(path.relative_to(PACKAGE).as_posix().encode() + path.read_bytes() for path in files)
+    return hashlib.sha256(text).hexdigest()[:16]
+
+
 def key_of(entrant: str, venue: str) -> str:
-    """Hash of all that rows follow from: the settings of venue and entrant, the files of a run, and versions."""
-    parts: list[Any] = [each.whole() for each in find_venue(venue)]
-    parts += [machine() | {"processor": ""}, _is_lab(venue)]
-    files = [] if entrant in BASELINES else [Path(entrant) / name for name in (SETTINGS, BEST, NEWEST)]
+    """Hash of all that rows follow from: settings of venue and entrant, files of a run, the code, and versions."""
+    *both, plant = find_venue(venue)
+    parts: list[Any] = [*(each.whole() for each in both), plant, digest_of_code()]
+    parts += [machine(("mujoco",) if plant == "mujoco" else ()) | {"processor": ""}, _is_lab(venue)]
+    folder = place(entrant) or Path(entrant)
+    files = [] if entrant in BASELINES else [folder / name for name in (SETTINGS, BEST, NEWEST, ABOUT, ARRAYS)]
     known = [hashlib.sha256(path.read_bytes()).hexdigest() for path in files if path.is_file()] or [entrant]
     return hashlib.sha256(json.dumps([parts, known], sort_keys=True).encode()).hexdigest()[:16]
 
@@ -192,7 +226,7 @@ class _Watched:
 
 def _watched(entrant: Entrant, told: Description) -> tuple[Entrant, _Watched | None]:
     """An entrant as it is made for what it is told, with a watch; zero and random torques take no time."""
-    if "base" not in entrant.interface:
+    if entrant.interface is None or "base" not in entrant.interface:
         return entrant, None
     setup = setup_of({"name": told.id, **told.keywords(), **entrant.interface})
     base = setup.base_controller(build(setup).model)
@@ -216,7 +250,7 @@ def _spread(cells: Sequence[Cell], jobs: int) -> Iterator[tuple[Cell, list[Row]]
 
 def _is_lab(venue: str) -> bool:
     """Whether only what a laboratory measures may be known there."""
-    return "=" not in venue and Description.find(venue).whole_settings().get("sensors") == "lab"
+    return "=" not in venue and Description.find(venue.partition("@")[0]).whole_settings().get("sensors") == "lab"
 
 
 def _read(path: Path) -> Iterator[list[str]]:

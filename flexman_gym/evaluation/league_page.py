@@ -6,19 +6,22 @@ import numpy as np
 
 from flexman_gym.draw.league import Curve, score_chart
 from flexman_gym.envs.catalog import DEFAULT
+from flexman_gym.evaluation.entrants import BASELINES
 from flexman_gym.evaluation.figures import MEAN, MEDIAN, Figure, figures_of
-from flexman_gym.evaluation.league import MULTIPLE, SCALE, Book, slew_times
+from flexman_gym.evaluation.league import DAMPING, MULTIPLE, SCALE, Book, slew_times
+from flexman_gym.evaluation.physical import PLANTS
 from flexman_gym.evaluation.standing import Interval, Standing, value_of
-from flexman_gym.evaluation.submission import needs, training_seconds
-from flexman_gym.evaluation.venues import SWEEPS, find_venue
+from flexman_gym.evaluation.submission import about, needs, training_seconds
+from flexman_gym.evaluation.venues import ASKED, SWEEPS, find_venue
 from flexman_gym.metrics import mean, median_interval, performance_profile, stratified_interval
 from flexman_gym.simulation.parameters import PARAMETERS
 from flexman_gym.verification.machine import machine_text
-from flexman_gym.verification.markdown import bullets, introduced_table
+from flexman_gym.verification.markdown import bullets, introduced_table, markdown_table
 
 PAGE, CHART = "league.md", "league.png"
-ASKED = f"{DEFAULT}/unknown-lab"  # where an arm is as a laboratory has it
+LOADED = f"{DEFAULT}/payload"
 BROKEN = 0.5  # of the episodes that settle, or of the score where goals move: less is broken
+IDLE = ("zero", "random")
 THRESHOLDS = np.linspace(-0.2, 1.4, 81)
 TEXT = Path(__file__).parent / "league.md"  # with names in braces
 HEADS = ("entrant", "needs", "score", "venues", "better", "action, us", "start, ms", "training, min")
@@ -28,7 +31,7 @@ def write_page(book: Book, folder: Path) -> None:
     """Writes the page and its charts into a folder; without Matplotlib the page alone."""
     standing = Standing(book)
     try:
-        _draw(standing, folder)
+        draw_charts(standing, folder)
     except ImportError as error:
         print(f"no charts: {error}")
     (folder / PAGE).write_text(page(standing), encoding="utf-8")
@@ -39,10 +42,14 @@ def page(standing: Standing) -> str:
     said = {
         "conclusion": conclusion(standing),
         "block": max((cell.end - cell.first for cell in standing.book.cells.values()), default=0),
+        "glance": _glance(standing),
+        "cards": "\n".join(line for entrant in standing.entrants for line in _card(standing, entrant)),
         "whole": _whole(standing),
         "chart": CHART,
         "venues": "\n".join(line for venue in standing.venues for line in _venue(standing, venue)),
         "sweeps": "\n".join(line for name in standing.sweeps for line in _sweep(standing, name)),
+        "plants": "\n".join(bullets(f"*{name}*: {what}" for name, (what, _) in PLANTS.items())),
+        "physical": "\n".join(_physical(standing)),
         "machine": machine_text(),
     }
     return TEXT.read_text(encoding="utf-8").format(**said)
@@ -54,27 +61,88 @@ def conclusion(standing: Standing) -> str:
     if not known:
         return f"Nobody who could act on a real arm has played `{ASKED}`."
     best, *others = known
-    settled, time = standing.settled(best, ASKED)
-    action, start = standing.cost(best, [ASKED])
     said = [
         f"Take `{best}` for an arm whose payload, stiffness and delay nobody knows (`{ASKED}`).",
-        f"It settles {settled:.0%} of the episodes, half of them within {-time:.2f} s."
-        if settled > 0.5 else f"It settles {settled:.0%} of the episodes.",
+        _settles(standing, best, ASKED),
         f"It needs to know: {_needs(best)}.",
-        f"An action takes {_number(action)} microseconds, and the start of an episode {_number(1e-3 * start)} ms.",
-    ]  # fmt: skip
+        _costs(standing, best, [ASKED]),
+    ]
+    if not standing.why(best, LOADED):
+        said.append(f"Where the payload alone is unknown (`{LOADED}`): {_settles(standing, best, LOADED)}")
     if others:
         won = standing.better(best, others[0], [ASKED])
-        part, _ = standing.settled(others[0], ASKED)
-        said += [f"The next is `{others[0]}`, which settles {part:.0%}."]
+        said += [f"The next is `{others[0]}`. {_settles(standing, others[0], ASKED)}"]
         said += [f"The first has the larger reward in {_share(won)} of the same episodes."] if won else []
     one = standing.values(SCALE[1], ASKED, "settling_time")
     if one:
         said.append(f"An LQR that is told everything needs {median_interval(np.array([*one.values()]))[0]:.2f} s.")
-    broken = [f"`{venue}`" for venue in _everywhere(standing) if _is_broken(standing, best, venue)]
-    said.append(f"It breaks in: {', '.join(broken)}." if broken else "It breaks in none of the venues that it played.")
-    unplayed = [f"`{venue}`" for venue in _everywhere(standing) if standing.why(best, venue)]
-    return "\n".join([*said, *([f"It did not play: {', '.join(unplayed)}."] if unplayed else [])])
+    return "\n".join([*said, *_breaks(standing, best)])
+
+
+def _settles(standing: Standing, entrant: str, venue: str) -> str:
+    """How many episodes of a venue settle, and when."""
+    settled, time = standing.settled(entrant, venue)
+    when = f", half of them within {-time:.2f} s" if np.isfinite(time) else ""
+    return f"It settles {100.0 * settled:.0f} % of the episodes{when}."
+
+
+def _costs(standing: Standing, entrant: str, venues: list[str]) -> str:
+    action, start = standing.cost(entrant, venues)
+    return f"An action takes {_number(action)} microseconds, and the start of an episode {_number(1e-3 * start)} ms."
+
+
+def _breaks(standing: Standing, entrant: str) -> list[str]:
+    """Where an entrant breaks, and where it did not play."""
+    broken = [f"`{_short(venue)}`" for venue in _everywhere(standing) if _is_broken(standing, entrant, venue)]
+    unplayed = [f"`{_short(venue)}`" for venue in _everywhere(standing) if standing.why(entrant, venue)]
+    said = f"It breaks in: {', '.join(broken)}." if broken else "It breaks in none of the venues that it played."
+    return [said, *([f"It did not play: {', '.join(unplayed)}."] if unplayed else [])]
+
+
+def _card(standing: Standing, entrant: str) -> list[str]:
+    """What there is to know of an entrant."""
+    what, tuned = about(entrant)
+    said = [f"It is {what}.", f"It needs to know: {_needs(entrant)}.", f"Tuning or training: {tuned}."]
+    if entrant not in IDLE:
+        said.append(_costs(standing, entrant, standing.venues))
+    return [f"### Card: {entrant}", "", *bullets([*said, *_breaks(standing, entrant)]), ""]
+
+
+def _glance(standing: Standing) -> str:
+    """What every entrant does in every venue."""
+    names = map(_short, standing.venues)
+    rows = [[f"`{each}`", *(_result(standing, each, venue) for venue in standing.venues)] for each in standing.entrants]
+    absent = [f"`{each}`" for each in BASELINES if each not in standing.whole]
+    said = ["", f"Not played yet: {', '.join(absent)}."] if absent else []
+    return "\n".join([*markdown_table(["entrant", *names], rows), *said])
+
+
+def _result(standing: Standing, entrant: str, venue: str, seeds: frozenset[int] | None = None) -> str:
+    """The part of the episodes that settles and the median time; the score where goals move; of some seeds alone."""
+    if standing.why(entrant, venue):
+        return "no row"
+    if "settling_time" in {each.name for each in _figures(venue)}:
+        settled, time = standing.settled(entrant, venue, seeds)
+        return f"{100.0 * settled:.0f} %" + (f", {-time:.2f} s" if np.isfinite(time) else "")
+    score = standing.score(entrant, venue)
+    return "no scale" if score is None else f"score {_number(score[0])}"
+
+
+def _physical(standing: Standing) -> list[str]:
+    """What entrants do on other plants, beside the same episodes on the usual one."""
+    result = []
+    for venue, names in standing.physical.items():
+        seeds = frozenset(seed for name, _, seed in standing.book.rows if name in names[1:])
+        plants = [name.partition("@")[2] or "usual" for name in names]
+        there = [each for each in standing.entrants if any(not standing.why(each, name) for name in names[1:])]
+        rows = [[f"`{each}`", *(_result(standing, each, name, seeds) for name in names)] for each in there]
+        table = introduced_table(f"{len(seeds)} episodes.", ["entrant", *plants], rows)
+        result += [f"### {venue} on other plants", "", *table]
+        why = {(each, standing.why(each, name)) for each in there for name in names}
+        never = [f"`{each}`" for each in standing.entrants if each not in there]
+        said = [f"`{each}` has no row on another plant: {words}." for each, words in sorted(why) if words]
+        result += [*bullets(said + ([f"Nothing was played by {', '.join(never)}."] if never else [])), ""]
+    return result or ["It was not played."]
 
 
 def _everywhere(standing: Standing) -> list[str]:
@@ -112,13 +180,14 @@ def _venue(standing: Standing, venue: str) -> list[str]:
     played = [each for each in standing.entrants if not standing.why(each, venue)]
     scores = {each: standing.score(each, venue) or (np.nan,) * 3 for each in played}
     played.sort(key=lambda each: -np.nan_to_num(scores[each][0], nan=0.0))
-    heads = ["entrant", "score", *(figure.head for figure in figures), *(["times optimised"] if times else []),
-             "action, us"]  # fmt: skip
+    slews = "settling_time" in {figure.name for figure in figures}
+    heads = ["entrant", "score", *(figure.head for figure in figures), *(["damping"] if slews else []),
+             *(["times optimised"] if times else []), "action, us"]  # fmt: skip
     rows = []
     for entrant in played:
         cells = [_cell(figure, standing.values(entrant, venue, figure.name)) for figure in figures]
-        multiple = [*standing.values(entrant, venue, MULTIPLE).values()]
-        cells += [_interval(median_interval(np.array(multiple)))] if times else []
+        for name in [DAMPING] * slews + [MULTIPLE] * bool(times):
+            cells.append(_interval(median_interval(np.array([*standing.values(entrant, venue, name).values()]))))
         rows.append([f"`{entrant}`", _interval(scores[entrant]), *cells, _number(standing.cost(entrant, [venue])[0])])
     count = len({seed for place, _, seed in standing.book.rows if place == venue})
     lines = [f"### {venue}", "", *introduced_table(f"{count} episodes.", heads, rows)]
@@ -138,25 +207,20 @@ def _notes(standing: Standing, venue: str, times: bool) -> list[str]:
         there = [each for each in standing.entrants if not standing.why(each, venue)]
         wrong = [f"`{each}`" for each in there if {"model"} == {"model", "true parameters"} & set(needs(each))]
         said += [f"The nominal arm is known to {', '.join(wrong)}: a wrong one here."] if wrong else []
-    return [*said, "A dash is no number: more than half of the episodes did not settle, or failed."]
+    return [*said, "A dash is no number: more than half of the episodes did not settle, or failed.",
+            "As a damping it says that the tip does not swing in half of them."]  # fmt: skip
 
 
 def _sweep(standing: Standing, name: str) -> list[str]:
     """The section of a sweep."""
     venues = standing.sweeps[name]
     played = [each for each in standing.entrants if any(not standing.why(each, venue) for venue in venues)]
-    rows = []
-    for entrant in played:
-        cells = []
-        for venue in venues:
-            score = standing.score(entrant, venue)
-            settled = "" if standing.why(entrant, venue) else f"{standing.settled(entrant, venue)[0]:.0%}"
-            cells.append(f"{_interval(score)}, {settled}" if score else settled or "no row")
-        rows.append([f"`{entrant}`", *cells])
+    rows = [[f"`{entrant}`", *(_result(standing, entrant, venue) for venue in venues)] for entrant in played]
     swept = SWEEPS[name.rpartition("/")[2]]
     heads = [swept.what, *(f"{value_of(venue):g}" for venue in venues)]
-    text = "The score, and the part of the episodes that settles."
-    lines = [f"## {name}", "", f"![Scores over {swept.what}]({_file(name)})", "", *introduced_table(text, heads, rows)]
+    count = len({seed for venue, _, seed in standing.book.rows if venue in venues})
+    text, picture = f"{count} episodes: what settles, and when.", f"![Scores over {swept.what}]({_file(name)})"
+    lines = [f"## Sweep: {name}", "", picture, "", *introduced_table(text, heads, rows)]
     why = {(each, standing.why(each, venue)): value_of(venue)
            for each in played for venue in venues if standing.why(each, venue)}  # fmt: skip
     said = [f"`{each}` has no row at {value:g}: {words}." for (each, words), value in why.items()]
@@ -164,19 +228,28 @@ def _sweep(standing: Standing, name: str) -> list[str]:
     return ["", *lines, *bullets([*said, *([f"Nothing was played by {never}."] if never else [])])]
 
 
-def _draw(standing: Standing, folder: Path) -> None:
-    """Draws the chart of the venues, and one for each sweep."""
-    counted = standing.counted
+def draw_charts(standing: Standing, folder: Path, sweeps_only: bool = False) -> list[Path]:
+    """Draws the chart of the venues, and one for each sweep; returns their paths.
+
+    Raises:
+        ImportError: without Matplotlib.
+    """
+    counted, paths = [] if sweeps_only else standing.counted, []
     curves = {each: _curve(standing, each, counted, np.arange(float(len(counted)))) for each in standing.entrants}
-    scores = {each: standing.scores([each], counted)[0] for each in standing.entrants if not standing.missed(each)}
-    profiles = {each: (THRESHOLDS, performance_profile(own, THRESHOLDS)) for each, own in scores.items() if own.size}
     if counted:
+        scores = {each: standing.scores([each], counted)[0] for each in standing.entrants if not standing.missed(each)}
+        profiles = {
+            each: (THRESHOLDS, performance_profile(own, THRESHOLDS)) for each, own in scores.items() if own.size
+        }
         score_chart(curves, "", folder / CHART, counted, profiles)
+        paths.append(folder / CHART)
     for name, venues in standing.sweeps.items():
         places = np.array([value_of(venue) for venue in venues])
         there = [each for each in standing.entrants if any(standing.score(each, venue) for venue in venues)]
         curves = {each: _curve(standing, each, venues, places) for each in there}
-        score_chart(curves, SWEEPS[name.rpartition("/")[2]].what, folder / _file(name))
+        paths.append(folder / _file(name))
+        score_chart(curves, SWEEPS[name.rpartition("/")[2]].what, paths[-1])
+    return paths
 
 
 def _curve(standing: Standing, entrant: str, venues: list[str], places: np.ndarray) -> Curve:
@@ -215,7 +288,12 @@ def _share(numbers: Interval) -> str:
 
 
 def _needs(entrant: str) -> str:
-    return ", ".join(needs(entrant)) or ("nothing" if entrant in ("zero", "random") else "its motors")
+    return ", ".join(needs(entrant)) or ("nothing" if entrant in IDLE else "its motors")
+
+
+def _short(venue: str) -> str:
+    """A venue without the usual environment."""
+    return venue.removeprefix(f"{DEFAULT}/")
 
 
 def _file(name: str) -> str:

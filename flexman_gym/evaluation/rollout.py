@@ -1,8 +1,11 @@
 """Rollout: the only loop that runs episodes; the same ones for whoever acts in them."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -14,6 +17,11 @@ from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.motors import checked_actions
 from flexman_gym.evaluation.entrants import Entrant, find_entrant, parted
 from flexman_gym.metrics import BAND
+from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.episode import Episode, about
+
+INSTANTS = ("tips", "errors", "states", "targets", "readings")  # what is recorded from the reset on
+PERIODS = ("actions", "torques", "rewards")  # what is recorded of each control period
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +56,11 @@ class Rollout:
         lengths: (b,) control periods of each episode.
         failures: (b,) texts.
         period, band: as of a Record.
+        states: (b, T + 1, 2 d).
+        targets: (b, T + 1, 3) m.
+        torques: (b, T, n) N m, after delays and other effects.
+        readings: (b, T + 1, size) what the agent's sensors had read last.
+        about: plain data that the episodes share, and "seeds" of each; "slices" of the readings by name.
     """
 
     tips: Array
@@ -58,6 +71,31 @@ class Rollout:
     failures: tuple[str, ...]
     period: float
     band: float
+    states: Array
+    targets: Array
+    torques: Array
+    readings: Array
+    about: dict[str, Any]
+
+    def episode(self, number: int) -> Episode:
+        """Gives one of the episodes, counted from 0, to its end."""
+        end = int(self.lengths[number])
+        own = {name: getattr(self, name)[number, : end + 1] for name in ("states", "tips", "targets", "errors")}
+        own |= {name: getattr(self, name)[number, :end] for name in ("actions", "torques", "rewards")}
+        told = {name: value for name, value in self.about.items() if name not in ("seeds", "slices")}
+        told |= {"seed": self.about["seeds"][number], "failure": self.failures[number], "band": self.band}
+        slices = {name: slice(*ends) for name, ends in self.about["slices"].items()}
+        readings = {name: self.readings[number, : end + 1, place] for name, place in slices.items()}
+        return Episode(self.period * np.arange(end + 1.0), **own, readings=readings, about=told)
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Writes each of the episodes to a file NAME-SEED.npz in a folder, from which `Episode.load` gives it.
+
+        Raises:
+            OSError: where a file cannot be written.
+        """
+        name = re.sub(r"[^\w.-]+", "-", self.about["name"]).strip("-.") or "episode"
+        return [self.episode(i).save(Path(folder) / f"{name}-{seed}.npz") for i, seed in enumerate(self.about["seeds"])]
 
     @property
     def records(self) -> list[Record]:
@@ -74,6 +112,7 @@ def rollout(
     environment: str | Description,
     seeds: Sequence[int],
     watch: Callable[[Episodes], None] | None = None,
+    moved: Callable[[Batch], None] | None = None,
 ) -> Rollout:
     """Runs an episode from each seed, side by side.
 
@@ -85,14 +124,18 @@ def rollout(
         environment: an id, an id and a condition, a file, or a Description.
         seeds: of the episodes.
         watch: called after the reset and after every control period.
+        moved: lets something else move the arms, see `physical`.
 
     Raises:
         FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
     """
     player, described = find_entrant(entrant), find_environment(environment)
-    keywords = parted(described)[0].keywords() | deepcopy(player.interface)  # which may have acted elsewhere
+    bare, own = parted(described)
+    keywords = bare.keywords() | deepcopy(own if player.interface is None else player.interface)  # it may act elsewhere
     venv = gym.make_vec(described.id, len(seeds), "vector_entry_point", **keywords)
     episodes, size = venv.unwrapped.episodes, venv.action_space.shape or ()  # type: ignore[attr-defined]
+    if moved is not None:
+        moved(episodes.batch)
     recorder = _Recorder(episodes, watch)
     observations, _ = venv.reset(seed=list(seeds))  # type: ignore[arg-type]
     recorder.begin()
@@ -102,8 +145,9 @@ def rollout(
         acted = player.act(observations, size).astype(np.float32)
         episodes.step(checked_actions("actions", acted, size, "a number from -1 to 1 for each motor of each arm"))
         observations = episodes.sight.seen.copy()
+    told = _about(venv.unwrapped, player, described) | {"seeds": [int(seed) for seed in seeds]}
     venv.close()
-    return recorder.rollout()
+    return recorder.rollout(told)
 
 
 def find_environment(environment: str | Description) -> Description:
@@ -111,27 +155,43 @@ def find_environment(environment: str | Description) -> Description:
     return environment if isinstance(environment, Description) else Description.find(environment)
 
 
+def _about(env: Any, player: Entrant, described: Description) -> dict[str, Any]:
+    """What the episodes of an entrant on an environment have in common, plain."""
+    sensors = env.episodes.sensors
+    settings = {"environment": parted(described)[0].whole(), "interface": player.interface}
+    return about(
+        env.batch.model, settings, name=player.name, environment=described.id, units=dict(sensors.units),
+        slices={name: [place.start, place.stop] for name, place in sensors.slices.items()},
+        torque_limits=env.torque_limit.tolist(),
+    )  # fmt: skip
+
+
 class _Recorder:
     """Records control periods of arms, and the ends of their first episodes; what they do afterwards does not count."""
 
     def __init__(self, episodes: Episodes, watch: Callable[[Episodes], None] | None) -> None:
         self._episodes, self._watch = episodes, watch
-        self._rows: dict[str, list[Array]] = {name: [] for name in ("tips", "errors", "actions", "rewards")}
+        self._rows: dict[str, list[Array]] = {name: [] for name in (*INSTANTS, *PERIODS)}
         self.ends = np.zeros(len(episodes.over), dtype=np.int64)
         self._failures = [""] * len(self.ends)
 
     def begin(self) -> None:
         """Records what a reset leaves."""
-        view = self._episodes.view
-        self._keep({"tips": view.tip.copy(), "errors": view.tip_error.copy()})
+        self._keep(self._instant())
 
     def record(self) -> None:
         """Records a control period."""
         episodes, view = self._episodes, self._episodes.view
-        self._keep({"tips": view.tip.copy(), "errors": view.tip_error.copy(), "actions": view.action.copy(),
-                    "rewards": episodes.rewards(view)})  # fmt: skip
+        self._keep(self._instant() | {"actions": view.action.copy(), "torques": episodes.motors.torques.copy(),
+                                      "rewards": episodes.rewards(view)})  # fmt: skip
         for arm in np.flatnonzero(episodes.over & (self.ends == 0)).tolist():
             self.ends[arm], self._failures[arm] = len(self._rows["actions"]), episodes.failures.get(arm, "")
+
+    def _instant(self) -> dict[str, Array]:
+        """What is known of this moment; an INSTANTS entry each."""
+        view, state = self._episodes.view, 2 * self._episodes.batch.model.n_dof
+        return {"tips": view.tip.copy(), "errors": view.tip_error.copy(), "states": view.state[:, :state].copy(),
+                "targets": view.target.copy(), "readings": self._episodes.sensors.observations.copy()}  # fmt: skip
 
     def _keep(self, now: Mapping[str, Array]) -> None:
         for name, values in now.items():
@@ -139,12 +199,12 @@ class _Recorder:
         if self._watch is not None:
             self._watch(self._episodes)
 
-    def rollout(self) -> Rollout:
-        """Gives all of it, nothing where an episode was over."""
+    def rollout(self, told: dict[str, Any]) -> Rollout:
+        """Gives all of it, nothing where an episode was over, and what is told about it."""
         arrays = {name: np.array(rows).swapaxes(0, 1).copy() for name, rows in self._rows.items()}
         for name, values in arrays.items():
             for arm, end in enumerate(self.ends):
-                values[arm, end + (name in ("tips", "errors")) :] = np.nan
+                values[arm, end + (name in INSTANTS) :] = np.nan
         view = self._episodes.view
         return Rollout(**arrays, lengths=self.ends, failures=tuple(self._failures), period=view.control_period,
-                       band=BAND * view.reach)  # fmt: skip
+                       band=BAND * view.reach, about=told)  # fmt: skip

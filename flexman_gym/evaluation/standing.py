@@ -1,6 +1,6 @@
 """Standing: what the rows of a league say of each entrant, venue by venue and on the whole."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from flexman_gym.arrays import Array
 from flexman_gym.evaluation.league import SCALE, VALUES, Book, Row
+from flexman_gym.evaluation.physical import PLANTS
 from flexman_gym.evaluation.submission import is_buildable
 from flexman_gym.evaluation.venues import USUAL, find_venue
 from flexman_gym.metrics import (
@@ -34,8 +35,8 @@ class Standing:
 
     @cached_property
     def venues(self) -> list[str]:
-        """Names of the venues but those of sweeps, the usual ones first."""
-        known = dict.fromkeys(venue for venue, _, _ in self.book.cells if "=" not in venue)
+        """Names of the venues but those of sweeps and other plants, the usual ones first."""
+        known = dict.fromkeys(venue for venue, _, _ in self.book.cells if not {"=", "@"} & set(venue))
         return [*(each for each in USUAL if each in known), *(each for each in known if each not in USUAL)]
 
     @cached_property
@@ -45,6 +46,14 @@ class Standing:
         for venue in dict.fromkeys(venue for venue, _, _ in self.book.cells if "=" in venue):
             result.setdefault(venue.partition("=")[0], []).append(venue)
         return {name: sorted(each, key=value_of) for name, each in sorted(result.items())}
+
+    @cached_property
+    def physical(self) -> dict[str, list[str]]:
+        """Venue -> its names on the usual plant and on others, in the order of PLANTS, where others were played."""
+        known = {venue for venue, _, _ in self.book.cells}
+        checked = dict.fromkeys(venue.partition("@")[0] for venue in sorted(known) if "@" in venue)
+        others = [each for each in PLANTS if each != "usual"]
+        return {each: [each, *(f"{each}@{name}" for name in others if f"{each}@{name}" in known)] for each in checked}
 
     @cached_property
     def counted(self) -> list[str]:
@@ -129,9 +138,13 @@ class Standing:
         won = improvements(ours, theirs)
         return float(won.mean()), *stratified_interval(won, mean)
 
-    def settled(self, entrant: str, venue: str) -> tuple[float, float]:
-        """Part of the episodes that settle, and the negative of the time, so that the larger pair is the better one."""
-        times = np.sort([*self.values(entrant, venue, "settling_time").values()])
+    def settled(self, entrant: str, venue: str, seeds: Collection[int] | None = None) -> tuple[float, float]:
+        """Part of the episodes, or of those of some seeds, that settle, and the negative of the median time.
+
+        So the larger pair is the better one.
+        """
+        values = self.values(entrant, venue, "settling_time")
+        times = np.sort([time for seed, time in values.items() if seeds is None or seed in seeds])
         return float(np.mean(np.isfinite(times))), -float(times[len(times) // 2])
 
     def buildable(self, venue: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""Submission: what an entrant needs to know, and what the folder of a run tells of how it was trained."""
+"""Submission: what an entrant is and needs to know, and what the folder of a run tells of how it was trained."""
 
 import csv
 import json
@@ -13,10 +13,43 @@ from flexman_gym.envs.sensors import plain_sensors
 from flexman_gym.evaluation.entrants import BASELINES
 from flexman_gym.evaluation.folder import SETTINGS, existing
 from flexman_gym.evaluation.seeds import SELECTION, training_seed
+from flexman_gym.evaluation.shipped import place, read_shipped
 
 TRUTHS = ("true state", "true parameters", "its episodes")  # what nobody can be told of a real arm
 TRUE_SENSORS = ("full", "fine", "state")
 SECONDS = "time/time_elapsed"  # the column of Stable-Baselines3
+PLAIN = "none: usual weights for every arm"
+ABOUT = {  # what baselines are, and how they are tuned
+    "zero": ("no torque at all", "none"),
+    "random": ("random torques", "none"),
+    "pd": ("a PD of the motors, with gains for each arm, task and delay",
+           "by `flexman tune`, about half a minute of computing time an environment, on the seeds 0 to 7"),
+    "pd-shaped": ("the PD behind an input shaper (ZVD) for the lowest mode of the nominal arm", "that of the PD"),
+    "lqr": ("a linear-quadratic regulator about the goal", PLAIN),
+    "lqr-tracking": ("a linear-quadratic regulator that tracks a smooth slew, or a path", PLAIN),
+    "lqg": ("a Kalman filter of the nominal arm, which reads what a laboratory measures, and `lqr-tracking`", PLAIN),
+    "mpc": ("model predictive control within the torque limits", PLAIN),
+    "adaptive-lqr": ("eleven simulated arms beside the real one, fitted to what a laboratory measures, and "
+                     "`lqr-tracking` for the arm that they find; the PD where they explain nothing", PLAIN),
+    "privileged-lqr": ("`lqr-tracking` that is told true state and true parameters: the yardstick", PLAIN),
+    "optimised": ("the quickest slew that a search has found for each episode, replayed",
+                  "by `flexman optimise` on the episodes of the test themselves: a bound, no competitor"),
+}  # fmt: skip
+
+
+def about(entrant: str) -> tuple[str, str]:
+    """Says what an entrant is, and how it was tuned or trained.
+
+    Raises:
+        FileNotFoundError, ValueError: one line, for a folder that holds no run.
+    """
+    if entrant in BASELINES:
+        return ABOUT[entrant]
+    settings, seconds = _settings(entrant), training_seconds(entrant)
+    base = (settings.get("environment") or {}).get("base")
+    what = f"a policy that {str(settings.get('algo', 'a recipe')).upper()} has trained"
+    trained = "for a time that its curves do not tell" if seconds is None else f"for {seconds / 60.0:.3g} minutes"
+    return what + (f", beside the base {base if isinstance(base, str) else base['kind']}" if base else ""), trained
 
 
 def needs(entrant: str) -> tuple[str, ...]:
@@ -27,9 +60,11 @@ def needs(entrant: str) -> tuple[str, ...]:
     """
     if entrant in BASELINES:
         return BASES[entrant].knows if entrant in BASES else ()
-    sensors = plain_sensors(Description.from_dict(_settings(entrant).get("environment")).setup().sensors)
-    kinds = {each["kind"] if isinstance(each, dict) else each for each in sensors}
-    return ("training", "true state") if kinds & set(TRUE_SENSORS) else ("training",)
+    setup = Description.from_dict(_settings(entrant).get("environment")).setup()
+    kinds = {each["kind"] if isinstance(each, dict) else each for each in plain_sensors(setup.sensors)}
+    base = setup.base.get("kind") if isinstance(setup.base, dict) else setup.base
+    known = ["training", *(["true state"] if kinds & set(TRUE_SENSORS) else [])]
+    return tuple(dict.fromkeys([*known, *(BASES[base].knows if isinstance(base, str) else ())]))
 
 
 def is_buildable(entrant: str) -> bool:
@@ -39,6 +74,8 @@ def is_buildable(entrant: str) -> bool:
 
 def training_seconds(entrant: str) -> float | None:
     """Gives the time (s) that a run has taken as its curves tell, None where there are none."""
+    if folder := place(entrant):
+        return float(read_shipped(folder).about["training_seconds"])
     result = None
     for path in () if entrant in BASELINES else sorted(Path(entrant).glob("progress*.csv")):
         with path.open(newline="", encoding="utf-8") as file:
@@ -68,5 +105,8 @@ def check_seeds(entrant: str, seeds: Sequence[int]) -> None:
 
 
 def _settings(entrant: str) -> dict[str, Any]:
+    if folder := place(entrant):
+        about = read_shipped(folder).about
+        return {**about["recipe"]["settings"], "environment": about["environment"]}
     result = json.loads(existing(Path(entrant) / SETTINGS).read_text(encoding="utf-8"))
     return result if isinstance(result, dict) else {}

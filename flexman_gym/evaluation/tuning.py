@@ -13,6 +13,7 @@ from flexman_gym.control.margins import Loop, Margins, has_margins, margins, sam
 from flexman_gym.control.pd import PD, stability_limit
 from flexman_gym.envs.description import Description
 from flexman_gym.envs.setup import build
+from flexman_gym.evaluation.entrants import parted
 from flexman_gym.evaluation.rollout import rollout
 
 LEAST = Margins(2.0, 30.0)  # of all gains that are tried
@@ -77,12 +78,14 @@ def _near(random: np.random.Generator, best: Array, deviation: float, low: Array
 
 def environment_loops(environment: Description) -> list[Loop]:
     """Gives the loops of the motors of an environment, with its largest delay, at goals of its first episodes."""
-    venv = gym.make_vec(environment.id, POSTURES, "vector_entry_point", **environment.keywords())
+    moved = parted(environment)[0]  # without what acts, which may need the gains that are looked for
+    venv = gym.make_vec(environment.id, POSTURES, "vector_entry_point", **moved.keywords())
     venv.reset(seed=list(range(POSTURES)))  # type: ignore[arg-type]
     episodes, setup = venv.unwrapped.episodes, environment.setup()  # type: ignore[attr-defined]
     postures, model = episodes.view.goal_angles.copy(), episodes.batch.model
     venv.close()
-    return [sampled_loop(model, posture, setup.control_period, setup.latest_delay) for posture in postures]
+    drive = setup.control_period, setup.latest_delay, setup.drive_bandwidth
+    return [sampled_loop(model, posture, *drive) for posture in postures]
 
 
 def _drawn(loops: Sequence[Loop], count: int, draw: Callable[[], Array]) -> Array:

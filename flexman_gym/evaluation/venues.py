@@ -1,4 +1,4 @@
-"""Venues: where a league is played: named environments, their conditions, and sweeps of one number of them."""
+"""Venues: where a league is played: named environments, their conditions, sweeps of one number, and other plants."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -7,10 +7,13 @@ from flexman_gym.checks import one_of, refusal
 from flexman_gym.envs.catalog import DEFAULT
 from flexman_gym.envs.description import NOMINAL, Description
 from flexman_gym.evaluation.entrants import parted
+from flexman_gym.evaluation.physical import PLANTS
 
 CONDITIONS = ("payload", "stiffness", "delay", "random-delay", "friction", "unknown", "unknown-lab")
 TASKS = ("FlexRRR-Track-v0", "FlexRRR-Hold-v0", "FlexRRR-Gravity-v0", "FlexPlanar-v0")
 USUAL = (DEFAULT, *(f"{DEFAULT}/{condition}" for condition in CONDITIONS), *TASKS)
+ASKED = f"{DEFAULT}/unknown-lab"  # where an arm is as a laboratory has it
+CHECKED = (DEFAULT, ASKED)  # on other plants too, see `physical`
 KNOWN_NOISE = 0.001  # of the ranges, which controllers are told in the sweep of noise
 
 
@@ -48,18 +51,22 @@ SWEEPS = {
 
 
 class Venue(NamedTuple):
-    """Where episodes are played, and the environment that controllers are made for."""
+    """Where episodes are played, the environment that controllers are made for, and the plant that moves its arms."""
 
     environment: Description
     told: Description
+    plant: str = "usual"
 
 
 def find_venue(name: str) -> Venue:
-    """Gives the venue of an environment, or of a value of a sweep such as "FlexRRR-v0/payload=25".
+    """Gives the venue of an environment, of a value of a sweep such as "FlexRRR-v0/payload=25", or "FlexRRR-v0@mujoco".
 
     Raises:
         FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
     """
+    name, at, plant = name.partition("@")
+    if at:
+        return find_venue(name)._replace(plant=one_of("plant", plant, PLANTS))
     id, _, tail = name.rpartition("/")
     sweep, equals, value = tail.partition("=")
     if not equals:
@@ -72,7 +79,8 @@ def find_venue(name: str) -> Venue:
         raise refusal("sweep", name, f"a number after {sweep}=") from None
     told = parted(Description.under(id, swept.condition))[0].whole_settings()
     heard = played if swept.told is None else swept.told
-    return Venue(*(Description.from_dict({"id": id, **told, **each}) for each in (played, heard)))
+    environment, known = (Description.from_dict({"id": id, **told, **each}) for each in (played, heard))
+    return Venue(environment, known)
 
 
 def sweep_names(id: str, sweep: str) -> list[str]:
@@ -82,3 +90,8 @@ def sweep_names(id: str, sweep: str) -> list[str]:
         ValueError: for another sweep.
     """
     return [f"{id}/{sweep}={value:g}" for value in SWEEPS[one_of("sweep", sweep, SWEEPS)].values]
+
+
+def physical_names() -> list[str]:
+    """Gives the names of the venues of the physical check."""
+    return [f"{venue}@{plant}" for venue in CHECKED for plant in PLANTS if plant != "usual"]

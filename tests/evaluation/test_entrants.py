@@ -184,3 +184,34 @@ def test_what_acts_nowhere_is_refused_in_one_line(tmp_path):
             find_entrant(nobody)
     with pytest.raises(FileNotFoundError, match="no such file"):
         find_entrant(str(tmp_path))
+
+
+def test_a_policy_is_used_with_the_base_that_its_run_says(tmp_path):
+    """On the estimates of an observer that is made for the environment in which it plays, with a delay there."""
+    pytest.importorskip("stable_baselines3")
+    from flexman_agents.settings import Settings
+    from flexman_agents.training import train
+
+    heavy = {"payload_mass": [0.0, 0.05]}
+    shaped = {
+        "id": "FlexOne-v0",
+        "horizon": 0.5,
+        "hold": 5,
+        "sensors": [],
+        "actions": "shaping",
+        "randomisation": heavy,
+    }
+    shaped["base"] = {"kind": "privileged-lqr", "doubt": True}
+    settings = Settings(
+        environment=shaped, steps=64, envs=2, hyperparameters={"net_arch": [8], "n_steps": 16}, value_first=32,
+        base_in_use="adaptive-lqr",
+    )  # fmt: skip
+    train(settings, tmp_path / "run", progress=False)
+    late = Description("FlexOne-v0", {"horizon": 0.5, "randomisation": {**heavy, "delay": [1, 1]}})
+    player = find_entrant(str(tmp_path / "run"))
+    result, controller = (rollout(each, late, SEEDS) for each in (player, "adaptive-lqr"))
+    assert result.failures == ("",) * 3
+    assert 0.0 < np.abs(result.actions - controller.actions).max() < 0.5, "it does a little beside it"
+    path = tmp_path / "run" / "settings.json"
+    path.write_text(path.read_text().replace('"adaptive-lqr"', '"lqg"'))
+    assert refusal(find_entrant, str(tmp_path / "run")).endswith("base_in_use is another now")

@@ -10,9 +10,20 @@ from flexman_gym.control.slew_table import SHIPPED, SlewTable
 from flexman_gym.envs.description import Description
 from flexman_gym.evaluation import FIGURES, league, rollout
 from flexman_gym.evaluation.entrants import BASELINES
-from flexman_gym.evaluation.league import MULTIPLE, ROWS, VALUES, Book, Cell, play, play_league, slew_times
+from flexman_gym.evaluation.league import (
+    MULTIPLE,
+    ROWS,
+    VALUES,
+    Book,
+    Cell,
+    equivalent_damping,
+    play,
+    play_league,
+    slew_times,
+)
+from flexman_gym.evaluation.rollout import Record
 from flexman_gym.evaluation.seeds import SELECTION, training_seed
-from flexman_gym.evaluation.submission import check_seeds, is_buildable, needs, training_seconds
+from flexman_gym.evaluation.submission import about, check_seeds, is_buildable, needs, training_seconds
 from flexman_gym.evaluation.venues import SWEEPS, USUAL, find_venue, sweep_names
 
 from oracles.refusals import refusal
@@ -116,8 +127,55 @@ def test_a_league_that_is_killed_between_its_files_misses_no_row(venue, tmp_path
 def test_another_version_of_a_package_plays_anew(venue, tmp_path, monkeypatch):
     played(venue, tmp_path, ["zero"])
     assert played(venue, tmp_path, ["zero"])[0] == []
-    monkeypatch.setattr(league, "machine", lambda: {"numpy": "0.1"})
+    monkeypatch.setattr(league, "machine", lambda *_: {"numpy": "0.1"})
     assert len(played(venue, tmp_path, ["zero"])[0]) == 1
+
+
+def test_other_code_plays_anew(venue, tmp_path, monkeypatch):
+    played(venue, tmp_path, ["zero"])
+    monkeypatch.setattr(league, "digest_of_code", lambda: "another")
+    assert len(played(venue, tmp_path, ["zero"])[0]) == 1
+
+
+def test_the_hash_of_the_code_is_that_of_what_plays(tmp_path, monkeypatch):
+    for name in ("kernels/a.py", "envs/conditions/b.yaml", "evaluation/rollout.py", "evaluation/league_page.py"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(name)
+    monkeypatch.setattr(league, "PACKAGE", tmp_path)
+    monkeypatch.setattr(league, "SOURCES", ("kernels", "envs", "evaluation/rollout.py"))
+
+    def digest():
+        league.digest_of_code.cache_clear()
+        return league.digest_of_code()
+
+    known = digest()
+    (tmp_path / "evaluation/league_page.py").write_text("another page")
+    assert digest() == known
+    for name in ("kernels/a.py", "envs/conditions/b.yaml", "evaluation/rollout.py"):
+        (tmp_path / name).write_text("changed")
+        assert digest() != known, name
+        (tmp_path / name).write_text(name)
+    (tmp_path / "kernels/a.py").rename(tmp_path / "kernels/c.py")
+    assert digest() != known
+    monkeypatch.undo()
+    digest()
+    assert all((league.PACKAGE / name).exists() for name in league.SOURCES)
+
+
+def test_the_equivalent_damping_is_that_of_the_swings_after_the_arrival():
+    """A slew of 1 s that crosses the target, then a decay of one mode along y; the target is at its place of rest."""
+    time, ratio = np.arange(0.0, 8.0, 0.02), 0.06
+    after = 0.3 * np.exp(-ratio * 6.0 * time) * np.sin(np.sqrt(1.0 - ratio**2) * 6.0 * time)
+    along = np.concatenate([np.linspace(2.0, 0.0, 50)[:-1], after])
+    tips = np.stack([0.1 * along, along, np.zeros_like(along)], axis=1)
+
+    def damping(tips, failure=""):
+        errors = np.linalg.norm(tips, axis=1)
+        return equivalent_damping(Record(tips, errors, tips[1:], errors[1:], failure, 0.02, 0.02))
+
+    assert damping(tips) == pytest.approx(ratio, rel=0.01)
+    assert damping(tips, "joint 1") == 0.0 and damping(tips + np.array([0.0, 0.0, 1.0])) == 0.0
+    assert damping(np.vstack([tips[:50], np.zeros((50, 3))])) == np.inf, "it stops without a swing"
 
 
 def test_a_book_reads_what_it_wrote(tmp_path):
@@ -152,6 +210,18 @@ def test_the_multiple_is_that_of_the_optimised_slew():
         assert (multiples == 1.0 if entrant == "optimised" else multiples > 1.2).all()
 
 
+def test_every_baseline_says_what_it_is_and_a_run_who_trained_it(tmp_path):
+    assert {name for name in BASELINES if all(about(name))} == set(BASELINES)
+    settings = {"algo": "sac", "environment": {"id": "FlexOne-v0", "base": {"kind": "pd"}}}
+    (tmp_path / "settings.json").write_text(json.dumps(settings))
+    assert about(str(tmp_path)) == (
+        "a policy that SAC has trained, beside the base pd",
+        "for a time that its curves do not tell",
+    )
+    (tmp_path / "progress.csv").write_text("time/time_elapsed\n90\n")
+    assert about(str(tmp_path))[1] == "for 1.5 minutes"
+
+
 def test_only_who_is_not_told_the_truth_could_be_built():
     known = {each for each in BASELINES if is_buildable(each)}
     assert known >= {"pd", "pd-shaped", "lqg", "adaptive-lqr"}
@@ -159,16 +229,16 @@ def test_only_who_is_not_told_the_truth_could_be_built():
 
 
 def test_in_a_sweep_controllers_are_told_the_range_and_arms_have_the_value():
-    played, told = (each.setup() for each in find_venue("FlexRRR-v0/payload=25"))
+    played, told = (each.setup() for each in find_venue("FlexRRR-v0/payload=25")[:2])
     assert played.disturbed.payload_mass == (25.0, 25.0) and told.disturbed.payload_mass == (0.0, 20.0)
-    played, told = (each.setup() for each in find_venue("FlexRRR-v0/delay=3"))
+    played, told = (each.setup() for each in find_venue("FlexRRR-v0/delay=3")[:2])
     assert (played.latest_delay, told.latest_delay) == (3, 2)
     assert told.gains == Description.find("FlexRRR-v0/random-delay").setup().gains
-    played, told = (each.setup() for each in find_venue("FlexRRR-v0/noise=0"))
+    played, told = (each.setup() for each in find_venue("FlexRRR-v0/noise=0")[:2])
     assert played.disturbed.sensor_noise == (0.0, 0.0) and told.disturbed.sensor_noise == (0.001, 0.001)
-    played, told = (each.setup() for each in find_venue("FlexRRR-v0/period=0.04"))
+    played, told = (each.setup() for each in find_venue("FlexRRR-v0/period=0.04")[:2])
     assert played.control_period == told.control_period == 0.04
-    played, told = (each.setup() for each in find_venue("FlexRRR-v0/stiffness=0.5"))
+    played, told = (each.setup() for each in find_venue("FlexRRR-v0/stiffness=0.5")[:2])
     assert played.disturbed.link_stiffness_factor == played.disturbed.joint_stiffness_factor == (0.5, 0.5)
     assert told.disturbed.link_stiffness_factor == (0.7, 1.3)
 

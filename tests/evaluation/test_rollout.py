@@ -111,3 +111,28 @@ def test_who_watches_sees_the_reset_and_every_period():
     seen = []
     result = rollout("pd", ONE, SEEDS, lambda episodes: seen.append(episodes.view.tip.copy()))
     assert np.array_equal(np.array(seen).swapaxes(0, 1), result.tips)
+
+
+def test_episodes_are_kept_with_all_that_was_recorded(tmp_path):
+    environment = Description("FlexOne-v0", {"horizon": 0.2, "randomisation": {"delay": [1, 1]}})
+    result = rollout("pd", environment, [9001, 9002])
+    first, second = map(fm.Episode.load, result.save(tmp_path))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["pd-9001.npz", "pd-9002.npz"]
+    assert first.about["seed"] == 9001 and first.about["environment"] == "FlexOne-v0" and first.name == "pd"
+    assert first.about["settings"]["interface"] == {"base": "pd"} and not np.array_equal(first.tips, second.tips)
+    assert np.array_equal(second.tips, result.tips[1]) and len(second.actions) == 10
+    ends = fm.curves(second.model, second.states, 2).positions[:, -1, -1]
+    assert np.allclose(ends, second.tips, rtol=0.0, atol=1e-12)
+    assert second.errors == pytest.approx(np.linalg.norm(second.tips - second.targets, axis=1))
+    limit = np.array(second.about["torque_limits"])
+    assert np.array_equal(second.torques[1:], second.actions[:-1] * limit) and not second.torques[0].any(), "a delay"
+    angles = second.states[:, second.model.motor_columns]
+    assert second.readings["motor_angles"] == pytest.approx(angles, abs=1e-6)
+
+
+def test_an_episode_that_failed_is_kept_to_its_end():
+    environment = Description("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
+    result = rollout(Entrant("push", lambda seen, shape: np.ones(shape)), environment, [9000])
+    episode = result.episode(0)
+    assert len(episode.time) == result.lengths[0] + 1 < 76 and "rate" in episode.about["failure"]
+    assert np.isfinite(episode.states).all() and len(episode.actions) == result.lengths[0]

@@ -6,11 +6,23 @@ import pytest
 
 import flexman_gym  # noqa: F401  registers the environments
 from flexman_gym.control import PD
-from flexman_gym.control.margins import Margins, has_margins, margins, sampled_loop
+from flexman_gym.control.margins import Margins, has_margins, margins, sampled_loop, spectral_radius
 from flexman_gym.envs.description import Description
 from flexman_gym.evaluation import tuning
 
 from oracles.refusals import refusal
+
+
+def test_loops_of_a_servo_for_which_gains_are_looked_for_have_its_drive_in_them():
+    """Of an arm of one's own, for which nothing is tuned yet; an agent that holds its actions changes nothing."""
+    given = {"id": "FlexPlanar-v0", "arm": {"catalog": "planar_2r"}, "torque_limit": 2.0, "control_period": 0.005}
+    plain = tuning.environment_loops(Description.from_dict(given))
+    servo = {"actions": "position", "hold": 4, "drive_bandwidth": 20.0}
+    lagging = tuning.environment_loops(Description.from_dict(given | servo))
+    for loop, late in zip(plain, lagging, strict=True):
+        assert len(late.transition) == len(loop.transition) + 2
+        radii = [spectral_radius(each, [5.0, 2.0], [1.0, 0.4]) for each in (loop, late)]
+        assert radii[0] < 1.0 + 1e-6 < radii[1], "modes that nothing damps have 1, to rounding"
 
 
 def test_gains_are_drawn_up_to_half_of_what_a_late_motor_bears(monkeypatch):

@@ -1,0 +1,189 @@
+"""Certificate: how a policy does under other physics, on other arms, under delay and noise, and at its worst."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from flexman_gym.checks import refusal
+from flexman_gym.envs.catalog import NAMED
+from flexman_gym.envs.description import Description
+from flexman_gym.evaluation.entrants import Entrant, find_entrant
+from flexman_gym.evaluation.figures import FIGURES
+from flexman_gym.evaluation.folder import write
+from flexman_gym.evaluation.physical import PLANTS, find_plant
+from flexman_gym.evaluation.rollout import Record, rollout
+from flexman_gym.evaluation.seeds import TEST
+from flexman_gym.evaluation.shipped import CERTIFICATE, place, read_shipped
+from flexman_gym.simulation.run import default_step
+from flexman_gym.verification.machine import machine
+
+USUAL, PHYSICS, FAR = 0.95, 0.95, 0.9  # least share of episodes that settle: as trained, otherwise moved, elsewhere
+LOUDER, LOUDER_BY = 1.2, 1e-4  # vibration otherwise moved: times that as trained, or so much above it, in m
+DRAWS, WORST, FIRST_DRAW, BLOCK = 1000, 5, 50_000, 100  # of the search: episodes, kept ones, seeds, side by side
+SHOWN = ("settled", "settling_time", "vibration", "error", "roughness", "failed")
+METHOD = "gauss_2_sweeps"  # beside the default, which has another order
+FEW = {"mujoco": 8}  # episodes on a plant that takes long
+DELAYS, NOISES = (0, 1, 2, 3), (0.001, 0.003)  # control periods, and parts of the ranges of instruments
+BEYOND = 0.25  # of the range of the training, for what was drawn there
+
+
+class Trial(NamedTuple):
+    """Where a policy is tried: a name, what is other there, and the changes of its environment.
+
+    Attributes:
+        kind: "usual", "physics" or "far", which says what it has to reach.
+        plant: what moves the arms, see `physical.PLANTS`.
+    """
+
+    name: str
+    what: str
+    kind: str
+    changes: Mapping[str, Any]
+    plant: str = "usual"
+
+
+def certify(name: str, seeds: Sequence[int] = TEST, draws: int = DRAWS, say: Callable[[str], None] = print) -> Path:
+    """Tries a policy and writes what came out beside it, as `certificate.json`; gives the path.
+
+    What fails is under "fails": a policy is recommended where that is empty.
+
+    Args:
+        name: of a shipped policy, or the folder of an exported one.
+        seeds: of the episodes of each trial.
+        draws: episodes of the search for the worst ones.
+        say: is told of each trial.
+
+    Raises:
+        ValueError: one line, for anything else, and for a task in which nothing settles.
+    """
+    folder = place(name)
+    if folder is None:
+        raise refusal("name", name, "an exported policy, by its name or folder")
+    entrant, about = find_entrant(name), read_shipped(folder).about
+    assert entrant.environment is not None
+    if "settling_time" not in getattr(entrant.environment.setup().task, "figures", SHOWN):
+        raise refusal("name", name, "a policy for a task in which the arm settles")
+    rows: list[dict[str, Any]] = []
+    usual: list[Record] = []
+    for trial in trials(entrant.environment, Description.from_dict(about["recipe"]["settings"]["environment"])):
+        played = _played(entrant, trial, seeds[: FEW.get(trial.plant)])
+        usual = usual or played
+        rows.append(_row(trial, played, usual[: len(played)]))
+        say(line(rows[-1]))
+    search = _search(entrant, draws)
+    rows.append(search)
+    say(line(search))
+    result = {
+        "arrays_hash": about["arrays_hash"],
+        "machine": machine(),
+        "seeds": [seeds[0], seeds[-1] + 1],
+        "fails": [row["name"] for row in rows if row["fails"]],
+        "trials": rows,
+    }
+    write(folder / CERTIFICATE, lambda file: file.write((json.dumps(result, indent=1) + "\n").encode()))
+    return folder / CERTIFICATE
+
+
+def trials(environment: Description, trained: Description) -> list[Trial]:
+    """Gives the trials of a policy for an environment, which was trained in another or the same."""
+    setup = environment.setup()
+    step = (setup.step or default_step(setup.control_period, NAMED[setup.name].longest_step)) / 4.0
+    result = [
+        Trial("as trained", "nothing is other", "usual", {}),
+        *(Trial(plant, PLANTS[plant][0], "physics", {}, plant) for plant in ("finer", "mujoco") if plant in PLANTS),
+        Trial("method", f"{METHOD} at a quarter of the step", "physics", {"method": METHOD, "step": step}),
+    ]  # fmt: skip
+    for what, drawn in _unseen(environment, trained).items():
+        ends = "; ".join(f"{name} {low:.3g} to {high:.3g}" for name, (low, high) in drawn.items())
+        result.append(Trial(what, ends, "far", _with(environment, drawn)))
+    for delay in DELAYS:
+        changes = _with(environment, {"delay": (delay, delay)})
+        result.append(Trial(f"delay {delay}", f"torques come {delay} control periods late", "far", changes))
+    for noise in NOISES:
+        changes = _with(environment, {"sensor_noise": (noise, noise)})
+        result.append(Trial(f"noise {noise:g}", f"noise of {noise:g} of the range of each sensor", "far", changes))
+    return result
+
+
+def line(row: Mapping[str, Any]) -> str:
+    """Gives a row in words."""
+    values = ", ".join(f"{name} {row[name]:.3g}" for name in SHOWN if row[name] is not None)
+    said = f"FAILS ({row['fails']})" if row["fails"] else "passes"
+    return f"{row['name']:<12}{said}: {values}"
+
+
+def _unseen(environment: Description, trained: Description) -> dict[str, dict[str, tuple[float, float]]]:
+    """Payload and stiffness that no training drew: the range of the condition, or beyond that of the training."""
+    conditions = ("payload", "stiffness") if NAMED[environment.id].conditions else ()
+    seen = _drawn(trained)
+    result = {}
+    for condition in conditions:
+        spans = _drawn(Description.under(environment.id, condition))
+        for name in spans.keys() & seen.keys():
+            low, high = seen[name]
+            wide = BEYOND * (high - low)
+            spans[name] = (low - wide, low) if condition == "stiffness" else (high, high + wide)
+        result[condition] = spans
+    return result
+
+
+def _with(environment: Description, drawn: Mapping[str, tuple[float, float]]) -> dict[str, Any]:
+    """The randomisation of an environment with other ranges of what is drawn."""
+    return {"randomisation": {**_drawn(environment), **{name: list(span) for name, span in drawn.items()}}}
+
+
+def _drawn(environment: Description) -> dict[str, Any]:
+    """The ranges of what the episodes of an environment draw."""
+    own = environment.setup().randomisation
+    return dict(own.given) if own else {}
+
+
+def _played(entrant: Entrant, trial: Trial, seeds: Sequence[int]) -> list[Record]:
+    """The episodes of a trial."""
+    environment = entrant.environment
+    assert environment is not None
+    changed = replace(environment, settings={**environment.whole_settings(), **trial.changes})
+    return rollout(entrant, changed, seeds, moved=find_plant(trial.plant)).records
+
+
+def _row(trial: Trial, records: Sequence[Record], usual: Sequence[Record]) -> dict[str, Any]:
+    """What came out of a trial, and why it fails, "" where it does not."""
+    values = _values(SHOWN, records)
+    least = {"usual": USUAL, "physics": PHYSICS, "far": FAR}[trial.kind]
+    why = []
+    if values["failed"]:
+        why.append("an episode ended at a limit")
+    if not (values["settled"] or 0.0) >= least:
+        why.append(f"less than {least:.0%} settle")
+    if trial.kind == "physics":
+        before, now = FIGURES["vibration"].sum_up(usual), values["vibration"]
+        most = max(LOUDER * before, before + LOUDER_BY)
+        if now is None or now > most:
+            why.append(f"the tip moves by more than {1e3 * most:.2g} mm")
+    return {"name": trial.name, "what": trial.what, "episodes": len(records), **values, "fails": ", ".join(why)}
+
+
+def _search(entrant: Entrant, draws: int) -> dict[str, Any]:
+    """The worst of so many episodes, those of the lowest reward, to which a failure adds its penalty."""
+    assert entrant.environment is not None
+    found: list[tuple[float, int]] = []
+    records: list[Record] = []
+    for first in range(FIRST_DRAW, FIRST_DRAW + draws, BLOCK):
+        seeds = range(first, min(first + BLOCK, FIRST_DRAW + draws))
+        played = rollout(entrant, entrant.environment, seeds).records
+        found += [(FIGURES["reward"].of(record), seed) for seed, record in zip(seeds, played, strict=True)]
+        records += played
+    row = _row(Trial("search", f"the {WORST} worst of {draws} draws", "usual", {}), records, records)
+    worst = {seed: [records[seed - FIRST_DRAW]] for _, seed in sorted(found)[:WORST]}
+    row["worst"] = [{"seed": seed, **_values(("reward", *SHOWN[1:]), each)} for seed, each in worst.items()]
+    return row
+
+
+def _values(names: Sequence[str], records: Sequence[Record]) -> dict[str, float | None]:
+    """Figures as JSON has them, None for one that is infinite."""
+    values = {name: float(FIGURES[name].sum_up(records)) for name in names}
+    return {name: value if np.isfinite(value) else None for name, value in values.items()}

@@ -1,0 +1,149 @@
+"""Shipped: policies that come with the package, or as a folder from elsewhere: arrays, and all that is said of them."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexman_gym.checks import refusal
+from flexman_gym.control.network import Network, layers_of
+from flexman_gym.evaluation.folder import existing, write
+from flexman_gym.evaluation.tensors import LARGEST, plain_json, read_tensors, write_tensors
+from flexman_gym.scene.file import BROKEN
+
+FOLDER = Path(__file__).parents[1] / "policies"
+ABOUT, ARRAYS, CERTIFICATE = "policy.json", "policy.safetensors", "certificate.json"
+POLICIES = tuple(sorted(path.parent.name for path in FOLDER.glob(f"*/{ABOUT}")))
+FORMAT = "flexman_gym policy 1"
+KEYS = (
+    "format", "words", "licence", "commit", "versions", "recipe", "training_seconds", "environment",
+    "environment_hash", "settings_hash", "observation", "league", "arrays_hash",
+)  # fmt: skip
+STATISTICS, CHECKS = ("statistics.mean", "statistics.var"), ("check.observations", "check.actions")
+COUNT, CLOSE = 64, 1e-9  # observations that are kept, and how far their actions may be from those that are kept
+
+
+class Shipped(NamedTuple):
+    """A policy as its files hold it: what is said of it, see KEYS, and what acts."""
+
+    about: dict[str, Any]
+    network: Network
+
+
+def place(name: str) -> Path | None:
+    """Gives the folder of a shipped policy: one by its name, or a folder with one; None for anything else."""
+    if name in POLICIES:
+        return FOLDER / name
+    return Path(name) if (Path(name) / ABOUT).is_file() else None
+
+
+def read_shipped(folder: Path) -> Shipped:
+    """Reads a policy; nothing in its files is run.
+
+    Raises:
+        FileNotFoundError, ValueError: one line, for files that are missing, larger than a policy, broken, or of other
+            arrays than they say, for another environment than it says, and for a network that gives other actions for
+            the observations kept beside it.
+    """
+    path = existing(folder / ABOUT)
+    try:
+        about = _about(_content(path))
+        path = existing(folder / ARRAYS)
+        content = _content(path)
+        if hashlib.sha256(content).hexdigest() != about["arrays_hash"]:
+            raise refusal("arrays_hash", about["arrays_hash"], "that of the arrays: one of them was changed")
+        return Shipped(about, _network(about, read_tensors(content)))
+    except FileNotFoundError:
+        raise
+    except BROKEN as error:
+        said = " ".join(str(error).split())[:300] or type(error).__name__
+        raise ValueError(f"{path}: this is no policy that was exported ({said})") from None
+
+
+def write_shipped(folder: Path, about: Mapping[str, Any], arrays: dict[str, NDArray[np.floating]]) -> None:
+    """Writes a policy, once reading it gives one: `about` lacks format and hashes, which are added.
+
+    Raises:
+        ValueError: one line, for what `read_shipped` refuses.
+        OSError: when the folder cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    write_tensors(folder / ARRAYS, arrays)
+    own = {
+        "format": FORMAT,
+        "environment_hash": hash_of(about["environment"]),
+        "settings_hash": hash_of(about["recipe"]["settings"]),
+        "arrays_hash": hashlib.sha256((folder / ARRAYS).read_bytes()).hexdigest(),
+    }
+    whole = {name: own.get(name, about.get(name)) for name in KEYS}
+    write(folder / ABOUT, lambda file: file.write((json.dumps(whole, indent=1) + "\n").encode()))
+    read_shipped(folder)
+
+
+def hash_of(data: object) -> str:
+    """Gives the SHA-256 of plain data, whatever the order of its keys."""
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
+
+
+def certificate(folder: Path) -> dict[str, Any] | None:
+    """Gives what the certificate beside a policy says, None where it has none, or one of other arrays.
+
+    Raises:
+        ValueError: for a broken file.
+    """
+    if not (folder / CERTIFICATE).is_file():
+        return None
+    result: dict[str, Any] = plain_json(_content(folder / CERTIFICATE))
+    return result if result["arrays_hash"] == plain_json(_content(folder / ABOUT))["arrays_hash"] else None
+
+
+def described(name: str) -> str:
+    """Says in words what a shipped policy is, and whether its certificate recommends it."""
+    about, said = plain_json(_content(FOLDER / name / ABOUT)), certificate(FOLDER / name)
+    if said is None:
+        return f"{about['words']} It has no certificate."
+    fails = ", ".join(said["fails"])
+    return f"{about['words']} {f'Not recommended: it fails {fails}.' if fails else 'Recommended.'}"
+
+
+def _content(path: Path) -> bytes:
+    size = path.stat().st_size
+    if size > LARGEST:
+        raise refusal("file", f"{size} bytes", f"at most {LARGEST}")
+    return path.read_bytes()
+
+
+def _about(content: bytes) -> dict[str, Any]:
+    """What is said of a policy, once it is all there, and the environment is the one that it was exported with."""
+    about = plain_json(content)
+    if not isinstance(about, dict) or set(about) != set(KEYS):
+        raise refusal("keys", sorted(about) if isinstance(about, dict) else about, ", ".join(KEYS))
+    if about["format"] != FORMAT:
+        raise refusal("format", about["format"], FORMAT)
+    for name, data in (("environment", about["environment"]), ("settings", about["recipe"]["settings"])):
+        if hash_of(data) != about[f"{name}_hash"]:
+            raise refusal(name, "something with another hash", "what it was exported with")
+    return about
+
+
+def _network(about: dict[str, Any], arrays: dict[str, NDArray[np.floating]]) -> Network:
+    """The network of arrays, once it does what it did."""
+    settings = about["recipe"]["settings"]
+    algo, activation = settings["algo"], settings["hyperparameters"].get("activation")
+    layers = layers_of(algo, arrays)
+    if unknown := arrays.keys() ^ {*layers, *STATISTICS, *CHECKS}:
+        raise refusal("arrays", sorted(unknown), f"layers of {algo}, {', '.join((*STATISTICS, *CHECKS))}")
+    moments = {name.partition(".")[2]: arrays[name] for name in STATISTICS}
+    network = Network(algo, activation, layers, moments)
+    seen, wanted = (arrays[name] for name in CHECKS)
+    if seen.shape != (COUNT, network.size) or wanted.shape != (COUNT, network.joints):
+        allowed = f"arrays {(COUNT, network.size)} and {(COUNT, network.joints)}"
+        raise refusal("check", f"arrays {seen.shape} and {wanted.shape}", allowed)
+    apart = np.abs(network(seen) - wanted).max()
+    if not apart <= CLOSE:
+        raise refusal("check", f"actions {apart:.2g} from those that were kept", f"a network that is within {CLOSE}")
+    return network

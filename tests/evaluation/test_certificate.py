@@ -1,0 +1,116 @@
+"""Certificate: each trial plays the episodes that it names, what fails is said, and it belongs to one policy."""
+
+import json
+
+import numpy as np
+import pytest
+
+import flexman_gym as fm
+from flexman_gym.envs.description import Description
+from flexman_gym.evaluation import certificate, shipped
+from flexman_gym.evaluation.certificate import PHYSICS, SHOWN, certify, trials
+from flexman_gym.evaluation.physical import physical_check
+from flexman_gym.evaluation.rollout import Record
+from flexman_gym.evaluation.shipped import ABOUT, write_shipped
+
+from oracles.refusals import refusal
+from oracles.shipped import DESCRIBED, made_up
+
+SEEDS = range(9000, 9002)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A policy that does nothing beside its PD controller, under a name."""
+    about, arrays = made_up()
+    for name in ("action_net.weight", "action_net.bias", "check.actions"):
+        arrays[name] = np.zeros_like(arrays[name])
+    about["recipe"]["settings"]["environment"] = DESCRIBED.whole()
+    write_shipped(tmp_path / "still", about, arrays)
+    monkeypatch.setattr(shipped, "FOLDER", tmp_path)
+    monkeypatch.setattr(certificate, "METHOD", "midpoint_2_sweeps")  # another one compiles for long
+    monkeypatch.delitem(certificate.PLANTS, "mujoco")  # and this one plays for long
+    return tmp_path / "still"
+
+
+def test_trials_are_played_where_they_say_and_kept_beside_the_policy(folder):
+    assert shipped.described("still") == "Made up. It has no certificate."
+    said = []
+    path = certify(str(folder), SEEDS, 6, said.append)
+    result = json.loads(path.read_text())
+    rows = {row["name"]: row for row in result["trials"]}
+    assert len(said) == len(rows) and list(rows)[:3] == ["as trained", "finer", "method"]
+    assert rows["finer"]["error"] == physical_check("pd", DESCRIBED, SEEDS, ("finer",))["finer"]["error"]
+    assert {"payload", "stiffness", "delay 0", "delay 3", "noise 0.003", "search"} <= rows.keys()
+    for name, changes in (
+        ("as trained", {}),
+        ("payload", {"randomisation": {"payload_mass": [0.0, 0.2]}}),
+        ("delay 1", {"randomisation": {"delay": [1, 1]}}),
+    ):
+        expected = fm.evaluate("pd", Description("FlexPlanar-v0", {**DESCRIBED.settings, **changes}), SEEDS)
+        shown = {each: expected[each] if np.isfinite(expected[each]) else None for each in SHOWN}
+        assert {each: rows[name][each] for each in SHOWN} == shown, name
+    search = range(certificate.FIRST_DRAW, certificate.FIRST_DRAW + 6)
+    rewards = {seed: fm.evaluate("pd", DESCRIBED, [seed])["reward"] for seed in search}
+    worst = [each["seed"] for each in rows["search"]["worst"]]
+    assert worst == sorted(search, key=rewards.__getitem__)[:5]
+    assert result["fails"] == [row["name"] for row in result["trials"] if row["fails"]]
+    assert "delay 3" in result["fails"], "the arm then never settles in its second"
+    assert shipped.described("still").startswith("Made up. Not recommended: it fails ")
+
+
+def test_a_policy_without_failures_is_recommended_and_another_has_no_certificate_of_it(folder):
+    about = json.loads((folder / ABOUT).read_text())
+    (folder / shipped.CERTIFICATE).write_text(json.dumps({"arrays_hash": about["arrays_hash"], "fails": []}))
+    assert shipped.described("still") == "Made up. Recommended."
+    (folder / shipped.CERTIFICATE).write_text(json.dumps({"arrays_hash": "another", "fails": []}))
+    assert shipped.described("still") == "Made up. It has no certificate."
+
+
+def record(vibration=0.0, failure="", error=0.0):
+    """An episode of 4 s, in which the tip moves along an axis at its end."""
+    tips = np.zeros((401, 3))
+    tips[200::2, 0] = vibration
+    return Record(tips, np.full(401, error), np.zeros((400, 2)), np.zeros(400), failure, 0.01, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("kind", "records", "said"),
+    [
+        ("usual", [record()] * 20, ""),
+        ("usual", [record()] * 18 + [record(error=1.0)] * 2, "less than 95% settle"),
+        ("far", [record()] * 18 + [record(error=1.0)] * 2, ""),
+        ("far", [record()] * 17 + [record(error=1.0)] * 3, "less than 90% settle"),
+        ("far", [record()] * 99 + [record(failure="angle")], "an episode ended at a limit"),
+        ("physics", [record(1.19e-3)] * 3, ""),
+        ("physics", [record(1.21e-3)] * 3, "the tip moves by more than 1.2 mm"),
+    ],
+)
+def test_a_row_fails_for_what_it_says(kind, records, said):
+    trial = certificate.Trial("a", "b", kind, {})
+    assert certificate._row(trial, records, [record(1e-3)])["fails"] == said
+    assert PHYSICS == 0.95
+
+
+def test_small_vibration_may_grow_by_a_tenth_of_a_millimetre():
+    trial = certificate.Trial("a", "b", "physics", {})
+    for vibration, fails in ((9e-5, False), (1.2e-4, True)):
+        assert bool(certificate._row(trial, [record(vibration)], [record()])["fails"]) == fails
+
+
+def test_what_the_training_drew_is_left(monkeypatch):
+    """A policy that learned with payloads and stiffness is tried beyond them."""
+    trained = Description.find("FlexRRR-v0/unknown")
+    changes = {each.name: each.changes for each in trials(Description(), trained)}
+    assert changes["payload"] == {"randomisation": {"payload_mass": [20.0, 25.0]}}
+    both = changes["stiffness"]["randomisation"]
+    assert both["joint_stiffness_factor"] == both["link_stiffness_factor"] == pytest.approx([0.55, 0.7])
+    kept = {each.name: each.changes for each in trials(trained, trained)}["delay 3"]["randomisation"]
+    assert kept["delay"] == [3, 3] and kept["payload_mass"] == [0.0, 20.0]
+
+
+def test_only_policies_of_tasks_in_which_something_settles(tmp_path):
+    assert refusal(certify, "pd") == "name: 'pd' is not allowed; give an exported policy, by its name or folder"
+    path = Description.from_dict({"id": "FlexPlanar-Track-v0", "base": "pd", "sensors": "full", "horizon": 1.0})
+    write_shipped(tmp_path, *made_up(path))
+    assert "a policy for a task in which the arm settles" in refusal(certify, str(tmp_path))
