@@ -1,4 +1,4 @@
-"""Choose the smallest model and the longest step with which a scene meets a tolerance."""
+"""Choose the smallest model and longest step that meet a tolerance."""
 
 import argparse
 from pathlib import Path

@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.image import imsave
 
 import flexman_gym as fm
-from flexman_agents.pictures import draw_episodes
 from flexman_agents.recipes import find_recipe
 from flexman_agents.training import train
 from flexman_gym import draw
+from flexman_gym.draw.episodes import draw_episodes
 from flexman_gym.evaluation import find_entrant, rollout, table
 from flexman_gym.evaluation.entrants import common_environment
 from flexman_gym.evaluation.seeds import TEST

@@ -5,16 +5,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from flexman_gym.envs.description import Description
     from flexman_gym.evaluation.entrants import Entrant
 
 
 def arguments(result: argparse.ArgumentParser) -> None:
     """Says what it takes."""
+    episode_arguments(result)
+    result.add_argument("--save", type=Path, metavar="FOLDER", help="keep each episode there, a file of arrays each")
+
+
+def episode_arguments(result: argparse.ArgumentParser) -> None:
+    """Says which entrants play which episodes."""
     from flexman_gym.envs import NAMED
-    from flexman_gym.evaluation.entrants import BASELINES
+    from flexman_gym.evaluation.entrants import ENTRANTS
     from flexman_gym.evaluation.seeds import TEST
 
-    result.add_argument("entrant", nargs="+", help=f"folder of a training run, or {', '.join(BASELINES)}")
+    result.add_argument("entrant", nargs="+", help=f"folder of a run or a policy, a zip, or {', '.join(ENTRANTS)}")
     result.add_argument("--episodes", type=int, default=len(TEST))
     result.add_argument("--seed", type=int, default=TEST.start, help="of the first episode; the next follow")
     where = f"a file, an id and a condition such as FlexRRR-v0/delay, or one of {', '.join(sorted(NAMED))}"
@@ -31,22 +38,28 @@ def run(options: argparse.Namespace) -> int:
 
     if options.episodes < 1:
         options.parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
-    entrants = {name: entrant(name, options.trust) for name in options.entrant}
     named = Description.find(options.env) if options.env else None
+    entrants = {name: entrant(name, options.trust, named) for name in options.entrant}
     environment = changed_environment(common_environment(list(entrants.values()), named), options.set)
     seeds = range(options.seed, options.seed + options.episodes)
-    results = {name: rollout(each, environment, seeds).records for name, each in entrants.items()}
-    print(table(results, environment))
+    results = {name: rollout(each, environment, seeds) for name, each in entrants.items()}
+    print(table({name: each.records for name, each in results.items()}, environment))
+    if options.save is not None:
+        files = [path for each in results.values() for path in each.save(options.save)]
+        print(f"{len(files)} episodes are in {options.save}; see some: flexman replay {files[0]} --out page.html")
     return 0
 
 
-def entrant(name: str, trust: bool) -> "Entrant":
-    """Gives an entrant; files of Stable-Baselines3 only where they are trusted, as reading them runs code."""
+def entrant(name: str, trust: bool, named: "Description | None" = None) -> "Entrant":
+    """Gives an entrant; files of Stable-Baselines3 only where they are trusted, as reading them runs code.
+
+    A zip sees and holds as the named environment says.
+    """
     from flexman_gym.evaluation.entrants import find_entrant
     from flexman_gym.evaluation.folder import is_foreign
 
-    if trust and is_foreign(Path(name)):
-        from flexman_agents.foreign import load_foreign
+    if trust and (is_foreign(Path(name)) or name.endswith(".zip")):
+        from flexman_agents.foreign import load_foreign, load_zip
 
-        return load_foreign(Path(name))
+        return load_zip(Path(name), named) if name.endswith(".zip") else load_foreign(Path(name))
     return find_entrant(name)

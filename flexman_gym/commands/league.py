@@ -1,23 +1,31 @@
-"""Play the league: all entrants in the same episodes, as rows, a page of tables, and charts."""
+"""Play the league: all entrants in the same episodes."""
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from flexman_gym.evaluation.league import Book
 
 FOLDER = Path("out/league")
+PHYSICAL = 10  # episodes
 
 
 def arguments(result: argparse.ArgumentParser) -> None:
     """Says what it takes."""
-    from flexman_gym.evaluation.entrants import BASELINES
+    from flexman_gym.evaluation.entrants import ENTRANTS
     from flexman_gym.evaluation.seeds import TEST
     from flexman_gym.evaluation.venues import SWEEPS
 
-    result.add_argument("--entrants", nargs="+", help=f"folders of runs, or {', '.join(BASELINES)}; without it these")
+    result.add_argument("--entrants", nargs="+", help=f"folders of runs, or {', '.join(ENTRANTS)}; without it these")
     result.add_argument(
         "--environments", nargs="+", help="ids, ids and conditions, or files; without it the usual ones"
     )
     result.add_argument("--sweep", nargs="+", default=[], metavar="NAME", help=f"of {', '.join(SWEEPS)}, instead")
-    result.add_argument("--episodes", type=int, default=len(TEST))
+    result.add_argument(
+        "--physical", action="store_true", help="other plants instead, see the page; 10 episodes where none are named"
+    )
+    result.add_argument("--episodes", type=int, help=f"without it {len(TEST)}, or as many as there are")
     result.add_argument("--seed", type=int, default=TEST.start, help="of the first episode; the next follow")
     result.add_argument("--jobs", type=int, default=1, help="processes")
     result.add_argument("--folder", type=Path, default=FOLDER, help="of rows, page and charts; what it has is kept")
@@ -28,25 +36,42 @@ def arguments(result: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Plays what the folder does not have yet; returns the exit code."""
-    from flexman_gym.envs.catalog import DEFAULT
-    from flexman_gym.evaluation.entrants import BASELINES
+    from flexman_gym.evaluation.entrants import ENTRANTS
     from flexman_gym.evaluation.league import Book, play_league
     from flexman_gym.evaluation.league_page import PAGE, write_page
-    from flexman_gym.evaluation.venues import USUAL, sweep_names
 
     for name, least in (("episodes", 1), ("jobs", 1), ("seed", 0)):
-        if getattr(options, name) < least:
-            options.parser.error(f"--{name}: {getattr(options, name)} is not allowed; give a whole number >= {least}")
-    venues = options.environments or USUAL
-    if options.sweep:
-        venues = [each for id in options.environments or [DEFAULT] for sweep in options.sweep
-                  for each in sweep_names(id, sweep)]  # fmt: skip
-    elif options.add and not options.environments:
-        venues = list(dict.fromkeys(venue for venue, _, _ in Book.load(options.folder).cells)) or venues
-    venues = [venue.removesuffix("/nominal") for venue in venues]
-    seeds = range(options.seed, options.seed + options.episodes)
-    entrants = options.add or options.entrants or BASELINES
-    book = play_league(entrants, venues, seeds, options.folder, options.jobs, lambda said: print(said, flush=True))
+        given = getattr(options, name)
+        if given is not None and given < least:
+            options.parser.error(f"--{name}: {given} is not allowed; give a whole number >= {least}")
+    entrants = options.add or options.entrants or ENTRANTS
+    for episodes, venues in _venues(options, Book.load(options.folder)).items():
+        seeds = range(options.seed, options.seed + episodes)
+        book = play_league(entrants, venues, seeds, options.folder, options.jobs, lambda said: print(said, flush=True))
     write_page(book, options.folder)
     print(f"{options.folder / PAGE} has the tables.")
     return 0
+
+
+def _venues(options: argparse.Namespace, book: "Book") -> dict[int, list[str]]:
+    """Numbers of episodes, and the venues in which so many are played."""
+    from flexman_gym.envs.catalog import DEFAULT
+    from flexman_gym.evaluation.seeds import TEST
+    from flexman_gym.evaluation.venues import USUAL, physical_names, sweep_names
+
+    venues = options.environments or USUAL
+    episodes = options.episodes or (PHYSICAL if options.physical else len(TEST))
+    if options.physical:
+        venues = physical_names()
+    elif options.sweep:
+        venues = [each for id in options.environments or [DEFAULT] for sweep in options.sweep
+                  for each in sweep_names(id, sweep)]  # fmt: skip
+    elif options.add and not options.environments and book.cells:
+        last = {
+            venue: max(cell.end for cell in book.cells.values() if cell.venue == venue) for venue, _, _ in book.cells
+        }
+        groups: dict[int, list[str]] = {}
+        for venue, end in last.items():
+            groups.setdefault(options.episodes or max(1, end - options.seed), []).append(venue)
+        return groups
+    return {episodes: [venue.removesuffix("/nominal") for venue in venues]}

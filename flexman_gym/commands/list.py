@@ -1,11 +1,11 @@
-"""List what has a name: environments, conditions, controllers, sensors, methods, arms and recipes."""
+"""List what has a name: environments, policies, recipes and more."""
 
 import argparse
 from collections.abc import Iterable, Mapping
 from itertools import takewhile
 from pathlib import Path
 
-WHAT = ("environments", "conditions", "controllers", "sensors", "methods", "arms", "recipes")
+WHAT = ("environments", "conditions", "controllers", "policies", "sensors", "methods", "arms", "recipes")
 
 
 def arguments(result: argparse.ArgumentParser) -> None:
@@ -31,9 +31,10 @@ def named(what: str) -> Iterable[tuple[str, str]]:
     """Names of a kind, each with a few words."""
     from flexman_gym.control.bases import BASES
     from flexman_gym.envs.catalog import NAMED
-    from flexman_gym.envs.description import ARMS, CONDITIONS, FILES
+    from flexman_gym.envs.description import CONDITIONS, FILES
     from flexman_gym.envs.sensors import SENSORS, SETS
     from flexman_gym.scene import catalog
+    from flexman_gym.scene.naming import ARMS
     from flexman_gym.simulation.methods import METHODS
 
     if what == "environments":
@@ -44,6 +45,10 @@ def named(what: str) -> Iterable[tuple[str, str]]:
         yield from ((name, words.get(name, "Nothing is changed.")) for name in CONDITIONS)
     elif what == "controllers":
         yield from ((name, f"knows {', '.join(base.knows) or 'its motors'}") for name, base in BASES.items())
+    elif what == "policies":
+        from flexman_gym.evaluation.shipped import POLICIES, described
+
+        yield from ((name, described(name)) for name in POLICIES)
     elif what == "sensors":
         parts: Mapping[str, object] = {name: "" for name in SENSORS} | {name: " + ".join(SETS[name]) for name in SETS}
         yield from ((name, str(words)) for name, words in parts.items())

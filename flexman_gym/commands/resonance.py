@@ -19,7 +19,7 @@ MOTORS = ("held", "free")
 
 def arguments(result: argparse.ArgumentParser) -> None:
     """Says what it takes."""
-    from flexman_gym.envs.description import ARMS
+    from flexman_gym.scene.naming import ARMS
 
     where = (
         f"an environment as `flexman evaluate` takes it, an arm ({', '.join(ARMS)}), or a file with an arm or a scene"
@@ -54,14 +54,15 @@ def run(options: argparse.Namespace) -> int:
 
 def subject(name: str, count: int) -> "tuple[Model, np.ndarray, list[float]]":
     """Gives the model of an arm, postures (count, n) rad and payloads (kg)."""
-    from flexman_gym.envs.description import ARMS, SUFFIXES, Description, read_arm
+    from flexman_gym.envs.description import Description
     from flexman_gym.fidelity.choose import assembled_modes
     from flexman_gym.model.model import build_model
     from flexman_gym.scene import file
+    from flexman_gym.scene.naming import ARMS, SUFFIXES, find_arm
 
     data = file.read(Path(name)) if name.endswith(SUFFIXES) else None
     if name in ARMS or (isinstance(data, dict) and ("arm" in data or "links" in data) and "id" not in data):
-        arm = read_arm(name)
+        arm = find_arm(name)
         model = build_model(arm, 2, assembled_modes(arm, 2, HIGHEST))
         postures = np.random.default_rng(0).uniform(-ANGLE, ANGLE, (count, arm.n_joints))
         drawn = None

@@ -12,17 +12,20 @@ def arguments(result: argparse.ArgumentParser) -> None:
     result.add_argument("--method", default="auto", help="a name that `flexman list methods` has")
     result.add_argument("--step", type=float, help="s, of a method with fixed steps")
     result.add_argument("--rtol", type=float, default=1e-6, help="of a method that chooses its steps")
-    result.add_argument("--out", type=Path, help="CSV file: time, tip, angles of joints and motors, energy")
+    result.add_argument("--out", type=Path, help="CSV file: time, tip, angles and energy; .npz: an episode")
 
 
 def run(options: argparse.Namespace) -> int:
     """Simulates; returns 1 where the simulation does not reach its end."""
     from flexman_gym.scene.scene import Scene
+    from flexman_gym.simulation.episode import Episode
     from flexman_gym.simulation.scenes import simulate
 
     scene = Scene.load(options.scene)
     result = simulate(scene, method=options.method, step=options.step, rtol=options.rtol)
-    if options.out is not None:
+    if options.out is not None and options.out.suffix == ".npz":
+        Episode.of_trajectory(result, options.scene.stem).save(options.out)
+    elif options.out is not None:
         columns = {"tip": result.tip, "joint_angle": result.joint_angles, "motor_angle": result.motor_angles}
         heads = [f"{name}_{i}" for name, values in columns.items() for i in range(1, values.shape[1] + 1)]
         table = np.column_stack([result.time, *columns.values(), result.energy])

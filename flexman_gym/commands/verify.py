@@ -1,4 +1,4 @@
-"""Verify the simulator against closed forms and independent solutions."""
+"""Verify the simulator against closed forms and other solutions."""
 
 import argparse
 import warnings

@@ -15,7 +15,7 @@ EPISODES = 20
 
 def arguments(result: argparse.ArgumentParser) -> None:
     """Says what it takes: what `evaluate` does, for one entrant or several."""
-    evaluate.arguments(result)
+    evaluate.episode_arguments(result)
     result.set_defaults(episodes=EPISODES)
 
 

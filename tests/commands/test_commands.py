@@ -2,17 +2,22 @@
 
 import subprocess
 import sys
+from argparse import Namespace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 import flexman_gym as fm
 from flexman_gym.__main__ import about, main
+from flexman_gym.commands import league
 from flexman_gym.commands.list import WHAT
 from flexman_gym.control import BASES
 from flexman_gym.envs import NAMED
 from flexman_gym.envs.description import CONDITIONS
 from flexman_gym.envs.sensors import NAMES
+from flexman_gym.evaluation.league import Book, Cell
+from flexman_gym.evaluation.venues import USUAL, physical_names
 
 from oracles.files import REFERENCE, ROOT
 
@@ -91,22 +96,62 @@ def test_precision_halves_the_step_and_measures_against_the_reference(capsys):
     assert "diverged           -" in capsys.readouterr().out
 
 
+def test_an_arm_is_exported(tmp_path, capsys):
+    """Of a named environment, of a file of an arm, and of one of an environment."""
+    path = tmp_path / "arm.xml"
+    files = [f"{ROOT}/docs/examples/{name}.yaml" for name in ("four_link_arm", "planar_payload")]
+    for given, motors in (([], 3), (["FlexOne-v0", "--pieces", "2"], 1), (files[:1], 4), (files[1:], 2)):
+        assert main(["export", "mujoco", *given, "--out", str(path)]) == 0
+        root = ElementTree.parse(path).getroot()
+        assert len(root.findall("actuator/motor")) == motors
+    assert root.find(".//body[@name='payload']/inertial").get("mass") == "0.3"
+    assert "2 links of 8 pieces" in capsys.readouterr().out.splitlines()[-1]
+
+
 def test_the_league_is_played_and_grows(tmp_path, capsys):
     """By one entrant more, where the others have played, and by no run that is not there."""
-    where = ["--folder", str(tmp_path), "--episodes", "2"]
-    assert main(["league", *where, "--entrants", "zero", "privileged-lqr", "--environments", "FlexOne-v0"]) == 0
+    where = ["--folder", str(tmp_path)]
+    assert (
+        main(
+            [
+                "league",
+                *where,
+                "--episodes",
+                "2",
+                "--entrants",
+                "zero",
+                "privileged-lqr",
+                "--environments",
+                "FlexOne-v0",
+            ]
+        )
+        == 0
+    )
     assert main(["league", *where, "--add", "pd"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split(",")[0] for line in lines if " of " in line] == [
         "1 of 2: zero on FlexOne-v0", "2 of 2: privileged-lqr on FlexOne-v0", "1 of 1: pd on FlexOne-v0"
     ]  # fmt: skip
+    assert len((tmp_path / "rows.csv").read_text().splitlines()) == 1 + 3 * 2, "as many episodes as the others"
     page = (tmp_path / "league.md").read_text()
     assert all(f"| `{entrant}` |" in page for entrant in ("zero", "privileged-lqr", "pd"))
+
+
+def test_a_league_takes_few_episodes_on_other_plants_and_those_of_others_for_one_more():
+    plain = Namespace(environments=None, episodes=None, physical=False, sweep=[], add=None, seed=9000)
+    assert league._venues(plain, Book()) == {100: [*USUAL]}
+    assert league._venues(Namespace(**vars(plain) | {"physical": True}), Book()) == {10: physical_names()}
+    cells = [Cell("", "pd", *each) for each in (("a", 9000, 9025), ("a", 9025, 9050), ("b@finer", 9000, 9010))]
+    more = Namespace(**vars(plain) | {"add": ["run"]})
+    assert league._venues(more, Book(cells=cells)) == {50: ["a"], 10: ["b@finer"]}
+    assert league._venues(more, Book()) == {100: [*USUAL]}
 
 
 @pytest.mark.parametrize(
     ("given", "line"),
     [
+        (["export", "mujoco", "FlexOne-v0", "--pieces", "-1"], "pieces: -1 is not allowed; give a whole number from 0"),
+        (["export", "mujoco", "nowhere.yaml"], "nowhere.yaml: there is no such file"),
         (["league", "--episodes", "0"], "--episodes: 0 is not allowed; give a whole number >= 1"),
         (["league", "--sweep", "mass"], "sweep: 'mass' is not allowed; give one of payload"),
         (["league", "--add", "nowhere"], "nowhere/settings.json: no such file"),

@@ -1,0 +1,142 @@
+"""Draw pictures: modes, Bode diagrams, learning curves, and more."""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from flexman_gym.model.model import Model
+
+
+def arguments(result: argparse.ArgumentParser) -> None:
+    """Says what it takes."""
+    result.add_argument("what", choices=sorted(PICTURES), help="the picture")
+    where = "an environment, an arm or its file (modes, map, bode, campbell); folders of runs (learning); the folder "
+    result.add_argument("subject", nargs="+", help=f"{where}of a league (league, robustness); episodes that were saved")
+    result.add_argument("--out", type=Path, help="the file; else its name is that of the picture")
+    result.add_argument("--angles", type=float, nargs="+", help="rad, of the joints (modes, bode); else zero")
+    result.add_argument("--mode", type=int, default=1, help="of the map, the lowest by default")
+    result.add_argument("--count", type=int, default=6, help="modes at most")
+    result.add_argument("--fastest", type=float, help="rad/s (campbell); else as fast as the lowest mode rings")
+    result.add_argument("--column", help="of progress.csv (learning)")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Draws; returns the exit code."""
+    out = options.out or Path(f"{options.what}.{'gif' if options.what == 'side' else 'png'}")
+    for path in PICTURES[options.what](options, out):
+        print(path)
+    return 0
+
+
+def model_of(name: str, stiffening: bool = False) -> "Model":
+    """Gives the model of an environment, an arm or a file."""
+    from flexman_gym.envs.description import Description
+    from flexman_gym.envs.setup import build
+    from flexman_gym.model.model import build_model
+    from flexman_gym.scene import file
+    from flexman_gym.scene.naming import ARMS, SUFFIXES, find_arm
+
+    data = file.read(Path(name)) if name.endswith(SUFFIXES) else {}
+    if name in ARMS or "arm" in data or "links" in data:
+        return build_model(find_arm(name), stiffening=stiffening)
+    model = build(Description.find(name).setup()).model
+    return build_model(model.arm, **vars(model.choice) | {"stiffening": stiffening}) if stiffening else model
+
+
+def _modes(options: argparse.Namespace, out: Path) -> list[Path]:
+    from flexman_gym.draw.modes import mode_pictures
+    from flexman_gym.draw.video import write_picture
+
+    return [write_picture(mode_pictures(model_of(options.subject[0]), options.angles, options.count), out)]
+
+
+def _map(options: argparse.Namespace, out: Path) -> list[Path]:
+    from flexman_gym.draw.postures import frequency_map
+
+    return [frequency_map(model_of(options.subject[0]), out, options.mode)]
+
+
+def _campbell(options: argparse.Namespace, out: Path) -> list[Path]:
+    import numpy as np
+
+    from flexman_gym.draw.postures import campbell_diagram
+    from flexman_gym.model.instant import frequencies
+
+    model = model_of(options.subject[0], stiffening=True)
+    if model.n_dof == model.n_joints:
+        raise ValueError(f"subject: {options.subject[0]} is not allowed; give an arm with flexible links or joints")
+    fastest = options.fastest or 2 * np.pi * float(frequencies(model, lock_joints=True)[0])
+    return [campbell_diagram(model, np.linspace(0.0, fastest, 31), out, options.count)]
+
+
+def _bode(options: argparse.Namespace, out: Path) -> list[Path]:
+    import numpy as np
+
+    from flexman_gym.control.margins import open_loops, sampled_loop
+    from flexman_gym.draw.bode import bode_diagram
+    from flexman_gym.envs.description import Description
+    from flexman_gym.envs.setup import build
+
+    setup = Description.find(options.subject[0]).setup()
+    model, period, gains = build(setup).model, setup.control_period, setup.pd_gains
+    angles = options.angles or [0.0] * model.n_joints
+    places = np.geomspace(0.01, 0.5 / period, 1200)
+    loop = sampled_loop(model, angles, period, setup.latest_delay)
+    responses = open_loops(loop, gains["stiffness"], gains["damping"], places, period)
+    named = {f"motor {i + 1}": response for i, response in enumerate(responses)}
+    title = f"{options.subject[0]}: the PD's loop opened at one motor, the others act"
+    return [bode_diagram(places, named, out, title)]
+
+
+def _learning(options: argparse.Namespace, out: Path) -> list[Path]:
+    from flexman_gym.draw.learning import learning_curves, read_progress
+
+    runs, label = {}, options.column
+    for folder in map(Path, options.subject):
+        seeds = sorted(each.parent for each in folder.glob("*/progress.csv")) or [folder]
+        found = [read_progress(seed, label) for seed in seeds]
+        label = found[0][2]
+        runs[folder.name] = [(steps, values) for steps, values, _ in found]
+    return [learning_curves(runs, out, str(label))]
+
+
+def _league(options: argparse.Namespace, out: Path) -> list[Path]:
+    from flexman_gym.evaluation.league import Book
+    from flexman_gym.evaluation.league_page import draw_charts
+    from flexman_gym.evaluation.standing import Standing
+
+    folder = Path(options.subject[0])
+    book = Book.load(folder)
+    paths = draw_charts(Standing(book), folder, options.what == "robustness")
+    if not paths:
+        allowed = "the folder of a league" + (" with sweeps" if options.what == "robustness" else "")
+        raise ValueError(f"subject: {folder} is not allowed; give {allowed}")
+    return paths
+
+
+def _episode(options: argparse.Namespace, out: Path) -> list[Path]:
+    from flexman_gym.draw.episodes import draw_episodes
+    from flexman_gym.simulation.episode import Episode
+
+    loaded = [Episode.load(path) for path in options.subject]
+    names = [each.name for each in loaded]
+    labels = [name if names.count(name) == 1 else f"{name} {i + 1}" for i, name in enumerate(names)]
+    draw_episodes(dict(zip(labels, loaded, strict=True)), out)
+    return [out]
+
+
+def _side(options: argparse.Namespace, out: Path) -> list[Path]:
+    from flexman_gym.draw.side import side_by_side
+    from flexman_gym.draw.video import write_video
+    from flexman_gym.simulation.episode import Episode
+
+    frames, fps = side_by_side([Episode.load(path) for path in options.subject], out.suffix == ".gif")
+    return [write_video(frames, out, fps)]
+
+
+PICTURES: dict[str, Callable[[argparse.Namespace, Path], list[Path]]] = {
+    "modes": _modes, "map": _map, "bode": _bode, "campbell": _campbell, "learning": _learning, "league": _league,
+    "robustness": _league, "episode": _episode, "side": _side,
+}  # fmt: skip

@@ -1,0 +1,89 @@
+"""Export a policy as data or ONNX, an arm for MuJoCo."""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+
+class Target(NamedTuple):
+    """What can be exported: words for its help, what it takes, and what makes it and says what it made."""
+
+    words: str
+    arguments: Callable[[argparse.ArgumentParser], None]
+    run: Callable[[argparse.Namespace], str]
+
+
+def arguments(result: argparse.ArgumentParser) -> None:
+    """Says what each target takes."""
+    chosen = result.add_subparsers(dest="target", required=True, metavar="target")
+    for name, target in TARGETS.items():
+        target.arguments(chosen.add_parser(name, help=target.words, description=target.words))
+
+
+def run(options: argparse.Namespace) -> int:
+    """Exports; returns the exit code."""
+    print(TARGETS[options.target].run(options))
+    return 0
+
+
+def _policy_arguments(result: argparse.ArgumentParser) -> None:
+    result.add_argument("run", type=Path, help="folder of a training run")
+    result.add_argument("folder", type=Path, help="a new one, or a name: the policy is then one of the package")
+    result.add_argument("--words", required=True, help="one sentence that says what it is")
+    result.add_argument("--recipe", default="", help="name of the recipe")
+    result.add_argument("--env", default="", help="for which it is, where that is not the one of the training")
+    result.add_argument("--licence", default="MIT")
+
+
+def _policy(options: argparse.Namespace) -> str:
+    from flexman_gym.evaluation.shipping import bundled, ship
+
+    folder = options.folder if len(options.folder.parts) > 1 else bundled(str(options.folder))
+    figures = ship(options.run, folder, options.words, options.recipe, options.env, options.licence)
+    reached = ", ".join(f"{name} {figures[name]:.3g}" for name in ("settled", "settling_time", "vibration"))
+    return f"{folder} holds the policy: {reached}"
+
+
+def _onnx_arguments(result: argparse.ArgumentParser) -> None:
+    result.add_argument("entrant", help="name of a policy, or folder of a policy or a run")
+    result.add_argument("path", type=Path, help="of the file")
+
+
+def _onnx(options: argparse.Namespace) -> str:
+    from flexman_gym.evaluation.onnx_file import write_onnx
+
+    apart = write_onnx(options.entrant, options.path)
+    return f"{options.path}: actions within {apart:.1g} of those of {options.entrant}"
+
+
+def _mujoco_arguments(result: argparse.ArgumentParser) -> None:
+    from flexman_gym.envs.catalog import DEFAULT
+    from flexman_gym.model.mjcf import PIECES
+
+    result.add_argument("arm", nargs="?", default=DEFAULT, help="an id, an id and a condition, a name in the "
+                        "catalog, or a file of an environment, an arm or a scene")  # fmt: skip
+    result.add_argument("--pieces", type=int, default=PIECES, help="of each section of a link")
+    result.add_argument("--out", type=Path, default=Path("arm.xml"))
+
+
+def _mujoco(options: argparse.Namespace) -> str:
+    from flexman_gym.envs.catalog import NAMED
+    from flexman_gym.envs.description import Description
+    from flexman_gym.model.mjcf import mjcf
+    from flexman_gym.scene import file
+    from flexman_gym.scene.naming import ARMS, SUFFIXES, find_arm
+
+    name = options.arm
+    alone = name in ARMS or (name.endswith(SUFFIXES) and "id" not in file.read(Path(name)))
+    arm = find_arm(name) if alone else Description.find(name).setup().arm
+    options.out.write_text(mjcf(arm, options.pieces), encoding="utf-8")
+    known = f" of {name}" if name.partition("/")[0] in NAMED else ""
+    return f"{options.out} has the arm{known}: {arm.n_joints} links of {options.pieces} pieces a section."
+
+
+TARGETS = {
+    "policy": Target("a policy as arrays and JSON, which NumPy alone runs", _policy_arguments, _policy),
+    "mujoco": Target("an arm as MJCF, every link rigid pieces between springs", _mujoco_arguments, _mujoco),
+    "onnx": Target("a policy as ONNX, with its normalisation inside", _onnx_arguments, _onnx),
+}

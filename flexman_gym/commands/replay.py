@@ -1,0 +1,23 @@
+"""Replay saved episodes side by side, in one page for any browser."""
+
+import argparse
+from pathlib import Path
+
+
+def arguments(result: argparse.ArgumentParser) -> None:
+    """Says what it takes."""
+    result.add_argument("run", nargs="+", type=Path, help="a file of flexman evaluate --save or flexman simulate --out")
+    result.add_argument("--out", type=Path, default=Path("replay.html"), help="the page")
+    result.add_argument("--title", default="", help="of the page")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Writes the page; returns the exit code."""
+    from flexman_gym.draw.replay import replay_page
+    from flexman_gym.simulation.episode import Episode
+
+    text = replay_page([Episode.load(path) for path in options.run], options.title)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(text, encoding="utf-8")
+    print(f"{options.out}: {len(text.encode()) / 1e3:.0f} kB; open it in a browser")
+    return 0

@@ -1,0 +1,80 @@
+"""Export: a run becomes a policy that acts as it did, is played by `enjoy`, and goes to ONNX with its normalisation."""
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from flexman_gym.__main__ import main
+from flexman_gym.evaluation import evaluate, find_entrant
+from flexman_gym.evaluation.folder import SETTINGS
+from flexman_gym.evaluation.shipped import read_shipped
+from flexman_gym.evaluation.shipping import bundled
+
+from oracles import shipped as made
+from oracles.mutants import policy
+from oracles.refusals import refusal
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """The run of a policy that has not learned yet."""
+    folder = tmp_path_factory.mktemp("runs") / "own"
+    folder.mkdir()
+    for name, content in policy().items():
+        (folder / name).write_bytes(content)
+    settings = json.loads((folder / SETTINGS).read_text())
+    (folder / SETTINGS).write_text(json.dumps({**settings, "versions": {"numpy": "2"}}))
+    return folder
+
+
+def test_a_run_becomes_a_policy_that_reaches_the_same(run, tmp_path, capsys):
+    words = ["export", "policy", str(run), str(tmp_path / "a"), "--words", "It has not learned.", "--recipe", "none"]
+    assert main(words) == 0 and "holds the policy: settled " in capsys.readouterr().out
+    about = read_shipped(tmp_path / "a").about
+    one, other = find_entrant(str(run)), find_entrant(str(tmp_path / "a"))
+    assert one.environment.whole() == other.environment.whole()
+    figures = evaluate(one, one.environment, range(9000, 9100))
+    assert figures == evaluate(other, one.environment, range(9000, 9100))
+    row = {name: each for name, each in about["league"].items() if name in figures}
+    assert row == {name: each if np.isfinite(each) else None for name, each in figures.items()}
+    assert about["recipe"]["settings"]["seed"] == 2 and about["words"] == "It has not learned."
+    assert main(words) == 2 and "give a new one" in capsys.readouterr().err
+
+    picture = tmp_path / "e.png"
+    assert main(["enjoy", str(tmp_path / "a"), "--seed", "1", "--picture", str(picture)]) == 0
+    said = capsys.readouterr().out
+    assert "on FlexOne-v0, seed 1: played for 0.6 s" in said and "settling, s" in said
+    assert f"{1e3 * evaluate(other, other.environment, [1])['error']:.3g}" in said and picture.exists()
+
+
+def test_it_may_be_for_another_environment_with_what_acts_as_it_was(run, tmp_path):
+    (tmp_path / "heavy.yaml").write_text("id: FlexOne-v0\nhorizon: 0.4\n")
+    words = ["export", "policy", str(run), str(tmp_path / "a"), "--words", "W.", "--env", str(tmp_path / "heavy.yaml")]
+    assert main(words) == 0
+    about = read_shipped(tmp_path / "a").about
+    assert (about["environment"]["horizon"], about["environment"]["hold"]) == (0.4, 3)
+    assert about["recipe"]["settings"]["environment"]["horizon"] == 0.6
+
+
+def test_a_name_is_no_path():
+    assert bundled("ppo-own").name == "ppo-own" and bundled("ppo-own").parent.name == "policies"
+    for wrong in ("../a", "", "a b"):
+        assert refusal(bundled, wrong).startswith("name: ")
+
+
+def test_a_graph_gives_the_actions_of_numpy(tmp_path, capsys):
+    pytest.importorskip("onnx")
+    from onnx import load
+    from onnx.reference import ReferenceEvaluator
+
+    network = made.acting(tmp_path, made.files()).network
+    assert main(["export", "onnx", str(tmp_path), str(tmp_path / "a.onnx")]) == 0
+    seen = np.random.default_rng(2).normal(0.0, 5.0, (9, network.size)).astype(np.float32)
+    (actions,) = ReferenceEvaluator(load(tmp_path / "a.onnx")).run(None, {"observation": seen})
+    assert actions == pytest.approx(network(seen), abs=1e-5) and np.abs(actions).max() == 1.0
+    assert actions.dtype == np.float32 and "actions within" in capsys.readouterr().out
+    assert main(["export", "onnx", "pd", str(tmp_path / "b.onnx")]) == 2
+    assert "give a policy, or the run of one" in capsys.readouterr().err
