@@ -38,6 +38,9 @@ def make_model(settings: Settings, device: str = "cpu") -> BaseAlgorithm:
     chosen = hyperparameters(settings)
     env = VecNormalize(environments(settings), norm_reward=settings.normalise_reward, gamma=chosen["gamma"])
     model = ALGORITHMS[settings.algo]("MlpPolicy", env, seed=settings.seed, device=device, **chosen)
+    if chosen["policy_kwargs"].get("ortho_init") is False:  # else SB3 begins with actions next to zero
+        for values in model.policy.action_net.parameters():  # type: ignore[union-attr]
+            torch.nn.init.zeros_(values)
     env.seed(training_seed(settings.seed))
     return model
 
@@ -58,6 +61,8 @@ def hyperparameters(settings: Settings) -> dict[str, Any]:
     chosen = HYPERPARAMETERS[settings.algo] | dict(settings.hyperparameters)
     policy = {"net_arch": chosen.pop("net_arch", NET_ARCH)}
     policy["log_std_init"] = chosen.pop("log_std_init", LOG_STD[settings.algo])
+    if "ortho_init" in chosen:
+        policy["ortho_init"] = chosen.pop("ortho_init")
     if "activation" in chosen:
         policy["activation_fn"] = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}[chosen.pop("activation")]
     rate = settings.schedule("learning_rate")
@@ -66,7 +71,7 @@ def hyperparameters(settings: Settings) -> dict[str, Any]:
     chosen.setdefault("learning_rate", 2e-4 if settings.algo == "ppo" else 3e-4)
     known = set(signature(ALGORITHMS[settings.algo].__init__).parameters) - {"self", "policy", "env", "policy_kwargs"}
     for name in chosen:
-        one_of("hyperparameters", name, sorted(known | {"net_arch", "log_std_init", "activation"}))
+        one_of("hyperparameters", name, sorted(known | {"net_arch", "log_std_init", "ortho_init", "activation"}))
     if settings.algo == "ppo":
         chosen["batch_size"] = min(chosen["batch_size"], chosen["n_steps"] * settings.envs)
     return chosen | {"policy_kwargs": policy}

@@ -44,6 +44,22 @@ class Exploration(BaseCallback):
         return True
 
 
+class ValueFirst(BaseCallback):
+    """Lets the value function of PPO learn alone at first: while it says nothing, a policy learns noise from it."""
+
+    def __init__(self, steps: int) -> None:
+        super().__init__()
+        self._steps = steps
+
+    def _on_rollout_start(self) -> None:
+        policy = self.model.policy
+        for part in (policy.mlp_extractor.policy_net, policy.action_net):  # type: ignore[union-attr]
+            part.requires_grad_(self.num_timesteps >= self._steps)
+
+    def _on_step(self) -> bool:
+        return True
+
+
 class Checkpoints(BaseCallback):
     """Saves the run where a rollout begins: every so many steps, and when it is asked to stop, which it then does.
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from flexman_gym.checks import finite, flag, mapping, one_of, positive, refusal, store, whole_number
+from flexman_gym.control.bases import checked_base
 from flexman_gym.envs.description import Description
 from flexman_gym.scene import file
 
@@ -73,6 +74,9 @@ class Settings:
             normalised.
         judge_every: steps between evaluations on the seeds of `seeds.SELECTION`, by which the best policy is kept; 0
             for none.
+        value_first: actions of all arms at the beginning, from which the value function of PPO alone learns.
+        base_in_use: what acts beside the policy when it is used, in place of the base with which it learned; it is made
+            for the arm on which it acts. None for the one with which it learned.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
@@ -87,6 +91,8 @@ class Settings:
     schedules: Mapping[str, Any] = field(default_factory=dict)
     normalise_reward: bool = True
     judge_every: int = 0
+    value_first: int = 0
+    base_in_use: Any = None
 
     def __post_init__(self) -> None:
         store(self, algo=one_of("algo", self.algo, ALGORITHMS))
@@ -97,6 +103,8 @@ class Settings:
             if self.algo not in SCHEDULED[one_of("schedules", name, SCHEDULED)]:
                 raise refusal(f"schedules.{name}", self.algo, f"it with {' and '.join(SCHEDULED[name])} only")
             self.schedule(name)
+        if self.base_in_use is not None:
+            checked_base(self.base_in_use)
         for name, value in self.hyperparameters.items():
             _check(f"hyperparameters.{name}", name, value)
         store(
@@ -107,6 +115,7 @@ class Settings:
             envs=whole_number("envs", ENVS[self.algo] if self.envs is None else self.envs, 1, MOST_ENVS),
             normalise_reward=flag("normalise_reward", self.normalise_reward),
             judge_every=whole_number("judge_every", self.judge_every, 0, MOST_STEPS),
+            value_first=whole_number("value_first", self.value_first, 0, MOST_STEPS if self.algo == "ppo" else 0),
         )
 
     @property
@@ -155,6 +164,7 @@ class Settings:
         """
         try:
             record = json.loads(text)
+            record = {"base_in_use": None, "value_first": 0, **record}  # of runs before there were any
             return cls.from_dict({name: record[name] for name in (each.name for each in fields(cls))})
         except (KeyError, TypeError, ValueError, RecursionError) as error:
             said = str(error).splitlines()[0] if str(error) else type(error).__name__
@@ -179,3 +189,5 @@ def _check(field: str, name: str, value: object) -> None:
         positive(field, value)
     elif name == "activation":
         one_of(field, value, ACTIVATIONS)
+    elif name == "ortho_init":
+        flag(field, value)

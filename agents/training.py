@@ -17,7 +17,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from flexman_agents.algorithm import acting, make_model
-from flexman_agents.callbacks import Checkpoints, Exploration, Judge
+from flexman_agents.callbacks import Checkpoints, Exploration, Judge, ValueFirst
 from flexman_agents.curves import open_curves
 from flexman_agents.memory import give_policy, give_training, take_policy, take_training
 from flexman_agents.settings import EXPLORATION, MOST_STEPS, Settings
@@ -43,7 +43,7 @@ class Interrupted(Exception):
 
 
 def train(
-    settings: Settings, folder: Path, checkpoint_every: int = 0, progress: bool = True, device: str = "cpu"
+    settings: Settings, folder: str | Path, checkpoint_every: int = 0, progress: bool = True, device: str = "cpu"
 ) -> BaseAlgorithm:
     """Trains a policy from the start and saves it in a folder.
 
@@ -60,6 +60,7 @@ def train(
         OSError: when the folder cannot be written.
         Interrupted: after Ctrl-C, once the run is saved.
     """
+    folder = Path(folder)
     _check_new(folder)
     checkpoint_every = whole_number("checkpoint_every", checkpoint_every, 0, MOST_STEPS)
     model = make_model(settings, device)
@@ -168,6 +169,8 @@ class _Run:
         callbacks: list[BaseCallback] = []
         for exploration in filter(None, map(settings.schedule, EXPLORATION)):
             callbacks.append(Exploration(exploration, settings.steps))
+        if settings.value_first:
+            callbacks.append(ValueFirst(settings.value_first))
         if self._judge:
             callbacks.append(self._judge)
         told: dict[str, Any] = {"progress_bar": progress, "reset_num_timesteps": False}

@@ -280,3 +280,17 @@ def test_the_curves_show_what_the_judge_has_seen_with_its_units(monkeypatch):
     judge._on_rollout_end()
     names = "settling_time_s", "vibration_m", "error_m"
     assert [logged[f"selection/{name}"] for name in names] == pytest.approx([2.0, 0.2, 0.02])
+
+
+def test_at_first_the_value_function_learns_alone():
+    """Its first rollout changes the value function and not the policy, the second changes both; actions begin at 0."""
+    chosen = {"net_arch": [8], "n_steps": 32, "ortho_init": False}
+    settings = replace(SHORT, steps=128, hyperparameters=chosen, schedules={}, value_first=64)
+    model = make_model(settings)
+    policy, value = model.policy.mlp_extractor.policy_net[0], model.policy.mlp_extractor.value_net[0]
+    assert not model.policy.action_net.weight.any() and not model.policy.action_net.bias.any()
+    before = [each.weight.detach().clone() for each in (policy, value)]
+    model.learn(64, callback=callbacks.ValueFirst(64))
+    assert (policy.weight == before[0]).all() and (value.weight != before[1]).any()
+    model.learn(64, callback=callbacks.ValueFirst(64), reset_num_timesteps=False)
+    assert (model.policy.action_net.weight != 0.0).any()
