@@ -56,6 +56,13 @@ class Choice:
     errors: dict[str, float]
     runs: int
 
+    def __repr__(self) -> str:
+        left = f"{len(self.dropped)} parts left out" if self.dropped else "nothing left out"
+        return (
+            f"<Choice: {self.method} with steps of {self.step:g} s, estimated error {self.estimated_error:.3g} m\n"
+            f"  {self.model.n_dof} coordinates, {left}: see dropped and report>"
+        )
+
 
 def choose_model(scene: Scene, tolerance: float, longest_step: float | None = None) -> Choice:
     """Chooses the cheapest model, method and step whose tip stays within a tolerance of the reference.

@@ -11,7 +11,9 @@ from flexman_gym.model.beam import build_beam
 from flexman_gym.model.instant import acceleration, frequencies, mass_matrix, stiffness_matrix
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene import catalog
-from flexman_gym.scene.arm import Arm, Joint, Link, Payload
+from flexman_gym.scene.arm import Arm, Payload
+from flexman_gym.scene.joint import Joint
+from flexman_gym.scene.link import Link
 from flexman_gym.simulation.scenes import simulate
 from flexman_gym.simulation.simulator import Simulator
 from flexman_gym.verification.closed_forms import (
@@ -22,6 +24,7 @@ from flexman_gym.verification.closed_forms import (
     rayleigh_eigenvalues,
 )
 from flexman_gym.verification.links import stepped_rows
+from flexman_gym.verification.machines import published_rows
 from flexman_gym.verification.rows import Row, printed, series
 
 AXIAL, TWIST, BENDING_Y, BENDING_Z = (0,), (3,), (1, 5), (2, 4)  # coordinates of a node that move together
@@ -234,6 +237,7 @@ CASES: tuple[Callable[[], Iterator[Row]], ...] = (
     spring_rows,
     rotating_beam_rows,
     paper_arm_rows,
+    published_rows,
     rigid_paper_rows,
     instant_rows,
 )

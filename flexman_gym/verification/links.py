@@ -7,7 +7,9 @@ import numpy as np
 from flexman_gym.model.beam import build_beam
 from flexman_gym.model.instant import frequencies
 from flexman_gym.model.model import build_model
-from flexman_gym.scene.arm import Arm, Joint, Link, NonUniformLink
+from flexman_gym.scene.arm import Arm
+from flexman_gym.scene.joint import Joint
+from flexman_gym.scene.link import Link, NonUniformLink
 from flexman_gym.verification.closed_forms import stepped_eigenvalues
 from flexman_gym.verification.rows import Row, series
 

@@ -11,9 +11,11 @@ from flexman_gym.arrays import Array
 from flexman_gym.model.instant import mass_matrix
 from flexman_gym.model.model import scene_model
 from flexman_gym.scene import catalog
-from flexman_gym.scene.arm import Arm, Joint, Link, NonUniformLink, Payload
+from flexman_gym.scene.arm import Arm, Payload
 from flexman_gym.scene.choice import ModelChoice
 from flexman_gym.scene.drive import ConstantTorque, Signal
+from flexman_gym.scene.joint import Joint
+from flexman_gym.scene.link import Link, NonUniformLink
 from flexman_gym.scene.scene import Initial, Scene
 from flexman_gym.simulation.scenes import simulate
 from flexman_gym.simulation.trajectory import Trajectory

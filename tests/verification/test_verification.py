@@ -31,14 +31,16 @@ def rows():
 
 
 def test_the_quick_half_passes(rows):
-    assert [row for row in rows if row.verdict != "pass"] == []
+    assert [row for row in rows if row.verdict != "pass"] == [row for row in rows if row.tolerance is None]
+    assert sum(row.tolerance is None for row in rows) <= 1
     assert len(rows) > 90 and exit_code(rows) == 0
     assert len({row.case for row in rows}) == len(rows)
     assert all(row.source for row in rows)
 
 
 def test_a_wrong_expected_value_fails(rows):
-    wrong = [replace(row, expected=(row.expected + 1.0) * (1.0 + 2.0 * row.tolerance)) for row in rows]
+    judged = [row for row in rows if row.tolerance is not None]
+    wrong = [replace(row, expected=(row.expected + 1.0) * (1.0 + 2.0 * row.tolerance)) for row in judged]
     assert {row.verdict for row in wrong} == {"fail"}
     assert exit_code([*rows[1:], wrong[0]]) == 1
 
