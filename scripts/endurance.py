@@ -17,10 +17,14 @@ FEW = 8  # arms that are moved alone too
 
 
 def every(steps: int, arms: int) -> None:
-    """Prints a line for each environment that has conditions and each set of sensors; fails with an alarm too many."""
-    for name in (name for name, named in NAMED.items() if named.conditions):
+    """Prints a line for each environment, with all conditions that it has, and each set of sensors.
+
+    It fails with an alarm too many.
+    """
+    for name, named in NAMED.items():
         for sensors in SENSORS:
-            count = endure(steps, arms, steps, name, sensors=sensors, **all_conditions(name))
+            conditions = all_conditions(name) if named.conditions else {}
+            count = endure(steps, arms, steps, name, sensors=sensors, **conditions)
             share, rate = count.alarms / count.steps, count.steps / count.cpu
             ends = dict(count.failures)
             print(

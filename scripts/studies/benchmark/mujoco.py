@@ -1,13 +1,16 @@
 """MuJoCo's rollout: control periods of many arms of rigid pieces in one call, at the longest step that is stable."""
 
+from dataclasses import replace
+
 import mujoco  # type: ignore[import-not-found, import-untyped, unused-ignore]
 import numpy as np
 from mujoco import rollout
 
 from flexman_gym.arrays import Array
 from flexman_gym.envs.setup import Setup
+from flexman_gym.model.mjcf import mjcf
 from studies.benchmark.rows import Timer, timer
-from studies.peers.mujoco import SANE, description
+from studies.peers.mujoco import SANE
 
 PIECES, FINEST, TRIAL = 4, 1024, 100  # of a link; parts of a control period and control periods of the search
 
@@ -16,7 +19,8 @@ class Arms:
     """Arms side by side, each of rigid pieces between springs, as its environment's arm but for modal damping."""
 
     def __init__(self, setup: Setup, arms: int, parts: int) -> None:
-        text = description(setup.arm, PIECES, "Euler", setup.control_period / parts)
+        arm = replace(setup.arm, modal_damping_ratio=0.0)
+        text = mjcf(arm, PIECES, "Euler", setup.control_period / parts)
         self.model = mujoco.MjModel.from_xml_string(text)
         self._data, self._parts = mujoco.MjData(self.model), parts
         mujoco.set_mju_user_warning(lambda message: None)  # else it writes a file about every divergence

@@ -12,6 +12,7 @@ from flexman_gym.draw.style import BLUE, LIGHT, MIDDLE, ORANGE, RED, new_figure
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.evaluation import rollout
 from flexman_gym.metrics import rms
+from flexman_gym.model.curves import curves
 
 BASES = {None: "no torque", "pd": "PD", "lqr-tracking": "tracking LQR"}  # the latter knows the arm and its state
 SEEDS = tuple(range(9000, 9008))
@@ -64,10 +65,10 @@ def draw(name: str, runs: dict[str | None, Run], path: Path) -> None:
     upper, lower = figure.subfigures(2, 1, height_ratios=(1.2, 1.0))
     shown, painter = runs["lqr-tracking"], FramePainter(model, SIZE)
     rows = np.linspace(0, len(shown.states) - 1, FRAMES + 1).astype(int)[:FRAMES] + (len(shown.states) > FRAMES)
-    pictures = np.array([painter.paint(shown.states[row], shown.targets[row]) for row in rows])
-    full = np.flatnonzero((pictures < 255).any(axis=(0, 2, 3)))
+    shot = painter.shot(np.vstack([curves(model, shown.states, 4).positions.reshape(-1, 3), shown.targets]))
+    pictures = [painter.paint(shown.states[row], shown.targets[row], shot=shot) for row in rows]
     for axes, row, picture in zip(upper.subplots(1, FRAMES), rows, pictures, strict=True):
-        axes.imshow(picture[full[0] : full[-1] + 1])
+        axes.imshow(picture)
         axes.set_title(f"{row * period:.1f} s, tracking LQR", fontsize=10)
         axes.set_axis_off()
     left, right = lower.subplots(1, 2)

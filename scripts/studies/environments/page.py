@@ -13,6 +13,7 @@ from flexman_gym.model.instant import frequencies
 from flexman_gym.verification.markdown import markdown_table
 from studies.environments.accuracy import DURATION, FINER, MOTIONS, Accuracy, accuracy
 from studies.environments.episode import BASES, SEEDS, Run
+from studies.environments.first import first
 
 STEP = "CPU time of a step of the finer model"
 SECTIONS = ("Description", "Actions", "Observations", "Reward", "Start", "End", "Arguments", "Version history")
@@ -27,6 +28,7 @@ def page(name: str, runs: dict[str | None, Run]) -> str:
         lines += {"Description": _arm, "Observations": _observations, "Arguments": _arguments}.get(title, _nothing)(
             name
         )
+    lines += ["## What to set first", "", *first(name), ""]
     lines += ["## Accuracy", "", *_left_out(accuracy(name)), ""]
     lines += ["## Baselines", "", *_baselines(runs), "", "## Conditions", "", *_conditions(name)]
     return "\n".join(lines).rstrip() + "\n"

@@ -1,20 +1,10 @@
-"""MuJoCo's version of an arm: every link as a chain of rigid pieces between springs, run at a fixed step.
-
-A link of length L is cut into `pieces` segments of length l = L / pieces. The compliance of a segment sits in its
-middle, as three hinges with springs: G J / l about the beam, E I / l about the two axes across it. So a link has
-`pieces` sets of springs, whole pieces between them and a half piece at either end. A rigid link is one of no pieces.
-
-A flexible joint is two hinges about one axis, one after the other: the motor's, whose armature is the rotor's inertia
-(which resists relative rotation only, as in the paper's Eq. 23), and the spring's; the joint angle is their sum.
-A rigid joint is the motor's hinge alone.
-"""
+"""MuJoCo's version of an arm: every link as a chain of rigid pieces between springs, run at a fixed step."""
 
 import math
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
-from xml.etree import ElementTree
 
 import mujoco  # type: ignore[import-not-found, import-untyped, unused-ignore]
 import numpy as np
@@ -22,6 +12,7 @@ from mujoco import batch
 
 import flexman_gym as fm
 from flexman_gym.arrays import Array
+from flexman_gym.model.mjcf import mjcf
 from studies.peers.runs import PeerRun, Timer, output_count, row, with_rigid_joints
 from studies.precision.measure import OK, Row, Study
 
@@ -37,71 +28,9 @@ def integrators() -> list[str]:
     return [name for name in INTEGRATORS if name.lower() in known]
 
 
-def description(arm: fm.Arm, pieces: int, integrator: str, step: float, grow: Callable | None = None) -> str:
-    """The MJCF of an arm of uniform links in `pieces` pieces each (0 for rigid ones), at zero angles; step in s.
-
-    Links of another kind grow from the bodies of their joints, in the root element, as the function says.
-    """
-    root = ElementTree.Element("mujoco")
-    option = {"timestep": repr(float(step)), "integrator": integrator, "gravity": numbers(arm.gravity)}
-    flags = add(add(root, "option", option), "flag")
-    flags.attrib.update(contact="disable", constraint="disable", warmstart="disable")
-    add(root, "compiler", angle="radian", autolimits="true")
-    parent = add(root, "worldbody")
-    actuators = add(root, "actuator")
-    place: dict[str, str] = {}
-    for i, (link, joint) in enumerate(zip(arm.links, arm.joints, strict=True)):
-        body = add(parent, "body", place, name=f"link_{i}")
-        armature = {"armature": repr(joint.rotor_inertia)}
-        add(body, "joint", armature, name=f"motor {i}", axis=numbers(joint.axis))
-        add(actuators, "motor", joint=f"motor {i}", gear="1")
-        if joint.stiffness is not None:
-            spring = {"stiffness": repr(joint.stiffness), "damping": repr(joint.damping)}
-            add(body, "joint", spring, name=f"spring {i}", axis=numbers(joint.axis))
-        parent, place = grow(root, body, link) if grow else _link(body, link, pieces)
-    if arm.payload is not None:
-        raise ValueError("arm.payload: this description has none")
-    add(parent, "site", name="tip", pos=place["pos"])
-    return ElementTree.tostring(root, encoding="unicode")
-
-
-def _link(body: ElementTree.Element, link: Any, pieces: int) -> tuple[ElementTree.Element, dict[str, str]]:
-    """Adds the pieces of a link to the body of its joint; returns the last and where in it the next joint sits."""
-    (section,) = link.sections
-    turn = np.array(link.orientation)
-    if not pieces:
-        _inertia(body, section, link.length, turn)
-        return body, {"pos": numbers(turn[:, 0] * link.length)}
-    whole = link.length / pieces
-    _inertia(body, section, whole / 2, turn)
-    place = {"pos": numbers(turn[:, 0] * whole / 2), "quat": quaternion(turn)}
-    stiffnesses = (
-        section.shear_modulus * section.torsion_constant / whole,
-        section.youngs_modulus * section.second_moment_y / whole,
-        section.youngs_modulus * section.second_moment_z / whole,
-    )
-    for j in range(pieces):
-        body = add(body, "body", place)
-        for axis, stiffness in zip(np.eye(3), stiffnesses, strict=True):
-            add(body, "joint", axis=numbers(axis), stiffness=repr(float(stiffness)))
-        length = whole if j < pieces - 1 else whole / 2
-        _inertia(body, section, length, np.eye(3))
-        place = {"pos": numbers((length, 0.0, 0.0))}
-    return body, {"pos": numbers((whole / 2, 0.0, 0.0)), "quat": quaternion(turn.T)}
-
-
-def _inertia(body: ElementTree.Element, section: Any, length: float, turn: Array) -> None:
-    """Mass and inertia of a rigid piece of beam that starts at the origin of the body, along the turned x axis."""
-    mass, line = section.density * section.area * length, section.density * length
-    y, z, slender = section.second_moment_y, section.second_moment_z, section.area * length**2 / 12
-    inertia = line * np.array([y + z, y + slender, z + slender])
-    where = {"pos": numbers(turn[:, 0] * length / 2), "quat": quaternion(turn)}
-    add(body, "inertial", where, mass=repr(float(mass)), diaginertia=numbers(inertia))
-
-
 def run(scene: fm.Scene, pieces: int, integrator: str, step: float) -> PeerRun:
     """Runs a scene of constant torques from rest at zero angles; the step (s) divides its output step."""
-    return advance(scene, _name(scene.arm, pieces), integrator, step, description(scene.arm, pieces, integrator, step))
+    return advance(scene, _name(scene.arm, pieces), integrator, step, mjcf(scene.arm, pieces, integrator, step))
 
 
 def advance(scene: fm.Scene, name: str, integrator: str, step: float, text: str) -> PeerRun:
@@ -130,7 +59,7 @@ def advance(scene: fm.Scene, name: str, integrator: str, step: float, text: str)
 
 def step_factors(arm: fm.Arm, pieces: int, integrator: str, step: float, small: float = 1e-5) -> Any:
     """The complex factors by which a step (s) multiplies what is left of rest, from differences of small states."""
-    model = mujoco.MjModel.from_xml_string(description(arm, pieces, integrator, step))
+    model = mujoco.MjModel.from_xml_string(mjcf(arm, pieces, integrator, step))
     data, after = mujoco.MjData(model), []
     for state in small * np.vstack([np.eye(2 * model.nv), -np.eye(2 * model.nv)]):
         mujoco.mj_resetData(model, data)
@@ -143,7 +72,7 @@ def step_factors(arm: fm.Arm, pieces: int, integrator: str, step: float, small: 
 
 def abreast(scene: fm.Scene, pieces: int, step: float, arms: int, threads: int) -> Iterator[Array]:
     """Moves arms from rest by `mujoco.batch`; gives the tip (3,) m of the first after each output step."""
-    model = mujoco.MjModel.from_xml_string(description(scene.arm, pieces, "Euler", step))
+    model = mujoco.MjModel.from_xml_string(mjcf(scene.arm, pieces, "Euler", step))
     many, count = batch.Batch(model, arms, threads), output_count(scene, step)[1]
     many.ctrl, tips = np.array(scene.torque.value), many.bind("site_xpos")  # type: ignore[union-attr]
     while True:
@@ -194,20 +123,3 @@ def longest_step(study: Study, pieces: int, integrator: str) -> float:
 
 def _timed(study: Study, pieces: int, integrator: str, parts: int) -> Row:
     return row(study, run(study.scene, pieces, integrator, study.scene.output_step / parts), sane=SANE)
-
-
-def add(parent: ElementTree.Element, tag: str, attributes: dict[str, str] | None = None, **more: str) -> Any:
-    """An element added to another one."""
-    return ElementTree.SubElement(parent, tag, (attributes or {}) | more)
-
-
-def numbers(values: Any) -> str:
-    """Values as MJCF has them."""
-    return " ".join(repr(float(value)) for value in values)
-
-
-def quaternion(turn: Array) -> str:
-    """A rotation matrix as a quaternion of MJCF."""
-    quaternion = np.zeros(4)
-    mujoco.mju_mat2Quat(quaternion, turn.ravel())
-    return numbers(quaternion)

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from studies.peers.mujoco import SANE, add, advance, description, fewest_parts, numbers, quaternion
+from flexman_gym.model.mjcf import add, axes, mjcf, numbers
+from studies.peers.mujoco import SANE, advance, fewest_parts
 from studies.peers.runs import Timer, row
 from studies.precision.measure import Row, Study
 
@@ -25,7 +26,7 @@ def rod(length: float, root: Any, body: Any, link: Any) -> tuple[Any, dict[str, 
     along, whole, second = turn[:, 0], link.length / pieces, section.second_moment_y
     mass, polar = section.density * section.area * whole, section.density * 2.0 * second * whole
     slender = pieces * polar / 4 + mass * whole**2 / 24 * (pieces - 0.75)
-    half = {"mass": repr(mass / 2), "diaginertia": numbers((polar / 2, slender, slender)), "quat": quaternion(turn)}
+    half = {"mass": repr(mass / 2), "diaginertia": numbers((polar / 2, slender, slender)), "xyaxes": axes(turn)}
     world, ends = root.find("worldbody"), root.findall("worldbody/body[freejoint]")
     place = np.array(ends[-1].get("pos").split(), dtype=float) if ends else np.zeros(3)
     tip = add(world, "body", name=f"{name}_tip", pos=numbers(place + link.length * along))
@@ -55,7 +56,7 @@ def rod(length: float, root: Any, body: Any, link: Any) -> tuple[Any, dict[str, 
 def run(study: Study, length: float, integrator: str, parts: int) -> Row:
     """Runs a scene of constant torques from rest at zero angles, with so many steps in an output step."""
     step = study.scene.output_step / parts
-    text = description(study.scene.arm, 0, integrator, step, partial(rod, length))
+    text = mjcf(study.scene.arm, 0, integrator, step, partial(rod, length))
     return row(study, advance(study.scene, f"MuJoCo, rods of {length:g} m", integrator, step, text), sane=SANE)
 
 

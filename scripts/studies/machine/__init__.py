@@ -1,0 +1,1 @@
+"""Machine: our model against measurements of a real two-link flexible arm."""

@@ -1,0 +1,1 @@
+"""Servos: where the loop of a servo becomes unstable."""

@@ -1,0 +1,87 @@
+"""Servo page: tables and conclusions, whose numbers all come from the rows."""
+
+from collections.abc import Sequence
+
+from flexman_gym.verification.markdown import markdown_table
+from studies.servos.measure import APART, BANDWIDTHS, DELAYS, ENVIRONMENTS, LARGEST, PERIODS, SPRINGS, Row
+
+HEAD = (
+    "`python scripts/servos.py --folder docs` writes this page and its rows ([servos.csv](servos.csv)) anew. A servo "
+    'acts in every control period (`actions="position"` or `"velocity"`), and an agent holds its action for `hold` of '
+    "them. Both modes have the same loop: a PD of each motor, a delay of whole periods, and a drive whose torque lags "
+    "as a first-order filter (`drive_bandwidth`)."
+)
+READING = (
+    "A number is the factor by which both tuned gains of an environment may be multiplied before an eigenvalue of the "
+    "sampled loop leaves the unit circle. Below 1 the tuned gains themselves are unstable. The arm is straight and has "
+    "no weight. Every link keeps four modes."
+)
+LAG = "## Period, delay and drive"
+STIFF = "## Stiff springs"
+SPRUNG = "The same arms with joint springs 10 and 100 times as stiff, without a lag:"
+TRIED = (
+    "## Tried in the environments\n\nOf these limits {count} were drawn at random. Environments were simulated with "
+    "gains {apart:.0%} below and above them. Steps were at most those of the environment, and the method in turns "
+    "`midpoint_3_sweeps` and `gauss_3_sweeps`. **Below its limit the arm came to rest in {calm} of {count}, above it "
+    "in {calm_above}.** Rest means at most half of the largest energy."
+)
+CONCLUSION = (
+    "Without delay and lag the tuned gains may be multiplied by {least:.3g} or more at {short:g} ms. At {long:g} ms "
+    "the most is {most:.3g}. Of all {all} combinations {unstable} make the tuned gains unstable. Most of these, "
+    "{delayed}, have a delay. A shorter `control_period` with a larger `hold` helps."
+)
+REST = 0.5
+
+
+def page(machine: str, rows: Sequence[Row]) -> str:
+    """The page as Markdown, from all rows; `machine` says what computed them."""
+    lines = ["# Servos: how much gain they bear", "", HEAD, "", f"Computed with {machine}.", "", READING, "", LAG, ""]
+    for name in ENVIRONMENTS:
+        own = [row for row in rows if row.environment == name and row.springs == 1.0]
+        columns = [(delay, bandwidth) for bandwidth in BANDWIDTHS for delay in DELAYS if not (delay == 4 and bandwidth)]
+        heads = [f"{name}, period", *(_head(*each) for each in columns)]
+        lines += [*markdown_table(heads, (_line(own, period, columns) for period in PERIODS)), ""]
+    lines += [STIFF, "", SPRUNG, ""]
+    heads = ["environment, period", *(f"{springs:g} x, delay {delay}" for springs in SPRINGS for delay in (0, 2))]
+    lines += [*markdown_table(heads, (_stiff(rows, name, period) for name in ENVIRONMENTS for period in PERIODS)), ""]
+    return "\n".join([*lines, _tried(rows), "", _conclusion(rows)]) + "\n"
+
+
+def _head(delay: int, bandwidth: float) -> str:
+    return f"delay {delay}" + (f", {bandwidth:g} Hz" if bandwidth else "")
+
+
+def _line(rows: Sequence[Row], period: float, columns: Sequence[tuple[int, float]]) -> list[str]:
+    found = {(row.delay, row.bandwidth): row.factor for row in rows if row.period == period}
+    return [f"{1e3 * period:g} ms", *(_cell(found[each]) for each in columns)]
+
+
+def _stiff(rows: Sequence[Row], name: str, period: float) -> list[str]:
+    own = [row for row in rows if row.environment == name and row.period == period and not row.bandwidth]
+    found = {(row.springs, row.delay): row.factor for row in own}
+    return [f"{name}, {1e3 * period:g} ms", *(_cell(found[springs, delay]) for springs in SPRINGS for delay in (0, 2))]
+
+
+def _cell(factor: float) -> str:
+    if factor in (0.0, LARGEST):
+        return "none" if factor == 0.0 else f"> {LARGEST:g}"
+    text = f"{factor:.3g}"
+    return f"**{text}**" if factor < 1.0 else text
+
+
+def _tried(rows: Sequence[Row]) -> str:
+    tried = [row for row in rows if row.below is not None and row.above is not None]
+    calm = sum(row.below < REST for row in tried)  # type: ignore[operator]
+    calm_above = sum(row.above < REST for row in tried)  # type: ignore[operator]
+    return TRIED.format(count=len(tried), apart=APART, calm=calm, calm_above=calm_above)
+
+
+def _conclusion(rows: Sequence[Row]) -> str:
+    plain = [row for row in rows if row.delay == 0 and not row.bandwidth and row.springs == 1.0]
+    short, long = min(PERIODS), max(PERIODS)
+    bad = [row for row in rows if row.factor < 1.0]
+    return CONCLUSION.format(
+        short=1e3 * short, long=1e3 * long, all=len(rows), unstable=len(bad), delayed=sum(row.delay > 0 for row in bad),
+        least=min(row.factor for row in plain if row.period == short),
+        most=max(row.factor for row in plain if row.period == long),
+    )  # fmt: skip

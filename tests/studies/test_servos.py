@@ -1,0 +1,42 @@
+"""Servos: limits are those of closed forms, environments confirm them, and the page is that of its rows."""
+
+import numpy as np
+import pytest
+
+import flexman_gym as fm
+from flexman_gym.control.margins import sampled_loop
+from flexman_gym.model import mass_matrix
+from studies.servos.measure import APART, CHECKED, LARGEST, PERIODS, Row, limit, limits, rounds_of, tried_by_environment
+from studies.servos.page import page
+from studies.table import read_comment, read_rows
+
+from oracles.files import ROOT
+
+DOCS = ROOT / "docs"
+
+
+@pytest.mark.parametrize("late", [0, 1, 2, 4])
+def test_a_rigid_motor_bears_the_limit_of_levin_and_may(late):
+    """Theoretical Population Biology 9, 1976, 178: damping x period / inertia below 2 sin(pi / (4 k + 2))."""
+    model = fm.build_model(fm.catalog.one_link(rotor_inertia=0.1), flexible_links=False, flexible_joints=False)
+    inertia = mass_matrix(model, np.zeros(2))[0, 0]
+    loop = sampled_loop(model, [0.0], 0.01, late)
+    found = limit(loop, np.array([1e-7]), np.array([0.01 * inertia / 0.01]))
+    assert found == pytest.approx(100.0 * 2.0 * np.sin(np.pi / (4 * late + 2)), rel=2e-3)
+
+
+@pytest.mark.filterwarnings("ignore:actions. a servo:UserWarning")
+def test_an_environment_comes_to_rest_below_a_limit_and_not_above_it():
+    row = min((row for row in limits("FlexOne-v0", True) if 0.0 < row.factor < LARGEST), key=rounds_of)
+    tried = tried_by_environment(row, "midpoint_3_sweeps")
+    assert tried.below is not None and tried.above is not None and APART < 0.2
+    assert tried.below < 0.5 < tried.above
+
+
+def test_the_page_is_that_of_its_rows():
+    file = DOCS / "servos.csv"
+    result = read_rows(file, Row)
+    assert (DOCS / "servos.md").read_text(encoding="utf-8") == page(read_comment(file), result)
+    tried = [row for row in result if row.below is not None]
+    assert len(tried) == CHECKED and {row.period for row in result} == set(PERIODS)
+    assert all(row.below < 0.5 < row.above for row in tried), "as the page says"
