@@ -15,7 +15,7 @@ from flexman_gym.envs.description import Description
 
 from oracles.files import ROOT
 
-PAGES = ("own_task", "own_sensors", "own_arm", "own_controller", "training")
+PAGES = ("own_task", "own_sensors", "own_arm", "own_controller", "training", "theory", "bench", "policies", "pictures")
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 # What a command or a training of a page takes here, in place of what it says.
@@ -67,6 +67,8 @@ def run_commands(lines):
 def test_a_page_runs_and_prints_what_it_says(page, checkout):
     if page in ("own_controller", "training"):
         pytest.importorskip("stable_baselines3")
+    if page == "bench":
+        pytest.importorskip("matplotlib").use("Agg")
     names, result = {"__name__": "page"}, blocks(page)
     assert [language for language, _ in result].count("python") >= 2
     for (language, text), (following, said) in pairwise([*result, ("", "")]):
@@ -76,6 +78,22 @@ def test_a_page_runs_and_prints_what_it_says(page, checkout):
             printed = run(text, page, names)
             assert following != "text" or printed == said
     assert all(path.name in ("docs", "scripts", "runs") or path.stem.startswith("my_") for path in checkout.iterdir())
+
+
+def test_the_bench_takes_at_most_forty_lines_of_the_readers_own():
+    code = [line for language, text in blocks("bench") if language == "python" for line in text.splitlines()]
+    assert len([line for line in code if line.strip()]) <= 40
+
+
+def test_the_first_training_of_the_readme_trains():
+    pytest.importorskip("stable_baselines3")
+    (code,) = (text for _, text in BLOCK.findall((ROOT / "README.md").read_text(encoding="utf-8")) if "PPO(" in text)
+    for much, less in (("1_000_000", "96"), ('-v0", 256', '-v0", 4'), ("range(9000, 9100)", "[9000, 9001]")):
+        assert much in code
+        code = code.replace(much, less)
+    names = {"__name__": "page"}
+    printed = run(code, "README", names)
+    assert printed.startswith("{'reward': ") and "'settled'" in printed and names["model"].num_timesteps == 96
 
 
 def test_the_examples_are_those_of_the_pages():

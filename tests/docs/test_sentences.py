@@ -16,9 +16,10 @@ NUMBER = re.compile(r"(?<![\w.])\d[\d.,]*(e[+-]?\d+)?")
 
 
 def sentences(page):
-    """The sentences of a page; a span of code is one word."""
+    """The sentences of a page; a span of code or an equation is one word."""
     text = re.sub(r"^```.*?^```$", "", page, flags=re.MULTILINE | re.DOTALL)
     text = "\n".join("" if NO_PROSE.match(line) else line for line in text.split("\n"))
+    text = re.sub(r"\$\$.*?\$\$|\$[^$]*\$", "`", text, flags=re.DOTALL)
     text = re.sub(r"`[^`]*`", "`", text)
     text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text).replace("*", "")
     blocks = re.split(r"\n\s*\n", re.sub(r"^\s*- ", "\n\n", text, flags=re.MULTILINE))
@@ -46,7 +47,9 @@ def test_sentences_of_a_page_are_short_and_hold_few_numbers(name):
 
 
 def test_code_tables_headings_and_links_are_no_words():
-    page = "# One\n\n```sh\na b\n```\n\n| a | b |\n\nSee `a b` in\n[c d](e f). And: `g` 1e-02 m.\n- More `h` 2.5\n"
+    page = (
+        "# One\n\n```sh\na b\n```\n\n| a | b |\n\nSee `a b` in\n[c d](e f). And: `g` 1e-02 m.\n- More $1 + 2 h$ 2.5\n"
+    )
     assert sentences(page) == ["See ` in c d.", "And: ` 1e-02 m.", "More ` 2.5"]
 
 
