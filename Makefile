@@ -28,7 +28,9 @@ charts: .venv/installed
 	.venv/bin/python scripts/compare_peers.py --folder docs
 	.venv/bin/python scripts/stability.py --folder docs
 	.venv/bin/python scripts/ring_down.py --folder docs
+	.venv/bin/python scripts/servos.py --folder docs
 	.venv/bin/python scripts/fidelity.py
+	.venv/bin/python scripts/machine.py --folder docs
 
 # Hours: every recipe and every ablation, several seeds each, and runs that are killed.
 learning: .venv/installed

@@ -18,7 +18,7 @@ WORDS = "flexman_gym compiles kernels"
 SMALL = """import numpy as np
 from flexman_gym.kernels.readings import beyond, combine
 combine(np.ones((1, 1)), np.array([0, 1]), np.array([0]), np.ones(1), np.ones((1, 1)))
-beyond(np.ones((1, 1)), np.ones(1), np.ones((1, 1)), np.ones(1), np.zeros(1, dtype=np.int64))
+beyond(np.ones((1, 1)), np.ones(1), np.ones((1, 1)), np.ones(1), np.zeros(1, dtype=np.int64), np.zeros(1, dtype=bool))
 """
 OTHER = """import numba, flexman_gym
 @numba.njit

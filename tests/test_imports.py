@@ -23,6 +23,7 @@ FLOORS = {
     "model": "scene kernels arrays checks",
     "simulation": "model scene kernels arrays checks",
     "fidelity": "simulation model scene arrays checks",
+    "fit": "simulation model scene kernels arrays checks",
     "control": "simulation model kernels arrays checks",
     "draw": "simulation model scene kernels arrays checks",
     "envs": "draw control fidelity simulation model scene kernels arrays checks",
@@ -33,11 +34,12 @@ FLOORS = {
     "commands": "flexman_gym agents verification evaluation envs draw control fidelity simulation model scene kernels "
     "checks",
     "__main__": "flexman_gym commands",
-    "studies": "flexman_gym agents verification evaluation metrics envs draw fidelity simulation model scene kernels "
-    "arrays checks",
+    "studies": "flexman_gym agents verification evaluation metrics envs draw control fit fidelity simulation model "
+    "scene kernels arrays checks",
     "scripts": "flexman_gym __main__ agents studies verification evaluation envs draw fidelity simulation model scene",
 }
-PUBLIC = "evaluation envs control draw fidelity metrics simulation model scene"  # what flexman_gym/__init__.py gathers
+# what flexman_gym/__init__.py gathers
+PUBLIC = "evaluation envs control draw fit fidelity metrics simulation model scene"
 INSIDE_KERNELS = {"numba", "llvmlite", "numpy", "math", "operator", "typing", "collections", "functools"}
 # what names the folder of the binaries, and keeps them there
 CACHE_ROOM = {"hashlib", "os", "sys", "tempfile", "pathlib", "pickle", "re", "shutil", "stat"}
