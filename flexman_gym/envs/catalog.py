@@ -7,7 +7,7 @@ from typing import Any
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.tasks import Hold, Slew, Task, Track
 from flexman_gym.scene.arm import Arm, Payload
-from flexman_gym.scene.catalog import one_joint, paper_rrr, vertical_2r
+from flexman_gym.scene.catalog import one_joint, paper_rrr, quanser_2dsfl, vertical_2r
 
 Gains = dict[str, tuple[float, ...]]
 
@@ -66,6 +66,7 @@ PLANAR_PD: Gains = {"stiffness": (39.0, 5.56), "damping": (9.35, 1.33)}
 PLANAR_TRACK_PD: Gains = {"stiffness": (300.0, 13.9), "damping": (9.91, 1.39)}
 PLANAR_HOLD_PD: Gains = {"stiffness": (63.0, 26.1), "damping": (9.83, 3.96)}
 ONE_PD: Gains = {"stiffness": (1.13,), "damping": (0.487,)}
+QUANSER_PD: Gains = {"stiffness": (15.7, 9.38), "damping": (0.353, 0.267)}
 RRR = Named(flex_rrr, RRR_PD, conditions="rrr")
 PLANAR = Named(
     vertical_2r,
@@ -99,6 +100,15 @@ NAMED: dict[str, Named] = {
         task=Slew(start=1.0, slew=1.5, reward="distance"),
         limits=Limits(rate=20.0, twist=0.5, deflection_rate=20.0, tip_speed=20.0),
         longest_step=0.00125,
+    ),
+    "FlexQuanser-v0": Named(
+        quanser_2dsfl,
+        QUANSER_PD,
+        task=Slew(start=0.5, slew=0.5, reward="distance"),
+        sensors=({"kind": "motor_encoders", "quantisation": 1e-5}, "strain", "command"),
+        limits=Limits(angle=1.6, rate=10.0, deflection_rate=10.0, tip_speed=10.0),
+        control_period=0.01,
+        longest_step=0.01 / 3.0,
     ),
 }
 DEFAULT = "FlexRRR-v0"

@@ -34,7 +34,8 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
         FlexRRR-v0     the paper's spatial arm of 8.5 m, three links, 50 Hz; described below
         FlexPlanar-v0  two strips, 1 m together, that lift 0.1 kg in a vertical plane under gravity, 100 Hz
         FlexOne-v0     the textbook case: one strip of 0.8 m on one elastic joint, in a horizontal plane, 50 Hz
-        `envs.catalog.NAMED` has what each is made of. The latter two are rewarded by distance (see `Slew`).
+        FlexQuanser-v0 a real machine: two steel strips in a horizontal plane with its motors and sensors, 100 Hz
+        `envs.catalog.NAMED` has what each is made of. The latter three are rewarded by distance (see `Slew`).
 
     Arm
         The paper's three-link arm of 8.5 m, flexible links and joints (K 5000 N m/rad), no gravity, 0.5 % modal damping

@@ -64,7 +64,7 @@ def keep(make: Callable[[Any], Any], folder: str | None) -> Callable[[Any], Any]
     def decorate(function: Any) -> Any:
         made = make(function)
         if folder is not None and not numba.config.DISABLE_JIT:
-            made._cache = SealedCache(function)
+            made._cache = SealedCache(function, folder)
         return made
 
     return decorate
@@ -96,13 +96,19 @@ class SealedFiles(IndexDataCacheFile):
 
 
 class SealedCache(FunctionCache):
-    """Numba's cache of a kernel with such files. A disk that is full costs the cache, not the call."""
+    """Numba's cache of a kernel with such files. A disk that is full costs the cache, not the call.
+
+    Numba knows a kernel by the path and the time of its file. The folder is named by the sources of these kernels, so
+    that all copies of them share what is compiled; kernels elsewhere stay apart.
+    """
 
     _said = False
 
-    def __init__(self, function: Any) -> None:
+    def __init__(self, function: Any, folder: str) -> None:
         super().__init__(function)
         stamp = self._impl.locator.get_source_stamp()
+        if Path(function.__code__.co_filename).parent == Path(__file__).parent:
+            self._cache_path, stamp = folder, None
         self._cache_file = SealedFiles(self._cache_path, self._impl.filename_base, stamp)
 
     def save_overload(self, sig: Any, data: Any) -> None:

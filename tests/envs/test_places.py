@@ -36,6 +36,8 @@ def test_of_two_elbows_it_takes_the_one_that_turns_less():
     for wanted in both:
         for near in (np.add(wanted, (0.2, -0.3)), np.add(wanted, (-0.4, 0.1))):
             assert posture_at("tip", place, near, view) == pytest.approx(wanted, abs=1e-6)
+    near = both[0] + (1.1184511, 1.1817330)  # from where Newton's method ends a turn away
+    assert posture_at("tip", place, near, view) == pytest.approx(both[0], abs=1e-6)
     assert posture_at("tip", place, both[0] + 2.0 * np.pi, view) == pytest.approx(both[0] + 2.0 * np.pi, abs=1e-6)
 
 
@@ -46,6 +48,16 @@ def test_each_arm_of_many_has_its_own_place():
     assert infos["target"] == pytest.approx(places, abs=1e-6)
     again = venv.reset(seed=0, options={"goal_tip": places.tolist()})[1]
     assert np.array_equal(again["goal_angles"], infos["goal_angles"])
+
+
+def test_each_arm_of_many_turns_from_its_own_start():
+    """One place for both arms, beside one posture of the elbow each."""
+    venv = FlexManVectorEnv(2, name="FlexPlanar-v0")
+    view = venv.episodes.view
+    elbows = np.array([[0.2, 0.8], [1.0, -0.8]])
+    place = view.rest_tips(elbows[:1])[0]
+    _, infos = venv.reset(seed=0, options={"start": elbows + 0.1, "goal_tip": [place, place]})
+    assert (np.abs(infos["goal_angles"] - elbows) < 0.1).all()
 
 
 @pytest.mark.parametrize(

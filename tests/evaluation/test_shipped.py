@@ -212,7 +212,8 @@ def test_a_policy_of_the_package_reaches_its_row_again(name):
     figures = fm.evaluate(name, policy.environment, range(9000, 9100 if quick else 9004))
     assert figures["failed"] == 0.0 and figures["settled"] > 0.7
     if quick:
-        assert {each: row[each] for each in figures} == pytest.approx(figures, rel=1e-3)
+        # processors round otherwise: what rests within a nanometre is not compared by its digits
+        assert {each: row[each] for each in figures} == pytest.approx(figures, rel=1e-3, abs=1e-8)
 
 
 @pytest.mark.parametrize("name", POLICIES)

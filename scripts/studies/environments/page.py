@@ -95,7 +95,7 @@ def _arm(name: str) -> list[str]:
     facts = {
         "links (m)": ", ".join(f"{link.length:g}" for link in arm.links),
         "mass of the links (kg)": ", ".join(f"{link.mass:.3g}" for link in arm.links),
-        "joint stiffness (N m/rad)": ", ".join(f"{joint.stiffness:g}" for joint in arm.joints),
+        "joint stiffness (N m/rad)": ", ".join(f"{joint.stiffness or np.inf:g}" for joint in arm.joints),
         "rotor inertia (kg m^2)": ", ".join(f"{joint.rotor_inertia:g}" for joint in arm.joints),
         "torque limits (N m)": ", ".join(f"{limit:g}" for limit in env.setup.torque_limit),  # type: ignore[attr-defined]
         "payload": load,
