@@ -48,7 +48,7 @@ def make_model(settings: Settings, device: str = "cpu") -> BaseAlgorithm:
 def environments(settings: Settings) -> VecMonitor:
     """Makes the arms of a training."""
     described = settings.description
-    keywords = described.keywords() | {"autoreset_mode": AutoresetMode.SAME_STEP}
+    keywords = described.keywords() | {"autoreset_mode": AutoresetMode.SAME_STEP, "infos": "at end"}
     return VecMonitor(Arms(gym.make_vec(described.id, settings.envs, "vector_entry_point", **keywords)))
 
 

@@ -92,6 +92,9 @@ class Judge(BaseCallback):
 
     The best has the highest mean reward, which tells more in a hundred episodes than the share that settles. A line on
     stderr says so when a policy settles much less often than the best.
+
+    Attributes:
+        latest: figures of the last evaluation.
     """
 
     kept = ("_best", "_next", "_warned")
@@ -102,6 +105,7 @@ class Judge(BaseCallback):
         self._entrant = Entrant("training", act, interface)
         self._every, self._keep = settings.judge_every, keep
         self._best = [-math.inf, 0.0]  # reward, and share that settled
+        self.latest: Mapping[str, float] = {}
         self.begin()
 
     def begin(self) -> None:
@@ -115,7 +119,7 @@ class Judge(BaseCallback):
         if self.num_timesteps < self._next:
             return
         self._next = self.num_timesteps + self._every
-        result = evaluate(self._entrant, self._environment, SELECTION)
+        self.latest = result = evaluate(self._entrant, self._environment, SELECTION)
         for name in CURVES:
             unit = FIGURES[name].unit
             self.logger.record(f"selection/{name}_{unit}" if unit else f"selection/{name}", result[name])

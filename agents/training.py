@@ -5,12 +5,12 @@ import platform
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
@@ -42,8 +42,30 @@ class Interrupted(Exception):
     """A training was asked to stop; the run is kept and can go on."""
 
 
+class Report(NamedTuple):
+    """What a hook is told where a rollout begins, and at the end.
+
+    Attributes:
+        steps: that have been taken.
+        figures: of the last evaluation on selection seeds, by name as of `fm.evaluate`; empty before there was one.
+        save: writes the run into its folder as it is now, from which `resume` goes on.
+    """
+
+    steps: int
+    figures: Mapping[str, float]
+    save: Callable[[], None]
+
+
+Hook = Callable[[Report], bool | None]
+
+
 def train(
-    settings: Settings, folder: str | Path, checkpoint_every: int = 0, progress: bool = True, device: str = "cpu"
+    settings: Settings,
+    folder: str | Path,
+    checkpoint_every: int = 0,
+    progress: bool = True,
+    device: str = "cpu",
+    hook: Hook | None = None,
 ) -> BaseAlgorithm:
     """Trains a policy from the start and saves it in a folder.
 
@@ -54,6 +76,7 @@ def train(
         checkpoint_every: steps between savings; 0: only at the end.
         progress: show a bar.
         device: of the networks, as PyTorch names it.
+        hook: is told how far the run is; it stops, and is kept, where the hook gives True.
 
     Raises:
         ValueError: when the folder holds a run already, or another process trains in it.
@@ -68,7 +91,7 @@ def train(
     with locked(folder):
         _check_new(folder)  # another process may have trained there meanwhile
         _keep_settings(settings, folder, 0)
-        return _Run(model, settings, folder).learn(checkpoint_every, progress)
+        return _Run(model, settings, folder).learn(checkpoint_every, progress, hook)
 
 
 def resume(
@@ -78,6 +101,7 @@ def resume(
     progress: bool = True,
     device: str = "cpu",
     judge_every: int | None = None,
+    hook: Hook | None = None,
 ) -> BaseAlgorithm:
     """Goes on with the run in a folder to the end of its steps, exactly as if it had never stopped.
 
@@ -111,7 +135,7 @@ def resume(
         else:
             run.give(data, finished)
         _keep_settings(settings, folder, run.done)
-        return run.learn(checkpoint_every, progress)
+        return run.learn(checkpoint_every, progress, hook)
 
 
 def load_settings(folder: Path) -> Settings:
@@ -163,8 +187,8 @@ class _Run:
             if self._judge:
                 self._judge.begin()
 
-    def learn(self, checkpoint_every: int, progress: bool) -> BaseAlgorithm:
-        """Learns to the end of the steps."""
+    def learn(self, checkpoint_every: int, progress: bool, hook: Hook | None) -> BaseAlgorithm:
+        """Learns to the end of the steps, or until it is told to stop."""
         model, settings = self.model, self.settings
         callbacks: list[BaseCallback] = []
         for exploration in filter(None, map(settings.schedule, EXPLORATION)):
@@ -178,13 +202,20 @@ class _Run:
             told["log_interval"] = settings.envs  # SAC logs after so many episodes, which end together
         with _asked_to_stop() as asked:
             model.set_logger(open_curves(self.folder, self._before, model.num_timesteps))
-            checkpoints = Checkpoints(checkpoint_every, self._save, asked.is_set)
+            stop = (lambda: asked.is_set() or bool(hook(self._report()))) if hook else asked.is_set
+            checkpoints = Checkpoints(checkpoint_every, self._save, stop)
             model.learn(settings.steps - model.num_timesteps, callback=[checkpoints, *callbacks], **told)
         model.get_env().close()  # type: ignore[union-attr]
-        if checkpoints.stopped is not None:
+        if checkpoints.stopped is not None and asked.is_set():
             raise Interrupted(f"{self.folder}: stopped after {checkpoints.stopped} steps, all of which are kept")
-        self._save()
+        if checkpoints.stopped is None:
+            self._save()
+            if hook:
+                hook(self._report())
         return model
+
+    def _report(self) -> Report:
+        return Report(self.done, dict(self._judge.latest) if self._judge else {}, self._save)
 
     def _save(self) -> None:
         judge = take(self._judge) if self._judge else None

@@ -60,7 +60,7 @@ class Episodes:
         self.sight = Sight(setup, self.view, self.acting.mode, self.effects)
         self._energy_alarm, self._told = setup.energy_alarm, setup.tell
         for name in setup.tell:
-            one_of("tell", name, self.view.units)
+            one_of("tell", name, (*self.view.units, "action"))
         self.hold, self.longest = setup.hold, setup.longest
         self.watch: Callable[[], None] | None = None
         self.failures: dict[int, str] = {}

@@ -79,7 +79,8 @@ class Setup:
         elements, modes, method, step: see `build_model` and `Simulator`; a step of None takes the longest that divides
             the control period and is at most the `longest_step` of the named environment; "assembled" modes are those
             that `assembled_modes` finds for vibrations below half the control frequency.
-        tell: names of quantities of the View, see `View.units`, that go to `info` beside what every environment says.
+        tell: names of quantities of the View, see `View.units`, that go to `info` beside what every environment says;
+            "action" is what the motors were asked for in the last control period, see `sensors.Action`.
         energy_alarm: part of the energy turned over (the largest of kinetic + elastic energy, work and dissipation).
         randomisation: a Randomisation, or a dict of its arguments; None for none.
 

@@ -15,6 +15,7 @@ from flexman_gym.checks import one_of, refusal, sequence, whole_number
 from flexman_gym.envs.description import find_setup
 from flexman_gym.envs.env import LARGEST_SEED, FlexManEnv, observation_space
 from flexman_gym.envs.episodes import Episodes, Observations
+from flexman_gym.envs.infos import Infos, arrays, masked, with_masks
 from flexman_gym.envs.motors import action_space, checked_actions
 from flexman_gym.envs.options import check_parameters
 from flexman_gym.envs.remembering import Remembering
@@ -23,9 +24,11 @@ from flexman_gym.envs.setup import build
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import MOST_ARMS, Batch
 
-Infos = dict[str, Any]
 LONGEST = 10**9  # steps of an episode
-OWN = ("num_envs", "threads", "max_episode_steps", "autoreset_mode", *RENDER)
+INFOS = ("always", "at end")
+LARGEST_STRIDE = 10**12
+OWN = ("num_envs", "threads", "max_episode_steps", "autoreset_mode", "infos", "seed_stride", *RENDER)
+EACH = ("render", "np_random", "np_random_seed")  # what has an entry for each arm already
 
 
 class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
@@ -35,8 +38,9 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
     single environment, bit for bit, with an axis for the arms in front. Infos follow Gymnasium's convention: an array
     for each key and its mask under the key with an underscore in front; masks of one info may be the same array.
 
-    `reset(seed=...)` takes one seed, of arm 0, to which the others add their number, or a list of a seed for each. Its
-    options may set "start", "goal_angles" and "parameters" for all arms, or with a leading axis for each. With
+    `reset(seed=...)` takes a list of a seed for each arm, or one seed s, of which arm i takes s * seed_stride + i. With
+    a stride of at least `num_envs`, environments with the seeds s and s + 1 have no episode in common. Options may set
+    "start", "goal_angles" and "parameters" for all arms, or with a leading axis for each. With
     autoreset_mode="Disabled" the option "reset_mask", (num_envs,) bool, says which arms are reset.
 
     Args:
@@ -44,6 +48,9 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
         threads: that move them, at most one for 32 arms; a second one pays where a core has nothing else to do.
         max_episode_steps: steps after which an episode is truncated; None takes the `horizon`.
         autoreset_mode: an AutoresetMode of Gymnasium, or its value.
+        infos: "always", or "at end" for those of arms whose episode has just ended alone; with "SameStep" these are
+            `final_obs` and `final_info`. All other infos, those of a reset too, are then empty and cost nothing.
+        seed_stride: by which a seed counts, see above.
         render_mode, render_size, render_camera, render_gain, render_overlays: see `FlexManEnv`; a frame of each arm,
             of which `draw.grid` makes one picture.
         settings: the attributes of `Setup`, and "condition"; see `FlexManEnv`.
@@ -62,6 +69,8 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
         threads: int = 1,
         max_episode_steps: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        infos: str = "always",
+        seed_stride: int = 1,
         render_mode: str | None = None,
         render_size: tuple[int, int] = (480, 360),
         render_camera: Vector | None = None,
@@ -73,8 +82,10 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
         chosen = autoreset_mode.value if isinstance(autoreset_mode, AutoresetMode) else autoreset_mode
         self.autoreset_mode = modes[one_of("autoreset_mode", chosen, modes)]
         self.num_envs = whole_number("num_envs", num_envs, 1, MOST_ARMS)
+        self._at_end = one_of("infos", infos, INFOS) == "at end"
+        self._stride = whole_number("seed_stride", seed_stride, 1, LARGEST_STRIDE)
         self.render_mode, look = render_mode, (render_size, render_camera, render_gain, render_overlays)
-        given = num_envs, threads, max_episode_steps, autoreset_mode, render_mode, *look
+        given = num_envs, threads, max_episode_steps, autoreset_mode, infos, seed_stride, render_mode, *look
         self._made = dict(zip(OWN, given, strict=True)) | settings
         setup = find_setup(settings, OWN)
         model, method, step, self.choice = build(setup)
@@ -121,8 +132,8 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
                 if seeds[arm] is not None:
                     self._randoms[arm], self._seeds[arm] = seeding.np_random(seeds[arm])
             self._restart(arms, options)
-        infos = self._outcome()[1]
-        return self.episodes.sight.seen.copy(), infos if mask is None else _masked(infos, mask)
+        infos = {} if self._at_end else self._outcome()[1]
+        return self.episodes.sight.seen.copy(), infos if mask is None else masked(infos, mask)
 
     def step(self, actions: NDArray[Any]) -> tuple[Observations, Array, Flags, Flags, Infos]:
         """Applies actions (num_envs, k) for `hold` control periods, and resets as the autoreset mode says.
@@ -139,17 +150,23 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
         mean = episodes.step(values)
         if late is not None:
             self._restart(late, None)
-        rewards, infos = self._outcome()
+        ending = bool(episodes.failures) or bool(np.count_nonzero(episodes.truncated))
+        if ending or not self._at_end:
+            rewards, infos = self._outcome()
+        else:
+            rewards, infos = self._rewards() if mean is None else mean, {}
         if mean is not None:
             rewards = mean
         if late is not None:
             rewards[late] = 0.0
         truncations = episodes.truncated.copy()
         terminations = np.zeros(self.num_envs, dtype=bool)
-        if episodes.failures or np.count_nonzero(truncations):
+        if ending:
             terminations[list(episodes.failures)] = True
             if self.autoreset_mode == AutoresetMode.SAME_STEP:
                 infos = self._finish(over.copy(), infos)
+            elif self._at_end:
+                infos = masked(infos, terminations | truncations)
         return episodes.sight.seen.copy(), rewards, terminations, truncations, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
@@ -159,6 +176,25 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
             return None
         return tuple(map(self._rendering.frame, range(self.num_envs)))
 
+    def call(self, name: str, *args: Any, **named: Any) -> tuple[Any, ...]:
+        """Gives what a method or an attribute of the environment gives, once for each arm, as SyncVectorEnv does.
+
+        Spaces are those of one arm. What has no entry for each arm is shared by all.
+
+        Raises:
+            ValueError: for "reset", "step" and "close", which no arm can do alone.
+            AttributeError: for a name that the environment does not have.
+        """
+        if name in ("reset", "step", "close"):
+            raise refusal("call", name, "a method that an arm has alone: call the environment's own, which moves all")
+        value = getattr(self, f"single_{name}" if name in ("observation_space", "action_space") else name)
+        value = value(*args, **named) if callable(value) else value
+        return tuple(value) if name in EACH and value is not None else (value,) * self.num_envs
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Gives an attribute once for each arm, see `call`."""
+        return self.call(name)
+
     def _finish(self, ended: Flags, infos: Infos) -> Infos:
         """Resets the arms that have ended; returns the infos of all, with what the ended ones were."""
         final = np.full(self.num_envs, None, dtype=object)
@@ -166,12 +202,20 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
         for arm in arms:
             final[arm] = self.episodes.sight.seen[arm].copy()
         self._restart(arms, None)
-        both = {"final_obs": final, "final_info": _masked(infos, ended)}
-        return _masked(both, ended) | self._outcome()[1]
+        both = masked({"final_obs": final, "final_info": masked(infos, ended)}, ended)
+        return both if self._at_end else both | self._outcome()[1]
 
     def _restart(self, arms: IntArray, options: dict[str, Any] | None) -> None:
         randoms = self.np_random
         self.episodes.reset(arms, [randoms[arm] for arm in arms], options)
+
+    def _rewards(self) -> Array:
+        """Rewards of the control period just over."""
+        view = self.episodes.view
+        if self.num_envs == 1:
+            return np.array([self.episodes.rewards(view.alone())])
+        rewards: Array = self.episodes.rewards(view)
+        return rewards
 
     def _outcome(self) -> tuple[Array, Infos]:
         """Rewards and infos of the states that the arms are in."""
@@ -179,7 +223,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
         view = episodes.view
         if self.num_envs == 1:  # numbers take less time than arrays of one
             reward, info = episodes.outcome(view.alone())
-            rewards, infos = np.array([reward]), _arrays(info)
+            rewards, infos = np.array([reward]), arrays(info)
         else:
             rewards, infos = episodes.outcome(view)
         status, failure = self._ok.copy(), self._no_failure.copy()
@@ -193,7 +237,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
             infos["drawn"] = episodes.effects.drawn
         if estimates := getattr(episodes.base, "estimates", None):
             infos["estimates"] = {name: values.copy() for name, values in estimates.items()}
-        return rewards, _with_masks(infos, self._everyone.copy())
+        return rewards, with_masks(infos, self._everyone.copy())
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
@@ -216,7 +260,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
             return [None] * self.num_envs
         if isinstance(seed, int | np.integer):
             first = whole_number("seed", seed, 0, LARGEST_SEED)
-            return [first + arm for arm in range(self.num_envs)]
+            return [first * self._stride + arm for arm in range(self.num_envs)]
         if not isinstance(seed, list | tuple | np.ndarray) or len(sequence("seed", seed)) != self.num_envs:
             raise refusal("seed", seed, f"a whole number, or a list of {self.num_envs}")
         return [
@@ -228,30 +272,3 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
         if isinstance(mask, np.ndarray) and mask.shape == (self.num_envs,) and mask.dtype == bool and mask.any():
             return mask
         raise refusal("options['reset_mask']", mask, f"an array ({self.num_envs},) of bool, not all of them False")
-
-
-def _arrays(info: Infos) -> Infos:
-    """The info of an arm alone, with an axis for the arms in front of every number and array."""
-    return {key: _arrays(value) if isinstance(value, dict) else np.array([value]) for key, value in info.items()}
-
-
-def _with_masks(infos: Infos, mask: Flags) -> Infos:
-    """The infos with a mask for each key, those of dicts inside too."""
-    result = {}
-    for key, value in infos.items():
-        result[key] = _with_masks(value, mask) if isinstance(value, dict) else value
-        result[f"_{key}"] = mask
-    return result
-
-
-def _masked(infos: Infos, mask: Flags) -> Infos:
-    """Infos of the arms of a mask alone, zero (None for objects) elsewhere."""
-    result: Infos = {}
-    for key, value in infos.items():
-        if isinstance(value, dict):
-            result[key] = _masked(value, mask)
-        elif not key.startswith("_"):
-            result[key] = np.zeros_like(value) if value.dtype != object else np.full_like(value, None)
-            result[key][mask] = value[mask]
-        result[key if key.startswith("_") else f"_{key}"] = mask.copy()
-    return result

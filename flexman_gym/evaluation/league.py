@@ -4,9 +4,7 @@ import csv
 import hashlib
 import io
 import json
-import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -24,6 +22,7 @@ from flexman_gym.envs.setup import build, setup_of
 from flexman_gym.evaluation.entrants import BASELINES, Entrant, find_entrant
 from flexman_gym.evaluation.figures import FIGURES
 from flexman_gym.evaluation.folder import BEST, NEWEST, SETTINGS, write
+from flexman_gym.evaluation.grid import Workers, spread
 from flexman_gym.evaluation.physical import find_plant
 from flexman_gym.evaluation.rollout import Record, rollout
 from flexman_gym.evaluation.shipped import ABOUT, ARRAYS, place
@@ -111,7 +110,7 @@ class Book:
 
 
 def play_league(
-    entrants: Sequence[str], venues: Sequence[str], seeds: range, folder: Path, jobs: int = 1,
+    entrants: Sequence[str], venues: Sequence[str], seeds: range, folder: Path, jobs: Workers | int = 1,
     say: Callable[[str], None] = print,
 ) -> Book:  # fmt: skip
     """Plays the cells that a folder does not have yet, and writes its files after each.
@@ -120,7 +119,7 @@ def play_league(
         entrants, venues: see `find_entrant` and `find_venue`.
         seeds: of the episodes, one after the other.
         folder: of the files.
-        jobs: processes; rows are the same for any number of them.
+        jobs: who plays, see `Workers`, or so many processes; rows are the same for all of them.
         say: is told of each cell.
 
     Raises:
@@ -134,7 +133,7 @@ def play_league(
     cells = [Cell(key, *place, *block) for place, key in keys.items() for block in blocks]
     left = [cell for cell in cells if not book.has(cell)]
     folder.mkdir(parents=True, exist_ok=True)
-    for count, (cell, rows) in enumerate(_spread(left, jobs), 1):
+    for count, (_, (cell, rows)) in enumerate(spread(play, left, jobs), 1):
         book.add(cell, rows)
         book.save(folder)
         what = cell.why or f"{cell.action:.0f} us an action"
@@ -233,19 +232,6 @@ def _watched(entrant: Entrant, told: Description) -> tuple[Entrant, _Watched | N
     assert base is not None
     watch = _Watched(base)
     return replace(entrant, interface={**entrant.interface, "base": watch}), watch
-
-
-def _spread(cells: Sequence[Cell], jobs: int) -> Iterator[tuple[Cell, list[Row]]]:
-    """Plays cells, as they end."""
-    if jobs == 1:
-        yield from map(play, cells)
-        return
-    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
-        try:
-            for done in as_completed([pool.submit(play, cell) for cell in cells]):
-                yield done.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
 
 
 def _is_lab(venue: str) -> bool:

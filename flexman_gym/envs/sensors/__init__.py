@@ -5,6 +5,7 @@ from functools import partial
 from typing import Any
 
 from flexman_gym.checks import mapping, one_of, refusal, text
+from flexman_gym.envs.sensors.action import Action
 from flexman_gym.envs.sensors.array import Sensors, measured_names
 from flexman_gym.envs.sensors.command import Command
 from flexman_gym.envs.sensors.fine import Fine
@@ -25,6 +26,7 @@ SENSORS: dict[str, Callable[[], Sensor]] = {
     "accelerometer": lambda: Quantities(("tip_acceleration",)),
     "tip": lambda: Instrument(Quantities(("tip",)), every=2, delay=1),
     "command": Command,
+    "action": Action,
 }
 SETS = {"lab": ("motor_encoders", "joint_encoders", "strain", "command")}
 NAMES = (*SENSORS, *SETS)
@@ -93,6 +95,7 @@ __all__ = [
     "NAMES",
     "SENSORS",
     "SETS",
+    "Action",
     "Command",
     "Entry",
     "Fine",

@@ -1,0 +1,53 @@
+"""Hook: a training reports on the way, is saved when it is asked to be, and stops where it is told to."""
+
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from flexman_agents.training import load_settings, resume, train
+from flexman_gym.evaluation.folder import NEWEST, read_data
+
+from oracles.runs import RUNS
+
+SETTINGS = RUNS["ppo"]  # 160 steps, 24 a rollout, judged after 72 and 144
+
+
+def bits(folder):
+    """The policy of a run."""
+    return {name: values.tobytes() for name, values in read_data(folder / NEWEST)["policy"].items()}
+
+
+def test_a_hook_is_told_steps_and_figures_where_rollouts_begin_and_at_the_end(tmp_path):
+    reports = []
+    train(SETTINGS, tmp_path / "a", progress=False, hook=reports.append)
+    assert [each.steps for each in reports] == [0, 24, 48, 72, 96, 120, 144, 168]
+    assert [bool(each.figures) for each in reports] == [False] * 3 + [True] * 5
+    rewards = [each.figures.get("reward") for each in reports]
+    assert rewards[3] == rewards[5] != rewards[6] == rewards[7]
+
+
+def test_a_run_that_a_hook_stops_or_that_is_killed_after_it_saved_goes_on_to_the_same_bits(tmp_path):
+    train(SETTINGS, tmp_path / "whole", progress=False)
+    steps = []
+
+    def stops(report):
+        steps.append(report.steps)
+        return report.steps >= 48
+
+    train(SETTINGS, tmp_path / "stopped", progress=False, hook=stops)
+    assert steps == [0, 24, 48]
+
+    def dies(report):
+        if report.steps == 48:
+            report.save()
+        if report.steps == 72:
+            raise MemoryError
+
+    with pytest.raises(MemoryError):
+        train(SETTINGS, tmp_path / "killed", progress=False, hook=dies)
+    for name in ("stopped", "killed"):
+        heard = []
+        resume(tmp_path / name, progress=False, hook=heard.append)
+        assert heard[0].steps == 48 and heard[-1].steps == 168
+        assert bits(tmp_path / name) == bits(tmp_path / "whole")
+    assert load_settings(tmp_path / "stopped") == SETTINGS
