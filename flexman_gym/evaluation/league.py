@@ -1,5 +1,6 @@
 """League: all entrants in the same episodes, played cell by cell and kept as rows, so that a killed one goes on."""
 
+import ast
 import csv
 import hashlib
 import io
@@ -184,11 +185,22 @@ def equivalent_damping(record: Record) -> float:
 
 @cache
 def digest_of_code() -> str:
-    """Gives a hash of the files of SOURCES."""
+    """Gives a hash of the files of SOURCES, in which comments and docstrings do not count."""
     found = (path for name in SOURCES for path in ([PACKAGE / name] if "." in name else (PACKAGE / name).rglob("*")))
     files = sorted(path for path in found if path.suffix in (".py", ".yaml", ".npz"))
-    text = b"".join(path.relative_to(PACKAGE).as_posix().encode() + path.read_bytes() for path in files)
+    text = b"".join(path.relative_to(PACKAGE).as_posix().encode() + _meaning(path) for path in files)
     return hashlib.sha256(text).hexdigest()[:16]
+
+
+def _meaning(path: Path) -> bytes:
+    """The content of a file, of code without comments and docstrings."""
+    if path.suffix != ".py":
+        return path.read_bytes()
+    tree = ast.parse(path.read_bytes())
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
+            del node.body[0]
+    return ast.dump(tree).encode()
 
 
 def key_of(entrant: str, venue: str) -> str:

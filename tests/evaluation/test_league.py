@@ -140,7 +140,7 @@ def test_other_code_plays_anew(venue, tmp_path, monkeypatch):
 def test_the_hash_of_the_code_is_that_of_what_plays(tmp_path, monkeypatch):
     for name in ("kernels/a.py", "envs/conditions/b.yaml", "evaluation/rollout.py", "evaluation/league_page.py"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text(name)
+        (tmp_path / name).write_text("a = 1\n")
     monkeypatch.setattr(league, "PACKAGE", tmp_path)
     monkeypatch.setattr(league, "SOURCES", ("kernels", "envs", "evaluation/rollout.py"))
 
@@ -150,11 +150,12 @@ def test_the_hash_of_the_code_is_that_of_what_plays(tmp_path, monkeypatch):
 
     known = digest()
     (tmp_path / "evaluation/league_page.py").write_text("another page")
-    assert digest() == known
+    (tmp_path / "kernels/a.py").write_text('"""Other words."""\n\na = 1  # and a reason\n')
+    assert digest() == known, "words alone are other ones"
     for name in ("kernels/a.py", "envs/conditions/b.yaml", "evaluation/rollout.py"):
-        (tmp_path / name).write_text("changed")
+        (tmp_path / name).write_text("a = 2\n")
         assert digest() != known, name
-        (tmp_path / name).write_text(name)
+        (tmp_path / name).write_text("a = 1\n")
     (tmp_path / "kernels/a.py").rename(tmp_path / "kernels/c.py")
     assert digest() != known
     monkeypatch.undo()

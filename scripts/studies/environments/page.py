@@ -95,7 +95,9 @@ def _arm(name: str) -> list[str]:
     facts = {
         "links (m)": ", ".join(f"{link.length:g}" for link in arm.links),
         "mass of the links (kg)": ", ".join(f"{link.mass:.3g}" for link in arm.links),
-        "joint stiffness (N m/rad)": ", ".join(f"{joint.stiffness or np.inf:g}" for joint in arm.joints),
+        "joint stiffness (N m/rad)": ", ".join(
+            f"{joint.stiffness:g}" if joint.stiffness else "rigid" for joint in arm.joints
+        ),
         "rotor inertia (kg m^2)": ", ".join(f"{joint.rotor_inertia:g}" for joint in arm.joints),
         "torque limits (N m)": ", ".join(f"{limit:g}" for limit in env.setup.torque_limit),  # type: ignore[attr-defined]
         "payload": load,
@@ -110,14 +112,16 @@ def _arm(name: str) -> list[str]:
 
 def _observations(name: str) -> list[str]:
     lines = []
-    for kind in ("full", *SETS):
+    own = () if NAMED[name].sensors == "full" else (None,)
+    for kind in (*own, "full", *SETS):
         sensors = gym.make(name, sensors=kind).unwrapped.sensors  # type: ignore[attr-defined]
         rows = []
         for part, place in sensors.slices.items():
             bound = np.unique(sensors.bound[place].round(12))
             span = f"{bound[0]:.3g}" if len(bound) == 1 else f"{bound[0]:.3g} to {bound[-1]:.3g}"
             rows.append((f"`{part}`", f"{place.start}-{place.stop - 1}", sensors.units[part], span))
-        lines += [f'With `sensors="{kind}"`, Box ({len(sensors.bound)},):', ""]
+        with_what = f'With `sensors="{kind}"`' if kind else f"With its own sensors, `{NAMED[name].sensors}`"
+        lines += [f"{with_what}, Box ({len(sensors.bound)},):", ""]
         lines += [*markdown_table(("slice", "entries", "unit", "largest"), rows), ""]
     return lines
 
