@@ -8,9 +8,11 @@ CODE := flexman_gym agents scripts
 demo: .venv/installed
 	.venv/bin/flexman demo
 
-# Two processes, each of which needs a core: kernels of both come from one cache.
+# Two processes, each of which needs a core: kernels of both come from one cache. A file of tests stays with one of them,
+# so that no kernel is compiled by both at once.
 test: lint
-	$(RUN) pytest -n 2
+	.venv/bin/flexman compile
+	$(RUN) pytest -n 2 --dist loadfile
 
 # What a minute can tell: all but the tests that take long, with kernels that are compiled.
 quick: .venv/installed

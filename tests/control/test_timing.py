@@ -58,7 +58,7 @@ def shortest(way, speed, acceleration, jerk):
     return np.cbrt(32.0 * way / jerk)
 
 
-@settings(QUICK, max_examples=200)
+@settings(QUICK, max_examples=100)
 @given(limits)
 def test_a_double_s_keeps_its_limits_and_takes_the_time_of_its_closed_form(given):
     way, speed, acceleration, jerk = given

@@ -159,6 +159,14 @@ def test_the_side_that_is_stretched_is_red(sign, colour):
     assert strong > 30.0 and strong > 2.0 * weak, "less strain towards the tip"
 
 
+def test_the_scale_ends_at_the_strain_of_half_a_torque_limit_at_the_root():
+    """Surface strain of a bent beam: half of the thickness times moment over E I."""
+    link = fm.Link.strip(0.5, 0.04, 0.002, "y")
+    limit = 2.0 * 1e-3 * 0.999 * link.youngs_modulus * 0.04 * 0.002**3 / 12.0 / 0.001
+    arm = fm.Arm([link], [fm.Joint((0.0, 0.0, 1.0), rotor_inertia=1.0, torque_limit=limit)])
+    assert FramePainter(fm.build_model(arm)).scale == pytest.approx(1e-3)
+
+
 def test_a_shadow_lies_on_the_floor_and_the_arm_over_it(painter):
     shot = painter.shot()
     flat, up = (painter.paint(MODEL.initial_state(angles), shot=shot) for angles in ((0.0, 0.0, 0.0), (0.0, 1.4, 0.0)))

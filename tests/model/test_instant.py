@@ -40,7 +40,7 @@ def slope(function, x, v):
 # Identities on random chains
 
 
-@settings(QUICK, max_examples=120)
+@settings(QUICK, max_examples=60)
 @given(samples(stiffening=None))
 def test_the_recursion_equals_the_dense_equations(sample):
     (x, v), torque = sample.state(), sample.torque()

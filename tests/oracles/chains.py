@@ -13,7 +13,7 @@ from flexman_gym import Arm, Joint, Link, Model, Payload, build_model
 from oracles.coordinates import agreed, agreed_modes, loaded_link, outboard_masses, own_damping, own_stations
 from oracles.dense import Chain, LinkModel
 
-QUICK = settings(deadline=None, derandomize=True, max_examples=40)
+QUICK = settings(deadline=None, derandomize=True, max_examples=25)
 AMPLITUDES = (0.0, 1e-6, 0.05, 1.5)  # rad, rotation of a link's tip; also its deflection / length
 
 

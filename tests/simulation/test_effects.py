@@ -21,7 +21,7 @@ def gap(case, x, actual, expected):
     return np.abs(mass @ (actual - expected) / scale).max() / max(np.abs(scale * expected).max(), 1e-9)
 
 
-@settings(QUICK, max_examples=100)
+@settings(QUICK, max_examples=50)
 @given(affected())
 def test_the_recursion_equals_the_dense_equations_with_every_effect(case):
     (x, v), work = case.sample.state(), layout.make_work(case.constants)
