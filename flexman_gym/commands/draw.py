@@ -14,7 +14,7 @@ def arguments(result: argparse.ArgumentParser) -> None:
     result.add_argument("what", choices=sorted(PICTURES), help="the picture")
     where = "an environment, an arm or its file (modes, map, bode, campbell); folders of runs (learning); the folder "
     result.add_argument("subject", nargs="+", help=f"{where}of a league (league, robustness); episodes that were saved")
-    result.add_argument("--out", type=Path, help="the file; else its name is that of the picture")
+    result.add_argument("--out", type=Path, help="file, or folder of a league's pictures; else as they are called")
     result.add_argument("--angles", type=float, nargs="+", help="rad, of the joints (modes, bode); else zero")
     result.add_argument("--mode", type=int, default=1, help="of the map, the lowest by default")
     result.add_argument("--count", type=int, default=6, help="modes at most")
@@ -108,8 +108,11 @@ def _league(options: argparse.Namespace, out: Path) -> list[Path]:
     from flexman_gym.evaluation.standing import Standing
 
     folder = Path(options.subject[0])
-    book = Book.load(folder)
-    paths = draw_charts(Standing(book), folder, options.what == "robustness")
+    book, place = Book.load(folder), options.out or folder
+    if place.suffix:
+        raise ValueError(f"--out: {place} is not allowed; give a folder, as a league has several pictures")
+    place.mkdir(parents=True, exist_ok=True)
+    paths = draw_charts(Standing(book), place, options.what == "robustness")
     if not paths:
         allowed = "the folder of a league" + (" with sweeps" if options.what == "robustness" else "")
         raise ValueError(f"subject: {folder} is not allowed; give {allowed}")
