@@ -82,8 +82,7 @@ class Setup:
         modes: see `build_model`; "assembled" ones are those of `assembled_modes` below half the control frequency.
         method: a name in `METHODS`, or a Method.
         step: s; None takes the longest that divides the control period, up to the `longest_step` of the environment.
-        tell: names of quantities of the View, see `View.units`, that go to `info` beside what every environment says;
-            "action" is what the motors were asked for in the last control period, see `sensors.Action`.
+        tell: names in `View.units` whose quantities go to `info`; "action" is what motors were asked for.
         energy_alarm: part of the energy turned over (the largest of kinetic + elastic energy, work and dissipation).
         randomisation: a Randomisation, or a dict of its arguments; None for none.
 
