@@ -30,7 +30,8 @@ class Schedule:
     """A number that changes with training: linearly from one value to another, then constant.
 
     Attributes:
-        start, end: the values.
+        start: the first value.
+        end: the last value.
         until: part of the training after which the value stays.
 
     Raises:

@@ -25,7 +25,7 @@ FOLDERS = (
     "agents",
 )
 
-SECTIONS = {"Attributes:", "Args:", "Returns:", "Raises:", "Yields:"}
+SECTIONS = {"Attributes:", "Args:", "Returns:", "Raises:", "Yields:", "Examples:"}
 FREE_HEADINGS = {
     "FlexManEnv": {
         "Arm", "Actions", "Observations", "Reward", "Start and end", "Info", "Fidelity", "Version history",

@@ -55,7 +55,9 @@ class ActionMode(Protocol):
 
         Args:
             actions: (b, k) of the agent, which holds each for one control period or several.
-            readings, applied, playing: as of `Controller.act`.
+            readings: as of `Controller.act`.
+            applied: as of `Controller.act`.
+            playing: as of `Controller.act`.
         """
         ...
 
@@ -91,7 +93,8 @@ class Current(Torque):
     """Currents of the motors as parts of their limits, which are torques by gear and torque constant.
 
     Args:
-        joints, base: as of `Torque`.
+        joints: as of `Torque`.
+        base: as of `Torque`.
         largest: (n,) torque at the current limit, a part of the torque limit, at which it is cut off.
     """
 

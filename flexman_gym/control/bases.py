@@ -109,6 +109,7 @@ BASES: dict[str, Base] = {
     "privileged-lqr": Base(_privileged, ("model", "true state", "true parameters"), ("weights", "doubt")),
     "pd-shaped": Base(_shaped_pd, ("model",), ("stiffness", "damping", "shaper", "modes", "places", "duration")),
 }
+"""Controllers that have a name: name -> how one is made, what it knows, and the arguments that it takes."""
 
 
 def checked_base(value: object) -> tuple[str, dict[str, Any]]:

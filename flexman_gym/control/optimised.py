@@ -17,7 +17,9 @@ class Optimised(LQR):
 
     Args:
         table: of slews, of this arm.
-        model, torque_limit, period: see `LQR`.
+        model: see `LQR`.
+        torque_limit: see `LQR`.
+        period: see `LQR`.
 
     Raises:
         ValueError: one line with field, value and what is allowed; also for a table of another arm, and in `reset` for

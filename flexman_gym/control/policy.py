@@ -98,9 +98,11 @@ class Learned:
     """A policy whose base is made for the arm on which it acts.
 
     Args:
-        network, sensors, history, hold: as of a `Policy`.
-        base: as `make_base` takes it.
-        actions: as `make_action_mode` takes it.
+        network: as of a `Policy`.
+        sensors: as of a `Policy`.
+        history: as of a `Policy`.
+        hold: as of a `Policy`.
+        **made: "base" as `make_base` takes it, and "actions" as `make_action_mode` takes it.
     """
 
     def __init__(self, network: Network, sensors: tuple[object, ...], history: Any, hold: int, **made: Any) -> None:

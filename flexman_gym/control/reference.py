@@ -143,7 +143,8 @@ def plan_slew(
 
     Args:
         model: of the arm.
-        start, goal: (n,) rad, motor angles.
+        start: (n,) rad, motor angles at the beginning.
+        goal: (n,) rad, motor angles at the end.
         limits: (n,) N m.
         share: of the limits, that the slew may take; feedback has the rest.
         period: s.

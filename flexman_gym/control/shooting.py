@@ -65,7 +65,8 @@ class Shooting:
         arms: makes a Batch of so many such arms.
         band: m around the target, in which the tip has settled.
         rate: rad/s, which no motor may exceed.
-        start, goal: (n,) rad, motor angles.
+        start: (n,) rad, motor angles at the beginning.
+        goal: (n,) rad, motor angles at the end.
     """
 
     def __init__(

@@ -59,7 +59,9 @@ def quintic(place: Array, speed: Array, change: Array, durations: Array) -> Arra
     Between rests it is the minimum-jerk motion (Flash and Hogan, Journal of Neuroscience 5, 1985, 1688).
 
     Args:
-        place, speed, change: where it starts, how fast (1/s), and second derivative there (1/s^2).
+        place: where it starts.
+        speed: how fast it starts, 1/s.
+        change: second derivative there, 1/s^2.
         durations: s.
     """
     left, squared = 1.0 - place, durations**2

@@ -19,8 +19,9 @@ def paper_figures(
     A solution that ended early is drawn to its end, and its label says so.
 
     Args:
-        rigid, flexible_links, flexible_both: solutions of the paper's cases "rr", "fr" and "ff" at the same output
-            times.
+        rigid: solution of the paper's case "rr".
+        flexible_links: of its case "fr", at the same output times.
+        flexible_both: of its case "ff", at the same output times.
         folder: for the files; it is created where it does not exist.
 
     Returns:

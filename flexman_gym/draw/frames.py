@@ -63,7 +63,8 @@ class FramePainter:
         ValueError: one line with field, value and what is allowed.
 
     Attributes:
-        model, size, gain, overlays: as given.
+        model: the Model.
+        size: pixels, width and height.
         reach: the sum of the lengths of the links, m.
         radii: (n,) m, of the motors as they are drawn.
         scale: strain at the ends of the colours; 0 for an arm that does not bend.
@@ -244,8 +245,10 @@ def arm_frame(
     """Paints one picture (height, width, 3) of an arm, as near as it fits; for many pictures keep a FramePainter.
 
     Args:
-        model, size: as of a FramePainter.
-        state, target: as of `FramePainter.paint`.
+        model: as of a FramePainter.
+        size: as of a FramePainter.
+        state: as of `FramePainter.paint`.
+        target: as of `FramePainter.paint`.
 
     Raises:
         ValueError: as of FramePainter and its `paint`.

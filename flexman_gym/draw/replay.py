@@ -66,7 +66,8 @@ def page(data: dict[str, Any], title: str, words: str) -> str:
 
     Args:
         data: "arms", "runs", "stage" and "live".
-        title, words: in the head.
+        title: in the head.
+        words: beside it.
     """
     text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     script, style, frame = (

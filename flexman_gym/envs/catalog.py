@@ -20,7 +20,9 @@ class Named:
         arm: makes the arm; its joints say the torque limits.
         pd: gains of the PD controller that was tuned for it: stiffness (N m/rad) and damping (N m s/rad), one for each
             joint.
-        task, sensors, limits: see `Setup`.
+        task: see `Setup`.
+        sensors: see `Setup`.
+        limits: see `Setup`.
         control_period: s.
         horizon: s, after which an episode is truncated.
         conditions: the folder of its environment files under conditions; "" for none.
@@ -111,4 +113,5 @@ NAMED: dict[str, Named] = {
         longest_step=0.01 / 3.0,
     ),
 }
+"""Named environments: id -> what a `Setup` takes where nothing else is said."""
 DEFAULT = "FlexRRR-v0"

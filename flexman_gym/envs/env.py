@@ -111,6 +111,13 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
 
     Raises:
         ValueError: one line with field, value and what is allowed.
+
+    Examples:
+        >>> env = gym.make("FlexOne-v0", base="pd", hold=5)
+        >>> observation, info = env.reset(seed=0)
+        >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        >>> sorted(info["reward_terms"])
+        ['distance', 'failure']
     """
 
     _spec: EnvSpec | None = None

@@ -94,7 +94,8 @@ class Episodes:
         """Puts all arms, and what acts on them, where they were when `snapshot.take` took the data of both.
 
         Args:
-            data, acting: what was taken.
+            data: what was taken of the arms.
+            acting: what was taken of the controllers.
             randoms: the generators of the arms, given back already.
 
         Raises:

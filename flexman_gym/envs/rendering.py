@@ -106,7 +106,8 @@ def make_rendering(
 
     Args:
         mode: render mode of Gymnasium.
-        episodes, title: see Rendering.
+        episodes: see Rendering.
+        title: see Rendering.
         look: size, camera, gain and overlays, in the order of RENDER.
         modes: that there are.
 

@@ -75,12 +75,14 @@ class Setup:
             there.
         fidelity: "default" or "auto"; the latter with a tolerance, and without the next four.
         tolerance: m, largest error of the tip in a slew.
-        stiffening, spinning_rotors, rotary_inertia: switches of `build_model`.
-        elements, modes, method, step: see `build_model` and `Simulator`; a step of None takes the longest that divides
-            the control period and is at most the `longest_step` of the named environment; "assembled" modes are those
-            that `assembled_modes` finds for vibrations below half the control frequency.
-        tell: names of quantities of the View, see `View.units`, that go to `info` beside what every environment says;
-            "action" is what the motors were asked for in the last control period, see `sensors.Action`.
+        stiffening: foreshortening of bent links, see `build_model`.
+        spinning_rotors: rotors turn with the links that carry them, see `ModelChoice`.
+        rotary_inertia: sections of links resist turning, see `ModelChoice`.
+        elements: of each link, see `build_model`.
+        modes: see `build_model`; "assembled" ones are those of `assembled_modes` below half the control frequency.
+        method: a name in `METHODS`, or a Method.
+        step: s; None takes the longest that divides the control period, up to the `longest_step` of the environment.
+        tell: names in `View.units` whose quantities go to `info`; "action" is what motors were asked for.
         energy_alarm: part of the energy turned over (the largest of kinetic + elastic energy, work and dissipation).
         randomisation: a Randomisation, or a dict of its arguments; None for none.
 

@@ -51,8 +51,11 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
         infos: "always", or "at end" for those of arms whose episode has just ended alone; with "SameStep" these are
             `final_obs` and `final_info`. All other infos, those of a reset too, are then empty and cost nothing.
         seed_stride: by which a seed counts, see above.
-        render_mode, render_size, render_camera, render_gain, render_overlays: see `FlexManEnv`; a frame of each arm,
-            of which `draw.grid` makes one picture.
+        render_mode: see `FlexManEnv`; a frame of each arm, of which `draw.grid` makes one picture.
+        render_size: see `FlexManEnv`.
+        render_camera: see `FlexManEnv`.
+        render_gain: see `FlexManEnv`.
+        render_overlays: see `FlexManEnv`.
         settings: the attributes of `Setup`, and "condition"; see `FlexManEnv`.
 
     Raises:

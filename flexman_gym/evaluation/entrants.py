@@ -27,6 +27,7 @@ from flexman_gym.evaluation.shipped import ABOUT, POLICIES, place, read_shipped
 Act = Callable[[NDArray[np.float32], tuple[int, ...]], NDArray[np.floating]]
 INTERFACE = ("base", "hold", "sensors", "history", "actions")  # settings of what acts, not of what is moved
 BASELINES = (*BASES, "zero", "random")
+"""Entrants that need no training, by name."""
 ENTRANTS = (*BASELINES, *POLICIES)  # all that have a name
 
 

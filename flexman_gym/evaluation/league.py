@@ -117,7 +117,8 @@ def play_league(
     """Plays the cells that a folder does not have yet, and writes its files after each.
 
     Args:
-        entrants, venues: see `find_entrant` and `find_venue`.
+        entrants: see `find_entrant` and `find_venue`.
+        venues: see `find_entrant` and `find_venue`.
         seeds: of the episodes, one after the other.
         folder: of the files.
         jobs: who plays, see `Workers`, or so many processes; rows are the same for all of them.

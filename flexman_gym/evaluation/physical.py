@@ -70,7 +70,9 @@ def physical_check(
     """Gives every figure of FIGURES, as `evaluate` does, for each of the plants: plant -> name -> number.
 
     Args:
-        entrant, environment, seeds: see `rollout`.
+        entrant: see `rollout`.
+        environment: see `rollout`.
+        seeds: see `rollout`.
         plants: names in PLANTS.
 
     Raises:

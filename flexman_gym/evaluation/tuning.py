@@ -44,7 +44,8 @@ def tune(
 
     Args:
         environment: whose PD is tuned.
-        first, around: gains of the first draw, and of each round.
+        first: how many gains the first round draws.
+        around: how many gains each further round draws.
         episodes: for which they are judged.
         seed: of the search.
         margin: whether only gains count that have a gain margin of 2 and a phase margin of 30 degrees in the sampled

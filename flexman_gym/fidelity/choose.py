@@ -90,6 +90,11 @@ def choose_model(scene: Scene, tolerance: float, longest_step: float | None = No
     Raises:
         ValueError: for another scene or tolerance, and where nothing meets the tolerance, with the error that was
             reached.
+
+    Examples:
+        >>> choice = fm.choose_model(fm.catalog.paper_scene("rr"), tolerance=0.01)
+        >>> choice.estimated_error < 0.01
+        True
     """
     if not isinstance(scene, Scene):
         raise refusal("scene", scene, "a Scene")

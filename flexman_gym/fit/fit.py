@@ -46,6 +46,12 @@ class Fit:
         choice: elements and modes of the model.
         records: that were fitted.
         step: s, of the simulation; None for the interval between samples.
+
+    Examples:
+        >>> arm = fm.catalog.one_joint()
+        >>> found = fm.fit(arm, "joint_stiffness", frequencies=[1.3, 11.2], elements=1)
+        >>> found.arm.joints[0].stiffness < arm.joints[0].stiffness
+        True
     """
 
     arm: Arm
@@ -118,13 +124,13 @@ def fit(
 
     Args:
         arm: where the fit starts.
-        free: names in `simulation.parameters.PARAMETERS`, such as "link_stiffness" for those of all links, or
-            "joint_stiffness[1]" for one joint, counted from 0.
+        free: names in `simulation.parameters.PARAMETERS`; "joint_stiffness[1]" is that of one joint, counted from 0.
         frequencies: (k,) Hz, the lowest ones at zero angles with held motors, to 0.5 %; or a mapping of the arguments
             of `Ringing`, which says other postures, motors and deviations; or several mappings.
         damping: (k,) damping ratios of these frequencies, to 10 %.
         records: of Measurement.
-        elements, modes: of the model, see `build_model`.
+        elements: of the model, see `build_model`.
+        modes: of the model, see `build_model`.
         step: s, of the simulation, to begin with; None takes the interval between samples.
         starts: other places that are tried where the fit is poor, within a factor of e.
         check: whether units, signs, filters and single samples of the records are looked at. For each output that is

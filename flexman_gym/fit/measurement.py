@@ -21,8 +21,9 @@ class Filter:
     """A linear filter that a signal passed, by the coefficients of its transfer function in s, highest power first.
 
     Attributes:
-        numerator, denominator: such as (1.0,) and (0.1, 1.0) for 1 / (0.1 s + 1). It does not amplify fast signals more
-            than slow ones without end: the numerator has no higher power.
+        numerator: coefficients, the highest power of s first, such as (1.0,). It has no higher power than the
+            denominator: a filter does not amplify fast signals without end.
+        denominator: coefficients, the highest power first, such as (0.1, 1.0) for 1 / (0.1 s + 1).
 
     Raises:
         ValueError: for lists that are empty, not finite, or make no such filter, and for one that is not stable.
@@ -162,8 +163,8 @@ class Measurement:
 
         Args:
             path: of the file.
-            inputs, outputs: name -> column of the file. An input in a unit that is not its own is refused; so is an
-                output whose unit no output of this name has.
+            inputs: name -> column of the file. One in a unit that is not its own is refused.
+            outputs: name -> column of the file. One whose unit no output of this name has is refused.
             more: filters, gains and so on.
 
         Raises:

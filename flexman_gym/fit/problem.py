@@ -51,7 +51,9 @@ class Problem:
     The unknowns are logarithms of the free numbers over their start (p,), then nuisances: gains and offsets of sensors.
 
     Attributes:
-        free, ringing, responses: what is free, and what is known.
+        free: what is free.
+        ringing: what is known of frequencies.
+        responses: what is known of motions.
         parts: of the data.
         nuisances: their names.
         start: of all unknowns.

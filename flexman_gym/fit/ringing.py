@@ -27,7 +27,8 @@ class Ringing:
         joint_angles: (n,) rad; None for zero.
         lock_joints: whether the motors were held, else free.
         numbers: (k,) which vibrations of the model these are, from 0, the lowest first; None for the lowest k.
-        deviation, damping_deviation: standard deviations as parts of the numbers.
+        deviation: standard deviation of the frequencies, a part of them.
+        damping_deviation: standard deviation of the damping ratios, a part of them.
 
     Raises:
         ValueError: one line with field, value and what is allowed.

@@ -61,8 +61,11 @@ def paired_score(
     """Gives the score of a mean reward, and its bootstrap interval, for which all three are drawn together.
 
     Args:
-        rewards, zeros, ones: (N,) of the entrant and of those who mean 0 and 1, in the same episodes.
-        level, draws: see `stratified_interval`.
+        rewards: (N,) of the entrant.
+        zeros: (N,) in the same episodes, of those who mean 0.
+        ones: (N,) in the same episodes, of those who mean 1.
+        level: see `stratified_interval`.
+        draws: see `stratified_interval`.
 
     Raises:
         ValueError: as there.
@@ -110,7 +113,8 @@ def normalised_scores(rewards: Array, zero: float, one: float, most: float) -> A
 
     Args:
         rewards: of episodes.
-        zero, one: the rewards that mean 0 and 1.
+        zero: the reward that means 0.
+        one: the reward that means 1.
         most: the largest reward that an episode can have.
     """
     result = samples("rewards", rewards, 0, 1, 2)

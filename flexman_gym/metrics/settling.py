@@ -6,9 +6,12 @@ from flexman_gym.arrays import Array
 from flexman_gym.checks import one_of, physical, positive, refusal
 from flexman_gym.metrics.samples import finite_samples, last, samples
 
-BAND = 0.02 / 8.5  # of the reach, in which a tip has settled: 20 mm for 8.5 m
-MOVE_BANDS = (0.01, 0.05)  # of the distance of the move, the usual bands of settling times
-STAY = 1.0  # s, for which it must have stayed there at least
+BAND = 0.02 / 8.5
+"""Part of the reach in which a tip has settled: 20 mm for 8.5 m."""
+MOVE_BANDS = (0.01, 0.05)
+"""Parts of the distance of a move, the usual bands of settling times."""
+STAY = 1.0
+"""Time for which a tip must have stayed in its band at least, s."""
 START, ENTRY = "start", "entry"
 
 

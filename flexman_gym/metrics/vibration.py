@@ -6,7 +6,8 @@ from flexman_gym.arrays import Array
 from flexman_gym.checks import non_negative, one_of, physical, refusal
 from flexman_gym.metrics.samples import finite_samples, last, samples
 
-VIBRATING = 3.0  # s at the end, in which the vibration that is left is measured
+VIBRATING = 3.0
+"""Time at the end in which the vibration that is left is measured, s."""
 LEAST_SWING = 0.05  # of the largest swing of a decay; smaller ones are left out, with the noise and ripple in them
 
 

@@ -67,6 +67,12 @@ def curves(model: Model, states: Vector, points: int, gain: float = 1.0) -> Curv
 
     Raises:
         ValueError: for wrong shapes, values that are not finite, too few points and a gain < 0.
+
+    Examples:
+        >>> model = fm.build_model(fm.catalog.one_joint())
+        >>> shape = fm.curves(model, fm.rest_state(model, [0.0]), points=5)
+        >>> shape.positions.shape, shape.positions[0, -1].round(3)
+        ((1, 5, 3), array([0.8, 0. , 0. ]))
     """
     d = checked_model(model).n_dof
     shape = (*np.shape(states)[:-1], 2 * d)

@@ -66,7 +66,8 @@ def beam_shapes(xi: float, length: float, y: float, z: float) -> Array:
     Args:
         xi: place along the element, from 0 to 1.
         length: of the element, m.
-        y, z: place in the section, m.
+        y: place in the section, m.
+        z: place in the section, m.
     """
     axial = (1 - xi, xi)
     deflection, slope = _hermite(xi, length), _hermite_derivative(xi, length)

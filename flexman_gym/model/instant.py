@@ -37,6 +37,11 @@ def acceleration(model: Model, state: Vector, torque: Vector) -> Array:
 
     Raises:
         ValueError: for wrong shapes or values that are not finite.
+
+    Examples:
+        >>> model = fm.build_model(fm.catalog.one_joint())
+        >>> fm.acceleration(model, fm.rest_state(model, [0.0]), [1.0])[model.motor_columns]
+        array([100.])
     """
     x, v = split_state(model, state)
     out = np.zeros(model.n_dof)
@@ -51,6 +56,11 @@ def mass_matrix(model: Model, state: Vector) -> Array:
 
     Raises:
         ValueError: for a wrong shape or values that are not finite.
+
+    Examples:
+        >>> model = fm.build_model(fm.catalog.one_joint(), elements=1)
+        >>> fm.mass_matrix(model, fm.rest_state(model, [0.5])).shape
+        (8, 8)
     """
     x, _ = split_state(model, state)
     return _mass_matrix(model, inertial_forces(model, np.zeros(3)), x)
@@ -97,6 +107,11 @@ def frequencies(model: Model, joint_angles: Vector | Matrix | None = None, lock_
 
     Raises:
         ValueError: for anything but a Model, for wrong joint angles and a wrong flag.
+
+    Examples:
+        >>> model = fm.build_model(fm.catalog.one_joint())
+        >>> fm.frequencies(model, lock_joints=True)[:2].round(2)
+        array([ 1.41, 11.26])
     """
     n = checked_model(model).n_joints
     angles = np.zeros(n) if joint_angles is None else joint_angles
@@ -154,20 +169,20 @@ def inverse_dynamics(
 ) -> Array:
     """Gives the motor torques (n,) in N m for a motion of the joints (link side) of an arm of rigid links.
 
-    With rigid joints the torques, rotors included, are exact up to rounding. With flexible joints each motor runs ahead
-    by the torque on the links over the stiffness (Spong, Modeling and control of elastic joint robots, 1987). Its
-    acceleration takes the second derivative of this torque, hence jerks and snaps. The derivative is a difference along
-    the motion, extrapolated to order six. On random chains the torques are right to 1e-10 of the largest one.
+    Those of rigid joints are exact up to rounding. A motor on a spring runs ahead by the torque on the links over the
+    stiffness (Spong 1987, J. Dyn. Syst. 109, 310). Its acceleration is a difference along the motion, of order six.
 
     Args:
         model: the model.
-        joint_angles, joint_rates, joint_accelerations: (n,) rad, rad/s and rad/s^2.
-        joint_jerks, joint_snaps: (n,) rad/s^3 and rad/s^4; flexible joints need them.
+        joint_angles: (n,) rad.
+        joint_rates: (n,) rad/s.
+        joint_accelerations: (n,) rad/s^2.
+        joint_jerks: (n,) rad/s^3; flexible joints need them.
+        joint_snaps: (n,) rad/s^4; flexible joints need them.
 
     Raises:
-        ValueError: for wrong shapes, values that are not finite, missing jerks or snaps, and a flexible link; for a
-            flexible joint with a damper (the motor angle would solve a differential equation), with friction of its
-            motor or with a spinning rotor.
+        ValueError: for wrong shapes, values that are not finite, missing jerks or snaps, a flexible link, and for a
+            flexible joint with a damper, with friction of its motor or with a spinning rotor.
     """
     n, constants = checked_model(model).n_joints, model.constants
     motion = np.zeros((5, n))

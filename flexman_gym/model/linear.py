@@ -60,6 +60,13 @@ def linearize(
     Raises:
         ValueError: for wrong shapes, values that are not finite, a state and joint angles at once, unknown outputs or
             inputs, and the acceleration of the tip about a state that moves.
+
+    Examples:
+        >>> system = fm.linearize(fm.build_model(fm.catalog.one_joint()), outputs=("tip",))
+        >>> system.A.shape, system.B.shape, system.outputs
+        ((28, 28), (28, 1), ('tip_x (m)', 'tip_y (m)', 'tip_z (m)'))
+        >>> system.discrete(period=0.01).period
+        0.01
     """
     checked_model(model)
     if state is None:

@@ -82,7 +82,9 @@ def section_forces(
     At a lumped mass it is the inboard side. With foreshortening the inboard part is that of the stations.
 
     Args:
-        model, states, rates: as of `frames`, whose result is `motion`.
+        model: as of `frames`, whose result is `motion`.
+        states: as of `frames`, whose result is `motion`.
+        rates: as of `frames`, whose result is `motion`.
         link: counted from 0.
         positions: (P,) along the link, m.
     """
@@ -110,7 +112,8 @@ def part_energies(model: Model, motion: Frames, states: Array) -> dict[str, Arra
     """Gives energies (T, n) of links and joints, and (T, 1) of the payload, J, by name; their sum is that of the arm.
 
     Args:
-        model, states: as of `frames`, whose result is `motion`.
+        model: as of `frames`, whose result is `motion`.
+        states: as of `frames`, whose result is `motion`.
     """
     n, d, constants = model.n_joints, model.n_dof, model.constants
     kinetic, height = np.zeros((2, len(states), n))

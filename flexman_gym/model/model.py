@@ -34,6 +34,11 @@ class Model:
             (0, 0) of a rigid link.
         modal_damping: the part of `constants.damping` that comes from the modal damping ratio, packed like
             `constants.damping`.
+
+    Examples:
+        >>> model = fm.build_model(fm.catalog.paper_rrr(), elements=2)
+        >>> model.n_joints, model.n_motors, model.n_elastic, model.n_dof
+        (3, 3, 36, 42)
     """
 
     arm: Arm
@@ -139,9 +144,9 @@ def build_model(
             0. None keeps them all.
         flexible_links: False makes a link rigid.
         flexible_joints: False locks the springs of all joints; their rotor inertia stays.
-        stiffening: foreshortening of bent links (geometric stiffening). Links need it that spin about as fast as they
-            bend, or that bend far.
-        spinning_rotors, rotary_inertia: see `ModelChoice`.
+        stiffening: foreshortening of bent links (geometric stiffening), which links need that bend far or spin fast.
+        spinning_rotors: see `ModelChoice`.
+        rotary_inertia: see `ModelChoice`.
 
     Raises:
         ValueError: one line with field, value and what is allowed.

@@ -34,7 +34,9 @@ class LinearModel:
 
     Attributes:
         A: (s, s); B: (s, m); C: (p, s); D: (p, m).
-        states, inputs, outputs: names with units of x, u and y, as in the head of a CSV file, such as "tip_x (m)".
+        states: names with units of x, as in the head of a CSV file, such as "tip_x (m)".
+        inputs: names with units of u.
+        outputs: names with units of y.
         period: of a sampled model, s; None for a continuous one.
         balance: from which A, B, C and D were found; None of a model that was changed since.
     """

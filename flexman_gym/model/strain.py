@@ -33,8 +33,12 @@ def strain(model: Model, state: Vector, link: int, position: float, y: float = 0
     Foreshortening is no strain: the centreline keeps its length.
 
     Args:
-        model, state, link, position: as in `curvature`.
-        y, z: place in the section, m.
+        model: as in `curvature`.
+        state: as in `curvature`.
+        link: as in `curvature`.
+        position: as in `curvature`.
+        y: place in the section along y, m.
+        z: place in the section along z, m.
 
     Raises:
         ValueError: as in `curvature`.

@@ -26,6 +26,10 @@ class Payload:
     Raises:
         ValueError: for a mass that is negative or not finite, for an inertia or an offset without a mass, and for an
             inertia that no rigid body has.
+
+    Examples:
+        >>> fm.Payload(0.1, offset=(0.0, 0.02, 0.0)).mass
+        0.1
     """
 
     mass: float
@@ -54,6 +58,12 @@ class Arm:
     Raises:
         ValueError: when there is no link, when links and joints differ in number or hold something else, when gravity
             is not three finite numbers, and when a damping is outside its range.
+
+    Examples:
+        >>> joint = fm.Joint((0, 0, 1), rotor_inertia=0.01, stiffness=30.0)
+        >>> arm = fm.Arm([fm.Link.tube(0.5, diameter=0.02, wall=0.001)], [joint], fm.Payload(0.1), (0, 0, -9.81))
+        >>> arm.n_joints
+        1
     """
 
     links: Sequence[Link | NonUniformLink]

@@ -11,7 +11,10 @@ from flexman_gym.scene.arm import Arm, Payload
 from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import IDENTITY, UP, Link
 
-TOOL, LIGHT_TOOL = Payload(0.1), Payload(0.05)
+TOOL = Payload(0.1)
+"""Payload of `vertical_2r`, 0.1 kg."""
+LIGHT_TOOL = Payload(0.05)
+"""Payload of `one_joint`, 0.05 kg."""
 _LINK1_AREAS = {"printed": 0.028, "corrected": 0.0028}
 
 
@@ -48,6 +51,10 @@ def paper_rrr(
 
     Raises:
         ValueError: for another `link1_area`, and for arguments that Joint or Arm refuses.
+
+    Examples:
+        >>> [link.length for link in fm.catalog.paper_rrr().links]
+        [1.0, 4.0, 3.5]
     """
     area = _LINK1_AREAS[one_of("link1_area", link1_area, _LINK1_AREAS)]
     links = (
@@ -98,8 +105,12 @@ def one_link(
     2.55e-8 m^4 of a solid disc. The numbers stay because a reference trajectory uses them.
 
     Args:
-        axis, rotor_inertia, joint_stiffness: of the hub's Joint; by default a rigid joint about +Z without a rotor.
-        payload, gravity, damping: of the Arm, as in `paper_rrr`.
+        axis: of the hub's Joint; by default +Z.
+        rotor_inertia: of the hub's Joint, kg m^2; by default none.
+        joint_stiffness: of the hub's Joint, N m/rad; by default it is rigid.
+        payload: of the Arm, as in `paper_rrr`.
+        gravity: of the Arm, as in `paper_rrr`.
+        damping: of the Arm, as in `paper_rrr`.
 
     Raises:
         ValueError: for arguments that Joint or Arm refuses.
@@ -126,7 +137,9 @@ def planar_2r(
     Args:
         rotor_inertia: of each joint, kg m^2.
         joint_stiffness: of each joint, N m/rad; None for rigid joints.
-        payload, gravity, damping: of the Arm, as in `paper_rrr`.
+        payload: of the Arm, as in `paper_rrr`.
+        gravity: of the Arm, as in `paper_rrr`.
+        damping: of the Arm, as in `paper_rrr`.
 
     Raises:
         ValueError: for arguments that Joint or Arm refuses.
@@ -140,7 +153,9 @@ def vertical_2r(payload: Payload | None = TOOL, gravity: Vector = (0.0, 0.0, -9.
     """Builds two aluminium strips of 0.5 m that move in the vertical x-z plane, on elastic joints, with their motors.
 
     Args:
-        payload, gravity, damping: of the Arm, as in `paper_rrr`; by default 0.1 kg and the earth's.
+        payload: of the Arm; by default 0.1 kg.
+        gravity: of the Arm, (3,) m/s^2; by default the earth's.
+        damping: of the Arm, as in `paper_rrr`.
 
     Raises:
         ValueError: for what Arm refuses.
@@ -162,7 +177,9 @@ def one_joint(payload: Payload | None = LIGHT_TOOL, gravity: Vector = (0.0, 0.0,
     """Builds an aluminium strip of 0.8 m on one elastic joint, which turns it in a horizontal plane about +Z.
 
     Args:
-        payload, gravity, damping: of the Arm, as in `paper_rrr`; by default 0.05 kg and none.
+        payload: of the Arm; by default 0.05 kg.
+        gravity: of the Arm, (3,) m/s^2; by default none.
+        damping: of the Arm, as in `paper_rrr`.
 
     Raises:
         ValueError: for what Arm refuses.

@@ -20,7 +20,8 @@ class Signal:
     """A sine with an offset: offset + amplitude sin(2 pi frequency_hz t + phase) for start <= t < stop, and 0 outside.
 
     Attributes:
-        offset, amplitude: in the unit of the driven quantity.
+        offset: mean, in the unit of the driven quantity.
+        amplitude: in that unit.
         frequency_hz: Hz, >= 0.
         phase: rad.
         start: s, >= 0.

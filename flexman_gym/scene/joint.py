@@ -31,6 +31,10 @@ class Joint:
         ValueError: for an axis whose length is not 1 within 1e-9, for a number that is negative or not finite, for a
             damper without a spring, for a spring without a rotor (its coordinate would have no mass), and for a rotor
             inertia or a torque limit beside a motor that says another one.
+
+    Examples:
+        >>> fm.Joint((0, 0, 1), rotor_inertia=0.01, stiffness=30.0).axis
+        (0.0, 0.0, 1.0)
     """
 
     axis: Vector

@@ -52,6 +52,11 @@ class Link:
     Raises:
         ValueError: for a number that is not from 1e-30 to 1e30, for an orientation that is not a rotation within 1e-9,
             for a mass beyond the tip, and for an outline of another area or other second moments of area.
+
+    Examples:
+        >>> link = fm.Link(0.8, 6e-5, 2.88e-11, 5e-9, 1.15e-10, 69e9, 26e9, 2700.0)
+        >>> round(link.mass, 3)
+        0.13
     """
 
     length: float
@@ -100,14 +105,22 @@ class Link:
         plane. Thin along "z" it is like a diving board: its width is along y, and it bends easily in its x-z plane.
 
         Args:
-            length, width, thickness: m; the thickness is the smaller size of the section.
+            length: m.
+            width: larger size of the section, m.
+            thickness: smaller size of the section, m.
             thin: "y" or "z", the axis of the link along which it is thin.
             material: "aluminium", "steel" or "titanium", whose numbers `scene.sections.material_of` gives with their
                 source; or three numbers: Young's modulus (Pa), shear modulus (Pa) and density (kg/m^3).
-            orientation, masses: as of any Link.
+            orientation: as of any Link.
+            masses: as of any Link.
 
         Raises:
             ValueError: for a size that is not positive, a thickness above the width, another axis or material.
+
+        Examples:
+            >>> ruler = fm.Link.strip(length=0.8, width=0.05, thickness=0.001)
+            >>> round(ruler.mass, 3)
+            0.108
         """
         return cls._outlined(length, strip_outline(width, thickness, thin), material, orientation, masses)
 
@@ -124,8 +137,12 @@ class Link:
         """Builds a round tube.
 
         Args:
-            length, diameter, wall: m; the diameter is the outer one.
-            material, orientation, masses: as of `strip`.
+            length: m.
+            diameter: outer one, m.
+            wall: thickness of the wall, m.
+            material: as of `strip`.
+            orientation: as of `strip`.
+            masses: as of `strip`.
 
         Raises:
             ValueError: for a size that is not positive, and for a wall above half of the diameter.
@@ -144,8 +161,11 @@ class Link:
         """Builds a solid round rod.
 
         Args:
-            length, diameter: m.
-            material, orientation, masses: as of `strip`.
+            length: m.
+            diameter: m.
+            material: as of `strip`.
+            orientation: as of `strip`.
+            masses: as of `strip`.
 
         Raises:
             ValueError: for a size that is not positive.

@@ -22,6 +22,12 @@ class Motor:
     Raises:
         ValueError: for a number that is not from 1e-30 to 1e30 (the rotor inertia may be 0), and for an efficiency
             outside its range.
+
+    Examples:
+        >>> motor = fm.Motor(gear_ratio=100, torque_constant=0.05, rotor_inertia=2e-6, current_limit=1.5)
+        >>> joint = fm.Joint((0, 0, 1), stiffness=30.0, motor=motor)
+        >>> round(joint.rotor_inertia, 3), joint.torque_limit
+        (0.02, 7.5)
     """
 
     gear_ratio: float

@@ -83,6 +83,11 @@ class SampledTorque:
 
     Raises:
         ValueError: one line with field, value and what is allowed.
+
+    Examples:
+        >>> torque = fm.SampledTorque(times=[0.0, 0.5, 1.0], values=[[0.1], [-0.1], [0.0]], hold="zero")
+        >>> torque.times
+        (0.0, 0.5, 1.0)
     """
 
     kind: ClassVar[str] = "sampled"

@@ -79,6 +79,13 @@ class Scene:
     Raises:
         ValueError: for a part that has the wrong type or does not fit the number of joints of the arm, for a torque on
             a motor whose motion is prescribed, and for samples that do not last from 0 to the duration.
+
+    Examples:
+        >>> choice = fm.ModelChoice(flexible_links=(True,), elements=(2,))
+        >>> start = fm.Initial(joint_angles=(0.0,), joint_rates=(0.0,))
+        >>> scene = fm.Scene(fm.catalog.one_joint(), choice, fm.ConstantTorque((0.1,)), start, 1.0, output_step=0.01)
+        >>> scene.duration
+        1.0
     """
 
     arm: Arm

@@ -49,7 +49,9 @@ def warn_of_section(length: float, area: float, polar: float, torsion: float) ->
 
     Args:
         length: m.
-        area, polar, torsion: m^2, sum of both second moments of area and torsion constant, m^4.
+        area: m^2.
+        polar: sum of both second moments of area, m^4.
+        torsion: torsion constant, m^4.
     """
     radius, size = math.sqrt(polar / area), math.sqrt(area)
     if size > FAT * length:
@@ -70,7 +72,9 @@ def warn_of_loads(name: str, mass: float, inertia: Any, offset: Any, arm: tuple[
 
     Args:
         name: of the body.
-        mass, inertia, offset: kg, (3, 3) kg m^2 and (3,) m, None where there is none.
+        mass: kg.
+        inertia: (3, 3) kg m^2, None where there is none.
+        offset: (3,) m, None where there is none.
         arm: mass of its links (kg) and their length (m).
     """
     size = math.sqrt(max(inertia[i][i] for i in range(3)) / mass) if inertia is not None and mass > 0.0 else 0.0

@@ -28,7 +28,8 @@ class Batch:
     alone, bit for bit.
 
     Attributes:
-        model, method: the model and the Method.
+        model: the model.
+        method: the Method.
         control_period: s.
         substeps: steps in a control period, at most 100000.
         rows: (b, 2 d + 2) state and ledger of each arm, see `kernels.layout`.

@@ -18,7 +18,8 @@ def alarm(residual: Any, turned_over: Any, level: float = ENERGY_ALARM) -> Any:
     """Tells whether a residual of the energy is more than a part of the energy turned over.
 
     Args:
-        residual, turned_over: numbers or arrays, J.
+        residual: number or array, J.
+        turned_over: number or array, J.
         level: the part.
     """
     return abs(residual) > level * turned_over

@@ -32,7 +32,8 @@ class Episode:
     Attributes:
         time: (T + 1,) s, from the reset on.
         states: (T + 1, 2 d), the order is that of `kernels.layout`.
-        tips, targets: (T + 1, 3) m, base frame.
+        tips: (T + 1, 3) m, base frame.
+        targets: (T + 1, 3) m, base frame.
         errors: (T + 1,) m, distances of tip and target.
         readings: name -> (T + 1, k) what the agent's sensors had read last.
         actions: (T, n) what the motors were asked for, parts of their limits.

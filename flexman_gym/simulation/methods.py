@@ -73,3 +73,4 @@ def _implicit() -> tuple[Method, ...]:
 
 DEFAULT = "midpoint_3_sweeps"  # wherever steps are fixed and no method is named
 METHODS: dict[str, Method] = {method.name: method for method in (*_explicit(), *_linearly_implicit(), *_implicit())}
+"""Methods that have a name: name -> Method, with its order, family and source."""

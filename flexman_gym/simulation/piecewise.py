@@ -64,7 +64,9 @@ def run_pieces(
         run: what moves it.
         pieces: of the drive.
         plan: time between rows (s), and steps in it.
-        state, rows, outputs: overwritten as by a `Run`.
+        state: overwritten as by a `Run`.
+        rows: overwritten as by a `Run`.
+        outputs: overwritten as by a `Run`.
         first: number of the first of the rows, since the drive began.
 
     Returns:

@@ -22,7 +22,8 @@ class Recorder:
         most: states that are kept.
 
     Attributes:
-        times, states: of the last control periods at whose start the arm was well, s and (2 d,) each, oldest first.
+        times: of the last control periods at whose start the arm was well, oldest first, s.
+        states: of these control periods, (2 d,) each.
 
     Raises:
         ValueError: one line with field, value and what is allowed.

@@ -46,7 +46,8 @@ def find_tolerance(method: Method, step: float | None, rtol: float, atol: float)
     Args:
         method: the method.
         step: s; None lets the method choose.
-        rtol, atol: relative and absolute local error.
+        rtol: relative local error.
+        atol: absolute local error.
 
     Raises:
         ValueError: for a tolerance that is not > 0, and for no step where the method takes fixed steps.

@@ -41,10 +41,16 @@ def simulate(
             gives an output after every step. Steps are shorter where a sample of the drive ends one. None lets a
             method that estimates its error choose its steps. A reference
             always chooses its steps; the given step is its first guess.
-        rtol, atol: relative and absolute local error, of a method that chooses its steps.
+        rtol: relative local error, of a method that chooses its steps.
+        atol: absolute local error, of such a method.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
+
+    Examples:
+        >>> trajectory = fm.simulate(fm.catalog.paper_scene("ff"), method="midpoint_3_sweeps", step=0.005)
+        >>> trajectory.status, trajectory.tip.shape, trajectory.tip[-1].round(1)
+        ('ok', (201, 3), array([ 1.1,  2.1, -0.6]))
     """
     plan = find_plan(scene, model, method, step, rtol, atol)
     return follow(scene, plan)

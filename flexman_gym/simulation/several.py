@@ -51,7 +51,10 @@ def simulate_all(
     Args:
         scenes: b scenes, of the same duration and output step, and with the same joints prescribed.
         model: None takes the model that the scenes ask for; then they are of equal arms.
-        method, step, rtol, atol: see `simulate`.
+        method: see `simulate`.
+        step: see `simulate`.
+        rtol: see `simulate`.
+        atol: see `simulate`.
         threads: most threads that move scenes, 1 to 256.
         parameters: values (b, ...) of physical parameters in place of the model's, by name, see `Batch.vary`.
 

@@ -28,7 +28,10 @@ class Simulator:
 
     Attributes:
         batch: the Batch of this one arm.
-        model, method, control_period, substeps: as of the batch.
+        model: as of the batch.
+        method: as of the batch.
+        control_period: as of the batch.
+        substeps: as of the batch.
         state: (2 d,) coordinates and speeds, a view that `step` updates; order in `kernels.layout`.
         outputs: (OUTPUTS,) tip, deflection and energies at that state; columns in `kernels.layout`.
         prescribed: (n,) bool.
@@ -39,6 +42,14 @@ class Simulator:
 
     Raises:
         ValueError: one line with field, value and what is allowed.
+
+    Examples:
+        >>> simulator = fm.Simulator(fm.build_model(fm.catalog.one_joint()), control_period=0.01)
+        >>> simulator.reset(joint_angles=[0.3])
+        >>> simulator.step([0.1])
+        'ok'
+        >>> simulator.time, simulator.state.shape
+        (0.01, (28,))
     """
 
     def __init__(

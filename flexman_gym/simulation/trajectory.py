@@ -43,8 +43,10 @@ class Trajectory:
 
     Attributes:
         time: (T,) s.
-        tip, tip_velocity: (T, 3) in the base frame.
-        joint_angles, motor_angles: (T, n) link side and motor side; equal where a joint is rigid.
+        tip: (T, 3) m, in the base frame.
+        tip_velocity: (T, 3) m/s, in the base frame.
+        joint_angles: (T, n) rad, link side.
+        motor_angles: (T, n) rad, motor side; equal where a joint is rigid.
         energy: (T,) kinetic + elastic (links and joints) + gravitational energy, the last zero at the base origin, J.
         moving_energy: (T,) its kinetic and elastic part, J.
         work: (T,) of motors, tip force and base acceleration since the start, J.

@@ -36,19 +36,24 @@ class View:
         gauge_radii: (n, 3) distances of the gauges of `root_strains` from the axis of the link, m.
         control_period: s.
         state: (b, 2 d) coordinates and speeds of the model, in the order of `kernels.layout`.
-        joint_angles, joint_rates: (b, n) rad and rad/s, of the side of the links.
-        motor_angles, motor_rates: (b, n) rad and rad/s; of the joint where it is rigid.
-        joint_twists, joint_twist_rates: (b, n) motor angle - joint angle, rad, and its rate, rad/s.
-        link_deflections, link_deflection_rates: (b, 2 n) of the tip of each link along y and z of its beam frame, m and
-            m/s.
-        tip, tip_velocity: (b, 3) in the base frame, m and m/s.
-        deflection, deflection_rate: (b, 3) of the tip relative to that of the rigid arm at the motor angles, m and m/s.
+        joint_angles: (b, n) rad, of the side of the links.
+        joint_rates: (b, n) rad/s, of the side of the links.
+        motor_angles: (b, n) rad; of the joint where it is rigid.
+        motor_rates: (b, n) rad/s; of the joint where it is rigid.
+        joint_twists: (b, n) motor angle - joint angle, rad.
+        joint_twist_rates: (b, n) its rate, rad/s.
+        link_deflections: (b, 2 n) of the tip of each link along y and z of its beam frame, m.
+        link_deflection_rates: (b, 2 n) its rate, m/s.
+        tip: (b, 3) in the base frame, m.
+        tip_velocity: (b, 3) in the base frame, m/s.
+        deflection: (b, 3) of the tip relative to that of the rigid arm at the motor angles, m.
+        deflection_rate: (b, 3) its rate, m/s.
         motion: (b, 8 n + 3) all quantities that may have a limit, side by side: the above from motor_angles to
             link_deflection_rates, then tip_velocity.
         places: name -> slice of `motion`.
         units: name -> unit, of all quantities that an instrument may measure.
-        goal_angles, goal_rates: (b, n) the goal of the motors, rad, and how fast it moved in the last control period,
-            rad/s.
+        goal_angles: (b, n) the goal of the motors, rad.
+        goal_rates: (b, n) how fast it moved in the last control period, rad/s.
         target: (b, 3) the goal of the tip in the base frame, m.
         target_velocity: (b, 3) of a target that moves, over the last control period, m/s.
         target_error: (b, 3) target - tip, m.
@@ -56,7 +61,8 @@ class View:
         tip_error: (b,) distance of tip and target, m.
         tip_vibration: (b,) speed of the tip relative to that of the rigid arm at the motor angles and rates, m/s.
         elastic_energy: (b,) of links and joints, J.
-        energy_residual, energy_turnover: (b,) J, see `Batch`.
+        energy_residual: (b,) J, see `Batch`.
+        energy_turnover: (b,) J, see `Batch`.
         action: (b, n) what the motors were asked for in the last period, parts of the torque limits.
         effort: (b,) mean of the squared actions (parts of the torque limits) of the last period.
         failed: (b,) whether the last step ended the episode by a limit or a divergence.

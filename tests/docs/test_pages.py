@@ -1,6 +1,8 @@
-"""Pages: what they show runs and prints what they say, and every link leads somewhere."""
+"""Pages: what they and the README show runs and prints what they say."""
 
+import argparse
 import contextlib
+import importlib
 import io
 import re
 import shlex
@@ -15,9 +17,10 @@ from flexman_gym.envs.description import Description
 
 from oracles.files import ROOT
 
-PAGES = ("own_task", "own_sensors", "own_arm", "own_controller", "training", "theory", "bench", "policies", "pictures")
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-LINK = re.compile(r"\]\(([^)\s]+)\)")
+DOCS, README = ROOT / "docs", (ROOT / "README.md").read_text(encoding="utf-8")
+TEXTS = {str(path.relative_to(DOCS))[:-3]: path.read_text(encoding="utf-8") for path in sorted(DOCS.rglob("*.md"))}
+PAGES = [page for page, text in TEXTS.items() if "python" in [language for language, _ in BLOCK.findall(text)]]
 # What a command or a training of a page takes here, in place of what it says.
 LESS = {"--steps": "512", "--episodes": "2", "--judge-every": "256"}
 LESS_IN_PYTHON = (r"STEPS = [\d_]+", "STEPS = 256"), (r"circles\(\d+\)", "circles(4)")
@@ -36,7 +39,7 @@ def checkout(tmp_path, monkeypatch):
 
 def blocks(page):
     """Languages and texts of the blocks of a page."""
-    return BLOCK.findall((ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8"))
+    return BLOCK.findall(TEXTS[page])
 
 
 def run(code, page, names):
@@ -70,7 +73,6 @@ def test_a_page_runs_and_prints_what_it_says(page, checkout):
     if page == "bench":
         pytest.importorskip("matplotlib").use("Agg")
     names, result = {"__name__": "page"}, blocks(page)
-    assert [language for language, _ in result].count("python") >= 2
     for (language, text), (following, said) in pairwise([*result, ("", "")]):
         if language == "sh":
             run_commands(text)
@@ -85,15 +87,43 @@ def test_the_bench_takes_at_most_forty_lines_of_the_readers_own():
     assert len([line for line in code if line.strip()]) <= 40
 
 
+def test_the_readme_runs(checkout):
+    pytest.importorskip("moviepy")
+    names = {"__name__": "page"}
+    for language, code in BLOCK.findall(README):
+        if language == "python" and "PPO(" not in code:
+            run(code, "README", names)
+    assert {path.name for path in checkout.iterdir()} >= {"videos", "scene.yaml", "paper_ff.csv"}
+
+
 def test_the_first_training_of_the_readme_trains():
     pytest.importorskip("stable_baselines3")
-    (code,) = (text for _, text in BLOCK.findall((ROOT / "README.md").read_text(encoding="utf-8")) if "PPO(" in text)
+    (code,) = (text for _, text in BLOCK.findall(README) if "PPO(" in text)
     for much, less in (("1_000_000", "96"), ('-v0", 256', '-v0", 4'), ("range(9000, 9100)", "[9000, 9001]")):
         assert much in code
         code = code.replace(much, less)
     names = {"__name__": "page"}
     printed = run(code, "README", names)
     assert printed.startswith("{'reward': ") and "'settled'" in printed and names["model"].num_timesteps == 96
+
+
+COMMANDS = [line.partition("#")[0] for _, text in BLOCK.findall(README) for line in text.splitlines()
+            if line.startswith("flexman ")]  # fmt: skip
+
+
+@pytest.mark.parametrize("line", COMMANDS)
+def test_commands_of_the_readme_take_these_arguments(line):
+    pytest.importorskip("stable_baselines3")
+    _, command, *words = shlex.split(line)
+    parser = argparse.ArgumentParser()
+    importlib.import_module(f"flexman_gym.commands.{command}").arguments(parser)
+    parser.parse_args(words)
+
+
+def test_targets_of_make_are_there():
+    targets = re.findall(r"^make (\w+)", README, re.MULTILINE)
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    assert targets and all(f"\n{target}:" in makefile for target in targets)
 
 
 def test_the_examples_are_those_of_the_pages():
@@ -106,15 +136,6 @@ def test_the_examples_are_those_of_the_pages():
 
 
 def test_every_file_among_the_examples_is_shown_somewhere():
-    pages = "".join((ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8") for page in PAGES)
-    pages += (ROOT / "README.md").read_text(encoding="utf-8") + "paper_ff.yaml"
+    pages = "".join(TEXTS.values()) + README
     for path in (ROOT / "docs" / "examples").iterdir():
         assert path.name in pages, path
-
-
-@pytest.mark.parametrize("page", ["README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md"))])
-def test_links_and_pictures_lead_somewhere(page):
-    text = BLOCK.sub("", (ROOT / page).read_text(encoding="utf-8"))
-    for target in LINK.findall(text):
-        if "://" not in target and not target.startswith("#"):
-            assert ((ROOT / page).parent / target.partition("#")[0]).exists(), target

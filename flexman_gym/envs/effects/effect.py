@@ -10,6 +10,7 @@ from flexman_gym.envs.limits import Limits
 from flexman_gym.simulation.batch import Batch
 
 Range = tuple[float, float]
+"""Least and largest value that may be drawn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,7 +18,8 @@ class Stage:
     """What effects act on.
 
     Attributes:
-        batch, limits: the arms and their limits.
+        batch: the arms.
+        limits: their limits.
         bound: (size,) range of each quantity that is measured.
         torque_limits: (b, n) N m, which effects may overwrite; `nominal` (n,) is what they are without.
         impulse_gap: s.
@@ -32,6 +34,7 @@ class Stage:
 
 
 HOOKS = ("begin", "change_start", "motor_actions", "add_tip_forces", "add_base_accelerations", "measure")
+"""Methods of an effect, in the order of a control period; each may be left out."""
 
 
 class Effect(Protocol):

@@ -19,3 +19,4 @@ SIGNALS: dict[str, Any] = {
     "tip_load": TipLoad,
     "base_sway": BaseSway,
 }
+"""Effects on signals: attribute of a `Randomisation` -> class."""

@@ -28,8 +28,11 @@ SENSORS: dict[str, Callable[[], Sensor]] = {
     "command": Command,
     "action": Action,
 }
+"""Sensors that have a name: name -> what makes one."""
 SETS = {"lab": ("motor_encoders", "joint_encoders", "strain", "command")}
+"""Sets of sensors: name -> names in `SENSORS`."""
 NAMES = (*SENSORS, *SETS)
+"""All names that the keyword `sensors` of an environment takes."""
 
 
 def find_sensors(value: object) -> tuple[object, ...]:

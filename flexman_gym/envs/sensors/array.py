@@ -28,7 +28,8 @@ class Sensors:
             agent do; an entry that two of them read is that of the first.
 
     Attributes:
-        slices, units: name -> slice of the observation, and unit.
+        slices: name -> slice of the observation.
+        units: name -> unit.
         bound: (size,) largest magnitude of each number.
         observations: (b, size) of the last reading, which the next one overwrites.
         readings: name -> (b, ...) its part of that entry.

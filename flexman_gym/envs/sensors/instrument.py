@@ -56,6 +56,7 @@ class Flaws:
 
 
 FLAWS = tuple(each.name for each in fields(Flaws))
+"""Names of the flaws that a sensor may have, see `Flaws`."""
 
 
 class Instrument:

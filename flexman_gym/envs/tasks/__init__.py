@@ -10,6 +10,7 @@ from flexman_gym.envs.tasks.task import MEMBERS, OPTIONAL, Goal, Task
 from flexman_gym.envs.tasks.track import Track
 
 TASKS: dict[str, type[Any]] = {"slew": Slew, "track": Track, "hold": Hold}
+"""Tasks that have a name: name -> class."""
 
 
 def find_task(value: object) -> Any:

@@ -65,7 +65,8 @@ class Slew:
         v0: first version.
 
     Attributes:
-        start, slew: rad.
+        start: largest angle of a motor at the start, rad.
+        slew: largest change of an angle from the start to the goal, rad.
         reward: "bells", "distance" or "exponential".
         pairs: how many starts with their goals there are, of which an episode draws one; 0 for any. Controllers that
             plan remember those that they have seen, which makes training with few of them quicker.

@@ -40,7 +40,7 @@ def first(name: str) -> list[str]:
     ]
     known = "No recipe has been measured here; those of [learning.md](../learning.md) have these settings."
     if recipe:
-        known = f"The recipe [`{recipe}`](../../agents/recipes/{recipe}.yaml) has these settings, and "
+        known = f"The recipe `{recipe}` has these settings, and "
         known += "[learning.md](../learning.md) what it reaches."
     words = "".join(f"    {key}={value!r},\n" for key, value in settings.items()).replace("'", '"').splitlines()
     made = [f'arms = gym.make_vec("{name}", {ARMS}, "vector_entry_point", autoreset_mode="SameStep",', *words, ")"]
