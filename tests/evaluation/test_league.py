@@ -150,7 +150,7 @@ def test_the_hash_of_the_code_is_that_of_what_plays(tmp_path, monkeypatch):
 
     known = digest()
     (tmp_path / "evaluation/league_page.py").write_text("another page")
-    (tmp_path / "kernels/a.py").write_text('"""Other words."""\n\na = 1  # and a reason\n')
+    (tmp_path / "kernels/a.py").write_text('"""Other words."""\n\na = 1  # and a reason\n"""Of a number."""\n')
     assert digest() == known, "words alone are other ones"
     for name in ("kernels/a.py", "envs/conditions/b.yaml", "evaluation/rollout.py"):
         (tmp_path / name).write_text("a = 2\n")
