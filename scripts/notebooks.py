@@ -27,9 +27,9 @@ def cells(page: str) -> list[tuple[str, str]]:
 
 def notebook(page: str) -> dict[str, Any]:
     """Gives a page as a notebook of format 4.5."""
-    made = []
+    made: list[dict[str, Any]] = []
     for number, (kind, text) in enumerate(cells(page)):
-        own = {"outputs": [], "execution_count": None} if kind == "code" else {}
+        own: dict[str, Any] = {"outputs": [], "execution_count": None} if kind == "code" else {}
         lines = text.splitlines(keepends=True)
         made.append({"cell_type": kind, "id": f"cell-{number}", "metadata": {}, "source": lines, **own})
     kernel = {"name": "python3", "display_name": "Python 3", "language": "python"}

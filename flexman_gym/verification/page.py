@@ -16,7 +16,8 @@ RULE = (
 SUMMARY = "{passed} of {judged} rows pass, {failed} fail. Another {shown} are shown without a verdict."
 PAGE = """# Verification
 
-{summary} `make verify` writes this page anew.
+{summary} What is known from elsewhere stands beside what this package computes: closed forms, published values and
+independent codes. A row that fails makes `make verify` fail, which writes this page anew.
 
 {rule}
 

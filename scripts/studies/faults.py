@@ -39,6 +39,9 @@ EVERY = {"ppo": 160, "sac": 64}  # steps between savings, so that much of the ti
 HEADS = ("fault", "tried", "survived", "lost")
 PAGE = """# What a run survives
 
+Trainings were killed, starved of disk and started twice in one folder. All of them could go on. A run that was killed
+ends with the same bits as one that was not. What a kill costs are the steps since the last saving.
+
 `python scripts/faults.py` writes this page anew. Each fault is tried on processes that train `FlexOne-v0` with
 payloads, delays and noise that differ from episode to episode, and that save every few rollouts.
 

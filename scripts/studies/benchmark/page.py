@@ -25,6 +25,11 @@ STARTS_NOTE = (
 )
 HEAD = """# Benchmark
 
+How fast arms move, environments step and processes start, on one machine. One arm steps somewhat slower than the rigid
+arm of Reacher-v5, and many arms in one environment several times as fast. A training spends most of its time in the
+networks, not in the arms. The first start of all compiles kernels, which takes about a minute. Every later one takes
+about a second.
+
 `make benchmark` writes this page anew; the rows are in `benchmark.csv`.
 
 Computed with {machine}.

@@ -10,11 +10,13 @@ NEAR = 5.0  # a choice knows its error when the estimate is right within this fa
 CHEAP = 2.0  # times the cost of the cheapest plain run: a choice that costs no more is cheap
 PAGE = """# Choices of `choose_model`
 
-`python scripts/fidelity.py` writes this page and its rows ([fidelity.csv](fidelity.csv)) anew.
-
 `choose_model` looks for the cheapest model, method and step whose tip stays within a tolerance in a scene.
 Here its choices are run again and judged by the finest model of the scene.
-That model has all modes and foreshortening, and `dop853` integrates it.
+Of {count} choices {met} meet their tolerance, and {near} know how large their error is.
+As to cost, {cheap} are at most twice as dear as the cheapest plain run that is good enough.
+
+`python scripts/fidelity.py` writes this page and its rows ([fidelity.csv](fidelity.csv)) anew.
+The finest model has all modes and foreshortening, and `dop853` integrates it.
 
 {conclusion}
 
@@ -67,7 +69,7 @@ def page(rows: Sequence[Row], opened: Sequence[Row] = ()) -> str:
     """The page as Markdown, from all rows, and those of open meshes."""
     names = [field.name for field in fields(Row)]
     columns = bullets(COLUMN.format(name=name, meaning=COLUMNS[name]) for name in names)
-    known = {"methods": _listed(GRID_METHODS), "parts": len(GRID_PARTS)}
+    known = {"methods": _listed(GRID_METHODS), "parts": len(GRID_PARTS), **_numbers(rows)}
     text = PAGE.format(conclusion=conclusion(rows), columns="\n".join(columns), table=_table(rows), **known)
     if opened:
         text += OPEN.format(conclusion=conclusion(opened), methods=_listed(OPEN_METHODS), table=_table(opened))
@@ -86,13 +88,16 @@ def _listed(names: Sequence[str]) -> str:
 
 def conclusion(rows: Sequence[Row]) -> str:
     """How many choices are right, know their error, and are cheap."""
-    numbers = {
+    return CONCLUSION.format(**_numbers(rows), factor=NEAR, most=CHEAP)
+
+
+def _numbers(rows: Sequence[Row]) -> dict[str, int]:
+    return {
         "count": len(rows),
         "met": sum(row.error <= row.tolerance for row in rows),
         "near": sum(1.0 / NEAR <= row.ratio <= NEAR for row in rows),
         "cheap": sum(row.dearer <= CHEAP for row in rows),
     }
-    return CONCLUSION.format(**numbers, factor=NEAR, most=CHEAP)
 
 
 def _cell(value: str | float) -> str:

@@ -7,6 +7,10 @@ from studies.planted.planting import CAUGHT, EQUIVALENT, SURVIVED, Planted
 
 PAGE = """# Which errors the tests notice
 
+Errors are planted in the sources, one at a time, and the tests are asked to notice.
+Of {planted} they catch {caught_count}. No input shows {equivalent_count} of the others, and {survived_count} survive.
+A test suite that passes says little; one that fails when the code is wrong says more.
+
 `python scripts/plant.py` makes one place in the sources wrong, runs the tests of its room until one fails, and takes
 the error back. It writes this page and its rows ([planted.csv](planted.csv)) anew; `--room` and `--only` run a part
 and keep the other rows. The errors are files in `scripts/studies/planted/errors`.
@@ -41,13 +45,14 @@ def counts(rows: Sequence[Planted]) -> list[tuple[object, ...]]:
 def page(rows: Sequence[Planted]) -> str:
     """Gives the page as Markdown."""
     heads = ("room", "planted", *OUTCOMES)
+    known = dict(zip(("planted", "caught_count", "equivalent_count", "survived_count"), _counted(rows), strict=True))
     parts = {
         "counts": "\n".join(markdown_table(heads, counts(rows))),
         "surviving": _table(rows, SURVIVED, "tests run"),
         "equivalent": _table(rows, EQUIVALENT, "why nothing shows"),
         "caught": _table(rows, CAUGHT, "first test that fails"),
     }
-    return PAGE.format(**parts)
+    return PAGE.format(**parts, **known)
 
 
 def _counted(rows: Iterable[Planted]) -> list[int]:

@@ -10,6 +10,10 @@ from studies.ringdown.measure import Row
 
 PAGE = """# Ring-down: does a method keep the vibration that there is?
 
+Arms are let go, hit or driven, and seconds later each method is compared with the truth. The default keeps the energy
+of a released vibration to a few percent in most cases. `ros2` at 5 ms is far off, and MuJoCo's `discrete` integrator
+leaves next to nothing. Explicit methods fail on released arms at every step that was tried.
+
 `python scripts/ring_down.py --folder docs` writes this page, its picture and its rows
 ([ring_down.csv](ring_down.csv)) anew.
 

@@ -5,6 +5,11 @@ from collections.abc import Sequence
 from flexman_gym.verification.markdown import markdown_table
 from studies.servos.measure import APART, BANDWIDTHS, DELAYS, ENVIRONMENTS, LARGEST, PERIODS, SPRINGS, Row
 
+SAYS = (
+    "How much the gains of a servo may be raised before its sampled loop is unstable. A longer control period and "
+    "later torques leave less. At the longest periods not even the tuned gains are stable. A shorter period with "
+    "a held action is the remedy. Simulations with gains just below and above the limit agree with it."
+)
 HEAD = (
     "`python scripts/servos.py --folder docs` writes this page and its rows ([servos.csv](servos.csv)) anew. A servo "
     'acts in every control period (`actions="position"` or `"velocity"`), and an agent holds its action for `hold` of '
@@ -35,7 +40,20 @@ REST = 0.5
 
 def page(machine: str, rows: Sequence[Row]) -> str:
     """The page as Markdown, from all rows; `machine` says what computed them."""
-    lines = ["# Servos: how much gain they bear", "", HEAD, "", f"Computed with {machine}.", "", READING, "", LAG, ""]
+    lines = [
+        "# Servos: how much gain they bear",
+        "",
+        SAYS,
+        "",
+        HEAD,
+        "",
+        f"Computed with {machine}.",
+        "",
+        READING,
+        "",
+        LAG,
+        "",
+    ]
     for name in ENVIRONMENTS:
         own = [row for row in rows if row.environment == name and row.springs == 1.0]
         columns = [(delay, bandwidth) for bandwidth in BANDWIDTHS for delay in DELAYS if not (delay == 4 and bandwidth)]

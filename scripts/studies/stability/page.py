@@ -27,6 +27,12 @@ from studies.stability.measure import (
     select,
 )
 
+SAYS = (
+    "Where each method stops being stable, and how much vibration it takes away. The highest frequency of the "
+    "model decides the longest step of an explicit method, and predicts it. Stiff springs and fine meshes shorten "
+    "that step, a payload does not. `ros2` bears far longer steps, and damps what it does not resolve. "
+    "Extrapolations let undamped vibrations grow in a band of steps."
+)
 HEAD = (
     "`python scripts/stability.py --folder docs` writes this page, its pictures and its rows "
     "([stability.csv](stability.csv)) anew. Every number below comes from the rows, or from the coefficients of "
@@ -102,7 +108,16 @@ def worst_limit(limits: Sequence[Row]) -> float:
 
 def page(machine: str, rows: Sequence[Row]) -> str:
     """The page as Markdown, from all rows; `machine` says what computed them."""
-    head = ["# Stability: where methods fail, and what they damp", "", HEAD, "", MACHINE.format(machine=machine), ""]
+    head = [
+        "# Stability: where methods fail, and what they damp",
+        "",
+        SAYS,
+        "",
+        HEAD,
+        "",
+        MACHINE.format(machine=machine),
+        "",
+    ]
     meanings = ((verdict, text.format(threshold=1e3 * THRESHOLD)) for verdict, text in MEANINGS.items())
     reading = ["## How to read the maps", "", *introduced_table(READING, ("verdict of a run", "meaning"), meanings)]
     sections = [*_limits(rows), *map_sections(rows), *_damping(rows), *_drift(rows)]

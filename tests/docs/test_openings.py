@@ -1,0 +1,106 @@
+"""Openings: a page of evidence says first what it says, and its rows say the same."""
+
+import re
+
+import numpy as np
+import pytest
+
+from studies.benchmark.environments import OURS, PPO, VECTOR
+from studies.benchmark.rows import Row as Speed
+from studies.control.cases import Row as Controlled
+from studies.learning.measure import Row as Learned
+from studies.precision.measure import Row as Run
+from studies.ringdown.measure import Row as Released
+from studies.servos.measure import Row as Servo
+from studies.table import read_rows
+
+from oracles.files import ROOT
+
+DOCS, MOST = ROOT / "docs", 5  # sentences
+STUDIES = {  # page: the file that writes it
+    "benchmark": "benchmark/page.py", "peers": "peers/page.py", "ring_down": "ringdown/page.py",
+    "machine": "machine/page.py", "learning": "learning/page.py", "control": "control/page.py", "faults": "faults.py",
+}  # fmt: skip
+PAGES = (*STUDIES, "work_precision", "stability", "fidelity", "accuracy", "servos", "league/league", "planted",
+         "verification", "bits")  # fmt: skip
+
+
+def opening(page):
+    """The first block of a page below its title."""
+    title, first, *_ = (DOCS / f"{page}.md").read_text(encoding="utf-8").split("\n\n")
+    assert title.startswith("# ") and "\n" not in title
+    return " ".join(first.split())
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_a_page_of_evidence_opens_with_what_it_says(page):
+    text = opening(page)
+    found = re.split(r"(?<=[.?!]) +(?=[A-Z`])", text)
+    assert 3 <= len(found) <= MOST and not text.startswith(("- ", "|", "!", "#"))
+    assert "writes this page" not in text or page == "verification", "how it was made comes later"
+
+
+@pytest.mark.parametrize("page", STUDIES)
+def test_an_opening_is_that_of_the_script(page):
+    script = (ROOT / "scripts" / "studies" / STUDIES[page]).read_text(encoding="utf-8")
+    assert opening(page) in " ".join(script.split())
+
+
+def test_the_league_opens_as_its_text_does():
+    text = (ROOT / "flexman_gym" / "evaluation" / "league.md").read_text(encoding="utf-8")
+    assert opening("league/league") in " ".join(text.split())
+
+
+def test_speeds_are_as_the_opening_says():
+    rows = read_rows(DOCS / "benchmark.csv", Speed)
+    (one,) = (row for row in rows if row.name == OURS)
+    many = max(row.times_peer for row in rows if row.name == VECTOR and row.threads == 1)
+    assert 0.5 < one.times_peer < 1.0 and 3.0 < many < 10.0
+    assert all(row.share < 0.5 for row in rows if row.name == PPO)
+
+
+def test_recipes_are_as_the_opening_says():
+    rows = read_rows(DOCS / "learning.csv", Learned)
+    plain = [row for row in rows if row.where == "as trained"]
+    minute = [row for row in plain if (row.kind, row.name) == ("recipe", "ppo_on_pd_minute")]
+    assert all(row.settled >= 0.95 and row.cpu < 120.0 for row in minute)
+    (pd,) = (row for row in plain if row.name.startswith("pd") and "FlexRRR" in row.name)
+    assert pd.settled == 0.0
+    ablations = {row.name for row in plain if row.kind == "ablation"}
+    for name in ablations - {"nothing"}:
+        own = [row for row in plain if row.kind == "ablation" and row.name == name]
+        for figure, sign in (("settled", -1.0), ("vibration", 1.0), ("error", 1.0)):
+            worse, usual = (np.median([getattr(row, figure) for row in each]) for each in (own, minute))
+            assert sign * worse > sign * usual, (name, figure)
+
+
+def test_controllers_of_unknown_arms_are_as_the_opening_says():
+    rows = {row.case: row for row in read_rows(DOCS / "control.csv", Controlled)}
+    told, found = rows["privileged-lqr, unknown"], rows["adaptive-lqr, unknown-lab"]
+    assert found.settled == 1.0 and found.settling_time < 1.05 * told.settling_time
+    assert 0.3 < rows["lqg, unknown-lab"].settled < 0.7 and rows["pd, unknown-lab"].settled == 0.0
+    faults = [row for case, row in rows.items() if "knows nothing of" in case or "samples" in case or "late" in case]
+    assert len(faults) == 4 and all(row.settled < 0.1 for row in faults)
+
+
+def test_methods_are_as_the_openings_say():
+    released = [row for row in read_rows(DOCS / "ring_down.csv", Released) if row.kind == "release"]
+    explicit = [row for row in released if row.method in ("semi_implicit_euler", "rk4", "dopri5")]
+    assert explicit and all(row.failed == 1.0 for row in explicit)
+    runs = [row for row in read_rows(DOCS / "work_precision.csv", Run) if row.time_error is not None]
+    cheapest = {}
+    for row in runs:
+        case = row.scene, row.model
+        if row.time_error <= 1e-4 and (case not in cheapest or row.cpu < cheapest[case].cpu):
+            cheapest[case] = row
+    good = [row.method.startswith(("gauss", "extrapolated")) for row in cheapest.values()]
+    assert len(set(row.method for row in cheapest.values())) > 1 and np.mean(good) > 0.5
+
+
+def test_servos_are_as_the_opening_says():
+    rows = [row for row in read_rows(DOCS / "servos.csv", Servo) if row.springs == 1.0]
+    plain = [row for row in rows if not row.delay and not row.bandwidth]
+    assert all(row.factor < 1.0 for row in plain if row.period == max(each.period for each in plain))
+    for name in {row.environment for row in plain}:
+        by_period = [row.factor for row in sorted(plain, key=lambda row: row.period) if row.environment == name]
+        assert by_period == sorted(by_period, reverse=True)
