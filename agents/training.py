@@ -5,19 +5,19 @@ import platform
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from flexman_agents.algorithm import acting, make_model
-from flexman_agents.callbacks import Checkpoints, Exploration, Judge, ValueFirst
+from flexman_agents.callbacks import Checkpoints, Exploration, Hook, Judge, Report, ValueFirst
 from flexman_agents.curves import open_curves
 from flexman_agents.memory import give_policy, give_training, take_policy, take_training
 from flexman_agents.settings import EXPLORATION, MOST_STEPS, Settings
@@ -40,23 +40,6 @@ PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy", "stable-basel
 
 class Interrupted(Exception):
     """A training was asked to stop; the run is kept and can go on."""
-
-
-class Report(NamedTuple):
-    """What a hook is told where a rollout begins, and at the end.
-
-    Attributes:
-        steps: that have been taken.
-        figures: of the last evaluation on selection seeds, by name as of `fm.evaluate`; empty before there was one.
-        save: writes the run into its folder as it is now, from which `resume` goes on.
-    """
-
-    steps: int
-    figures: Mapping[str, float]
-    save: Callable[[], None]
-
-
-Hook = Callable[[Report], bool | None]
 
 
 def train(
@@ -136,6 +119,30 @@ def resume(
             run.give(data, finished)
         _keep_settings(settings, folder, run.done)
         return run.learn(checkpoint_every, progress, hook)
+
+
+def trained(cell: tuple[Settings, str, int, bool, str]) -> str:
+    """Trains a run as `train` does, or goes on with it to its end; a cell of a grid.
+
+    Args:
+        cell: the settings, the folder, and what else `train` takes.
+
+    Returns:
+        The folder.
+
+    Raises:
+        ValueError: also where the folder holds a run with other settings.
+    """
+    settings, folder, *how = cell
+    path = Path(folder)
+    if not (path / SETTINGS).exists():
+        train(settings, path, *how)  # type: ignore[arg-type]
+        return folder
+    if load_settings(path) != settings:
+        raise refusal("folder", folder, "one without a run of other settings")
+    if not (path / NEWEST).is_file() or _steps_done(path / NEWEST, read_data(path / NEWEST)) < settings.steps:
+        resume(path, None, *how)  # type: ignore[arg-type]
+    return folder
 
 
 def load_settings(folder: Path) -> Settings:

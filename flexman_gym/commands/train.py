@@ -15,6 +15,7 @@ def arguments(result: argparse.ArgumentParser) -> None:
     from flexman_agents.recipes import NAMES
     from flexman_agents.settings import ALGORITHMS
     from flexman_gym.envs import NAMED
+    from flexman_gym.evaluation.grid import Workers
 
     result.add_argument("recipe", nargs="?", help=f"a file of settings, or one of {', '.join(NAMES)}")
     result.add_argument("--algo", choices=ALGORITHMS, help="instead of the recipe's; ppo without one")
@@ -22,13 +23,14 @@ def arguments(result: argparse.ArgumentParser) -> None:
     result.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the environment")
     result.add_argument("--steps", type=int, help="actions of all arms together; with --resume those of another run")
     result.add_argument("--seed", type=int, help="of the first run")
-    result.add_argument("--seeds", type=int, default=1, help="so many runs, each with the next seed, a folder each")
+    result.add_argument("--seeds", type=int, default=1, help="so many runs, each with the next seed; killed ones go on")
     result.add_argument("--envs", type=int, help="arms side by side")
     result.add_argument("--folder", type=Path, default=Path("runs/latest"))
     result.add_argument("--resume", action="store_true", help="go on with the run in the folder to its end")
     result.add_argument("--checkpoint-every", type=int, default=100_000, help="steps; 0: only at the end")
     result.add_argument("--judge-every", type=int, help="steps between evaluations on the way; 0: none")
     result.add_argument("--device", default="cpu", help="of the networks, as PyTorch names it")
+    Workers.arguments(result)
     result.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
@@ -66,8 +68,9 @@ def start(options: argparse.Namespace) -> list[Path]:
     """Trains the runs that the command line asks for; returns their folders."""
     from flexman_agents.recipes import find_recipe
     from flexman_agents.settings import Settings
-    from flexman_agents.training import train
+    from flexman_agents.training import train, trained
     from flexman_gym.envs.description import Description
+    from flexman_gym.evaluation.grid import Workers, gathered
 
     settings = find_recipe(options.recipe) if options.recipe else Settings()
     named = {name: getattr(options, name) for name in ("algo", "steps", "seed", "envs", "judge_every")}
@@ -79,10 +82,12 @@ def start(options: argparse.Namespace) -> list[Path]:
         described = Description.find(options.env)
     described = described.changed(options.set)
     settings = replace(settings, environment=described.whole(), **named)
-    folders = []
-    for i in range(options.seeds):
-        folder = options.folder if options.seeds == 1 else options.folder / f"seed-{settings.seed + i}"
-        own = settings.with_seed(settings.seed + i)
-        train(own, folder, options.checkpoint_every, not options.quiet, options.device)
-        folders.append(folder)
-    return folders
+    how = options.checkpoint_every, not options.quiet, options.device
+    if options.seeds == 1:
+        train(settings, options.folder, *how)
+        return [options.folder]
+    workers, seeds = Workers.of(options), range(settings.seed, settings.seed + options.seeds)
+    if workers != Workers():
+        how = options.checkpoint_every, False, options.device  # bars of several runs would be one tangle
+    cells = [(settings.with_seed(seed), str(options.folder / f"seed-{seed}"), *how) for seed in seeds]
+    return [Path(folder) for folder in gathered(trained, cells, workers)]

@@ -149,8 +149,8 @@ def prepare() -> None:
 
     with _alone_on_node():
         for env in (gym.make("FlexRRR-v0"), gym.make_vec("FlexRRR-v0", 2, "vector_entry_point")):
-            env.reset(seed=0)  # type: ignore[attr-defined]
-            env.step(env.action_space.sample())  # type: ignore[attr-defined]
+            env.reset(seed=0)
+            env.step(env.action_space.sample())
 
 
 @contextmanager
