@@ -73,7 +73,7 @@ def train(
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder):
         _check_new(folder)  # another process may have trained there meanwhile
-        _keep_settings(settings, folder, 0)
+        keep_settings(settings, folder, 0)
         return _Run(model, settings, folder).learn(checkpoint_every, progress, hook)
 
 
@@ -117,7 +117,7 @@ def resume(
             print(f"Nothing was kept in {folder} yet: the run begins again.", file=sys.stderr)
         else:
             run.give(data, finished)
-        _keep_settings(settings, folder, run.done)
+        keep_settings(settings, folder, run.done)
         return run.learn(checkpoint_every, progress, hook)
 
 
@@ -259,7 +259,7 @@ def _check_new(folder: Path) -> None:
         raise ValueError(f"folder: {folder} is not allowed; give a new one, or resume the run in it")
 
 
-def _keep_settings(settings: Settings, folder: Path, done: int) -> None:
+def keep_settings(settings: Settings, folder: Path, done: int) -> None:
     """Writes the settings of a run that goes on after `done` steps, with the versions of all its parts."""
     now = {name: version(name) for name in PACKAGES} | {"python": platform.python_version()}
     path = folder / SETTINGS

@@ -1,4 +1,4 @@
-"""Record episodes of entrants as Minari datasets, for learning without an environment."""
+"""Record episodes as Minari datasets, for offline learning."""
 
 import argparse
 from pathlib import Path

@@ -4,8 +4,12 @@ import argparse
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from flexman_gym.checks import refusal
+
+if TYPE_CHECKING:
+    from flexman_agents.settings import Settings
 
 INTERRUPTED = 130  # what a shell says of a process that Ctrl-C has ended
 
@@ -23,13 +27,15 @@ def arguments(result: argparse.ArgumentParser) -> None:
     result.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the environment")
     result.add_argument("--steps", type=int, help="actions of all arms together; with --resume those of another run")
     result.add_argument("--seed", type=int, help="of the first run")
-    result.add_argument("--seeds", type=int, default=1, help="so many runs, each with the next seed; killed ones go on")
+    result.add_argument("--seeds", type=int, default=1, help="so many runs; killed ones go on")
     result.add_argument("--envs", type=int, help="arms side by side")
     result.add_argument("--folder", type=Path, default=Path("runs/latest"))
     result.add_argument("--resume", action="store_true", help="go on with the run in the folder to its end")
-    result.add_argument("--checkpoint-every", type=int, default=100_000, help="steps; 0: only at the end")
-    result.add_argument("--judge-every", type=int, help="steps between evaluations on the way; 0: none")
+    result.add_argument("--checkpoint-every", type=int, metavar="N", default=100_000, help="steps; 0: only at the end")
+    result.add_argument("--judge-every", type=int, metavar="N", help="steps between evaluations on the way; 0: none")
     result.add_argument("--device", default="cpu", help="of the networks, as PyTorch names it")
+    result.add_argument("--engine", choices=("sb3", "rllib"), default="sb3", help="Stable-Baselines3, or RLlib for PPO")
+    result.add_argument("--runners", type=int, default=0, help="processes of RLlib that roll out")
     Workers.arguments(result)
     result.add_argument("--quiet", action="store_true", help="no progress bar")
 
@@ -41,6 +47,9 @@ def run(options: argparse.Namespace) -> int:
     try:
         if options.resume:
             refuse_settings(options)
+        if options.engine == "rllib":
+            folders = [by_rllib(options)]
+        elif options.resume:
             how = options.checkpoint_every, not options.quiet, options.device, options.judge_every
             resume(options.folder, options.steps, *how)
             folders = [options.folder]
@@ -64,13 +73,27 @@ def refuse_settings(options: argparse.Namespace) -> None:
             raise refusal(name, getattr(options, name), "nothing with --resume: the run keeps its settings")
 
 
-def start(options: argparse.Namespace) -> list[Path]:
-    """Trains the runs that the command line asks for; returns their folders."""
+def by_rllib(options: argparse.Namespace) -> Path:
+    """Trains one run with RLlib, or goes on with it; returns its folder."""
+    try:
+        from flexman_agents.rllib import train_rllib
+    except ImportError as error:
+        said = "training with RLlib needs packages of its own: pip install -r requirements-rllib.txt"
+        raise ImportError(f"{said} ({error})") from None
+    from flexman_agents.training import load_settings
+
+    if options.seeds != 1:
+        raise refusal("seeds", options.seeds, "1 with RLlib")
+    settings = load_settings(options.folder) if options.resume else settings_of(options)
+    train_rllib(settings, options.folder, options.runners, options.checkpoint_every, options.resume)
+    return Path(options.folder)
+
+
+def settings_of(options: argparse.Namespace) -> "Settings":
+    """The settings that the command line asks for."""
     from flexman_agents.recipes import find_recipe
     from flexman_agents.settings import Settings
-    from flexman_agents.training import train, trained
     from flexman_gym.envs.description import Description
-    from flexman_gym.evaluation.grid import Workers, gathered
 
     settings = find_recipe(options.recipe) if options.recipe else Settings()
     named = {name: getattr(options, name) for name in ("algo", "steps", "seed", "envs", "judge_every")}
@@ -81,7 +104,15 @@ def start(options: argparse.Namespace) -> list[Path]:
     if options.env:
         described = Description.find(options.env)
     described = described.changed(options.set)
-    settings = replace(settings, environment=described.whole(), **named)
+    return replace(settings, environment=described.whole(), **named)
+
+
+def start(options: argparse.Namespace) -> list[Path]:
+    """Trains the runs that the command line asks for; returns their folders."""
+    from flexman_agents.training import train, trained
+    from flexman_gym.evaluation.grid import Workers, gathered
+
+    settings = settings_of(options)
     how = options.checkpoint_every, not options.quiet, options.device
     if options.seeds == 1:
         train(settings, options.folder, *how)

@@ -1,4 +1,4 @@
-"""Tune the PD controller of an environment: gains with margins and the highest reward."""
+"""Tune the PD controller of an environment: gains with margins."""
 
 import argparse
 import sys
