@@ -83,8 +83,8 @@ def resume(
     checkpoint_every: int = 0,
     progress: bool = True,
     device: str = "cpu",
-    judge_every: int | None = None,
     hook: Hook | None = None,
+    judge_every: int | None = None,
 ) -> BaseAlgorithm:
     """Goes on with the run in a folder to the end of its steps, exactly as if it had never stopped.
 
@@ -121,11 +121,11 @@ def resume(
         return run.learn(checkpoint_every, progress, hook)
 
 
-def trained(cell: tuple[Settings, str, int, bool, str]) -> str:
+def trained(cell: tuple[Any, ...]) -> str:
     """Trains a run as `train` does, or goes on with it to its end; a cell of a grid.
 
     Args:
-        cell: the settings, the folder, and what else `train` takes.
+        cell: the settings, the folder as a text, and what else `train` takes, in its order.
 
     Returns:
         The folder.
@@ -136,12 +136,12 @@ def trained(cell: tuple[Settings, str, int, bool, str]) -> str:
     settings, folder, *how = cell
     path = Path(folder)
     if not (path / SETTINGS).exists():
-        train(settings, path, *how)  # type: ignore[arg-type]
+        train(settings, path, *how)
         return folder
     if load_settings(path) != settings:
         raise refusal("folder", folder, "one without a run of other settings")
     if not (path / NEWEST).is_file() or _steps_done(path / NEWEST, read_data(path / NEWEST)) < settings.steps:
-        resume(path, None, *how)  # type: ignore[arg-type]
+        resume(path, None, *how)
     return folder
 
 

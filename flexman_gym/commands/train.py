@@ -50,8 +50,8 @@ def run(options: argparse.Namespace) -> int:
         if options.engine == "rllib":
             folders = [by_rllib(options)]
         elif options.resume:
-            how = options.checkpoint_every, not options.quiet, options.device, options.judge_every
-            resume(options.folder, options.steps, *how)
+            how = options.checkpoint_every, not options.quiet, options.device
+            resume(options.folder, options.steps, *how, judge_every=options.judge_every)
             folders = [options.folder]
         else:
             folders = start(options)

@@ -65,13 +65,12 @@ def tune(
     high = np.log(np.concatenate([STIFF[1] * limits, most]))
     wanted = loops if margin else []
     gains = _drawn(wanted, first, lambda: random.uniform(low, high))
-    judged = partial(_judged, environment, episodes, workers)
-    rewards = judged(gains)
+    rewards = _rewards(environment, gains, episodes, workers)
     for deviation in NEAR:
         best = np.log(gains[np.argmax(rewards)])
         spread = partial(_near, random, best, float(deviation), low, high)
         near = _drawn(wanted, around, spread)
-        gains, rewards = np.vstack([gains, near]), np.append(rewards, judged(near))
+        gains, rewards = np.vstack([gains, near]), np.append(rewards, _rewards(environment, near, episodes, workers))
     stiffness, damping = np.split(gains[np.argmax(rewards)], 2)
     reached = margins(loops, stiffness, damping)
     return Tuned(tuple(stiffness.tolist()), tuple(damping.tolist()), float(rewards.max()), reached)
@@ -107,7 +106,7 @@ def _drawn(loops: Sequence[Loop], count: int, draw: Callable[[], Array]) -> Arra
     raise refusal("gains", f"{len(result)} of {DRAWS * count} drawn", allowed)
 
 
-def _judged(environment: Description, episodes: int, workers: Workers | int, gains: Array) -> Array:
+def _rewards(environment: Description, gains: Array, episodes: int, workers: Workers | int = 1) -> Array:
     """Mean reward (c,) of the first episodes with each of the gains (c, 2 n)."""
     parts = [(environment, gains[i : i + CELL], episodes) for i in range(0, len(gains), CELL)]
     return np.concatenate(gathered(rewards_of, parts, workers))
