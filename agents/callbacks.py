@@ -3,6 +3,7 @@
 import math
 import sys
 from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import torch
 from stable_baselines3 import SAC
@@ -15,6 +16,23 @@ from flexman_gym.evaluation.seeds import SELECTION
 
 CURVES = ("settling_time", "vibration", "error", "reward", "settled", "roughness", "failed")
 WORSE = 0.2  # share of settled episodes that may be lost before a warning
+
+
+class Report(NamedTuple):
+    """What a hook is told where a rollout begins, and at the end.
+
+    Attributes:
+        steps: that have been taken.
+        figures: of the last evaluation on selection seeds, by name as of `fm.evaluate`; empty before there was one.
+        save: writes the run into its folder as it is now, from which `resume` goes on.
+    """
+
+    steps: int
+    figures: Mapping[str, float]
+    save: Callable[[], None]
+
+
+Hook = Callable[[Report], bool | None]
 
 
 class Exploration(BaseCallback):

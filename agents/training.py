@@ -5,19 +5,19 @@ import platform
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from flexman_agents.algorithm import acting, make_model
-from flexman_agents.callbacks import Checkpoints, Exploration, Judge, ValueFirst
+from flexman_agents.callbacks import Checkpoints, Exploration, Hook, Judge, Report, ValueFirst
 from flexman_agents.curves import open_curves
 from flexman_agents.memory import give_policy, give_training, take_policy, take_training
 from flexman_agents.settings import EXPLORATION, MOST_STEPS, Settings
@@ -40,23 +40,6 @@ PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy", "stable-basel
 
 class Interrupted(Exception):
     """A training was asked to stop; the run is kept and can go on."""
-
-
-class Report(NamedTuple):
-    """What a hook is told where a rollout begins, and at the end.
-
-    Attributes:
-        steps: that have been taken.
-        figures: of the last evaluation on selection seeds, by name as of `fm.evaluate`; empty before there was one.
-        save: writes the run into its folder as it is now, from which `resume` goes on.
-    """
-
-    steps: int
-    figures: Mapping[str, float]
-    save: Callable[[], None]
-
-
-Hook = Callable[[Report], bool | None]
 
 
 def train(
@@ -90,7 +73,7 @@ def train(
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder):
         _check_new(folder)  # another process may have trained there meanwhile
-        _keep_settings(settings, folder, 0)
+        keep_settings(settings, folder, 0)
         return _Run(model, settings, folder).learn(checkpoint_every, progress, hook)
 
 
@@ -100,8 +83,8 @@ def resume(
     checkpoint_every: int = 0,
     progress: bool = True,
     device: str = "cpu",
-    judge_every: int | None = None,
     hook: Hook | None = None,
+    judge_every: int | None = None,
 ) -> BaseAlgorithm:
     """Goes on with the run in a folder to the end of its steps, exactly as if it had never stopped.
 
@@ -134,8 +117,32 @@ def resume(
             print(f"Nothing was kept in {folder} yet: the run begins again.", file=sys.stderr)
         else:
             run.give(data, finished)
-        _keep_settings(settings, folder, run.done)
+        keep_settings(settings, folder, run.done)
         return run.learn(checkpoint_every, progress, hook)
+
+
+def trained(cell: tuple[Any, ...]) -> str:
+    """Trains a run as `train` does, or goes on with it to its end; a cell of a grid.
+
+    Args:
+        cell: the settings, the folder as a text, and what else `train` takes, in its order.
+
+    Returns:
+        The folder.
+
+    Raises:
+        ValueError: also where the folder holds a run with other settings.
+    """
+    settings, folder, *how = cell
+    path = Path(folder)
+    if not (path / SETTINGS).exists():
+        train(settings, path, *how)
+        return folder
+    if load_settings(path) != settings:
+        raise refusal("folder", folder, "one without a run of other settings")
+    if not (path / NEWEST).is_file() or _steps_done(path / NEWEST, read_data(path / NEWEST)) < settings.steps:
+        resume(path, None, *how)
+    return folder
 
 
 def load_settings(folder: Path) -> Settings:
@@ -252,7 +259,7 @@ def _check_new(folder: Path) -> None:
         raise ValueError(f"folder: {folder} is not allowed; give a new one, or resume the run in it")
 
 
-def _keep_settings(settings: Settings, folder: Path, done: int) -> None:
+def keep_settings(settings: Settings, folder: Path, done: int) -> None:
     """Writes the settings of a run that goes on after `done` steps, with the versions of all its parts."""
     now = {name: version(name) for name in PACKAGES} | {"python": platform.python_version()}
     path = folder / SETTINGS

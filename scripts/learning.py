@@ -4,6 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from flexman_gym.evaluation.grid import Workers
 from flexman_gym.verification.machine import machine_text
 from studies.learning.cases import cases
 from studies.learning.measure import Row, controllers, runs
@@ -22,13 +23,14 @@ def main() -> int:
     parser.add_argument("--redraw", action="store_true", help="only write about the rows of an earlier run")
     parser.add_argument("--runs", type=folder, default="runs/learning", help="where the runs are kept")
     parser.add_argument("--folder", type=folder, default="docs", help="where rows and page go")
+    Workers.arguments(parser)
     options = parser.parse_args()
     if unknown := sorted(set(options.case) - {CONTROLLERS, *known}):
         print(f"case: {unknown[0]} is not allowed; give {CONTROLLERS}, {', '.join(known)}", file=sys.stderr)
         return 2
     for name in () if options.redraw else options.case or [CONTROLLERS, *known]:
         result = []
-        for row in controllers() if name == CONTROLLERS else runs(known[name], options.runs):
+        for row in controllers() if name == CONTROLLERS else runs(known[name], options.runs, Workers.of(options)):
             print(row, flush=True)
             result.append(row)
         _keep(result, options.folder / "learning.csv")

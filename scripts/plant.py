@@ -2,16 +2,13 @@
 
 import argparse
 import sys
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
+from flexman_gym.evaluation.grid import Workers, spread
 from studies.places import folder
 from studies.planted.page import counts, page
-from studies.planted.planting import CAUGHT, SURVIVED, Copy
+from studies.planted.planting import CAUGHT, CHECKOUT, SURVIVED, planted
 from studies.planted.table import ROOMS, kept, misplaced
 from studies.table import write_rows
-
-CHECKOUT = Path(__file__).parents[1]
 
 
 def main() -> int:
@@ -21,6 +18,7 @@ def main() -> int:
     parser.add_argument("--only", default="", help="errors whose words or file contain this")
     parser.add_argument("--new", action="store_true", help="only errors that no row has as caught")
     parser.add_argument("--folder", type=folder, default="docs", help="where page and rows go")
+    Workers.arguments(parser)
     options = parser.parse_args()
     file = options.folder / "planted.csv"
     rows = kept(file)
@@ -32,16 +30,13 @@ def main() -> int:
     ]
     if faults := misplaced(CHECKOUT, chosen):
         parser.error("; ".join(faults))
-    with TemporaryDirectory() as place:
-        copy = Copy(CHECKOUT, Path(place))
-        for change in chosen:
-            row = copy.plant(change)
-            print(f"{row.outcome:10} {row.seconds:4.0f} s  {row.room}: {row.error} ({row.by})", flush=True)
-            rows[row.room, row.error] = row
-            result = [rows[change.room, change.error] for room in ROOMS.values() for change in room
-                     if (change.room, change.error) in rows]  # fmt: skip
-            write_rows(result, file, digits=2)
-            (options.folder / "planted.md").write_text(page(result), encoding="utf-8")
+    for _, row in spread(planted, chosen, Workers.of(options)):
+        print(f"{row.outcome:10} {row.seconds:4.0f} s  {row.room}: {row.error} ({row.by})", flush=True)
+        rows[row.room, row.error] = row
+        result = [rows[change.room, change.error] for room in ROOMS.values() for change in room
+                 if (change.room, change.error) in rows]  # fmt: skip
+        write_rows(result, file, digits=2)
+        (options.folder / "planted.md").write_text(page(result), encoding="utf-8")
     if not chosen:
         print("no error of the table is meant")
         return 0

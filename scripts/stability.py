@@ -6,6 +6,7 @@ import warnings
 from pathlib import Path
 from time import perf_counter
 
+from flexman_gym.evaluation.grid import Workers
 from flexman_gym.verification.machine import machine_text
 from studies.places import folder
 from studies.stability.measure import Row
@@ -23,12 +24,16 @@ def main() -> int:
     parser.add_argument("--csv", type=Path, help="file for the rows")
     parser.add_argument("--folder", type=folder, help="folder for rows, pictures and page: stability.csv, *.png, *.md")
     parser.add_argument("--rows", type=Path, help="take the rows from this file instead of measuring")
+    parser.add_argument("--kept", type=Path, help="folder for cells that are done, from which a killed study goes on")
+    Workers.arguments(parser)
     options = parser.parse_args()
     if options.quick and options.folder:
         parser.error("--folder: the page needs all rows; leave --quick out")
     warnings.filterwarnings("ignore", "Link.second_moment_y", UserWarning)  # of the paper's printed area of link 1
     started = perf_counter()
-    result = read_rows(options.rows, Row) if options.rows else list(all_rows(options.quick))
+    result = (
+        read_rows(options.rows, Row) if options.rows else all_rows(options.quick, Workers.of(options), options.kept)
+    )
     print(summary(result))
     print(f"{perf_counter() - started:.0f} s")
     if options.csv:

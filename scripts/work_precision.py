@@ -2,7 +2,9 @@
 
 import argparse
 import warnings
+from pathlib import Path
 
+from flexman_gym.evaluation.grid import Workers
 from flexman_gym.verification.cases import REFERENCE
 from studies.places import folder
 from studies.precision.files import compute, publish
@@ -14,11 +16,13 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="a small grid of one short scene")
     parser.add_argument("--redraw", action="store_true", help="only draw and write about the rows of an earlier run")
     parser.add_argument("--folder", type=folder, default="out", help="where rows, pictures and page go")
+    parser.add_argument("--kept", type=Path, help="folder for cells that are done, from which a killed study goes on")
+    Workers.arguments(parser)
     options = parser.parse_args()
     warnings.filterwarnings("ignore", "Link.second_moment_y", UserWarning)  # of the paper's printed area of link 1
     options.folder.mkdir(parents=True, exist_ok=True)
     if not options.redraw:
-        compute(REFERENCE, options.folder, options.quick)
+        compute(REFERENCE, options.folder, options.quick, Workers.of(options), options.kept)
     publish(options.folder)
 
 

@@ -1,4 +1,4 @@
-"""Evaluate policies and controllers on the same episodes of one environment."""
+"""Evaluate policies and controllers on the same episodes."""
 
 import argparse
 from pathlib import Path

@@ -14,6 +14,7 @@ PHYSICAL = 10  # episodes
 def arguments(result: argparse.ArgumentParser) -> None:
     """Says what it takes."""
     from flexman_gym.evaluation.entrants import ENTRANTS
+    from flexman_gym.evaluation.grid import Workers
     from flexman_gym.evaluation.seeds import TEST
     from flexman_gym.evaluation.venues import SWEEPS
 
@@ -27,7 +28,7 @@ def arguments(result: argparse.ArgumentParser) -> None:
     )
     result.add_argument("--episodes", type=int, help=f"without it {len(TEST)}, or as many as there are")
     result.add_argument("--seed", type=int, default=TEST.start, help="of the first episode; the next follow")
-    result.add_argument("--jobs", type=int, default=1, help="processes")
+    Workers.arguments(result)
     result.add_argument("--folder", type=Path, default=FOLDER, help="of rows, page and charts; what it has is kept")
     result.add_argument(
         "--add", nargs="+", metavar="RUN", help="play these alone, where the folder's others have played"
@@ -37,17 +38,19 @@ def arguments(result: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Plays what the folder does not have yet; returns the exit code."""
     from flexman_gym.evaluation.entrants import ENTRANTS
+    from flexman_gym.evaluation.grid import Workers
     from flexman_gym.evaluation.league import Book, play_league
     from flexman_gym.evaluation.league_page import PAGE, write_page
 
-    for name, least in (("episodes", 1), ("jobs", 1), ("seed", 0)):
+    workers = Workers.of(options)
+    for name, least in (("episodes", 1), ("seed", 0)):
         given = getattr(options, name)
         if given is not None and given < least:
             options.parser.error(f"--{name}: {given} is not allowed; give a whole number >= {least}")
     entrants = options.add or options.entrants or ENTRANTS
     for episodes, venues in _venues(options, Book.load(options.folder)).items():
         seeds = range(options.seed, options.seed + episodes)
-        book = play_league(entrants, venues, seeds, options.folder, options.jobs, lambda said: print(said, flush=True))
+        book = play_league(entrants, venues, seeds, options.folder, workers, lambda said: print(said, flush=True))
     write_page(book, options.folder)
     print(f"{options.folder / PAGE} has the tables.")
     return 0

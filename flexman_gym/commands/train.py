@@ -4,8 +4,12 @@ import argparse
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from flexman_gym.checks import refusal
+
+if TYPE_CHECKING:
+    from flexman_agents.settings import Settings
 
 INTERRUPTED = 130  # what a shell says of a process that Ctrl-C has ended
 
@@ -15,6 +19,7 @@ def arguments(result: argparse.ArgumentParser) -> None:
     from flexman_agents.recipes import NAMES
     from flexman_agents.settings import ALGORITHMS
     from flexman_gym.envs import NAMED
+    from flexman_gym.evaluation.grid import Workers
 
     result.add_argument("recipe", nargs="?", help=f"a file of settings, or one of {', '.join(NAMES)}")
     result.add_argument("--algo", choices=ALGORITHMS, help="instead of the recipe's; ppo without one")
@@ -22,13 +27,16 @@ def arguments(result: argparse.ArgumentParser) -> None:
     result.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the environment")
     result.add_argument("--steps", type=int, help="actions of all arms together; with --resume those of another run")
     result.add_argument("--seed", type=int, help="of the first run")
-    result.add_argument("--seeds", type=int, default=1, help="so many runs, each with the next seed, a folder each")
+    result.add_argument("--seeds", type=int, default=1, help="so many runs; killed ones go on")
     result.add_argument("--envs", type=int, help="arms side by side")
     result.add_argument("--folder", type=Path, default=Path("runs/latest"))
     result.add_argument("--resume", action="store_true", help="go on with the run in the folder to its end")
-    result.add_argument("--checkpoint-every", type=int, default=100_000, help="steps; 0: only at the end")
-    result.add_argument("--judge-every", type=int, help="steps between evaluations on the way; 0: none")
+    result.add_argument("--checkpoint-every", type=int, metavar="N", default=100_000, help="steps; 0: only at the end")
+    result.add_argument("--judge-every", type=int, metavar="N", help="steps between evaluations on the way; 0: none")
     result.add_argument("--device", default="cpu", help="of the networks, as PyTorch names it")
+    result.add_argument("--engine", choices=("sb3", "rllib"), default="sb3", help="Stable-Baselines3, or RLlib for PPO")
+    result.add_argument("--runners", type=int, default=0, help="processes of RLlib that roll out")
+    Workers.arguments(result)
     result.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
@@ -39,8 +47,11 @@ def run(options: argparse.Namespace) -> int:
     try:
         if options.resume:
             refuse_settings(options)
-            how = options.checkpoint_every, not options.quiet, options.device, options.judge_every
-            resume(options.folder, options.steps, *how)
+        if options.engine == "rllib":
+            folders = [by_rllib(options)]
+        elif options.resume:
+            how = options.checkpoint_every, not options.quiet, options.device
+            resume(options.folder, options.steps, *how, judge_every=options.judge_every)
             folders = [options.folder]
         else:
             folders = start(options)
@@ -62,11 +73,26 @@ def refuse_settings(options: argparse.Namespace) -> None:
             raise refusal(name, getattr(options, name), "nothing with --resume: the run keeps its settings")
 
 
-def start(options: argparse.Namespace) -> list[Path]:
-    """Trains the runs that the command line asks for; returns their folders."""
+def by_rllib(options: argparse.Namespace) -> Path:
+    """Trains one run with RLlib, or goes on with it; returns its folder."""
+    try:
+        from flexman_agents.rllib import train_rllib
+    except ImportError as error:
+        said = "training with RLlib needs packages of its own: pip install -r requirements-rllib.txt"
+        raise ImportError(f"{said} ({error})") from None
+    from flexman_agents.training import load_settings
+
+    if options.seeds != 1:
+        raise refusal("seeds", options.seeds, "1 with RLlib")
+    settings = load_settings(options.folder) if options.resume else settings_of(options)
+    train_rllib(settings, options.folder, options.runners, options.checkpoint_every, options.resume)
+    return Path(options.folder)
+
+
+def settings_of(options: argparse.Namespace) -> "Settings":
+    """The settings that the command line asks for."""
     from flexman_agents.recipes import find_recipe
     from flexman_agents.settings import Settings
-    from flexman_agents.training import train
     from flexman_gym.envs.description import Description
 
     settings = find_recipe(options.recipe) if options.recipe else Settings()
@@ -78,11 +104,21 @@ def start(options: argparse.Namespace) -> list[Path]:
     if options.env:
         described = Description.find(options.env)
     described = described.changed(options.set)
-    settings = replace(settings, environment=described.whole(), **named)
-    folders = []
-    for i in range(options.seeds):
-        folder = options.folder if options.seeds == 1 else options.folder / f"seed-{settings.seed + i}"
-        own = settings.with_seed(settings.seed + i)
-        train(own, folder, options.checkpoint_every, not options.quiet, options.device)
-        folders.append(folder)
-    return folders
+    return replace(settings, environment=described.whole(), **named)
+
+
+def start(options: argparse.Namespace) -> list[Path]:
+    """Trains the runs that the command line asks for; returns their folders."""
+    from flexman_agents.training import train, trained
+    from flexman_gym.evaluation.grid import Workers, gathered
+
+    settings = settings_of(options)
+    how = options.checkpoint_every, not options.quiet, options.device
+    if options.seeds == 1:
+        train(settings, options.folder, *how)
+        return [options.folder]
+    workers, seeds = Workers.of(options), range(settings.seed, settings.seed + options.seeds)
+    if workers != Workers():
+        how = options.checkpoint_every, False, options.device  # bars of several runs would be one tangle
+    cells = [(settings.with_seed(seed), str(options.folder / f"seed-{seed}"), *how) for seed in seeds]
+    return [Path(folder) for folder in gathered(trained, cells, workers)]

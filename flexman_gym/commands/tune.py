@@ -1,4 +1,4 @@
-"""Tune the PD controller of an environment: gains with margins and the highest reward."""
+"""Tune the PD controller of an environment: gains with margins."""
 
 import argparse
 import sys
@@ -6,14 +6,18 @@ import sys
 
 def arguments(result: argparse.ArgumentParser) -> None:
     """Says what it takes."""
+    from flexman_gym.evaluation.grid import Workers
+
     result.add_argument("env", help="an id, an id and a condition such as FlexRRR-v0/delay, or the path of a file")
     result.add_argument("--no-margins", action="store_true", help="try gains without a gain and a phase margin, too")
     result.add_argument("--seed", type=int, default=0, help="of the search")
+    Workers.arguments(result)
 
 
 def run(options: argparse.Namespace) -> int:
     """Prints gains; returns the exit code."""
     from flexman_gym.envs.description import Description
+    from flexman_gym.evaluation.grid import Workers
     from flexman_gym.evaluation.tuning import tune
 
     try:
@@ -21,7 +25,7 @@ def run(options: argparse.Namespace) -> int:
     except (ValueError, OSError) as error:
         options.parser.error(str(error))
     try:
-        result = tune(environment, seed=options.seed, margin=not options.no_margins)
+        result = tune(environment, seed=options.seed, margin=not options.no_margins, workers=Workers.of(options))
     except ValueError as error:
         print(f"{error}, or try --no-margins", file=sys.stderr)
         return 2

@@ -14,12 +14,14 @@ from flexman_gym.control.pd import PD, stability_limit
 from flexman_gym.envs.description import Description
 from flexman_gym.envs.setup import build
 from flexman_gym.evaluation.entrants import parted
+from flexman_gym.evaluation.grid import Workers, gathered
 from flexman_gym.evaluation.rollout import rollout
 
 LEAST = Margins(2.0, 30.0)  # of all gains that are tried
 POSTURES = 4  # of goals, at which they have these margins
 STIFF, WEAK = (0.01, 25.0), 0.05  # torque limits a radian, and part of the largest damping
 NEAR = np.geomspace(0.5, 0.1, 8)  # standard deviations of the rounds around the best, in logarithms
+CELL = 15  # gains that are judged side by side
 DRAWS = 1000  # for each of the gains that are looked for, before the search gives up
 
 
@@ -34,8 +36,9 @@ class Tuned:
 
 
 def tune(
-    environment: Description, first: int = 60, around: int = 30, episodes: int = 8, seed: int = 0, margin: bool = True
-) -> Tuned:
+    environment: Description, first: int = 60, around: int = 30, episodes: int = 8, seed: int = 0,
+    margin: bool = True, workers: Workers | int = 1,
+) -> Tuned:  # fmt: skip
     """Finds gains for an environment: the best of some drawn at random, then rounds of some around the best so far.
 
     All candidates act side by side on the same episodes. Stiffness is drawn between 0.01 and 25 torque limits a radian,
@@ -50,6 +53,7 @@ def tune(
         seed: of the search.
         margin: whether only gains count that have a gain margin of 2 and a phase margin of 30 degrees in the sampled
             loop, with the largest delay, at goals of the environment.
+        workers: who judges the gains, see `grid.Workers`, or so many processes.
 
     Raises:
         ValueError: for an environment for which too few gains with these margins are drawn.
@@ -62,12 +66,12 @@ def tune(
     high = np.log(np.concatenate([STIFF[1] * limits, most]))
     wanted = loops if margin else []
     gains = _drawn(wanted, first, lambda: random.uniform(low, high))
-    rewards = _rewards(environment, gains, episodes)
+    rewards = _rewards(environment, gains, episodes, workers)
     for deviation in NEAR:
         best = np.log(gains[np.argmax(rewards)])
         spread = partial(_near, random, best, float(deviation), low, high)
         near = _drawn(wanted, around, spread)
-        gains, rewards = np.vstack([gains, near]), np.append(rewards, _rewards(environment, near, episodes))
+        gains, rewards = np.vstack([gains, near]), np.append(rewards, _rewards(environment, near, episodes, workers))
     stiffness, damping = np.split(gains[np.argmax(rewards)], 2)
     reached = margins(loops, stiffness, damping)
     return Tuned(tuple(stiffness.tolist()), tuple(damping.tolist()), float(rewards.max()), reached)
@@ -103,8 +107,15 @@ def _drawn(loops: Sequence[Loop], count: int, draw: Callable[[], Array]) -> Arra
     raise refusal("gains", f"{len(result)} of {DRAWS * count} drawn", allowed)
 
 
-def _rewards(environment: Description, gains: Array, episodes: int) -> Array:
+def _rewards(environment: Description, gains: Array, episodes: int, workers: Workers | int = 1) -> Array:
     """Mean reward (c,) of the first episodes with each of the gains (c, 2 n)."""
+    parts = [(environment, gains[i : i + CELL], episodes) for i in range(0, len(gains), CELL)]
+    return np.concatenate(gathered(rewards_of, parts, workers))
+
+
+def rewards_of(cell: tuple[Description, Array, int]) -> Array:
+    """The same of some of the gains, which act side by side."""
+    environment, gains, episodes = cell
     n = gains.shape[1] // 2
     stiffness, damping = np.split(np.repeat(gains, episodes, axis=0), 2, axis=1)
     setup, still = environment.setup(), [0.0] * n

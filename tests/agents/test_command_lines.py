@@ -97,7 +97,7 @@ def test_tuning_finds_gains_that_beat_most_and_finds_them_again(monkeypatch):
     """The best of a few: among the candidates, within their ranges, and the same every time."""
     seen, rewards = [], tuning._rewards
 
-    def watched(name, gains, episodes):
+    def watched(name, gains, episodes, workers):
         result = rewards(name, gains, episodes)
         seen.append((gains, result))
         return result

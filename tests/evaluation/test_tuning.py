@@ -28,7 +28,7 @@ def test_loops_of_a_servo_for_which_gains_are_looked_for_have_its_drive_in_them(
 def test_gains_are_drawn_up_to_half_of_what_a_late_motor_bears(monkeypatch):
     """Where more damping is always better, and margins are not asked for, the result comes close to that bound."""
     environment = Description("FlexOne-v0", {"randomisation": {"delay": [0, 3]}})
-    monkeypatch.setattr(tuning, "_rewards", lambda environment, gains, episodes: gains[:, -1])
+    monkeypatch.setattr(tuning, "_rewards", lambda environment, gains, episodes, workers: gains[:, -1])
     result, setup = tuning.tune(environment, margin=False), environment.setup()
     model = gym.make(environment.id).unwrapped.simulator.model
     half, beyond = (PD(result.stiffness, [part * result.damping[0]], setup.torque_limit) for part in (1.99, 2.1))
@@ -40,7 +40,9 @@ def test_gains_are_drawn_up_to_half_of_what_a_late_motor_bears(monkeypatch):
 def test_all_gains_that_are_tried_have_margins_with_the_largest_delay(delay, monkeypatch):
     environment = Description("FlexPlanar-v0", {"randomisation": {"delay": [0, delay]}})
     tried = []
-    monkeypatch.setattr(tuning, "_rewards", lambda environment, gains, episodes: tried.append(gains) or gains[:, 0])
+    monkeypatch.setattr(
+        tuning, "_rewards", lambda environment, gains, episodes, workers: tried.append(gains) or gains[:, 0]
+    )
     result = tuning.tune(environment, first=8, around=3)
     model, setup = gym.make(environment.id).unwrapped.simulator.model, environment.setup()
     loops = [sampled_loop(model, angles, setup.control_period, delay) for angles in goals(environment)]
@@ -90,7 +92,7 @@ def test_every_round_is_around_the_best_so_far(monkeypatch):
     """A reward with one peak, which has margins: candidates of a round are some deviations away from the best."""
     peak, tried = np.log([0.6, 0.3]), []
 
-    def rewards(environment, gains, episodes):
+    def rewards(environment, gains, episodes, workers):
         tried.append(np.log(gains))
         return -((tried[-1] - peak) ** 2).sum(axis=1)
 
@@ -103,3 +105,10 @@ def test_every_round_is_around_the_best_so_far(monkeypatch):
         assert len(near) == 30 and np.abs(near - best).max() < 5 * deviation
         so_far = np.vstack([so_far, near])
     assert -result.reward < 0.01 < ((tried[0] - peak) ** 2).sum(axis=1).min(), "which finds a better one"
+
+
+def test_gains_that_are_judged_in_parts_have_the_same_rewards_to_the_bit(monkeypatch):
+    gains, environment = np.geomspace(0.1, 2.0, 14).reshape(7, 2), Description("FlexOne-v0", {"horizon": 0.5})
+    whole = tuning._rewards(environment, gains, 2)
+    monkeypatch.setattr(tuning, "CELL", 3)
+    assert tuning._rewards(environment, gains, 2).tobytes() == whole.tobytes() and len(set(whole)) == 7

@@ -80,7 +80,7 @@ def test_a_run_is_trained_once_and_judged_in_three_places(tmp_path, monkeypatch)
     monkeypatch.setattr(measure, "train", None)
     assert list(runs(case, tmp_path)) == result
     assert [row.where for row in runs(replace(case, kind="ablation", seeds=0), tmp_path)] == []
-    assert trained(SHORT, tmp_path / "recipe" / "short" / "seed-0")["steps"] == 16
+    assert trained((SHORT, tmp_path / "recipe" / "short" / "seed-0"))["steps"] == 16
 
 
 def test_the_page_has_the_middle_and_the_worst_of_the_seeds_of_an_ablation():

@@ -2,14 +2,17 @@
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 
 import flexman_gym as fm
 from flexman_gym.arrays import Array
+from studies.fidelity.cases import open_scenes, scenes
 
+SCENES = {"fidelity.csv": scenes, "fidelity_open.csv": open_scenes}  # by the file of their rows
 TOLERANCES = (1e-1, 1e-2, 1e-3)  # m
 GRID_MODES = (2, 4, 6, 9, None)  # of each link; None keeps all
 GRID_METHODS = ("ros2", "extrapolated_euler_4", "rk4", "generalised_alpha")
@@ -64,6 +67,12 @@ def rows(name: str, scene: fm.Scene) -> Iterator[Row]:
         grid = min((cost for error, cost in plain if error <= tolerance), default=np.inf)
         errors = error, choice.estimated_error, choice.estimated_error / max(error, 1e-14)
         yield Row(name, tolerance, *errors, choice.model.n_dof, *chosen[1:], cost, grid, cost / grid)
+
+
+def rows_of(cell: tuple[str, str]) -> list[dict[str, Any]]:
+    """The choices for a scene, by the file of its rows and its name, as plain data."""
+    file, name = cell
+    return [asdict(row) for row in rows(name, SCENES[file]()[name])]
 
 
 def truth(scene: fm.Scene) -> Array:

@@ -1,6 +1,7 @@
 """Learning, measure: trains the runs of a case, unless they are there, and judges them on the test episodes."""
 
 import json
+import shutil
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from flexman_gym.envs.description import Description
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.evaluation.entrants import Entrant, find_entrant
 from flexman_gym.evaluation.figures import FIGURES
+from flexman_gym.evaluation.grid import Workers, gathered
 from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.evaluation.seeds import TEST
 from flexman_gym.simulation.run import default_step
@@ -69,11 +71,12 @@ def controllers() -> Iterator[Row]:
                 yield _row("controller", f"{name}, {id}", None, where, {}, find_entrant(name), environment)
 
 
-def runs(case: Case, folder: Path) -> Iterator[Row]:
-    """Rows of the runs of a case, which are trained in the folder if they are not there."""
-    for seed in range(case.seeds):
-        place = folder / case.kind / case.name / f"seed-{seed}"
-        cost = trained(case.settings.with_seed(seed), place)
+def runs(case: Case, folder: Path, workers: Workers | int = 1) -> Iterator[Row]:
+    """Rows of the runs of a case, which are trained in the folder if they are not there, and by whom `grid` says."""
+    seeds = range(case.seeds)
+    folders = [folder / case.kind / case.name / f"seed-{seed}" for seed in seeds]
+    costs = gathered(trained, [(case.settings.with_seed(seed), folders[seed]) for seed in seeds], workers)
+    for seed, place, cost in zip(seeds, folders, costs, strict=True):
         policy = find_entrant(str(place))
         assert policy.environment is not None
         for where, environment in places(policy.environment).items():
@@ -81,10 +84,13 @@ def runs(case: Case, folder: Path) -> Iterator[Row]:
                 yield _row(case.kind, case.name, seed, where, cost, policy, environment)
 
 
-def trained(settings: Settings, folder: Path) -> dict[str, float]:
+def trained(cell: tuple[Settings, Path]) -> dict[str, float]:
     """Trains a run and keeps what it cost in its folder, or reads the cost of one that is there."""
+    settings, folder = cell
     path = folder / COST
     if not path.is_file():
+        if folder.exists():
+            shutil.rmtree(folder)  # of a run that was killed, whose whole cost nobody knows
         with Watch(FlexManVectorEnv, "step") as stepping:
             started = time.process_time()
             train(settings, folder, progress=False)

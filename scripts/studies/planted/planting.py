@@ -1,5 +1,6 @@
 """Planting: a copy of the checkout in which one change at a time is made and the tests are run."""
 
+import atexit
 import os
 import shutil
 import subprocess
@@ -7,10 +8,13 @@ import sys
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from studies.planted.change import Change
 
+CHECKOUT = Path(__file__).parents[3]
 CAUGHT, SURVIVED, EQUIVALENT = "caught", "survived", "equivalent"
 LONGEST = 900  # s, for the tests of one change; what hangs is noticed too
 # in the copy: an example that fails is enough, a small one takes minutes more
@@ -39,6 +43,19 @@ class Planted:
     outcome: str
     by: str
     seconds: float
+
+
+def planted(change: Change) -> Planted:
+    """Plants a change in the copy of this process."""
+    return _copy().plant(change)
+
+
+@cache
+def _copy() -> "Copy":
+    """A copy of the checkout that ends with the process."""
+    place = TemporaryDirectory()
+    atexit.register(place.cleanup)
+    return Copy(CHECKOUT, Path(place.name))
 
 
 class Copy:

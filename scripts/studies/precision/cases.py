@@ -1,6 +1,6 @@
 """Precision, cases: scenes, their models and truths, and the grid of methods and steps of the published study."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -127,11 +127,11 @@ def tolerances_of(name: str) -> tuple[float, ...]:
     return TOLERANCES[method.kind] if method.estimates else ()
 
 
-def grid(result: Study, timed: tuple[str, ...]) -> Iterator[Row]:
-    """All methods and steps on the models whose time error is studied, a few of them on the others."""
+def grid(result: Study, timed: tuple[str, ...], models: Sequence[str] | None = None) -> Iterator[Row]:
+    """All methods and steps on the models whose time error is studied, a few on the others; of some models, or all."""
     names = fixed_step_methods()
     every = {name: steps_of(name) for name in names}
-    for model in result.models:
+    for model in models or result.models:
         rigid = model in (RIGID, RIGID_LINKS)
         ladders = every if model in timed else RIGID_STEPS if rigid else FEW_STEPS
         for method, steps in ladders.items():

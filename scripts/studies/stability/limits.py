@@ -1,6 +1,6 @@
 """Stability limits: the largest stable steps of explicit methods, and the spectral radii of the others."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -22,9 +22,9 @@ LIMIT, RADIUS, AMPLIFICATION = "step limit, s", "spectral radius", "amplificatio
 LIMIT_STUDIES = (SPRINGS, MODES, PAYLOAD)
 
 
-def limit_rows(study: str, quick: bool = False) -> Iterator[Row]:
+def limit_rows(study: str, quick: bool = False, parameters: Sequence[float] | None = None) -> Iterator[Row]:
     """The largest stable step of every explicit method, measured and predicted by the highest natural frequency."""
-    for parameter in parameters_of(study, quick):
+    for parameter in parameters or parameters_of(study, quick):
         model = CASES[study](parameter).model
         for name in explicit_methods():
             predicted = predicted_limit(model, METHODS[name], growth_per_step())

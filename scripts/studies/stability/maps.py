@@ -1,6 +1,6 @@
 """Stability maps: how every method follows a short motion, over step and what the study varies."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -19,9 +19,9 @@ THRESHOLD = 1e-3  # m at the tip: a run that is further off is inaccurate
 ABSURD = 2.0  # reaches of the arm from the base to the tip: the run diverged, whatever its status
 
 
-def map_rows(study: str, quick: bool = False) -> Iterator[Row]:
+def map_rows(study: str, quick: bool = False, parameters: Sequence[float] | None = None) -> Iterator[Row]:
     """The tip error and the verdict of every fixed-step method at every step and value of what the study varies."""
-    cases = [CASES[study](parameter) for parameter in parameters_of(study, quick)]
+    cases = [CASES[study](parameter) for parameter in parameters or parameters_of(study, quick)]
     for group in [cases] if cases[0].varied is not None else [[case] for case in cases]:
         truths = [_truth(case) for case in group]
         for name in fixed_step_methods():

@@ -1,0 +1,92 @@
+"""Search: trials are proposed, pruned, resumed after a kill, and the best is a recipe that gives its bits again."""
+
+import os
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from flexman_agents.recipes import find_recipe
+from flexman_agents.search import BEST, changed, search
+from flexman_agents.training import train
+from flexman_gym.evaluation.folder import NEWEST, read_data
+
+from oracles.refusals import refusal
+from oracles.runs import RUNS
+
+RECIPE = replace(RUNS["ppo"], judge_every=48, schedules={}, environment={"id": "FlexOne-v0", "base": "pd", "hold": 5,
+                                                                         "horizon": 0.3})  # fmt: skip
+OVER = {
+    "hyperparameters.gamma": {"low": 0.5, "high": 0.99},
+    "hyperparameters.learning_rate": {"low": 1e-5, "high": 1.0, "log": True},
+    "hyperparameters.n_epochs": {"low": 1, "high": 3, "whole": True},
+    "hyperparameters.batch_size": {"choices": [12, 24]},
+}
+
+
+def bits(folder):
+    """The policy of a run."""
+    return {name: values.tobytes() for name, values in read_data(folder / NEWEST)["policy"].items()}
+
+
+def trials(folder):
+    """What the journal of a search holds of each trial."""
+    import optuna
+
+    backend = optuna.storages.journal.JournalFileBackend(str(folder / "study.log"))
+    study = optuna.load_study(study_name="flexman", storage=optuna.storages.JournalStorage(backend))
+    return [(each.state.name, each.params, each.value) for each in study.trials]
+
+
+def test_settings_are_changed_by_their_paths():
+    result = changed(RECIPE, {"hyperparameters.gamma": 0.7, "environment.hold": 2, "schedules.log_std.start": -1.0,
+                              "schedules.log_std.end": -2.0})  # fmt: skip
+    assert result.hyperparameters["gamma"] == 0.7 and result.description.setup().hold == 2
+    assert result.schedule("log_std").at(1.0) == -2.0 and changed(RECIPE, {}) == RECIPE
+
+
+@pytest.mark.parametrize(
+    ("over", "line"),
+    [
+        ({"gamma": {"low": 0.5, "high": 0.9}}, "over.gamma: 'gamma' is not allowed; give one of base_in_use"),
+        ({"steps": {"low": 1, "high": 9}}, "over.steps: 'steps' is not allowed"),
+        ({"envs": {"low": 1.0}}, "over.envs: {'low': 1.0} is not allowed; give a mapping with low and high"),
+        ({"envs": {"low": 9, "high": 1}}, "over.envs: "),
+        ({"hyperparameters.gamma": {"low": 0.5, "high": 2.0}}, "hyperparameters.gamma: 2.0 is not allowed"),
+    ],
+)
+def test_what_cannot_be_searched_is_refused_in_one_line(over, line, tmp_path):
+    pytest.importorskip("optuna")
+    assert refusal(search, RECIPE, over, tmp_path / "search", 2).startswith(line)
+    assert not (tmp_path / "search").exists()
+
+
+def test_a_search_that_is_killed_goes_on_and_its_best_trial_is_a_recipe_of_the_same_bits(tmp_path):
+    """Twelve trials, killed after four of them."""
+    pytest.importorskip("optuna", reason="Optuna is not installed")
+    (tmp_path / "study.py").write_text(
+        "from pathlib import Path; from flexman_agents.search import search\n"
+        "from flexman_agents.settings import Settings\n"
+        f"search(Settings.from_dict({RECIPE.plain()!r}), {OVER!r}, Path('killed'), 12)"
+    )
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    process = subprocess.Popen([sys.executable, "study.py"], cwd=tmp_path, env=environment)
+    while not (tmp_path / "killed" / "trial-4" / NEWEST).exists():
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
+    assert len(trials(tmp_path / "killed")) < 12
+    path = search(RECIPE, OVER, tmp_path / "killed", 12)
+    search(RECIPE, OVER, tmp_path / "whole", 12)
+    assert trials(tmp_path / "killed") == trials(tmp_path / "whole")
+    states = [state for state, *_ in trials(tmp_path / "whole")]
+    assert len(states) == 12 and set(states) == {"COMPLETE", "PRUNED"}
+    best = max((value, number) for number, (state, _, value) in enumerate(trials(path.parent)) if state == "COMPLETE")
+    assert path.name == BEST and f"# Found by flexman search: trial {best[1]} of 12" in path.read_text()
+    train(find_recipe(str(path)), tmp_path / "again", progress=False)
+    assert bits(tmp_path / "again") == bits(tmp_path / "killed" / f"trial-{best[1]}")
