@@ -3,7 +3,7 @@ TORCH := torch==2.13.0
 RUN := .venv/bin/python -m
 CODE := flexman_gym agents scripts
 
-.PHONY: demo test quick lint verify wheel charts learning benchmark clean
+.PHONY: demo test quick lint site verify wheel charts learning benchmark clean
 
 demo: .venv/installed
 	.venv/bin/flexman demo
@@ -17,6 +17,11 @@ test: lint
 # What a minute can tell: all but the tests that take long, with kernels that are compiled.
 quick: .venv/installed
 	$(RUN) pytest -q -n 2 -m "not slow"
+
+# Into out/site; it opens from a disk, and search, equations and fonts ask nobody.
+site: .venv/installed
+	@mkdir -p build/names && ln -sfn ../../agents build/names/flexman_agents
+	$(RUN) zensical build --strict --clean
 
 verify: .venv/installed
 	.venv/bin/flexman verify --markdown docs/verification.md
@@ -54,9 +59,9 @@ lint: .venv/installed
 	@echo "Installing flexman_gym and its tools into .venv: once, for a few minutes"
 	@$(PYTHON) -m venv .venv
 	@$(RUN) pip install --quiet $(TORCH)
-	@$(RUN) pip install --quiet -e '.[train,render,dev]'
+	@$(RUN) pip install --quiet -e '.[train,render,dev,docs]'
 	@touch $@
 
 clean:
-	rm -rf .venv out build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv .cache out build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +

@@ -16,7 +16,7 @@ def main() -> None:
     options = parser.parse_args()
     for name in [options.only] if options.only else NAMED:
         runs = {base: run(name, base) for base in BASES}
-        draw(name, runs, options.folder / f"{name}.png")
+        draw(runs, options.folder / f"{name}.png")
         (options.folder / f"{name}.md").write_text(page(name, runs), encoding="utf-8")
         print(name, *(f"{BASES[base]} {1e3 * each.rms_error:.3g} mm" for base, each in runs.items()), sep=", ")
 

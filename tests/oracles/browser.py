@@ -41,10 +41,10 @@ class Browser:
         with urllib.request.urlopen(request, timeout=120) as answer:
             return json.load(answer)["value"]
 
-    def open(self, address):
+    def open(self, address, ready="window.replay !== undefined"):
         """Opens a page and waits until it is ready for tests."""
         self._ask("POST", "/url", {"url": address})
-        self.wait("window.replay !== undefined")
+        self.wait(ready)
 
     def run(self, script, *arguments):
         """Gives what a script returns."""
@@ -67,6 +67,11 @@ class Browser:
                  {"type": "pointerUp", "button": 0}]  # fmt: skip
         mouse = {"type": "pointer", "id": "mouse", "parameters": {"pointerType": "mouse"}, "actions": steps}
         self._ask("POST", "/actions", {"actions": [mouse]})
+
+    def write(self, text):
+        """Presses the keys of a text."""
+        keys = [{"type": kind, "value": letter} for letter in text for kind in ("keyDown", "keyUp")]
+        self._ask("POST", "/actions", {"actions": [{"type": "key", "id": "keys", "actions": keys}]})
 
     def said(self):
         """Gives the messages of the console."""

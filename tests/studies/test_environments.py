@@ -40,7 +40,8 @@ def test_a_page_is_made_of_what_there_is_now(name, hold):
     assert without_figures(result) == without_figures(page(name, hold)), (
         "python scripts/environments.py --folder docs/environments"
     )
-    assert (PAGES / f"{name}.png").stat().st_size > 10_000 and f"{name}.png" in result
+    for suffix, least in (("png", 10_000), ("gif", 20_000)):
+        assert least < (PAGES / f"{name}.{suffix}").stat().st_size < 130_000 and f"{name}.{suffix}" in result
 
 
 def test_runs_are_what_the_table_says(hold, tmp_path):
@@ -48,8 +49,9 @@ def test_runs_are_what_the_table_says(hold, tmp_path):
     for base, each in hold.items():
         assert f"| {BASES[base]} | {1e3 * each.rms_error:.3g} mm | {each.failed:.0%} |" in text
     assert hold["lqr-tracking"].rms_error < hold["pd"].rms_error < hold[None].rms_error
-    draw("FlexPlanar-Hold-v0", hold, tmp_path / "episode.png")
+    draw(hold, tmp_path / "episode.png")
     assert (tmp_path / "episode.png").read_bytes()[:4] == b"\x89PNG"
+    assert (tmp_path / "episode.gif").read_bytes()[:6] == b"GIF89a"
 
 
 def test_the_default_is_judged_by_finer_steps_and_a_finer_model():

@@ -22,7 +22,7 @@ SECTIONS = ("Description", "Actions", "Observations", "Reward", "Start", "End", 
 def page(name: str, runs: dict[str | None, Run]) -> str:
     """The page of a named environment, in Markdown, with the RMS tip errors of its baselines."""
     sections = docstring_sections(type(NAMED[name].task))
-    lines = [f"# {name}", "", f"![An episode of {name}]({name}.png)", "", *_head(name), ""]
+    lines = [f"# {name}", "", f"![{name} under a tracking LQR]({name}.gif)", "", *_head(name), ""]
     for title in SECTIONS:
         lines += [f"## {title}", "", *sections[title], ""]
         lines += {"Description": _arm, "Observations": _observations, "Arguments": _arguments}.get(title, _nothing)(
@@ -30,7 +30,8 @@ def page(name: str, runs: dict[str | None, Run]) -> str:
         )
     lines += ["## What to set first", "", *first(name), ""]
     lines += ["## Accuracy", "", *_left_out(accuracy(name)), ""]
-    lines += ["## Baselines", "", *_baselines(runs), "", "## Conditions", "", *_conditions(name)]
+    lines += ["## Baselines", "", f"![Tip error and torques of {name}]({name}.png)", "", *_baselines(runs), ""]
+    lines += ["## Conditions", "", *_conditions(name)]
     return "\n".join(lines).rstrip() + "\n"
 
 

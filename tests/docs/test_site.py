@@ -1,0 +1,145 @@
+"""Site: every page has its place, every public name its entry, and every link and equation holds."""
+
+import ast
+import importlib
+import json
+import re
+import shutil
+import subprocess
+import types
+from collections import Counter
+
+import pytest
+import yaml
+
+import flexman_gym as fm
+
+from oracles.files import ROOT
+
+DOCS = ROOT / "docs"
+FILES = [*sorted(DOCS.rglob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+PAGES = {str(path.relative_to(ROOT)): path.read_text(encoding="utf-8") for path in FILES}
+BLOCK = re.compile(r"^(```+).*?^\1$", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+ENTRY = re.compile(r"^::: (\S+)", re.MULTILINE)
+EQUATION = re.compile(r"\$\$(.*?)\$\$|(?<![\\$\w])\$([^\s$][^$]*?)\$(?![\d$])", re.DOTALL)
+ENTRIES = [entry for text in PAGES.values() for entry in ENTRY.findall(text)]
+PUBLIC = ("control", "draw", "envs", "envs.effects", "envs.sensors", "envs.tasks", "evaluation", "fidelity", "fit",
+          "metrics", "model", "scene", "scene.catalog", "simulation")  # fmt: skip
+
+
+def prose(text):
+    """A page without its blocks and spans of code."""
+    return re.sub(r"`[^`\n]*`", "`", BLOCK.sub("", text))
+
+
+def anchors(text):
+    """The anchors of a page: of its headings, as Python-Markdown and forges make them, and of its entries."""
+    headings = re.findall(r"^#+ (.*)$", BLOCK.sub("", text), re.MULTILINE)
+    words = (re.sub(r"[^\w\s-]", "", each.replace("`", "")).strip().lower() for each in headings)
+    return {re.sub(r"[\s]+", "-", each) for each in words} | set(ENTRY.findall(text))
+
+
+def wrong_links(page, texts=PAGES):
+    """The links and pictures of a page that lead nowhere, or from the site out of its folder."""
+    for target in LINK.findall(prose(texts[page])):
+        if "://" in target:
+            continue
+        address, _, anchor = target.partition("#")
+        path = ((ROOT / page).parent / address).resolve() if address else ROOT / page
+        inside = not page.startswith("docs/") or DOCS in path.parents
+        known = texts.get(str(path.relative_to(ROOT))) if inside and ROOT in path.parents else None
+        if not inside or not path.exists() or (anchor and (known is None or anchor not in anchors(known))):
+            yield target
+
+
+def test_every_page_has_its_place():
+    def pages(node):
+        parts = node.values() if isinstance(node, dict) else node if isinstance(node, list) else ()
+        return [node] if isinstance(node, str) else [page for part in parts for page in pages(part)]
+
+    settings = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
+    assert sorted(pages(settings["nav"])) == sorted(page[5:] for page in PAGES if page.startswith("docs/"))
+    local = settings["extra_css"] + settings["extra_javascript"] + settings["extra"]["polyfills"]
+    assert settings["theme"]["font"] is False and all((DOCS / path).is_file() for path in local)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_and_pictures_lead_somewhere(page):
+    assert list(wrong_links(page)) == []
+
+
+def test_wrong_links_are_found():
+    texts = {"docs/index.md": "# One `two`, three\n[a](no.md) ![b](arm.png) [c](#one-two-three) [d](#four) `[e](f)`\n"
+             "[g](../README.md) [h](theory.md#a-link) [i](theory.md#nothing) [j](https://nowhere)\n",
+             "docs/theory.md": PAGES["docs/theory.md"]}  # fmt: skip
+    assert list(wrong_links("docs/index.md", texts)) == ["no.md", "#four", "../README.md", "theory.md#nothing"]
+
+
+def found(entry):
+    """What an entry of the API is in Python."""
+    parts = entry.split(".")
+    for count in range(len(parts) - 1, 0, -1):
+        try:
+            value = importlib.import_module(".".join(parts[:count]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[count:]:
+            value = getattr(value, part)
+        return value
+    raise LookupError(entry)
+
+
+def key(value, name):
+    """What a thing is known by: a class or a function by itself, other values by their names."""
+    return (value.__module__, value.__qualname__) if isinstance(value, type | types.FunctionType) else name
+
+
+def test_every_public_name_has_one_entry():
+    pytest.importorskip("stable_baselines3")
+    said = Counter(key(found(entry), entry.rpartition(".")[2]) for entry in ENTRIES)
+    packages = [fm, *(importlib.import_module(f"flexman_gym.{name}") for name in PUBLIC)]
+    names = {(name, id(package)): getattr(package, name) for package in packages for name in package.__all__}
+    wanted = {key(value, name) for (name, _), value in names.items()
+              if not isinstance(value, types.ModuleType) and name != "__version__"}  # fmt: skip
+    for path in (ROOT / "agents").glob("*.py"):
+        wanted |= {(f"flexman_agents.{path.stem}", node.name) for node in ast.parse(path.read_text()).body
+                   if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_")}  # fmt: skip
+    assert wanted - said.keys() == set()
+    assert {name: count for name, count in said.items() if count > 1} == {}
+
+
+def test_entries_are_read_as_python_reads_them(tmp_path, caplog):
+    """Each is found, with its docstring, and not a module of the same name; and no docstring is misread."""
+    griffe = pytest.importorskip("griffe")
+    (tmp_path / "flexman_agents").symlink_to(ROOT / "agents")
+    loader = griffe.GriffeLoader(search_paths=[str(ROOT), str(tmp_path)])
+    left = [loader.load("flexman_gym"), loader.load("flexman_agents")]
+    for entry in ENTRIES:
+        read = loader.modules_collection[entry]
+        read = read.final_target if read.is_alias else read
+        assert read.kind.value != "module" and read.docstring, entry
+        assert read.name == entry.rpartition(".")[2]
+    with caplog.at_level("WARNING", "griffe"):
+        while left:
+            each = left.pop()
+            left += [member for member in each.members.values() if not member.is_alias]
+            if each.docstring:
+                each.docstring.parse("google")
+    assert caplog.messages == []
+
+
+def test_equations_are_read_by_what_draws_them():
+    if shutil.which("node") is None:
+        pytest.skip("needs node")
+    texts = [(page, one or two) for page, text in PAGES.items() for one, two in EQUATION.findall(prose(text))]
+    assert len(texts) >= 40
+    script = """
+        const katex = require(process.argv[1]);
+        for (const [page, text] of JSON.parse(require("fs").readFileSync(0)))
+            try { katex.renderToString(text, { throwOnError: true, strict: "error" }); }
+            catch (error) { console.log(page, text, error.message); }
+    """
+    command = ["node", "-e", script, str(DOCS / "assets" / "katex" / "katex.min.js")]
+    done = subprocess.run(command, input=json.dumps(texts), capture_output=True, text=True, check=True)
+    assert done.stdout == ""
