@@ -29,8 +29,8 @@ FLOORS = {
     "envs": "draw control fidelity simulation model scene kernels arrays checks",
     "metrics": "arrays checks",
     "verification": "simulation model scene kernels arrays checks",
-    "evaluation": "verification metrics envs draw control simulation scene arrays checks",
-    "agents": "flexman_gym evaluation envs metrics draw control simulation scene arrays checks",
+    "evaluation": "verification metrics envs draw control simulation scene kernels arrays checks",
+    "agents": "flexman_gym verification evaluation envs metrics draw control simulation scene arrays checks",
     "commands": "flexman_gym agents verification evaluation envs draw control fidelity simulation model scene kernels "
     "checks",
     "__main__": "flexman_gym commands",

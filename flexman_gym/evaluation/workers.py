@@ -145,8 +145,6 @@ def prepared(task: Task, cell: Any) -> Any:
 @cache
 def prepare() -> None:
     """Compiles the kernels that environments need, unless that was done; of several processes of a node one does."""
-    import flexman_gym  # noqa: F401  registers the environments
-
     with _alone_on_node():
         for env in (gym.make("FlexRRR-v0"), gym.make_vec("FlexRRR-v0", 2, "vector_entry_point")):
             env.reset(seed=0)
