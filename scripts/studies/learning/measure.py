@@ -13,13 +13,13 @@ from flexman_agents.training import train
 from flexman_gym.envs.catalog import NAMED
 from flexman_gym.envs.description import Description
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from flexman_gym.evaluation.entrants import Entrant, find_entrant
+from flexman_gym.evaluation.entrants import Entrant, find_entrant, parted
 from flexman_gym.evaluation.figures import FIGURES
 from flexman_gym.evaluation.grid import Workers, gathered
 from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.evaluation.seeds import TEST
 from flexman_gym.simulation.run import default_step
-from studies.learning.cases import CONTROLLERS, Case
+from studies.learning.cases import CONTROLLERS, VENUES, Case
 from studies.watch import Watch
 
 COST = "cost.json"
@@ -79,7 +79,8 @@ def runs(case: Case, folder: Path, workers: Workers | int = 1) -> Iterator[Row]:
     for seed, place, cost in zip(seeds, folders, costs, strict=True):
         policy = find_entrant(str(place))
         assert policy.environment is not None
-        for where, environment in places(policy.environment).items():
+        played = Description.find(VENUES[case.name]) if case.name in VENUES else policy.environment
+        for where, environment in places(parted(played)[0]).items():
             if case.kind == "recipe" or where == AS_TRAINED:
                 yield _row(case.kind, case.name, seed, where, cost, policy, environment)
 

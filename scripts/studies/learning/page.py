@@ -6,7 +6,7 @@ from statistics import median
 
 from flexman_gym.evaluation.seeds import SELECTION, TEST, TRAINING
 from flexman_gym.verification.markdown import bullets, markdown_table
-from studies.learning.cases import ABLATED, ABLATION_SEEDS, ABLATIONS, SEEDS
+from studies.learning.cases import ABLATED, ABLATION_SEEDS, ABLATIONS, SEEDS, VENUES
 from studies.learning.measure import AS_TRAINED, FINER, FINER_ELEMENTS, FINER_STEPS, LONG, LONGER, Row
 
 PAGE = """# What the recipes reach
@@ -31,6 +31,8 @@ That is 20 mm for `FlexRRR-v0`. The columns are:
 {columns}
 
 ## Recipes
+
+Each is judged in the environment in which it learned, {elsewhere}.
 
 {recipes}
 
@@ -76,6 +78,7 @@ def page(rows: Sequence[Row], machine: str) -> str:
         selection=f"{SELECTION.start} to {SELECTION.stop - 1}",
         training=TRAINING,
         columns="\n".join(bullets(f"{name}: {meaning}" for name, meaning in COLUMNS.items())),
+        elsewhere=", ".join(f"but `{name}` in `{venue}`" for name, venue in VENUES.items()),
         recipes="\n".join(_recipes(rows)),
         controllers="\n".join(_controllers(rows)),
         elements=FINER_ELEMENTS,
