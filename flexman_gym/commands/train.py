@@ -2,15 +2,17 @@
 
 import argparse
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from flexman_gym.checks import refusal
 
 if TYPE_CHECKING:
     from flexman_agents.settings import Settings
 
+LEARNED_WITH = ("base", "hold", "sensors")  # settings of an environment without which a recipe learns little
 INTERRUPTED = 130  # what a shell says of a process that Ctrl-C has ended
 
 
@@ -73,6 +75,14 @@ def refuse_settings(options: argparse.Namespace) -> None:
             raise refusal(name, getattr(options, name), "nothing with --resume: the run keeps its settings")
 
 
+def warn_of_lost(recipe: Mapping[str, Any], own: Mapping[str, Any], options: argparse.Namespace) -> None:
+    """Says which settings a recipe learned with that an environment in its place does not have."""
+    named = {change.partition("=")[0].partition(".")[0] for change in options.set}
+    lost = [f"{name}: {recipe[name]}" for name in LEARNED_WITH if name in recipe and name not in {*own, *named}]
+    if lost:
+        print(f"{options.env} does not have what the recipe learned with: {', '.join(lost)}", file=sys.stderr)
+
+
 def by_rllib(options: argparse.Namespace) -> Path:
     """Trains one run with RLlib, or goes on with it; returns its folder."""
     try:
@@ -103,6 +113,7 @@ def settings_of(options: argparse.Namespace) -> "Settings":
     described = settings.description
     if options.env:
         described = Description.find(options.env)
+        warn_of_lost(settings.environment if options.recipe else {}, described.settings or {}, options)
     described = described.changed(options.set)
     return replace(settings, environment=described.whole(), **named)
 

@@ -31,6 +31,8 @@ def run(options: argparse.Namespace) -> int:
         return 2
     for name in ("stiffness", "damping"):
         print(f"{name}: {', '.join(f'{gain:.3g}' for gain in getattr(result, name))}")
+    gains = {name: [float(f"{gain:.3g}") for gain in getattr(result, name)] for name in ("stiffness", "damping")}
+    print(f"in a file of an environment: gains: {gains}".replace("'", ""))
     print(f"gain margin: {result.margins.gain:.3g}, phase margin: {result.margins.phase:.3g} degrees")
     print(f"mean reward of 8 episodes: {result.reward:.1f}")
     return 0

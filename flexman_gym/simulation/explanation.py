@@ -125,8 +125,8 @@ def advice(model: Model, run: Run, step: float, states: Array) -> list[str]:
         result.append("a method with fixed steps, such as midpoint_3_sweeps")
     elif 2.0 * np.pi * highest * step > limit:
         stable = limit / (2.0 * np.pi * highest)
-        result.append(f"a step of at most {stable:.2g} s, as {method.name} is unstable beyond it at {highest:.4g} Hz")
-        result.append("an implicit method, such as midpoint_3_sweeps")
+        result.append(f"a step of at most {stable:.2g} s, as {method.name} is unstable beyond at {highest:.4g} Hz")
+        result.append("a linearly implicit method, such as midpoint_3_sweeps")
     else:
         result.append(f"a step shorter than {step:g} s")
     with np.errstate(all="ignore"):

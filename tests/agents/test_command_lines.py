@@ -50,6 +50,16 @@ def test_an_environment_file_and_changes_reach_the_run_and_its_evaluation(run, t
     assert other.splitlines()[2:] != out.splitlines()[2:]
 
 
+def test_an_environment_without_what_its_recipe_learned_with_is_told(run, tmp_path):
+    """A base that the file lacks is named; what the file or a change has is not."""
+    file.write(tmp_path / "own.yaml", {"id": "FlexOne-v0", "hold": 5})
+    recipe = "train", "planar_ppo_on_pd", "--env", tmp_path / "own.yaml", "--set", "sensors=full", *SMALL
+    _, _, said = run(*recipe, "--folder", tmp_path / "bare")
+    assert said.startswith(f"{tmp_path / 'own.yaml'} does not have what the recipe learned with: base: pd\n")
+    _, _, said = run(*recipe, "--set", "base=pd", "--folder", tmp_path / "whole")
+    assert "learned with" not in said
+
+
 def test_several_seeds_are_several_runs(run, tmp_path):
     code, _, _ = run("train", "--env", "FlexOne-v0", "--set", "horizon=1.0", "--seeds", 2, "--seed", 5, *SMALL,
                      "--folder", tmp_path)  # fmt: skip
@@ -111,6 +121,15 @@ def test_tuning_finds_gains_that_beat_most_and_finds_them_again(monkeypatch):
     limit, most = 0.5, 0.01 / NAMED["FlexOne-v0"].control_period
     low, high = np.array([0.01 * limit, 0.05 * most]), np.array([25 * limit, most])
     assert (gains >= low * (1 - 1e-9)).all() and (gains <= high * (1 + 1e-9)).all()
+
+
+def test_tune_prints_the_line_for_a_file(run, monkeypatch):
+    found = tuning.Tuned((31.26, 0.123), (7.0, 2.0), 9.0, tuning.LEAST)
+    monkeypatch.setattr(tuning, "tune", lambda *_, **__: found)
+    _, out, _ = run("tune", "FlexPlanar-v0")
+    (line,) = (line for line in out.splitlines() if "file" in line)
+    own = Description("FlexPlanar-v0", file.parse(line.partition(": ")[2]))
+    assert own.setup().pd_gains == {"stiffness": (31.3, 0.123), "damping": (7.0, 2.0)}
 
 
 def test_the_gains_in_the_catalog_are_better_than_gains_nearby_at_random():
