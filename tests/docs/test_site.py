@@ -3,11 +3,13 @@
 import ast
 import importlib
 import json
+import os
 import re
 import shutil
 import subprocess
 import types
 from collections import Counter
+from pathlib import Path
 
 import pytest
 import yaml
@@ -46,7 +48,7 @@ def wrong_links(page, texts=PAGES):
         if "://" in target:
             continue
         address, _, anchor = target.partition("#")
-        path = ((ROOT / page).parent / address).resolve() if address else ROOT / page
+        path = Path(os.path.normpath((ROOT / page).parent / address)) if address else ROOT / page
         inside = not page.startswith("docs/") or DOCS in path.parents
         known = texts.get(str(path.relative_to(ROOT))) if inside and ROOT in path.parents else None
         if not inside or not path.exists() or (anchor and (known is None or anchor not in anchors(known))):
@@ -93,6 +95,16 @@ def found(entry):
 def key(value, name):
     """What a thing is known by: a class or a function by itself, other values by their names."""
     return (value.__module__, value.__qualname__) if isinstance(value, type | types.FunctionType) else name
+
+
+def test_names_that_pages_mention_are_there():
+    """As `fm.name`, also in code."""
+    names = {name for text in PAGES.values() for name in re.findall(r"\bfm\.(\w+(?:\.[a-z_]\w*)?)", text)}
+    assert len(names) >= 40
+    for name in names:
+        first, _, second = name.partition(".")
+        value = getattr(fm, first)
+        assert not second or not isinstance(value, types.ModuleType | type) or hasattr(value, second), name
 
 
 def test_every_public_name_has_one_entry():
