@@ -26,7 +26,8 @@ def record(
     `recover_environment` gives, goes through the same observations and rewards under these actions, bit for bit.
 
     Args:
-        entrant, environment: as of `rollout`; sensors and history of the environment say what is observed.
+        entrant: as of `rollout`.
+        environment: as of `rollout`; its sensors and history say what is observed.
         seeds: one for each episode.
         name: of the dataset, such as "flexrrr/pd-v0".
         form: "hdf5" or "arrow".

@@ -25,6 +25,7 @@ PAGES = [page for page, text in TEXTS.items() if "python" in [language for langu
 LESS = {"--steps": "512", "--episodes": "2", "--judge-every": "256"}
 LESS_IN_PYTHON = (
     (r"STEPS = [\d_]+", "STEPS = 256"), (r"circles\(\d+\)", "circles(4)"), (r'-v0", 256', '-v0", 4'),
+    (r"horizon=2.0", "horizon=0.4"),
 )  # fmt: skip
 
 

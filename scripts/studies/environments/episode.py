@@ -15,7 +15,7 @@ from flexman_gym.simulation import Episode
 
 BASES = {None: "no torque", "pd": "PD", "lqr-tracking": "tracking LQR"}  # the latter knows the arm and its state
 SEEDS = tuple(range(9000, 9008))
-SIZE, BROADER, LEAST = (400, 300), 1.5, 1e-5
+SIZE, BROADER, LEAST = (280, 210), 1.5, 1e-5
 
 
 @dataclass(frozen=True, eq=False)
