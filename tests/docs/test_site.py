@@ -102,7 +102,8 @@ def test_every_public_name_has_one_entry():
     names = {(name, id(package)): getattr(package, name) for package in packages for name in package.__all__}
     wanted = {key(value, name) for (name, _), value in names.items()
               if not isinstance(value, types.ModuleType) and name != "__version__"}  # fmt: skip
-    for path in (ROOT / "agents").glob("*.py"):
+    optional = ("rllib", "array_runner")  # whose libraries need an environment of their own; scale.md tells of them
+    for path in (path for path in (ROOT / "agents").glob("*.py") if path.stem not in optional):
         wanted |= {(f"flexman_agents.{path.stem}", node.name) for node in ast.parse(path.read_text()).body
                    if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_")}  # fmt: skip
     assert wanted - said.keys() == set()
