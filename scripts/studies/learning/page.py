@@ -102,7 +102,7 @@ def _recipes(rows: Sequence[Row]) -> list[str]:
 
 
 def _cost(row: Row) -> tuple[str, ...]:
-    return f"{row.steps:,.0f}", f"{row.cpu:.0f}", f"{row.rate:,.0f}", f"{row.share:.0%}"
+    return f"{row.steps:,.0f}", f"{row.cpu:.0f}", f"{row.rate:,.0f}", "-" if row.share is None else f"{row.share:.0%}"
 
 
 FIGURES = ("settled", "time, s", "vibration, mm", "error, mm", "reward", "effort", "roughness", "failed")
