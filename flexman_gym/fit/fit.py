@@ -68,6 +68,13 @@ class Fit:
     records: tuple[Measurement, ...] = field(repr=False)
     step: float | None = field(repr=False)
 
+    def __repr__(self) -> str:
+        def row(values: Any) -> str:
+            return " ".join(f"{each:.4g}" for each in np.atleast_1d(values))
+
+        numbers = (f"  {name}: {row(self.values[name])} +- {row(self.deviations[name])}" for name in self.values)
+        return "\n".join(["<Fit", *numbers, *(f"  {each}" for each in (self.explanation, *self.warnings))]) + ">"
+
     def predicted(self, record: Measurement) -> dict[str, Array]:
         """Gives the outputs (T,) of a measurement, by name, as the fitted arm and its sensors show them.
 

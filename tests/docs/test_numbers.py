@@ -3,6 +3,7 @@
 import re
 
 import pytest
+import yaml
 
 from flexman_gym.simulation import METHODS
 from flexman_gym.simulation.amplification import largest_growth
@@ -66,3 +67,10 @@ def test_minutes_of_training_are_those_of_the_rows():
     minutes = sorted(row.cpu / 60 for row in rows if row.name == "ppo_on_pd_minute" and row.where == "as trained")
     told = re.search(r"\| PPO on the PD \| everything \| ([\d.]+) to ([\d.]+) minutes", README)
     assert [float(each) for each in told.groups()] == [round(minutes[0], 1), round(minutes[-1], 1)]
+
+
+def test_the_entry_to_cite_is_that_of_the_file_beside_the_package():
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    page = (ROOT / "docs" / "cite.md").read_text(encoding="utf-8")
+    for name in ("title", "version", "license"):
+        assert re.search(rf"{name} += {{{re.escape(str(cited[name]))}}}", page), name

@@ -1,5 +1,7 @@
 """Ringing: parameters from frequencies and damping ratios, against closed forms."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -110,3 +112,16 @@ def test_a_number_is_untold_from_half_of_itself_on():
     names, sentence = untold(free, free.start, np.array([[1.0, -0.99], [-0.99, 1.0]]))
     assert names == ("link_stiffness[0]", "link_stiffness[1]")
     assert sentence == "The data cannot tell link_stiffness[0] and link_stiffness[1] apart."
+
+
+def test_a_fit_shows_its_numbers_with_deviations():
+    arm = fm.catalog.one_joint()
+    measured = frequencies(build_model(arm, 1), lock_joints=True)[:2]
+    found = fm.fit(arm, ["joint_stiffness", "link_stiffness"], measured, elements=1)
+    first, *rows, last = repr(found).splitlines()
+    assert first == "<Fit" and last == f"  {found.explanation}>"
+    for row in rows:
+        name, value, deviation = re.fullmatch(r"  (\w+): (\S+) \+- (\S+)", row).groups()
+        assert float(value) == pytest.approx(found.values[name][0], rel=1e-3)
+        assert float(deviation) == pytest.approx(found.deviations[name][0], rel=1e-3)
+    assert len(rows) == 2
