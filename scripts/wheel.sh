@@ -1,6 +1,6 @@
 #!/bin/sh
-# Tries the wheel as somebody has it who knows no checkout: built, installed into an empty environment, used in an empty
-# folder. Everything goes to a temporary folder that is removed, or to a new one that is named, which is kept.
+# Tries the wheel as somebody has it who knows no checkout: built from the source archive, installed into an empty
+# environment, used in an empty folder. Everything goes to a temporary folder that is removed, or to a new one that is named, which is kept.
 set -eu
 
 checkout=$(cd "$(dirname "$0")/.." && pwd)
@@ -19,7 +19,9 @@ rm -rf "$checkout"/build/lib "$checkout"/build/bdist.* # files that are gone wou
 export PATH="$folder/environment/bin:$PATH"
 mkdir "$folder/work"
 cd "$folder/work"
-python -m pip wheel --quiet --no-deps --wheel-dir "$folder/wheel" "$checkout"
+python -m pip install --quiet "setuptools>=77"
+(cd "$checkout" && python -c "from setuptools import build_meta; build_meta.build_sdist('$folder/source')" >/dev/null)
+python -m pip wheel --quiet --no-deps --wheel-dir "$folder/wheel" "$folder"/source/*.tar.gz
 python -m pip install --quiet "${TORCH:-torch}"
 python -m pip install --quiet "$(echo "$folder"/wheel/*.whl)[train]"
 
