@@ -98,6 +98,15 @@ def run_trial(cell: tuple[Settings, str, int]) -> None:
         study.tell(number, max(rewards))
 
 
+def flat(over: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """Gives path -> what a setting may be, from mappings in mappings as a file has them."""
+    result: dict[str, Any] = {}
+    for name, said in over.items():
+        inner = isinstance(said, dict) and not {"low", "high", "choices"} & said.keys()
+        result |= flat(said, f"{path}{name}.") if inner else {f"{path}{name}": said}
+    return result
+
+
 def changed(recipe: Settings, values: Mapping[str, Any]) -> Settings:
     """Gives a recipe with other values of some settings, by their paths."""
     data = json.loads(json.dumps(recipe.plain()))

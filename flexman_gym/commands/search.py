@@ -19,7 +19,7 @@ def arguments(result: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Searches; returns the exit code."""
     from flexman_agents.recipes import find_recipe
-    from flexman_agents.search import search
+    from flexman_agents.search import flat, search
     from flexman_gym.checks import refusal
     from flexman_gym.evaluation.grid import Workers
     from flexman_gym.scene import file
@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
     over = file.read(options.over)
     if not isinstance(over, dict) or not over:
         raise refusal("over", str(options.over), "a file with a mapping of settings")
-    workers = Workers.of(options)
-    path = search(find_recipe(options.recipe), over, options.folder, options.trials, workers, options.seed)
+    how = options.folder, options.trials, Workers.of(options), options.seed
+    path = search(find_recipe(options.recipe), flat(over), *how)
     print(f"The best is in {path}; train it with other seeds: flexman train {path} --seeds 5")
     return 0

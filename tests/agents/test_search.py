@@ -1,5 +1,6 @@
 """Search: trials are proposed, pruned, resumed after a kill, and the best is a recipe that gives its bits again."""
 
+import json
 import os
 import subprocess
 import sys
@@ -13,6 +14,7 @@ pytest.importorskip("stable_baselines3")
 from flexman_agents.recipes import find_recipe
 from flexman_agents.search import BEST, changed, search
 from flexman_agents.training import train
+from flexman_gym.__main__ import main
 from flexman_gym.evaluation.folder import NEWEST, read_data
 
 from oracles.refusals import refusal
@@ -47,6 +49,17 @@ def test_settings_are_changed_by_their_paths():
                               "schedules.log_std.end": -2.0})  # fmt: skip
     assert result.hyperparameters["gamma"] == 0.7 and result.description.setup().hold == 2
     assert result.schedule("log_std").at(1.0) == -2.0 and changed(RECIPE, {}) == RECIPE
+
+
+def test_the_command_reads_what_settings_may_be_as_a_file_has_it(tmp_path, capsys):
+    pytest.importorskip("optuna", reason="Optuna is not installed")
+    (tmp_path / "recipe.json").write_text(json.dumps(RECIPE.plain()))
+    (tmp_path / "over.yaml").write_text("hyperparameters:\n  gamma: {low: 0.5, high: 0.9}\nenvs: {choices: [2, 3]}\n")
+    own = ["--folder", str(tmp_path / "search"), "--trials", "1"]
+    assert main(["search", str(tmp_path / "recipe.json"), "--over", str(tmp_path / "over.yaml"), *own]) == 0
+    ((_, found, _),) = trials(tmp_path / "search")
+    assert 0.5 <= found["hyperparameters.gamma"] <= 0.9 and found["envs"] in (2, 3)
+    assert "best.yaml" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -56,6 +56,6 @@ def test_a_clone_acts_nearly_as_whom_it_was_cloned_from_and_is_an_entrant(tmp_pa
     record("pd", environment, range(20), "one/pd-v0")
     error = example("clone").clone("one/pd-v0", tmp_path / "clone", 300)
     played = rollout("pd", environment, [100, 101])
-    assert error < 0.01 * np.var(played.actions)
+    assert error < 0.1 * np.var(played.actions)
     clone = find_entrant(str(tmp_path / "clone"))
     assert np.abs(rollout(clone, environment, [100, 101]).tips - played.tips).max() < 0.1

@@ -24,7 +24,7 @@ WAYS = {
     "ray": (Workers(2, ray="local"), "ray"),
     "submitit": (Workers(2, submitit="local"), "submitit"),
 }  # fmt: skip
-MAP = [cell for cell in stability.cells(quick=True) if cell.arguments[:1] in (("spin",), ("payload",))]
+MAP = [cell for cell in stability.cells(quick=True) if cell.arguments[:1] == ("payload",)]
 
 
 def seeds_of(folder):
@@ -78,9 +78,10 @@ def test_every_way_gives_the_bits_of_a_serial_run_although_a_worker_is_killed(
     monkeypatch.chdir(tmp_path)
     gathered(partial(cells.dying_once, str(tmp_path / "grave"), trained), seeds_of(tmp_path), workers)
     assert policies(tmp_path) == serial[0] and len({str(each) for each in serial[0]}) == 5
-    assert league(tmp_path / "league", workers, venues) == serial[1]
+    if way != "processes":  # in which evaluation/test_league.py plays it
+        assert league(tmp_path / "league", workers, venues) == serial[1]
     assert repr(gathered(stability.rows_of, MAP, workers)) == repr(serial[2])
-    assert (tmp_path / "grave").exists() and len(serial[2]) == len(MAP) > 2
+    assert (tmp_path / "grave").exists() and len(serial[2]) == len(MAP) == 2
 
 
 def test_seeds_that_were_killed_go_on_and_those_that_are_done_stay(tmp_path, serial):
