@@ -10,8 +10,9 @@ from typing import Any
 
 import yaml
 
+from flexman_agents.callbacks import Report
 from flexman_agents.settings import Settings
-from flexman_agents.training import Report, trained
+from flexman_agents.training import trained
 from flexman_gym.checks import finite, mapping, one_of, refusal, sequence, whole_number
 from flexman_gym.evaluation.folder import write
 from flexman_gym.evaluation.grid import Workers, spread
