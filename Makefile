@@ -20,8 +20,9 @@ quick: .venv/installed
 
 # Into out/site; it opens from a disk, and search, equations and fonts ask nobody.
 site: .venv/installed
-	@mkdir -p build/names && ln -sfn ../../agents build/names/flexman_agents
-	$(RUN) zensical build --strict --clean
+	@mkdir -p build/site && ln -sfn ../../flexman_gym build/site/flexman_gym
+	@ln -sfn ../../agents build/site/flexman_agents
+	timeout 600 $(RUN) zensical build --strict --clean
 
 verify: .venv/installed
 	.venv/bin/flexman verify --markdown docs/verification.md

@@ -22,9 +22,9 @@ def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
     shutil.copy(ROOT / "mkdocs.yml", folder)
     shutil.copytree(ROOT / "docs", folder / "docs")
-    (folder / "flexman_gym").symlink_to(ROOT / "flexman_gym")
-    (folder / "build" / "names").mkdir(parents=True)
-    (folder / "build" / "names" / "flexman_agents").symlink_to(ROOT / "agents")
+    (folder / "build" / "site").mkdir(parents=True)
+    for name, place in (("flexman_gym", "flexman_gym"), ("flexman_agents", "agents")):
+        (folder / "build" / "site" / name).symlink_to(ROOT / place)
     command = [sys.executable, "-m", "zensical", "build", "--strict"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0 and "griffe" not in done.stdout + done.stderr, done.stdout + done.stderr
