@@ -8,7 +8,7 @@ import pytest
 from oracles.files import ROOT
 
 DOCS = ROOT / "docs"
-PAGES = sorted(str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md"))
+PAGES = ["../README.md", *sorted(str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md"))]
 HALF, WORDS, SHARE, NUMBERS = 18, 30, 0.9, 3  # words of the median; at most, in so many of the sentences; numbers
 NO_PROSE = re.compile(r"\s*(\||#|!\[)")  # tables, headings, pictures
 VERSIONS = "Computed with "  # a list of packages
