@@ -45,7 +45,7 @@ def score_chart(
         panels[0].errorbar(curve.places + shift, curve.middle, spread, label=entrant, capsize=2, **(look | line))
         if profiles and entrant in profiles:
             panels[1].plot(*profiles[entrant], **(look | {"marker": ""}))
-    panels[0].set(ylabel="score (0: no torque, 1: an LQR that knows all)", xlabel=what)
+    panels[0].set(ylabel="score: 0 no torque, 1 told all", xlabel=what)
     if names:
         panels[0].set_xticks(range(len(names)), names, rotation=30, ha="right", rotation_mode="anchor")
     if profiles:

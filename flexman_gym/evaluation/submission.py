@@ -46,7 +46,7 @@ def about(entrant: str) -> tuple[str, str]:
     if entrant in BASELINES:
         return ABOUT[entrant]
     settings, seconds = _settings(entrant), training_seconds(entrant)
-    base = (settings.get("environment") or {}).get("base")
+    base = settings.get("base_in_use") or (settings.get("environment") or {}).get("base")
     what = f"a policy that {str(settings.get('algo', 'a recipe')).upper()} has trained"
     trained = "for a time that its curves do not tell" if seconds is None else f"for {seconds / 60.0:.3g} minutes"
     return what + (f", beside the base {base if isinstance(base, str) else base['kind']}" if base else ""), trained
@@ -60,9 +60,11 @@ def needs(entrant: str) -> tuple[str, ...]:
     """
     if entrant in BASELINES:
         return BASES[entrant].knows if entrant in BASES else ()
-    setup = Description.from_dict(_settings(entrant).get("environment")).setup()
+    settings = _settings(entrant)
+    setup = Description.from_dict(settings.get("environment")).setup()
     kinds = {each["kind"] if isinstance(each, dict) else each for each in plain_sensors(setup.sensors)}
-    base = setup.base.get("kind") if isinstance(setup.base, dict) else setup.base
+    beside = settings.get("base_in_use") or setup.base  # a base in use takes the place of the one it learned with
+    base = beside.get("kind") if isinstance(beside, dict) else beside
     known = ["training", *(["true state"] if kinds & set(TRUE_SENSORS) else [])]
     return tuple(dict.fromkeys([*known, *(BASES[base].knows if isinstance(base, str) else ())]))
 

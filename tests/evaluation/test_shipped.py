@@ -85,6 +85,10 @@ def test_what_its_base_knows_it_needs_too(tmp_path):
     told = Description.from_dict({"id": "FlexPlanar-v0", "base": "privileged-lqr", "sensors": "lab", "horizon": 1.0})
     write_shipped(tmp_path, *made.made_up(told))
     assert needs(str(tmp_path)) == ("training", *BASES["privileged-lqr"].knows)
+    about, arrays = made.made_up(told)
+    about["recipe"]["settings"]["base_in_use"] = "adaptive-lqr"
+    write_shipped(tmp_path, about, arrays)
+    assert needs(str(tmp_path)) == ("training", *BASES["adaptive-lqr"].knows), "that in use takes its place"
 
 
 def test_a_scale_an_index_and_gains_that_were_changed_are_refused(folder, tmp_path):
