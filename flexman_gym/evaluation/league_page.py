@@ -66,9 +66,8 @@ def conclusion(standing: Standing) -> str:
         _settles(standing, best, ASKED),
         f"It needs to know: {_needs(best)}.",
         _costs(standing, best, [ASKED]),
+        *_breaks(standing, best),
     ]
-    if not standing.why(best, LOADED):
-        said.append(f"Where the payload alone is unknown (`{LOADED}`): {_settles(standing, best, LOADED)}")
     if others:
         won = standing.better(best, others[0], [ASKED])
         said += [f"The next is `{others[0]}`. {_settles(standing, others[0], ASKED)}"]
@@ -76,7 +75,10 @@ def conclusion(standing: Standing) -> str:
     one = standing.values(SCALE[1], ASKED, "settling_time")
     if one:
         said.append(f"An LQR that is told everything needs {median_interval(np.array([*one.values()]))[0]:.2f} s.")
-    return "\n".join([*said, *_breaks(standing, best)])
+    if not standing.why(best, LOADED):
+        said.append(f"Where the payload alone is unknown (`{LOADED}`), take `{best}`, too.")
+        said.append(_settles(standing, best, LOADED))
+    return "\n".join(said)
 
 
 def _settles(standing: Standing, entrant: str, venue: str) -> str:
@@ -95,7 +97,7 @@ def _breaks(standing: Standing, entrant: str) -> list[str]:
     """Where an entrant breaks, and where it did not play."""
     broken = [f"`{_short(venue)}`" for venue in _everywhere(standing) if _is_broken(standing, entrant, venue)]
     unplayed = [f"`{_short(venue)}`" for venue in _everywhere(standing) if standing.why(entrant, venue)]
-    said = f"It breaks in: {', '.join(broken)}." if broken else "It breaks in none of the venues that it played."
+    said = f"It breaks in {', '.join(broken)}." if broken else "It breaks in none of the venues that it played."
     return [said, *([f"It did not play: {', '.join(unplayed)}."] if unplayed else [])]
 
 
