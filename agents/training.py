@@ -83,8 +83,8 @@ def resume(
     checkpoint_every: int = 0,
     progress: bool = True,
     device: str = "cpu",
-    hook: Hook | None = None,
     judge_every: int | None = None,
+    hook: Hook | None = None,
 ) -> BaseAlgorithm:
     """Goes on with the run in a folder to the end of its steps, exactly as if it had never stopped.
 

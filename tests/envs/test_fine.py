@@ -52,7 +52,7 @@ def test_half_of_a_millimetre_is_seen_and_twice_as_far_adds_no_more_than_a_const
 @pytest.mark.parametrize("name", sorted(NAMED))
 def test_their_bounds_hold_and_are_those_of_the_quantities(name):
     """Full power in turns, until limits end many episodes; a bound is what the largest quantity becomes."""
-    env = gym.make_vec(name, 32, "vector_entry_point", sensors=BOTH, limits=fm.Limits(rate=3.0)).unwrapped
+    env = gym.make_vec(name, 32, "vector_entry_point", sensors=BOTH, limits=fm.Limits(rate=1.5)).unwrapped
     env.reset(seed=0)
     random, high, failures = np.random.default_rng(0), env.observation_space.high, 0
     for step in range(200):

@@ -128,7 +128,9 @@ SETTINGS = {
 def test_gym_make_and_gym_make_vec_take_the_same_keywords():
     """All of them at once, none of them the default; both give the same episode."""
     assert {each.name for each in fields(Setup)} - {"name"} == SETTINGS.keys() - {*RENDER}
-    assert set(OWN) - {"num_envs", "threads", "max_episode_steps", "autoreset_mode"} == {*RENDER}
+    assert set(OWN) - {"num_envs", "threads", "max_episode_steps", "autoreset_mode", "infos", "seed_stride"} == {
+        *RENDER
+    }
     single = gym.make("FlexPlanar-v0", **SETTINGS)
     many = gym.make_vec("FlexPlanar-v0", 2, "vector_entry_point", **SETTINGS)
     seen, others = single.reset(seed=3)[0], many.reset(seed=3)[0]

@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 
-LINE = re.compile(r"[\w.,\[\]'\"(){}:/+\-\\ ]+: (missing|.+ (is|are) not allowed); give .+")
+LINE = re.compile(r"([\w.,\[\]'\"(){}:/+\-\\ ]|[^\x00-\x7f])+: (missing|.+ (is|are) not allowed); give .+")
 LONGEST = 440  # characters of such a line
 
 

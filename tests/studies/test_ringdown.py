@@ -63,7 +63,7 @@ def test_rows_page_and_picture_name_the_default(monkeypatch, tmp_path):
     rows = [each for kind in DURATION for each in measure.rows(kind, 2, 1)]
     assert len(rows) == len(DURATION) * 2 * 2 and set(PARTS) >= {3, 4} and settings("rk4") == measure.FINE_PARTS
     text = page(rows, "one machine", DEFAULT)
-    assert f"`{DEFAULT[0]}` at 6.67 ms" in text and "`ros2` at 5 ms" in text and "MuJoCo" not in text
+    assert f"`{DEFAULT[0]}` at 6.67 ms" in text and "`ros2` at 5 ms" in text and "leaves 0.25 of the energy" not in text
     foreign = Row(UNDAMPED, "MuJoCo, 4 pieces", "discrete", 0.005, 1e-4, *[0.5] * 7, kept=0.25, failed=0.0)
     assert "leaves 0.25 of the energy" in page([*rows, foreign], "one machine", DEFAULT)
     draw([*rows, foreign], tmp_path, DEFAULT)
