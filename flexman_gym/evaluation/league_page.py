@@ -57,8 +57,7 @@ def page(standing: Standing) -> str:
 
 def conclusion(standing: Standing) -> str:
     """Says which entrant to take for an arm that nobody knows, what it costs and where it breaks."""
-    known = standing.buildable(ASKED)
-    if not known:
+    if not (known := standing.buildable(ASKED)):
         return f"Nobody who could act on a real arm has played `{ASKED}`."
     best, *others = known
     said = [
@@ -72,12 +71,11 @@ def conclusion(standing: Standing) -> str:
         won = standing.better(best, others[0], [ASKED])
         said += [f"The next is `{others[0]}`. {_settles(standing, others[0], ASKED)}"]
         said += [f"The first has the larger reward in {_share(won)} of the same episodes."] if won else []
-    one = standing.values(SCALE[1], ASKED, "settling_time")
-    if one:
+    if one := standing.values(SCALE[1], ASKED, "settling_time"):
         said.append(f"An LQR that is told everything needs {median_interval(np.array([*one.values()]))[0]:.2f} s.")
     if not standing.why(best, LOADED):
-        said.append(f"Where the payload alone is unknown (`{LOADED}`), take `{best}`, too.")
-        said.append(_settles(standing, best, LOADED))
+        too = f"Where the payload alone is unknown (`{LOADED}`), take `{best}`, too."
+        said += [too, _settles(standing, best, LOADED)]
     return "\n".join(said)
 
 

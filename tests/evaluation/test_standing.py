@@ -87,7 +87,7 @@ def test_the_one_to_take_settles_most_and_first_and_is_told_no_truth():
     assert said.startswith("Take `lqg` for an arm whose payload, stiffness and delay nobody knows")
     for words in ("settles 100 % of the episodes, half of them within 4.00 s", "needs to know: model",
                   "An action takes 12 microseconds, and the start of an episode 3 ms", "is `pd`. It settles 0 % of",
-                  "told everything needs 3.00 s", "breaks in: `friction`"):  # fmt: skip
+                  "told everything needs 3.00 s", "breaks in `friction`"):  # fmt: skip
         assert words in said, words
     quicker = standing(settled={("pd", ASKED): 2.9})
     assert quicker.buildable(ASKED) == ["pd", "lqg"] and "breaks in none" in conclusion(quicker)
