@@ -1,13 +1,10 @@
 """RLlib: the recipes of PPO on Ray's library, with runners that keep the arrays of the vector environment whole."""
 
-import os
 import shutil
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import ray
 import torch
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
@@ -19,6 +16,7 @@ from flexman_agents.training import keep_settings
 from flexman_gym.checks import refusal, whole_number
 from flexman_gym.evaluation.folder import NEWEST, locked, write_data
 from flexman_gym.evaluation.seeds import training_seed
+from flexman_gym.evaluation.workers import cluster, paths
 
 CHECKPOINTS = "rllib"  # the folder of them
 NAMES = {"n_steps": "", "batch_size": "minibatch_size", "n_epochs": "num_epochs", "gamma": "gamma",
@@ -103,19 +101,10 @@ def train_rllib(settings: Settings, folder: Path, runners: int = 0, every: int =
     if not resume and folder.exists() and any(folder.iterdir()):
         raise refusal("folder", folder, "a new one, or resume the run in it")
     place.mkdir(parents=True, exist_ok=True)
-    own = not ray.is_initialized()
-    if own:
-        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        paths = {"env_vars": {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "OMP_NUM_THREADS": "1"}}
-        ray.init(num_cpus=runners + 1, include_dashboard=False, log_to_driver=False, logging_level="ERROR",
-                 object_store_memory=200_000_000, runtime_env=paths)  # fmt: skip
-    try:
-        with locked(folder):
-            keep_settings(settings, folder, 0)
-            _learn(config.build_algo(), settings, place, every, int(known[-1].name) if resume else 0)
-    finally:
-        if own:
-            ray.shutdown()
+    here = {"env_vars": {"PYTHONPATH": paths(), "OMP_NUM_THREADS": "1"}}
+    with cluster(runners + 1, runtime_env=here), locked(folder):
+        keep_settings(settings, folder, 0)
+        _learn(config.build_algo(), settings, place, every, int(known[-1].name) if resume else 0)
 
 
 def _learn(algorithm: Any, settings: Settings, place: Path, every: int, done: int) -> None:

@@ -87,7 +87,7 @@ def run_trial(cell: tuple[Settings, str, int]) -> None:
 
     try:
         if not pruned:
-            trained((settings, str(place), 0, False, "cpu", hook))
+            trained((settings, str(place), {"progress": False, "hook": hook}))
     except ValueError as error:  # what diverges is a trial that failed
         print(f"trial {number}: {error}", file=sys.stderr)
         study.tell(number, state=_optuna().trial.TrialState.FAIL)

@@ -5,7 +5,7 @@ import platform
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib.metadata import version
@@ -121,11 +121,11 @@ def resume(
         return run.learn(checkpoint_every, progress, hook)
 
 
-def trained(cell: tuple[Any, ...]) -> str:
+def trained(cell: tuple[Settings, str, Mapping[str, Any]]) -> str:
     """Trains a run as `train` does, or goes on with it to its end; a cell of a grid.
 
     Args:
-        cell: the settings, the folder as a text, and what else `train` takes, in its order.
+        cell: the settings, the folder as a text, and what both `train` and `resume` take by name, a mapping.
 
     Returns:
         The folder.
@@ -133,15 +133,15 @@ def trained(cell: tuple[Any, ...]) -> str:
     Raises:
         ValueError: also where the folder holds a run with other settings.
     """
-    settings, folder, *how = cell
+    settings, folder, how = cell
     path = Path(folder)
     if not (path / SETTINGS).exists():
-        train(settings, path, *how)
+        train(settings, path, **how)
         return folder
     if load_settings(path) != settings:
         raise refusal("folder", folder, "one without a run of other settings")
     if not (path / NEWEST).is_file() or _steps_done(path / NEWEST, read_data(path / NEWEST)) < settings.steps:
-        resume(path, None, *how)
+        resume(path, **how)
     return folder
 
 

@@ -52,8 +52,7 @@ def run(options: argparse.Namespace) -> int:
         if options.engine == "rllib":
             folders = [by_rllib(options)]
         elif options.resume:
-            how = options.checkpoint_every, not options.quiet, options.device
-            resume(options.folder, options.steps, *how, judge_every=options.judge_every)
+            resume(options.folder, options.steps, judge_every=options.judge_every, **how_of(options))
             folders = [options.folder]
         else:
             folders = start(options)
@@ -99,6 +98,11 @@ def by_rllib(options: argparse.Namespace) -> Path:
     return Path(options.folder)
 
 
+def how_of(options: argparse.Namespace) -> dict[str, Any]:
+    """What the command line asks of a training, new or not."""
+    return {"checkpoint_every": options.checkpoint_every, "progress": not options.quiet, "device": options.device}
+
+
 def settings_of(options: argparse.Namespace) -> "Settings":
     """The settings that the command line asks for."""
     from flexman_agents.recipes import find_recipe
@@ -123,13 +127,12 @@ def start(options: argparse.Namespace) -> list[Path]:
     from flexman_agents.training import train, trained
     from flexman_gym.evaluation.grid import Workers, gathered
 
-    settings = settings_of(options)
-    how = options.checkpoint_every, not options.quiet, options.device
+    settings, how = settings_of(options), how_of(options)
     if options.seeds == 1:
-        train(settings, options.folder, *how)
+        train(settings, options.folder, **how)
         return [options.folder]
     workers, seeds = Workers.of(options), range(settings.seed, settings.seed + options.seeds)
     if workers != Workers():
-        how = options.checkpoint_every, False, options.device  # bars of several runs would be one tangle
-    cells = [(settings.with_seed(seed), str(options.folder / f"seed-{seed}"), *how) for seed in seeds]
+        how |= {"progress": False}  # bars of several runs would be one tangle
+    cells = [(settings.with_seed(seed), str(options.folder / f"seed-{seed}"), how) for seed in seeds]
     return [Path(folder) for folder in gathered(trained, cells, workers)]

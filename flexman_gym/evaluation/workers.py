@@ -63,23 +63,39 @@ class Ray:
         self._jobs, self._address = jobs, address
 
     def __call__(self, task: Task, cells: Sequence[Any]) -> Done:
-        ray = _needed("ray")
-        own = not ray.is_initialized()
-        if own:
-            os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-            here = {"num_cpus": self._jobs, "include_dashboard": False, "object_store_memory": OBJECTS}
-            ray.init(log_to_driver=False, logging_level="ERROR",
-                     **(here if self._address == "local" else {"address": self._address}))  # fmt: skip
-        try:
-            paths = {"env_vars": {"PYTHONPATH": _paths()}}
-            remote = ray.remote(num_cpus=1, max_retries=DEATHS, runtime_env=paths)(prepared)
+        with cluster(self._jobs, self._address) as ray:
+            own = {"env_vars": {"PYTHONPATH": paths()}}
+            remote = ray.remote(num_cpus=1, max_retries=DEATHS, runtime_env=own)(prepared)
             waiting = {remote.remote(task, cell): number for number, cell in enumerate(cells)}
             while waiting:
                 for done in ray.wait(list(waiting))[0]:
                     yield waiting.pop(done), _of_ray(ray, done)
-        finally:
-            if own:
-                ray.shutdown()
+
+
+@contextmanager
+def cluster(jobs: int, address: str = "local", **settings: Any) -> Iterator[Any]:
+    """Gives Ray where it runs; a cluster that is started for it ends here.
+
+    Args:
+        jobs: tasks at once of a local cluster.
+        address: of one that runs already, or "local".
+        settings: what else `ray.init` takes.
+
+    Raises:
+        ImportError: without Ray.
+    """
+    ray = _needed("ray")
+    own = not ray.is_initialized()
+    if own:
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        here = {"num_cpus": jobs, "include_dashboard": False, "object_store_memory": OBJECTS}
+        there = here if address == "local" else {"address": address}
+        ray.init(log_to_driver=False, logging_level="ERROR", **there, **settings)
+    try:
+        yield ray
+    finally:
+        if own:
+            ray.shutdown()
 
 
 def _of_ray(ray: Any, done: Any) -> Any:
@@ -112,7 +128,7 @@ class Submitit:
             room = len(left) if self._cluster == "slurm" else self._jobs
             waiting = [first for first in left if first not in running][: room - len(running)]
             if waiting:
-                os.environ["PYTHONPATH"] = _paths()
+                os.environ["PYTHONPATH"] = paths()
                 with executor.batch():
                     running |= {first: executor.submit(_share, task, left[first]) for first in waiting}
             for first in [first for first, job in running.items() if job.done()]:
@@ -162,8 +178,8 @@ def _alone_on_node() -> Iterator[None]:
         yield
 
 
-def _paths() -> str:
-    """What a process that is started needs as PYTHONPATH to find what this one can import."""
+def paths() -> str:
+    """Gives what a process that is started needs as PYTHONPATH to find what this one can import."""
     return os.pathsep.join(filter(None, sys.path))
 
 

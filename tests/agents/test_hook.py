@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from flexman_agents.training import load_settings, resume, train
+from flexman_agents.training import load_settings, resume, train, trained
 from flexman_gym.evaluation.folder import NEWEST, read_data
 
 from oracles.runs import RUNS
@@ -51,3 +51,10 @@ def test_a_run_that_a_hook_stops_or_that_is_killed_after_it_saved_goes_on_to_the
         assert heard[0].steps == 48 and heard[-1].steps == 168
         assert bits(tmp_path / name) == bits(tmp_path / "whole")
     assert load_settings(tmp_path / "stopped") == SETTINGS
+
+
+def test_a_cell_of_a_grid_goes_on_with_its_hook_after_it_was_killed(tmp_path):
+    train(SETTINGS, tmp_path, progress=False, hook=lambda report: report.steps >= 48)
+    heard = []
+    trained((SETTINGS, str(tmp_path), {"progress": False, "hook": lambda report: heard.append(report.steps)}))
+    assert heard == [48, 72, 96, 120, 144, 168]

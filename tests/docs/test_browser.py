@@ -7,7 +7,7 @@ import sys
 import pytest
 import yaml
 
-from oracles.browser import MISSING, Browser
+from oracles.browser import one_browser
 from oracles.files import ROOT
 
 AWAY = (
@@ -31,13 +31,7 @@ def site(tmp_path_factory):
     return folder / yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["site_dir"]
 
 
-@pytest.fixture(scope="module")
-def browser():
-    if MISSING:
-        pytest.skip(MISSING)
-    made = Browser()
-    yield made
-    made.close()
+browser = pytest.fixture(one_browser, scope="module")
 
 
 def test_pages_ask_nobody_and_their_equations_are_drawn(site, browser):

@@ -15,7 +15,7 @@ import flexman_gym as fm
 from flexman_gym.draw.replay import packed, replay_page
 from flexman_gym.simulation.episode import Episode, about
 
-from oracles.browser import MISSING, Browser
+from oracles.browser import MISSING, Browser, one_browser
 from oracles.files import ROOT
 
 EVIL = "</script><script>window.harm = 1</script><img src=x onerror=window.harm=2>&<!--"
@@ -100,13 +100,7 @@ def test_the_bundle_is_what_its_sources_say():
 # In a browser
 
 
-@pytest.fixture(scope="module")
-def browser():
-    if MISSING:
-        pytest.skip(MISSING)
-    made = Browser()
-    yield made
-    made.close()
+browser = pytest.fixture(one_browser, scope="module")
 
 
 def test_the_page_draws_moves_and_asks_nobody(browser, tmp_path):

@@ -8,12 +8,23 @@ import time
 import urllib.error
 import urllib.request
 
+import pytest
+
 ARGUMENTS = ["--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
              "--disable-dev-shm-usage", "--hide-scrollbars", "--no-first-run", "--disable-background-networking",
              "--window-size=1280,720"]  # fmt: skip
 OFFLINE = "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1"
 MISSING = next((f"needs {name} (apt: chromium chromium-driver)" for name in ("chromium", "chromedriver")
                 if shutil.which(name) is None), "")  # fmt: skip
+
+
+def one_browser():
+    """A browser for the tests of a file, which are skipped without one; made a fixture of the file's scope there."""
+    if MISSING:
+        pytest.skip(MISSING)
+    made = Browser()
+    yield made
+    made.close()
 
 
 class Browser:

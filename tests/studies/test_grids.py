@@ -29,7 +29,7 @@ MAP = [cell for cell in stability.cells(quick=True) if cell.arguments[:1] == ("p
 
 def seeds_of(folder):
     """Cells of a recipe's seeds."""
-    return [(RECIPE.with_seed(seed), str(folder / f"seed-{seed}"), 0, False, "cpu") for seed in SEEDS]
+    return [(RECIPE.with_seed(seed), str(folder / f"seed-{seed}"), {"progress": False}) for seed in SEEDS]
 
 
 def policies(folder):
@@ -93,7 +93,7 @@ def test_seeds_that_were_killed_go_on_and_those_that_are_done_stay(tmp_path, ser
     assert gathered(trained, seeds_of(tmp_path)) == [str(tmp_path / f"seed-{seed}") for seed in SEEDS]
     assert policies(tmp_path) == serial[0]
     assert (tmp_path / "seed-2" / NEWEST).stat().st_mtime_ns == before
-    other = (replace(RECIPE, envs=2), str(tmp_path / "seed-0"), 0, False, "cpu")
+    other = (replace(RECIPE, envs=2), str(tmp_path / "seed-0"), {"progress": False})
     assert refusal(trained, other).startswith("folder: ")
 
 
