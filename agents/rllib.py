@@ -11,8 +11,8 @@ from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 from ray.tune.registry import register_env
 
 from flexman_agents.array_runner import ArrayRunner, Moments, make_arms
+from flexman_agents.record import keep_settings
 from flexman_agents.settings import EXPLORATION, HYPERPARAMETERS, Settings
-from flexman_agents.training import keep_settings
 from flexman_gym.checks import refusal, whole_number
 from flexman_gym.evaluation.folder import NEWEST, locked, write_data
 from flexman_gym.evaluation.seeds import training_seed

@@ -6,15 +6,16 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Self
 
-from flexman_gym.checks import finite, flag, mapping, one_of, positive, refusal, store, whole_number
+from flexman_gym.checks import finite, flag, mapping, one_of, positive, refusal, sequence, store, whole_number
 from flexman_gym.control.bases import checked_base
 from flexman_gym.envs.description import Description
 from flexman_gym.scene import file
 
-ALGORITHMS = ("ppo", "sac")
-ENVS = {"ppo": 64, "sac": 16}
-MOST_ENVS, MOST_STEPS, MOST_SEED = 4096, 10**10, 2**31
-COUNTS, PARTS = ("n_steps", "batch_size", "n_epochs", "learning_starts", "buffer_size"), ("gamma", "gae_lambda", "tau")
+ALGORITHMS = ("ppo", "sac", "dagger")
+ENVS = {"ppo": 64, "sac": 16, "dagger": 128}
+MOST_ENVS, MOST_STEPS, MOST_SEED, WIDEST = 4096, 10**10, 2**31, 10**5
+COUNTS = ("n_steps", "batch_size", "n_epochs", "learning_starts", "buffer_size", "updates", "rounds_kept")
+PARTS = ("gamma", "gae_lambda", "tau")
 ACTIVATIONS = ("tanh", "relu")
 SCHEDULED = {"learning_rate": ALGORITHMS, "log_std": ("ppo",), "target_entropy": ("sac",)}  # name -> algorithms
 EXPLORATION = ("log_std", "target_entropy")  # of PPO, of SAC
@@ -22,6 +23,15 @@ HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     # one batch a large part of the rollout: with small ones the optimiser, not the simulator, takes the time
     "ppo": {"n_steps": 128, "batch_size": 1024, "n_epochs": 5, "gamma": 0.999, "gae_lambda": 0.99},
     "sac": {"batch_size": 256, "gamma": 0.99, "learning_starts": 2000},
+    "dagger": {
+        "teacher": "privileged-lqr",
+        "updates": 400,
+        "batch_size": 512,
+        "rounds_kept": 12,
+        "net_arch": [256, 256],
+        "activation": "tanh",
+        "learning_rate": 0.001,
+    },
 }
 
 
@@ -62,7 +72,7 @@ class Settings:
     """What a training run needs to be repeated.
 
     Attributes:
-        algo: "ppo" or "sac".
+        algo: "ppo", "sac", or "dagger" for imitation, see `Imitation`.
         environment: a mapping as `Description` reads it; with base and hold, what the agent adds to and for how long
             its actions are kept.
         steps: actions of all arms together; with hold=5 each takes five control periods.
@@ -115,7 +125,7 @@ class Settings:
             seed=whole_number("seed", self.seed, 0, MOST_SEED),
             envs=whole_number("envs", ENVS[self.algo] if self.envs is None else self.envs, 1, MOST_ENVS),
             normalise_reward=flag("normalise_reward", self.normalise_reward),
-            judge_every=whole_number("judge_every", self.judge_every, 0, MOST_STEPS),
+            judge_every=whole_number("judge_every", self.judge_every, 0, MOST_STEPS if self.algo != "dagger" else 0),
             value_first=whole_number("value_first", self.value_first, 0, MOST_STEPS if self.algo == "ppo" else 0),
         )
 
@@ -192,3 +202,8 @@ def _check(field: str, name: str, value: object) -> None:
         one_of(field, value, ACTIVATIONS)
     elif name == "ortho_init":
         flag(field, value)
+    elif name == "teacher":
+        checked_base(value)
+    elif name == "net_arch" and not isinstance(value, dict):
+        for i, width in enumerate(sequence(field, value, "widths of layers")):
+            whole_number(f"{field}[{i}]", width, 1, WIDEST)

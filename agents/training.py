@@ -1,14 +1,9 @@
 """Training: PPO or SAC on an environment; a run is kept in one folder, survives its process and goes on exactly."""
 
 import json
-import platform
-import signal
 import sys
-import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +14,10 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from flexman_agents.algorithm import acting, make_model
 from flexman_agents.callbacks import Checkpoints, Exploration, Hook, Judge, Report, ValueFirst
 from flexman_agents.curves import open_curves
+from flexman_agents.imitation import Lessons
+from flexman_agents.interruption import Interrupted, asked_to_stop
 from flexman_agents.memory import give_policy, give_training, take_policy, take_training
+from flexman_agents.record import check_new, keep_settings
 from flexman_agents.settings import EXPLORATION, MOST_STEPS, Settings
 from flexman_gym.checks import refusal, whole_number
 from flexman_gym.envs.snapshot import give, take
@@ -31,15 +29,8 @@ from flexman_gym.evaluation.folder import (
     existing,
     locked,
     read_data,
-    write,
     write_data,
 )
-
-PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
-
-
-class Interrupted(Exception):
-    """A training was asked to stop; the run is kept and can go on."""
 
 
 def train(
@@ -49,8 +40,10 @@ def train(
     progress: bool = True,
     device: str = "cpu",
     hook: Hook | None = None,
-) -> BaseAlgorithm:
+) -> BaseAlgorithm | None:
     """Trains a policy from the start and saves it in a folder.
+
+    An imitation ("dagger") keeps its policy alone, and that at the end.
 
     Args:
         settings: what the run is.
@@ -61,20 +54,23 @@ def train(
         device: of the networks, as PyTorch names it.
         hook: is told how far the run is; it stops, and is kept, where the hook gives True.
 
+    Returns:
+        The model of Stable-Baselines3; None for an imitation.
+
     Raises:
         ValueError: when the folder holds a run already, or another process trains in it.
         OSError: when the folder cannot be written.
         Interrupted: after Ctrl-C, once the run is saved.
     """
     folder = Path(folder)
-    _check_new(folder)
+    check_new(folder)
     checkpoint_every = whole_number("checkpoint_every", checkpoint_every, 0, MOST_STEPS)
-    model = make_model(settings, device)
+    run = _begun(settings, folder, device)
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder):
-        _check_new(folder)  # another process may have trained there meanwhile
+        check_new(folder)  # another process may have trained there meanwhile
         keep_settings(settings, folder, 0)
-        return _Run(model, settings, folder).learn(checkpoint_every, progress, hook)
+        return run.learn(checkpoint_every, progress, hook)
 
 
 def resume(
@@ -85,7 +81,7 @@ def resume(
     device: str = "cpu",
     judge_every: int | None = None,
     hook: Hook | None = None,
-) -> BaseAlgorithm:
+) -> BaseAlgorithm | None:
     """Goes on with the run in a folder to the end of its steps, exactly as if it had never stopped.
 
     A run that is finished goes on only where `steps` are given, as another run that begins with its policy and its
@@ -112,7 +108,7 @@ def resume(
         if (folder / BEST).is_file() and not settings.judge_every:
             allowed = f"the steps between evaluations, > 0: {folder} keeps its best policy"
             raise refusal("judge_every", settings.judge_every, allowed)
-        run = _Run(make_model(settings, device), settings, folder)
+        run = _begun(settings, folder, device)
         if data is None:
             print(f"Nothing was kept in {folder} yet: the run begins again.", file=sys.stderr)
         else:
@@ -153,6 +149,13 @@ def load_settings(folder: Path) -> Settings:
     """
     path = existing(folder / SETTINGS)
     return Settings.from_json(path, path.read_bytes().decode("utf-8", errors="replace"))
+
+
+def _begun(settings: Settings, folder: Path, device: str) -> "_Run | Lessons":
+    """A run at its beginning."""
+    if settings.algo == "dagger":
+        return Lessons(settings, folder)
+    return _Run(make_model(settings, device), settings, folder)
 
 
 class _Run:
@@ -207,7 +210,7 @@ class _Run:
         told: dict[str, Any] = {"progress_bar": progress, "reset_num_timesteps": False}
         if isinstance(model, OffPolicyAlgorithm):
             told["log_interval"] = settings.envs  # SAC logs after so many episodes, which end together
-        with _asked_to_stop() as asked:
+        with asked_to_stop() as asked:
             model.set_logger(open_curves(self.folder, self._before, model.num_timesteps))
             stop = (lambda: asked.is_set() or bool(hook(self._report()))) if hook else asked.is_set
             checkpoints = Checkpoints(checkpoint_every, self._save, stop)
@@ -252,44 +255,3 @@ def _further(settings: Settings, folder: Path, steps: int | None, done: int, fin
         allowed = f"nothing: the run in {folder} has {done} of its {settings.steps} steps and goes on to its end"
         raise refusal("steps", steps, allowed)
     return settings if steps is None else replace(settings, steps=steps)
-
-
-def _check_new(folder: Path) -> None:
-    if (folder / SETTINGS).exists():
-        raise ValueError(f"folder: {folder} is not allowed; give a new one, or resume the run in it")
-
-
-def keep_settings(settings: Settings, folder: Path, done: int) -> None:
-    """Writes the settings of a run that goes on after `done` steps, with the versions of all its parts."""
-    now = {name: version(name) for name in PACKAGES} | {"python": platform.python_version()}
-    path = folder / SETTINGS
-    kept = json.loads(path.read_bytes()) if path.is_file() else {}
-    earlier, last = kept.get("earlier_versions", []), kept.get("versions", now)
-    if last != now and isinstance(last, dict):
-        names = [name for name in now | last if now.get(name) != last.get(name)]
-        said = ", ".join(f"{name} {now.get(name)} instead of {last.get(name)}" for name in names)
-        print(f"Since {folder} was written: {said}; its bits may be others from here on.", file=sys.stderr)
-        earlier = [*earlier, last | {"until_step": done}]
-    record = settings.plain() | {"versions": now} | ({"earlier_versions": earlier} if earlier else {})
-    write(path, lambda file: file.write((json.dumps(record, indent=1) + "\n").encode()))
-
-
-@contextmanager
-def _asked_to_stop() -> Iterator[threading.Event]:
-    """An event that Ctrl-C sets; pressed again it interrupts at once."""
-    asked = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield asked  # only the main thread hears signals
-        return
-
-    def hear(number: int, frame: object) -> None:
-        if asked.is_set():
-            raise KeyboardInterrupt
-        asked.set()
-        print("Stopping after this rollout; press Ctrl-C again to lose it.", file=sys.stderr)
-
-    before = signal.signal(signal.SIGINT, hear)
-    try:
-        yield asked
-    finally:
-        signal.signal(signal.SIGINT, before)

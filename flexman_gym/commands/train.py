@@ -44,7 +44,8 @@ def arguments(result: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Trains; returns the exit code."""
-    from flexman_agents.training import Interrupted, resume
+    from flexman_agents.interruption import Interrupted
+    from flexman_agents.training import resume
 
     try:
         if options.resume:
@@ -114,6 +115,8 @@ def settings_of(options: argparse.Namespace) -> "Settings":
     named = {name: value for name, value in named.items() if value is not None}
     if options.algo and options.algo != settings.algo:
         settings = Settings(algo=options.algo, environment=dict(settings.environment), seed=settings.seed)
+    if teacher := getattr(options, "teacher", None):
+        named["hyperparameters"] = {**settings.hyperparameters, "teacher": teacher}
     described = settings.description
     if options.env:
         described = Description.find(options.env)

@@ -71,7 +71,7 @@ class Torque:
     """
 
     def __init__(self, joints: int, base: Controller | None = None) -> None:
-        self._base, self.joints = base, joints
+        self._base, self.joints, self.strength = base, joints, 1.0
         self.names = tuple(f"torque_{joint + 1}" for joint in range(joints))
         self.sensors: tuple[object, ...] = tuple(base.sensors) if base else ()
 

@@ -90,12 +90,13 @@ def _lqg(plant: Plant, weights: object = None, **options: Any) -> OutputFeedback
     return OutputFeedback(KalmanFilter(plant, **options), _tracking(plant, weights))
 
 
-def _privileged(plant: Plant, weights: object = None, doubt: object = False) -> OutputFeedback:
-    return OutputFeedback(Truth(plant, flag("base.doubt", doubt)), _tracking(plant, weights))
+def _privileged(plant: Plant, weights: object = None, doubt: object = False, retimed: object = True) -> OutputFeedback:
+    law = _tracking(plant, weights, flag("base.retimed", retimed))
+    return OutputFeedback(Truth(plant, flag("base.doubt", doubt)), law)
 
 
-def _tracking(plant: Plant, weights: object) -> Tracking:
-    return Tracking(plant, None if weights is None else _weights(weights))
+def _tracking(plant: Plant, weights: object, retimed: bool = True) -> Tracking:
+    return Tracking(plant, None if weights is None else _weights(weights), retimed)
 
 
 BASES: dict[str, Base] = {
@@ -106,7 +107,7 @@ BASES: dict[str, Base] = {
     "mpc": Base(_mpc, ("model", "true state"), ()),
     "optimised": Base(_optimised, ("model", "true state", "its episodes"), ("table",)),
     "adaptive-lqr": Base(_adaptive, ("structure of the model",), ("weights", "sensors", "unknown", "biased")),
-    "privileged-lqr": Base(_privileged, ("model", "true state", "true parameters"), ("weights", "doubt")),
+    "privileged-lqr": Base(_privileged, ("model", "true state", "true parameters"), ("weights", "doubt", "retimed")),
     "pd-shaped": Base(_shaped_pd, ("model",), ("stiffness", "damping", "shaper", "modes", "places", "duration")),
 }
 """Controllers that have a name: name -> how one is made, what it knows, and the arguments that it takes."""

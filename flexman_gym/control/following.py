@@ -6,7 +6,7 @@ import numpy as np
 
 from flexman_gym.arrays import Array, IntArray, grown
 from flexman_gym.control.reference import plan_path
-from flexman_gym.control.slews import friction, friction_torques, payload_weights, softness
+from flexman_gym.control.slews import friction, friction_torques, payload_weights, payloads_of, softness
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.parameters import varied_model
 
@@ -43,7 +43,7 @@ class Following:
         """Takes the physical parameters (b, ...) of the arms (r,) as they are estimated, see `Estimate`."""
         if not len(arms):
             return
-        self._weights[arms] = payload_weights(self._payloads, parameters, arms)
+        self._weights[arms] = payload_weights(self._payloads, payloads_of(self.model, parameters, arms))
         self._soft[arms] = softness(self.model, parameters, arms)
         self._friction[arms] = friction(self.model, parameters, arms)
 

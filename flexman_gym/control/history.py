@@ -35,7 +35,7 @@ class History:
     def begin(self, observations: Array, arms: IntArray) -> Array:
         """Starts with the first observations (r, size) of the arms (r,); returns what is seen, (r, parts size)."""
         self._memory[arms] = observations[:, None]
-        return self._seen(arms)
+        return self.seen(arms)
 
     def add(self, observations: Array, arms: IntArray) -> Array:
         """Adds observations (r, size) of the arms (r,); returns what is seen, (r, parts size)."""
@@ -45,9 +45,10 @@ class History:
         else:
             memory[arms, 1:] += self._gains * (observations[:, None] - memory[arms, 1:])
         memory[arms, 0] = observations
-        return self._seen(arms)
+        return self.seen(arms)
 
-    def _seen(self, arms: IntArray) -> Array:
+    def seen(self, arms: IntArray) -> Array:
+        """Gives what is seen of the arms (r,), (r, parts size)."""
         result: Array = self._memory[arms].reshape(len(arms), self._memory[0].size)  # of no arm too
         return result
 

@@ -14,6 +14,7 @@ LARGEST, LEAST = 10.0, 1e-8  # of what is normalised, and variance beside the on
 # algorithm -> where its layers begin, its last one, the function between them where none is named, and at the end
 NAMES: dict[str, tuple[str, str, str, Callable[[Array], Array]]] = {
     "ppo": ("mlp_extractor.policy_net.", "action_net", "tanh", lambda values: np.clip(values, -1.0, 1.0)),
+    "dagger": ("mlp_extractor.policy_net.", "action_net", "tanh", lambda values: np.clip(values, -1.0, 1.0)),
     "sac": ("actor.latent_pi.", "actor.mu", "relu", np.tanh),
 }
 
@@ -24,7 +25,7 @@ class Network:
     Every row has the bits that it has alone.
 
     Args:
-        algo: "ppo" or "sac", by which parameters are named.
+        algo: "ppo", "dagger" or "sac", by which parameters are named.
         activation: "tanh" or "relu"; None takes that of the algorithm.
         parameters: name -> array, as Stable-Baselines3 names them.
         statistics: "mean" and "var" of observations, (size,) each.
@@ -63,10 +64,15 @@ class Network:
         """Gives the actions (b, n) for observations (b, size)."""
         values = np.clip((observations - self.mean) * self.scale, -LARGEST, LARGEST)
         for weights, bias in self.layers[:-1]:
-            values = self._function(row_dots(values[:, None], weights) + bias)
+            values = self._function(self.product(values, weights) + bias)
         weights, bias = self.layers[-1]
-        actions: Array = self._end(row_dots(values[:, None], weights) + bias)
+        actions: Array = self._end(self.product(values, weights) + bias)
         return actions
+
+    def product(self, values: Array, weights: Array) -> Array:
+        """Gives the values (b, k) times weights (m, k), (b, m)."""
+        result: Array = row_dots(values[:, None], weights)
+        return result
 
 
 def layers_of(algo: str, parameters: Mapping[str, Any]) -> dict[str, Any]:

@@ -26,7 +26,7 @@ class Policy:
         mode: what its actions mean, made for the same base; None for torques.
     """
 
-    kept = ("_ages", "_actions", "_past", "base", "mode")
+    kept = ("_ages", "actions", "_past", "base", "mode")
 
     def __init__(
         self,
@@ -43,7 +43,7 @@ class Policy:
             raise refusal("actions", self.mode.names, f"a mode of {network.joints} numbers, which the policy gives")
         self.sensors = (*sensors, *self.mode.sensors)
         self._parts, self._shown = parts_of(history), shown_size(self.mode)
-        self._ages, self._actions = np.zeros(0, dtype=np.int64), np.zeros((0, network.joints), dtype=np.float32)
+        self._ages, self.actions = np.zeros(0, dtype=np.int64), np.zeros((0, network.joints), dtype=np.float32)
         self._past = self._history(0, 1.0)
 
     def _history(self, arms: int, period: float) -> History:
@@ -55,10 +55,19 @@ class Policy:
             raise refusal("base", f"a policy of {self.mode.joints} motors", f"one of {episode.start.shape[1]}")
         count = int(arms.max(initial=-1)) + 1
         if count > len(self._ages):
-            self._ages, self._actions = grown(self._ages, count), grown(self._actions, count)
+            self._ages, self.actions = grown(self._ages, count), grown(self.actions, count)
             self._past = self._history(count, episode.period).following(self._past)
         self._ages[arms] = 0
         self.mode.reset(arms, episode)
+
+    def due(self, playing: Flags) -> Flags:
+        """Gives the arms (b,) among those playing whose actions begin anew in this period."""
+        result: Flags = playing & (self._ages % self._hold == 0)
+        return result
+
+    def seen(self) -> Array:
+        """Gives what the network saw last of each arm, (b, size)."""
+        return self._past.seen(np.arange(len(self._ages)))
 
     def act(self, readings: Readings, applied: Array, playing: Flags) -> Array:
         """Gives the actions (b, n); the network is asked anew where an action has lasted.
@@ -66,7 +75,7 @@ class Policy:
         Raises:
             ValueError: for readings of another size than it learned with.
         """
-        due = playing & (self._ages % self._hold == 0)
+        due = self.due(playing)
         if due.any():
             now = self._observed(readings)
             if self._shown:
@@ -74,9 +83,9 @@ class Policy:
             for arms, see in ((due & (self._ages == 0), self._past.begin), (due & (self._ages > 0), self._past.add)):
                 rows = np.flatnonzero(arms)
                 if len(rows):
-                    self._actions[rows] = self.network(see(now[rows], rows).astype(np.float32))
+                    self.actions[rows] = self.network(see(now[rows], rows).astype(np.float32))
         self._ages += playing
-        return self.mode.act(self._actions.astype(np.float64), readings, applied, playing)
+        return self.mode.act(self.actions.astype(np.float64), readings, applied, playing)
 
     def _observed(self, readings: Readings) -> Array:
         """What its own sensors read (b, size), which stands before what those of the base do."""

@@ -18,7 +18,7 @@ class Authority(NamedTuple):
         pace: of the clock, which an action of 1 makes exp(pace) times as fast; 0 for none, as of the others.
         offset: rad, of each joint of the reference.
         torque: of each motor, a part of its limit.
-        fading: last part of the path over which offsets and torques fade out.
+        fading: last part of the path over which offsets and torques fade out; 0 where they stay.
     """
 
     pace: float = 0.7
@@ -65,7 +65,7 @@ class Shape:
     def advance(self, arms: IntArray, places: Array) -> Array:
         """Moves on by a period; gives the torques (r, n) N m beside those of the law, at places (r,) of the paths."""
         n, fading = self._joints, self._authority.fading
-        left = np.clip((1.0 - places) / fading, 0.0, 1.0)[:, None]
+        left = np.clip((1.0 - places) / fading, 0.0, 1.0)[:, None] if fading else np.ones((len(arms), 1))
         offsets, rates = self.offsets[arms, 0], self.offsets[arms, 1]
         wanted = left * self._authority.offset * self.wanted[arms, 1 : 1 + n]
         rates = rates + self._period * (SMOOTHNESS**2 * (wanted - offsets) - 2.0 * SMOOTHNESS * rates)

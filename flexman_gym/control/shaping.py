@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags, IntArray
-from flexman_gym.checks import non_negative, positive, refusal
+from flexman_gym.checks import non_negative, refusal
 from flexman_gym.control.controller import Controller, Episode, Readings
 from flexman_gym.control.feedback import OutputFeedback
 from flexman_gym.control.observer import Estimate
@@ -38,7 +38,7 @@ class Shaping:
             raise refusal("actions", "shaping", allowed)
         self._base, self._law, self._plant = base, base.law, plant
         far = Authority(**{name: non_negative(f"actions.{name}", value) for name, value in authority.items()})
-        positive("actions.fading", far.fading)
+        self.strength = far.torque if far.fading == 0.0 else None
         n = self.joints = len(plant.torque_limit)
         self._shape = self._law.shape = Shape(self._law.slews, self._law.limits, plant.period, far)
         every = ("pace", *(f"{part}_{joint + 1}" for part in ("offset", "torque") for joint in range(n)))

@@ -115,7 +115,7 @@ class Slews:
         """Takes the physical parameters (b, ...) of the arms (r,) as they are estimated, see `Estimate`."""
         if not len(arms):
             return
-        weights = payload_weights(self._payloads, parameters, arms)
+        weights = payload_weights(self._payloads, payloads_of(self.model, parameters, arms))
         for own, every in ((self._own_coordinates, self._coordinates), (self._own_torques, self._torques)):
             own[arms] = (weights[:, :, None, None, None] * every[arms]).sum(axis=1)
         self._soft[arms] = softness(self.model, parameters, arms)
@@ -205,12 +205,17 @@ class Slews:
         return self._mixed(self._own_torques, arms, place, change, speed) + rubbing
 
 
-def payload_weights(nodes: Array, parameters: Mapping[str, Array], arms: IntArray) -> Array:
-    """Gives the weights (r, p) of payloads (p,) kg between which those of the arms (r,) are interpolated."""
-    if len(nodes) == 1 or "payload_mass" not in parameters:
-        return np.tile(np.eye(len(nodes))[0], (len(arms), 1))
-    masses = np.clip(parameters["payload_mass"][arms], nodes[0], nodes[-1])
-    result = np.ones((len(arms), len(nodes)))
+def payloads_of(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:
+    """Gives the payloads (r,) kg of arms as they are estimated, of the model where nothing is said of them."""
+    if "payload_mass" in parameters:
+        return parameters["payload_mass"][arms]
+    return np.full(len(arms), model.constants.payload_mass[0])
+
+
+def payload_weights(nodes: Array, payloads: Array) -> Array:
+    """Gives the weights (r, p) of nodes (p,) kg between which payloads (r,) are interpolated."""
+    masses = np.clip(payloads, nodes[0], nodes[-1])
+    result = np.ones((len(payloads), len(nodes)))
     for i, node in enumerate(nodes):
         for other in np.delete(nodes, i):
             result[:, i] *= (masses - other) / (node - other)

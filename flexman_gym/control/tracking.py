@@ -11,7 +11,7 @@ from flexman_gym.control.lqr import HOLDING, SHARE, usual_weights
 from flexman_gym.control.observer import Estimate
 from flexman_gym.control.plant import Plant
 from flexman_gym.control.shape import Shape
-from flexman_gym.control.slews import Slews
+from flexman_gym.control.slews import Slews, payloads_of
 
 RETIMED = (6, 12, 20, 30, 45)  # control periods after which a slew is timed anew with the parameters as estimated
 ARRIVING = 0.75  # of a path, from which on it is not timed anew
@@ -27,6 +27,7 @@ class Tracking:
     Args:
         plant: the arm and what is unknown of it.
         weights: of the cost; None takes those of `LQR`.
+        retimed: whether slews are timed anew.
 
     Attributes:
         slews: that the arms follow.
@@ -35,8 +36,8 @@ class Tracking:
 
     kept = ("slews", "_following", "_ages", "_tight", "_goal", "_planned", "shape")
 
-    def __init__(self, plant: Plant, weights: Weights | None = None) -> None:
-        model = plant.model
+    def __init__(self, plant: Plant, weights: Weights | None = None, retimed: bool = True) -> None:
+        model, self._retimed = plant.model, RETIMED if retimed else ()
         weights = weights or usual_weights(model)
         low, high = plant.unknown.get("payload_mass", (model.constants.payload_mass[0],) * 2)
         self._payloads = (low, 0.5 * (low + high), high) if high > low else (low,)
@@ -76,7 +77,7 @@ class Tracking:
             self.shape.quicken(arms)
         now = self.clock(estimate, arms)
         states, (reference, forward) = estimate.states[arms], self._reference(now, arms)
-        payloads = self._payload(estimate)[arms]
+        payloads = payloads_of(self.slews.model, estimate.parameters, arms)
         gains = np.zeros((len(arms), len(self.limits), states.shape[1]))
         for table, some in zip(self._gains, (~self._tight[arms], self._tight[arms]), strict=True):
             if some.any():
@@ -106,9 +107,6 @@ class Tracking:
         """Gives the states (r, 2 d) in which arms (r,) should be when torques that are asked for now begin to act."""
         return self._reference(self.clock(estimate, arms), arms)[0]
 
-    def _payload(self, estimate: Estimate) -> Array:
-        return estimate.parameters.get("payload_mass", np.full(len(estimate.states), self._payloads[0]))
-
     def _reference(self, now: Array, arms: IntArray) -> tuple[Array, Array]:
         """States (r, 2 d) of the references of arms (r,) at times (r,) s, and torques (r, n) in the period after."""
         moving = self._follows[arms]
@@ -133,7 +131,7 @@ class Tracking:
             self.slews.begin(first, start, self._goal[first])
             self.slews.adapt(first, estimate.parameters)
             self.slews.time(first, self.clock(estimate, first), first=True)
-        again = arms[np.isin(self._ages[arms], RETIMED)] if estimate.parameters else arms[:0]
+        again = arms[np.isin(self._ages[arms], self._retimed)] if estimate.parameters else arms[:0]
         self.slews.adapt(np.union1d(arms[due], again), estimate.parameters)
         if len(again):
             again = again[self.slews.at(self.clock(estimate, again), again)[0] < ARRIVING]

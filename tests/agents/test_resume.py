@@ -14,7 +14,8 @@ pytest.importorskip("stable_baselines3")
 from tensorboard.backend.event_processing import event_accumulator
 
 from flexman_agents.curves import STEPS, open_curves
-from flexman_agents.training import Interrupted, resume, train
+from flexman_agents.interruption import Interrupted
+from flexman_agents.training import resume, train
 from flexman_agents.vector import Arms
 from flexman_gym.evaluation.entrants import load_run
 from flexman_gym.evaluation.folder import BEST, NEWEST, SETTINGS, read_data, write_data
@@ -186,7 +187,7 @@ def test_versions_that_changed_are_said_and_kept(tmp_path, interrupt, monkeypatc
     before = json.loads((tmp_path / SETTINGS).read_text())
     assert {"numpy", "scipy", "numba", "torch", "python"} <= before["versions"].keys()
     interrupt(-1)
-    monkeypatch.setattr("flexman_agents.training.version", lambda name: "9.9" if name == "scipy" else "1.0")
+    monkeypatch.setattr("flexman_agents.record.version", lambda name: "9.9" if name == "scipy" else "1.0")
     resume(tmp_path, progress=False)
     said, after = capsys.readouterr().err, json.loads((tmp_path / SETTINGS).read_text())
     assert f"scipy 9.9 instead of {before['versions']['scipy']}" in said and "python" not in said
@@ -201,7 +202,7 @@ def test_versions_that_changed_are_said_and_kept(tmp_path, interrupt, monkeypatc
 def test_versions_of_every_part_of_a_run_are_kept(tmp_path, monkeypatch):
     """Three parts, each with other versions."""
     for part in range(3):
-        monkeypatch.setattr("flexman_agents.training.version", lambda name, part=part: f"{part}.0")
+        monkeypatch.setattr("flexman_agents.record.version", lambda name, part=part: f"{part}.0")
         run = replace(RUNS["ppo"], steps=24, judge_every=0)
         resume(tmp_path, 24, progress=False) if part else train(run, tmp_path, progress=False)
     record = json.loads((tmp_path / SETTINGS).read_text())

@@ -171,6 +171,13 @@ def test_offsets_are_critically_damped_and_fade_at_the_goal(slews):
     assert np.abs(shape.offsets).max() < 1e-4
 
 
+def test_torques_that_do_not_fade_stay_at_the_goal(slews):
+    shape = shape_of(slews, torque=0.25, fading=0.0)
+    shape.wanted[0, 2] = 0.5
+    for place in (0.0, 0.999, 1.0):
+        assert shape.advance(ARM, np.array([place])) == pytest.approx(0.25)
+
+
 def test_only_parts_with_authority_are_asked_for():
     env = FlexManEnv(**{**SHAPED, "actions": {"kind": "shaping", "offset": 0.0, "torque": 0.0}}, base="privileged-lqr")
     assert env.episodes.acting.mode.names == ("pace",) and env.action_space.shape == (1,)
@@ -180,7 +187,7 @@ def test_only_parts_with_authority_are_asked_for():
     ("settings", "line"),
     [
         ({"base": "pd"}, "actions: 'shaping' is not allowed; give torque, or it with a base that has an observer"),
-        ({"actions": {"kind": "shaping", "fading": 0.0}}, "actions.fading: 0.0 is not allowed"),
+        ({"actions": {"kind": "shaping", "fading": -0.1}}, "actions.fading: -0.1 is not allowed"),
         ({"actions": {"kind": "shaping", "torque": -0.1}}, "actions.torque: -0.1 is not allowed"),
         ({"base": {"kind": "privileged-lqr", "doubt": 2}}, "base.doubt: 2 is not allowed"),
     ],

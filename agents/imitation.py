@@ -1,0 +1,257 @@
+"""Imitation: a network learns what a controller would do where the network itself leads the arms (DAgger)."""
+
+import sys
+import time
+from collections.abc import Callable, Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from flexman_agents.callbacks import Hook, Report
+from flexman_agents.curves import STEPS, open_curves
+from flexman_agents.interruption import Interrupted, asked_to_stop
+from flexman_agents.settings import HYPERPARAMETERS, Settings
+from flexman_gym.arrays import Array, Flags, IntArray
+from flexman_gym.checks import one_of, refusal
+from flexman_gym.control.actions import ActionMode
+from flexman_gym.control.controller import Controller, Episode, Readings
+from flexman_gym.control.network import LARGEST, LEAST, Network
+from flexman_gym.control.policy import Policy
+from flexman_gym.envs.setup import build
+from flexman_gym.evaluation.entrants import acting, observed, parted
+from flexman_gym.evaluation.folder import NEWEST, write_data
+from flexman_gym.evaluation.rollout import Rollout, rollout
+from flexman_gym.evaluation.seeds import training_seed
+from flexman_gym.evaluation.submission import SECONDS
+
+LED = (1.0, 0.5, 0.25)  # share of the arms that the teacher leads, in the first rounds
+SCALE = 10.0  # of actions while they are learned: most are small beside 1
+FLOOR, HEAVIEST = 0.15, 10.0  # beside the mean size of actions of an instant, by which it is weighed; largest weight
+STEEPEST = 5.0  # norm of a gradient
+LAYERS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
+
+
+class Pupil:
+    """A policy that leads arms, and the controller that says beside it what it would do.
+
+    Args:
+        policy: whose actions are torques.
+        teacher: made for the same arm.
+
+    Attributes:
+        led: (b,) arms that the teacher leads.
+        notes: of each instant at which actions begin: what the policy saw (b, size), the actions (b, n) by which the
+            motors would be asked for what the teacher asks for, and which arms (b,) begin one.
+
+    Raises:
+        ValueError: for a policy whose actions are something else than torques.
+    """
+
+    def __init__(self, policy: Policy, teacher: Controller) -> None:
+        self.policy, self._teacher = policy, teacher
+        self.sensors: Any = (*policy.sensors, *teacher.sensors)
+        self._strength = _strength(policy.mode)
+        self.led: Flags = np.zeros(0, dtype=bool)
+        self.notes: list[tuple[Array, Array, Flags]] = []
+
+    def reset(self, arms: IntArray, episode: Episode) -> None:
+        """Starts new episodes of the arms (r,)."""
+        self._teacher.reset(arms, episode)
+        self.policy.reset(arms, episode)
+
+    def act(self, readings: Readings, applied: Array, playing: Flags) -> Array:
+        """Gives the actions (b, n) of whoever leads."""
+        due = self.policy.due(playing)
+        wanted = np.clip(self._teacher.act(readings, applied, playing), -1.0, 1.0)
+        asked = self.policy.act(readings, applied, playing)
+        if due.any():
+            better = self.policy.actions + (wanted - asked) / self._strength
+            self.notes.append((self.policy.seen(), np.clip(better, -1.0, 1.0), due))
+        result: Array = np.where(self.led[:, None], wanted, asked)
+        return result
+
+
+def _strength(mode: ActionMode) -> float:
+    """The part of a torque limit that an action of 1 adds."""
+    strength: float | None = getattr(mode, "strength", None)
+    if strength is None:
+        allowed = "torque, or shaping with pace, offset and fading 0: a student learns torques"
+        raise refusal("actions", ", ".join(mode.names), allowed)
+    return strength
+
+
+class Imitation:
+    """Learns from a teacher in rounds of episodes, of which the last ones are remembered.
+
+    In the first round the teacher leads the arms, later the student does, and the teacher says what it would have done
+    (Ross, Gordon and Bagnell, A reduction of imitation learning to no-regret online learning, 2011). Instants at which
+    the teacher adds little count as much as those at which it adds a lot.
+
+    Args:
+        settings: with the algorithm "dagger". Its steps are actions of all arms, in whole rounds.
+
+    Raises:
+        ValueError: one line, for a hyperparameter that it does not know, and for actions that are no torques.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        chosen = HYPERPARAMETERS["dagger"] | dict(settings.hyperparameters)
+        for name in chosen:
+            one_of("hyperparameters", name, sorted(HYPERPARAMETERS["dagger"]))
+        torch.set_num_threads(1)
+        torch.manual_seed(settings.seed)
+        self._settings, self._chosen, self._described = settings, chosen, settings.description
+        self._random = np.random.default_rng(settings.seed)
+        setup = self._described.setup()
+        parts = setup.history if isinstance(setup.history, int) else 1 + len(setup.history)
+        widths = [parts * sum(each["size"] for each in observed(self._described)), *chosen["net_arch"]]
+        pairs, between = pairwise(widths), LAYERS[chosen["activation"]]
+        inner = [layer for k, m in pairs for layer in (torch.nn.Linear(k, m), between())]
+        self._layers = torch.nn.Sequential(*inner, torch.nn.Linear(widths[-1], len(setup.torque_limit)))
+        for values in self._layers[-1].parameters():
+            torch.nn.init.zeros_(values)
+        self._moments = {"mean": np.zeros(widths[0]), "var": np.ones(widths[0])}
+        self._optimizer = torch.optim.Adam(self._layers.parameters())
+        policy: Any = acting(self._network(), self._described)
+        self._pupil = Pupil(policy, setup.controller(chosen["teacher"], build(setup).model))
+        self._per_round = settings.envs * -(-setup.longest // setup.hold)
+        self._rounds: list[list[NDArray[np.float32]]] = []  # what was seen, what is wanted, and how much it counts
+
+    def learn(self, stop: Callable[[int, Mapping[str, float]], bool]) -> bool:
+        """Learns to the end of the steps; gives False where it was stopped.
+
+        Args:
+            stop: is told before each round, and at the end, the steps taken and figures; it gives True to stop.
+        """
+        rounds, updates = -(-self._settings.steps // self._per_round), self._chosen["updates"]
+        schedule, figures = self._settings.schedule("learning_rate"), dict[str, float]()
+        for number in range(rounds):
+            if stop(number * self._per_round, figures):
+                return False
+            figures = self._play(number)
+            losses = []
+            for update in range(updates):
+                rate = schedule.at((number + update / updates) / rounds) if schedule else self._chosen["learning_rate"]
+                self._optimizer.param_groups[0]["lr"] = rate
+                losses.append(self._update())
+            figures["train/loss"] = float(np.mean(losses))
+        stop(rounds * self._per_round, figures)
+        return True
+
+    def policy(self) -> dict[str, Any]:
+        """Gives what acts: layers under the names that PPO has for them, and statistics of what they see."""
+        names = {f"mlp_extractor.policy_net.{place}": layer for place, layer in enumerate([*self._layers][:-1])}
+        arrays = {f"{name}.{part}": value.detach().numpy().copy()
+                  for name, layer in {**names, "action_net": self._layers[-1]}.items()
+                  for part, value in layer.named_parameters()}  # fmt: skip
+        for part in ("weight", "bias"):
+            arrays[f"action_net.{part}"] /= SCALE
+        return {"policy": arrays, "statistics": dict(self._moments)}
+
+    def _network(self) -> "_Quick":
+        return _Quick("dagger", self._chosen["activation"], *self.policy().values())
+
+    def _play(self, number: int) -> dict[str, float]:
+        """Plays a round, and remembers what it teaches."""
+        arms, kept = self._settings.envs, self._chosen["rounds_kept"]
+        self._pupil.policy.network, self._pupil.notes = self._network(), []
+        self._pupil.led = self._random.random(arms) < (LED[number] if number < len(LED) else 0.0)
+        first, acted = training_seed(self._settings.seed) + number * arms, list[Pupil]()
+        environment = parted(self._described)[0]
+
+        def watch(episodes: Any) -> None:
+            acted[:] = [episodes.acting.base]
+
+        played = rollout(self._pupil, environment, range(first, first + arms), watch)
+        self._pupil = acted[0]  # a rollout copies who acts; this one knows the tables of the slews that it has seen
+        self._rounds = [*self._rounds[1 - kept :], _lesson(self._pupil.notes, number % 2)]
+        if number == 0:
+            seen = self._rounds[0][0]
+            self._moments = {"mean": seen.mean(axis=0, dtype=np.float64), "var": seen.var(axis=0, dtype=np.float64)}
+        return _figures(played)
+
+    def _update(self) -> float:
+        """Takes a step along the gradient of a batch; gives its loss."""
+        share, rest = divmod(self._chosen["batch_size"], len(self._rounds))
+        chosen = [self._random.integers(len(seen), size=share + (place < rest))
+                  for place, (seen, _, _) in enumerate(self._rounds)]  # fmt: skip
+        parts = [[part[rows] for part in lesson] for lesson, rows in zip(self._rounds, chosen, strict=True)]
+        seen, wanted, weights = (np.concatenate(part) for part in zip(*parts, strict=True))
+        usual = np.mean([lesson[2].mean() for lesson in self._rounds])
+        scaled = np.clip((seen - self._moments["mean"]) / np.sqrt(self._moments["var"] + LEAST), -LARGEST, LARGEST)
+        counts = torch.as_tensor(np.minimum(weights / usual, HEAVIEST).astype(np.float32))
+        errors = self._layers(torch.as_tensor(scaled.astype(np.float32))) - torch.as_tensor(wanted)
+        loss = (counts[:, None] * errors**2).mean()
+        self._optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self._layers.parameters(), STEEPEST)
+        self._optimizer.step()
+        return float(loss.item())
+
+
+class Lessons:
+    """An imitation in a folder. What it remembers of its rounds is not kept, so that it cannot go on."""
+
+    done = 0
+
+    def __init__(self, settings: Settings, folder: Path) -> None:
+        self._imitation, self._settings, self._folder = Imitation(settings), settings, folder
+
+    def give(self, data: dict[str, Any], another: bool) -> None:
+        """Refuses to go on after its end."""
+        raise refusal("steps", self._settings.steps, f"nothing: the imitation in {self._folder} is finished")
+
+    def learn(self, checkpoint_every: int, progress: bool, hook: Hook | None) -> None:
+        """Learns to the end of the steps, or until it is told to stop, and then keeps nothing."""
+        curves, taken, started = open_curves(self._folder, 0, 0), 0, time.process_time()
+
+        def stop(steps: int, figures: Mapping[str, float]) -> bool:
+            nonlocal taken
+            taken = steps
+            for name, value in figures.items():
+                curves.record(name, value)
+            if figures:
+                curves.record(STEPS, steps)
+                curves.record(SECONDS, time.process_time() - started)
+                curves.dump(steps)
+            if progress and figures:
+                said = ", ".join(f"{name.split('/')[1]} {value:.3g}" for name, value in figures.items())
+                print(f"{steps:,} of {self._settings.steps:,} actions: {said}", file=sys.stderr)
+            return asked.is_set() or bool(hook and hook(Report(steps, {}, lambda: None)))
+
+        with asked_to_stop() as asked:
+            learned = self._imitation.learn(stop)
+        curves.close()
+        if learned:
+            told = {"settings": self._settings.plain(), "training": {"counts": {"num_timesteps": taken}}}
+            write_data(self._folder / NEWEST, self._imitation.policy() | told)
+        elif asked.is_set():
+            raise Interrupted(f"{self._folder}: stopped after {taken} steps, of which an imitation keeps none")
+
+
+class _Quick(Network):
+    """A network by products of BLAS: quicker, but the last digits of a row depend on the others."""
+
+    def product(self, values: Array, weights: Array) -> Array:
+        return values @ weights.T
+
+
+def _lesson(notes: list[tuple[Array, Array, Flags]], odd: int) -> list[NDArray[np.float32]]:
+    """Every second one of the notes: what was seen (r, size), actions wanted (r, n), how much they count (r,)."""
+    parts = []
+    for seen, wanted, due in notes[odd::2]:
+        scaled = SCALE * wanted[due]
+        weight = 1.0 / (FLOOR + np.abs(scaled).mean()) ** 2
+        parts.append((seen[due], scaled, np.full(len(scaled), weight)))
+    return [np.concatenate(part).astype(np.float32) for part in zip(*parts, strict=True)]
+
+
+def _figures(played: Rollout) -> dict[str, float]:
+    return {
+        "rollout/ep_rew_mean": float(np.nansum(played.rewards, axis=1).mean()),
+        "rollout/failed": float(np.mean([bool(failure) for failure in played.failures])),
+    }

@@ -1,0 +1,141 @@
+"""Imitation: a student of a law that it can say learns that law, and a teacher who leads is the teacher alone."""
+
+import os
+import signal
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from flexman_agents.imitation import Imitation, Pupil
+from flexman_agents.interruption import Interrupted
+from flexman_agents.settings import Settings
+from flexman_agents.training import resume, train, trained
+from flexman_gym.__main__ import main
+from flexman_gym.envs.description import Description
+from flexman_gym.evaluation.entrants import acting, find_entrant
+from flexman_gym.evaluation.folder import NEWEST, read_data
+from flexman_gym.evaluation.rollout import rollout
+from flexman_gym.evaluation.shipping import ship
+
+from oracles.refusals import refusal
+
+STIFFNESS, DAMPING = 0.05, 0.02  # N m/rad, N m s/rad, soft enough for torques within the limit
+TEACHER = {"kind": "pd", "stiffness": [STIFFNESS], "damping": [DAMPING]}
+ENVIRONMENT = {"id": "FlexOne-v0", "sensors": ["servo"], "horizon": 0.8}
+SHORT = Settings(
+    "dagger", ENVIRONMENT, 3 * 4 * 40, seed=3, envs=4,
+    hyperparameters={"teacher": TEACHER, "net_arch": [6], "updates": 5, "batch_size": 32},
+)  # fmt: skip
+
+
+def bits(folder):
+    """The policy of a run."""
+    return {name: values.tobytes() for name, values in read_data(folder / NEWEST)["policy"].items()}
+
+
+@pytest.mark.parametrize("base", [None, {"kind": "pd", "stiffness": [0.5 * STIFFNESS], "damping": [0.5 * DAMPING]}])
+def test_a_student_without_hidden_layers_learns_the_gains_of_a_pd(base):
+    """Torques are linear in what it sees, so that the best layer is the law, less what the base does already."""
+    settings = replace(
+        SHORT, environment={**ENVIRONMENT, "base": base}, steps=8 * 16 * 40, envs=16,
+        hyperparameters={"teacher": TEACHER, "net_arch": [], "updates": 250, "batch_size": 64},
+        schedules={"learning_rate": {"start": 0.05, "end": 0.0}},
+    )  # fmt: skip
+    imitation = Imitation(settings)
+    assert imitation.learn(lambda steps, figures: False)
+    policy = imitation.policy()
+    spread = np.sqrt(policy["statistics"]["var"] + 1e-8)
+    setup = settings.description.setup()
+    learned = (policy["policy"]["action_net.weight"][0] / spread)[:2] * setup.torque_limit[0]
+    wanted = np.array([STIFFNESS, -DAMPING]) * (0.5 if base else 1.0)
+    assert learned == pytest.approx(wanted, rel=0.01)
+
+
+def test_arms_that_the_teacher_leads_move_as_under_the_teacher_alone_and_their_notes_say_its_actions():
+    settings = replace(SHORT, environment={**ENVIRONMENT, "base": {**TEACHER, "stiffness": [0.5 * STIFFNESS]}, "hold": 2})
+    imitation = Imitation(settings)
+    setup, pupil = settings.description.setup(), imitation._pupil
+    pupil.led = np.ones(3, dtype=bool)
+    heard = []
+
+    def watch(episodes):
+        heard[:] = [episodes.acting.base]
+
+    led = rollout(pupil, Description("FlexOne-v0", {"horizon": 0.8}), range(3), watch)
+    alone = rollout(TEACHER, Description("FlexOne-v0", {"horizon": 0.8}), range(3))
+    for name in ("tips", "actions", "torques"):
+        assert getattr(led, name).tobytes() == getattr(alone, name).tobytes()
+    notes = heard[0].notes
+    assert len(notes) == 20 and len(led.torques[0]) == 40  # actions last for two periods
+    missing = 0.5 * STIFFNESS / setup.torque_limit[0] * np.array([seen[:, 0] for seen, _, _ in notes])
+    wanted = np.array([better[:, 0] for _, better, _ in notes])
+    assert wanted == pytest.approx(missing, abs=1e-6) and np.abs(wanted).max() > 0.01
+    assert all(due.all() for _, _, due in notes)
+
+
+def test_the_same_seed_has_the_same_bits_and_another_has_not(tmp_path):
+    for name, seed in (("a", 3), ("b", 3), ("c", 4)):
+        train(SHORT.with_seed(seed), tmp_path / name, progress=False)
+    assert bits(tmp_path / "a") == bits(tmp_path / "b") != bits(tmp_path / "c")
+
+
+def test_what_was_learned_acts_as_a_run_and_as_a_policy_that_is_shipped(tmp_path):
+    train(SHORT, tmp_path / "run", progress=False)
+    ship(tmp_path / "run", tmp_path / "policy", "A student of a PD.", "own")
+    played = [rollout(str(tmp_path / name), SHORT.description, range(2)).tips for name in ("run", "policy")]
+    assert played[0].tobytes() == played[1].tobytes()
+    moments = read_data(tmp_path / "run" / NEWEST)["statistics"]
+    assert np.ptp(moments["var"]) > 0.0 and find_entrant(str(tmp_path / "run")).interface
+
+
+def test_one_that_was_stopped_begins_again_and_one_that_is_finished_stays(tmp_path, capsys):
+    train(SHORT, tmp_path / "whole", progress=False)
+    train(SHORT, tmp_path / "part", progress=False, hook=lambda report: report.steps >= 160)
+    assert not (tmp_path / "part" / NEWEST).exists()
+    trained((SHORT, str(tmp_path / "part"), {"progress": False}))
+    assert "begins again" in capsys.readouterr().err and bits(tmp_path / "part") == bits(tmp_path / "whole")
+    assert "is finished" in refusal(resume, tmp_path / "whole")
+    assert refusal(resume, tmp_path / "whole", 480).startswith("steps: ")
+
+
+def test_ctrl_c_stops_it_and_says_that_nothing_is_kept(tmp_path, monkeypatch):
+    played = Imitation._play
+
+    def interrupted(self, number):
+        if number == 0:
+            os.kill(os.getpid(), signal.SIGINT)
+        return played(self, number)
+
+    monkeypatch.setattr(Imitation, "_play", interrupted)
+    with pytest.raises(Interrupted, match="stopped after 160 steps, of which an imitation keeps none"):
+        train(SHORT, tmp_path, progress=False)
+    assert not (tmp_path / NEWEST).exists()
+
+
+def test_the_command_line_imitates_a_controller(tmp_path, capsys):
+    told = ["imitate", "{kind: pd, stiffness: [0.05], damping: [0.02]}", "--env", "FlexOne-v0", "--set", "horizon=0.4"]
+    assert main([*told, "--steps", "160", "--envs", "4", "--folder", str(tmp_path / "run")]) == 0
+    captured = capsys.readouterr()
+    assert "flexman evaluate" in captured.out and "160 of 160 actions: ep_rew_mean" in captured.err
+    assert main(["evaluate", str(tmp_path / "run"), "--episodes", "2"]) == 0
+    assert main([*told, "--algo", "ppo", "--folder", str(tmp_path / "other")]) == 2
+    assert capsys.readouterr().err.startswith("algo: 'ppo' is not allowed")
+
+
+def test_what_cannot_be_imitated_is_refused():
+    base = {"kind": "privileged-lqr"}
+    shaping = {**ENVIRONMENT, "id": "FlexRRR-v0", "base": base, "actions": "shaping"}
+    assert refusal(Imitation, replace(SHORT, environment=shaping)).startswith("actions: ")
+    assert "rounds_kept" in refusal(Imitation, replace(SHORT, hyperparameters={"gamma": 0.9}))
+    for name, value in (("teacher", "nobody"), ("updates", 0), ("net_arch", "wide")):
+        said = refusal(lambda name=name, value=value: replace(SHORT, hyperparameters={name: value}))
+        assert said.startswith("base: " if name == "teacher" else f"hyperparameters.{name}: ")
+    assert refusal(lambda: replace(SHORT, judge_every=10)).startswith("judge_every: ")
+    quiet = {**ENVIRONMENT, "id": "FlexRRR-v0", "base": base, "sensors": [],
+             "actions": {"kind": "shaping", "pace": 0.0, "offset": 0.0, "torque": 0.5, "fading": 0.0}}  # fmt: skip
+    student = replace(SHORT, environment=quiet, hyperparameters={"teacher": base})
+    policy = acting(Imitation(student)._network(), student.description)
+    assert Pupil(policy, policy)._strength == 0.5
