@@ -3,13 +3,14 @@
 from pathlib import Path
 from typing import Any
 
-from flexman_agents.algorithm import hyperparameters
+from flexman_agents.algorithm import ALGORITHMS, hyperparameters
 from flexman_agents.recipes import FOLDER, NAMES, find_recipe
 from flexman_agents.settings import EXPLORATION, Schedule, Settings
 from flexman_gym.checks import refusal
 from flexman_gym.scene import file
 
 ZOO = FOLDER / "rl_zoo3"
+KNOWN = [name for name in NAMES if find_recipe(name).algo in ALGORITHMS]  # to rl_zoo3
 CALLBACK = "flexman_agents.callbacks.Exploration"
 
 
@@ -43,9 +44,9 @@ def zoo(settings: Settings) -> dict[str, Any]:
 
 
 def write_zoo(folder: Path = ZOO) -> None:
-    """Writes the recipes into a folder, a file for each."""
+    """Writes the recipes of algorithms that rl_zoo3 has into a folder, a file for each."""
     folder.mkdir(exist_ok=True)
-    for name in NAMES:
+    for name in KNOWN:
         file.write(folder / f"{name}.yml", zoo(find_recipe(name)))
 
 

@@ -55,7 +55,9 @@ def test_a_student_without_hidden_layers_learns_the_gains_of_a_pd(base):
 
 
 def test_arms_that_the_teacher_leads_move_as_under_the_teacher_alone_and_their_notes_say_its_actions():
-    settings = replace(SHORT, environment={**ENVIRONMENT, "base": {**TEACHER, "stiffness": [0.5 * STIFFNESS]}, "hold": 2})
+    settings = replace(
+        SHORT, environment={**ENVIRONMENT, "base": {**TEACHER, "stiffness": [0.5 * STIFFNESS]}, "hold": 2}
+    )
     imitation = Imitation(settings)
     setup, pupil = settings.description.setup(), imitation._pupil
     pupil.led = np.ones(3, dtype=bool)

@@ -57,6 +57,14 @@ def test_torques_of_a_rigid_arm_are_those_that_accelerate_it_so():
     assert np.abs(gone).max() < 0.02 * np.abs(slews.way).max() * 5.77 / slews.lasting[0] ** 2
 
 
+def test_a_slew_without_an_estimate_of_the_payload_is_that_of_the_model():
+    own = varied_model(model(), payload_mass=0.1)
+    said, usual = begun(own, parameters={"payload_mass": np.array([0.1])}), begun(own)
+    light = begun(own, parameters={"payload_mass": np.array([0.0])})
+    now = times(said)[20:21]
+    assert said.torques(now, ONE).tobytes() == usual.torques(now, ONE).tobytes() != light.torques(now, ONE).tobytes()
+
+
 def test_a_flexible_arm_is_bent_as_on_a_minimum_jerk_slew():
     """Without weight; what `slew_path` solves for at each moment comes from tables here, linear in the inertia."""
     own = fm.build_model(replace(arm(), gravity=(0.0, 0.0, 0.0)), 1, 1)
@@ -128,14 +136,13 @@ def test_arms_on_their_ways_do_not_touch_each_other():
 
 
 def test_payloads_between_nodes_are_weighed_by_a_parabola():
-    arms, nodes = np.arange(5), np.array([1.0, 2.0, 4.0])
+    nodes = np.array([1.0, 2.0, 4.0])
     masses = np.array([1.0, 2.0, 4.0, 3.3, 9.0])
-    weights = payload_weights(nodes, {"payload_mass": masses}, arms)
+    weights = payload_weights(nodes, masses)
     assert weights[:3] == pytest.approx(np.eye(3)) and np.array_equal(weights[4], weights[2]), "none beyond the last"
     assert weights @ nodes**2 == pytest.approx(np.minimum(masses, 4.0) ** 2)
-    assert np.array_equal(payload_weights(nodes, {"payload_mass": masses}, arms[3:4]), weights[3:4])
-    assert payload_weights(nodes[:1], {"payload_mass": masses}, arms).tolist() == [[1.0]] * 5
-    assert payload_weights(nodes[:1], {}, arms).tolist() == [[1.0]] * 5
+    assert np.array_equal(payload_weights(nodes, masses[3:4]), weights[3:4])
+    assert payload_weights(nodes[:1], masses).tolist() == [[1.0]] * 5
 
 
 TRUE = {"payload_mass": 0.13, "joint_stiffness": [0.8, 1.25], "link_stiffness": [0.75, 1.3]}

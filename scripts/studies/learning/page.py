@@ -32,7 +32,7 @@ That is 20 mm for `FlexRRR-v0`. The columns are:
 
 ## Recipes
 
-Each is judged in the environment in which it learned, {elsewhere}.
+Each is judged in the environment in which it learned, except {elsewhere}.
 
 {recipes}
 
@@ -78,7 +78,7 @@ def page(rows: Sequence[Row], machine: str) -> str:
         selection=f"{SELECTION.start} to {SELECTION.stop - 1}",
         training=TRAINING,
         columns="\n".join(bullets(f"{name}: {meaning}" for name, meaning in COLUMNS.items())),
-        elsewhere=", ".join(f"but `{name}` in `{venue}`" for name, venue in VENUES.items()),
+        elsewhere=", ".join(f"`{name}` in `{venue}`" for name, venue in VENUES.items()),
         recipes="\n".join(_recipes(rows)),
         controllers="\n".join(_controllers(rows)),
         elements=FINER_ELEMENTS,
