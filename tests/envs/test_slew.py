@@ -130,14 +130,15 @@ def test_the_distance_looks_a_tenth_of_a_second_ahead():
         assert task.reward_terms(view)["distance"] == pytest.approx(expected, abs=1e-12)
 
 
-def test_exponential_closeness_is_the_sum_that_the_docstring_says():
+def test_exponential_closeness_has_the_terms_that_the_docstring_says():
     """0.1, 0.25 and 0.65 by 1/e at 0.6, 0.15 and 0.03 m of 8.5 m; in parts of the reach of another arm."""
     task = Slew(reward="exponential")
     for reach in (8.5, 1.0):
         errors = np.array([0.0, 0.03, 0.15, 0.6, 50.0]) * reach / 8.5
         near = errors * 8.5 / reach
-        expected = 0.1 * np.exp(-near / 0.6) + 0.25 * np.exp(-near / 0.15) + 0.65 * np.exp(-near / 0.03)
-        assert terms(errors, task=task, reach=reach)["closeness"] == pytest.approx(expected)
+        given = terms(errors, task=task, reach=reach)
+        for name, weight, length in (("far", 0.1, 0.6), ("near", 0.25, 0.15), ("at_goal", 0.65, 0.03)):
+            assert given[name] == pytest.approx(weight * np.exp(-near / length))
     assert terms(task=task, failed=True)["failure"] == -10.0
 
 

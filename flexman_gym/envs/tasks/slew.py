@@ -14,7 +14,8 @@ from flexman_gym.envs.tasks.task import Goal
 from flexman_gym.simulation.view import Number, View
 
 WIDTHS = (2.0 / 8.5, 0.4 / 8.5, 0.08 / 8.5)  # of the reach: three bells that reward closeness
-CLOSENESS = ((0.1, 0.6 / 8.5), (0.25, 0.15 / 8.5), (0.65, 0.03 / 8.5))  # weights, and lengths in reaches
+# weights, and lengths in reaches
+CLOSENESS = {"far": (0.1, 0.6 / 8.5), "near": (0.25, 0.15 / 8.5), "at_goal": (0.65, 0.03 / 8.5)}
 PAIRS_SEED, MOST_PAIRS = 8_500, 100_000
 CALM = 0.3 / 8.5  # reaches a second: tip vibration that halves the reward for calm
 
@@ -47,7 +48,7 @@ class Slew:
         It is 1 at rest on the target, 0 at a distance f and below zero beyond.
         With reward="exponential" it is a sum, in [0, 1], over three lengths l of weights times exp(-e / l), for
         policies that shape the motion of a controller which stops anyway:
-            closeness      0.1, 0.25 and 0.65 for l = R times 0.071, 0.018 and 0.0035 (0.6, 0.15 and 0.03 m)
+            far, near, at_goal    0.1, 0.25 and 0.65 for l = R times 0.071, 0.018 and 0.0035 (0.6, 0.15 and 0.03 m)
 
     Start
         At rest at motor angles drawn uniformly from +-start, undeformed but for the weight of the arm. The target is
@@ -111,8 +112,9 @@ class Slew:
         if self.reward == "distance":
             return {"distance": distance_reward(view, view.tip_velocity), "failure": failure}
         if self.reward == "exponential":
-            near = [weight * np.exp(-view.tip_error / (length * view.reach)) for weight, length in CLOSENESS]
-            return {"closeness": near[0] + near[1] + near[2], "failure": failure}
+            near = {name: weight * np.exp(-view.tip_error / (length * view.reach))
+                    for name, (weight, length) in CLOSENESS.items()}  # fmt: skip
+            return {**near, "failure": failure}
         square, vibration, calm = view.tip_error * view.tip_error, view.tip_vibration, (CALM * view.reach) ** 2
         near = [width**2 / (width**2 + square) for width in (part * view.reach for part in WIDTHS)]
         return {
