@@ -112,9 +112,9 @@ class Slew:
         if self.reward == "distance":
             return {"distance": distance_reward(view, view.tip_velocity), "failure": failure}
         if self.reward == "exponential":
-            near = {name: weight * np.exp(-view.tip_error / (length * view.reach))
-                    for name, (weight, length) in CLOSENESS.items()}  # fmt: skip
-            return {**near, "failure": failure}
+            terms = {name: weight * np.exp(-view.tip_error / (length * view.reach))
+                     for name, (weight, length) in CLOSENESS.items()}  # fmt: skip
+            return {**terms, "failure": failure}
         square, vibration, calm = view.tip_error * view.tip_error, view.tip_vibration, (CALM * view.reach) ** 2
         near = [width**2 / (width**2 + square) for width in (part * view.reach for part in WIDTHS)]
         return {

@@ -85,7 +85,7 @@ def runs(case: Case, folder: Path, workers: Workers | int = 1) -> Iterator[Row]:
                 yield _row(case.kind, case.name, seed, where, cost, policy, environment)
 
 
-def trained(cell: tuple[Settings, Path]) -> dict[str, float]:
+def trained(cell: tuple[Settings, Path]) -> dict[str, float | None]:
     """Trains a run and keeps what it cost in its folder, or reads the cost of one that is there."""
     settings, folder = cell
     path = folder / COST
@@ -96,7 +96,7 @@ def trained(cell: tuple[Settings, Path]) -> dict[str, float]:
             started = time.process_time()
             train(settings, folder, progress=False)
             cpu = time.process_time() - started
-        cost = {"steps": settings.steps, "cpu": cpu, "rate": settings.steps / cpu, "share": stepping.cpu / cpu}
+        cost = {"steps": settings.steps, "cpu": cpu, "rate": settings.steps / cpu, "share": stepping.cpu / cpu or None}
         path.write_text(json.dumps(cost, indent=1) + "\n", encoding="utf-8")
     return dict(json.loads(path.read_text(encoding="utf-8")))
 
@@ -114,7 +114,13 @@ def places(environment: Description) -> dict[str, Description]:
 
 
 def _row(
-    kind: str, name: str, seed: int | None, where: str, costs: dict[str, float], who: Entrant, environment: Description
+    kind: str,
+    name: str,
+    seed: int | None,
+    where: str,
+    costs: dict[str, float | None],
+    who: Entrant,
+    environment: Description,
 ) -> Row:
     records = rollout(who, environment, TEST).records
     result = {name: figure.sum_up(records) for name, figure in FIGURES.items()}
