@@ -18,6 +18,7 @@ from flexman_gym.envs.description import Description
 from flexman_gym.evaluation.entrants import acting, find_entrant
 from flexman_gym.evaluation.folder import NEWEST, read_data
 from flexman_gym.evaluation.rollout import rollout
+from flexman_gym.evaluation.seeds import training_seed
 from flexman_gym.evaluation.shipping import ship
 
 from oracles.refusals import refusal
@@ -76,6 +77,19 @@ def test_arms_that_the_teacher_leads_move_as_under_the_teacher_alone_and_their_n
     wanted = np.array([better[:, 0] for _, better, _ in notes])
     assert wanted == pytest.approx(missing, abs=1e-6) and np.abs(wanted).max() > 0.01
     assert all(due.all() for _, _, due in notes)
+
+
+def test_rounds_have_episodes_of_their_own(monkeypatch):
+    seeds = []
+
+    def heard(entrant, environment, those, watch):
+        seeds.extend(those)
+        return rollout(entrant, environment, those, watch)
+
+    monkeypatch.setattr("flexman_agents.imitation.rollout", heard)
+    assert Imitation(SHORT).learn(lambda steps, figures: False)
+    first = training_seed(SHORT.seed)
+    assert seeds == list(range(first, first + 3 * SHORT.envs))
 
 
 def test_the_same_seed_has_the_same_bits_and_another_has_not(tmp_path):
