@@ -66,6 +66,12 @@ def test_recipes_are_as_the_opening_says():
     assert all(row.settled >= 0.95 and row.cpu < 120.0 for row in minute)
     (pd,) = (row for row in plain if row.name.startswith("pd") and "FlexRRR" in row.name)
     assert pd.settled == 0.0
+    (shaped,) = (row.time for row in plain if row.name == "ppo_shaping")
+    others = [row for row in plain if row.kind == "recipe" and row.name not in ("ppo_shaping", "planar_ppo_on_pd")]
+    assert all(row.time > shaped for row in others)
+    told = {name: [row for row in others if row.name == name] for name in ("lab_student", "lab_ppo_shaping")}
+    assert all(row.settled > 0.9 for row in told["lab_student"])
+    assert min(row.time for row in told["lab_student"]) > 1.5 * max(row.time for row in told["lab_ppo_shaping"])
     ablations = {row.name for row in plain if row.kind == "ablation"}
     for name in ablations - {"nothing"}:
         own = [row for row in plain if row.kind == "ablation" and row.name == name]
