@@ -14,8 +14,8 @@ PAGE = """# What the recipes reach
 What PPO and SAC learn with the recipes, over several seeds, in episodes that decided nothing. Beside a PD that settles
 none of the slews, PPO settles nearly all of them after a minute or two of one core; longer training buys time and
 millimetres. The quickest policy shapes the reference of a tracking controller, and a student who reads instruments
-alone settles nearly every unknown arm, but late. The policies settle as often on a finer model. Without the held action,
-the falling rate, the sloped reward or the short horizon every figure is worse.
+alone settles nearly every unknown arm, but late. The policies settle as often on a finer model. Without the held
+action, the falling rate, the sloped reward or the short horizon every figure is worse.
 
 `python scripts/learning.py` trains the recipes of `agents/recipes`, one run after the other.
 It writes this page and its rows ([learning.csv](learning.csv)) anew.
