@@ -1,4 +1,4 @@
-"""Imitate a controller: a network learns, from what its sensors read, what the controller would do."""
+"""Imitate a controller with a network, from what sensors read."""
 
 import argparse
 
@@ -7,6 +7,7 @@ import yaml
 from flexman_gym.checks import refusal
 from flexman_gym.commands import train
 
+OTHERS = ("algo", "engine", "runners", "device", "judge_every", "checkpoint_every")  # that only a training has
 
 def arguments(result: argparse.ArgumentParser) -> None:
     """Says what it takes."""
@@ -15,6 +16,9 @@ def arguments(result: argparse.ArgumentParser) -> None:
     known = ", ".join(BASES)
     result.add_argument("teacher", type=yaml.safe_load, help=f"one of {known}, or a mapping with one at kind")
     train.arguments(result)
+    for action in result._actions:
+        if action.dest in OTHERS:
+            action.help = argparse.SUPPRESS
 
 
 def run(options: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""Optimise slews: search for the quickest torques of episodes, and keep them in a table."""
+"""Optimise slews: the quickest torques of episodes, in a table."""
 
 import argparse
 from pathlib import Path
