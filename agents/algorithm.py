@@ -18,6 +18,7 @@ from flexman_gym.checks import one_of, refusal
 from flexman_gym.evaluation.entrants import Act
 from flexman_gym.evaluation.seeds import training_seed
 
+LAYERS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}  # by the names of settings.ACTIVATIONS
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": sb3.PPO, "sac": sb3.SAC}
 NET_ARCH, LOG_STD = [128, 128], {"ppo": -3.0, "sac": -3.0}  # louder noise shakes the arm for seconds
 
@@ -64,7 +65,7 @@ def hyperparameters(settings: Settings) -> dict[str, Any]:
     if "ortho_init" in chosen:
         policy["ortho_init"] = chosen.pop("ortho_init")
     if "activation" in chosen:
-        policy["activation_fn"] = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}[chosen.pop("activation")]
+        policy["activation_fn"] = LAYERS[chosen.pop("activation")]
     rate = settings.schedule("learning_rate")
     if rate is not None:
         chosen["learning_rate"] = rate

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from flexman_agents.algorithm import LAYERS
 from flexman_agents.callbacks import Hook, Report
 from flexman_agents.curves import STEPS, open_curves
 from flexman_agents.interruption import Interrupted, asked_to_stop
@@ -19,6 +20,7 @@ from flexman_gym.arrays import Array, Flags, IntArray
 from flexman_gym.checks import one_of, refusal
 from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.controller import Controller, Episode, Readings
+from flexman_gym.control.history import parts_of
 from flexman_gym.control.network import LARGEST, LEAST, Network
 from flexman_gym.control.policy import Policy
 from flexman_gym.envs.setup import build
@@ -32,7 +34,6 @@ LED = (1.0, 0.5, 0.25)  # share of the arms that the teacher leads, in the first
 SCALE = 10.0  # of actions while they are learned: most are small beside 1
 FLOOR, HEAVIEST = 0.15, 10.0  # beside the mean size of actions of an instant, by which it is weighed; largest weight
 STEEPEST = 5.0  # norm of a gradient
-LAYERS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
 
 
 class Pupil:
@@ -75,11 +76,11 @@ class Pupil:
         return result
 
 
-def _strength(mode: ActionMode) -> float:
-    """The part of a torque limit that an action of 1 adds."""
-    strength: float | None = getattr(mode, "strength", None)
+def _strength(mode: ActionMode) -> float | Array:
+    """The part of a torque limit that an action of 1 adds, of every joint or of each (n,)."""
+    strength: float | Array | None = getattr(mode, "strength", None)
     if strength is None:
-        allowed = "torque, or shaping with pace, offset and fading 0: a student learns torques"
+        allowed = "torque, current, or shaping with pace, offset and fading 0: a student learns torques"
         raise refusal("actions", ", ".join(mode.names), allowed)
     return strength
 
@@ -107,8 +108,10 @@ class Imitation:
         self._settings, self._chosen, self._described = settings, chosen, settings.description
         self._random = np.random.default_rng(settings.seed)
         setup = self._described.setup()
-        parts = setup.history if isinstance(setup.history, int) else 1 + len(setup.history)
-        widths = [parts * sum(each["size"] for each in observed(self._described)), *chosen["net_arch"]]
+        widths = [
+            parts_of(setup.history) * sum(each["size"] for each in observed(self._described)),
+            *chosen["net_arch"],
+        ]
         pairs, between = pairwise(widths), LAYERS[chosen["activation"]]
         inner = [layer for k, m in pairs for layer in (torch.nn.Linear(k, m), between())]
         self._layers = torch.nn.Sequential(*inner, torch.nn.Linear(widths[-1], len(setup.torque_limit)))
@@ -169,6 +172,7 @@ class Imitation:
         played = rollout(self._pupil, environment, range(first, first + arms), watch)
         self._pupil = acted[0]  # a rollout copies who acts; this one knows the tables of the slews that it has seen
         self._rounds = [*self._rounds[1 - kept :], _lesson(self._pupil.notes, number % 2)]
+        self._usual = np.mean([weights.mean() for _, _, weights in self._rounds])
         if number == 0:
             seen = self._rounds[0][0]
             self._moments = {"mean": seen.mean(axis=0, dtype=np.float64), "var": seen.var(axis=0, dtype=np.float64)}
@@ -181,9 +185,8 @@ class Imitation:
                   for place, (seen, _, _) in enumerate(self._rounds)]  # fmt: skip
         parts = [[part[rows] for part in lesson] for lesson, rows in zip(self._rounds, chosen, strict=True)]
         seen, wanted, weights = (np.concatenate(part) for part in zip(*parts, strict=True))
-        usual = np.mean([lesson[2].mean() for lesson in self._rounds])
         scaled = np.clip((seen - self._moments["mean"]) / np.sqrt(self._moments["var"] + LEAST), -LARGEST, LARGEST)
-        counts = torch.as_tensor(np.minimum(weights / usual, HEAVIEST).astype(np.float32))
+        counts = torch.as_tensor(np.minimum(weights / self._usual, HEAVIEST).astype(np.float32))
         errors = self._layers(torch.as_tensor(scaled.astype(np.float32))) - torch.as_tensor(wanted)
         loss = (counts[:, None] * errors**2).mean()
         self._optimizer.zero_grad()

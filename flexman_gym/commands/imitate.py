@@ -9,6 +9,7 @@ from flexman_gym.commands import train
 
 OTHERS = ("algo", "engine", "runners", "device", "judge_every", "checkpoint_every")  # that only a training has
 
+
 def arguments(result: argparse.ArgumentParser) -> None:
     """Says what it takes."""
     from flexman_gym.control.bases import BASES

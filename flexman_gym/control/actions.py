@@ -23,7 +23,8 @@ class ActionMode(Protocol):
     What it does to an arm must not depend on the others, to the last bit. An optional member is `kept`, as of a
     Controller; the base is not among it. A mode that shows its agent something beside what its sensors see has two
     more: `shown`, name -> how many numbers, and `look(readings, applied, playing)`, which gives them side by side,
-    (b, size), of the arms that are playing anew. It is asked before an agent acts, in the same control period.
+    (b, size), of the arms that are playing anew. It is asked before an agent acts, in the same control period. A mode
+    of torques says as `strength` which part of the torque limits an action of 1 adds, of all joints or of each (n,).
 
     Attributes:
         joints: n.
@@ -71,7 +72,8 @@ class Torque:
     """
 
     def __init__(self, joints: int, base: Controller | None = None) -> None:
-        self._base, self.joints, self.strength = base, joints, 1.0
+        self._base, self.joints = base, joints
+        self.strength: float | Array = 1.0
         self.names = tuple(f"torque_{joint + 1}" for joint in range(joints))
         self.sensors: tuple[object, ...] = tuple(base.sensors) if base else ()
 
@@ -100,7 +102,7 @@ class Current(Torque):
 
     def __init__(self, joints: int, base: Controller | None, largest: Array) -> None:
         super().__init__(joints, base)
-        self._largest = largest
+        self._largest = self.strength = largest
         self.names = tuple(f"current_{joint + 1}" for joint in range(joints))
 
     def act(self, actions: Array, readings: Readings, applied: Array, playing: Flags) -> Array:

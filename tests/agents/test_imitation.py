@@ -9,11 +9,12 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from flexman_agents.imitation import Imitation, Pupil
+from flexman_agents.imitation import Imitation, Pupil, _strength
 from flexman_agents.interruption import Interrupted
 from flexman_agents.settings import Settings
 from flexman_agents.training import resume, train, trained
 from flexman_gym.__main__ import main
+from flexman_gym.control.actions import Current, Torque
 from flexman_gym.envs.description import Description
 from flexman_gym.evaluation.entrants import acting, find_entrant
 from flexman_gym.evaluation.folder import NEWEST, read_data
@@ -139,6 +140,13 @@ def test_the_command_line_imitates_a_controller(tmp_path, capsys):
     assert main(["evaluate", str(tmp_path / "run"), "--episodes", "2"]) == 0
     assert main([*told, "--algo", "ppo", "--folder", str(tmp_path / "other")]) == 2
     assert capsys.readouterr().err.startswith("algo: 'ppo' is not allowed")
+
+
+def test_a_mode_of_torques_says_how_much_an_action_adds():
+    """A current whose limit gives less than the torque limit adds less, or a student would learn a part of it."""
+    for mode in (Torque(2), Current(2, None, np.array([0.5, 0.8]))):
+        added = mode.act(np.full((1, 2), 0.5), {}, None, None) - mode.act(np.zeros((1, 2)), {}, None, None)
+        assert added == pytest.approx(0.5 * np.broadcast_to(_strength(mode), (1, 2)))
 
 
 def test_what_cannot_be_imitated_is_refused():

@@ -11,11 +11,8 @@ ABLATED = "ppo_on_pd_minute"
 SEEDS = {"ppo_on_pd_minute": 5, "ppo_on_pd": 5, "ppo_alone": 1, "sac_on_pd": 3, "planar_ppo_on_pd": 3,
          "lab_ppo_shaping": 3, "lab_student": 3, "ppo_shaping": 1}  # fmt: skip
 UNKNOWN = "FlexRRR-v0/unknown-lab"
-VENUES = {
-    "ppo_shaping": "FlexRRR-v0",
-    "lab_ppo_shaping": UNKNOWN,
-    "lab_student": UNKNOWN,
-}  # recipes that are judged elsewhere than they learn
+# recipes that are judged elsewhere than they learn
+VENUES = {"ppo_shaping": "FlexRRR-v0", "lab_ppo_shaping": UNKNOWN, "lab_student": UNKNOWN}
 ABLATION_SEEDS = 3
 CONTROLLERS = {"FlexRRR-v0": ("pd", "lqr", "lqr-tracking"), "FlexPlanar-v0": ("pd", "lqr", "lqr-tracking")}
 
