@@ -93,7 +93,10 @@ class Imitation:
     the teacher adds little count as much as those at which it adds a lot.
 
     Args:
-        settings: with the algorithm "dagger". Its steps are actions of all arms, in whole rounds.
+        settings: with the algorithm "dagger".
+
+    Attributes:
+        steps: actions of all arms, in whole rounds.
 
     Raises:
         ValueError: one line, for a hyperparameter that it does not know, and for actions that are no torques.
@@ -122,6 +125,7 @@ class Imitation:
         policy: Any = acting(self._network(), self._described)
         self._pupil = Pupil(policy, setup.controller(chosen["teacher"], build(setup).model))
         self._per_round = settings.envs * -(-setup.longest // setup.hold)
+        self.steps = self._per_round * -(-settings.steps // self._per_round)
         self._rounds: list[list[NDArray[np.float32]]] = []  # what was seen, what is wanted, and how much it counts
 
     def learn(self, stop: Callable[[int, Mapping[str, float]], bool]) -> bool:
@@ -130,7 +134,7 @@ class Imitation:
         Args:
             stop: is told before each round, and at the end, the steps taken and figures; it gives True to stop.
         """
-        rounds, updates = -(-self._settings.steps // self._per_round), self._chosen["updates"]
+        rounds, updates = self.steps // self._per_round, self._chosen["updates"]
         schedule, figures = self._settings.schedule("learning_rate"), dict[str, float]()
         for number in range(rounds):
             if stop(number * self._per_round, figures):
@@ -142,7 +146,7 @@ class Imitation:
                 self._optimizer.param_groups[0]["lr"] = rate
                 losses.append(self._update())
             figures["train/loss"] = float(np.mean(losses))
-        stop(rounds * self._per_round, figures)
+        stop(self.steps, figures)
         return True
 
     def policy(self) -> dict[str, Any]:
@@ -223,7 +227,7 @@ class Lessons:
                 curves.dump(steps)
             if progress and figures:
                 said = ", ".join(f"{name.split('/')[1]} {value:.3g}" for name, value in figures.items())
-                print(f"{steps:,} of {self._settings.steps:,} actions: {said}", file=sys.stderr)
+                print(f"{steps:,} of {self._imitation.steps:,} actions: {said}", file=sys.stderr)
             return asked.is_set() or bool(hook and hook(Report(steps, {}, lambda: None)))
 
         with asked_to_stop() as asked:

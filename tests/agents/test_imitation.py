@@ -134,7 +134,7 @@ def test_ctrl_c_stops_it_and_says_that_nothing_is_kept(tmp_path, monkeypatch):
 
 def test_the_command_line_imitates_a_controller(tmp_path, capsys):
     told = ["imitate", "{kind: pd, stiffness: [0.05], damping: [0.02]}", "--env", "FlexOne-v0", "--set", "horizon=0.4"]
-    assert main([*told, "--steps", "160", "--envs", "4", "--folder", str(tmp_path / "run")]) == 0
+    assert main([*told, "--steps", "150", "--envs", "4", "--folder", str(tmp_path / "run")]) == 0
     captured = capsys.readouterr()
     assert "flexman evaluate" in captured.out and "160 of 160 actions: ep_rew_mean" in captured.err
     assert main(["evaluate", str(tmp_path / "run"), "--episodes", "2"]) == 0
