@@ -106,7 +106,7 @@ class Checkpoints(BaseCallback):
 
 
 class Judge(BaseCallback):
-    """Evaluates the policy without noise on selection seeds, records its figures and keeps the best one.
+    """Evaluates the policy without noise on selection seeds, at the end too, and keeps the best one.
 
     The best has the highest mean reward, which tells more in a hundred episodes than the share that settles. A line on
     stderr says so when a policy settles much less often than the best.
@@ -121,7 +121,7 @@ class Judge(BaseCallback):
         super().__init__()
         self._environment, interface = parted(settings.description)
         self._entrant = Entrant("training", act, interface)
-        self._every, self._keep = settings.judge_every, keep
+        self._every, self._last, self._keep = settings.judge_every, settings.steps, keep
         self._best = [-math.inf, 0.0]  # reward, and share that settled
         self.latest: Mapping[str, float] = {}
         self.begin()
@@ -134,9 +134,16 @@ class Judge(BaseCallback):
         return True
 
     def _on_rollout_end(self) -> None:
-        if self.num_timesteps < self._next:
-            return
-        self._next = self.num_timesteps + self._every
+        if self.num_timesteps >= self._next:
+            self._next = self.num_timesteps + self._every
+            self._compare()
+
+    def _on_training_end(self) -> None:
+        if self.num_timesteps >= self._last:  # and not stopped before
+            self._compare()
+
+    def _compare(self) -> None:
+        """Evaluates the policy as it is and keeps it where it is the best."""
         self.latest = result = evaluate(self._entrant, self._environment, SELECTION)
         for name in CURVES:
             unit = FIGURES[name].unit

@@ -2,17 +2,20 @@
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from flexman_gym.evaluation.grid import Workers
 from flexman_gym.verification.machine import machine_text
-from studies.learning.cases import cases
-from studies.learning.measure import Row, controllers, runs
+from studies.learning.cases import Case, cases
+from studies.learning.curves import Point, pictures, points
+from studies.learning.measure import Row, controllers, place, runs
 from studies.learning.page import page
 from studies.places import folder
 from studies.table import read_comment, read_rows, write_rows
 
 CONTROLLERS = "controllers"
+CURVES = "learning_curves.csv"
 
 
 def main() -> int:
@@ -34,16 +37,29 @@ def main() -> int:
             print(row, flush=True)
             result.append(row)
         _keep(result, options.folder / "learning.csv")
+        if name in known and known[name].kind == "recipe":
+            _keep(_curves(known[name], options.runs), options.folder / CURVES)
     file = options.folder / "learning.csv"
+    if (options.folder / CURVES).is_file():
+        pictures(read_rows(options.folder / CURVES, Point), options.folder)
     (options.folder / "learning.md").write_text(page(read_rows(file, Row), read_comment(file)), encoding="utf-8")
     return 0
 
 
-def _keep(result: list[Row], file: Path) -> None:
+def _curves(case: Case, folder: Path) -> list[Point]:
+    """How the runs of a recipe went."""
+    return [point for seed in range(case.seeds) for point in points(case.name, seed, place(case, folder, seed))]
+
+
+def _keep(result: Sequence[Row] | Sequence[Point], file: Path) -> None:
     """Writes rows beside those of other cases that are there already."""
-    own = {(row.kind, row.name) for row in result}
-    others = [row for row in read_rows(file, Row) if (row.kind, row.name) not in own] if file.exists() else []
-    write_rows(others + result, file, comment=machine_text(("stable-baselines3", "torch")))
+    own, kind = {_case(row) for row in result}, type(result[0])
+    others = [row for row in read_rows(file, kind) if _case(row) not in own] if file.exists() else []
+    write_rows([*others, *result], file, comment=machine_text(("stable-baselines3", "torch")))
+
+
+def _case(row: Row | Point) -> tuple[str, str]:
+    return getattr(row, "kind", "recipe"), row.name
 
 
 if __name__ == "__main__":

@@ -100,6 +100,9 @@ def trials(environment: Description, trained: Description) -> list[Trial]:
     for what, drawn in _unseen(environment, trained).items():
         ends = "; ".join(f"{name} {low:.3g} to {high:.3g}" for name, (low, high) in drawn.items())
         result.append(Trial(what, ends, "far", _with(environment, drawn)))
+    if NAMED[environment.id].conditions and environment.whole()["arm"] == Description(environment.id).whole()["arm"]:
+        arm = Description.under(environment.id, "friction").whole_settings()["arm"]
+        result.append(Trial("friction", "friction of the motors, as of the condition", "far", {"arm": arm}))
     for delay in DELAYS:
         changes = _with(environment, {"delay": (delay, delay)})
         result.append(Trial(f"delay {delay}", f"torques come {delay} control periods late", "far", changes))

@@ -9,7 +9,7 @@ from flexman_gym.evaluation.folder import NEWEST, read_data
 
 from oracles.runs import RUNS
 
-SETTINGS = RUNS["ppo"]  # 160 steps, 24 a rollout, judged after 72 and 144
+SETTINGS = RUNS["ppo"]  # 160 steps, 24 a rollout, judged after 72, 144 and at the end
 
 
 def bits(folder):
@@ -23,7 +23,7 @@ def test_a_hook_is_told_steps_and_figures_where_rollouts_begin_and_at_the_end(tm
     assert [each.steps for each in reports] == [0, 24, 48, 72, 96, 120, 144, 168]
     assert [bool(each.figures) for each in reports] == [False] * 3 + [True] * 5
     rewards = [each.figures.get("reward") for each in reports]
-    assert rewards[3] == rewards[5] != rewards[6] == rewards[7]
+    assert rewards[3] == rewards[5] != rewards[6] != rewards[7]
 
 
 def test_a_run_that_a_hook_stops_or_that_is_killed_after_it_saved_goes_on_to_the_same_bits(tmp_path):

@@ -122,7 +122,7 @@ def test_a_run_that_keeps_its_best_policy_goes_on_only_where_it_is_judged(traine
         line
         == f"judge_every: 0 is not allowed; give the steps between evaluations, > 0: {folder} keeps its best policy"
     )
-    rewards = iter([-1e6, 1e6])
+    rewards = iter([-1e6, 1e6, 0.0])  # the last at the end
     monkeypatch.setattr(callbacks, "evaluate", lambda *given: dict.fromkeys(FIGURES, 1.0) | {"reward": next(rewards)})
     kept = []
     monkeypatch.setattr(
@@ -268,6 +268,17 @@ def test_two_judgements_are_never_nearer_than_asked_for(monkeypatch):
     """Rollouts of 60 steps, each better than the one before; after the first that is too long none makes up for it."""
     kept, _ = judge_with(monkeypatch, [(1.0, float(reward)) for reward in range(8)], rollout=60)
     assert kept[0] == 120 and np.diff(kept).min() >= 100 and len(kept) > 3
+
+
+def test_the_policy_of_the_end_is_judged_but_not_that_of_a_run_that_was_stopped(tmp_path, monkeypatch):
+    """Even where the run is shorter than the steps between judgements."""
+    monkeypatch.setattr(callbacks, "SELECTION", range(5000, 5002))
+    settings = replace(SHORT, judge_every=10 * SHORT.steps)
+    train(settings, tmp_path / "whole", progress=False)
+    newest, best = (read_data(tmp_path / "whole" / name)["policy"] for name in (NEWEST, BEST))
+    assert all(np.array_equal(newest[name], best[name]) for name in newest)
+    train(settings, tmp_path / "stopped", progress=False, hook=lambda report: report.steps > 0)
+    assert not (tmp_path / "stopped" / BEST).exists()
 
 
 def test_the_curves_show_what_the_judge_has_seen_with_its_units(monkeypatch):

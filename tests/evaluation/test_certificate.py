@@ -41,11 +41,12 @@ def test_trials_are_played_where_they_say_and_kept_beside_the_policy(folder):
     rows = {row["name"]: row for row in result["trials"]}
     assert len(said) == len(rows) and list(rows)[:3] == ["as trained", "finer", "method"]
     assert rows["finer"]["error"] == physical_check("pd", DESCRIBED, SEEDS, ("finer",))["finer"]["error"]
-    assert {"payload", "stiffness", "delay 0", "delay 3", "noise 0.003", "search"} <= rows.keys()
+    assert {"payload", "stiffness", "friction", "delay 0", "delay 3", "noise 0.003", "search"} <= rows.keys()
     for name, changes in (
         ("as trained", {}),
         ("payload", {"randomisation": {"payload_mass": [0.0, 0.2]}}),
         ("delay 1", {"randomisation": {"delay": [1, 1]}}),
+        ("friction", Description.find("FlexPlanar-v0/friction").whole_settings()),
     ):
         expected = fm.evaluate("pd", Description("FlexPlanar-v0", {**DESCRIBED.settings, **changes}), SEEDS)
         shown = {each: expected[each] if np.isfinite(expected[each]) else None for each in SHOWN}

@@ -74,15 +74,20 @@ def controllers() -> Iterator[Row]:
 def runs(case: Case, folder: Path, workers: Workers | int = 1) -> Iterator[Row]:
     """Rows of the runs of a case, which are trained in the folder if they are not there, and by whom `grid` says."""
     seeds = range(case.seeds)
-    folders = [folder / case.kind / case.name / f"seed-{seed}" for seed in seeds]
+    folders = [place(case, folder, seed) for seed in seeds]
     costs = gathered(trained, [(case.settings.with_seed(seed), folders[seed]) for seed in seeds], workers)
-    for seed, place, cost in zip(seeds, folders, costs, strict=True):
-        policy = find_entrant(str(place))
+    for seed, each, cost in zip(seeds, folders, costs, strict=True):
+        policy = find_entrant(str(each))
         assert policy.environment is not None
         played = Description.find(VENUES[case.name]) if case.name in VENUES else policy.environment
         for where, environment in places(parted(played)[0]).items():
             if case.kind == "recipe" or where == AS_TRAINED:
                 yield _row(case.kind, case.name, seed, where, cost, policy, environment)
+
+
+def place(case: Case, folder: Path, seed: int) -> Path:
+    """The folder of a run of a case, in that of all runs."""
+    return folder / case.kind / case.name / f"seed-{seed}"
 
 
 def trained(cell: tuple[Settings, Path]) -> dict[str, float | None]:
