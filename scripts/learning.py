@@ -9,12 +9,12 @@ from flexman_gym.evaluation.grid import Workers
 from flexman_gym.verification.machine import machine_text
 from studies.learning.cases import Case, cases
 from studies.learning.curves import Point, pictures, points
-from studies.learning.measure import Row, controllers, place, runs
+from studies.learning.measure import Row, controllers, place, runs, tasks
 from studies.learning.page import page
 from studies.places import folder
 from studies.table import read_comment, read_rows, write_rows
 
-CONTROLLERS = "controllers"
+ALONE = {"controllers": controllers, "tasks": tasks}  # rows that no training precedes
 CURVES = "learning_curves.csv"
 
 
@@ -22,18 +22,18 @@ def main() -> int:
     """Reads the command line, trains, judges, and writes rows and page; returns the exit code."""
     known = {f"{case.kind}/{case.name}": case for case in cases()}
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("case", nargs="*", help=f"{CONTROLLERS}, or some of {', '.join(known)}; without it all")
+    parser.add_argument("case", nargs="*", help=f"some of {', '.join([*ALONE, *known])}; without it all")
     parser.add_argument("--redraw", action="store_true", help="only write about the rows of an earlier run")
     parser.add_argument("--runs", type=folder, default="runs/learning", help="where the runs are kept")
     parser.add_argument("--folder", type=folder, default="docs", help="where rows and page go")
     Workers.arguments(parser)
     options = parser.parse_args()
-    if unknown := sorted(set(options.case) - {CONTROLLERS, *known}):
-        print(f"case: {unknown[0]} is not allowed; give {CONTROLLERS}, {', '.join(known)}", file=sys.stderr)
+    if unknown := sorted(set(options.case) - {*ALONE, *known}):
+        print(f"case: {unknown[0]} is not allowed; give {', '.join([*ALONE, *known])}", file=sys.stderr)
         return 2
-    for name in () if options.redraw else options.case or [CONTROLLERS, *known]:
+    for name in () if options.redraw else options.case or [*known, *ALONE]:
         result = []
-        for row in controllers() if name == CONTROLLERS else runs(known[name], options.runs, Workers.of(options)):
+        for row in ALONE[name]() if name in ALONE else runs(known[name], options.runs, Workers.of(options)):
             print(row, flush=True)
             result.append(row)
         _keep(result, options.folder / "learning.csv")

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 pytest.importorskip("stable_baselines3")
@@ -10,8 +11,10 @@ pytest.importorskip("stable_baselines3")
 from flexman_agents.recipes import NAMES, find_recipe
 from flexman_agents.settings import Settings
 from flexman_gym.envs.description import Description
+from flexman_gym.evaluation.shipped import POLICIES
 from studies.learning import measure
-from studies.learning.cases import ABLATED, ABLATIONS, CONTROLLERS, SEEDS, VENUES, Case, cases
+from studies.learning.cases import ABLATED, ABLATIONS, CONTROLLERS, LAW, SEEDS, TASKS, UNKNOWN, VENUES, Case, cases
+from studies.learning.curves import POINTS, Point, adds_to_pd, environment, pictures, points
 from studies.learning.measure import AS_TRAINED, FINER, LONGER, Row, places, runs, trained
 from studies.learning.page import page
 from studies.table import read_comment, read_rows
@@ -112,9 +115,41 @@ def test_the_published_page_is_that_of_the_published_rows():
     assert (ROOT / "docs" / "learning.md").read_text(encoding="utf-8") == page(rows, read_comment(file))
     names = {row.name for row in rows if row.kind == "controller"}
     assert names == {f"{name}, {id}" for id, names in CONTROLLERS.items() for name in names}
+    learned = {venue: [name] if name in POLICIES else [] for venue, (name, _) in TASKS.items()}
+    expected = {f"{name}, {venue}" for venue, (_, law) in TASKS.items() for name in ("pd", law, *learned[venue])}
+    assert {row.name for row in rows if row.kind == "task"} == expected
+    curves = read_rows(ROOT / "docs" / "learning_curves.csv", Point)
+    assert {point.name for point in curves} <= SEEDS.keys()
+    for id in {environment(point.name) for point in curves if adds_to_pd(point.name)}:
+        assert (ROOT / "docs" / f"learning_{id}.png").is_file()
+
+
+def test_the_page_says_what_a_policy_leaves_of_the_figure_of_a_pd():
+    """Of settling times where arms settle, of RMS errors where tips follow, in the middle of seeds."""
+    slew, track = "FlexRRR-Gravity-v0", "FlexRRR-Track-v0"
+    rows = [replace(ROW, kind="task", name=f"{who}, {slew}", time=time) for who, time in (("pd", 4.0), (LAW, 2.0))]
+    rows += [replace(ROW, kind="task", name=f"{who}, {track}", rms=rms) for who, rms in (("pd", 0.2), (LAW, 1e-4))]
+    rows += [replace(ROW, name="gravity_ppo_on_pd", seed=float(seed), time=1.0 + seed) for seed in range(3)]
+    rows += [replace(ROW, name="track_ppo_on_pd", rms=0.05), replace(ROW, kind="task", name=f"pd, {UNKNOWN}")]
+    text = page(rows, "a machine")
+    assert f"| `{slew}` | 97%, 4 s | `gravity_ppo_on_pd`: 97%, 2 s | 0.50 | `{LAW}`: 97%, 2 s |" in text
+    assert f"| `{track}` | 200 mm | `track_ppo_on_pd`: 50 mm | 0.25 | `{LAW}`: 0.1 mm |" in text
+    assert f"| `{UNKNOWN}` |" not in text, "its other rows are missing"
+
+
+def test_the_curve_of_a_run_is_that_of_its_training_rewards(tmp_path):
+    steps = np.arange(100, 10_001, 100)
+    lines = ["time/total_timesteps,rollout/ep_rew_mean", *(f"{step},{2.0 * step}" for step in steps)]
+    (tmp_path / "progress.csv").write_text("\n".join(lines) + "\n")
+    result = list(points(ABLATED, 1, tmp_path))
+    assert (len(result), result[0].steps, result[-1].steps) == (POINTS, 100.0, 10_000.0)
+    assert all(point.reward == pytest.approx(2.0 * point.steps) and point.seed == 1 for point in result)
+    other = [replace(point, name="lab_ppo_shaping") for point in result]
+    assert pictures([*result, *other], tmp_path) == [tmp_path / "learning_FlexRRR-v0.png"]
+    assert (tmp_path / "learning_FlexRRR-v0.png").stat().st_size > 1000
 
 
 def test_an_unknown_case_is_refused_in_one_line(monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["learning", "recipe/nothing"])
     assert command("learning").main() == 2
-    assert capsys.readouterr().err.startswith("case: recipe/nothing is not allowed; give controllers, recipe/ppo_on_pd")
+    assert capsys.readouterr().err.startswith("case: recipe/nothing is not allowed; give controllers, tasks, recipe/ppo_on_pd")

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from flexman_gym.envs.description import Description
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.setup import build
-from flexman_gym.evaluation.entrants import Entrant, still
+from flexman_gym.evaluation.entrants import find_entrant
 from flexman_gym.evaluation.figures import FIGURES
 from flexman_gym.evaluation.rollout import Rollout, rollout
 
@@ -68,15 +68,17 @@ def _rubbing() -> dict[str, Any]:
     return arm
 
 
-LAB, RRR = "unknown-lab", "FlexRRR-v0"
+LAB, RRR, LEARNED = "unknown-lab", "FlexRRR-v0", "lab-flexrrr"
 BIASED = {"kind": "adaptive-lqr", "biased": True}
 CASES = (
     *(Case(f"{who}, {where}", who, f"{RRR}/{where}" if where else RRR)
       for who, where in (("privileged-lqr", "unknown"), ("adaptive-lqr", LAB), ("lqg", LAB), ("pd", LAB),
                          ("lqg", "nominal"), ("lqg", "delay"), ("lqg", "payload"), ("lqg", "stiffness"))),
-    Case("adaptive-lqr, delay of 0 to 2 periods", "adaptive-lqr", f"{RRR}/{LAB}", {"randomisation": {"delay": [0, 2]}}),
-    Case("adaptive-lqr, friction within a half", "adaptive-lqr", f"{RRR}/{LAB}",
-         {"arm": _rubbing(), "randomisation": RUBBED}),
+    Case(f"{LEARNED}, {LAB}", LEARNED, f"{RRR}/{LAB}"),
+    *(Case(f"{who}, {what}", who, f"{RRR}/{LAB}", changes) for what, changes in (
+        ("delay of 0 to 2 periods", {"randomisation": {"delay": [0, 2]}}),
+        ("friction within a half", {"arm": _rubbing(), "randomisation": RUBBED}),
+    ) for who in ("adaptive-lqr", LEARNED)),
     Case("adaptive-lqr, biased readings", BIASED, f"{RRR}/{LAB}", flaws={"bias": 0.005}),
     Case("adaptive-lqr, a finer arm", "adaptive-lqr", f"{RRR}/{LAB}", FINER, surprise=True),
     Case("adaptive-lqr, a load that changes", "adaptive-lqr", f"{RRR}/{LAB}", load=True),
@@ -102,7 +104,8 @@ def played(case: Case, episodes: int, seed: int) -> Row:
     environment, setup = Description(known.id, settings), known.setup()
     base = setup.controller(case.entrant, build(setup).model) if case.surprise else case.entrant
     flawed = {"sensors": {"kind": "lab", **case.flaws}} if case.flaws else {}
-    entrant = Entrant(case.name, still, {"base": base} | flawed)
+    found = find_entrant(base)
+    entrant = replace(found, name=case.name, interface={**(found.interface or {}), **flawed})
     started = time.process_time()
     result = rollout(entrant, environment, range(seed, seed + episodes), _loader(setup.control_period, case.load))
     cost = (time.process_time() - started) / float(np.sum(result.lengths))

@@ -8,7 +8,12 @@ from flexman_gym.scene import file
 from flexman_gym.verification.markdown import markdown_table
 
 RECIPES = Path(__file__).parents[3] / "agents" / "recipes"
-RECIPE = {"FlexRRR-v0": "ppo_on_pd", "FlexPlanar-v0": "planar_ppo_on_pd"}  # environment -> its recipe
+RECIPE = {
+    "FlexRRR-v0": "ppo_on_pd", "FlexRRR-Track-v0": "track_ppo_on_pd", "FlexRRR-Hold-v0": "hold_ppo_on_pd",
+    "FlexRRR-Gravity-v0": "gravity_ppo_on_pd", "FlexPlanar-v0": "planar_ppo_on_pd",
+    "FlexPlanar-Track-v0": "planar_track_ppo_on_pd", "FlexPlanar-Hold-v0": "planar_hold_ppo_on_pd",
+}  # fmt: skip
+"""Environment -> its recipe."""
 LASTS, GAMMA, ARMS = 0.1, 0.95, 256  # s, of an action, where no recipe says so; discount and arms of all recipes
 
 
@@ -47,6 +52,15 @@ def first(name: str) -> list[str]:
     return [
         *markdown_table(("setting", "value", "why"), rows), "", "```python", *made, "```", "",
         f"{known} The README trains on such arms in a few lines of Stable-Baselines3.",
+        *(["", *_curve(name)] if recipe else []),
+    ]  # fmt: skip
+
+
+def _curve(name: str) -> list[str]:
+    """How the recipes of an environment learn, see `studies.learning.curves`."""
+    return [
+        f"![Reward while the recipes of {name} train](../learning_{name}.png)", "",
+        "A line is the middle of the seeds, and its band goes from the worst to the best of them.",
     ]  # fmt: skip
 
 

@@ -9,12 +9,30 @@ from flexman_agents.settings import Settings
 
 ABLATED = "ppo_on_pd_minute"
 SEEDS = {"ppo_on_pd_minute": 5, "ppo_on_pd": 5, "ppo_alone": 1, "sac_on_pd": 3, "planar_ppo_on_pd": 3,
-         "lab_ppo_shaping": 3, "lab_student": 3, "ppo_shaping": 1}  # fmt: skip
+         "lab_ppo_shaping": 3, "lab_student": 3, "ppo_shaping": 1, "track_ppo_on_pd": 1, "hold_ppo_on_pd": 1,
+         "gravity_ppo_on_pd": 1, "planar_track_ppo_on_pd": 1, "planar_hold_ppo_on_pd": 1}  # fmt: skip
 UNKNOWN = "FlexRRR-v0/unknown-lab"
 # recipes that are judged elsewhere than they learn
 VENUES = {"ppo_shaping": "FlexRRR-v0", "lab_ppo_shaping": UNKNOWN, "lab_student": UNKNOWN}
 ABLATION_SEEDS = 3
 CONTROLLERS = {"FlexRRR-v0": ("pd", "lqr", "lqr-tracking"), "FlexPlanar-v0": ("pd", "lqr", "lqr-tracking")}
+LAW, ESTIMATOR, LEARNED = "lqr-tracking", "adaptive-lqr", "lab-flexrrr"
+TASKS = {
+    "FlexRRR-Track-v0": ("track_ppo_on_pd", LAW),
+    "FlexRRR-Hold-v0": ("hold_ppo_on_pd", LAW),
+    "FlexRRR-Gravity-v0": ("gravity_ppo_on_pd", LAW),
+    "FlexPlanar-v0": ("planar_ppo_on_pd", LAW),
+    "FlexPlanar-Track-v0": ("planar_track_ppo_on_pd", LAW),
+    "FlexPlanar-Hold-v0": ("planar_hold_ppo_on_pd", LAW),
+    UNKNOWN: (LEARNED, ESTIMATOR),
+    "FlexRRR-Track-v0/unknown-lab": ("", ESTIMATOR),
+    "FlexRRR-Hold-v0/unknown-lab": (LEARNED, ESTIMATOR),
+    "FlexRRR-Gravity-v0/unknown-lab": (LEARNED, ESTIMATOR),
+    "FlexPlanar-v0/unknown-lab": ("", ESTIMATOR),
+    "FlexPlanar-Track-v0/unknown-lab": ("", ESTIMATOR),
+    "FlexPlanar-Hold-v0/unknown-lab": ("", ESTIMATOR),
+}
+"""Venue -> the recipe or the shipped policy that learned for it, "" for none, and a controller that knows a model."""
 
 
 @dataclass(frozen=True)

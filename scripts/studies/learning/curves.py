@@ -36,18 +36,19 @@ def environment(name: str) -> str:
     return str(find_recipe(name).environment["id"])
 
 
+def adds_to_pd(name: str) -> bool:
+    """Whether a recipe adds to a PD."""
+    return bool(find_recipe(name).environment.get("base") == "pd")
+
+
 def pictures(curves: Sequence[Point], folder: Path) -> list[Path]:
     """Draws learning_ID.png for each environment with recipes that add to a PD, whose rewards are of one kind."""
-    names = [name for name in SEEDS if any(point.name == name for point in curves) and _adds_to_pd(name)]
+    names = [name for name in SEEDS if any(point.name == name for point in curves) and adds_to_pd(name)]
     result = []
     for id in dict.fromkeys(environment(name) for name in names):
         runs = {name: _seeds(curves, name) for name in names if environment(name) == id}
         result.append(learning_curves(runs, folder / f"learning_{id}.png", "reward of a training episode"))
     return result
-
-
-def _adds_to_pd(name: str) -> bool:
-    return bool(find_recipe(name).environment.get("base") == "pd")
 
 
 def _seeds(curves: Sequence[Point], name: str) -> list[tuple[np.ndarray, np.ndarray]]:

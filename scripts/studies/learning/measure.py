@@ -18,8 +18,9 @@ from flexman_gym.evaluation.figures import FIGURES
 from flexman_gym.evaluation.grid import Workers, gathered
 from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.evaluation.seeds import TEST
+from flexman_gym.evaluation.shipped import POLICIES
 from flexman_gym.simulation.run import default_step
-from studies.learning.cases import CONTROLLERS, VENUES, Case
+from studies.learning.cases import CONTROLLERS, TASKS, VENUES, Case
 from studies.watch import Watch
 
 COST = "cost.json"
@@ -34,13 +35,14 @@ class Row:
     """Medians and shares of a policy over the test episodes, and what its training cost.
 
     Attributes:
-        kind: "recipe", "ablation" or "controller".
+        kind: "recipe", "ablation", "controller" or, for venues of other tasks, "task".
         name, seed: of the run.
         where: the environment, as trained or another.
         steps, cpu, rate, share: of the training: actions, s, actions a second of CPU, part of it in the environment.
         settled: share of episodes within the band to the end.
         time, vibration, error: medians, s, m and m, and the interval of the time.
-        reward, effort, failed, roughness: means; the last is None in rows of before it was taken.
+        reward, effort, failed, roughness: means; the last is None in rows of before it was taken, as is the next.
+        rms: median of the RMS error, m.
     """
 
     kind: str
@@ -61,6 +63,7 @@ class Row:
     effort: float
     failed: float
     roughness: float | None
+    rms: float | None = None
 
 
 def controllers() -> Iterator[Row]:
@@ -69,6 +72,13 @@ def controllers() -> Iterator[Row]:
         for name in names:
             for where, environment in places(Description(id, {"task": TASK})).items():
                 yield _row("controller", f"{name}, {id}", None, where, {}, find_entrant(name), environment)
+
+
+def tasks() -> Iterator[Row]:
+    """Rows of a PD, of controllers that know a model and of shipped policies in venues of other tasks."""
+    for venue, (learned, law) in TASKS.items():
+        for name in ("pd", law, *([learned] if learned in POLICIES else [])):
+            yield _row("task", f"{name}, {venue}", None, AS_TRAINED, {}, find_entrant(name), Description.find(venue))
 
 
 def runs(case: Case, folder: Path, workers: Workers | int = 1) -> Iterator[Row]:
@@ -142,5 +152,6 @@ def _row(
         time_high=high,
         vibration=result["vibration"],
         error=result["error"],
+        rms=result["rms_error"],
         **{key: result[key] for key in ("settled", "reward", "effort", "failed", "roughness")},
     )

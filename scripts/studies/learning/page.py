@@ -4,9 +4,10 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from statistics import median
 
+from flexman_gym.envs.description import Description
 from flexman_gym.evaluation.seeds import SELECTION, TEST, TRAINING
 from flexman_gym.verification.markdown import bullets, markdown_table
-from studies.learning.cases import ABLATED, ABLATION_SEEDS, ABLATIONS, SEEDS, VENUES
+from studies.learning.cases import ABLATED, ABLATION_SEEDS, ABLATIONS, SEEDS, TASKS, VENUES
 from studies.learning.measure import AS_TRAINED, FINER, FINER_ELEMENTS, FINER_STEPS, LONG, LONGER, Row
 
 PAGE = """# What the recipes reach
@@ -43,6 +44,16 @@ They know the model; the linear-quadratic regulators also know its true state.
 
 {controllers}
 
+## Other tasks, and other arms
+
+A PD, the policy that learned for the task, and a controller that knows a model of the arm.
+Where tips follow or are disturbed the figure is the median RMS error, else the share that settles and the median time.
+A recipe is in the middle of its seeds. *Of the PD's* is the part of the PD's figure that the policy has left.
+
+{tasks}
+
+{why}
+
 ## Do they lean on the simulator?
 
 The same policies on a finer model: {elements} elements a link with all their coordinates, foreshortening, and
@@ -59,6 +70,12 @@ A means without which the figures are as good is not needed beside the others.
 
 {ablations}
 """
+WHY = (
+    "In `FlexPlanar-v0` the PD is near what the motors can do, and no policy halves its time.",
+    "Under `unknown-lab` only slews and disturbed arms have a policy, which shapes the reference of the estimator. A "
+    "reference that moves cannot be shaped, and for the planar arms none was trained: the estimator alone is there.",
+    "PPO from scratch on a laboratory's instruments settled nothing after a million actions.",
+)
 COLUMNS = {
     "settled": "the share of episodes that settle",
     "time": "the median time after which they do, unsettled ones counted as infinite, and its bootstrap interval",
@@ -82,6 +99,8 @@ def page(rows: Sequence[Row], machine: str) -> str:
         elsewhere=", ".join(f"`{name}` in `{venue}`" for name, venue in VENUES.items()),
         recipes="\n".join(_recipes(rows)),
         controllers="\n".join(_controllers(rows)),
+        tasks="\n".join(_tasks(rows)),
+        why="\n".join(WHY),
         elements=FINER_ELEMENTS,
         steps=FINER_STEPS,
         long=LONG,
@@ -127,10 +146,40 @@ def _controllers(rows: Sequence[Row]) -> list[str]:
     return markdown_table(("controller", *FIGURES), ((row.name, *_figures(row)) for row in result))
 
 
+def _tasks(rows: Sequence[Row]) -> list[str]:
+    lines = []
+    for venue, (learned, law) in TASKS.items():
+        own = {name: _of(rows, "task", f"{name}, {venue}") for name in ("pd", law, learned)}
+        own[learned] = own[learned] or _of(rows, "recipe", learned)
+        if own["pd"] and own[law]:
+            follows = _follows(Description.find(venue))
+            pd, best, reached = (_task(own[name], follows) for name in ("pd", law, learned))
+            part = f"{reached[1] / pd[1]:.2f}" if own[learned] and math.isfinite(pd[1]) else "-"
+            name = f"`{learned}`: {reached[0]}" if own[learned] else "-"
+            lines.append((f"`{venue}`", pd[0], name, part, f"`{law}`: {best[0]}"))
+    return markdown_table(("venue", "PD", "learned", "of the PD's", "knows a model"), lines)
+
+
+def _follows(venue: Description) -> bool:
+    """Whether the tip has to follow or to stay, so that its RMS error tells more than when it settles."""
+    return "rms_error" in getattr(venue.setup().task, "figures", ())
+
+
+def _task(rows: Sequence[Row], follows: bool) -> tuple[str, float]:
+    """The figure of a task in words and as a number, of the middle of seeds."""
+    if not rows:
+        return "", math.nan
+    if follows:
+        error = median(row.rms or 0.0 for row in rows)
+        return f"{1e3 * error:.3g} mm", error
+    time, settled = median(row.time for row in rows), median(row.settled for row in rows)
+    return f"{settled:.0%}, {_number(time)} s" if math.isfinite(time) else f"{settled:.0%}", time
+
+
 def _leaning(rows: Sequence[Row]) -> list[str]:
     cells: dict[tuple[str, str], dict[str, str]] = {}
     for row in rows:
-        if row.kind != "ablation":
+        if row.kind in ("recipe", "controller"):
             seed = "" if row.seed is None else f"{row.seed:.0f}"
             cells.setdefault((row.name, seed), {})[row.where] = _short(row)
     places = (AS_TRAINED, FINER, LONGER)
