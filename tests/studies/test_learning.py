@@ -152,4 +152,5 @@ def test_the_curve_of_a_run_is_that_of_its_training_rewards(tmp_path):
 def test_an_unknown_case_is_refused_in_one_line(monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["learning", "recipe/nothing"])
     assert command("learning").main() == 2
-    assert capsys.readouterr().err.startswith("case: recipe/nothing is not allowed; give controllers, tasks, recipe/ppo_on_pd")
+    said = capsys.readouterr().err
+    assert said.startswith("case: recipe/nothing is not allowed; give controllers, tasks, recipe/ppo_on_pd")
