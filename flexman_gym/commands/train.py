@@ -18,12 +18,11 @@ INTERRUPTED = 130  # what a shell says of a process that Ctrl-C has ended
 
 def arguments(result: argparse.ArgumentParser) -> None:
     """Says what it takes."""
-    from flexman_agents.recipes import NAMES
     from flexman_agents.settings import ALGORITHMS
     from flexman_gym.envs import NAMED
     from flexman_gym.evaluation.grid import Workers
 
-    result.add_argument("recipe", nargs="?", help=f"a file of settings, or one of {', '.join(NAMES)}")
+    result.add_argument("recipe", nargs="?", help="a file of settings, or a name: flexman list recipes")
     result.add_argument("--algo", choices=ALGORITHMS, help="instead of the recipe's; ppo without one")
     result.add_argument("--env", help=f"a file that describes an environment, or one of {', '.join(sorted(NAMED))}")
     result.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the environment")

@@ -7,7 +7,8 @@ from flexman_gym.envs.tasks import Slew
 from flexman_gym.scene import file
 from flexman_gym.verification.markdown import markdown_table
 
-RECIPES = Path(__file__).parents[3] / "agents" / "recipes"
+ROOT = Path(__file__).parents[3]
+RECIPES, DOCS = ROOT / "agents" / "recipes", ROOT / "docs"
 RECIPE = {
     "FlexRRR-v0": "ppo_on_pd", "FlexRRR-Track-v0": "track_ppo_on_pd", "FlexRRR-Hold-v0": "hold_ppo_on_pd",
     "FlexRRR-Gravity-v0": "gravity_ppo_on_pd", "FlexPlanar-v0": "planar_ppo_on_pd",
@@ -52,7 +53,7 @@ def first(name: str) -> list[str]:
     return [
         *markdown_table(("setting", "value", "why"), rows), "", "```python", *made, "```", "",
         f"{known} The README trains on such arms in a few lines of Stable-Baselines3.",
-        *(["", *_curve(name)] if recipe else []),
+        *(["", *_curve(name)] if (DOCS / f"learning_{name}.png").is_file() else []),
     ]  # fmt: skip
 
 
@@ -60,7 +61,7 @@ def _curve(name: str) -> list[str]:
     """How the recipes of an environment learn, see `studies.learning.curves`."""
     return [
         f"![Reward while the recipes of {name} train](../learning_{name}.png)", "",
-        "A line is the middle of the seeds, and its band goes from the worst to the best of them.",
+        "A line is the middle of the seeds, and where there are several its band goes from the worst to the best.",
     ]  # fmt: skip
 
 
