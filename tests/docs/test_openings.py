@@ -8,6 +8,7 @@ import pytest
 from studies.benchmark.environments import OURS, PPO, VECTOR
 from studies.benchmark.rows import Row as Speed
 from studies.control.cases import Row as Controlled
+from studies.learning.cases import TASKS
 from studies.learning.measure import Row as Learned
 from studies.precision.measure import Row as Run
 from studies.ringdown.measure import Row as Released
@@ -64,10 +65,11 @@ def test_recipes_are_as_the_opening_says():
     plain = [row for row in rows if row.where == "as trained"]
     minute = [row for row in plain if (row.kind, row.name) == ("recipe", "ppo_on_pd_minute")]
     assert all(row.settled >= 0.95 and row.cpu < 120.0 for row in minute)
-    (pd,) = (row for row in plain if row.name.startswith("pd") and "FlexRRR" in row.name)
+    (pd,) = (row for row in plain if (row.kind, row.name) == ("controller", "pd, FlexRRR-v0"))
     assert pd.settled == 0.0
     (shaped,) = (row.time for row in plain if row.name == "ppo_shaping")
-    others = [row for row in plain if row.kind == "recipe" and row.name not in ("ppo_shaping", "planar_ppo_on_pd")]
+    elsewhere = {learned for learned, _ in TASKS.values()}
+    others = [row for row in plain if row.kind == "recipe" and row.name not in {"ppo_shaping", *elsewhere}]
     assert all(row.time > shaped for row in others)
     told = {name: [row for row in others if row.name == name] for name in ("lab_student", "lab_ppo_shaping")}
     assert all(row.settled > 0.9 for row in told["lab_student"])
