@@ -20,6 +20,7 @@ Nobody sees the tip.
 
 - `privileged-lqr` is told the true state and the true parameters. It is the yardstick.
 - `adaptive-lqr` reads the instruments of the laboratory. It simulates the arm beside the real one.
+- `lab-flexrrr` is a policy that shapes the slew of `adaptive-lqr`.
 - `lqg` filters the same readings with a nominal model.
 - `pd` reads its motors alone.
 
