@@ -1,11 +1,13 @@
 """Hook: a training reports on the way, is saved when it is asked to be, and stops where it is told to."""
 
+from dataclasses import replace
+
 import pytest
 
 pytest.importorskip("stable_baselines3")
 
 from flexman_agents.training import load_settings, resume, train, trained
-from flexman_gym.evaluation.folder import NEWEST, read_data
+from flexman_gym.evaluation.folder import BEST, NEWEST, read_data
 
 from oracles.runs import RUNS
 
@@ -58,3 +60,13 @@ def test_a_cell_of_a_grid_goes_on_with_its_hook_after_it_was_killed(tmp_path):
     heard = []
     trained((SETTINGS, str(tmp_path), {"progress": False, "hook": lambda report: heard.append(report.steps)}))
     assert heard == [48, 72, 96, 120, 144, 168]
+
+
+def test_the_policy_of_the_end_is_judged_but_not_that_of_a_run_that_was_stopped(tmp_path):
+    """Even where the run is shorter than the steps between judgements."""
+    settings = replace(SETTINGS, judge_every=10 * SETTINGS.steps)
+    train(settings, tmp_path / "whole", progress=False)
+    best = read_data(tmp_path / "whole" / BEST)["policy"]
+    assert {name: values.tobytes() for name, values in best.items()} == bits(tmp_path / "whole")
+    train(settings, tmp_path / "stopped", progress=False, hook=lambda report: report.steps > 0)
+    assert not (tmp_path / "stopped" / BEST).exists()

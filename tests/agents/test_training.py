@@ -270,17 +270,6 @@ def test_two_judgements_are_never_nearer_than_asked_for(monkeypatch):
     assert kept[0] == 120 and np.diff(kept).min() >= 100 and len(kept) > 3
 
 
-def test_the_policy_of_the_end_is_judged_but_not_that_of_a_run_that_was_stopped(tmp_path, monkeypatch):
-    """Even where the run is shorter than the steps between judgements."""
-    monkeypatch.setattr(callbacks, "SELECTION", range(5000, 5002))
-    settings = replace(SHORT, judge_every=10 * SHORT.steps)
-    train(settings, tmp_path / "whole", progress=False)
-    newest, best = (read_data(tmp_path / "whole" / name)["policy"] for name in (NEWEST, BEST))
-    assert all(np.array_equal(newest[name], best[name]) for name in newest)
-    train(settings, tmp_path / "stopped", progress=False, hook=lambda report: report.steps > 0)
-    assert not (tmp_path / "stopped" / BEST).exists()
-
-
 def test_the_curves_show_what_the_judge_has_seen_with_its_units(monkeypatch):
     logged = {}
     seen = dict.fromkeys(FIGURES, 0.0) | {"settling_time": 2.0, "vibration": 0.2, "error": 0.02}
