@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from statistics import median
 
 from flexman_gym.envs.description import Description
+from flexman_gym.evaluation.figures import figures_of
 from flexman_gym.evaluation.seeds import SELECTION, TEST, TRAINING
 from flexman_gym.verification.markdown import bullets, markdown_table
 from studies.learning.cases import ABLATED, ABLATION_SEEDS, ABLATIONS, SEEDS, TASKS, VENUES
@@ -187,7 +188,7 @@ def _tasks(rows: Sequence[Row]) -> list[str]:
 
 def _follows(venue: Description) -> bool:
     """Whether the tip has to follow or to stay, so that its RMS error tells more than when it settles."""
-    return "rms_error" in getattr(venue.setup().task, "figures", ())
+    return any(figure.name == "rms_error" for figure in figures_of(venue.setup().task))
 
 
 def _task(rows: Sequence[Row], follows: bool) -> tuple[str, float]:
