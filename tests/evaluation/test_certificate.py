@@ -110,6 +110,12 @@ def test_what_the_training_drew_is_left(monkeypatch):
     assert kept["delay"] == [3, 3] and kept["payload_mass"] == [0.0, 20.0]
 
 
+def test_friction_is_that_of_the_named_arm_and_no_other_arm_is_tried_with_it():
+    own = Description("FlexRRR-v0", {"arm": {**dict(Description().whole()["arm"]), "payload": {"mass": 5.0}}})
+    tried = [[each.name for each in trials(what, what)] for what in (Description(), own)]
+    assert ["friction" in names for names in tried] == [True, False]
+
+
 def test_only_policies_of_tasks_in_which_something_settles(tmp_path):
     assert refusal(certify, "pd") == "name: 'pd' is not allowed; give an exported policy, by its name or folder"
     path = Description.from_dict({"id": "FlexPlanar-Track-v0", "base": "pd", "sensors": "full", "horizon": 1.0})
