@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from flexman_agents.algorithm import LAYERS
 from flexman_agents.callbacks import Hook, Report
@@ -33,6 +34,7 @@ from flexman_gym.evaluation.submission import SECONDS
 LED = (1.0, 0.5, 0.25)  # share of the arms that the teacher leads, in the first rounds
 SCALE = 10.0  # of actions while they are learned: most are small beside 1
 FLOOR, HEAVIEST = 0.15, 10.0  # beside the mean size of actions of an instant, by which it is weighed; largest weight
+AVERAGED = 0.995  # of the weights that act, after each step
 STEEPEST = 5.0  # norm of a gradient
 
 
@@ -90,7 +92,8 @@ class Imitation:
 
     In the first round the teacher leads the arms, later the student does, and the teacher says what it would have done
     (Ross, Gordon and Bagnell, A reduction of imitation learning to no-regret online learning, 2011). Instants at which
-    the teacher adds little count as much as those at which it adds a lot.
+    the teacher adds little count as much as those at which it adds a lot. What acts has the mean of the weights over
+    the last few hundred steps, in which older ones fade.
 
     Args:
         settings: with the algorithm "dagger".
@@ -121,7 +124,8 @@ class Imitation:
         for values in self._layers[-1].parameters():
             torch.nn.init.zeros_(values)
         self._moments = {"mean": np.zeros(widths[0]), "var": np.ones(widths[0])}
-        self._optimizer = torch.optim.Adam(self._layers.parameters())
+        self._optimizer = torch.optim.Adam(self._layers.parameters(), fused=True)
+        self._mean = AveragedModel(self._layers, multi_avg_fn=get_ema_multi_avg_fn(AVERAGED))
         policy: Any = acting(self._network(), self._described)
         self._pupil = Pupil(policy, setup.controller(chosen["teacher"], build(setup).model))
         self._per_round = settings.envs * -(-setup.longest // setup.hold)
@@ -151,9 +155,10 @@ class Imitation:
 
     def policy(self) -> dict[str, Any]:
         """Gives what acts: layers under the names that PPO has for them, and statistics of what they see."""
-        names = {f"mlp_extractor.policy_net.{place}": layer for place, layer in enumerate([*self._layers][:-1])}
+        layers = [*self._mean.module]
+        names = {f"mlp_extractor.policy_net.{place}": layer for place, layer in enumerate(layers[:-1])}
         arrays = {f"{name}.{part}": value.detach().numpy().copy()
-                  for name, layer in {**names, "action_net": self._layers[-1]}.items()
+                  for name, layer in {**names, "action_net": layers[-1]}.items()
                   for part, value in layer.named_parameters()}  # fmt: skip
         for part in ("weight", "bias"):
             arrays[f"action_net.{part}"] /= SCALE
@@ -197,6 +202,7 @@ class Imitation:
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self._layers.parameters(), STEEPEST)
         self._optimizer.step()
+        self._mean.update_parameters(self._layers)
         return float(loss.item())
 
 

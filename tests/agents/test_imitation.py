@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from flexman_agents.imitation import Imitation, Pupil, _strength
+from flexman_agents.imitation import AVERAGED, SCALE, Imitation, Pupil, _strength
 from flexman_agents.interruption import Interrupted
 from flexman_agents.settings import Settings
 from flexman_agents.training import resume, train, trained
@@ -91,6 +91,25 @@ def test_rounds_have_episodes_of_their_own(monkeypatch):
     assert Imitation(SHORT).learn(lambda steps, figures: False)
     first = training_seed(SHORT.seed)
     assert seeds == list(range(first, first + 3 * SHORT.envs))
+
+
+def test_what_acts_is_a_mean_of_the_weights_in_which_older_ones_fade(monkeypatch):
+    """Those before the last step count AVERAGED times as much as it left them, and those of the last one the rest."""
+    weights, learned = [], Imitation._update
+
+    def heard(imitation):
+        loss = learned(imitation)
+        weights.append(imitation._layers[-1].weight.detach().numpy().copy())
+        return loss
+
+    monkeypatch.setattr(Imitation, "_update", heard)
+    imitation = Imitation(SHORT)
+    assert imitation.learn(lambda steps, figures: False) and len(weights) == 3 * 5
+    expected = weights[0]
+    for each in weights[1:]:
+        expected = AVERAGED * expected + (1.0 - AVERAGED) * each
+    acts = SCALE * imitation.policy()["policy"]["action_net.weight"]
+    assert acts == pytest.approx(expected, rel=1e-5) and np.abs(acts - weights[-1]).max() > 1e-4
 
 
 def test_the_same_seed_has_the_same_bits_and_another_has_not(tmp_path):
