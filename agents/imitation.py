@@ -125,7 +125,8 @@ class Imitation:
             torch.nn.init.zeros_(values)
         self._moments = {"mean": np.zeros(widths[0]), "var": np.ones(widths[0])}
         self._optimizer = torch.optim.Adam(self._layers.parameters(), fused=True)
-        self._mean = AveragedModel(self._layers, multi_avg_fn=get_ema_multi_avg_fn(AVERAGED))
+        averaged = get_ema_multi_avg_fn(AVERAGED)  # type: ignore[no-untyped-call]
+        self._mean = AveragedModel(self._layers, multi_avg_fn=averaged)
         policy: Any = acting(self._network(), self._described)
         self._pupil = Pupil(policy, setup.controller(chosen["teacher"], build(setup).model))
         self._per_round = settings.envs * -(-setup.longest // setup.hold)
@@ -155,7 +156,7 @@ class Imitation:
 
     def policy(self) -> dict[str, Any]:
         """Gives what acts: layers under the names that PPO has for them, and statistics of what they see."""
-        layers = [*self._mean.module]
+        layers = list(self._mean.module.children())
         names = {f"mlp_extractor.policy_net.{place}": layer for place, layer in enumerate(layers[:-1])}
         arrays = {f"{name}.{part}": value.detach().numpy().copy()
                   for name, layer in {**names, "action_net": layers[-1]}.items()

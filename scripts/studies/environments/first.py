@@ -39,7 +39,7 @@ def first(name: str) -> list[str]:
         ("discount of PPO or SAC", f"`{GAMMA}`", f"looks {horizon:g} s ahead, about as long as a motion lasts"),
         (
             "`log_std_init`",
-            "`-1.6`, or `-1` that falls to `-4`",
+            "`-1.6`, or `-1.3` that falls to `-3.5`",
             "quiet exploration: an arm that shakes learns nothing",
         ),
         ("arms side by side", f"`{ARMS}`", "they cost little more than one"),
