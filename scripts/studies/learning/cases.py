@@ -9,7 +9,7 @@ from flexman_agents.settings import Settings
 
 ABLATED = "ppo_on_pd_minute"
 SEEDS = {"ppo_on_pd_minute": 5, "ppo_on_pd": 5, "ppo_alone": 1, "sac_on_pd": 3, "planar_ppo_on_pd": 3,
-         "lab_ppo_shaping": 3, "lab_student": 3, "ppo_shaping": 1, "track_ppo_on_pd": 1, "hold_ppo_on_pd": 1,
+         "lab_ppo_shaping": 3, "lab_student": 3, "ppo_shaping": 3, "track_ppo_on_pd": 1, "hold_ppo_on_pd": 1,
          "gravity_ppo_on_pd": 1, "planar_track_ppo_on_pd": 1, "planar_hold_ppo_on_pd": 1}  # fmt: skip
 UNKNOWN = "FlexRRR-v0/unknown-lab"
 # recipes that are judged elsewhere than they learn
