@@ -12,7 +12,7 @@ import flexman_gym
 
 PACKAGE = Path(flexman_gym.__file__).parent
 ROOT = PACKAGE.parent
-MOST_LINES, MOST_FUNCTION_LINES, MOST_ARGUMENTS, MOST_KERNEL_ARGUMENTS = 300, 50, 7, 9
+MOST_LINES, MOST_FUNCTION_LINES, MOST_ARGUMENTS, MOST_KERNEL_ARGUMENTS = 500, 50, 7, 9
 
 # Who may import whom, from the ground up: a folder uses what stands beside it, and itself, and nothing else of ours.
 FLOORS = {
