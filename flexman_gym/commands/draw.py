@@ -74,7 +74,7 @@ def _campbell(options: argparse.Namespace, out: Path) -> list[Path]:
 def _bode(options: argparse.Namespace, out: Path) -> list[Path]:
     import numpy as np
 
-    from flexman_gym.control.margins import open_loops, sampled_loop
+    from flexman_gym.control.margins import margins, open_loops, sampled_loops, stuck_motors
     from flexman_gym.draw.bode import bode_diagram
     from flexman_gym.envs.description import Description
     from flexman_gym.envs.setup import build
@@ -83,10 +83,12 @@ def _bode(options: argparse.Namespace, out: Path) -> list[Path]:
     model, period, gains = build(setup).model, setup.control_period, setup.pd_gains
     angles = options.angles or [0.0] * model.n_joints
     places = np.geomspace(0.01, 0.5 / period, 1200)
-    loop = sampled_loop(model, angles, period, setup.latest_delay)
+    loops = sampled_loops(model, angles, period, setup.latest_delay, setup.drive_bandwidth)
+    stuck = margins(loops, gains["stiffness"], gains["damping"]).stuck
+    loop = next(each for each in loops if each.stuck == stuck)
     responses = open_loops(loop, gains["stiffness"], gains["damping"], places, period)
     named = {f"motor {i + 1}": response for i, response in enumerate(responses)}
-    title = f"{options.subject[0]}: the PD's loop opened at one motor, the others act"
+    title = f"{options.subject[0]}: the PD's loop opened at one motor, the others act{stuck_motors(stuck)}"
     return [bode_diagram(places, named, out, title)]
 
 

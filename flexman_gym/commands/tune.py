@@ -16,6 +16,7 @@ def arguments(result: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Prints gains; returns the exit code."""
+    from flexman_gym.control.margins import stuck_motors
     from flexman_gym.envs.description import Description
     from flexman_gym.evaluation.grid import Workers
     from flexman_gym.evaluation.tuning import tune
@@ -33,6 +34,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"{name}: {', '.join(f'{gain:.3g}' for gain in getattr(result, name))}")
     gains = {name: [float(f"{gain:.3g}") for gain in getattr(result, name)] for name in ("stiffness", "damping")}
     print(f"in a file of an environment: gains: {gains}".replace("'", ""))
-    print(f"gain margin: {result.margins.gain:.3g}, phase margin: {result.margins.phase:.3g} degrees")
+    where = stuck_motors(result.margins.stuck)
+    print(f"gain margin: {result.margins.gain:.3g}, phase margin: {result.margins.phase:.3g} degrees{where}")
     print(f"mean reward of 8 episodes: {result.reward:.1f}")
     return 0

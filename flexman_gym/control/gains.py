@@ -13,7 +13,7 @@ import numpy as np
 from flexman_gym.arrays import Array, Flags, IntArray, grown
 from flexman_gym.control.discrete import Weights, optimal_gain
 from flexman_gym.kernels.cache import find_folder
-from flexman_gym.model.linear import linearize
+from flexman_gym.model.linear import SLIDING, linearize
 from flexman_gym.model.model import Model
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.parameters import varied_model
@@ -108,7 +108,7 @@ class GainTable:
         folder = find_folder()
         if folder is None:
             return None
-        seal = hashlib.sha256()
+        seal = hashlib.sha256(SLIDING.encode())  # designs of motors that stick were kept before
         for values in (*model.constants, *map(np.array, self._design), self._payloads, np.array(SPACING)):
             seal.update(np.ascontiguousarray(values).tobytes())
         return Path(folder) / f"gains-{seal.hexdigest()[:16]}.npz"

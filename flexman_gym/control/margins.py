@@ -1,64 +1,129 @@
-"""Margins: how far the sampled loop of a PD is from instability."""
+"""Stability margins of the sampled loop of a PD, over motors that slide and motors that stick.
 
-from collections.abc import Sequence
+A motor with Coulomb friction c slides or sticks. While it slides, friction is a constant torque: it damps no small
+departure. While it sticks, the motor is clamped. A loop may be stable with one set of motors stuck and unstable with
+another, so that each set has a loop of its own, and the worst of them counts. The slope of a smoothed friction law at
+rest, a damper of a hundred times c, is in none of them: it would make every gain look safe.
+
+Friction may bring an unstable loop to rest from a small start, never from a large one. It is no margin.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array, Vector
+from flexman_gym.arrays import Array, IntArray, Vector
 from flexman_gym.model.linear import linearize
 from flexman_gym.model.model import Model
+from flexman_gym.model.state_space import LinearModel
 from flexman_gym.model.statics import holding_torques, rest_state
 
 FACTORS, PHASES = np.geomspace(1.0, 16.0, 25), np.linspace(0.0, 90.0, 19)  # degrees, at which margins are looked for
 TURN = 1j * np.pi / 180.0  # by a degree
+STEADY = 1.0 + 1e-9  # spectral radius; undamped modes that no motor moves have 1, to rounding
 Response = NDArray[np.complex128]
 
 
 class Loop(NamedTuple):
-    """An arm about a posture as sampled torques move it: next = transition x + inputs torques.
+    """Linear model of an arm about a posture under sampled torques: next = transition x + inputs torques.
 
     Attributes:
-        transition: (m, m) of coordinates, speeds and the torques that are on their way.
+        transition: (m, m) of coordinates, speeds and the torques that are on their way; zero for motors that stick.
         inputs: (m, n).
         motors: (n,) columns of the motor angles.
         rates: (n,) columns of the motor rates.
+        stuck: joints, from 0, whose motors stick.
     """
 
     transition: Array
     inputs: Array
     motors: Array
     rates: Array
+    stuck: tuple[int, ...] = ()
 
 
 class Margins(NamedTuple):
-    """What a loop bears before it is unstable.
+    """Stability margins of a loop.
 
     Attributes:
         gain: factor of the torques of one motor or of all.
         phase: by which the torques of one motor or of all lag or lead, degrees.
+        stuck: joints, from 0, whose motors stick in the worst loop: an unstable one, or that of the least gain margin.
     """
 
     gain: float
     phase: float
+    stuck: tuple[int, ...] = ()
+
+
+def sampled_loops(
+    model: Model, joint_angles: Vector, period: float, delay: int = 0, bandwidth: float | None = None
+) -> list[Loop]:
+    """Return the loops of an arm at rest, one for each set of motors that may stick.
+
+    Only motors with Coulomb friction stick; an arm without has one loop. The set of all motors is left out: no torque
+    moves anything then, so that gains do not matter.
+
+    Args:
+        model: of the arm.
+        joint_angles: (n,) rad.
+        period: of control, s.
+        delay: whole periods by which torques come late.
+        bandwidth: Hz, of drives whose torque lags, see `lag`; None for none.
+    """
+    linear = linearize(model, state=rest_state(model, joint_angles), torque=holding_torques(model, joint_angles))
+    return [_loop(model, linear, stuck, period, delay, bandwidth) for stuck in _stuck_sets(model)]
 
 
 def sampled_loop(
     model: Model, joint_angles: Vector, period: float, delay: int = 0, bandwidth: float | None = None
 ) -> Loop:
-    """Gives the loop of an arm at rest at joint angles (n,) rad whose torques come `delay` periods (s) late.
-
-    With a bandwidth (Hz) the drives lag besides, see `lag`; what they have reached belongs to the state.
-    """
+    """Return the loop of an arm at rest whose motors all slide; arguments are those of `sampled_loops`."""
     linear = linearize(model, state=rest_state(model, joint_angles), torque=holding_torques(model, joint_angles))
-    sampled = linear.discrete(period, delay * period)
-    late, entry, n = sampled.A, sampled.B, model.n_joints
+    return _loop(model, linear, (), period, delay, bandwidth)
+
+
+def _stuck_sets(model: Model) -> Iterator[tuple[int, ...]]:
+    """Yield the sets of joints whose motors may stick, the empty one first, without that of all joints."""
+    rubbing = np.flatnonzero(model.constants.coulomb_friction > 0.0).tolist()
+    for count in range(min(len(rubbing) + 1, model.n_joints)):
+        yield from combinations(rubbing, count)
+
+
+def _loop(
+    model: Model, linear: LinearModel, stuck: tuple[int, ...], period: float, delay: int, bandwidth: float | None
+) -> Loop:
+    """Return the loop of a linear model with clamped motors, whose departures stay 0."""
+    motors, n, d = model.motor_columns, model.n_joints, model.n_dof
+    clamped = np.concatenate([motors[list(stuck)], d + motors[list(stuck)]]).astype(int)
+    sampled = (_clamped(linear, motors[list(stuck)]) if stuck else linear).discrete(period, delay * period)
+    late, entry = sampled.A, sampled.B
+    late[clamped], late[:, clamped], entry[clamped] = 0.0, 0.0, 0.0
     if bandwidth is not None:
         left, mean = lag(period, bandwidth)
         late = np.block([[late, mean * entry], [np.zeros((n, len(late))), left * np.eye(n)]])
         entry = np.vstack([(1.0 - mean) * entry, (1.0 - left) * np.eye(n)])
-    return Loop(late, entry, model.motor_columns, model.n_dof + model.motor_columns)
+    return Loop(late, entry, motors, d + motors, stuck)
+
+
+def _clamped(linear: LinearModel, columns: IntArray) -> LinearModel:
+    """Return a linear model some of whose coordinates (k,) do not move; states keep their places."""
+    assert linear.balance is not None
+    mass, forces, _ = linear.balance
+    d, free = len(mass), np.setdiff1d(np.arange(len(mass)), columns)
+    A, B = np.zeros_like(linear.A), np.zeros_like(linear.B)
+    moving = np.concatenate([free, d + free])
+    scale = np.sqrt(np.diag(mass)[free])  # metres and radians of fine elements weigh alike
+    demands = forces[np.ix_(free, [*moving, *range(2 * d, forces.shape[1])])]
+    slopes = np.linalg.solve(mass[np.ix_(free, free)] / np.outer(scale, scale), demands / scale[:, None])
+    slopes /= scale[:, None]
+    A[free, d + free] = 1.0
+    A[np.ix_(d + free, moving)], B[d + free] = slopes[:, : len(moving)], slopes[:, len(moving) :]
+    return replace(linear, A=A, B=B, balance=None)
 
 
 def lag(period: float, bandwidth: float) -> tuple[float, float]:
@@ -72,32 +137,40 @@ def lag(period: float, bandwidth: float) -> tuple[float, float]:
 
 
 def margins(loops: Sequence[Loop], stiffness: Vector, damping: Vector) -> Margins:
-    """Gives the least margins of a PD over loops, (1, 0) where one of these is unstable.
+    """Return the least margins of a PD over loops, (1, 0) where one of these is unstable.
 
     A margin is the least change of the torques with which an eigenvalue of the closed loop leaves the unit circle:
     those of one motor, or those of all, are multiplied by a factor >= 1, or by exp(+-i phase).
 
     Args:
-        loops: of `sampled_loop`.
+        loops: of `sampled_loops`.
         stiffness: (n,) N m/rad.
         damping: (n,) N m s/rad.
     """
-    result = []
+    each, stable = [], np.ones(len(loops), dtype=bool)
     for values, changes in ((FACTORS, FACTORS), (PHASES, np.exp(TURN * PHASES))):
         good = np.array([[_stable(loop, stiffness, damping, change) for change in changes] for loop in loops])
-        first = int(np.argmin(np.append(good.all(axis=0), False)))  # that is not borne
-        result.append(float(values[max(first - 1, 0)]))
-    return Margins(*result)
+        first = np.argmin(np.column_stack([good, np.zeros(len(loops), dtype=bool)]), axis=1)  # of the changes too large
+        each.append(values[np.maximum(first - 1, 0)])
+        stable &= first > 0
+    gains, phases = each
+    worst = loops[int(np.lexsort((phases, gains, stable))[0])]
+    return Margins(float(gains.min()), float(phases.min()), worst.stuck)
 
 
 def has_margins(loops: Sequence[Loop], stiffness: Vector, damping: Vector, least: Margins) -> bool:
-    """Whether loops are stable as they are and with both of the changes at the end of the least margins."""
+    """Return whether loops are stable as they are and with both of the changes at the end of the least margins."""
     changes = (1.0, least.gain, np.exp(TURN * least.phase))
     return all(_stable(loop, stiffness, damping, change) for change in changes for loop in loops)
 
 
+def stuck_motors(stuck: Sequence[int]) -> str:
+    """Return a clause for messages with the motors that stick, counted from 1; "" for none."""
+    return f" while friction holds motor {' and '.join(str(joint + 1) for joint in stuck)}" if stuck else ""
+
+
 def spectral_radius(loop: Loop, stiffness: Vector, damping: Vector) -> float:
-    """Gives the largest magnitude of an eigenvalue of a loop that a PD closes; below 1 where it is stable."""
+    """Return the largest magnitude of an eigenvalue of a loop that a PD closes; below 1 where it is stable."""
     return float(np.abs(np.linalg.eigvals(loop.transition - loop.inputs @ _gain(loop, stiffness, damping))).max())
 
 
@@ -113,7 +186,7 @@ def _stable(loop: Loop, stiffness: Vector, damping: Vector, change: complex) -> 
     n, gain = loop.inputs.shape[1], _gain(loop, stiffness, damping)
     motors = np.ones((1, n)) if n == 1 or change == 1.0 else np.vstack([np.eye(n), np.ones(n)])
     closed = loop.transition - (loop.inputs * (1.0 + motors[:, None] * (change - 1.0))) @ gain
-    return bool((np.abs(np.linalg.eigvals(closed)) < 1.0).all())
+    return bool((np.abs(np.linalg.eigvals(closed)) < STEADY).all())
 
 
 def open_loops(loop: Loop, stiffness: Vector, damping: Vector, frequencies: Vector, period: float) -> Response:

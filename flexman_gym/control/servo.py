@@ -9,7 +9,7 @@ from flexman_gym.arrays import Array, Flags, IntArray, Vector, grown
 from flexman_gym.checks import physical, refusal, vector
 from flexman_gym.control.bases import make_base
 from flexman_gym.control.controller import Controller, Episode, Readings
-from flexman_gym.control.margins import sampled_loop, spectral_radius
+from flexman_gym.control.margins import sampled_loops, spectral_radius, stuck_motors
 from flexman_gym.control.pd import PD
 from flexman_gym.control.plant import Plant
 
@@ -66,7 +66,8 @@ class Servo:
 def make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) -> Servo:
     """Makes a servo with gains that are given, or those that were tuned for the plant.
 
-    It warns (UserWarning) where its sampled loop, with delay and drive, is unstable at zero angles.
+    It warns (UserWarning) where its sampled loop, with delay and drive, is unstable at zero angles, whichever of its
+    motors slide or stick.
 
     Args:
         kind: "position" or "velocity".
@@ -91,13 +92,14 @@ def make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) -
         spans = [physical(f"actions.range[{i}]", number) for i, number in enumerate(numbers)]
     gains = make_base({"kind": "pd", **given}, plant)
     assert isinstance(gains, PD)
-    loop = sampled_loop(plant.model, np.zeros(n), plant.period, plant.delay[1], plant.bandwidth)
-    radius = spectral_radius(loop, gains.stiffness, gains.damping)
+    loops = sampled_loops(plant.model, np.zeros(n), plant.period, plant.delay[1], plant.bandwidth)
+    radii = [spectral_radius(loop, gains.stiffness, gains.damping) for loop in loops]
+    radius, stuck = max(radii), loops[int(np.argmax(radii))].stuck
     if radius > UNSTABLE:
         warnings.warn(
             f"actions: a servo with stiffness {gains.stiffness.tolist()} and damping {gains.damping.tolist()} is not "
-            f"stable with a period of {plant.period:g} s (spectral radius {radius:.4g}); give smaller gains, or a "
-            "shorter control_period with a larger hold",
+            f"stable with a period of {plant.period:g} s{stuck_motors(stuck)} (spectral radius {radius:.4g}); give "
+            "smaller gains, or a shorter control_period with a larger hold",
             stacklevel=2,
         )
     return Servo(kind, gains, spans, plant.period)

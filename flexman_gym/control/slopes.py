@@ -1,5 +1,7 @@
 """Slopes: how the state after a control period follows from the state and the forces before it, by the simulator."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags
@@ -15,7 +17,8 @@ STATE, FORCE = 1e-5, 1e-3  # by which coordinates (of their size) and forces (of
 class Slopes:
     """Differences of arms that move beside one another, each from a state or under a force that differs in one number.
 
-    At rest they are the exact zero-order hold of `control.discrete`, to the error of the integration method.
+    At rest they are the exact zero-order hold of `control.discrete`, to the error of the integration method. Motors
+    slide, see `model.linear`: Coulomb friction has no slope, and these arms have none.
 
     Args:
         plant: the arm, and how it is simulated.
@@ -31,7 +34,9 @@ class Slopes:
         self._changes = np.concatenate([np.tile(STATE * coordinate_sizes(model), 2), FORCE * self.scales])
         self._size = 2 * model.n_dof
         self._around = np.vstack([np.zeros(len(self._changes)), np.diag(self._changes)])  # the arm, its neighbours
-        self._twins = Twins(plant)
+        none = np.zeros(model.n_joints)
+        smooth = model.constants._replace(coulomb_friction=none, rubbing=none.astype(np.int64))
+        self._twins = Twins(plant._replace(model=replace(model, constants=smooth)))
 
     def __call__(self, states: Array, torques: Array) -> tuple[Array, Flags]:
         """Gives the slopes (r, 2 d, 2 d + n + 3) by states, torques and forces on the tip; where they are good (r,).

@@ -9,7 +9,7 @@ import numpy as np
 
 from flexman_gym.arrays import Array
 from flexman_gym.checks import refusal
-from flexman_gym.control.margins import Loop, Margins, has_margins, margins, sampled_loop
+from flexman_gym.control.margins import Loop, Margins, has_margins, margins, sampled_loops
 from flexman_gym.control.pd import PD, stability_limit
 from flexman_gym.envs.description import Description
 from flexman_gym.envs.setup import build
@@ -82,7 +82,10 @@ def _near(random: np.random.Generator, best: Array, deviation: float, low: Array
 
 
 def environment_loops(environment: Description) -> list[Loop]:
-    """Gives the loops of the motors of an environment, with its largest delay, at goals of its first episodes."""
+    """Return the loops of the motors of an environment, with its largest delay, at goals of its first episodes.
+
+    Motors with Coulomb friction slide or stick, see `control.margins`: a posture has a loop for each set of these.
+    """
     moved = parted(environment)[0]  # without what acts, which may need the gains that are looked for
     venv = gym.make_vec(environment.id, POSTURES, "vector_entry_point", **moved.keywords())
     venv.reset(seed=list(range(POSTURES)))  # type: ignore[arg-type]
@@ -90,7 +93,7 @@ def environment_loops(environment: Description) -> list[Loop]:
     postures, model = episodes.view.goal_angles.copy(), episodes.batch.model
     venv.close()
     drive = setup.control_period, setup.latest_delay, setup.drive_bandwidth
-    return [sampled_loop(model, posture, *drive) for posture in postures]
+    return [loop for posture in postures for loop in sampled_loops(model, posture, *drive)]
 
 
 def _drawn(loops: Sequence[Loop], count: int, draw: Callable[[], Array]) -> Array:

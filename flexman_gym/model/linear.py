@@ -8,6 +8,11 @@ The slope of the inertial forces by coordinates is taken by central differences,
 moves a section by more than 0.5 % of its link's length or 0.005 rad. On random chains, bent and fast, its measured
 error is 1e-12 of its largest entry. With the condition of the mass matrix on top, the error of A is 1e-10 of its
 largest entry (metres and radians weighed by their masses).
+
+Coulomb friction c of a motor that slides is a constant torque and damps no small departure: it has no part in A. The
+smoothed law c tanh(rate / coulomb_rate) has the slope c / coulomb_rate at rest, a damper of a hundred times c by
+default. A model with that slope holds for rates far below `coulomb_rate` alone, where the motor hardly moves; no gain
+or margin may be designed on it.
 """
 
 from collections.abc import Sequence
@@ -15,7 +20,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from flexman_gym.arrays import Array, Vector
-from flexman_gym.checks import refusal
+from flexman_gym.checks import one_of, refusal
 from flexman_gym.model.instant import (
     acceleration,
     damping_matrix,
@@ -30,6 +35,8 @@ from flexman_gym.model.rounding import solvable
 from flexman_gym.model.slopes import coordinate_sizes, coordinate_slopes
 from flexman_gym.model.state_space import Balance, LinearModel
 
+SLIDING, AT_REST = "sliding", "at rest"  # Coulomb friction in a linear model
+
 
 def linearize(
     model: Model,
@@ -38,14 +45,13 @@ def linearize(
     torque: Vector | None = None,
     outputs: Sequence[str] = ("tip",),
     inputs: Sequence[str] = ("motor_torques",),
+    friction: str = SLIDING,
 ) -> LinearModel:
     """Gives the linear model about the undeformed arm at rest, or about a whole state.
 
-    States x (2 d,) are coordinates and speeds in the order of `kernels.layout`.
-
-    Where the accelerations at the state do not vanish (gravity, speeds), x departs from the motion that starts there,
-    and A is the slope at its start. Coulomb friction enters with its slope at the rates of the state, which is very
-    steep at rest.
+    States x (2 d,) are coordinates and speeds in the order of `kernels.layout`. Where the accelerations at the state do
+    not vanish (gravity, speeds), x departs from the motion that starts there, and A is the slope at its start. Coulomb
+    friction of a sliding motor, the default, is constant and has no slope.
 
     Args:
         model: the model.
@@ -56,10 +62,11 @@ def linearize(
             relative to the base), "joint_angles", "joint_rates", "motor_angles", "motor_rates", "joint_twists",
             "joint_twist_rates" (n each), "link_deflections", "link_deflection_rates" (2 n), "root_strains" (3 n).
         inputs: what u holds: "motor_torques" (n), "tip_force" (3) and "base_acceleration" (3).
+        friction: "sliding", or "at rest" for the slope of the smoothed Coulomb friction at the rates of the state.
 
     Raises:
-        ValueError: for wrong shapes, values that are not finite, a state and joint angles at once, unknown outputs or
-            inputs, and the acceleration of the tip about a state that moves.
+        ValueError: for wrong shapes, values that are not finite, a state and joint angles at once, unknown names, and
+            the acceleration of the tip about a state that moves.
 
     Examples:
         >>> system = fm.linearize(fm.build_model(fm.catalog.one_joint()), outputs=("tip",))
@@ -77,6 +84,8 @@ def linearize(
     caused = acceleration(model, state, applied)
     columns, driven = input_columns(model, split_state(model, state)[0], inputs)
     demands = np.hstack([_demands(model, state, caused), columns])
+    if one_of("friction", friction, (SLIDING, AT_REST)) == AT_REST:
+        _add_coulomb_slopes(model, state, demands)
     rows, read = output_rows(model, state, caused, outputs)
     return _solved(model, Balance(mass_matrix(model, state), demands, rows), tuple(driven), tuple(read))
 
@@ -133,8 +142,13 @@ def _demands(model: Model, state: Vector, caused: Array) -> Array:
     demands = np.zeros((d, 2 * d))
     demands[:, :d] = -stiffness_matrix(model) - coordinate_slopes(model, lambda place: forces(place, v, caused), x)
     demands[:, d:] = -damping_matrix(model) - np.transpose([by_speed(unit) for unit in np.diag(size)]) / size
+    return demands
+
+
+def _add_coulomb_slopes(model: Model, state: Vector, demands: Array) -> None:
+    """Subtract the slopes of the smoothed Coulomb friction by the motor rates from demands (d, 2 d + m)."""
     motors, constants = model.motor_columns, model.constants
     steepness = constants.coulomb_friction / constants.coulomb_rate
-    rates = np.minimum(np.abs(v[motors] / constants.coulomb_rate), 300.0)  # beyond it the slope is 0 and cosh overflows
-    demands[motors, d + motors] -= steepness / np.cosh(rates) ** 2
-    return demands
+    parts = np.abs(split_state(model, state)[1][motors] / constants.coulomb_rate)
+    # beyond 300 the slope is 0 and cosh overflows
+    demands[motors, model.n_dof + motors] -= steepness / np.cosh(np.minimum(parts, 300.0)) ** 2

@@ -92,8 +92,8 @@ def modes(model: Model, joint_angles: Vector | None = None, motors: str = "held"
     """Gives the modes of an arm that rests under its weight, with damping.
 
     They are those of the linear model about the place where the arm has sagged to. What does not oscillate is left
-    out: the arm that turns freely, and what is damped beyond oscillation. Coulomb friction of free motors enters with
-    its slope at rest, which is steep.
+    out: the arm that turns freely, and what is damped beyond oscillation. Free motors slide, and their Coulomb friction
+    damps no small oscillation, see `linearize`; a motor that sticks is a held one.
 
     Args:
         model: the model.

@@ -1,5 +1,6 @@
 """Gains: a table is the LQR at its places and linear between them, whatever was asked before, with a file or none."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -10,6 +11,7 @@ from flexman_gym.control.discrete import Weights
 from flexman_gym.control.gains import SPACING, GainTable
 from flexman_gym.control.lqr import LQR
 from flexman_gym.envs.setup import build, setup_of
+from flexman_gym.model.model import build_model
 from flexman_gym.simulation.parameters import varied_model
 
 WEIGHTS, PAYLOADS = Weights(0.02, 0.1, 0.4), (0.05, 0.1, 0.2)
@@ -145,3 +147,13 @@ def test_a_joint_that_turns_the_arm_about_gravity_has_no_axis(name):
 def test_a_joint_that_lifts_the_arm_has_one():
     first, turned = asked(table(), [[0.0, 0.5, 0.1], [1.0, 0.5, 0.1]])
     assert np.abs(turned - first).max() > 1e-4 * np.abs(first).max()
+
+
+def test_gains_are_those_of_motors_that_slide():
+    """With the slope of the smoothed friction at rest, motors would look clamped and gains be wrong once they turn."""
+    model, limits, period = small("FlexPlanar-v0")
+    rubbing = [replace(joint, coulomb_friction=0.5) for joint in model.arm.joints]
+    other = build_model(replace(model.arm, joints=rubbing), **vars(model.choice))
+    places = [[0.3, -0.6, 0.1], [1.1, 0.2, 0.05]]
+    plain, sliding = (asked(GainTable(each, limits, period, WEIGHTS, PAYLOADS), places) for each in (model, other))
+    assert np.array_equal(plain, sliding)

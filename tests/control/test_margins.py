@@ -4,12 +4,23 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control.margins import FACTORS, PHASES, Margins, has_margins, margins, sampled_loop
+from flexman_gym.control.margins import (
+    FACTORS,
+    PHASES,
+    Margins,
+    has_margins,
+    margins,
+    sampled_loop,
+    sampled_loops,
+    spectral_radius,
+)
 from flexman_gym.envs.catalog import NAMED
 from flexman_gym.envs.description import Description
 from flexman_gym.envs.setup import build, setup_of
 from flexman_gym.evaluation.tuning import LEAST, environment_loops
 from flexman_gym.model import mass_matrix
+from flexman_gym.simulation.parameters import varied_model
+from studies.servos.friction import AT_REST, Case, friction_rows, remaining_vibration, smoothed_loop
 
 PERIOD = 0.01
 STEP, DEGREES = FACTORS[1] / FACTORS[0], PHASES[1]
@@ -99,7 +110,7 @@ def test_torques_on_their_way_arrive_in_their_turn():
 
 
 DELAYED = [f"{name}/{each}" for name in ("FlexRRR-v0", "FlexPlanar-v0", "FlexRRR-Gravity-v0")
-           for each in ("delay", "unknown", "unknown-lab")]  # fmt: skip
+           for each in ("delay", "friction", "unknown", "unknown-lab")]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", [*NAMED, *DELAYED])
@@ -109,3 +120,63 @@ def test_the_pd_of_every_environment_has_a_gain_margin_of_two_and_a_phase_margin
     gains = environment.setup().pd_gains
     reached = margins(environment_loops(environment), gains["stiffness"], gains["damping"])
     assert reached.gain >= LEAST.gain * (1.0 - 1e-9) and reached.phase >= LEAST.phase
+
+
+RUBBING = (1.2, 0.4)  # N m
+
+
+def two_links(coulomb=(0.0, 0.0)):
+    """Two strips on elastic joints, with Coulomb friction (N m) of the motors."""
+    joints = [fm.Joint((0.0, 0.0, 1.0), inertia, stiffness, coulomb_friction=each)
+              for inertia, stiffness, each in zip((0.04, 0.01), (300.0, 100.0), coulomb, strict=True)]  # fmt: skip
+    links = [fm.Link.strip(0.5, 0.05, 0.004), fm.Link.strip(0.5, 0.05, 0.003)]
+    return fm.build_model(fm.Arm(links, joints, fm.Payload(0.3), modal_damping_ratio=0.01), elements=1)
+
+
+def test_friction_makes_no_unstable_loop_stable():
+    """With the slope of the smoothed friction at rest these gains have a gain margin of 10; the arm runs away."""
+    gains = np.array([100.0, 30.0]), np.array([10.0, 3.0])
+    for coulomb in ((0.0, 0.0), RUBBING):
+        model = two_links(coulomb)
+        assert margins(sampled_loops(model, [0.0, 0.3], 0.005, 1), *gains)[:2] == (1.0, 0.0)
+    case = Case(model, 0.005, 1, *gains, np.array([0.0, 0.3]), np.array([0.1, -0.1]))
+    assert remaining_vibration(case) > 0.5
+    assert spectral_radius(smoothed_loop(case), *gains) < 1.0, "what the slope at rest would say"
+
+
+def test_a_loop_with_a_stuck_motor_is_that_of_an_arm_whose_motor_has_no_end_of_inertia():
+    model, angles = two_links(RUBBING), [0.2, 0.4]
+    loops = {loop.stuck: loop for loop in sampled_loops(model, angles, 0.01, 1, 20.0)}
+    assert set(loops) == {(), (0,), (1,)}, "without both, which no torque moves"
+    for stuck in (0, 1):
+        heavy = model.constants.rotor_inertia.copy()
+        heavy[stuck] = 1e9
+        held = sampled_loop(varied_model(model, rotor_inertia=heavy), angles, 0.01, 1, 20.0)
+        free = np.setdiff1d(np.arange(len(held.transition)), [held.motors[stuck], held.rates[stuck]])
+        own = loops[stuck,]
+        scale = np.abs(held.transition).max()
+        assert np.abs(own.transition - held.transition)[np.ix_(free, free)].max() < 1e-6 * scale
+        assert np.abs(own.inputs - held.inputs)[free].max() < 1e-6 * np.abs(held.inputs).max()
+
+
+def test_margins_are_those_of_the_worst_set_of_motors_that_stick():
+    """Gains for which a loop is stable while all motors slide, and not while friction holds the first one."""
+    model, angles = two_links(RUBBING), [0.0, 0.3]
+    loops = sampled_loops(model, angles, 0.02, 2)
+    draws = np.exp(np.random.default_rng(0).uniform(np.log([1e-2] * 4), np.log([10.0, 10.0, 1.0, 1.0]), (2000, 4)))
+    split = [gains for gains in draws if spectral_radius(loops[0], *np.split(gains, 2)) < 1.0
+             and max(spectral_radius(loop, *np.split(gains, 2)) for loop in loops[1:]) > 1.0 + 1e-6]  # fmt: skip
+    assert split, "such gains exist"
+    for gains in split:
+        assert margins(loops[:1], *np.split(gains, 2)).gain >= 1.0
+        result = margins(loops, *np.split(gains, 2))
+        assert result[:2] == (1.0, 0.0) and result.stuck
+        worst = next(loop for loop in loops if loop.stuck == result.stuck)
+        assert spectral_radius(worst, *np.split(gains, 2)) > 1.0
+
+
+def test_a_loop_that_is_stable_comes_to_rest_with_friction():
+    """A few of the random loops of docs/servos.md, which has 200 of them."""
+    rows = list(friction_rows(6))
+    assert all(row.left < AT_REST for row in rows if row.is_stable)
+    assert sum(row.is_stable for row in rows) == 6

@@ -1,5 +1,7 @@
 """Slopes: what instruments read and how a state goes on are linear maps, those of the view and of the exact hold."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -69,3 +71,24 @@ def test_where_an_arm_does_not_go_on_slopes_are_not_good():
     states = np.zeros((2, 2 * given.model.n_dof))
     states[1] = 0.9 * LARGEST_STATE
     assert Slopes(given)(states, np.zeros((2, 2)))[1].tolist() == [True, False]
+
+
+def test_motors_with_coulomb_friction_slide():
+    """At a rate far above the smoothing friction is a constant torque, so that the slopes are those of the true arm."""
+    given = plant()
+    joints = [replace(joint, coulomb_friction=0.2, coulomb_rate=0.001) for joint in given.model.arm.joints]
+    rubbing = given._replace(model=fm.build_model(replace(given.model.arm, joints=joints), **vars(given.model.choice)))
+    states, torques = rest_states(given.model, POSTURES), np.zeros((len(POSTURES), 2))
+    still = [Slopes(each)(states, torques)[0] for each in (given, rubbing)]
+    assert np.array_equal(*still), "at rest there is no slope, as without friction"
+    states[:, given.model.n_dof + np.arange(4)] = 1.0, -2.0, 1.0, -2.0
+    sliding, batch = Slopes(rubbing)(states, torques)[0], Batch(rubbing.model, *given.moved, given.period, arms=3)
+    size, ends = 2 * given.model.n_dof, []
+    for change in (0.0, 1e-3):
+        drive = np.zeros((3, 8))
+        drive[:, :2] = torques + change
+        batch.place(np.arange(3), states)
+        batch.step(drive)
+        ends.append(batch.state.copy())
+    found, expected = (ends[1] - ends[0]) / 1e-3, sliding[..., size : size + 2].sum(axis=-1)
+    assert found == pytest.approx(expected, abs=1e-3 * np.abs(expected).max())

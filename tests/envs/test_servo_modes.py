@@ -199,3 +199,14 @@ def test_drives_begin_at_rest_in_every_episode():
         assert venv.episodes.motors.reached == pytest.approx(1.0 - left)
         assert venv.episodes.motors.torques == pytest.approx((1.0 - mean) * 400.0)
         assert venv.episodes.view.action == pytest.approx(1.0), "what was asked for"
+
+
+def test_friction_hides_no_unstable_servo():
+    """The loop that slides is as unstable as without friction, and a loop with stuck motors may be the worst."""
+    plain = fm.catalog.planar_2r()
+    rubbing = replace(plain, joints=[replace(joint, coulomb_friction=0.3) for joint in plain.joints])
+    given = {"name": "FlexPlanar-v0", "torque_limit": 50.0, "randomisation": {"delay": (1, 1)}}
+    servo = {"kind": "position", "stiffness": [100.0, 30.0], "damping": [10.0, 3.0]}
+    for arm in (plain, rubbing):
+        with pytest.warns(UserWarning, match="is not stable with a period of 0.01 s.*spectral radius"):
+            FlexManEnv(**given, arm=arm, actions=servo)

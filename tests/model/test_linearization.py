@@ -10,6 +10,7 @@ from scipy.linalg import expm
 import flexman_gym as fm
 
 from oracles.chains import QUICK, pinocchio_model, samples
+from oracles.refusals import refusal
 
 ANGLES = (0.3, -0.7, 1.1)
 
@@ -172,3 +173,24 @@ def test_bad_input_is_refused_in_one_line(call, field):
         call(model)
     line = str(error.value)
     assert line.startswith(f"{field}: ") and " is not allowed; give " in line and "\n" not in line
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.004, -0.02, 50.0])
+def test_coulomb_friction_has_no_slope_but_where_it_is_asked_for(rate):
+    """The smoothed law c tanh(rate / r) has the slope c / (r cosh^2(rate / r)), a damper of the motor."""
+    link, coulomb, width = fm.Link.strip(0.5, 0.04, 0.003), 2.0, 0.01
+    joint = fm.Joint((0.0, 0.0, 1.0), 0.02, 60.0, coulomb_rate=width)
+    smooth, rubbing = (
+        fm.build_model(fm.Arm([link], [replace(joint, coulomb_friction=each)])) for each in (0.0, coulomb)
+    )
+    state, motor = np.zeros(2 * smooth.n_dof), smooth.n_dof + smooth.motor_columns[0]
+    state[motor] = rate
+    plain = fm.linearize(smooth, state=state)
+    assert np.array_equal(fm.linearize(rubbing, state=state).A, plain.A)
+    assert np.array_equal(fm.linearize(rubbing, state=state, friction="sliding").A, plain.A)
+    change = fm.linearize(rubbing, state=state, friction="at rest").A - plain.A
+    expected = np.zeros_like(change)
+    slope = coulomb / width / np.cosh(min(abs(rate / width), 300.0)) ** 2
+    expected[smooth.n_dof :, motor] = -slope * np.linalg.inv(fm.mass_matrix(smooth, state))[:, smooth.motor_columns[0]]
+    assert change == pytest.approx(expected, rel=1e-6, abs=1e-9 * np.abs(plain.A).max())
+    assert refusal(lambda: fm.linearize(rubbing, friction="none")).startswith("friction: 'none' is not allowed; give ")

@@ -127,3 +127,11 @@ def test_modes_say_the_first_in_a_few_lines():
     assert len(lines) == 5 and "Hz, damping ratio" in lines[1] and "% in" in lines[1]
     assert refusal(lambda: fm.modes(SPATIAL, motors="loose")).startswith("motors: 'loose' is not allowed; give one of")
     assert refusal(lambda: fm.modes("arm")).startswith("model: 'arm' is not allowed; give a Model")
+
+
+def test_friction_changes_no_mode_of_free_motors():
+    """A motor that slides is pushed by a constant torque; the slope of its smoothed law at rest would clamp it."""
+    rubbing = [replace(joint, coulomb_friction=2.0) for joint in SPATIAL.arm.joints]
+    model = fm.build_model(replace(SPATIAL.arm, joints=rubbing), modes=4)
+    for motors in ("held", "free"):
+        assert np.array_equal(fm.modes(model, motors=motors).eigenvalues, fm.modes(SPATIAL, motors=motors).eigenvalues)

@@ -6,6 +6,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.control.margins import sampled_loop
 from flexman_gym.model import mass_matrix
+from studies.servos.friction import AT_REST, LOOPS, FrictionRow
 from studies.servos.measure import APART, CHECKED, LARGEST, PERIODS, Row, limit, limits, rounds_of, tried_by_environment
 from studies.servos.page import page
 from studies.table import read_comment, read_rows
@@ -35,8 +36,10 @@ def test_an_environment_comes_to_rest_below_a_limit_and_not_above_it():
 
 def test_the_page_is_that_of_its_rows():
     file = DOCS / "servos.csv"
-    result = read_rows(file, Row)
-    assert (DOCS / "servos.md").read_text(encoding="utf-8") == page(read_comment(file), result)
+    result, rubbing = read_rows(file, Row), read_rows(DOCS / "servos_friction.csv", FrictionRow)
+    assert (DOCS / "servos.md").read_text(encoding="utf-8") == page(read_comment(file), result, rubbing)
     tried = [row for row in result if row.below is not None]
     assert len(tried) == CHECKED and {row.period for row in result} == set(PERIODS)
     assert all(row.below < 0.5 < row.above for row in tried), "as the page says"
+    stable = [row for row in rubbing if row.is_stable]
+    assert len(stable) == LOOPS and all(row.left < AT_REST for row in stable), "as the page says"

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from flexman_gym.verification.markdown import markdown_table
+from studies.servos.friction import AT_REST, DURATION, FrictionRow
 from studies.servos.measure import APART, BANDWIDTHS, DELAYS, ENVIRONMENTS, LARGEST, PERIODS, SPRINGS, Row
 
 SAYS = (
@@ -30,6 +31,17 @@ TRIED = (
     "`midpoint_3_sweeps` and `gauss_3_sweeps`. **Below its limit the arm came to rest in {calm} of {count}, above it "
     "in {calm_above}.** Rest means at most half of the largest energy."
 )
+FRICTION = (
+    "## With Coulomb friction\n\nThe arms above have no Coulomb friction. A motor with friction slides, and friction "
+    "damps no small oscillation, or it sticks. A loop is called stable where every set of motors that stick leaves it "
+    "so. Random arms of one to three strips with friction, delay and gains near their limits were simulated for "
+    "{seconds:g} s, from starts that ask for 2 to 20 times the friction "
+    "([servos_friction.csv](servos_friction.csv)). **Of {stable} loops that are called stable {calm} came to rest.** "
+    "Rest means a vibration of the tip of at most {rest:.0%} of its largest speed. Loops whose slowest vibration needs "
+    "longer were passed over.\n\nOf {unstable} loops that are called unstable {moving} still moved. Friction brought "
+    "the others to rest from these starts. Of the unstable loops {mixed} are so only while some motors stick. The "
+    "slope of the smoothed friction at rest would call {misled} of them stable, of which {misled_moving} still moved."
+)
 CONCLUSION = (
     "Without delay and lag the tuned gains may be multiplied by {least:.3g} or more at {short:g} ms. At {long:g} ms "
     "the most is {most:.3g}. Of all {all} combinations {unstable} make the tuned gains unstable. Most of these, "
@@ -38,8 +50,8 @@ CONCLUSION = (
 REST = 0.5
 
 
-def page(machine: str, rows: Sequence[Row]) -> str:
-    """The page as Markdown, from all rows; `machine` says what computed them."""
+def page(machine: str, rows: Sequence[Row], rubbing: Sequence[FrictionRow]) -> str:
+    """Return the page as Markdown, from all rows with and without friction; `machine` computed them."""
     lines = [
         "# Servos: how much gain they bear",
         "",
@@ -62,7 +74,7 @@ def page(machine: str, rows: Sequence[Row]) -> str:
     lines += [STIFF, "", SPRUNG, ""]
     heads = ["environment, period", *(f"{springs:g} x, delay {delay}" for springs in SPRINGS for delay in (0, 2))]
     lines += [*markdown_table(heads, (_stiff(rows, name, period) for name in ENVIRONMENTS for period in PERIODS)), ""]
-    return "\n".join([*lines, _tried(rows), "", _conclusion(rows)]) + "\n"
+    return "\n".join([*lines, _tried(rows), "", _friction(rubbing), "", "## Conclusion", "", _conclusion(rows)]) + "\n"
 
 
 def _head(delay: int, bandwidth: float) -> str:
@@ -92,6 +104,17 @@ def _tried(rows: Sequence[Row]) -> str:
     calm = sum(row.below < REST for row in tried)  # type: ignore[operator]
     calm_above = sum(row.above < REST for row in tried)  # type: ignore[operator]
     return TRIED.format(count=len(tried), apart=APART, calm=calm, calm_above=calm_above)
+
+
+def _friction(rows: Sequence[FrictionRow]) -> str:
+    stable, unstable = ([row for row in rows if row.is_stable == wanted] for wanted in (True, False))
+    misled = [row for row in unstable if row.smoothed < 1.0]
+    return FRICTION.format(
+        seconds=DURATION, rest=AT_REST, stable=len(stable), calm=sum(row.left < AT_REST for row in stable),
+        unstable=len(unstable), moving=sum(row.left >= AT_REST for row in unstable),
+        mixed=sum(row.sliding < 1.0 for row in unstable),
+        misled=len(misled), misled_moving=sum(row.left >= AT_REST for row in misled),
+    )  # fmt: skip
 
 
 def _conclusion(rows: Sequence[Row]) -> str:
