@@ -65,7 +65,8 @@ def doubts(problem: Problem, x: Array) -> tuple[str, ...]:
 def _spikes(where: str, problem: Problem, part: Part, left: Array) -> list[str]:
     """Samples far beyond their neighbours."""
     jumps = np.abs(left[1:-1] - 0.5 * (left[2:] + left[:-2]))
-    found = np.flatnonzero(jumps > LOUD * max(1.4826 * float(np.median(jumps)), 1e-9 * np.ptp(part.measured))) + 1
+    loud, beside = LOUD * max(1.4826 * float(np.median(jumps)), 1e-9 * np.ptp(part.measured)), np.pad(jumps, 1)
+    found = np.flatnonzero((jumps > loud) & (jumps >= beside[:-2]) & (jumps >= beside[2:])) + 1
     if not len(found) or len(found) > 0.02 * len(left):
         return []
     data = problem.responses[part.record].measurement

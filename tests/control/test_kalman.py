@@ -8,8 +8,8 @@ from scipy.stats import chi2
 import flexman_gym as fm
 from flexman_gym.control.controller import Episode
 from flexman_gym.control.discrete import zero_order_hold
-from flexman_gym.control.instruments import make_instruments
-from flexman_gym.control.kalman import EVERY, FORCE, TORQUE, UNLIKE, KalmanFilter
+from flexman_gym.control.instruments import BIAS, make_instruments
+from flexman_gym.control.kalman import DRIFT, EVERY, FORCE, OFFSET, TORQUE, UNLIKE, KalmanFilter
 from flexman_gym.control.riccati import predicted
 from flexman_gym.control.slopes import Slopes
 from flexman_gym.envs.snapshot import give, take
@@ -222,6 +222,40 @@ def test_a_bias_is_kept_for_half_a_minute():
         world.bias = first * np.exp(-period * given.period / 30.0)
         world.play(kalman, random_actions(1, seed=period))
         assert kalman.states[:, size:] == pytest.approx(np.tile(world.bias, (3, 1)), rel=1e-7)
+
+
+def unread(known, **options):
+    """Variances (c,) of the constants that a filter estimates, after 40 periods in which no reading says anything.
+
+    They begin as at a start, or known.
+    """
+    given = plant()
+    world, kalman, size = World(given), KalmanFilter(given, **options), 2 * given.model.n_dof
+    world.begin(kalman)
+    world.play(kalman, random_actions(1))
+    kalman._matrix = 0.0 * kalman._matrix
+    if known:
+        kalman.covariance[:, size:], kalman.covariance[:, :, size:] = 0.0, 0.0
+    world.play(kalman, random_actions(40))
+    return given, np.diagonal(kalman.covariance[0])[size:]
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_constant_torque_drifts_as_a_random_walk(known):
+    """Its variance grows by that of a second's drift times the time that passes (Wiener)."""
+    given, variances = unread(known, disturbed=True)
+    limits = np.array(given.torque_limit)
+    walked = 40 * given.period * (DRIFT * limits) ** 2
+    assert variances == pytest.approx(walked + (not known) * (OFFSET * limits) ** 2, rel=1e-9)
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_bias_wanders_within_its_bounds(known):
+    """Ornstein and Uhlenbeck: the variance is that of an even spread; from 0 it comes back as exp(-2 t / 30 s)."""
+    given, variances = unread(known, biased=True)
+    even = (BIAS * make_instruments(given, ALL).ranges) ** 2 / 3.0
+    share = 1.0 - known * np.exp(-2.0 * 40 * given.period / 30.0)
+    assert variances == pytest.approx(share * even, rel=1e-9)
 
 
 @pytest.mark.parametrize("options", [{}, {"disturbed": True, "biased": True}, {"fixed": True}])

@@ -5,6 +5,7 @@ import sys
 import gymnasium as gym
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
 import flexman_gym as fm
 from flexman_gym.__main__ import main
@@ -146,6 +147,55 @@ def test_changes_stay_within_their_bounds_and_cost_the_least():
     low, high = np.array([-1.0, -0.5, -0.2]), np.array([0.1, 0.5, 1.0])
     changes = mpc.least(daqp, np.diag([1.0, 2.0, 4.0]), np.array([-3.0, 4.0, 0.4]), low, high)
     assert changes == pytest.approx([0.1, -0.5, -0.1])
+
+
+def test_where_it_saturates_its_plan_costs_the_least_of_all_within_the_limits(monkeypatch):
+    """By another solver: torques from -1 to 1, changes up to TRUST; some end at either, some at neither."""
+    model, limits, posture = posed()
+    controller, n, programs = mpc.MPC(model, limits, PERIOD), 2, []
+    controller.reset(ONLY, Episode(posture[None], posture[None], PERIOD))
+    blocks, random = len(mpc.BLOCKS), np.random.default_rng(0)
+    means = np.where(np.arange(blocks * n) % 3 == 0, 0.0, 0.98 * random.choice([-1.0, 1.0], blocks * n))
+    planned = np.repeat(means.reshape(blocks, n), mpc.BLOCKS, axis=0)
+    controller._planned[0], least = planned, mpc.least
+    monkeypatch.setattr(mpc, "least", lambda *given: programs.append(given[1:3]) or least(*given))
+    state = model.at_rest(posture[None] + np.array([[0.02, -0.02]]))
+    action = controller.act({"state": state}, np.zeros((1, n)), np.array([True]))[0]
+    (curvature, slope), low, high = programs[0], np.fmax(-1.0 - means, -mpc.TRUST), np.fmin(1.0 - means, mpc.TRUST)
+    root = np.linalg.cholesky(curvature)
+    best = lsq_linear(root.T, -np.linalg.solve(root, slope), (low, high), method="bvls", tol=1e-14).x
+    expected = planned + np.repeat(best.reshape(blocks, n), mpc.BLOCKS, axis=0)
+    assert action == pytest.approx(expected[0], abs=1e-6)
+    assert controller._planned[0, :-1] == pytest.approx(expected[1:], abs=1e-6)
+    ends = np.abs(means + best) > 1.0 - 1e-9, np.abs(best) > mpc.TRUST - 1e-9
+    assert ends[0].any() and ends[1].any() and not (ends[0] | ends[1]).all()
+
+
+def test_changes_act_as_about_where_the_arm_will_be(monkeypatch):
+    """Amid a slew of the elbow by 1.7 rad: slopes are those of the simulator, by differences, to a third at most.
+
+    About where the arm is at the end of the first period they are not half as good.
+    """
+    model, limits, _ = posed()
+    start, goal, now = np.array([[0.0, 0.3]]), np.array([[1.2, 2.0]]), 20
+    controller, between, used = mpc.MPC(model, limits, PERIOD), mpc.MPC._between, []
+    controller.reset(ONLY, Episode(start, goal, PERIOD))
+    monkeypatch.setattr(controller, "_between", lambda *given: used.append(between(controller, *given)) or used[-1])
+    plan, ahead = controller._plans[0], sum(mpc.BLOCKS)
+    planned, state = np.clip(plan.torques[now : now + ahead], -1.0, 1.0), plan.states[now]
+    controller._planned[0], controller._now[0] = planned, now
+    controller.act({"state": state[None]}, np.zeros((1, 2)), np.array([True]))
+    m, h = 2 * len(mpc.BLOCKS), 1e-4
+    changes = h * np.vstack([np.eye(m), -np.eye(m), np.zeros((1, m))])
+    drives, batch = np.zeros((len(changes), ahead, 8)), controller._arms(len(changes))
+    drives[..., :2] = (planned + np.repeat(changes.reshape(len(changes), -1, 2), mpc.BLOCKS, axis=1)) * limits
+    batch.reset(np.arange(len(changes)), np.repeat(state[None], len(changes), axis=0))
+    states, outputs = batch.roll(drives)
+    gaps = np.array([controller._gap(used[0], *each)[: -2 * model.n_dof] for each in zip(states, outputs, strict=True)])
+    true = (gaps[:m] - gaps[m:-1]) / (2.0 * h)
+    horizons = used[0], between(controller, plan, states[-1, 0])
+    errors = [np.linalg.norm(each.slopes[:, : true.shape[1]] - true) / np.linalg.norm(true) for each in horizons]
+    assert errors[0] < 1.0 / 3.0 and errors[0] < 0.5 * errors[1], errors
 
 
 @pytest.mark.parametrize("name", ["FlexOne-v0", "FlexPlanar-v0", "FlexRRR-v0"])

@@ -9,12 +9,14 @@ from flexman_gym.control.network import Network
 from flexman_gym.control.observer import Estimate
 from flexman_gym.control.policy import Learned
 from flexman_gym.control.shape import PURSUIT, SMOOTHNESS, Authority, Shape
+from flexman_gym.control.shaping import DEPARTURE
 from flexman_gym.control.slews import Slews
 from flexman_gym.control.truth import FADING
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.model.statics import rest_states
 
+from oracles.bench import SMALL
 from oracles.refusals import refusal
 
 HEAVY = 0.05  # kg
@@ -117,13 +119,18 @@ def shape_of(slews, **authority):
 
 
 def test_a_clock_goes_to_its_pace_and_stays_ahead(slews):
-    """The pace w + (1 - w) (1 - PURSUIT)^k, and the sum of what it is beyond 1."""
+    """The pace w + (1 - w) (1 - PURSUIT)^k, and the sum of what it is beyond 1.
+
+    It quickens as fast as a pace that grows by its steps over two periods, for a step is nowhere but between two.
+    """
     shape, wanted = shape_of(slews, pace=0.5), np.exp(0.5 * 0.6)
     shape.wanted[0, 0] = 0.6
     paces = []
     for _ in range(12):
+        before = slews.pace[0]
         shape.quicken(ARM)
         paces.append(slews.pace[0])
+        assert slews.quickening[0] == pytest.approx((paces[-1] - before) / (2.0 * PERIOD))
         shape.advance(ARM, np.zeros(1))
     assert paces == pytest.approx(wanted + (1.0 - wanted) * (1.0 - PURSUIT) ** np.arange(1, 13))
     assert shape.ahead[0] == pytest.approx(PERIOD * (np.sum(paces) - 12.0))
@@ -169,6 +176,91 @@ def test_offsets_are_critically_damped_and_fade_at_the_goal(slews):
     for _ in range(60):
         assert shape.advance(ARM, np.ones(1)) == pytest.approx(0.0)
     assert np.abs(shape.offsets).max() < 1e-4
+
+
+def test_every_arm_that_begins_is_shaped_anew_and_no_other(slews):
+    slews.grow(4)
+    shape, arms = shape_of(slews), np.arange(4)
+    shape.reset(arms)
+    for part in (shape.ahead, shape.offsets, shape.wanted):
+        part[:] = 0.7
+    shape.reset(np.array([0, 1, 3]))
+    for part in (shape.ahead, shape.offsets, shape.wanted):
+        assert (part[[0, 1, 3]] == 0.0).all() and (part[2] == 0.7).all()
+
+
+@pytest.fixture
+def lifting():
+    """Three arms under gravity with payloads and springs of their own, which a policy may shape."""
+    unknown = {"payload_mass": (0.0, 0.2), "joint_stiffness_factor": (0.7, 1.3), "delay": (1, 1)}
+    settings = {**SMALL, "name": "FlexPlanar-v0", "randomisation": unknown, "sensors": (), "actions": "shaping"}
+    env = FlexManVectorEnv(3, **settings, base=BASES[0], horizon=2.0)
+    env.reset(seed=0)
+    env.step(np.zeros((3, 5), dtype=np.float32))
+    return env
+
+
+def test_an_arm_that_rests_at_the_end_of_its_slew_has_no_errors(lifting):
+    """Under gravity the end is turned until the tip of the arm as it is rests where it should."""
+    mode, arms = lifting.episodes.acting.mode, np.arange(3)
+    law, d = mode._law, mode._plant.model.n_dof
+    law._ages[:] = 3000
+    springs = np.array([[0.7, 1.2], [1.0, 0.9], [1.3, 1.1]]) * mode._plant.model.constants.joint_stiffness
+    law.slews.adapt(arms, {"payload_mass": np.array([0.0, 0.05, 0.2]), "joint_stiffness": springs})
+    zero = np.zeros(3, dtype=np.int64)
+    here = Estimate(np.zeros((3, 2 * d)), zero, {})
+    shown = mode._parts(here._replace(states=law.reference(here, arms)), np.zeros((3, 2)), arms)
+    for name in ("angle_errors", "departures", "way"):
+        assert np.abs(shown[name]).max() < 1e-12, name
+    assert (shown["clock"][:, [0, 3]] == [1.0, 0.0]).all() and np.abs(law.slews.shift).max(axis=1).min() > 1e-4
+
+
+def test_what_is_shown_of_an_arm_on_its_way(lifting):
+    """Of arms that are off their reference by known angles and rates, under what is estimated of them."""
+    mode, arms, zero = lifting.episodes.acting.mode, np.arange(3), np.zeros(3, dtype=np.int64)
+    law, model = mode._law, mode._plant.model
+    law._ages[:] = 20
+    factors = np.array([[0.7, 1.2], [1.0, 0.9], [1.3, 1.1]])
+    springs = factors * model.constants.joint_stiffness
+    known = {"payload_mass": np.array([0.0, 0.1, 0.2]), "joint_stiffness": springs}
+    off = 0.01 * np.random.default_rng(0).standard_normal((3, 2 * model.n_dof))
+    here = Estimate(np.zeros((3, 2 * model.n_dof)), zero, known)
+    reference, now = law.reference(here, arms), law.clock(here, arms)
+    shown = mode._parts(here._replace(states=reference + off), np.zeros((3, 2)), arms)
+    ranges = np.concatenate([each[0] for each in (mode._plant.measured()[name] for name in mode._quantities.places)])
+    assert np.sinh(shown["departures"]) * DEPARTURE * ranges == pytest.approx(mode._read(off), abs=1e-12)
+    assert shown["estimate"] == pytest.approx(mode._read(reference + off))
+    motors, h = model.motor_columns, 1e-4
+    ahead, behind = (law._reference(now + shift, arms)[0][:, motors] for shift in (h, -h))
+    rates = (ahead - behind) / (2.0 * h)
+    assert shown["reference"] == pytest.approx(np.hstack([reference[:, motors], rates]), rel=0.01, abs=1e-3)
+    assert np.abs(rates).max() > 0.1
+    places = [law.slews.at(now + shown["clock"][:, 3] - early, arms)[0] for early in (0.0, 0.02)]
+    assert (places[0] > 1.0 - 1e-9).all() and (places[1] < 1.0 - 1e-9).all()
+    expected = np.column_stack([known["payload_mass"], factors, np.ones((3, 2))])
+    assert shown["parameters"] == pytest.approx(expected)
+
+
+def test_deviations_are_parts_of_what_is_usual(lifting):
+    """At first those of even draws from the ranges; links are known."""
+    lifting.reset(seed=1)
+    shown = lifting.episodes.acting.mode._deviations(np.arange(3))
+    assert shown == pytest.approx(np.tile(np.array([0.2, 0.6, 0.6, 0.0, 0.0]) / np.sqrt(12.0), (3, 1)), rel=0.01)
+
+
+def test_torques_beside_a_slew_at_another_pace_are_those_of_the_middle_of_a_period(lifting):
+    """As of a slew that was timed for the pace, over the period that begins."""
+    law, arms = lifting.episodes.acting.mode._law, np.arange(3)
+    slews, now = law.slews, np.full(3, 0.26)
+    slews.pace[:] = 1.4
+    paced = law._reference(now, arms)
+    slews.pace[:] = 1.0
+    slews.coefficients *= 1.4 ** np.arange(6)
+    for part in (slews.lasting, slews.begun):
+        part /= 1.4
+    timed = law._reference(now / 1.4, arms)
+    assert paced[0] == pytest.approx(timed[0], rel=1e-9) and paced[1] == pytest.approx(timed[1], rel=1e-9)
+    assert np.abs(slews.torques(now / 1.4, arms) - timed[1]).max() > 1e-3
 
 
 def test_torques_that_do_not_fade_stay_at_the_goal(slews):

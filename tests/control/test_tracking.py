@@ -10,6 +10,7 @@ from flexman_gym.control.controller import Episode
 from flexman_gym.control.lqr import HOLDING, LQR
 from flexman_gym.control.observer import Estimate
 from flexman_gym.control.tracking import Tracking
+from flexman_gym.envs.snapshot import give, take
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.simulation.parameters import varied_model
 
@@ -98,6 +99,34 @@ def test_torques_are_within_the_limits_and_arms_that_rest_have_none():
     result = own.torques(Estimate(far, np.zeros(2, dtype=int), {}), playing)
     assert result[0].tolist() == [-limit for limit in plant.torque_limit] and result[1].tolist() == [0.0, 0.0]
     assert own._ages.tolist() == [2, 0]
+
+
+def follow(own, plant, periods):
+    """Torques (T, 1, n) of a law whose arm stays where it is."""
+    rest = fm.rest_state(plant.model, START[0])
+    return np.array([own.torques(estimate(rest, payload_mass=0.1), ON) for _ in range(periods)])
+
+
+@pytest.mark.parametrize("goal", [GOAL, START])
+def test_a_law_made_alike_goes_on_from_what_it_kept(goal):
+    """Amid a slew or a hold, while the other was at the other of these."""
+    own, plant = law(goal=goal)
+    other, _ = law(goal=START if goal is GOAL else GOAL)
+    follow(own, plant, 4)
+    follow(other, plant, 7)
+    give("law", other, take(own))
+    assert np.array_equal(follow(other, plant, 8), follow(own, plant, 8))
+
+
+def test_an_episode_begins_as_the_first_did():
+    """After a slew and after a hold, at a slew."""
+    first, plant = law()
+    expected = follow(first, plant, 8)
+    for start, goal in ((START, GOAL), (GOAL, GOAL)):
+        first.reset(ONE, Episode(start, goal, plant.period))
+        follow(first, plant, 3)
+        first.reset(ONE, Episode(START, GOAL, plant.period))
+        assert np.array_equal(follow(first, plant, 8), expected)
 
 
 # In environments

@@ -1,6 +1,7 @@
 """Ringing: parameters from frequencies and damping ratios, against closed forms."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -35,8 +36,23 @@ def test_spring_and_damper_follow_from_frequency_and_damping_ratio():
     # f = sqrt(K / J) / 2 pi, so that 0.5 % of f is 1 % of K; the damper is as uncertain as the ratio and half of that
     assert found.deviations["joint_stiffness"] == pytest.approx([0.01 * STIFFNESS], rel=0.02)
     assert found.deviations["joint_damping"] == pytest.approx([np.hypot(0.1, 0.005) * DAMPING], rel=0.02)
+    # in parts, of dK = 2 df + 2 s dz and dD = df + (1 + s) dz, s = z^2 / (1 - z^2)
+    share = ratio**2 / (1.0 - ratio**2)
+    rows = np.array([[2.0, 2.0 * share], [1.0, 1.0 + share]]) * [0.005, 0.1]
+    sizes = np.linalg.norm(rows, axis=1)
+    assert found.correlation == pytest.approx(rows @ rows.T / np.outer(sizes, sizes), abs=1e-3)
     assert found.undetermined == ()
     assert found.frequencies[:, 1] == pytest.approx(np.ravel(known), rel=1e-6)
+
+
+def test_a_joint_that_is_rigid_has_no_deviation():
+    """Its stiffness is not free; that of the other joint is, by its name or with all."""
+    arm = fm.catalog.vertical_2r(gravity=(0.0, 0.0, 0.0))
+    arm = replace(arm, joints=[arm.joints[0], replace(arm.joints[1], stiffness=None, damping=0.0)])
+    known = frequencies(build_model(arm, 1), lock_joints=True)[:2]
+    every, one = (fm.fit(arm, name, known, elements=1) for name in ("joint_stiffness", "joint_stiffness[0]"))
+    assert every.deviations["joint_stiffness"][1] == 0.0 < every.deviations["joint_stiffness"][0]
+    assert one.deviations["joint_stiffness[0]"] == pytest.approx(every.deviations["joint_stiffness"][0])
 
 
 def test_free_motors_ring_faster():

@@ -1,0 +1,31 @@
+"""Turned: records of an arm of one joint whose hub is turned, as a fit simulates them, without noise."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+import flexman_gym as fm
+from flexman_gym.fit.response import Response
+
+PERIOD = 0.01
+BENT, STRAIN = "link_deflection_1_y", "root_strain_1_y"
+CHOICE = {"elements": 1, "modes": 1}
+STIFFNESS = fm.catalog.one_joint().joints[0].stiffness
+
+
+@cache
+def turned(names=(BENT,), samples=121, **more):
+    """A record of outputs that an arm shows while its hub turns to and fro."""
+    times, arm = PERIOD * np.arange(samples), fm.catalog.one_joint()
+    hub = 0.3 * np.sin(2.0 * np.pi * 0.9 * times) ** 3
+    record = fm.Measurement(times, {"motor_angle_1": hub}, dict.fromkeys(names, times), **more)
+    model = fm.build_model(arm, **CHOICE)
+    signals = Response(arm, record, None).signals(model, {"payload_mass": model.constants.payload_mass[:1]})[0]
+    return replace(record, outputs=dict(zip(names, signals, strict=True)))
+
+
+def sprung(factor):
+    """The arm with another spring."""
+    arm = fm.catalog.one_joint()
+    return replace(arm, joints=[replace(arm.joints[0], stiffness=factor * STIFFNESS)])
