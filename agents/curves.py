@@ -6,6 +6,9 @@ from pathlib import Path
 from stable_baselines3.common.logger import CSVOutputFormat, Logger, TensorBoardOutputFormat
 from torch.utils.tensorboard import SummaryWriter
 
+from flexman_gym.checks import is_count
+from flexman_gym.scene.record import table_lines
+
 STEPS = "time/total_timesteps"  # the column that Stable-Baselines3 counts in
 
 
@@ -26,7 +29,7 @@ def open_curves(folder: Path, before: int, steps: int) -> Logger:
     """
     for path in folder.glob("progress*.csv"):
         first = path.stem.removeprefix("progress").removeprefix("-") or "0"
-        if first.isdigit() and before <= int(first) < before + steps and not path.is_symlink():
+        if is_count(first) and before <= int(first) < before + steps and not path.is_symlink():
             _cut(path, steps)
     path = folder / (f"progress-{before + steps}.csv" if before + steps else "progress.csv")
     path.unlink(missing_ok=True)  # it may be a link to a file of somebody's
@@ -36,8 +39,7 @@ def open_curves(folder: Path, before: int, steps: int) -> Logger:
 
 def _cut(path: Path, steps: int) -> None:
     """Takes the rows after so many steps out of a file."""
-    with path.open(newline="", encoding="utf-8") as file:
-        names, *rows = [*csv.reader(file)] or [[]]
+    names, *rows = [*table_lines(path)] or [[]]
     if STEPS not in names:
         return
     column = names.index(STEPS)

@@ -15,7 +15,7 @@ from flexman_agents.settings import Settings
 from flexman_gym.checks import one_of
 from flexman_gym.envs.description import Description
 from flexman_gym.evaluation.entrants import Entrant, parted, predicting
-from flexman_gym.evaluation.folder import FOREIGN, SETTINGS, existing
+from flexman_gym.evaluation.folder import FOREIGN, SETTINGS, existing, settings_text
 
 STATISTICS, BEST = "normalisation.pkl", "best"
 # by which a zip is told apart
@@ -34,8 +34,7 @@ def load_foreign(folder: Path) -> Entrant:
     Raises:
         FileNotFoundError, ValueError: one clear line.
     """
-    path = existing(folder / SETTINGS)
-    settings = Settings.from_json(path, path.read_bytes().decode("utf-8", errors="replace"))
+    settings = Settings.from_json(folder / SETTINGS, settings_text(folder))
     place = folder / BEST if (folder / BEST / FOREIGN).is_file() else folder
     try:
         model = ALGORITHMS[settings.algo].load(existing(place / FOREIGN), device="cpu")

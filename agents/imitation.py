@@ -181,7 +181,7 @@ class Imitation:
 
         played = rollout(self._pupil, environment, range(first, first + arms), watch)
         self._pupil = acted[0]  # a rollout copies who acts; this one knows the tables of the slews that it has seen
-        self._rounds = [*self._rounds[1 - kept :], _lesson(self._pupil.notes, number % 2)]
+        self._rounds = [*self._rounds, _lesson(self._pupil.notes, number % 2)][-kept:]
         self._usual = np.mean([weights.mean() for _, _, weights in self._rounds])
         if number == 0:
             seen = self._rounds[0][0]

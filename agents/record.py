@@ -7,7 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from flexman_agents.settings import Settings
-from flexman_gym.evaluation.folder import SETTINGS, write
+from flexman_gym.evaluation.folder import SETTINGS, read_settings, write
 
 PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
 
@@ -22,7 +22,7 @@ def keep_settings(settings: Settings, folder: Path, done: int) -> None:
     """Writes the settings of a run that goes on after `done` steps, with the versions of all its parts."""
     now = {name: version(name) for name in PACKAGES} | {"python": platform.python_version()}
     path = folder / SETTINGS
-    kept = json.loads(path.read_bytes()) if path.is_file() else {}
+    kept = read_settings(folder) if path.is_file() else {}
     earlier, last = kept.get("earlier_versions", []), kept.get("versions", now)
     if last != now and isinstance(last, dict):
         names = [name for name in now | last if now.get(name) != last.get(name)]

@@ -6,7 +6,18 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Self
 
-from flexman_gym.checks import finite, flag, mapping, one_of, positive, refusal, sequence, store, whole_number
+from flexman_gym.checks import (
+    finite,
+    flag,
+    mapping,
+    one_of,
+    positive,
+    refusal,
+    sequence,
+    shown_path,
+    store,
+    whole_number,
+)
 from flexman_gym.control.bases import checked_base
 from flexman_gym.envs.description import Description
 from flexman_gym.scene import file
@@ -164,7 +175,7 @@ class Settings:
                 data["environment"] = described.whole()
             return cls.from_dict(data)
         except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
+            raise ValueError(f"{shown_path(path)}: {error}") from None
 
     @classmethod
     def from_json(cls, path: Path, text: str) -> Self:
@@ -179,7 +190,7 @@ class Settings:
             return cls.from_dict({name: record[name] for name in (each.name for each in fields(cls))})
         except (KeyError, TypeError, ValueError, RecursionError) as error:
             said = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise ValueError(f"{path}: {said}; give the settings of a training run") from None
+            raise ValueError(f"{shown_path(path)}: {said}; give the settings of a training run") from None
 
     def plain(self) -> dict[str, Any]:
         """Gives all of them as a mapping for JSON."""

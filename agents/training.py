@@ -1,6 +1,5 @@
 """Training: PPO or SAC on an environment; a run is kept in one folder, survives its process and goes on exactly."""
 
-import json
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
@@ -26,9 +25,10 @@ from flexman_gym.evaluation.folder import (
     NEWEST,
     SETTINGS,
     check_settings,
-    existing,
     locked,
     read_data,
+    read_settings,
+    settings_text,
     write_data,
 )
 
@@ -99,7 +99,7 @@ def resume(
     with locked(folder):
         data = read_data(folder / NEWEST) if (folder / NEWEST).is_file() else None
         if data is not None:
-            check_settings(folder / NEWEST, data, json.loads((folder / SETTINGS).read_bytes()))
+            check_settings(folder / NEWEST, data, read_settings(folder))
         done = 0 if data is None else _steps_done(folder / NEWEST, data)
         finished = data is not None and done >= settings.steps
         settings = _further(settings, folder, steps, done, finished)
@@ -147,8 +147,7 @@ def load_settings(folder: Path) -> Settings:
     Raises:
         FileNotFoundError, ValueError: one clear line.
     """
-    path = existing(folder / SETTINGS)
-    return Settings.from_json(path, path.read_bytes().decode("utf-8", errors="replace"))
+    return Settings.from_json(folder / SETTINGS, settings_text(folder))
 
 
 def _begun(settings: Settings, folder: Path, device: str) -> "_Run | Lessons":

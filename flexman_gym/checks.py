@@ -6,8 +6,15 @@ does not allow.
 
 import math
 import numbers
-from collections.abc import Collection, Iterable, Sequence
+import os
+import stat
+import struct
+import zipfile
+import zlib
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,9 +24,18 @@ Kind = TypeVar("Kind")
 UNIT_TOLERANCE = 1e-9  # how far a unit vector or a rotation may be from exact
 LEAST, MOST = 1e-30, 1e30  # of the size of anything, in SI units
 LONGEST_NAME = 60  # characters of a field in an error
+LONGEST_PATH = 160  # characters of a path in an error
 SHOWN = 80  # characters of a value in an error, and so entries of a list
 MOST_ENTRIES = 10**6  # of any list
 NEAR = 0.75  # likeness of a name to that of a member, from which on it is taken for a slip
+# what reading a file of noise may raise, one of arrays too
+BROKEN = (
+    ValueError, KeyError, TypeError, AttributeError, EOFError, OSError, MemoryError, RecursionError, OverflowError,
+    NotImplementedError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error,
+)  # fmt: skip
+MOST_BYTES = 1_000_000  # of a file of text
+MOST_UNPACKED = 100_000_000  # bytes; of all arrays of a file that is compressed
+MOST_DIGITS = 18  # of a whole number in a name
 WHOLE = 1e-9  # how far a ratio of two times may be from a whole number, relative to itself
 
 
@@ -30,6 +46,58 @@ def shown(value: object) -> str:
     except Exception:  # an integer of thousands of digits, a list nested without end, a repr of somebody's own
         text = f"this {type(value).__name__}"
     return text if len(text) <= SHOWN else text[: SHOWN - 3] + "..."
+
+
+def shown_path(path: object, most: int = LONGEST_PATH) -> str:
+    """Return a path on one line of at most `most` characters; a longer one is cut in its middle."""
+    text = str(path) if str(path).isprintable() else repr(str(path))
+    half = (most - 3) // 2
+    return text if len(text) <= most else f"{text[:half]}...{text[-half:]}"
+
+
+def is_count(text: str) -> bool:
+    """Return whether a text is a whole number of 1 to 18 digits 0 to 9; `str.isdigit` is true of superscripts too."""
+    return text.isascii() and text.isdecimal() and len(text) <= MOST_DIGITS
+
+
+def regular(path: str | Path, most: int | None = MOST_BYTES) -> Path:
+    """Return the path of a regular file of at most `most` bytes, any number for None, before it is opened.
+
+    A device can be read without end, and a pipe into which nobody writes is waited for.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: for a directory, a device or a pipe, and for a larger file; the line does not name it.
+    """
+    try:
+        status = os.stat(path)
+    except (OSError, ValueError):  # also a name that is too long, or that has a zero byte
+        raise FileNotFoundError(f"{shown_path(path)}: there is no such file") from None
+    if not stat.S_ISREG(status.st_mode):
+        raise ValueError("this is a directory, a device or a pipe; give a file")
+    if most is not None and status.st_size > most:
+        raise ValueError(f"a size of {status.st_size} bytes is not allowed; give at most {most}")
+    return Path(path)
+
+
+@contextmanager
+def open_arrays(path: str | Path, packed: bool = False) -> Iterator[Any]:
+    """Open a file of arrays (npz); nothing in it is run.
+
+    Args:
+        path: of the file.
+        packed: whether its arrays may be compressed; they have at most 100 MB then.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        one of BROKEN: for anything else than a regular file of arrays, and for arrays larger than they look.
+    """
+    size = regular(path, None).stat().st_size
+    with zipfile.ZipFile(path) as parts:
+        if sum(part.file_size for part in parts.infolist()) > (MOST_UNPACKED if packed else size):
+            raise ValueError("its arrays are larger than 100 MB" if packed else "its arrays are packed")
+    with np.load(path, allow_pickle=False) as result:
+        yield result
 
 
 def refusal(name: str, value: object, allowed: str) -> ValueError:

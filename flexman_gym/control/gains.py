@@ -6,11 +6,11 @@ import tempfile
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
 from flexman_gym.arrays import Array, Flags, IntArray, grown
+from flexman_gym.checks import BROKEN, open_arrays
 from flexman_gym.control.discrete import Weights, optimal_gain
 from flexman_gym.kernels.cache import find_folder
 from flexman_gym.model.linear import SLIDING, linearize
@@ -116,9 +116,9 @@ class GainTable:
     def _load(self) -> None:
         """Takes the designs of the file; one that cannot be read is written anew."""
         try:
-            with np.load(self._path, allow_pickle=False) as data:  # type: ignore[arg-type]
+            with open_arrays(self._path) as data:  # type: ignore[arg-type]
                 keys, gains = data["keys"], data["gains"]
-        except (OSError, TypeError, ValueError, KeyError, EOFError, BadZipFile):
+        except BROKEN:
             return
         if gains.shape[1:] == self._gains.shape[1:] and keys.shape == (len(gains), 1 + len(self._joints)):
             self._rows = {tuple(key): row for row, key in enumerate(keys.tolist())}

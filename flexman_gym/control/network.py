@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array, row_dots
-from flexman_gym.checks import one_of, refusal
+from flexman_gym.checks import is_count, one_of, refusal
 
 FUNCTIONS: dict[str, Callable[[Array], Array]] = {"tanh": np.tanh, "relu": lambda values: np.maximum(values, 0.0)}
 LARGEST, LEAST = 10.0, 1e-8  # of what is normalised, and variance beside the one that was seen
@@ -86,7 +86,7 @@ def layers_of(algo: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _is_layer(name: str, first: str) -> bool:
-    return name.startswith(first) and name[len(first) :].split(".")[0].isdigit()
+    return name.startswith(first) and is_count(name[len(first) :].split(".")[0])
 
 
 def _mapping(field: str, value: object) -> Mapping[str, Any]:

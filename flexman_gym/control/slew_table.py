@@ -1,7 +1,6 @@
 """Slew table: torques that a search found, by start and goal, kept in a file without pickles."""
 
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import refusal
+from flexman_gym.checks import BROKEN, SHOWN, open_arrays, refusal, shown_path
 from flexman_gym.control.shooting import Slew, spread
 from flexman_gym.model.model import Model
 
@@ -94,7 +93,7 @@ class SlewTable:
             ValueError: for a file that is none.
         """
         try:
-            with np.load(path, allow_pickle=False) as data:
+            with open_arrays(path, packed=True) as data:
                 about, arm, seeds, ends, periods, times, counts, knots = (data[name] for name in ENTRIES)
             parts = np.split(knots, np.cumsum(counts))[:-1]
             rows = zip(seeds, ends, parts, periods, times, strict=True)
@@ -102,8 +101,11 @@ class SlewTable:
                 int(seed): (both, Slew(part, *map(int, ages)), float(time)) for seed, both, part, ages, time in rows
             }
             return cls(json.loads(str(about)), arm, slews)
-        except (KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
-            raise ValueError(f"{path}: it is no table of slews, which {MAKE} makes ({error})") from None
+        except FileNotFoundError:
+            raise
+        except BROKEN as error:
+            said = " ".join(str(error).split())[:SHOWN] or type(error).__name__
+            raise ValueError(f"{shown_path(path)}: it is no table of slews, which {MAKE} makes ({said})") from None
 
 
 def numbers_of(model: Model, limits: Array, period: float) -> Array:

@@ -1,14 +1,15 @@
 """Learning: how trainings go, a line for each recipe and a band over its seeds."""
 
-import csv
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import refusal
+from flexman_gym.checks import refusal, shown_path
 from flexman_gym.draw.style import LIGHT, LINK_COLOURS, new_figure
+from flexman_gym.scene.record import table_lines
 
 STEPS = "time/total_timesteps"
 CURVES = ("selection/reward", "rollout/ep_rew_mean")  # the first of them that a run has
@@ -26,16 +27,20 @@ def read_progress(folder: str | Path, column: str | None = None) -> tuple[Array,
         ValueError: one line, for a column that there is not.
     """
     rows: list[dict[str, str]] = []
-    for path in sorted(Path(folder).glob("progress*.csv")):
-        with path.open(newline="", encoding="utf-8") as file:
-            rows += csv.DictReader(file)
+    for path in sorted(Path(folder).glob("progress*.csv")) if os.path.isdir(folder) else ():
+        lines = table_lines(path)
+        names = next(lines, [])
+        rows += [dict(zip(names, line, strict=False)) for line in lines]
     if not rows:
-        raise FileNotFoundError(f"{folder}: no progress.csv with rows; give the folder of a training run")
+        raise FileNotFoundError(f"{shown_path(folder)}: no progress.csv with rows; give the folder of a training run")
     heads = [name for name in rows[0] if any(row.get(name) for row in rows)]
     name = column or next((each for each in CURVES if each in heads), "")
     if name not in heads:
         raise refusal("column", name, f"one of {', '.join(sorted(heads))}")
-    points = [(float(row[STEPS]), float(row[name])) for row in rows if row.get(name) and row.get(STEPS)]
+    try:
+        points = [(float(row[STEPS]), float(row[name])) for row in rows if row.get(name) and row.get(STEPS)]
+    except ValueError:
+        raise ValueError(f"{shown_path(folder)}: {name} is not a number in each row; give another column") from None
     steps, values = np.array(sorted(points)).reshape(-1, 2).T
     return steps, values, name
 

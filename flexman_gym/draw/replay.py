@@ -29,6 +29,7 @@ POINTS = 24  # of the curve of a link
 COLOURS = (BLUE, RED, GREEN, ORANGE, SKY, "#CC79A7", "#555555", "#8a6d3b")
 SHOWN = 60  # states of an episode by which camera and scales are chosen
 STEPS = 2**15 - 1  # of a reading, either way from the middle
+GAP = -STEPS - 1  # step of a reading that is no finite number: its curve has a gap there
 
 
 def replay_page(episodes: Sequence[Episode], title: str = "") -> str:
@@ -132,10 +133,12 @@ def _run(episode: Episode, colour: str) -> dict[str, Any]:
 
 
 def _reading(name: str, values: Array) -> dict[str, Any]:
-    """A reading in steps of a part of its range: for a curve they are more than enough."""
-    low, high = values.min(axis=0), values.max(axis=0)
-    middle, scale = (low + high) / 2, np.maximum((high - low) / (2 * STEPS), 1e-30)
-    steps = packed(np.rint((values - middle) / scale), "<i2")
+    """Return a reading in steps of a part of its finite range; they are more than enough for a curve."""
+    known = np.isfinite(values)
+    low, high = np.where(known, values, np.inf).min(axis=0), np.where(known, values, -np.inf).max(axis=0)
+    low, high = np.where(known.any(axis=0), (low, high), 0.0) / 2  # the difference of two large numbers may be infinite
+    middle, scale = low + high, np.maximum((high - low) / STEPS, 1e-30)
+    steps = packed(np.where(known, np.rint((np.where(known, values, middle) - middle) / scale), GAP), "<i2")
     return {"name": name, "size": values.shape[1], "values": steps, "scale": scale.tolist(), "middle": middle.tolist()}
 
 

@@ -1,11 +1,12 @@
 """Description: an environment as plain data, from a file, the command line or a run, and back."""
 
+import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Self
 
-from flexman_gym.checks import one_of, refusal, sequence, text
+from flexman_gym.checks import one_of, refusal, sequence, shown_path, text
 from flexman_gym.envs.catalog import DEFAULT, NAMED
 from flexman_gym.envs.limits import Limits, find_limits
 from flexman_gym.envs.randomisation import Randomisation
@@ -57,7 +58,7 @@ class Description:
         try:
             return cls.from_dict(file.read(Path(path)), Path(path).parent)
         except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
+            raise ValueError(f"{shown_path(path)}: {error}") from None
 
     @classmethod
     def find(cls, name: str) -> Self:
@@ -71,8 +72,9 @@ class Description:
         named, slash, condition = name.partition("/")
         if slash and named in NAMED:
             return cls.under(named, condition)
-        if not Path(name).exists():
-            raise FileNotFoundError(f"{name}: there is no such file; give one, or one of {', '.join(sorted(NAMED))}")
+        if not os.path.exists(name):  # whatever the name is
+            allowed = f"one, or one of {', '.join(sorted(NAMED))}"
+            raise FileNotFoundError(f"{shown_path(name)}: there is no such file; give {allowed}")
         return cls.load(name)
 
     @classmethod

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import finite, refusal
+from flexman_gym.checks import finite, open_arrays, refusal, shown_path
 from flexman_gym.envs.snapshot import give, take
 
 TINY = 1e-8  # added to a variance, so that what never changes can be divided by
@@ -78,14 +78,15 @@ class Scales:
             ValueError: one line, for another file.
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with open_arrays(path) as file:
                 state = {name: file[name] for name in cls.kept}
             result = cls(state["mean"].shape)
             result.set_state(state | {"count": float(state["count"])})
         except FileNotFoundError:
             raise
         except Exception as error:  # whatever a zip file may hold
-            raise refusal("scales", str(path), f"a file that Scales.save wrote ({type(error).__name__})") from None
+            allowed = f"a file that Scales.save wrote ({type(error).__name__})"
+            raise refusal("scales", shown_path(path), allowed) from None
         return result
 
     def _join(self, count: float, mean: Array, squares: Array) -> None:

@@ -1,6 +1,6 @@
 """Entrants: who acts in an evaluation, by name, as the folder of a training run, or as a controller."""
 
-import json
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from inspect import signature
@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.checks import refusal
+from flexman_gym.checks import refusal, shown_path
 from flexman_gym.control.actions import make_action_mode
 from flexman_gym.control.bases import BASES, checked_base
 from flexman_gym.control.controller import Controller
@@ -21,7 +21,16 @@ from flexman_gym.envs.description import Description
 from flexman_gym.envs.description import described as described_setup
 from flexman_gym.envs.setup import build
 from flexman_gym.envs.specification import make_plant
-from flexman_gym.evaluation.folder import BEST, NEWEST, SETTINGS, check_settings, existing, is_foreign, read_data
+from flexman_gym.evaluation.folder import (
+    BEST,
+    NEWEST,
+    SETTINGS,
+    check_settings,
+    existing,
+    is_foreign,
+    read_data,
+    read_settings,
+)
 from flexman_gym.evaluation.shipped import ABOUT, POLICIES, place, read_shipped
 
 Act = Callable[[NDArray[np.float32], tuple[int, ...]], NDArray[np.floating]]
@@ -77,9 +86,9 @@ def find_entrant(entrant: object) -> Entrant:
         return Entrant(name, lambda observations, shape: random.uniform(-1.0, 1.0, shape))
     if name.endswith(".zip"):
         raise _untrusted(name)
-    if not Path(name).is_dir():
+    if not os.path.isdir(name):  # whatever the name is
         allowed = f"the folder of a training run, or one of {', '.join(ENTRANTS)}"
-        raise FileNotFoundError(f"entrant: {name} is not allowed; give {allowed}")
+        raise FileNotFoundError(f"entrant: {shown_path(name)} is not allowed; give {allowed}")
     return load_run(Path(name))
 
 
@@ -96,7 +105,7 @@ def load_shipped(folder: Path) -> Entrant:
             raise refusal("observation", about["observation"], "the names, units and sizes that its sensors read here")
         policy = acting(network, described, about["recipe"]["settings"].get("base_in_use"))
     except ValueError as error:
-        raise ValueError(f"{folder / ABOUT}: {error}") from None
+        raise ValueError(f"{shown_path(folder / ABOUT)}: {error}") from None
     return Entrant(folder.name, still, {"base": policy}, parted(described)[0])
 
 
@@ -149,22 +158,21 @@ def load_run(folder: Path) -> Entrant:
     """
     if is_foreign(folder):
         raise _untrusted(folder)
-    text = existing(folder / SETTINGS).read_bytes().decode("utf-8", errors="replace")
+    settings = read_settings(folder)
     try:
-        settings = json.loads(text)
         described = Description.from_dict(settings["environment"])
         algo, activation = settings["algo"], settings["hyperparameters"].get("activation")
         in_use = settings.get("base_in_use")
     except (KeyError, TypeError, AttributeError, ValueError, RecursionError) as error:
         said = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ValueError(f"{folder / SETTINGS}: {said}; give the settings of a training run") from None
+        raise ValueError(f"{shown_path(folder / SETTINGS)}: {said}; give the settings of a training run") from None
     path = folder / BEST if (folder / BEST).is_file() else existing(folder / NEWEST)
     data = read_data(path)
     check_settings(path, data, settings)
     try:
         network = Network(algo, activation, data.get("policy"), data.get("statistics"))
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise ValueError(f"{shown_path(path)}: {error}") from None
     return Entrant(folder.name, still, {"base": acting(network, described, in_use)}, parted(described)[0])
 
 

@@ -4,7 +4,6 @@ import fcntl
 import json
 import os
 import sys
-import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -12,8 +11,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from flexman_gym.checks import BROKEN, open_arrays, regular, shown_path
 from flexman_gym.envs.snapshot import joined, parted
-from flexman_gym.scene.file import BROKEN
 
 SETTINGS, NEWEST, BEST, LOCK = "settings.json", "newest.npz", "best.npz", "lock"
 FOREIGN = "model.zip"  # of Stable-Baselines3
@@ -58,17 +57,14 @@ def read_data(path: Path) -> Any:
         ValueError: one line, for a file that is something else, broken, or larger than it looks.
     """
     try:
-        with zipfile.ZipFile(existing(path)) as parts:
-            if sum(part.file_size for part in parts.infolist()) > path.stat().st_size:
-                raise ValueError("its arrays are packed")
-        with np.load(path, allow_pickle=False) as result:
+        with open_arrays(existing(path)) as result:
             text = result[TEXT].tobytes().decode("utf-8")
             return joined(json.loads(text), result)
     except FileNotFoundError:
         raise
     except BROKEN as error:
         said = " ".join(str(error).split())[:120] or type(error).__name__
-        raise ValueError(f"{path}: this is not what a training run has written ({said})") from None
+        raise ValueError(f"{shown_path(path)}: this is not what a training run has written ({said})") from None
 
 
 def existing(path: Path) -> Path:
@@ -77,9 +73,38 @@ def existing(path: Path) -> Path:
     Raises:
         FileNotFoundError: one clear line.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file; give a folder that a training run has written")
+    if not os.path.isfile(path):  # whatever the name is
+        raise FileNotFoundError(f"{shown_path(path)}: no such file; give a folder that a training run has written")
     return path
+
+
+def settings_text(folder: Path) -> str:
+    """Return the text of the settings of a training run.
+
+    Raises:
+        FileNotFoundError, ValueError: one line, where there are none, and for a file of more than 1 MB.
+    """
+    path = existing(folder / SETTINGS)
+    try:
+        return regular(path).read_bytes().decode("utf-8", errors="replace")
+    except ValueError as error:
+        raise ValueError(f"{shown_path(path)}: {error}") from None
+
+
+def read_settings(folder: Path) -> dict[str, Any]:
+    """Return the settings of a training run, unchecked.
+
+    Raises:
+        FileNotFoundError, ValueError: one line, for a file that is no mapping in JSON.
+    """
+    text, place = settings_text(folder), shown_path(folder / SETTINGS)
+    try:
+        result = json.loads(text)
+    except (ValueError, RecursionError):
+        result = None
+    if not isinstance(result, dict):
+        raise ValueError(f"{place}: this is no mapping in JSON; give the settings of a training run")
+    return result
 
 
 def is_foreign(folder: Path) -> bool:

@@ -5,17 +5,19 @@ import csv
 import hashlib
 import io
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from time import process_time
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.arrays import Array, Flags, IntArray
+from flexman_gym.checks import shown_path
 from flexman_gym.control.controller import Controller, Episode, Readings
 from flexman_gym.control.slew_table import SHIPPED, SlewTable
 from flexman_gym.envs.description import Description
@@ -27,17 +29,20 @@ from flexman_gym.evaluation.grid import Workers, spread
 from flexman_gym.evaluation.physical import find_plant
 from flexman_gym.evaluation.rollout import Record, rollout
 from flexman_gym.evaluation.shipped import ABOUT, ARRAYS, place
-from flexman_gym.evaluation.submission import check_seeds, is_buildable
+from flexman_gym.evaluation.submission import about, check_seeds, is_buildable
 from flexman_gym.evaluation.venues import find_venue
 from flexman_gym.metrics import damping_ratio
+from flexman_gym.scene.record import table_lines
 from flexman_gym.verification.machine import machine
 
+Kind = TypeVar("Kind")
 PACKAGE = Path(__file__).parents[1]
 ROWS, CELLS = "rows.csv", "cells.csv"
 BLOCK = 25  # episodes side by side in a cell
 MULTIPLE = "multiple"  # of the settling time of the optimised slew
 DAMPING = "damping"  # equivalent ratio of the tip's swings from its first arrival on
 VALUES = (*FIGURES, MULTIPLE, DAMPING)
+FORMER: tuple[str, ...] = ()  # metrics of earlier versions, no longer in VALUES; the columns of older rows are skipped
 # what a row follows from beside entrant, venue and packages; texts of pages are not among it
 SOURCES = ("arrays.py", "kernels", "scene", "model", "simulation", "control", "envs", "metrics",
            *(f"evaluation/{name}.py" for name in ("entrants", "figures", "league", "physical", "rollout")))  # fmt: skip
@@ -81,14 +86,20 @@ class Book:
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """Reads the rows and cells of a folder; an empty book where there are none."""
-        if not (folder / CELLS).exists():
+        """Read the rows and cells of a folder by the heads of their columns; an empty book where there are none.
+
+        The order of the columns is free. A metric that older rows do not have is nan in them, and a column of FORMER
+        is skipped, so that the other values stay right whatever VALUES is.
+
+        Raises:
+            FileNotFoundError: for cells without rows.
+            ValueError: one line with the file, for unknown, missing and repeated heads, for a line that has not an
+                entry for each head, and for an entry that is no number where one belongs.
+        """
+        if not os.path.exists(folder / CELLS):  # whatever the name is
             return cls()
-        rows = [Row(key, who, venue, int(seed), tuple(map(float, values)))
-                for key, who, venue, seed, *values in _read(folder / ROWS)]  # fmt: skip
-        cells = [Cell(key, who, venue, int(first), int(end), float(action), float(design), why)
-                 for key, who, venue, first, end, action, design, why in _read(folder / CELLS)]  # fmt: skip
-        return cls(rows, cells)
+        cells = _read(folder / CELLS, _cell, Cell._fields)
+        return cls(_read(folder / ROWS, _row, Row._fields[:4], (*VALUES, *FORMER)), cells)
 
     def save(self, folder: Path) -> None:
         """Writes both, sorted, so that the order in which they were played leaves no trace."""
@@ -125,10 +136,12 @@ def play_league(
         say: is told of each cell.
 
     Raises:
-        FileNotFoundError, ValueError: one line, also for a run that was trained on some of the seeds.
+        FileNotFoundError, ValueError: one line, also for a run that was trained on some of the seeds, and for a
+            baseline without the words that the page needs; nothing is played then.
     """
     for entrant in entrants:
         check_seeds(entrant, seeds)
+        about(entrant)
     book = Book.load(folder)
     keys = {(who, venue): key_of(who, venue) for venue in venues for who in entrants}
     blocks = [(first, min(first + BLOCK, seeds.stop)) for first in range(seeds.start, seeds.stop, BLOCK)]
@@ -257,11 +270,34 @@ def _is_lab(venue: str) -> bool:
     return "=" not in venue and Description.find(venue.partition("@")[0]).whole_settings().get("sensors") == "lab"
 
 
-def _read(path: Path) -> Iterator[list[str]]:
-    with path.open(newline="", encoding="utf-8") as file:
-        lines = csv.reader(file)
-        next(lines)
-        yield from lines
+def _read(
+    path: Path, make: Callable[[dict[str, str]], Kind], heads: Sequence[str], metrics: Sequence[str] = ()
+) -> list[Kind]:
+    """Return what is made of each line of a table with these heads and some of the metrics."""
+    lines = table_lines(path)
+    found = next(lines, [])
+    unknown, missing = [name for name in found if name not in (*heads, *metrics)], set(heads) - {*found}
+    if unknown or missing or len(set(found)) < len(found):
+        allowed = f"{', '.join(heads)}{' and the metrics of the league' if metrics else ''}, each once"
+        raise ValueError(f"{shown_path(path)}: its heads are not those of a league; give {allowed}")
+    result = []
+    for number, line in enumerate(lines, 2):
+        try:
+            result.append(make(dict(zip(found, line, strict=True))))
+        except ValueError:
+            allowed = f"{len(found)} entries, numbers where they belong"
+            raise ValueError(f"{shown_path(path)}: line {number} is not one of a league; give {allowed}") from None
+    return result
+
+
+def _row(entries: Mapping[str, str]) -> Row:
+    values = tuple(float(entries.get(name, "nan")) for name in VALUES)
+    return Row(entries["key"], entries["entrant"], entries["venue"], int(entries["seed"]), values)
+
+
+def _cell(entries: Mapping[str, str]) -> Cell:
+    kinds: dict[str, Callable[[str], Any]] = {"first": int, "end": int, "action": float, "design": float}
+    return Cell(**{name: kinds.get(name, str)(entry) for name, entry in entries.items()})
 
 
 def _write(path: Path, heads: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:

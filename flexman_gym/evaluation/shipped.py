@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,11 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.checks import refusal
+from flexman_gym.checks import BROKEN, refusal, regular, shown_path
 from flexman_gym.control.network import Network, layers_of
 from flexman_gym.evaluation.folder import existing, write
 from flexman_gym.evaluation.tensors import LARGEST, plain_json, read_tensors, write_tensors
-from flexman_gym.scene.file import BROKEN
 
 FOLDER = Path(__file__).parents[1] / "policies"
 ABOUT, ARRAYS, CERTIFICATE = "policy.json", "policy.safetensors", "certificate.json"
@@ -24,6 +24,7 @@ KEYS = (
     "environment_hash", "settings_hash", "observation", "league", "arrays_hash",
 )  # fmt: skip
 STATISTICS, CHECKS = ("statistics.mean", "statistics.var"), ("check.observations", "check.actions")
+CERTIFIED = (("arrays_hash", str), ("fails", list), ("trials", list))  # keys of a certificate, and their types
 COUNT, CLOSE = 64, 1e-9  # observations that are kept, and how far their actions may be from those that are kept
 
 
@@ -38,7 +39,7 @@ def place(name: str) -> Path | None:
     """Gives the folder of a shipped policy: one by its name, or a folder with one; None for anything else."""
     if name in POLICIES:
         return FOLDER / name
-    return Path(name) if (Path(name) / ABOUT).is_file() else None
+    return Path(name) if os.path.isfile(Path(name) / ABOUT) else None
 
 
 def read_shipped(folder: Path) -> Shipped:
@@ -61,7 +62,7 @@ def read_shipped(folder: Path) -> Shipped:
         raise
     except BROKEN as error:
         said = " ".join(str(error).split())[:300] or type(error).__name__
-        raise ValueError(f"{path}: this is no policy that was exported ({said})") from None
+        raise ValueError(f"{shown_path(path)}: this is no policy that was exported ({said})") from None
 
 
 def write_shipped(folder: Path, about: Mapping[str, Any], arrays: dict[str, NDArray[np.floating]]) -> None:
@@ -93,12 +94,18 @@ def certificate(folder: Path) -> dict[str, Any] | None:
     """Gives what the certificate beside a policy says, None where it has none, or one of other arrays.
 
     Raises:
-        ValueError: for a broken file.
+        ValueError: one line, for a broken file, and for one without arrays_hash, fails and trials.
     """
-    if not (folder / CERTIFICATE).is_file():
+    path = folder / CERTIFICATE
+    if not path.is_file():
         return None
-    result: dict[str, Any] = plain_json(_content(folder / CERTIFICATE))
-    return result if result["arrays_hash"] == plain_json(_content(folder / ABOUT))["arrays_hash"] else None
+    try:
+        result = plain_json(_content(path))
+        if not isinstance(result, dict) or not all(isinstance(result.get(name), kind) for name, kind in CERTIFIED):
+            raise ValueError(f"give a mapping with {', '.join(name for name, _ in CERTIFIED)}")
+    except ValueError as error:
+        raise ValueError(f"{shown_path(path)}: this is no certificate ({error})") from None
+    return result if result["arrays_hash"] == plain_json(_content(folder / ABOUT)).get("arrays_hash") else None
 
 
 def described(name: str) -> str:
@@ -106,15 +113,12 @@ def described(name: str) -> str:
     about, said = plain_json(_content(FOLDER / name / ABOUT)), certificate(FOLDER / name)
     if said is None:
         return f"{about['words']} It has no certificate."
-    fails = ", ".join(said["fails"])
+    fails = ", ".join(map(str, said["fails"]))
     return f"{about['words']} {f'Not recommended: it fails {fails}.' if fails else 'Recommended.'}"
 
 
 def _content(path: Path) -> bytes:
-    size = path.stat().st_size
-    if size > LARGEST:
-        raise refusal("file", f"{size} bytes", f"at most {LARGEST}")
-    return path.read_bytes()
+    return regular(path, LARGEST).read_bytes()
 
 
 def _about(content: bytes) -> dict[str, Any]:

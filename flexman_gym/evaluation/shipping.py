@@ -1,6 +1,6 @@
 """Shipping: the policy of a training run as a folder that NumPy alone runs, with what it must do and reaches."""
 
-import json
+import re
 import subprocess
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from flexman_gym.control.network import Network, layers_of
 from flexman_gym.envs.description import Description
 from flexman_gym.evaluation.entrants import Entrant, acting, load_shipped, observed, parted, still
 from flexman_gym.evaluation.figures import evaluate
-from flexman_gym.evaluation.folder import BEST, NEWEST, SETTINGS, check_settings, existing, read_data
+from flexman_gym.evaluation.folder import BEST, NEWEST, check_settings, existing, read_data, read_settings
 from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.evaluation.seeds import SELECTION, TEST
 from flexman_gym.evaluation.shipped import COUNT, FOLDER, write_shipped
@@ -40,7 +40,7 @@ def ship(run: Path, folder: Path, words: str, recipe: str, venue: str = "", lice
     """
     if folder.exists():
         raise refusal("folder", str(folder), "a new one")
-    settings = json.loads(existing(run / SETTINGS).read_bytes())
+    settings = read_settings(run)
     path = run / BEST if (run / BEST).is_file() else existing(run / NEWEST)
     data = read_data(path)
     check_settings(path, data, settings)
@@ -77,8 +77,8 @@ def bundled(name: str) -> Path:
     Raises:
         ValueError: for a name that is no part of a path.
     """
-    if not name.replace("-", "").isalnum():
-        raise refusal("name", name, "letters, digits and hyphens")
+    if not re.fullmatch(r"[A-Za-z0-9-]{0,59}[A-Za-z0-9]", name):
+        raise refusal("name", name, "1 to 60 letters a to z, digits and hyphens, with no hyphen at the end")
     return FOLDER / name
 
 

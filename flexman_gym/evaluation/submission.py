@@ -1,19 +1,18 @@
 """Submission: what an entrant is and needs to know, and what the folder of a run tells of how it was trained."""
 
-import csv
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from flexman_gym.checks import refusal
+from flexman_gym.checks import refusal, shown_path
 from flexman_gym.control.bases import BASES
 from flexman_gym.envs.description import Description
 from flexman_gym.envs.sensors import plain_sensors
 from flexman_gym.evaluation.entrants import BASELINES
-from flexman_gym.evaluation.folder import SETTINGS, existing
+from flexman_gym.evaluation.folder import SETTINGS, read_settings
 from flexman_gym.evaluation.seeds import SELECTION, training_seed
 from flexman_gym.evaluation.shipped import place, read_shipped
+from flexman_gym.scene.record import table_lines
 
 TRUTHS = ("true state", "true parameters", "its episodes")  # what nobody can be told of a real arm
 TRUE_SENSORS = ("full", "fine", "state")
@@ -41,9 +40,11 @@ def about(entrant: str) -> tuple[str, str]:
     """Says what an entrant is, and how it was tuned or trained.
 
     Raises:
-        FileNotFoundError, ValueError: one line, for a folder that holds no run.
+        FileNotFoundError, ValueError: one line, for a folder that holds no run, and for a baseline without words.
     """
     if entrant in BASELINES:
+        if entrant not in ABOUT:
+            raise refusal("entrant", entrant, f"one that ABOUT describes: {', '.join(ABOUT)}")
         return ABOUT[entrant]
     settings, seconds = _settings(entrant), training_seconds(entrant)
     base = settings.get("base_in_use") or (settings.get("environment") or {}).get("base")
@@ -80,8 +81,12 @@ def training_seconds(entrant: str) -> float | None:
         return float(read_shipped(folder).about["training_seconds"])
     result = None
     for path in () if entrant in BASELINES else sorted(Path(entrant).glob("progress*.csv")):
-        with path.open(newline="", encoding="utf-8") as file:
-            times = [float(row[SECONDS]) for row in csv.DictReader(file) if row.get(SECONDS)]
+        names, *rows = [*table_lines(path)] or [[]]
+        at = names.index(SECONDS) if SECONDS in names else len(names)
+        try:
+            times = [float(row[at]) for row in rows if row[at:] and row[at]]
+        except ValueError:
+            raise ValueError(f"{shown_path(path)}: {SECONDS} is not a number in each row") from None
         result = (result or 0.0) + max(times, default=0.0)
     return result
 
@@ -110,5 +115,4 @@ def _settings(entrant: str) -> dict[str, Any]:
     if folder := place(entrant):
         about = read_shipped(folder).about
         return {**about["recipe"]["settings"], "environment": about["environment"]}
-    result = json.loads(existing(Path(entrant) / SETTINGS).read_text(encoding="utf-8"))
-    return result if isinstance(result, dict) else {}
+    return read_settings(Path(entrant))

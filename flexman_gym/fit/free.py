@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flexman_gym.arrays import Array
-from flexman_gym.checks import one_of, refusal, whole_number
+from flexman_gym.checks import is_count, one_of, refusal, whole_number
 from flexman_gym.model.instant import mass_matrix
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.arm import Arm
@@ -107,7 +107,7 @@ def _numbers(name: str, model: Model) -> list[Number]:
     sprung = kind in ("joint_stiffness", "joint_damping")
     there = np.flatnonzero(model.constants.motor >= 0).tolist() if sprung else list(range(model.n_joints))
     if place:
-        if not (place.endswith("]") and place[:-1].isdigit()):
+        if not (place.endswith("]") and is_count(place[:-1])):
             raise refusal("free", name, f"{kind}, or {kind}[0] and so on")
         there = [each for each in there if each == whole_number("free", int(place[:-1]), 0, model.n_joints - 1)]
     if not there:

@@ -8,7 +8,18 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from flexman_gym.arrays import Array, Vector
-from flexman_gym.checks import MOST_ENTRIES, instance, number_array, one_of, positive, refusal, sequence, store, text
+from flexman_gym.checks import (
+    MOST_ENTRIES,
+    instance,
+    is_count,
+    number_array,
+    one_of,
+    positive,
+    refusal,
+    sequence,
+    store,
+    text,
+)
 from flexman_gym.scene.record import read_record
 
 STEADY = 1e-3  # of the interval between samples: by how much one may differ from the next
@@ -152,7 +163,7 @@ class Measurement:
     def head(self, name: str) -> Head:
         """Gives kind and joint of an input; raises ValueError for what is none."""
         kind, _, number = name.rpartition("_")
-        if kind not in INPUTS or not number.isdigit() or number == "0":
+        if kind not in INPUTS or not is_count(number) or int(number) == 0:
             allowed = "torque_1, current_1 or motor_angle_1, with the number of the joint from 1"
             raise refusal("Measurement.inputs", name, allowed)
         return Head(kind, int(number) - 1)

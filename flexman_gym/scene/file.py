@@ -2,21 +2,12 @@
 
 import json
 import re
-import struct
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from flexman_gym.checks import one_of, shown
-
-MOST_BYTES = 1_000_000
-BROKEN = (
-    ValueError, KeyError, TypeError, AttributeError, EOFError, OSError, MemoryError, RecursionError, OverflowError,
-    NotImplementedError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error,
-)  # fmt: skip  # what reading a file of noise may raise, one of arrays too
+from flexman_gym.checks import one_of, regular, shown, shown_path
 
 
 class _Mapping(list[tuple[Any, Any]]):
@@ -54,30 +45,27 @@ for _tag, _words, _first in (
 _Loader.add_constructor("tag:yaml.org,2002:map", lambda loader, node: _Mapping(loader.construct_pairs(node, deep=True)))
 
 
-def read(path: Path) -> Any:
-    """Reads a .json, .yaml or .yml file.
+def read(path: Path, kind: type = dict) -> Any:
+    """Read a .json, .yaml or .yml file that holds a mapping, or a list for `kind` list.
 
     Raises:
         FileNotFoundError: when there is no such file.
         ValueError: for another suffix, for a file that is not a plain file of at most 1 MB or not UTF-8, for broken
-            text, for a repeated key, and for a nesting without end; one line says which.
+            text, for anything else than this kind, for a repeated key, and for a nesting without end; one line says
+            which, without the name of the file and without its text.
     """
     ending = suffix(path)
-    if not path.exists():
-        raise FileNotFoundError(f"{path}: there is no such file")
-    if not path.is_file():
-        raise ValueError("this is a directory or a device; give a file")
-    size = path.stat().st_size
-    if size > MOST_BYTES:
-        raise ValueError(f"a size of {size} bytes is not allowed; give at most {MOST_BYTES}")
     try:
-        text = path.read_bytes().decode("utf-8")
+        text = regular(path).read_bytes().decode("utf-8")
     except UnicodeDecodeError as error:
         raise ValueError(f"byte {error.start} is not UTF-8; give UTF-8 text") from None
     try:
-        return _tree("", _parse(text, ending))
+        result = _tree("", _parse(text, ending))
     except RecursionError:
         raise ValueError("lists or mappings are nested too deeply; give fewer levels") from None
+    if not isinstance(result, kind):
+        raise ValueError("this is no mapping; give names with their values" if kind is dict else "give a list")
+    return result
 
 
 def parse(text: str) -> Any:
@@ -105,7 +93,7 @@ def write(path: Path, data: Any) -> None:
 
 def suffix(path: Path) -> str:
     """Gives the suffix of a file that can be written; raises ValueError for another one."""
-    return one_of(f"the suffix of {path}", path.suffix, (".json", ".yaml", ".yml"))
+    return one_of(f"the suffix of {shown_path(path, 40)}", path.suffix, (".json", ".yaml", ".yml"))
 
 
 def _parse(text: str, ending: str) -> Any:

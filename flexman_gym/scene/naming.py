@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from flexman_gym.checks import one_of, refusal, text
+from flexman_gym.checks import one_of, refusal, shown_path, text
 from flexman_gym.scene import arms, file, machines
 from flexman_gym.scene.arm import Arm, Payload
 from flexman_gym.scene.plain import arm_of, part_of
@@ -42,8 +42,11 @@ def find_arm(value: object, folder: Path = Path()) -> Arm:
     if not isinstance(value, str | dict):
         raise refusal("arm", value, f"an Arm, a mapping, a file, or a name in the catalog: {', '.join(ARMS)}")
     if isinstance(value, str) and value.endswith(SUFFIXES):
-        data = file.read(folder / value)
-        return arm_of(data.get("arm", data) if isinstance(data, dict) and "links" not in data else data)
+        try:
+            data = file.read(folder / value)
+        except ValueError as error:
+            raise ValueError(f"{shown_path(value)}: {error}") from None
+        return arm_of(data if "links" in data else data.get("arm", data))
     if isinstance(value, dict) and "catalog" not in value:
         return arm_of(value)
     given = {"catalog": value} if isinstance(value, str) else value

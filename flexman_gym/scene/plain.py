@@ -6,7 +6,7 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, TypeVar
 
-from flexman_gym.checks import mapping, one_of, refusal, sequence, text
+from flexman_gym.checks import mapping, one_of, refusal, sequence, shown_path, text
 from flexman_gym.scene.arm import Arm, Payload
 from flexman_gym.scene.drive import ConstantTorque, Signal, SineTorque
 from flexman_gym.scene.joint import Joint
@@ -133,7 +133,10 @@ def torque_of(data: object, folder: Path) -> ConstantTorque | SineTorque | Sampl
     entries = {name: value for name, value in data.items() if name != "kind"}
     if kind is SampledTorque and "csv" in entries:
         given = mapping("torque", entries, ("csv", "columns", "hold"))
-        return SampledTorque.from_csv(folder / text("torque.csv", given.pop("csv")), **given)
+        name = text("torque.csv", given.pop("csv"))
+        torque = SampledTorque.from_csv(folder / name, **given)
+        _warn_outside("torque.csv", name, folder)
+        return torque
     return part_of(kind, "torque", entries)
 
 
@@ -157,11 +160,20 @@ def signal_of(
     keys = data if isinstance(data, dict) else {}
     if "csv" in keys:
         more = dict(mapping(path, data, ("csv", "column", "hold", "deviation")))
-        record = read_record(folder / text(f"{path}.csv", more.pop("csv")))
+        name = text(f"{path}.csv", more.pop("csv"))
+        record = read_record(folder / name)
+        _warn_outside(f"{path}.csv", name, folder)
         return samples_of(record, text(f"{path}.column", more.pop("column", None)), units, more)
     if "angles" in keys and "rad" in units:
         return part_of(SampledAngles, path, data)
     return part_of(SampledSignal, path, data) if "times" in keys else part_of(Signal, path, data)
+
+
+def _warn_outside(field: str, name: str, folder: Path) -> None:
+    """Warn of a CSV file outside the folder of the scene file that names it, which may be somebody else's."""
+    if not (folder / name).resolve().is_relative_to(folder.resolve()):
+        said = f"{field}: {shown_path(name)} is outside the folder of the scene file"
+        warnings.warn(f"{said}; the next release reads it only where this is asked for", FutureWarning, stacklevel=2)
 
 
 def beside(path: Path, data: dict[str, Any]) -> dict[str, Any]:

@@ -1,10 +1,10 @@
 """Record: numbers against time in a CSV file, whose head names a quantity and its unit for each column."""
 
 import csv
+import io
 import math
-import os
-import re
-from collections.abc import Mapping, Sequence
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.arrays import Vector
-from flexman_gym.checks import MOST_ENTRIES, one_of, refusal, sequence, text
+from flexman_gym.checks import MOST_ENTRIES, one_of, refusal, regular, sequence, shown_path
 
-HEAD = re.compile(r"\s*(.+?)\s*[(\[]\s*([^()\[\]]+?)\s*[)\]]\s*")  # "torque_1 (N m)"
-MOST_BYTES = 200_000_000
+MOST_BYTES = 200_000_000  # of a file
+LONGEST_LINE, LONGEST_HEAD = 100_000, 100  # characters of a line, and of the head of a column
+LONGEST_NAME = 40  # characters of the name of a file in a refusal
 DEGREE = math.pi / 180.0
 # What a unit is in SI units, and how many of these.
 UNITS: dict[str, tuple[str, float]] = {
@@ -52,9 +53,9 @@ class Record(NamedTuple):
         """
         fitting = [name for name, (unit, _) in self.columns.items() if unit in units]
         if not fitting:
-            raise refusal(f"{self.path.name}: the head", list(self.columns), f"a column in {' or '.join(units)}")
+            raise refusal(f"{_name(self.path)}: the head", list(self.columns), f"a column in {' or '.join(units)}")
         chosen = fitting if names is None else sequence("columns", names, "names")
-        listed = [one_of(f"{self.path.name}: columns[{i}]", name, fitting) for i, name in enumerate(chosen)]
+        listed = [one_of(f"{_name(self.path)}: columns[{i}]", name, fitting) for i, name in enumerate(chosen)]
         return np.column_stack([self.columns[name][1] for name in listed])
 
 
@@ -65,30 +66,47 @@ def read_record(path: str | Path) -> Record:
 
     Raises:
         FileNotFoundError: when there is none.
-        ValueError: for a head without a time, with a name given twice or with an unknown unit, and for a line that has
-            not a finite number in each column; one line names file, line and what is allowed.
+        ValueError: for what `table_lines` refuses, for a head without a time, with a name given twice or with an
+            unknown unit, and for a line that has not a finite number in each column; one line names file, line and
+            what is allowed. The text of a file in whose head no column has a unit is not shown.
     """
-    file = Path(path)
-    if not os.path.isfile(file):  # whatever the name is
-        raise FileNotFoundError(f"{file}: there is no such file")
-    if file.stat().st_size > MOST_BYTES:
-        raise refusal(file.name, f"{file.stat().st_size} bytes", f"at most {MOST_BYTES}")
-    try:
-        head, *rows = csv.reader(file.read_text(encoding="utf-8-sig").splitlines() or [""])
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ValueError(f"{file.name}: {error}; give UTF-8 text with commas") from None
-    heads = [_head(file.name, each) for each in head]
+    file, lines, numbers = _name(path), table_lines(path), array("d")
+    heads = _heads(file, next(lines, []))
     names = [name for name, _, _ in heads]
     if "time" not in names or len(set(names)) < len(names) or len(names) < 2:
-        raise refusal(f"{file.name}: the head", names, "a column time (s) and others, each name once")
-    numbers = [_numbers(file.name, number, row, len(names)) for number, row in enumerate(rows, 2) if row]
-    if not 0 < len(numbers) <= MOST_ENTRIES:
-        raise refusal(f"{file.name}", f"{len(numbers)} lines", f"1 to {MOST_ENTRIES} of numbers")
-    table = np.array(numbers) * [factor for _, _, factor in heads]
+        raise refusal(f"{file}: the head", names, "a column time (s) and others, each name once")
+    for number, row in enumerate(lines, 2):
+        if row:
+            numbers.extend(_numbers(file, number, row, len(names)))
+    count = len(numbers) // len(names)
+    if not 0 < count <= MOST_ENTRIES:
+        raise refusal(file, f"{count} lines", f"1 to {MOST_ENTRIES} of numbers")
+    table = np.array(numbers).reshape(count, -1) * [factor for _, _, factor in heads]
     columns = {name: (unit, table[:, i]) for i, (name, unit, _) in enumerate(heads)}
     unit, times = columns.pop("time")
-    one_of(f"{file.name}: the unit of time", unit, ("s",))
-    return Record(file, times, columns)
+    one_of(f"{file}: the unit of time", unit, ("s",))
+    return Record(Path(path), times, columns)
+
+
+def table_lines(path: str | Path) -> Iterator[list[str]]:
+    """Yield the lines of a CSV file, the head first, as lists of texts.
+
+    Raises:
+        FileNotFoundError: when there is none.
+        ValueError: for a directory, a device or a pipe, for more than 200 MB, for more than a million lines (which are
+            counted before one is parsed), for a line of more than 100,000 characters, and for bytes that are not UTF-8;
+            one line with the name of the file and without its text.
+    """
+    try:
+        content = regular(path, MOST_BYTES).read_bytes()
+        count = max(content.count(b"\n"), content.count(b"\r"))
+        if count > MOST_ENTRIES + 1:
+            raise ValueError(f"{count} lines are not allowed; give 1 to {MOST_ENTRIES} of numbers")
+        yield from csv.reader(_short(io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig", newline="")))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{_name(path)}: {error}; give UTF-8 text with commas") from None
+    except ValueError as error:
+        raise ValueError(f"{_name(path)}: {error}") from None
 
 
 def write_record(path: str | Path, times: Vector, columns: Mapping[str, Vector]) -> None:
@@ -109,14 +127,39 @@ def write_columns(path: str | Path, columns: Mapping[str, Vector]) -> None:
         writer.writerows(table.tolist())
 
 
-def _head(file: str, head: str) -> tuple[str, str, float]:
-    """Name, SI unit and factor of a column."""
-    parts = HEAD.fullmatch(text("head", head))
-    unit = " ".join(parts[2].replace("*", " ").replace("·", " ").replace("²", "^2").split()) if parts else None
-    if parts is None or unit not in UNITS:
-        allowed = f"a name and a unit in brackets, one of {', '.join(UNITS)}"
-        raise refusal(f"{file}: the head", head, allowed)
-    return (parts[1], *UNITS[unit])
+def _name(path: str | Path) -> str:
+    """Return the name of a file, short enough to be followed by a field of it in a refusal."""
+    return shown_path(Path(path).name, LONGEST_NAME)
+
+
+def _short(file: io.TextIOWrapper) -> Iterator[str]:
+    """Yield the lines of a file, none of which may be longer than LONGEST_LINE."""
+    while line := file.readline(LONGEST_LINE + 1):
+        if len(line) > LONGEST_LINE:
+            raise ValueError(f"a line of more than {LONGEST_LINE} characters is not allowed; give shorter ones")
+        yield line
+
+
+def _heads(file: str, heads: Sequence[str]) -> list[tuple[str, str, float]]:
+    """Return name, SI unit and factor of each column."""
+    parted = [_parted(each) for each in heads]
+    if not any(unit in UNITS for _, unit in parted):
+        raise ValueError(f"{file}: this is no table; give a head of names and units in brackets, such as time (s)")
+    for head, (name, unit) in zip(heads, parted, strict=True):
+        if not name or unit not in UNITS or len(head) > LONGEST_HEAD:
+            allowed = f"a name and a unit in brackets, one of {', '.join(UNITS)}"
+            raise refusal(f"{file}: the head", head, allowed)
+    return [(name, *UNITS[unit]) for name, unit in parted]
+
+
+def _parted(head: str) -> tuple[str, str]:
+    """Return name and unit of a head such as "torque_1 (N m)", "" for what it does not have."""
+    whole = head.strip()
+    start = max(whole.rfind("("), whole.rfind("["))
+    if start < 0 or whole[-1] not in ")]":
+        return whole, ""
+    unit = whole[start + 1 : -1].replace("*", " ").replace("·", " ").replace("²", "^2")
+    return whole[:start].strip(), " ".join(unit.split())
 
 
 def _numbers(file: str, line: int, row: Sequence[str], count: int) -> list[float]:

@@ -14,6 +14,7 @@ from flexman_gym.checks import (
     positive,
     refusal,
     sequence,
+    shown_path,
     store,
     text,
     vector,
@@ -194,7 +195,7 @@ class Scene:
         try:
             return cls.from_dict(scene_file.read(Path(path)), Path(path).parent)
         except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
+            raise ValueError(f"{shown_path(path)}: {error}") from None
 
     def save(self, path: str | Path) -> None:
         """Writes the scene to a .json, .yaml or .yml file, from which `load` gives an equal one.
@@ -210,6 +211,9 @@ class Scene:
     @classmethod
     def from_dict(cls, data: object, folder: Path = Path()) -> Self:
         """Builds the scene that the mapping of a scene file describes; CSV files are meant against the folder.
+
+        A CSV file outside the folder is read with a FutureWarning; the next release reads it only where this is asked
+        for.
 
         Raises:
             FileNotFoundError: where a CSV file is missing.

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import platform
-import zipfile
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
@@ -13,9 +12,9 @@ from typing import Any, Self
 import numpy as np
 
 from flexman_gym.arrays import Array
+from flexman_gym.checks import BROKEN, open_arrays, shown_path
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.choice import ModelChoice
-from flexman_gym.scene.file import BROKEN
 from flexman_gym.scene.plain import arm_of, part_of, plain
 from flexman_gym.scene.record import write_columns
 from flexman_gym.simulation.trajectory import Trajectory
@@ -120,10 +119,7 @@ class Episode:
             ValueError: one line, for a file that is something else.
         """
         try:
-            with zipfile.ZipFile(path) as parts:
-                if sum(part.file_size for part in parts.infolist()) > Path(path).stat().st_size:
-                    raise ValueError("its arrays are packed")
-            with np.load(path, allow_pickle=False) as data:
+            with open_arrays(path) as data:
                 told = json.loads(data[ABOUT].tobytes())
                 names = [each.name for each in fields(cls) if each.name not in ("readings", ABOUT)]
                 arrays = {name: data[name] for name in names}
@@ -132,10 +128,10 @@ class Episode:
             result = cls(**arrays, readings=readings, about=told)
             result._check()
         except FileNotFoundError:
-            raise FileNotFoundError(f"{path}: no such file; give an episode that was saved") from None
+            raise FileNotFoundError(f"{shown_path(path)}: no such file; give an episode that was saved") from None
         except BROKEN as error:
             said = " ".join(str(error).split())[:120] or type(error).__name__
-            raise ValueError(f"{path}: this is not an episode that was saved ({said})") from None
+            raise ValueError(f"{shown_path(path)}: this is not an episode that was saved ({said})") from None
         return result
 
     def _check(self) -> None:

@@ -1,6 +1,7 @@
 // Runs: episodes as arrays that are read from the page, or that grow while they come.
 
 const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0)).buffer;
+const GAP = -(2 ** 15);  // step of a reading that is no finite number
 export const floats = text => new Float32Array(bytes(text));
 
 export const readArm = arm => ({ ...arm, links: arm.links.map(link => ({
@@ -62,6 +63,6 @@ export class Run {
   reading(name, c) {
     const each = this.readings.find(one => one.name === name);
     if (!each || c >= each.size) return Array(this.rows).fill(null);
-    return Array.from({ length: this.rows }, (_, i) => each.values[i * each.size + c] * each.scale[c] + each.middle[c]);
+    return Array.from({ length: this.rows }, (_, i) => { const v = each.values[i * each.size + c]; return v === GAP ? null : v * each.scale[c] + each.middle[c]; });
   }
 }

@@ -80,6 +80,19 @@ def test_arms_that_the_teacher_leads_move_as_under_the_teacher_alone_and_their_n
     assert all(due.all() for _, _, due in notes)
 
 
+@pytest.mark.parametrize("kept", [1, 2, 3])
+def test_the_last_rounds_are_kept_and_every_second_instant_of_each(kept):
+    """Of rounds that are even the first instant, the third and so on, of odd ones the others."""
+    imitation, played = Imitation(replace(SHORT, hyperparameters={**SHORT.hyperparameters, "rounds_kept": kept})), []
+    for number in range(4):
+        imitation._play(number)
+        due = [(seen[begun], SCALE * wanted[begun]) for seen, wanted, begun in imitation._pupil.notes]
+        played.append([np.concatenate(part) for part in zip(*due[number % 2 :: 2], strict=True)])
+        assert [len(seen) for seen, _, _ in imitation._rounds] == [len(seen) for seen, _ in played[-kept:]]
+        for (seen, wanted, _), expected in zip(imitation._rounds, played[-kept:], strict=True):
+            assert np.allclose(seen, expected[0], rtol=1e-6) and np.allclose(wanted, expected[1], rtol=1e-6)
+
+
 def test_rounds_have_episodes_of_their_own(monkeypatch):
     seeds = []
 

@@ -207,3 +207,12 @@ def test_versions_of_every_part_of_a_run_are_kept(tmp_path, monkeypatch):
         resume(tmp_path, 24, progress=False) if part else train(run, tmp_path, progress=False)
     record = json.loads((tmp_path / SETTINGS).read_text())
     assert [each["numpy"] for each in [*record["earlier_versions"], record["versions"]]] == ["0.0", "1.0", "2.0"]
+
+
+def test_a_file_whose_name_has_no_steps_is_left_alone(tmp_path):
+    for name in ("progress-\N{SUPERSCRIPT TWO}.csv", f"progress-{'9' * 200}.csv", "progress-x.csv"):
+        (tmp_path / name).write_text(f"{STEPS}\n900\n")
+    open_curves(tmp_path, 0, 100).close()
+    assert all(
+        path.read_text() == f"{STEPS}\n900\n" for path in tmp_path.glob("progress-?*.csv") if "100" not in path.name
+    )

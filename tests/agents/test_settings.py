@@ -107,7 +107,7 @@ def test_a_bad_recipe_names_its_file_and_the_field(tmp_path):
     for data, line in (
         ({"algo": "ddpg"}, "algo: 'ddpg' is not"),
         ({"step": 3}, "settings: 'step' is not"),
-        (3, "sett"),
+        (3, "this is no mapping"),
     ):
         file.write(path, data)
         assert refusal(Settings.recipe, path).startswith(f"{path}: {line}")

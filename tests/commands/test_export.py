@@ -61,7 +61,7 @@ def test_it_may_be_for_another_environment_with_what_acts_as_it_was(run, tmp_pat
 
 def test_a_name_is_no_path():
     assert bundled("ppo-own").name == "ppo-own" and bundled("ppo-own").parent.name == "policies"
-    for wrong in ("../a", "", "a b"):
+    for wrong in ("../a", "", "a b", "-", "a-", "ppo-\N{SUPERSCRIPT TWO}", "a" * 300, "a\n"):
         assert refusal(bundled, wrong).startswith("name: ")
 
 

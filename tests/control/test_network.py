@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from flexman_gym.control.network import Network
+from flexman_gym.control.network import Network, layers_of
 
 from oracles.refusals import refusal
 
@@ -79,6 +79,14 @@ def test_it_acts_as_the_policy_that_was_trained(algo, activation, tmp_path):
 def test_layers_that_do_not_follow_on_each_other_are_refused(change, line):
     said = refusal(Network, "ppo", None, parameters("ppo") | change, STATISTICS)
     assert said.startswith(line.replace("give 'one of 4'", "give one of 4"))
+
+
+@pytest.mark.parametrize("number", ["\N{SUPERSCRIPT TWO}", "9" * 5000, "x"])
+def test_what_has_no_number_is_no_layer(number):
+    more = {f"mlp_extractor.policy_net.{number}.{part}": np.ones((4, 4)) for part in ("weight", "bias")}
+    seen = np.random.default_rng(0).normal(size=(3, len(STATISTICS["mean"])))
+    with_it, without = (Network("ppo", None, parameters("ppo") | each, STATISTICS) for each in (more, {}))
+    assert np.array_equal(with_it(seen), without(seen)) and layers_of("ppo", more) == {}
 
 
 def test_missing_parts_are_refused():

@@ -60,6 +60,41 @@ def test_the_page_holds_what_was_recorded_and_text_is_text():
     assert not re.search(r'(src|href)="?http', page.replace(data["runs"][0]["name"], ""))
 
 
+def readings(run, links=3, width=1):
+    """The curves of a run's readings as the script of the page makes them, by name."""
+    script = "import { Run } from './runs.js'; import { readFileSync } from 'fs';"
+    script += f"const run = new Run(JSON.parse(readFileSync(0)), {{ width: {width}, links: Array({links}) }});"
+    script += "console.log(JSON.stringify(Object.fromEntries(run.readings.map(each => [each.name, "
+    script += "Array.from({ length: each.size }, (_, c) => run.reading(each.name, c))]))));"
+    command = ["node", "--input-type=module", "-e", script]
+    done = subprocess.run(command, input=json.dumps(run), cwd=ROOT / "scripts" / "web", capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
+@pytest.mark.filterwarnings("error")
+def test_a_reading_that_is_not_finite_is_a_gap_in_its_curve():
+    """The rest of the curve keeps its scale, also where finite numbers are as large as there are."""
+    one = episode()
+    angles, tip = (one.readings[name].copy() for name in ("motor_angles", "tip"))
+    angles[3, 0], angles[5, 0], angles[7, 0], tip[:, 1], tip[:2, 2] = (
+        np.inf,
+        -np.inf,
+        np.nan,
+        np.nan,
+        (1.7e308, -1.7e308),
+    )
+    data = embedded(replay_page([replace(one, readings={"motor_angles": angles, "tip": tip})]))["runs"][0]
+    for name, values in (("motor_angles", angles), ("tip", tip)):
+        for curve, expected in zip(readings(data, width=one.model.n_dof)[name], values.T, strict=True):
+            known = np.isfinite(expected)
+            assert [each is None for each in curve] == (~known).tolist()
+            least, most = (expected[known].min(), expected[known].max()) if known.any() else (0.0, 0.0)
+            assert [each for each in curve if each is not None] == pytest.approx(
+                expected[known], rel=0.0, abs=1e-4 * (most / 2 - least / 2) + 1e-12)  # fmt: skip
+
+
 def test_ten_seconds_of_two_controllers_are_a_megabyte_at_most():
     pages = [replay_page([episode(rows=rows), episode("lqr", rows=rows, seed=1)]) for rows in (101, 501)]
     assert len(pages[1].encode()) < 1e6 and len(pages[1]) > len(pages[0]) + 1e5

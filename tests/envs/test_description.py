@@ -170,7 +170,8 @@ def test_changes_may_be_whole_only_together():
 def test_what_is_wrong_is_named_in_one_line(tmp_path, data, line):
     assert refusal(Description.from_dict, data).startswith(line)
     file.write(tmp_path / "own.json", data)
-    assert refusal(Description.load, tmp_path / "own.json").startswith(f"{tmp_path / 'own.json'}: {line}")
+    said = line if isinstance(data, dict) else "this is no mapping; give names with their values"
+    assert refusal(Description.load, tmp_path / "own.json").startswith(f"{tmp_path / 'own.json'}: {said}")
 
 
 @pytest.mark.parametrize("change", ["horizon", "=3", "a.=3", "a b=3", "arm.links.0.length=3", "step={", "step=&a 3"])

@@ -8,7 +8,7 @@ import pytest
 
 from flexman_gym.control.slew_table import SHIPPED, SlewTable
 from flexman_gym.envs.description import Description
-from flexman_gym.evaluation import FIGURES, league, rollout
+from flexman_gym.evaluation import FIGURES, league, rollout, submission
 from flexman_gym.evaluation.entrants import BASELINES
 from flexman_gym.evaluation.league import (
     MULTIPLE,
@@ -180,9 +180,8 @@ def test_the_equivalent_damping_is_that_of_the_swings_after_the_arrival():
 
 
 def test_a_book_reads_what_it_wrote(tmp_path):
-    rows = [
-        league.Row("k", "pd", "a, b", seed, (np.inf, np.nan, 0.1 + 0.2, *np.arange(7.0).tolist())) for seed in (3, 2)
-    ]
+    values = (np.inf, np.nan, 0.1 + 0.2, *map(float, range(3, len(VALUES))))
+    rows = [league.Row("k", "pd", "a, b", seed, values) for seed in (3, 2)]
     cells = [Cell("k", "pd", "a, b", 2, 4, 1.5, 0.0), Cell("k", "lqr", "a, b", 2, 4, why='it, "that"')]
     book = Book(rows, cells)
     book.save(tmp_path)
@@ -190,6 +189,63 @@ def test_a_book_reads_what_it_wrote(tmp_path):
     assert repr(sorted(again.rows.items())) == repr(sorted(book.rows.items())), "infinite ones and nan, too"
     assert repr(sorted(again.cells.items())) == repr(sorted(book.cells.items()))
     assert Book.load(tmp_path / "nowhere").rows == {}
+
+
+ROW, CELL = "key,entrant,venue,seed", "key,entrant,venue,first,end,action,design,why"
+
+
+def book_of(folder, rows=ROW, cells=CELL):
+    """Write the two files of a league, and read them."""
+    for name, text in ((ROWS, rows), (league.CELLS, cells)):
+        (folder / name).write_text(text + "\n")
+    return Book.load(folder)
+
+
+def test_values_of_old_rows_stay_right_whatever_metrics_a_league_has_now(tmp_path, monkeypatch):
+    """A metric that came later is nan in them, one that is gone is skipped, and their order is free."""
+    written = {name: 0.5 + i for i, name in enumerate(VALUES)}
+    Book([league.Row("k", "pd", "a", 7, tuple(written.values()))], [Cell("k", "pd", "a", 7, 8)]).save(tmp_path)
+    now = ("new", *reversed(VALUES[2:]), "newer", VALUES[0])
+    monkeypatch.setattr(league, "VALUES", now)
+    with pytest.raises(ValueError, match=r"rows\.csv: its heads are not those of a league"):
+        Book.load(tmp_path)
+    monkeypatch.setattr(league, "FORMER", (VALUES[1],))
+    book = Book.load(tmp_path)
+    for _ in range(2):
+        (row,) = book.rows.values()
+        assert repr(row.values) == repr(tuple(written.get(name, float("nan")) for name in now))
+        book.save(tmp_path)
+        book = Book.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("rows", "cells", "said"),
+    [
+        ("", CELL, "rows.csv: its heads are not those of a league; give key, entrant, venue, seed and the metrics"),
+        (ROW, "", "cells.csv: its heads are not those of a league; give key, entrant, venue, first, end"),
+        ("key,entrant,venue", CELL, "rows.csv: its heads"),
+        (f"{ROW},seed", CELL, "rows.csv: its heads"),
+        (f"{ROW},root:x:0", CELL, "rows.csv: its heads"),
+        (ROW, CELL.removesuffix(",why"), "cells.csv: its heads"),
+        (ROW, f"{CELL},more", "cells.csv: its heads"),
+        (f"{ROW},reward\nk,pd,a,1", CELL, "rows.csv: line 2 is not one of a league; give 5 entries"),
+        (f"{ROW}\nk,pd,a,1\nk,pd,a,1,2", CELL, "rows.csv: line 3 is not one of a league; give 4 entries"),
+        (f"{ROW}\nk,pd,a,\N{SUPERSCRIPT TWO}", CELL, "rows.csv: line 2"),
+        (f"{ROW},reward\nk,pd,a,1,much", CELL, "rows.csv: line 2"),
+        (ROW, f"{CELL}\nk,pd,a,0,b,0,0,", "cells.csv: line 2 is not one of a league; give 8 entries"),
+    ],
+)
+def test_files_that_are_no_league_are_refused_in_one_line(tmp_path, rows, cells, said):
+    line = refusal(book_of, tmp_path, rows, cells)
+    assert line.startswith(f"{tmp_path}/{said}") and "root" not in line.removeprefix(str(tmp_path))
+    assert book_of(tmp_path).rows == book_of(tmp_path).cells == {}
+
+
+def test_an_entrant_without_words_is_refused_before_anything_is_played(venue, tmp_path, monkeypatch):
+    monkeypatch.delitem(submission.ABOUT, "pd")
+    monkeypatch.setattr(league, "spread", lambda *given: pytest.fail("a cell was played"))
+    line = refusal(play_league, ["zero", "pd"], [venue], SEEDS, tmp_path / "league")
+    assert line.startswith("entrant: 'pd' is not allowed; give one that ABOUT describes: zero, random, ")
 
 
 def test_who_cannot_play_says_why(venue):

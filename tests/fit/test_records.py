@@ -114,7 +114,10 @@ def test_bad_records_are_refused_in_one_line(tmp_path):
     for words, arguments in (
         ("there is a gap behind 0.5 s", (gap, {}, outputs)),
         ("Measurement.outputs['motor_angle_1']", (TIMES, {}, {"motor_angle_1": np.where(TIMES > 1, np.nan, good)})),
-        ("Measurement.inputs: 'torque' is not allowed", (TIMES, {"torque": good}, outputs)),
+        *(
+            ("Measurement.inputs: 'torque", (TIMES, {f"torque{end}": good}, outputs))
+            for end in ("", "_0", "_00", "_\N{SUPERSCRIPT TWO}", "_" + "9" * 5000)
+        ),
         ("Measurement.outputs: {} is not allowed; give at least one", (TIMES, {}, {})),
     ):
         assert words in refusal(fm.Measurement, *arguments)
@@ -129,7 +132,8 @@ def test_bad_records_are_refused_in_one_line(tmp_path):
     refusal(fm.Filter, (1.0, 0.0), (1.0,))
     refusal(fm.Filter, (1.0,), (1.0, -1.0))
     arm = fm.catalog.one_joint()
-    for free in ("stiffness", "joint_stiffness[1]", "payload_mass[0]", []):
+    odd = ("joint_stiffness[\N{SUPERSCRIPT TWO}]", f"joint_stiffness[{'9' * 5000}]")
+    for free in ("stiffness", "joint_stiffness[1]", "payload_mass[0]", [], *odd):
         refusal(fm.fit, arm, free, [1.0])
     assert "a parameter that this arm has" in refusal(fm.fit, fm.catalog.planar_2r(), "joint_stiffness", [1.0])
     lacking = fm.Measurement(TIMES, {"torque_2": good}, outputs)

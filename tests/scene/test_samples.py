@@ -1,5 +1,7 @@
 """Samples: records round-trip with their units, signals are what their hold says, and what does not fit is refused."""
 
+import json
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -115,6 +117,9 @@ def test_angles_are_those_of_a_spline_through_them_or_near_them():
         ),
         ("time (s),a (N m),a (N m)\n0,1,1\n", "record.csv: the head: ['time', 'a', 'a'] is not allowed"),
         ("time (N),a (N m)\n0,1\n", "record.csv: the unit of time: 'N' is not allowed; give one of s"),
+        ("time,a\n0,1\n", "record.csv: this is no table; give a head of names and units in brackets, such as time (s)"),
+        (f"time (s),{'a' * 100} (N m)\n0,1\n", "record.csv: the head: 'aaaaaaaaaa"),
+        ("time (s),(N m)\n0,1\n", "record.csv: the head: '(N m)' is not allowed; give a name and a unit in brackets"),
         ("time (s),a (N m)\n0,1\n1,two\n", "record.csv: line 3: '1,two' is not allowed; give 2 finite numbers"),
         ("time (s),a (N m)\n0,1\n1\n", "record.csv: line 3: '1' is not allowed"),
         ("time (s),a (N m)\n0,nan\n1,1\n", "record.csv: line 2: '0,nan' is not allowed"),
@@ -129,6 +134,33 @@ def test_angles_are_those_of_a_spline_through_them_or_near_them():
 def test_a_file_that_is_no_record_is_refused_in_one_line(tmp_path, text, said):
     (tmp_path / "record.csv").write_text(text, encoding="utf-8")
     assert refusal(fm.SampledTorque.from_csv, tmp_path / "record.csv").startswith(said)
+
+
+def test_the_name_of_a_file_leaves_room_for_what_is_wrong_with_it(tmp_path):
+    path = tmp_path / f"{'bench' * 40}.csv"
+    for text, said in (("time (s),a (b)\n0,1\n", ": the head: 'a (b)'"), ("time (s),a (1)\n0,x\n", ": line 2: '0,x'")):
+        path.write_text(text)
+        assert said in refusal(read_record, path)
+    for name in ("bench" * 2000, "a\0b", "a\nb"):
+        with pytest.raises(FileNotFoundError, match=r"^\S.{0,250}: there is no such file$"):
+            read_record(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["../bench.csv", "{folder}/bench.csv", "link.csv"])
+def test_a_record_outside_the_folder_of_a_scene_is_warned_of(tmp_path, name):
+    """Somebody else's scene may name any file; the next release reads these only where it is asked for."""
+    (tmp_path / "scene").mkdir()
+    (tmp_path / "scene" / "link.csv").symlink_to(tmp_path / "bench.csv")
+    write_record(tmp_path / "bench.csv", TIMES.tolist(), {"a (N m)": TIMES, "b (N m)": TIMES, "wind (N)": TIMES})
+    csv = name.format(folder=tmp_path)
+    torque = SCENE.to_dict() | {"torque": {"kind": "sampled", "csv": csv, "columns": ["a", "b"], "hold": "linear"}}
+    wind = SCENE.to_dict() | {"tip_force": [{}, {"csv": csv, "column": "wind", "hold": "linear"}, {}]}
+    for data, field in ((torque, r"torque\.csv"), (wind, r"tip_force\[1\]\.csv")):
+        with pytest.warns(FutureWarning, match=rf"^{field}: .* is outside the folder of the scene file; the next rel"):
+            scene = fm.Scene.from_dict(data, tmp_path / "scene")
+        with warnings.catch_warnings(action="error"):
+            inside = json.loads(json.dumps(data).replace(csv, "./scene/../bench.csv"))
+            assert fm.Scene.from_dict(inside, tmp_path) == scene
 
 
 @pytest.mark.parametrize(

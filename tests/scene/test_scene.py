@@ -202,7 +202,7 @@ LINK = "arm:\n  links:\n    - length: "
     [
         ("cut.json", JSON[:100], "give valid JSON"),
         ("empty.json", "", "give valid JSON"),
-        ("list.json", "[]", "give a mapping with the keys"),
+        ("list.json", "[]", "this is no mapping; give names with their values"),
         ("nan.json", JSON.replace('"duration": 1.5', '"duration": NaN'), "duration: nan is not allowed"),
         ("infinity.json", JSON.replace('"duration": 1.5', '"duration": -Infinity'), "duration: -inf is not allowed"),
         ("overflow.json", JSON.replace('"duration": 1.5', '"duration": 1e999'), "duration: inf is not allowed"),
@@ -215,7 +215,7 @@ LINK = "arm:\n  links:\n    - length: "
         ("deep.json", "[" * 100_000, "nested too deeply"),
         ("key.json", '{"a\\nb": 1}', "the key 'a\\nb' is not allowed"),
         ("long.json", " " * 1_000_001, "a size of 1000001 bytes is not allowed"),
-        ("empty.yaml", "", "scene: None is not allowed"),
+        ("empty.yaml", "", "this is no mapping; give names with their values"),
         ("broken.yaml", "arm: [1, 2\nmodel: {", "line 2"),
         ("control.yaml", "arm: \x01", "give valid YAML"),
         ("two.yaml", "a: 1\n---\nb: 2\n", "give valid YAML"),

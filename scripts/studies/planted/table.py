@@ -17,7 +17,7 @@ NAMES = (
 
 def changes(room: str) -> Iterator[Change]:
     """Gives the changes of a room, from its file."""
-    for group in file.read(ERRORS / f"{room}.yaml"):
+    for group in file.read(ERRORS / f"{room}.yaml", list):
         tests = tuple(f"tests/{test}" for test in group["tests"])
         for entry in group["errors"]:
             yield Change(room=room, file=group["file"], tests=tests, **entry)

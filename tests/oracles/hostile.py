@@ -1,0 +1,190 @@
+"""Hostile files: contents and kinds of files that must be refused at once, in one line, for each reader of the library.
+
+`PYTHONPATH=tests python -m oracles.hostile` prints how long each takes to be refused.
+"""
+
+import io
+import os
+import resource
+import struct
+import sys
+import tempfile
+import time
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+import flexman_gym as fm
+from flexman_gym.control.slew_table import SlewTable
+from flexman_gym.draw.learning import read_progress
+from flexman_gym.envs.description import Description
+from flexman_gym.envs.scales import Scales
+from flexman_gym.evaluation.entrants import find_entrant
+from flexman_gym.evaluation.folder import read_data
+from flexman_gym.evaluation.league import Book
+from flexman_gym.evaluation.shipped import ABOUT, ARRAYS, CERTIFICATE, read_shipped
+from flexman_gym.evaluation.shipped import certificate as read_certificate
+from flexman_gym.evaluation.submission import training_seconds
+from flexman_gym.scene.record import read_record
+from flexman_gym.simulation.episode import Episode
+
+from oracles import shipped
+from oracles.fuzz import bounded
+
+SECONDS = 2.0  # until a file must be refused; the first version of the library took minutes or did not end
+SECRET = "root:x:0:0:root:/root:/bin/bash"  # the first line of a file that somebody else must not see
+READERS = {  # name of the file -> what reads it, of its path
+    "scene.yaml": fm.Scene.load,
+    "environment.yaml": Description.load,
+    "arm.json": lambda path: Description.from_dict({"arm": path.name}, path.parent),
+    "record.csv": read_record,
+    "episode.npz": Episode.load,
+    "table.npz": SlewTable.load,
+    "scales.npz": Scales.load,
+    "newest.npz": read_data,
+    "settings.json": lambda path: find_entrant(str(path.parent)),
+    ABOUT: lambda path: read_shipped(path.parent),
+    ARRAYS: lambda path: read_shipped(with_about(path.parent)),
+    CERTIFICATE: lambda path: read_certificate(with_about(path.parent)),
+    "cells.csv": lambda path: Book.load(with_rows(path.parent)),
+    "rows.csv": lambda path: Book.load(with_cells(path.parent)),
+    "progress.csv": lambda path: read_progress(path.parent),
+    "progress-1.csv": lambda path: training_seconds(str(path.parent)),
+}
+
+
+def with_about(folder):
+    """A folder with the plain data of a policy."""
+    (folder / ABOUT).write_bytes(shipped.files()[ABOUT])
+    return folder
+
+
+def with_cells(folder):
+    """A folder with the cells of a league."""
+    (folder / "cells.csv").write_text("key,entrant,venue,first,end,action,design,why\n")
+    return folder
+
+
+def with_rows(folder):
+    """A folder with the rows of a league."""
+    (folder / "rows.csv").write_text("key,entrant,venue,seed\n")
+    return folder
+
+
+def pipe(path):
+    """A pipe into which nobody writes."""
+    os.mkfifo(path)
+
+
+def device(path):
+    """A device without end."""
+    path.symlink_to("/dev/zero")
+
+
+def large(path):
+    """A file larger than any of text, which takes no room on the disk."""
+    path.touch()
+    os.truncate(path, 2**40)
+
+
+SPECIAL = {"pipe": pipe, "device": device, "directory": Path.mkdir, "larger than the disk": large}
+
+
+def archive(name, head, stored):
+    """A zip with one array whose head promises more than is stored."""
+    out, numbers = io.BytesIO(), io.BytesIO()
+    np.lib.format.write_array_header_1_0(numbers, {"descr": "<f8", "fortran_order": False, "shape": head})
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED if stored else zipfile.ZIP_STORED, compresslevel=1) as file:
+        file.writestr(f"{name}.npy", numbers.getvalue() + bytes(stored))
+    return out.getvalue()
+
+
+def cut(content):
+    """A zip whose directory is said to lie far behind its end."""
+    return content[:-6] + struct.pack("<IH", 2**32 - 2, 0)
+
+
+NESTED = b"[" * 5_000
+LONG = 10_000
+CONTENTS = {  # reader and what is wrong -> a content
+    ("record.csv", "a head of spaces"): lambda: b" " * LONG + b"\n0,1\n",
+    ("record.csv", "a head of brackets"): lambda: b"(" * LONG + b"[ " * LONG + b"\n0,1\n",
+    ("record.csv", "a line without end"): lambda: b"time (s),a (m)\n" + b"1," * 4_000_000,
+    ("record.csv", "a first line without end"): lambda: b"a (m)," * 2_000_000,
+    ("record.csv", "too many rows"): lambda: b"time (s),a (m)\n" + b"0,1\n" * 2_000_000,
+    ("record.csv", "rows of nothing"): lambda: b"time (s),a (m)\n" + b"\n" * 10_000_000,
+    ("record.csv", "an open quote"): lambda: b'time (s),a (m)\n"' + b"0,1\n" * 900_000,
+    ("record.csv", "no table"): lambda: SECRET.encode() + b"\n",
+    ("record.csv", "no text"): lambda: bytes(range(256)),
+    ("scene.yaml", "nested"): lambda: NESTED,
+    ("scene.yaml", "no scene"): lambda: SECRET.encode() + b"\n",
+    ("environment.yaml", "nested"): lambda: b"{a: " * 100_000,
+    ("arm.json", "nested"): lambda: NESTED,
+    ("arm.json", "a number without end"): lambda: b'{"links": ' + b"9" * 900_000 + b"}",
+    ("settings.json", "nested"): lambda: NESTED,
+    ("settings.json", "a number without end"): lambda: b"9" * 900_000,
+    ("settings.json", "larger than any settings"): lambda: b"[" + b"0," * 1_000_000 + b"0]",
+    ("settings.json", "no settings"): lambda: SECRET.encode() + b"\n",
+    (CERTIFICATE, "without its keys"): lambda: b"{}",
+    (CERTIFICATE, "a list"): lambda: b"[]",
+    (CERTIFICATE, "no certificate"): lambda: SECRET.encode() + b"\n",
+    (ARRAYS, "a header without end"): lambda: struct.pack("<Q", 2**62) + b"{}",
+    (ABOUT, "nested"): lambda: NESTED,
+    ("rows.csv", "empty"): lambda: b"",
+    ("rows.csv", "no table"): lambda: SECRET.encode() + b"\n",
+    ("rows.csv", "a first line without end"): lambda: b"key," * 1_000_000,
+    ("cells.csv", "empty"): lambda: b"",
+    ("cells.csv", "no table"): lambda: SECRET.encode() + b"\n",
+    ("progress.csv", "too many rows"): lambda: b"a,b\n" + b"1,2\n" * 2_000_000,
+    ("progress.csv", "no text"): lambda: b"\xff" * 1000,
+} | {
+    (name, what): content
+    for name in ("episode.npz", "table.npz", "scales.npz", "newest.npz")
+    for what, content in {
+        "a giant array": lambda: archive("about", (2**50,), 0),
+        "a packed array": lambda: archive("about", (14 * 10**6,), 112 * 10**6),
+        "an archive that was cut": lambda: cut(archive("about", (1,), 0)),
+        "noise": lambda: np.random.default_rng(0).bytes(1000),
+        "no archive": lambda: SECRET.encode() + b"\n",
+    }.items()
+}  # fmt: skip
+
+
+def line_of(name, path):
+    """The line with which the reader of a name refuses a path, and the seconds that it took."""
+    begun = time.perf_counter()
+    try:
+        with bounded(10.0 * SECONDS):
+            READERS[name](path)
+        line = ""
+    except (ValueError, FileNotFoundError) as error:
+        line = str(error)
+    return line, time.perf_counter() - begun
+
+
+def cases():
+    """Reader, what is wrong, and what makes the file of a path."""
+    for name in [name for name in READERS if name != CERTIFICATE]:  # a policy without one has none
+        for what, make in SPECIAL.items():
+            yield name, what, make
+    for (name, what), content in CONTENTS.items():
+        yield name, what, lambda path, content=content: path.write_bytes(content())
+
+
+def main():
+    """Prints each case with its time and line."""
+    resource.setrlimit(resource.RLIMIT_DATA, (4 * 2**30, 4 * 2**30))
+    for name, what, make in cases():
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / name
+            make(path)
+            try:
+                line, seconds = line_of(name, path)
+            except BaseException as error:  # no refusal, which is what this is to find
+                line, seconds = f"{type(error).__name__}: {error}", float("nan")
+        print(f"{name:<20} {what:<26} {seconds:7.3f} s  {line[:150]!r}", flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,67 @@
+"""Hostile files: devices, pipes and contents without end are refused at once, in one line without their text."""
+
+import os
+
+import pytest
+
+from flexman_gym.control.slew_table import SlewTable
+from flexman_gym.draw.learning import read_progress
+from flexman_gym.envs.description import Description
+from flexman_gym.envs.scales import Scales
+from flexman_gym.evaluation.entrants import find_entrant
+from flexman_gym.evaluation.league import Book
+from flexman_gym.evaluation.venues import find_venue
+from flexman_gym.scene.record import read_record
+from flexman_gym.scene.scene import Scene
+from flexman_gym.simulation.episode import Episode
+
+from oracles import hostile
+
+CASES = [pytest.param(*case, id=f"{case[0]}: {case[1]}") for case in hostile.cases()]
+
+
+@pytest.mark.parametrize(("name", "what", "make"), CASES)
+def test_a_hostile_file_is_refused_at_once_in_one_line(name, what, make, tmp_path):
+    path = tmp_path / name
+    make(path)
+    line, seconds = hostile.line_of(name, path)
+    assert line and "\n" not in line and line.isprintable() and len(line) < 420 and "root" not in line.replace(
+        str(tmp_path), ""), line  # fmt: skip
+    assert seconds < hostile.SECONDS, f"{seconds:.1f} s"
+
+
+BY_NAME = [
+    find_entrant,
+    find_venue,
+    Description.find,
+    Scene.load,
+    read_record,
+    Episode.load,
+    SlewTable.load,
+    Scales.load,
+]
+
+
+@pytest.mark.parametrize("read", BY_NAME, ids=lambda read: read.__qualname__)
+@pytest.mark.parametrize("name", ["x" * 300, "x" * 5000, "x/" * 2500 + "x", "a\0b", "a\nb"], ids=range(5))
+def test_a_name_that_no_file_has_is_refused_in_one_line(read, name):
+    with pytest.raises((FileNotFoundError, ValueError)) as error:
+        read(f"{name}.yaml")
+    line = str(error.value)
+    assert "errno" not in line.lower() and len(line) < 440 and line.isprintable(), line
+
+
+def test_the_folder_of_nothing_is_one_line():
+    assert Book.load(hostile.Path("x" * 5000)).rows == {}
+    with pytest.raises(FileNotFoundError, match=r"^x{60,80}\.\.\.x+: no progress\.csv with rows"):
+        read_progress("x" * 5000)
+
+
+def test_no_file_is_open_after_a_refusal(tmp_path):
+    """A thousand refused files must not end a process that reads many."""
+    (tmp_path / "a.npz").write_bytes(b"PK" + bytes(100))
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(10):
+        with pytest.raises(ValueError, match="this is not an episode"):
+            Episode.load(tmp_path / "a.npz")
+    assert len(os.listdir("/proc/self/fd")) == before
