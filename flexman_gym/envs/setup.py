@@ -251,7 +251,7 @@ def _period(value: object) -> float:
     period = positive("control_period", value, "s")
     if not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
         raise refusal("control_period", value, f"a number from {SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} (s)")
-    warn_of_slips("", {"control_period": period}, depth=6)
+    warn_of_slips("", {"control_period": period})
     return period
 
 
