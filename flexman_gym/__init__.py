@@ -6,6 +6,7 @@ from gymnasium.envs.registration import register
 
 from flexman_gym import draw, metrics
 from flexman_gym.envs import NAMED, Limits, Randomisation, Slew
+from flexman_gym.envs.description import CONDITIONS
 from flexman_gym.evaluation import evaluate, rollout
 from flexman_gym.fidelity import Choice, choose_model
 from flexman_gym.fit import Filter, Fit, Measurement, Ringing, fit
@@ -118,3 +119,10 @@ for _name in NAMED:
         vector_entry_point="flexman_gym.envs:FlexManVectorEnv",
         kwargs={"name": _name},
     )
+    for _condition in CONDITIONS if NAMED[_name].conditions else ():
+        register(
+            id=f"{_name}/{_condition}",
+            entry_point="flexman_gym.envs.description:refuse_condition",
+            vector_entry_point="flexman_gym.envs.description:refuse_condition",
+            kwargs={"name": _name, "condition": _condition},
+        )

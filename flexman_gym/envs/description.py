@@ -3,7 +3,7 @@
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NoReturn, Self
 
 from flexman_gym.checks import one_of, refusal, sequence, text
 from flexman_gym.envs.catalog import DEFAULT, NAMED
@@ -184,6 +184,15 @@ def find_setup(settings: Mapping[str, Any], others: Collection[str] = ()) -> Set
         named = Description(given.get("name", DEFAULT), {"condition": given.pop("condition")})
         given = named.keywords() | given
     return setup_of(given, ("condition", *others))
+
+
+def refuse_condition(name: str, condition: str, **settings: Any) -> NoReturn:
+    """Refuse an id with a condition behind it, which `rollout` and the commands take and Gymnasium does not.
+
+    Raises:
+        ValueError: one line with the keyword of `gym.make` and `gym.make_vec` in its place.
+    """
+    raise refusal("id", f"{name}/{condition}", f'gym.make("{name}", condition="{condition}")')
 
 
 def described(setup: Setup) -> dict[str, Any]:

@@ -11,11 +11,13 @@ import gymnasium as gym
 import numpy as np
 
 from flexman_gym.arrays import Array, IntArray
+from flexman_gym.checks import refusal
 from flexman_gym.control.controller import Controller
 from flexman_gym.envs.description import Description
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.motors import checked_actions
 from flexman_gym.evaluation.entrants import Entrant, find_entrant, parted
+from flexman_gym.evaluation.seeds import episode_seeds
 from flexman_gym.metrics import BAND
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.episode import Episode, about
@@ -114,11 +116,11 @@ class Rollout:
 def rollout(
     entrant: str | Entrant | Controller,
     environment: str | Description,
-    seeds: Sequence[int],
+    seeds: Sequence[int] | int,
     watch: Callable[[Episodes], None] | None = None,
     moved: Callable[[Batch], None] | None = None,
 ) -> Rollout:
-    """Runs an episode from each seed, side by side.
+    """Run an episode from each seed, side by side.
 
     The environment takes sensors, history, base and hold of the entrant: it holds actions, and every control period is
     recorded.
@@ -126,7 +128,7 @@ def rollout(
     Args:
         entrant: a name or the folder of a run, see `find_entrant`, or a Controller.
         environment: an id, an id and a condition, a file, or a Description.
-        seeds: of the episodes.
+        seeds: of the episodes; a number n stands for the first n test seeds, 9000 to 9000 + n - 1, n <= 100.
         watch: called after the reset and after every control period.
         moved: lets something else move the arms, see `physical`.
 
@@ -139,14 +141,15 @@ def rollout(
         ((2, 501, 3), ('', ''))
     """
     player, described = find_entrant(entrant), find_environment(environment)
-    bare, own = parted(described)
+    numbers, (bare, own) = episode_seeds(seeds), parted(described)
+    _check_arm(player, described)
     keywords = bare.keywords() | deepcopy(own if player.interface is None else player.interface)  # it may act elsewhere
-    venv = gym.make_vec(described.id, len(seeds), "vector_entry_point", **keywords)
+    venv = gym.make_vec(described.id, len(numbers), "vector_entry_point", **keywords)
     episodes, size = venv.unwrapped.episodes, venv.action_space.shape or ()  # type: ignore[attr-defined]
     if moved is not None:
         moved(episodes.batch)
     recorder = _Recorder(episodes, watch)
-    observations, _ = venv.reset(seed=list(seeds))  # type: ignore[arg-type]
+    observations, _ = venv.reset(seed=numbers)  # type: ignore[arg-type]
     recorder.begin()
     episodes.watch = recorder.record
     while not recorder.ends.all():
@@ -154,9 +157,19 @@ def rollout(
         acted = player.act(observations, size).astype(np.float32)
         episodes.step(checked_actions("actions", acted, size, "a number from -1 to 1 for each motor of each arm"))
         observations = episodes.sight.seen.copy()
-    told = _about(venv.unwrapped, player, described) | {"seeds": [int(seed) for seed in seeds]}
+    told = _about(venv.unwrapped, player, described) | {"seeds": [int(seed) for seed in numbers]}
     venv.close()
     return recorder.rollout(told)
+
+
+def _check_arm(player: Entrant, described: Description) -> None:
+    """Refuse a policy that was trained on an arm with another number of joints."""
+    if player.environment is None:
+        return
+    own, count = player.environment.setup().arm.n_joints, described.setup().arm.n_joints
+    if own != count:
+        allowed = f"a policy for {described.id}, of {count} joints: it is one for {player.environment.id}, of {own}"
+        raise refusal("entrant", player.name, allowed)
 
 
 def find_environment(environment: str | Description) -> Description:

@@ -91,7 +91,7 @@ def answer_guesses(kind: type[Part]) -> type[Part]:
                 raise TypeError(str(refusal(f"{kind.__name__}.{name}", value, allowed)))
         construct(self, *values, **named)
 
-    kind.__init__ = constructor  # type: ignore[assignment]
+    kind.__init__ = constructor  # type: ignore[method-assign]
     for name, line in ABSENT.get(kind.__name__, {}).items():
         setattr(kind, name, Absent(f"{kind.__name__}.{name}: {line}"))
     return kind

@@ -20,6 +20,7 @@ USUAL: dict[str, tuple[float, float, str, str]] = {
     "Arm.modal_damping_ratio": (0.0, 0.3, "1", "per cent; 0.5 % is 0.005"),
     "Arm.stiffness_proportional_damping": (0.0, 1.0, "s", "ms"),
     "control_period": (0.0, 1.0, "s", "ms"),
+    "horizon": (0.0, 300.0, "s", "steps; 500 steps of 0.02 s are 10 s"),
 }
 FAT = 5.0  # lengths of a link to which no section reaches
 WOUND = 10.0  # polar moments of area, of which the torsion constant has at most one
