@@ -143,6 +143,16 @@ class Description:
             settings["gains"] = _plain("gains", setup.gains)
         return {"id": self.id, **settings, "arm": plain(setup.arm)}
 
+    def save(self, path: str | Path) -> None:
+        """Write the whole environment to a .json, .yaml or .yml file, from which `load` gives an equal one.
+
+        The commands take such a file: `flexman train --env FILE`.
+
+        Raises:
+            ValueError: for another suffix, and for an object of one's own, which no file can hold.
+        """
+        file.write(Path(path), _lists(described(self.setup())))
+
     def changed(self, changes: Sequence[str]) -> Self:
         """The same with changes "name=value", values as in a file; names with dots lead into mappings and the arm.
 
@@ -212,6 +222,13 @@ def described(setup: Setup) -> dict[str, Any]:
 def _tuples(value: object) -> object:
     """Lists as tuples, all the way down."""
     return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+def _lists(value: Any) -> Any:
+    """Tuples as lists, all the way down."""
+    if isinstance(value, dict):
+        return {name: _lists(each) for name, each in value.items()}
+    return [_lists(each) for each in value] if isinstance(value, list | tuple) else value
 
 
 def _merged(old: object, change: object) -> object:

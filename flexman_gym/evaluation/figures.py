@@ -108,6 +108,10 @@ def evaluate(
         environment: see `rollout`.
         seeds: see `rollout`; a number of test seeds, such as 10, will do.
 
+    Returns:
+        reward, settled (share), settling_time (s), vibration (m), error (m), rms_error (m), roughness, effort and
+        failed (share), by name.
+
     Raises:
         FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
 

@@ -132,6 +132,10 @@ def rollout(
         watch: called after the reset and after every control period.
         moved: lets something else move the arms, see `physical`.
 
+    Returns:
+        A Rollout of b episodes of at most T control periods: tips (b, T + 1, 3) m, errors (b, T + 1) m, torques
+        (b, T, n) N m, actions (b, T, n) as parts of the torque limits, period s, and more.
+
     Raises:
         FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
 
@@ -152,8 +156,7 @@ def rollout(
     observations, _ = venv.reset(seed=numbers)  # type: ignore[arg-type]
     recorder.begin()
     episodes.watch = recorder.record
-    while not recorder.ends.all():
-        # not by a step of `venv`, which would draw an episode anew for each arm whose own has ended
+    while not recorder.ends.all():  # not by steps of `venv`, which would reset each arm whose episode has ended
         acted = player.act(observations, size).astype(np.float32)
         episodes.step(checked_actions("actions", acted, size, "a number from -1 to 1 for each motor of each arm"))
         observations = episodes.sight.seen.copy()
