@@ -19,6 +19,7 @@ from flexman_gym.envs.motors import checked_actions
 from flexman_gym.evaluation.entrants import Entrant, find_entrant, parted
 from flexman_gym.evaluation.seeds import episode_seeds
 from flexman_gym.metrics import BAND
+from flexman_gym.progress import Progress
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.episode import Episode, about
 
@@ -199,6 +200,7 @@ class _Recorder:
         self._rows: dict[str, list[Array]] = {name: [] for name in (*INSTANTS, *PERIODS)}
         self.ends = np.zeros(len(episodes.over), dtype=np.int64)
         self._failures = [""] * len(self.ends)
+        self._progress = Progress(f"control periods of {len(self.ends)} episodes", episodes.longest)
 
     def begin(self) -> None:
         """Records what a reset leaves."""
@@ -209,6 +211,7 @@ class _Recorder:
         episodes, view = self._episodes, self._episodes.view
         self._keep(self._instant() | {"actions": view.action.copy(), "torques": episodes.motors.torques.copy(),
                                       "rewards": episodes.rewards(view)})  # fmt: skip
+        self._progress.count()
         for arm in np.flatnonzero(episodes.over & (self.ends == 0)).tolist():
             self.ends[arm], self._failures[arm] = len(self._rows["actions"]), episodes.failures.get(arm, "")
 
