@@ -4,9 +4,10 @@ from importlib.metadata import PackageNotFoundError, version
 
 from gymnasium.envs.registration import register
 
-from flexman_gym import draw, metrics
+from flexman_gym import control, draw, metrics
 from flexman_gym.envs import NAMED, Limits, Randomisation, Slew
-from flexman_gym.evaluation import evaluate, rollout
+from flexman_gym.envs.description import CONDITIONS
+from flexman_gym.evaluation import evaluate, rollout, tune
 from flexman_gym.fidelity import Choice, choose_model
 from flexman_gym.fit import Filter, Fit, Measurement, Ringing, fit
 from flexman_gym.model import (
@@ -83,6 +84,7 @@ __all__ = [
     "build_model",
     "catalog",
     "choose_model",
+    "control",
     "curvature",
     "curves",
     "damping_matrix",
@@ -104,6 +106,7 @@ __all__ = [
     "stiffness_matrix",
     "strain",
     "tip_acceleration",
+    "tune",
 ]
 
 try:
@@ -118,3 +121,10 @@ for _name in NAMED:
         vector_entry_point="flexman_gym.envs:FlexManVectorEnv",
         kwargs={"name": _name},
     )
+    for _condition in CONDITIONS if NAMED[_name].conditions else ():
+        register(
+            id=f"{_name}/{_condition}",
+            entry_point="flexman_gym.envs.description:refuse_condition",
+            vector_entry_point="flexman_gym.envs.description:refuse_condition",
+            kwargs={"name": _name, "condition": _condition},
+        )

@@ -6,21 +6,43 @@ import importlib
 import pkgutil
 import re
 import sys
+from difflib import get_close_matches
 from pathlib import Path
 
 from flexman_gym import __version__, commands
+
+GROUPS = {  # commands in the order of the help
+    "start": ("demo", "check", "compile", "list", "verify"),
+    "learn": ("train", "imitate", "search", "enjoy"),
+    "evaluate": ("evaluate", "league", "certify", "why"),
+    "simulate": ("simulate", "choose", "precision", "draw"),
+    "control": ("tune", "optimise", "resonance"),
+    "data": ("record", "replay", "export"),
+}
+WIDTH = 65  # letters of what a command does, on a screen of 80 columns
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs a command and returns the exit status."""
     given = sys.argv[1:] if arguments is None else arguments
-    parser = argparse.ArgumentParser(prog="flexman", description="Robot arms that bend, as Gymnasium environments.")
+    words = "Robot arms that bend, as Gymnasium environments."
+    form = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(
+        prog="flexman",
+        usage="flexman [-h] [--version] command ...",
+        description=f"{words}\n\n{overview()}",
+        formatter_class=form,
+    )
     parser.add_argument("--version", action="version", version=__version__)
-    chosen = parser.add_subparsers(dest="command", required=True, metavar="command")
-    for name in sorted(each.name for each in pkgutil.iter_modules(commands.__path__)):
-        words = about(name)
-        chosen.add_parser(name, help=words[0].lower() + words[1:].rstrip("."), description=words)
+    chosen = parser.add_subparsers(
+        prog="flexman", dest="command", required=True, metavar="command", help=argparse.SUPPRESS
+    )
+    for each in pkgutil.iter_modules(commands.__path__):
+        chosen.add_parser(each.name, description=about(each.name))
     if not given or given[0] not in chosen.choices:
+        if given and not given[0].startswith("-"):
+            near = get_close_matches(given[0], chosen.choices, 1, 0.0)[0]
+            parser.error(f"command: {given[0]!r} is not allowed; the nearest is {near}, flexman --help has all")
         parser.parse_args(given)
     runs = chosen.choices[given[0]]
     try:
@@ -39,6 +61,19 @@ def main(arguments: list[str] | None = None) -> int:
     except (ValueError, OSError) as error:  # a refusal, which is one line
         print(error, file=sys.stderr)
     return 2
+
+
+def overview() -> str:
+    """Return the commands in groups, a line for each."""
+    lines = []
+    for group, names in GROUPS.items():
+        lines.append(f"{group}:")
+        for name in names:
+            words = about(name).rstrip(".")
+            words = words if len(words) <= WIDTH else words.partition(": ")[0]
+            words = words if len(words) <= WIDTH else words.partition(", ")[0]
+            lines.append(f"    {name:<11}{words[0].lower()}{words[1:]}")
+    return "\n".join(lines)
 
 
 def about(name: str) -> str:

@@ -16,5 +16,7 @@ def test_arrays_and_lists_work_where_make_lint_finds_their_types_accepted():
 def test_both_packages_say_that_they_are_typed():
     about = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
     for name, files in about["package-data"].items():
+        if "." in name:  # typed with the package that holds it
+            continue
         folder = ROOT / about["package-dir"][name]
         assert "py.typed" in files and (folder / "py.typed").is_file(), name

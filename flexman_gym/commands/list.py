@@ -1,11 +1,14 @@
 """List what has a name: environments, policies, recipes and more."""
 
 import argparse
+import ast
 from collections.abc import Iterable, Mapping
 from itertools import takewhile
 from pathlib import Path
 
-WHAT = ("environments", "conditions", "controllers", "policies", "sensors", "methods", "arms", "recipes")
+WHAT = ("environments", "conditions", "controllers", "policies", "sensors", "methods", "arms", "recipes", "examples")
+PACKAGE = Path(__file__).parents[1]
+EXAMPLES = (PACKAGE / "examples", PACKAGE.parent / "docs" / "examples")  # of a wheel, and of a checkout
 
 
 def arguments(result: argparse.ArgumentParser) -> None:
@@ -56,6 +59,9 @@ def named(what: str) -> Iterable[tuple[str, str]]:
         yield from ((name, f"{method.kind}, order {method.order}") for name, method in METHODS.items())
     elif what == "arms":
         yield from ((name, (getattr(catalog, name).__doc__ or "").splitlines()[0]) for name in ARMS)
+    elif what == "examples":
+        folder = next(path for path in EXAMPLES if path.is_dir())
+        yield from ((str(path), opening(path)) for path in sorted(folder.glob("*.*")))
     else:
         try:
             from flexman_agents.recipes import FOLDER, NAMES
@@ -66,6 +72,9 @@ def named(what: str) -> Iterable[tuple[str, str]]:
 
 
 def opening(path: Path) -> str:
-    """The first sentence of the comment that a file opens with."""
-    lines = takewhile(lambda line: line.startswith("#"), path.read_text(encoding="utf-8").splitlines())
+    """The first sentence of the comment that a file opens with, or of the docstring of Python code."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".py":
+        return (ast.get_docstring(ast.parse(text)) or "").splitlines()[0]
+    lines = takewhile(lambda line: line.startswith("#"), text.splitlines())
     return " ".join(line.lstrip("# ") for line in lines).split(". ")[0].rstrip(".") + "."

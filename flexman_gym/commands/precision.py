@@ -1,4 +1,4 @@
-"""Print error of the tip over computing time for a scene of your own, method by method."""
+"""Print the error of the tip over computing time, method by method, for a scene of your own."""
 
 import argparse
 from pathlib import Path

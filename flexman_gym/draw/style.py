@@ -23,12 +23,13 @@ def round_number(value: float) -> float:
     return float(next(power * step for step in (1, 2, 5, 10) if power * step >= value))
 
 
-def new_figure(inches: tuple[float, float], dpi: float, **options: Any) -> Any:
-    """Makes a Matplotlib figure on its own canvas: no window, and nothing of pyplot's global state.
+def new_figure(inches: tuple[float, float], dpi: float, window: bool = False, **options: Any) -> Any:
+    """Make a Matplotlib figure on its own canvas: no window, and nothing of pyplot's global state.
 
     Args:
         inches: width and height.
         dpi: pixels per inch.
+        window: whether it is one of pyplot's figures in place of that, which `pyplot.show` shows.
         options: of Matplotlib's Figure.
 
     Raises:
@@ -37,6 +38,11 @@ def new_figure(inches: tuple[float, float], dpi: float, **options: Any) -> Any:
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
+
+        if window:
+            from matplotlib import pyplot
+
+            return pyplot.figure(figsize=inches, dpi=dpi, **options)
     except ImportError as error:
         raise ImportError("pictures need Matplotlib: pip install 'flexman_gym[render]'") from error
     figure = Figure(figsize=inches, dpi=dpi, **options)

@@ -10,25 +10,40 @@ from flexman_gym.draw.style import DARK, LIGHT, LINK_COLOURS, MIDDLE, new_figure
 from flexman_gym.simulation.trajectory import Trajectory
 
 
-def trajectory_figure(trajectory: Trajectory, path: str | Path) -> Path:
-    """Draws a trajectory over time: tip, joint and motor angles, the springs' wind-up, and the energy residual.
+def trajectory_figure(trajectory: Trajectory, path: str | Path | None = None) -> Path | None:
+    """Draw the tip, joint and motor angles, the springs' wind-up, and the energy residual.
 
     The residual is a part of the energy turned over until the end, as `Trajectory.energy_alarm` judges it; in J where
     nothing was. A solution that ended early is drawn to its end, and the title says so.
 
     Args:
         trajectory: what is drawn.
-        path: of the picture; its suffix says the kind of file. Its folder is created where it does not exist.
+        path: of the picture; its suffix says the kind of file. Its folder is created where it does not exist. None
+            shows the figure in a window or in a notebook, by Matplotlib's `pyplot.show`.
 
     Returns:
-        The path of the picture.
+        The path of the picture, None where it was shown.
 
     Raises:
         ImportError: without Matplotlib.
         ValueError: for a suffix that Matplotlib does not know.
     """
-    path, time = Path(path), trajectory.time
-    figure = new_figure((8.4, 8.0), 120.0, layout="constrained")
+    figure = new_figure((8.4, 8.0), 120.0, window=path is None, layout="constrained")
+    _draw(figure, trajectory)
+    if path is None:
+        from matplotlib import pyplot
+
+        pyplot.show()
+        return None
+    file = Path(path)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(file)
+    return file
+
+
+def _draw(figure: Any, trajectory: Trajectory) -> None:
+    """Draw the four axes."""
+    time = trajectory.time
     tip, angles, twists, energy = figure.subplots(4, 1, sharex=True, height_ratios=(3, 3, 2, 2))
     for i, name in enumerate("xyz"):
         tip.plot(time, trajectory.tip[:, i], color=LINK_COLOURS[i], label=name)
@@ -50,9 +65,6 @@ def trajectory_figure(trajectory: Trajectory, path: str | Path) -> Path:
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     if trajectory.status != "ok":
         figure.suptitle(f"{trajectory.status} after {time[-1]:g} s")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
-    return path
 
 
 def _residual(trajectory: Trajectory) -> tuple[Array, str]:

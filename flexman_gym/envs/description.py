@@ -4,7 +4,7 @@ import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NoReturn, Self
 
 from flexman_gym.checks import one_of, refusal, sequence, shown_path, text
 from flexman_gym.envs.catalog import DEFAULT, NAMED
@@ -145,6 +145,16 @@ class Description:
             settings["gains"] = _plain("gains", setup.gains)
         return {"id": self.id, **settings, "arm": plain(setup.arm)}
 
+    def save(self, path: str | Path) -> None:
+        """Write the whole environment to a .json, .yaml or .yml file, from which `load` gives an equal one.
+
+        The commands take such a file: `flexman train --env FILE`.
+
+        Raises:
+            ValueError: for another suffix, and for an object of one's own, which no file can hold.
+        """
+        file.write(Path(path), _lists(described(self.setup())))
+
     def changed(self, changes: Sequence[str]) -> Self:
         """The same with changes "name=value", values as in a file; names with dots lead into mappings and the arm.
 
@@ -188,6 +198,15 @@ def find_setup(settings: Mapping[str, Any], others: Collection[str] = ()) -> Set
     return setup_of(given, ("condition", *others))
 
 
+def refuse_condition(name: str, condition: str, **settings: Any) -> NoReturn:
+    """Refuse an id with a condition behind it, which `rollout` and the commands take and Gymnasium does not.
+
+    Raises:
+        ValueError: one line with the keyword of `gym.make` and `gym.make_vec` in its place.
+    """
+    raise refusal("id", f"{name}/{condition}", f'gym.make("{name}", condition="{condition}")')
+
+
 def described(setup: Setup) -> dict[str, Any]:
     """The mapping of a setup that was made with objects.
 
@@ -205,6 +224,13 @@ def described(setup: Setup) -> dict[str, Any]:
 def _tuples(value: object) -> object:
     """Lists as tuples, all the way down."""
     return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+def _lists(value: Any) -> Any:
+    """Tuples as lists, all the way down."""
+    if isinstance(value, dict):
+        return {name: _lists(each) for name, each in value.items()}
+    return [_lists(each) for each in value] if isinstance(value, list | tuple) else value
 
 
 def _merged(old: object, change: object) -> object:

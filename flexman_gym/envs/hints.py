@@ -5,6 +5,7 @@ HINTS = {
     '"planar_2r", "gravity": [0, 0, -9.81]}',
     "payload": "it to the arm, which carries it: arm=fm.Arm(..., payload=fm.Payload(0.5))",
     "damping": "it to the arm, whose links and joints are damped: arm=fm.Arm(..., modal_damping_ratio=0.01)",
+    "delay": 'randomisation={"delay": (1, 1)}, the fewest and the most control periods by which torques come late',
     "max_steps": "horizon, the time in s after which an episode is truncated",
     "max_episode_length": "horizon, the time in s after which an episode is truncated",
     "frame_skip": "hold, the control periods for which an action is kept",

@@ -149,6 +149,7 @@ class Setup:
         store(self, horizon=positive("horizon", horizon, "s"), hold=whole_number("hold", self.hold, 1, LONGEST_HOLD))
         if not 0.5 <= self.horizon / self.control_period <= MOST_PERIODS:
             raise refusal("horizon", horizon, f"1 to {MOST_PERIODS} control periods of {self.control_period} s")
+        warn_of_slips("", {"horizon": self.horizon})
         check_task(self.task)
         if isinstance(self.base, str | dict):
             checked_base(self.base)
@@ -251,7 +252,7 @@ def _period(value: object) -> float:
     period = positive("control_period", value, "s")
     if not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
         raise refusal("control_period", value, f"a number from {SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} (s)")
-    warn_of_slips("", {"control_period": period}, depth=6)
+    warn_of_slips("", {"control_period": period})
     return period
 
 

@@ -7,18 +7,17 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from time import monotonic
 from typing import Any, TypeVar
 
 from flexman_gym.checks import one_of, refusal, store, whole_number
 from flexman_gym.evaluation import workers as ways
 from flexman_gym.evaluation.folder import read_data, write_data
+from flexman_gym.progress import Progress
 from flexman_gym.verification.machine import machine_text
 
 Cell = TypeVar("Cell")
 Result = TypeVar("Result")
 MOST_JOBS = 10_000
-PATIENCE = 10.0  # s between two lines of progress
 PACKAGE = Path(__file__).parents[1]
 
 
@@ -87,7 +86,7 @@ def spread(
     for number in known:
         yield number, read_data(files[number])["result"]  # type: ignore[arg-type]
     left = sorted({*range(len(cells))} - {*known})
-    progress = _Progress(len(left))
+    progress = Progress("cells", len(left))
     for place, result in _way(chosen)(task, [cells[number] for number in left]) if left else ():
         if file := files[left[place]]:
             file.parent.mkdir(parents=True, exist_ok=True)
@@ -111,22 +110,6 @@ def _way(workers: Workers) -> Callable[..., Iterator[tuple[int, Any]]]:
     if workers.submitit is not None:
         return ways.Submitit(workers.jobs, workers.submitit)
     return ways.alone if workers.jobs == 1 else ways.Processes(workers.jobs)
-
-
-class _Progress:
-    """Lines on stderr that say how much of a grid is left, where it takes long."""
-
-    def __init__(self, cells: int) -> None:
-        self._cells, self._done, self._begun, self._said = cells, 0, monotonic(), monotonic()
-
-    def count(self) -> None:
-        """Counts a cell that is done."""
-        self._done += 1
-        now = monotonic()
-        if now - self._said < PATIENCE or self._done == self._cells:
-            return
-        self._said, left = now, (now - self._begun) / self._done * (self._cells - self._done)
-        print(f"{self._done} of {self._cells} cells, about {left / 60:.1f} min left", file=sys.stderr, flush=True)
 
 
 def _key(task: Callable[..., Any], cell: object) -> str:

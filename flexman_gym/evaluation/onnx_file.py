@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.checks import refusal
 from flexman_gym.control.network import LARGEST, Network
-from flexman_gym.control.policy import Policy
+from flexman_gym.control.policy import Learned, Policy
 from flexman_gym.evaluation.entrants import find_entrant
 
 OPSET, IR = 13, 8  # of the operators used, and of the file, which programs of the last years read
@@ -35,6 +35,10 @@ def write_onnx(entrant: str, path: Path) -> float:
     except ImportError as error:
         raise ImportError("ONNX needs another package: pip install 'flexman_gym[onnx]'") from error
     policy = (find_entrant(entrant).interface or {}).get("base")
+    if isinstance(policy, Learned):
+        allowed = "a policy whose network acts alone, such as ppo-flexrrr: a controller that is made for the arm turns"
+        allowed += f' the output of this one into torques; run it by fm.rollout("{entrant}", id)'
+        raise refusal("entrant", entrant, allowed)
     if not isinstance(policy, Policy):
         raise refusal("entrant", entrant, "a policy, or the run of one")
     network = policy.network

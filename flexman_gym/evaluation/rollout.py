@@ -11,12 +11,15 @@ import gymnasium as gym
 import numpy as np
 
 from flexman_gym.arrays import Array, IntArray
+from flexman_gym.checks import refusal
 from flexman_gym.control.controller import Controller
 from flexman_gym.envs.description import Description
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.motors import checked_actions
 from flexman_gym.evaluation.entrants import Entrant, find_entrant, parted
+from flexman_gym.evaluation.seeds import episode_seeds
 from flexman_gym.metrics import BAND
+from flexman_gym.progress import Progress
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.episode import Episode, about
 
@@ -114,11 +117,11 @@ class Rollout:
 def rollout(
     entrant: str | Entrant | Controller,
     environment: str | Description,
-    seeds: Sequence[int],
+    seeds: Sequence[int] | int,
     watch: Callable[[Episodes], None] | None = None,
     moved: Callable[[Batch], None] | None = None,
 ) -> Rollout:
-    """Runs an episode from each seed, side by side.
+    """Run an episode from each seed, side by side.
 
     The environment takes sensors, history, base and hold of the entrant: it holds actions, and every control period is
     recorded.
@@ -126,9 +129,13 @@ def rollout(
     Args:
         entrant: a name or the folder of a run, see `find_entrant`, or a Controller.
         environment: an id, an id and a condition, a file, or a Description.
-        seeds: of the episodes.
+        seeds: of the episodes; a number n stands for the first n test seeds, 9000 to 9000 + n - 1, n <= 100.
         watch: called after the reset and after every control period.
         moved: lets something else move the arms, see `physical`.
+
+    Returns:
+        A Rollout of b episodes of at most T control periods: tips (b, T + 1, 3) m, errors (b, T + 1) m, torques
+        (b, T, n) N m, actions (b, T, n) as parts of the torque limits, period s, and more.
 
     Raises:
         FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
@@ -139,24 +146,34 @@ def rollout(
         ((2, 501, 3), ('', ''))
     """
     player, described = find_entrant(entrant), find_environment(environment)
-    bare, own = parted(described)
+    numbers, (bare, own) = episode_seeds(seeds), parted(described)
+    _check_arm(player, described)
     keywords = bare.keywords() | deepcopy(own if player.interface is None else player.interface)  # it may act elsewhere
-    venv = gym.make_vec(described.id, len(seeds), "vector_entry_point", **keywords)
+    venv = gym.make_vec(described.id, len(numbers), "vector_entry_point", **keywords)
     episodes, size = venv.unwrapped.episodes, venv.action_space.shape or ()  # type: ignore[attr-defined]
     if moved is not None:
         moved(episodes.batch)
     recorder = _Recorder(episodes, watch)
-    observations, _ = venv.reset(seed=list(seeds))  # type: ignore[arg-type]
+    observations, _ = venv.reset(seed=numbers)  # type: ignore[arg-type]
     recorder.begin()
     episodes.watch = recorder.record
-    while not recorder.ends.all():
-        # not by a step of `venv`, which would draw an episode anew for each arm whose own has ended
+    while not recorder.ends.all():  # not by steps of `venv`, which would reset each arm whose episode has ended
         acted = player.act(observations, size).astype(np.float32)
         episodes.step(checked_actions("actions", acted, size, "a number from -1 to 1 for each motor of each arm"))
         observations = episodes.sight.seen.copy()
-    told = _about(venv.unwrapped, player, described) | {"seeds": [int(seed) for seed in seeds]}
+    told = _about(venv.unwrapped, player, described) | {"seeds": [int(seed) for seed in numbers]}
     venv.close()
     return recorder.rollout(told)
+
+
+def _check_arm(player: Entrant, described: Description) -> None:
+    """Refuse a policy that was trained on an arm with another number of joints."""
+    if player.environment is None:
+        return
+    own, count = player.environment.setup().arm.n_joints, described.setup().arm.n_joints
+    if own != count:
+        allowed = f"a policy for {described.id}, of {count} joints: it is one for {player.environment.id}, of {own}"
+        raise refusal("entrant", player.name, allowed)
 
 
 def find_environment(environment: str | Description) -> Description:
@@ -183,6 +200,7 @@ class _Recorder:
         self._rows: dict[str, list[Array]] = {name: [] for name in (*INSTANTS, *PERIODS)}
         self.ends = np.zeros(len(episodes.over), dtype=np.int64)
         self._failures = [""] * len(self.ends)
+        self._progress = Progress(f"control periods of {len(self.ends)} episodes", episodes.longest)
 
     def begin(self) -> None:
         """Records what a reset leaves."""
@@ -193,6 +211,7 @@ class _Recorder:
         episodes, view = self._episodes, self._episodes.view
         self._keep(self._instant() | {"actions": view.action.copy(), "torques": episodes.motors.torques.copy(),
                                       "rewards": episodes.rewards(view)})  # fmt: skip
+        self._progress.count()
         for arm in np.flatnonzero(episodes.over & (self.ends == 0)).tolist():
             self.ends[arm], self._failures[arm] = len(self._rows["actions"]), episodes.failures.get(arm, "")
 

@@ -15,7 +15,7 @@ from flexman_gym.envs.description import Description
 from flexman_gym.envs.setup import build
 from flexman_gym.evaluation.entrants import parted
 from flexman_gym.evaluation.grid import Workers, gathered
-from flexman_gym.evaluation.rollout import rollout
+from flexman_gym.evaluation.rollout import find_environment, rollout
 
 LEAST = Margins(2.0, 30.0)  # of all gains that are tried
 POSTURES = 4  # of goals, at which they have these margins
@@ -27,26 +27,38 @@ DRAWS = 1000  # for each of the gains that are looked for, before the search giv
 
 @dataclass(frozen=True)
 class Tuned:
-    """Gains (n,) in N m/rad and N m s/rad, the mean reward of an episode with them, and their margins."""
+    """Gains of a PD controller for n joints.
+
+    Attributes:
+        stiffness: (n,) N m/rad.
+        damping: (n,) N m s/rad.
+        reward: mean of an episode with them.
+        margins: gain margin (1) and phase margin (degrees).
+    """
 
     stiffness: tuple[float, ...]
     damping: tuple[float, ...]
     reward: float
     margins: Margins
 
+    @property
+    def gains(self) -> dict[str, tuple[float, ...]]:
+        """Stiffness and damping by name, for `gym.make(..., base="pd", gains=...)`."""
+        return {"stiffness": self.stiffness, "damping": self.damping}
+
 
 def tune(
-    environment: Description, first: int = 60, around: int = 30, episodes: int = 8, seed: int = 0,
+    environment: str | Description, first: int = 60, around: int = 30, episodes: int = 8, seed: int = 0,
     margin: bool = True, workers: Workers | int = 1,
 ) -> Tuned:  # fmt: skip
-    """Finds gains for an environment: the best of some drawn at random, then rounds of some around the best so far.
+    """Tune the PD controller of an environment: the best of random gains, then rounds of gains around the best so far.
 
     All candidates act side by side on the same episodes. Stiffness is drawn between 0.01 and 25 torque limits a radian,
     damping between 0.05 and 1 of the most, evenly on a logarithmic scale; the most is where the motors are half as
     damped as the sampled loop bears with the largest delay of the environment.
 
     Args:
-        environment: whose PD is tuned.
+        environment: whose PD is tuned: an id, an id and a condition, a file, or a Description.
         first: how many gains the first round draws.
         around: how many gains each further round draws.
         episodes: for which they are judged.
@@ -55,9 +67,19 @@ def tune(
             loop, with the largest delay, at goals of the environment.
         workers: who judges the gains, see `grid.Workers`, or so many processes.
 
+    Returns:
+        Stiffness (n,) N m/rad, damping (n,) N m s/rad, margins (1 and degrees) and the mean reward of an episode.
+
     Raises:
         ValueError: for an environment for which too few gains with these margins are drawn.
+
+    Examples:
+        >>> found = fm.tune("FlexOne-v0", first=2, around=1, episodes=1)
+        >>> found.margins.gain >= 2.0, found.margins.phase >= 30.0
+        (True, True)
+        >>> env = gym.make("FlexOne-v0", base="pd", gains=found.gains)
     """
+    environment = find_environment(environment)
     random, setup, loops = np.random.default_rng(seed), environment.setup(), environment_loops(environment)
     limits = np.array(setup.torque_limit)
     rotors = np.array([joint.rotor_inertia for joint in setup.arm.joints])

@@ -73,7 +73,7 @@ class MeshSearch(Search):
         if mesh not in self.mesh_errors:
             if self.runs >= MESHING:
                 return np.inf
-            self.runs += 1
+            self._count()
             run = simulate(self.scene, self._whole(mesh), MIDPOINT, self.screening)
             self.mesh_errors[mesh] = self._beside(run)
         return self.mesh_errors[mesh]

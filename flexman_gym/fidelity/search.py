@@ -10,6 +10,7 @@ from flexman_gym.checks import refusal
 from flexman_gym.fidelity.candidates import Candidate, whole
 from flexman_gym.fidelity.ranks import stiffest, tip_parts
 from flexman_gym.model.model import Model
+from flexman_gym.progress import Progress
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.families import Explicit, LinearlyImplicit, Method, Sweeps
 from flexman_gym.simulation.methods import METHODS
@@ -107,6 +108,7 @@ class Search:
         self.models: dict[Candidate, Model] = {}
         self.screened: dict[Candidate, Trial] = {}
         self.screens: dict[Candidate, Trajectory] = {}
+        self._progress = Progress("runs of the scene")
         self._controlled = 0  # references of step control
 
     @property
@@ -139,7 +141,7 @@ class Search:
                 self.time_error = STEPS_LEFT * distance(self.tips[-1], self.tips[-2])
 
     def _reference(self, method: Method, step: float | None, rtol: float = 1e-6) -> Trajectory:
-        self.runs += 1
+        self._count()
         run = simulate(self.scene, self.finest, method, step, rtol, 0.01 * rtol)
         if run.status == "ok":
             self.reference = run
@@ -164,8 +166,13 @@ class Search:
 
     def run(self, candidate: Candidate, method: Method, step: float | None) -> Trajectory:
         """Simulates the scene with a candidate."""
-        self.runs += 1
+        self._count()
         return simulate(self.scene, self.model(candidate), method, step)
+
+    def _count(self) -> None:
+        """Count a run of the scene."""
+        self.runs += 1
+        self._progress.count()
 
     def trial(self, candidate: Candidate, method: Method, step: float | None) -> Trial:
         """Simulates the scene with a candidate and measures error and cost."""

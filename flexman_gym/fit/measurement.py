@@ -1,5 +1,7 @@
 """Measurement: what was recorded of a machine, with the filters that each signal passed on its way."""
 
+import re
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,10 +22,16 @@ from flexman_gym.checks import (
     store,
     text,
 )
-from flexman_gym.scene.record import read_record
+from flexman_gym.scene.record import Record, read_record
 
 STEADY = 1e-3  # of the interval between samples: by how much one may differ from the next
 LEAST = 16  # samples
+DRIVE = re.compile(r"(torque|current)_[1-9][0-9]*")  # columns that are inputs where no mapping is given
+OUTPUT = re.compile(
+    r"(tip|tip_velocity|tip_acceleration|specific_force|deflection)_[xyz]"
+    r"|((joint|motor)_(angle|rate)|joint_twist|joint_twist_rate)_[1-9][0-9]*"
+    r"|link_deflection(_rate)?_[1-9][0-9]*_[yz]|root_strain_[1-9][0-9]*_(y|z|torsion)"
+)  # columns that are outputs where no mapping is given
 INPUTS = {"torque": "N m", "current": "A", "motor_angle": "rad"}  # with the number of the joint behind, from 1
 
 
@@ -169,19 +177,28 @@ class Measurement:
         return Head(kind, int(number) - 1)
 
     @classmethod
-    def from_csv(cls, path: str | Path, inputs: Mapping[str, str], outputs: Mapping[str, str], **more: Any) -> Self:
-        """Reads a file with units in its head, such as "time (s),hub (deg)"; see `scene.record.read_record`.
+    def from_csv(
+        cls,
+        path: str | Path,
+        inputs: Mapping[str, str] | None = None,
+        outputs: Mapping[str, str] | None = None,
+        **more: Any,
+    ) -> Self:
+        """Read a file with units in its head, such as "time (s),hub (deg)"; see `scene.record.read_record`.
 
         Args:
             path: of the file.
-            inputs: name -> column of the file. One in a unit that is not its own is refused.
-            outputs: name -> column of the file. One whose unit no output of this name has is refused.
+            inputs: name -> column of the file. One in a unit that is not its own is refused. None for the columns
+                torque_1, current_1 and so on.
+            outputs: name -> column of the file. One whose unit no output of this name has is refused. None for all
+                columns with the name of an output that are no inputs; other columns are warned of (UserWarning).
             more: filters, gains and so on.
 
         Raises:
             FileNotFoundError, ValueError: one line.
         """
         record = read_record(path)
+        inputs, outputs = _named(record, inputs, outputs)
         signals: list[dict[str, Any]] = []
         for part in (inputs, outputs):
             read = {}
@@ -206,6 +223,26 @@ class Measurement:
     def compared(self) -> slice:
         """The samples behind the settling."""
         return slice(round(self.settling / self.period), len(self.times))
+
+
+def _named(
+    record: Record, inputs: Mapping[str, str] | None, outputs: Mapping[str, str] | None
+) -> tuple[Mapping[str, str], Mapping[str, str]]:
+    """Return both mappings; one that is None has the columns with known names that the other leaves."""
+    used = {*(inputs or {}).values(), *(outputs or {}).values()}
+    left = [name for name in record.columns if name not in used]
+    if inputs is None:
+        inputs = {name: name for name in left if DRIVE.fullmatch(name)}
+    if outputs is None:
+        outputs = {name: name for name in left if OUTPUT.fullmatch(name)}
+        unknown = [name for name in left if not (name in inputs or name in outputs or DRIVE.fullmatch(name))]
+        if not outputs:
+            allowed = "columns with names such as motor_angle_1 or root_strain_1_y, or outputs={name: column}"
+            raise refusal(f"{record.path.name}: the head", [*record.columns], allowed)
+        if unknown:
+            line = f"{record.path.name}: {', '.join(unknown)} not read: no known names, see Measurement.outputs"
+            warnings.warn(line, UserWarning, stacklevel=3)
+    return inputs, outputs
 
 
 def unit_of(name: str) -> str:

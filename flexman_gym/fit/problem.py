@@ -10,6 +10,7 @@ from flexman_gym.fit.measurement import Filter
 from flexman_gym.fit.response import Response
 from flexman_gym.fit.ringing import Ringing
 from flexman_gym.model.model import Model, build_model
+from flexman_gym.progress import Progress
 from flexman_gym.simulation.parameters import nominal_parameters
 
 ROUGH = 0.1  # of the rms of a signal: its noise, before a first fit knows better
@@ -84,6 +85,7 @@ class Problem:
                 self.parts.append(Part(number, name, measured, np.full(len(measured), size), known, *places))
         self.start = np.array(start)
         self._last: tuple[Array, Array, Array] | None = None
+        self._progress = Progress("evaluations of the fit")
         self._anchor, self._model = self.start, self.model(self.start)
 
     def model(self, x: Array) -> Model:
@@ -98,6 +100,7 @@ class Problem:
         """Gives residuals (m,) in standard deviations, and their slopes (m, u) by the unknowns."""
         if self._last is None or not np.array_equal(self._last[0], x):
             self._last = (x.copy(), *self._evaluate(x))
+            self._progress.count()
         return self._last[1], self._last[2]
 
     def _evaluate(self, x: Array) -> tuple[Array, Array]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from flexman_gym.arrays import Matrix, Vector
 from flexman_gym.checks import MOST, bounded, non_negative, physical, refusal, store, vector
+from flexman_gym.scene.guesses import answer_guesses
 from flexman_gym.scene.inertia import body
 from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link, NonUniformLink, chain
@@ -12,6 +13,7 @@ from flexman_gym.scene.lumped import LumpedMass, total_mass
 from flexman_gym.scene.slips import warn_of_gravity, warn_of_loads, warn_of_slips
 
 
+@answer_guesses
 @dataclass(frozen=True)
 class Payload:
     """A point mass or a rigid body at the tip of the last link.
@@ -43,6 +45,7 @@ class Payload:
         store(self, **body("Payload", self.inertia, self.offset))
 
 
+@answer_guesses
 @dataclass(frozen=True)
 class Arm:
     """A serial arm on a fixed base: joint i turns link i, joint i + 1 sits on the tip of link i.
@@ -96,7 +99,7 @@ class Arm:
         self._warn_of_slips()
 
     def _warn_of_slips(self) -> None:
-        warn_of_slips("Arm", vars(self), depth=6)
+        warn_of_slips("Arm", vars(self))
         warn_of_gravity(tuple(self.gravity))
         length = sum(link.length for link in self.links)
         beams = sum(link.mass - total_mass(link.masses) for link in self.links)

@@ -1,4 +1,9 @@
-"""Catalog: named arms and scenes, each with its source."""
+"""Catalog: named arms and scenes, each with its source.
+
+Every function returns an Arm, `paper_scene` a Scene, in SI units: m, kg, s, rad, N m; second moments of area in m^4,
+stiffness of joints in N m/rad, damping in N m s/rad, rotor inertia in kg m^2, gravity in m/s^2. Their frequencies (Hz)
+are those of the model: `fm.frequencies(fm.build_model(fm.catalog.one_link()))`. `flexman list arms` prints their names.
+"""
 
 from flexman_gym.checks import one_of
 from flexman_gym.scene.arms import LIGHT_TOOL, TOOL, one_joint, one_link, paper_rrr, planar_2r, vertical_2r

@@ -4,10 +4,12 @@ from dataclasses import dataclass
 
 from flexman_gym.arrays import Vector
 from flexman_gym.checks import instance, physical, refusal, store, unit_vector
+from flexman_gym.scene.guesses import answer_guesses
 from flexman_gym.scene.motor import Motor
 from flexman_gym.scene.slips import warn_of_slips
 
 
+@answer_guesses
 @dataclass(frozen=True)
 class Joint:
     """A revolute joint: a rotor that turns the link behind it directly, or through a spring and a damper (Eq. 23).

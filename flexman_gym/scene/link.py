@@ -8,6 +8,7 @@ from typing import Any, Self
 
 from flexman_gym.arrays import Matrix
 from flexman_gym.checks import physical, refusal, rotation, sequence, store
+from flexman_gym.scene.guesses import answer_guesses
 from flexman_gym.scene.lumped import LumpedMass, lumped_masses, total_mass
 from flexman_gym.scene.sections import Outline, check_outline, material_of, round_outline, strip_outline
 from flexman_gym.scene.slips import warn_of_section, warn_of_slips
@@ -28,6 +29,7 @@ _LINK_UNITS = {
 }
 
 
+@answer_guesses
 @dataclass(frozen=True)
 class Link:
     """A straight uniform beam along the x axis of its own frame, from its joint to its tip.

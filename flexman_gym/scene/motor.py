@@ -3,9 +3,11 @@
 from dataclasses import dataclass
 
 from flexman_gym.checks import physical, refusal, store
+from flexman_gym.scene.guesses import answer_guesses
 from flexman_gym.scene.slips import warn_of_slips
 
 
+@answer_guesses
 @dataclass(frozen=True)
 class Motor:
     """A motor that turns a joint through a gear; its own numbers are those of its shaft, before the gear.

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 from flexman_gym.checks import mapping, one_of, refusal, sequence, shown_path, text
 from flexman_gym.scene.arm import Arm, Payload
 from flexman_gym.scene.drive import ConstantTorque, Signal, SineTorque
+from flexman_gym.scene.guesses import answer
 from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import IDENTITY, Link, NonUniformLink
 from flexman_gym.scene.lumped import LumpedMass
@@ -233,7 +234,8 @@ def entries_of(kind: Any, path: str, data: object, *left_out: str) -> dict[str, 
     prefix = f"{path}." if path else ""
     for name, value in data.items():
         if name not in names:
-            raise refusal(f"{prefix}{name}", value, "only the keys " + ", ".join(names))
+            allowed = answer(kind.__name__, name) or "only the keys " + ", ".join(names)
+            raise refusal(f"{prefix}{name}", value, allowed)
     for name in names:
         if name not in data and name not in ("payload", "note", *OPTIONAL.get(kind.__name__, ())):
             raise ValueError(f"{prefix}{name}: missing; give the keys " + ", ".join(names))

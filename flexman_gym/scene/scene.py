@@ -23,6 +23,7 @@ from flexman_gym.scene import file as scene_file
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.choice import ModelChoice
 from flexman_gym.scene.drive import ConstantTorque, Pieces, Signal, SineTorque, signals
+from flexman_gym.scene.guesses import answer_guesses
 from flexman_gym.scene.naming import find_arm
 from flexman_gym.scene.plain import beside, built, entries_of, part_of, plain, signal_of, torque_of
 from flexman_gym.scene.samples import SampledAngles, SampledSignal, SampledTorque
@@ -57,6 +58,7 @@ class Initial:
             store(self, state=vector("Initial.state", self.state))
 
 
+@answer_guesses
 @dataclass(frozen=True)
 class Scene:
     """One run: everything that a simulation needs except its method.

@@ -1,6 +1,7 @@
 """Slips: warnings of numbers that can only be in another unit."""
 
 import math
+import sys
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -19,28 +20,29 @@ USUAL: dict[str, tuple[float, float, str, str]] = {
     "Arm.modal_damping_ratio": (0.0, 0.3, "1", "per cent; 0.5 % is 0.005"),
     "Arm.stiffness_proportional_damping": (0.0, 1.0, "s", "ms"),
     "control_period": (0.0, 1.0, "s", "ms"),
+    "horizon": (0.0, 300.0, "s", "steps; 500 steps of 0.02 s are 10 s"),
 }
 FAT = 5.0  # lengths of a link to which no section reaches
 WOUND = 10.0  # polar moments of area, of which the torsion constant has at most one
 GRAVITY = 300.0  # m/s^2
 HEAVY, FAR = 100.0, 20.0  # masses and reaches of an arm
+OWN = ("flexman_gym", "gymnasium")  # packages whose lines are not the cause of a slip
 SLOWEST, QUICKEST = 0.01, 1e4  # Hz, of the first mode
 
 
-def warn_of_slips(owner: str, values: Mapping[str, Any], depth: int = 5) -> None:
+def warn_of_slips(owner: str, values: Mapping[str, Any]) -> None:
     """Warns (UserWarning) of the first of some values by name that is not usual, in one line.
 
     Args:
         owner: whose values they are, such as "Link"; "" for none.
         values: numbers by name; others and None are left alone.
-        depth: of the line that is blamed, in calls from here.
     """
     for name, value in values.items():
         field = f"{owner}.{name}".removeprefix(".")
         least, most, unit, other = USUAL.get(field, (-math.inf, math.inf, "", ""))
         if isinstance(value, float) and not least <= value <= most:
             usual = f"at most {most:g}" if value > most else f"at least {least:g}"
-            warn(f"{field}: {value:g} ({unit}) looks like a slip of units, usual is {usual}; was it in {other}?", depth)
+            warn(f"{field}: {value:g} ({unit}) looks like a slip of units, usual is {usual}; was it in {other}?")
             return
 
 
@@ -64,7 +66,7 @@ def warn_of_section(length: float, area: float, polar: float, torsion: float) ->
         said = f"Link.torsion_constant: {torsion:g} (m^4) exceeds the polar moment {polar:g}, a slip of units?"
     else:
         return
-    warn(said, 5)
+    warn(said)
 
 
 def warn_of_loads(name: str, mass: float, inertia: Any, offset: Any, arm: tuple[float, float]) -> None:
@@ -87,14 +89,14 @@ def warn_of_loads(name: str, mass: float, inertia: Any, offset: Any, arm: tuple[
         said = f"{name}.inertia: the body would reach {size:.3g} m, a slip of units; was it in g cm^2 or kg mm^2?"
     else:
         return
-    warn(said, 6)
+    warn(said)
 
 
 def warn_of_gravity(gravity: tuple[float, ...]) -> None:
     """Warns (UserWarning) of a gravity (m/s^2) that no place has where arms are."""
     size = math.hypot(*gravity)
     if size > GRAVITY:
-        warn(f"Arm.gravity: {size:g} (m/s^2) looks like a slip of units; was it in mm/s^2? 9810 mm/s^2 are 9.81", 6)
+        warn(f"Arm.gravity: {size:g} (m/s^2) looks like a slip of units; was it in mm/s^2? 9810 mm/s^2 are 9.81")
 
 
 def warn_of_modes(rates: Sequence[float]) -> None:
@@ -106,9 +108,12 @@ def warn_of_modes(rates: Sequence[float]) -> None:
     frequency = min(rates, default=2.0 * math.pi) / (2.0 * math.pi)
     if not SLOWEST <= frequency <= QUICKEST:
         usual = f"usual is {SLOWEST:g} to {QUICKEST:g} Hz; look at the units of moduli, sizes and masses"
-        warn(f"arm: its links first bend at {frequency:.3g} Hz, which looks like a slip of units; {usual}", 4)
+        warn(f"arm: its links first bend at {frequency:.3g} Hz, which looks like a slip of units; {usual}")
 
 
-def warn(line: str, depth: int) -> None:
-    """Warns (UserWarning), blaming the caller `depth` calls up."""
+def warn(line: str) -> None:
+    """Warn (UserWarning) with the line of the first caller outside this package and Gymnasium."""
+    frame, depth = sys._getframe(1), 2
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in OWN:
+        frame, depth = frame.f_back, depth + 1
     warnings.warn(line, UserWarning, stacklevel=depth)

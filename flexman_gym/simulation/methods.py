@@ -72,5 +72,17 @@ def _implicit() -> tuple[Method, ...]:
 
 
 DEFAULT = "midpoint_3_sweeps"  # wherever steps are fixed and no method is named
-METHODS: dict[str, Method] = {method.name: method for method in (*_explicit(), *_linearly_implicit(), *_implicit())}
+
+
+class Methods(dict[str, Method]):
+    """Methods of integration: name -> Method, for `fm.simulate(scene, method=name, step=...)`.
+
+    A Method has `order` (1; the error of a time falls with the step to that power), `kind` ("explicit", "linearly
+    implicit", "implicit" or "reference") and `source`. With a fixed `step` (s) any of them runs; those of kind
+    "reference", and those that estimate their error, choose steps by `rtol` (1) and `atol` (rad, m, and their rates).
+    `flexman list methods` prints them.
+    """
+
+
+METHODS = Methods({method.name: method for method in (*_explicit(), *_linearly_implicit(), *_implicit())})
 """Methods that have a name: name -> Method, with its order, family and source."""

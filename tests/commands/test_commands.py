@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.__main__ import about, main
+from flexman_gym.__main__ import GROUPS, about, main
 from flexman_gym.commands import league
 from flexman_gym.commands.list import WHAT
 from flexman_gym.control import BASES
@@ -39,6 +39,30 @@ def test_help_names_every_command_and_fits_a_screen(capsys):
     assert all(about(name).endswith(".") for name in COMMANDS)
 
 
+def test_help_has_every_command_in_one_group_and_a_line(capsys):
+    """For who begins, learns, evaluates, simulates, controls, or wants data; on a screen of 80 columns."""
+    assert sorted(name for names in GROUPS.values() for name in names) == COMMANDS
+    assert [*GROUPS] == ["start", "learn", "evaluate", "simulate", "control", "data"]
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    for group, names in GROUPS.items():
+        first = lines.index(f"{group}:") + 1
+        assert [line.split()[0] for line in lines[first : first + len(names)]] == list(names)
+        assert all(len(line.split()) > 2 for line in lines[first : first + len(names)])
+
+
+@pytest.mark.parametrize(("typed", "meant"), [("trian", "train"), ("eval", "evaluate"), ("sim", "simulate"),
+                                              ("optimize", "optimise"), ("tuen", "tune")])  # fmt: skip
+def test_a_misspelt_command_is_answered_with_the_nearest(typed, meant, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main([typed, "--help"])
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert stop.value.code == 2 and line.startswith("flexman: error: command: ")
+    assert f"the nearest is {meant}" in line and typed in line
+
+
 def test_the_version_is_that_of_the_package(capsys):
     with pytest.raises(SystemExit) as stop:
         main(["--version"])
@@ -57,6 +81,13 @@ def test_list_has_all_that_has_a_name(capsys):
         said = capsys.readouterr().out.splitlines()
         assert said[0] == f"{what}:" and [line.split()[0] for line in said[1:]] == list(known)
         assert all(line in lines for line in said)
+
+
+def test_examples_are_listed_with_their_paths_and_a_sentence(capsys):
+    assert main(["list", "examples"]) == 0
+    lines = [line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()[1:]]
+    assert [path for path, _ in lines] == sorted(str(path) for path in (ROOT / "docs/examples").glob("*.*"))
+    assert all(len(words.split()) > 3 for _, words in lines)
 
 
 def test_simulate_keeps_the_motion_as_a_table(tmp_path, capsys):

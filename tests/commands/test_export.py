@@ -78,3 +78,14 @@ def test_a_graph_gives_the_actions_of_numpy(tmp_path, capsys):
     assert actions.dtype == np.float32 and "actions within" in capsys.readouterr().out
     assert main(["export", "onnx", "pd", str(tmp_path / "b.onnx")]) == 2
     assert "give a policy, or the run of one" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["lab-flexrrr", "shaping-flexrrr"])
+def test_a_network_that_cannot_act_alone_is_refused_with_what_to_do(name, tmp_path, capsys):
+    """Its output is no torque: a controller that is made for the arm turns it into one."""
+    pytest.importorskip("onnx")
+    assert main(["export", "onnx", name, str(tmp_path / "a.onnx")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"entrant: '{name}' is not allowed; give a policy whose network acts alone, such as ")
+    assert "controller" in line and f'fm.rollout("{name}", ' in line
+    assert main(["export", "onnx", line.partition("such as ")[2].split(":")[0], str(tmp_path / "b.onnx")]) == 0

@@ -5,13 +5,14 @@ import subprocess
 import sys
 import zipfile
 from configparser import ConfigParser
+from pathlib import Path
 
 import pytest
 
 from oracles.files import ROOT
 
 # Folder of the repository: name of its package when it is installed.
-INSTALLED = {"flexman_gym": "flexman_gym", "agents": "flexman_agents"}
+INSTALLED = {"flexman_gym": "flexman_gym", "agents": "flexman_agents", "docs/examples": "flexman_gym/examples"}
 LEFT = shutil.ignore_patterns(".*", "__pycache__", "build", "out", "runs", "*.egg-info")
 
 
@@ -47,3 +48,13 @@ def test_it_brings_the_command_and_the_extras(wheel):
     assert dict(parser["console_scripts"]) == {"flexman": "flexman_gym.__main__:main"}
     (metadata,) = (wheel.read(name).decode() for name in wheel.namelist() if name.endswith("dist-info/METADATA"))
     assert {f"Provides-Extra: {name}" for name in ("train", "render")} <= set(metadata.splitlines())
+
+
+def test_the_examples_of_the_pages_are_found_where_it_is_unpacked(wheel, tmp_path):
+    """A page's command takes the path that `flexman list examples` prints, without a checkout."""
+    wheel.extractall(tmp_path)
+    command = [sys.executable, "-m", "flexman_gym"]
+    done = subprocess.run([*command, "list", "examples"], capture_output=True, text=True, cwd=tmp_path, check=True)
+    paths = [Path(line.split()[0]) for line in done.stdout.splitlines()[1:]]
+    assert {path.name for path in paths} == {path.name for path in (ROOT / "docs/examples").glob("*.*")}
+    assert all(path.is_file() and path.is_relative_to(tmp_path) for path in paths)

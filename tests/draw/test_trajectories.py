@@ -102,3 +102,14 @@ def test_the_title_says_when_a_solution_ended(drawn, tmp_path):
     parts = {name: value[:5] for name, value in vars(whole).items() if isinstance(value, np.ndarray)}
     trajectory_figure(replace(whole, **parts, status="diverged"), tmp_path / "a.png")
     assert drawn()["tip (m)"].figure.get_suptitle() == "diverged after 0.04 s"
+
+
+def test_without_a_path_the_figure_is_shown(monkeypatch):
+    """In a window, or below the cell of a notebook, as Matplotlib is set."""
+    from matplotlib import pyplot
+
+    shown = []
+    monkeypatch.setattr(pyplot, "show", lambda: shown.extend(pyplot.get_fignums()))
+    assert trajectory_figure(run()) is None
+    assert len(shown) == 1 and pyplot.figure(shown[0]).axes[0].get_ylabel() == "tip (m)"
+    pyplot.close("all")

@@ -170,7 +170,8 @@ def test_a_policy_may_act_on_fewer_arms_afterwards(run):
 
 def test_a_policy_refuses_what_it_was_not_trained_for(run):
     policy = find_entrant(str(run))
-    assert refusal(rollout, policy, ONE, [0]) == "base: 'a policy of 2 motors' is not allowed; give one of 1"
+    allowed = "a policy for FlexOne-v0, of 1 joints: it is one for FlexPlanar-v0, of 2"
+    assert refusal(rollout, policy, ONE, [0]) == f"entrant: {policy.name!r} is not allowed; give {allowed}"
     path = Description("FlexPlanar-Track-v0")
     assert rollout(policy, path, [0]).lengths.tolist() == [1000], "a task that it did not learn, seen as its own"
     other = Policy(policy.interface["base"].network, (Servo(),))

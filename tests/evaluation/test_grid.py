@@ -10,6 +10,7 @@ from importlib.util import find_spec
 
 import pytest
 
+from flexman_gym import progress
 from flexman_gym.evaluation import grid
 from flexman_gym.evaluation.grid import Workers, gathered, spread
 
@@ -99,8 +100,8 @@ def test_what_other_sources_gave_is_not_kept(tmp_path, monkeypatch):
 
 
 def test_a_long_grid_says_what_is_left(monkeypatch, capsys):
-    moments = iter([0.0, 0.0, 5.0, 12.0, 13.0, 30.0])
-    monkeypatch.setattr(grid, "monotonic", lambda: next(moments))
+    moments = iter([0.0, 5.0, 12.0, 13.0, 30.0])
+    monkeypatch.setattr(progress, "monotonic", lambda: next(moments))
     gathered(cells.waves, CELLS[:4])
     assert capsys.readouterr().err == "2 of 4 cells, about 0.2 min left\n"
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.arrays import Array, row_dots
-from flexman_gym.checks import finite, mapping, refusal, text
+from flexman_gym.checks import finite, mapping, refusal, shown, text
 from flexman_gym.simulation.view import Number, View
 
 NEAR, FAR, LOOK_AHEAD = 1.0 / 425.0, 1.0 / 1.7, 0.1  # of the reach, and s
@@ -38,7 +38,7 @@ def reward_terms(task: Any, reward: Any) -> Callable[[View], dict[str, Number]]:
         terms: Callable[[View], dict[str, Number]] = task.reward_terms
         return terms
     if not isinstance(reward, dict):
-        return lambda view: {"own": reward(view)}
+        return lambda view: {"own": _own(reward, view)}
 
     def weighed(view: View) -> dict[str, Number]:
         terms = task.reward_terms(view)
@@ -46,3 +46,18 @@ def reward_terms(task: Any, reward: Any) -> Callable[[View], dict[str, Number]]:
         return {name: reward.get(name, 1.0) * each for name, each in terms.items()}
 
     return weighed
+
+
+def _own(reward: Callable[[View], Number], view: View) -> Number:
+    """Return what a reward function gives: a number, or one for each arm, (b,)."""
+    try:
+        value = reward(view)
+        fine = np.asarray(value).dtype.kind in "biuf" and np.shape(value) in ((), np.shape(view.tip_error))
+        said, cause = f"returned {shown(value)}, which is no number for each arm", None
+    except Exception as error:
+        fine, said, cause = False, f"raised {type(error).__name__}: {error}", error
+    if fine:
+        return value
+    names = [name for name in dir(view) if not (name.startswith("_") or callable(getattr(type(view), name, None)))]
+    function = getattr(reward, "__name__", type(reward).__name__)
+    raise ValueError(f"reward: {function} {' '.join(said.split())}; a View has {', '.join(names)}") from cause
