@@ -131,7 +131,7 @@ def with_noise(found: Diagnosis, quiet: Diagnosis) -> Diagnosis:
     rest = min((quiet.rms / found.rms) ** 2, 1.0) if found.rms else 1.0
     shares = {cause: rest * share for cause, share in quiet.shares.items()}
     shares[NOISE] += 1.0 - rest
-    tones = [(frequency, rest * share, *names) for frequency, share, *names in quiet.tones]
+    tones = [(frequency, rest * share, cause, mode) for frequency, share, cause, mode in quiet.tones]
     tones += [tone for tone in found.tones if tone[2] == NOISE]
     return replace(found, shares=shares, tones=tuple(sorted(tones, key=lambda tone: -tone[1])))
 
