@@ -1,4 +1,4 @@
-"""Tell why a tip is not still after arrival: ringing, a limit cycle, an offset, or noise, and what would help."""
+"""Tell why a tip is not still after arrival: ringing, limit cycle, offset, transient, noise, failure; and a remedy."""
 
 import argparse
 from collections import Counter
@@ -42,10 +42,14 @@ def lines(title: str, results: "Sequence[Diagnosis]") -> list[str]:
 
     from flexman_gym.evaluation.diagnosis import HELP
 
-    rms = 1e3 * np.array([each.rms for each in results])
+    failures = Counter(each.failure for each in results if each.failure)
+    rms = 1e3 * np.array([each.rms for each in results if not each.failure] or [np.nan])
     shares = {cause: float(np.mean([each.shares[cause] for each in results])) for cause in HELP}
     largest = Counter(each.cause for each in results)
-    said = [f"{title}: {len(results)} episodes, RMS error after arrival {np.median(rms):.3g} mm (to {rms.max():.3g})"]
+    left = f"RMS error after arrival {np.median(rms):.3g} mm (to {rms.max():.3g})"
+    failed = f"{failures.total()} failed ({', '.join(failures)})"
+    about = [failed] * bool(failures) + [left] * (failures.total() < len(results))
+    said = [f"{title}: {len(results)} episodes, {', '.join(about)}"]
     for cause, share in sorted(shares.items(), key=lambda entry: -entry[1]):
         said.append(
             f"  {cause:<12}{share:>6.1%}, the largest share of {largest[cause]} episodes{voices(results, cause)}"
@@ -59,13 +63,13 @@ def voices(results: "Sequence[Diagnosis]", cause: str) -> str:
     """The mode that has most of a cause, and the median frequency of its tones; "" where no tone tells anything."""
     import numpy as np
 
-    from flexman_gym.evaluation.diagnosis import OFFSET
+    from flexman_gym.evaluation.diagnosis import OFFSET, TRANSIENT
 
     tones = [tone for each in results for tone in each.tones if tone[2] == cause]
     weights: Counter[str] = Counter()
     for _, share, _, name in tones:
         weights[name] += share  # type: ignore[assignment]
-    if not tones or cause == OFFSET:
+    if not tones or cause in (OFFSET, TRANSIENT):
         return ""
     name = max(weights, key=lambda each: weights[each])
     middle = float(np.median([frequency for frequency, _, _, each in tones if each == name]))

@@ -1,7 +1,7 @@
 """Diagnosis: why a tip is not still on its target after arrival, in shares of what is left of its error."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ from flexman_gym.control.modes import ringing_modes
 from flexman_gym.envs.description import Description
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.evaluation.entrants import Entrant
-from flexman_gym.evaluation.rollout import Rollout, rollout
+from flexman_gym.evaluation.rollout import Rollout, find_environment, rollout
 
 WINDOW, PERIODS = (
     3.0,
@@ -24,7 +24,10 @@ TONES = 4  # that are looked for
 TONE = 0.1  # of what is left beside the offset, that a tone must explain to be one
 FED = 0.5  # of the energy that the arm dissipates, from which on the motors keep its motion up
 PERIODIC = 0.5  # of the variance of actions, that lies in the tones of the tip where a controller answers these alone
-SLOW = 0.5  # of the slowest mode: a slower tone is an arm that has not arrived, and belongs to the offset
+SLOW = 0.5  # part of the slowest mode's frequency; a slower tone with fewer than CYCLES cycles is a transient
+CYCLES = 1.9  # cycles in the window, from which on a slow tone is a vibration
+SWAY = 0.5  # part of the motion in the second half of the episode that a slow tone explains to lengthen the window
+SETTLED = 0.25  # RMS of the slow motion about the mean, as a part of the mean; with more the mean is no offset
 NEAR = (0.5, 1.2)  # parts of a mode's frequency, between which a tone is named after it: motors that yield lower it
 SLOWEST = 0.75  # cycles of a tone in the window; less is a drift
 STILL = 1e-12  # mean square of actions, below which nothing acts
@@ -32,11 +35,14 @@ QUIET = 0.05  # of the band of settled tips
 FINER = 8  # places of the spectrum for each that the window tells apart
 
 RINGING, CYCLE, OFFSET, NOISE = "ringing", "limit cycle", "offset", "noise"
+TRANSIENT, FAILED = "transient", "failed"
 HELP = {
     RINGING: "shape the command (flexman resonance), slew more slowly, or damp by feedback of the links (lqr, lqg)",
     CYCLE: "lower the gains or the delay: flexman tune finds gains with margins for the delay of the environment",
-    OFFSET: "add integral action or the torques that hold the true weight, look for a bias of sensors, or give it time",
+    OFFSET: "add integral action or the torques that hold the true weight, or look for a bias of sensors",
+    TRANSIENT: "give it a longer horizon, which shows what stays, or stiffer and better damped motors (flexman tune)",
     NOISE: "lower the gains, of the rates before all, or filter what they act on: an observer, or better sensors",
+    FAILED: "keep the arm within its limits: slower commands, or a controller that holds it (flexman replay shows how)",
 }
 
 
@@ -51,6 +57,7 @@ class Ending(NamedTuple):
         loss: (T,) J, dissipated since the start.
         period: s.
         band: m around the target, in which a tip has settled.
+        failure: "" or what ended the episode.
     """
 
     errors: Array
@@ -60,6 +67,7 @@ class Ending(NamedTuple):
     loss: Array
     period: float
     band: float
+    failure: str = ""
 
 
 @dataclass(frozen=True)
@@ -71,12 +79,14 @@ class Diagnosis:
         quiet: whether that is so small a part of the band of settled tips that nothing has to help.
         shares: cause -> part of its mean square; they sum to 1.
         tones: ((frequency in Hz, share, cause, name of the mode or ""), ...), the largest first.
+        failure: "" or what ended the episode, which is then the whole cause.
     """
 
     rms: float
     quiet: bool
     shares: Mapping[str, float]
     tones: tuple[tuple[float, float, str, str], ...]
+    failure: str = ""
 
     @property
     def cause(self) -> str:
@@ -87,11 +97,43 @@ class Diagnosis:
 def diagnose(
     entrant: str | Entrant | Controller, environment: str | Description, seeds: Sequence[int]
 ) -> list[Diagnosis]:
-    """Says for an episode from each seed what keeps its tip from being still on its target.
+    """Diagnose for an episode from each seed what keeps its tip from resting on its target.
 
-    Arguments and errors are those of `rollout`.
+    The noise of sensors is told from the other causes by a second run of the same episodes without it: slow noise
+    looks like an offset or a sway in a record of a few seconds. Arguments and errors are those of `rollout`.
     """
-    return [split(*each) for each in endings(entrant, environment, seeds)]
+    found = [split(*each) for each in endings(entrant, environment, seeds)]
+    quiet = noiseless(find_environment(environment))
+    if quiet is None:
+        return found
+    return [with_noise(*each) for each in zip(found, diagnose(entrant, quiet, seeds), strict=True)]
+
+
+def noiseless(environment: Description) -> Description | None:
+    """Return the environment with "sensor_noise" 0, None where it is 0 already."""
+    own = environment.setup().randomisation
+    drawn = dict(own.given) if own else {}
+    if not np.any(drawn.get("sensor_noise", 0.0)):
+        return None
+    quiet = {**drawn, "sensor_noise": [0.0, 0.0]}
+    return replace(environment, settings={**environment.whole_settings(), "randomisation": quiet})
+
+
+def with_noise(found: Diagnosis, quiet: Diagnosis) -> Diagnosis:
+    """Attribute to noise what an episode has more of than the same episode without noise, and scale the other causes.
+
+    Args:
+        found: of the episode with noise.
+        quiet: of the episode without it.
+    """
+    if found.failure or quiet.failure:
+        return found
+    rest = min((quiet.rms / found.rms) ** 2, 1.0) if found.rms else 1.0
+    shares = {cause: rest * share for cause, share in quiet.shares.items()}
+    shares[NOISE] += 1.0 - rest
+    tones = [(frequency, rest * share, cause, mode) for frequency, share, cause, mode in quiet.tones]
+    tones += [tone for tone in found.tones if tone[2] == NOISE]
+    return replace(found, shares=shares, tones=tuple(sorted(tones, key=lambda tone: -tone[1])))
 
 
 def endings(
@@ -107,41 +149,68 @@ def endings(
 
 
 def split(ending: Ending, modes: Mapping[str, float]) -> Diagnosis:
-    """Splits the mean square of an error into offset, tones and noise, and says of tones what keeps them up.
+    """Split the mean square of an error into offset, transient, tones and noise, with the cause of each tone.
 
-    The offset is the mean with an even drift and what is slower than any mode. A tone is a sinusoid whose size changes
-    evenly, as that of ringing does while it dies away. What no tone explains is noise. A tone is noise too where
-    actions go in no rhythm of the tones; it is a limit cycle where they do, and the motors feed what the arm
-    dissipates; else it rings of itself.
+    The offset is the mean. A transient is an even drift, and a tone slower than any mode of which the record does not
+    hold two cycles; where it is large beside the mean, the mean is a part of it, since the motion has not ended. A tone
+    is a sinusoid whose size changes evenly, as that of ringing does while it dies away. What no tone explains is noise.
+    A tone is noise too where actions go in no rhythm of the tones; it is a limit cycle where they do, and the motors
+    feed what the arm dissipates; else it rings of itself. A failed episode has this one cause.
 
     Args:
         ending: of an episode; one of fewer than LEAST periods has no tones.
         modes: frequency (Hz) of each mode, by its name.
     """
     errors, count = ending.errors, len(ending.errors)
+    rms = float(np.sqrt(_power(errors) / count))
+    if ending.failure:
+        return Diagnosis(rms, False, dict.fromkeys(HELP, 0.0) | {FAILED: 1.0}, (), ending.failure)
+    parts, frequencies = _fitted(errors, ending.period)
+    coordinates = _projected(parts, errors)
+    whole = max(_power(errors), np.finfo(float).tiny)
+    mean, drift = _power(coordinates[0][:1]) / whole, _power(coordinates[0][1:]) / whole
+    shares = np.array([_power(each) for each in coordinates[1:]]) / whole
+    slow = min(SLOW * min(modes.values(), default=0.0), CYCLES / (count * ending.period))
+    causes = [
+        TRANSIENT if frequency < slow else cause
+        for frequency, cause in zip(frequencies, _causes(ending, parts, shares), strict=True)
+    ]
+    tones = [
+        (frequency, float(share), cause, _named(frequency, modes) if cause == RINGING else "")
+        for frequency, share, cause in zip(frequencies, shares, causes, strict=True)
+    ]
+    sums = dict.fromkeys(HELP, 0.0) | {TRANSIENT: drift, NOISE: max(1.0 - mean - drift - float(shares.sum()), 0.0)}
+    for _, share, cause, _ in tones:
+        sums[cause] += share
+    sums[OFFSET if sums[TRANSIENT] <= SETTLED**2 * mean else TRANSIENT] += mean
+    return Diagnosis(rms, rms < QUIET * ending.band, sums, tuple(sorted(tones, key=lambda tone: -tone[1])))
+
+
+def _fitted(errors: Array, period: float) -> tuple[list[Array], list[float]]:
+    """Mean and drift (T, 2) and the tones (T, 4) of errors (T, 3), and the frequencies (Hz) of the tones."""
+    count = len(errors)
     parts = [np.stack([np.ones(count), np.linspace(-1.0, 1.0, count)], axis=1)]
     swing = _power(errors) - _power(*_projected(parts, errors))
     frequencies: list[float] = []
     for _ in range(TONES if count >= LEAST else 0):
-        frequency = _strongest(parts, errors, ending.period)
-        more = [*parts, _tone(frequency, count, ending.period)]
+        frequency = _strongest(parts, errors, period)
+        more = [*parts, _tone(frequency, count, period)]
         if not _power(_projected(more, errors)[-1]) > TONE * swing:
             break
         frequencies, parts = [*frequencies, frequency], more
-    powers = np.array([_power(part) for part in _projected(parts, errors)])
-    shares = powers / max(_power(errors), np.finfo(float).tiny)
-    causes = _causes(ending, parts, shares[1:])
-    slow = SLOW * min(modes.values(), default=0.0)
-    causes = [OFFSET if each < slow else cause for each, cause in zip(frequencies, causes, strict=True)]
-    tones = [
-        (frequency, float(share), cause, _named(frequency, modes) if cause == RINGING else "")
-        for frequency, share, cause in zip(frequencies, shares[1:], causes, strict=True)
-    ]
-    sums = dict.fromkeys(HELP, 0.0) | {OFFSET: float(shares[0]), NOISE: max(1.0 - float(shares.sum()), 0.0)}
-    for _, share, cause, _ in tones:
-        sums[cause] += share
-    rms = float(np.sqrt(_power(errors) / count))
-    return Diagnosis(rms, rms < QUIET * ending.band, sums, tuple(sorted(tones, key=lambda tone: -tone[1])))
+    return parts, frequencies
+
+
+def _sway(errors: Array, period: float) -> float:
+    """The frequency (Hz) of a tone with two cycles in errors (T, 3) that explains most of their motion, else inf."""
+    count = len(errors)
+    if count < LEAST:
+        return np.inf
+    level = [np.ones((count, 1))]
+    frequency = _strongest(level, errors, period)
+    level_power, tone_power = (_power(each) for each in _projected([*level, _tone(frequency, count, period)], errors))
+    long = frequency * count * period >= CYCLES
+    return frequency if long and tone_power > SWAY * (_power(errors) - level_power) else np.inf
 
 
 def _causes(ending: Ending, parts: list[Array], shares: Array) -> list[str]:
@@ -224,11 +293,12 @@ class _Watched:
         }
         length, period = int(result.lengths[arm]), result.period
         longest = max(MOST_WINDOW * length * period, WINDOW)
-        wanted = min(max(WINDOW, PERIODS / min(modes.values(), default=np.inf)), longest)
+        errors = result.tips[arm, 1 : length + 1] - np.array([row[0][arm] for row in self._rows[1 : length + 1]])
+        slowest = min(*modes.values(), _sway(errors[-round(longest / period) :], period), np.inf)
+        wanted = min(max(WINDOW, PERIODS / slowest), longest)
         first = max(length - round(wanted / period), 0)
         kept = (np.array([row[i][arm] for row in self._rows[first : length + 1]]) for i in range(4))
-        targets, motors, torques, loss = kept
-        errors, rates = result.tips[arm, first + 1 : length + 1] - targets[1:], np.diff(motors, axis=0) / period
-        return Ending(
-            errors, result.actions[arm, first:length], torques[1:], rates, loss[1:], period, result.band
-        ), modes
+        _, motors, torques, loss = kept
+        rates, actions = np.diff(motors, axis=0) / period, result.actions[arm, first:length]
+        told = (period, result.band, result.failures[arm])
+        return Ending(errors[first:], actions, torques[1:], rates, loss[1:], *told), modes

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.draw.frames import GHOST, GHOST_SHARE, TARGET, TIP, FramePainter, arm_frame, grid
+from flexman_gym.draw.frames import GHOST, GHOST_SHARE, LOAD, TARGET, TIP, FramePainter, arm_frame, grid
 from flexman_gym.draw.mesh import cylinder, outlines, ring, sphere, tube_faces, tubes
 from flexman_gym.draw.overlay import Caption, strain_colours, words
 from flexman_gym.draw.style import rgb
@@ -165,6 +165,20 @@ def test_the_scale_ends_at_the_strain_of_half_a_torque_limit_at_the_root():
     limit = 2.0 * 1e-3 * 0.999 * link.youngs_modulus * 0.04 * 0.002**3 / 12.0 / 0.001
     arm = fm.Arm([link], [fm.Joint((0.0, 0.0, 1.0), rotor_inertia=1.0, torque_limit=limit)])
     assert FramePainter(fm.build_model(arm)).scale == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize("mass", [3000.0, 24000.0])
+def test_a_payload_is_a_ball_of_steel_of_its_mass(mass):
+    """4/3 pi r^3 times the density, about the place where it is held."""
+    model = fm.build_model(fm.catalog.paper_rrr(payload=fm.Payload(mass, offset=(0.3, 0.0, 0.1))), modes=2)
+    painter = FramePainter(model, (64, 48), overlays=False)
+    state = model.initial_state((0.4, 0.5, -0.8))
+    painter.paint(state)
+    bent = fm.curves(model, state, 2)
+    (ball,) = [mesh for mesh, colour in painter._parts(bent.positions, bent.frames, None) if colour == LOAD]
+    centre = bent.positions[-1, -1] + bent.frames[-1, -1] @ np.array([0.3, 0.0, 0.1])
+    radii = np.linalg.norm(ball.points - centre, axis=1)
+    assert 7800.0 * 4.0 / 3.0 * np.pi * radii**3 == pytest.approx(mass)
 
 
 def test_a_shadow_lies_on_the_floor_and_the_arm_over_it(painter):

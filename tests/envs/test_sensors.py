@@ -152,6 +152,17 @@ def test_a_dropped_sample_leaves_the_one_before():
         assert np.array_equal(seen[row], seen[row - 1])
 
 
+def test_a_sample_is_dropped_whatever_its_noise_is():
+    """The noise of the samples that arrive is that of all: its mean is 0 and its deviation 1, in every number."""
+    env = flawed(noise=0.01, dropped=0.3)
+    seen, truth = readings(env, 600)
+    new = np.concatenate([[True], (np.diff(seen, axis=0) != 0.0).any(axis=1)])
+    off = ((seen - truth) / env.sensors.bound / 0.01)[new]
+    assert new.mean() == pytest.approx(0.7, abs=5 * np.sqrt(0.21 / 600))
+    assert np.abs(off.mean(axis=0)).max() < 5 / np.sqrt(len(off))
+    assert np.abs(off.std(axis=0) - 1.0).max() < 5 / np.sqrt(2 * len(off))
+
+
 def test_what_is_derived_follows_what_was_measured():
     """A late full state has the posture errors and nearness of then, for the goal of now."""
     env = FlexManEnv(sensors={"kind": "full", "delay": 2})

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -255,6 +256,34 @@ def test_who_cannot_play_says_why(venue):
         assert play(Cell("", entrant, "FlexPlanar-v0/unknown-lab", 9000, 9001))[0].why.startswith(words)
 
 
+def test_times_of_a_cell_are_of_a_start_and_of_an_action_of_one_arm(venue, monkeypatch):
+    """Ten milliseconds of starts in five episodes, and a second of actions in all of their periods."""
+    watch = SimpleNamespace(designing=0.01, acting=1.0)
+    monkeypatch.setattr(league, "_watched", lambda entrant, told: (entrant, watch))
+    cell, _ = play(Cell("", "zero", venue, 9000, 9005))
+    assert cell.design == pytest.approx(1e6 * 0.01 / 5)
+    assert cell.action == pytest.approx(1e6 * 1.0 / rollout("zero", venue, SEEDS).lengths.sum())
+
+
+def test_a_watch_keeps_starts_and_actions_apart(monkeypatch):
+    """By a clock that goes on by one second in a start and by a thousandth in an action."""
+    clock = [0.0]
+
+    def passing(seconds):
+        clock[0] += seconds
+        return np.zeros((1, 1))
+
+    slow = SimpleNamespace(sensors=(), reset=lambda *_: passing(1.0), act=lambda *_: passing(1e-3))
+    monkeypatch.setattr(league, "process_time", lambda: clock[0])
+    watch = league._Watched(slow)
+    for _ in range(2):
+        watch.reset(None, None)
+        passing(100.0)
+        for _ in range(3):
+            watch.act({}, None, None)
+    assert (watch.designing, watch.acting) == pytest.approx((2.0, 6e-3))
+
+
 def test_the_multiple_is_that_of_the_optimised_slew():
     """Whose own is 1; it is told of no other environment."""
     table = SlewTable.load(SHIPPED)
@@ -283,6 +312,14 @@ def test_only_who_is_not_told_the_truth_could_be_built():
     known = {each for each in BASELINES if is_buildable(each)}
     assert known >= {"pd", "pd-shaped", "lqg", "adaptive-lqr"}
     assert not known & {"lqr", "lqr-tracking", "privileged-lqr", "optimised"}
+
+
+@pytest.mark.parametrize("truth", ["true state", "true parameters", "its episodes"])
+def test_one_truth_is_enough_not_to_be_buildable(truth, monkeypatch):
+    monkeypatch.setattr(submission, "needs", lambda entrant: ("model", truth))
+    assert not is_buildable("mine")
+    monkeypatch.setattr(submission, "needs", lambda entrant: ("model", "training", "structure of the model"))
+    assert is_buildable("mine")
 
 
 def test_in_a_sweep_controllers_are_told_the_range_and_arms_have_the_value():

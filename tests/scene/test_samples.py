@@ -30,6 +30,18 @@ def test_a_record_is_read_in_si_units_whatever_its_head_says(tmp_path):
     assert all(UNITS[unit][0] in UNITS and factor > 0.0 for unit, (_, factor) in UNITS.items())
 
 
+def test_every_unit_is_so_many_of_its_si_unit():
+    """A thousandth is a milli, and so on; standard gravity and degrees by their definitions."""
+    ones = {
+        "ms": 1e3, "us": 1e6, "mN m": 1e3, "kN m": 1e-3, "mN": 1e3, "kN": 1e-3, "mrad": 1e3, "deg": 180.0 / np.pi,
+        "deg/s": 180.0 / np.pi, "deg/s^2": 180.0 / np.pi, "mm": 1e3, "mm/s^2": 1e3, "g": 1.0 / 9.80665, "mA": 1e3,
+        "um/m": 1e6,
+    }  # fmt: skip
+    for unit, (basic, factor) in UNITS.items():
+        assert factor * ones.get(unit, 1.0) == pytest.approx(1.0), unit
+        assert UNITS[basic] == (basic, 1.0), unit
+
+
 @pytest.mark.parametrize("hold", ["zero", "linear"])
 def test_a_sampled_torque_comes_back_from_its_file_to_the_bit(tmp_path, hold):
     torque = fm.SampledTorque(TIMES / 3.0, np.random.default_rng(0).normal(size=(5, 2)), hold)
