@@ -60,7 +60,6 @@ def test_the_page_holds_what_was_recorded_and_text_is_text():
     assert not re.search(r'(src|href)="?http', page.replace(data["runs"][0]["name"], ""))
 
 
-<<<<<<< HEAD
 def readings(run, links=3, width=1):
     """The curves of a run's readings as the script of the page makes them, by name."""
     script = "import { Run } from './runs.js'; import { readFileSync } from 'fs';"
@@ -94,7 +93,8 @@ def test_a_reading_that_is_not_finite_is_a_gap_in_its_curve():
             least, most = (expected[known].min(), expected[known].max()) if known.any() else (0.0, 0.0)
             assert [each for each in curve if each is not None] == pytest.approx(
                 expected[known], rel=0.0, abs=1e-4 * (most / 2 - least / 2) + 1e-12)  # fmt: skip
-=======
+
+
 def test_torques_targets_and_errors_stand_in_the_row_of_their_time():
     """The torque of a period stands where it begins, and that of the last one at its end, too."""
     one = episode()
@@ -115,7 +115,6 @@ def test_a_reading_takes_all_steps_of_two_bytes():
         assert (steps.max(axis=0) == 2**15 - 1).all() and (steps.min(axis=0) == 1 - 2**15).all()
         off = np.abs(steps * reading["scale"] + reading["middle"] - values)
         assert (off <= 0.5001 * np.ptp(values, axis=0) / (2**16 - 2)).all()
->>>>>>> others/main
 
 
 def test_ten_seconds_of_two_controllers_are_a_megabyte_at_most():
