@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from inspect import signature
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from flexman_gym.control.network import Network
 from flexman_gym.control.policy import Learned, Policy
 from flexman_gym.envs.description import Description
 from flexman_gym.envs.description import described as described_setup
-from flexman_gym.envs.setup import build
+from flexman_gym.envs.setup import build, setup_of
 from flexman_gym.envs.specification import make_plant
 from flexman_gym.evaluation.folder import (
     BEST,
@@ -203,6 +203,19 @@ def parted(described: Description) -> tuple[Description, dict[str, Any]]:
     if interface.get("base") == "pd":
         interface["gains"] = described.whole()["gains"]
     return Description(described.id, moved, described.folder), interface
+
+
+def designed_for(entrant: Entrant, environment: Description) -> Entrant:
+    """Return an entrant whose controller is built for an environment, whatever the one in which it acts.
+
+    Without this, a controller that is given by its name is built for the environment in which it acts: it is told its
+    delay, noise, friction and ranges. An entrant without a controller stays as it is.
+    """
+    if entrant.interface is None or "base" not in entrant.interface:
+        return entrant
+    setup = setup_of({"name": environment.id, **environment.keywords(), **entrant.interface})
+    base = setup.base_controller(build(setup).model)
+    return replace(entrant, interface={**entrant.interface, "base": base})
 
 
 def common_environment(entrants: Sequence[Entrant], named: Description | None) -> Description:

@@ -21,8 +21,7 @@ from flexman_gym.checks import shown_path
 from flexman_gym.control.controller import Controller, Episode, Readings
 from flexman_gym.control.slew_table import SHIPPED, SlewTable
 from flexman_gym.envs.description import Description
-from flexman_gym.envs.setup import build, setup_of
-from flexman_gym.evaluation.entrants import BASELINES, Entrant, find_entrant
+from flexman_gym.evaluation.entrants import BASELINES, Entrant, designed_for, find_entrant
 from flexman_gym.evaluation.figures import FIGURES
 from flexman_gym.evaluation.folder import BEST, NEWEST, SETTINGS, write
 from flexman_gym.evaluation.grid import Workers, spread
@@ -258,11 +257,10 @@ def _watched(entrant: Entrant, told: Description) -> tuple[Entrant, _Watched | N
     """An entrant as it is made for what it is told, with a watch; zero and random torques take no time."""
     if entrant.interface is None or "base" not in entrant.interface:
         return entrant, None
-    setup = setup_of({"name": told.id, **told.keywords(), **entrant.interface})
-    base = setup.base_controller(build(setup).model)
-    assert base is not None
-    watch = _Watched(base)
-    return replace(entrant, interface={**entrant.interface, "base": watch}), watch
+    designed = designed_for(entrant, told)
+    assert designed.interface is not None
+    watch = _Watched(designed.interface["base"])
+    return replace(designed, interface={**designed.interface, "base": watch}), watch
 
 
 def _is_lab(venue: str) -> bool:
