@@ -138,7 +138,7 @@ def test_files_import_each_other_in_no_circle():
 def test_what_is_installed_are_the_folders_with_code():
     listed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["packages"]
     folders = {".".join(path.parent.relative_to(ROOT).parts) for path in PACKAGE.rglob("__init__.py")}
-    assert set(listed) == folders | {"flexman_agents"}
+    assert set(listed) == folders | {"flexman_agents", "flexman_gym.examples"}
     assert all((path.parent / "__init__.py").exists() for path in FILES if path.parent != ROOT / "scripts")
 
 

@@ -1,7 +1,6 @@
 """Link: a straight beam, uniform or of several sections, as a person describes it, in SI units."""
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Self
@@ -11,7 +10,7 @@ from flexman_gym.checks import physical, refusal, rotation, sequence, store
 from flexman_gym.scene.guesses import answer_guesses
 from flexman_gym.scene.lumped import LumpedMass, lumped_masses, total_mass
 from flexman_gym.scene.sections import Outline, check_outline, material_of, round_outline, strip_outline
-from flexman_gym.scene.slips import warn_of_section, warn_of_slips
+from flexman_gym.scene.slips import warn, warn_of_section, warn_of_slips
 
 MOST_SECTIONS = 64  # of a link, as a model has at most so many finite elements of it
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -82,11 +81,9 @@ class Link:
         warn_of_slips("Link", vars(self))
         polar, least = self.second_moment_y + self.second_moment_z, self.area * self.area / (2.0 * math.pi)
         if polar < (1.0 - 1e-9) * least:
-            warnings.warn(
+            warn(
                 f"Link.second_moment_y + second_moment_z: {polar:.6g} is less than any section of the area "
-                f"{self.area:.6g} m^2 has; the least is {least:.6g} (m^4), area^2 / (2 pi) of a solid disc",
-                UserWarning,
-                stacklevel=3,  # the caller of Link(...): between are __init__ and this method
+                f"{self.area:.6g} m^2 has; the least is {least:.6g} (m^4), area^2 / (2 pi) of a solid disc"
             )
         warn_of_section(self.length, self.area, polar, self.torsion_constant)
 
