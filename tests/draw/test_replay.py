@@ -117,6 +117,27 @@ def test_a_reading_takes_all_steps_of_two_bytes():
         assert (off <= 0.5001 * np.ptp(values, axis=0) / (2**16 - 2)).all()
 
 
+def test_every_run_moves_its_own_arm():
+    page = embedded(replay_page([episode(), episode("stiff", stiffening=True), episode("again")]))
+    assert len(page["arms"]) == 2 and [run["arm"] for run in page["runs"]] == [0, 1, 0]
+
+
+def test_floor_and_colours_are_chosen_by_all_episodes():
+    """An arm that does not bend changes no colour, whichever place it has, and nothing goes below the floor."""
+    bent = episode()
+    straight = replace(bent, states=np.zeros_like(bent.states))
+    alone, first, last = (embedded(replay_page(each))["stage"] for each in ([bent], [bent, straight], [straight, bent]))
+    assert alone["strain"] == first["strain"] == last["strain"] > 0.0
+    assert alone["floor"] < min(bent.tips[:, 2].min(), bent.targets[:, 2].min(), 0.0)
+    assert alone["floor"] > bent.tips[:, 2].min() - alone["reach"]
+
+
+def test_a_run_says_why_it_ended():
+    one = episode()
+    failed = replace(one, about={**one.about, "failure": "joint 2"})
+    assert [run["note"] for run in embedded(replay_page([one, failed]))["runs"]] == ["over", "joint 2"]
+
+
 def test_ten_seconds_of_two_controllers_are_a_megabyte_at_most():
     pages = [replay_page([episode(rows=rows), episode("lqr", rows=rows, seed=1)]) for rows in (101, 501)]
     assert len(pages[1].encode()) < 1e6 and len(pages[1]) > len(pages[0]) + 1e5

@@ -265,6 +265,38 @@ def test_times_of_a_cell_are_of_a_start_and_of_an_action_of_one_arm(venue, monke
     assert cell.action == pytest.approx(1e6 * 1.0 / rollout("zero", venue, SEEDS).lengths.sum())
 
 
+def test_the_multiple_is_the_settling_time_in_those_of_the_slew(venue, monkeypatch):
+    """A tip that arrives after 1 s, where the slew takes 0.5 s, and in an episode of which there is no slew."""
+    errors = np.where(np.arange(301) < 100, 1.0, 0.0)
+    record = Record(np.zeros((301, 3)), errors, np.zeros((300, 1)), np.zeros(300), "", 0.01, 0.01)
+    monkeypatch.setattr(league, "rollout", lambda *_, **__: SimpleNamespace(records=[record] * 2, lengths=[300] * 2))
+    monkeypatch.setattr(league, "slew_times", lambda environment: {9000: 0.5})
+    _, rows = play(Cell("", "zero", venue, 9000, 9002))
+    multiples = [row.values[VALUES.index(MULTIPLE)] for row in rows]
+    assert multiples == pytest.approx([2.0, np.nan], nan_ok=True)
+
+
+def test_both_ends_of_the_score_are_played_in_a_laboratory(monkeypatch):
+    """Rewards are scaled between them; who else needs the true state is left out."""
+
+    def refuse(entrant, told):
+        raise ValueError("it is made")
+
+    monkeypatch.setattr(league, "_watched", refuse)
+    why = {who: play(Cell("", who, "FlexPlanar-v0/unknown-lab", 9000, 9001))[0].why for who in (*league.SCALE, "lqr")}
+    assert why == dict.fromkeys(league.SCALE, "it is made") | {"lqr": "it needs more than a laboratory can tell it"}
+
+
+def test_rows_of_another_processor_count(venue, monkeypatch):
+    """Versions of packages change rows, the processor does not."""
+    monkeypatch.setattr(league, "digest_of_code", lambda: "")
+    keys = set()
+    for processor, version in (("one", "1"), ("two", "1"), ("one", "2")):
+        monkeypatch.setattr(league, "machine", lambda *_: {"processor": processor, "numpy": version})  # noqa: B023
+        keys.add(league.key_of("pd", venue))
+    assert len(keys) == 2
+
+
 def test_a_watch_keeps_starts_and_actions_apart(monkeypatch):
     """By a clock that goes on by one second in a start and by a thousandth in an action."""
     clock = [0.0]

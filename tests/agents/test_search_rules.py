@@ -1,0 +1,113 @@
+"""Search without Optuna: how often trials are compared, what a trial is worth, and when it is pruned."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from flexman_agents import search as module
+from flexman_agents.callbacks import Report
+from flexman_agents.search import flat, run_trial, search
+
+from oracles.refusals import refusal
+from oracles.runs import RUNS
+
+RECIPE = RUNS["ppo"]
+OVER = {"hyperparameters.gamma": {"low": 0.5, "high": 0.9}}
+
+
+class Study:
+    """A study whose trials are pruned where `prunes` says so; keeps what was told of them."""
+
+    def __init__(self, prunes=False):
+        self.prunes, self.trials, self.told, self.values = prunes, [], [], {}
+        self._cached_frozen_trial = SimpleNamespace(intermediate_values={})
+
+    def get_trials(self, deepcopy=True):
+        return self.trials
+
+    def ask(self):
+        state = SimpleNamespace(is_finished=lambda: bool(self.told))
+        self.trials.append(SimpleNamespace(number=len(self.trials), state=state, intermediate_values=self.values))
+        return self.trials[-1]
+
+    def tell(self, number, value=None, state="COMPLETE"):
+        self.told.append((number, value, state))
+
+    def report(self, value, step):
+        self.values[step] = value
+
+    def should_prune(self):
+        return self.prunes
+
+
+@pytest.fixture
+def optuna(monkeypatch):
+    """Names of Optuna that a search uses."""
+    states = SimpleNamespace(PRUNED="PRUNED", FAIL="FAIL")
+    samplers = SimpleNamespace(TPESampler=lambda seed: seed)
+    monkeypatch.setattr(module, "_optuna", lambda: SimpleNamespace(
+        trial=SimpleNamespace(TrialState=states), samplers=samplers
+    ))  # fmt: skip
+
+
+def ran(monkeypatch, study, rewards):
+    """What a study was told of a trial that earns these rewards, one after the other, and how many were waited for."""
+    steps, seen = RECIPE.steps // len(rewards), []
+
+    def trained(cell):
+        for i, reward in enumerate(rewards, 1):
+            seen.append(reward)
+            last = i == len(rewards)
+            if cell[2]["hook"](Report(RECIPE.steps if last else i * steps, {"reward": reward}, lambda: None)):
+                break
+
+    study.ask()
+    monkeypatch.setattr(module, "_study", lambda folder: study)
+    monkeypatch.setattr(module, "_trial", lambda study, number: study)
+    monkeypatch.setattr(module, "trained", trained)
+    run_trial((RECIPE, "nowhere", 0))
+    return study.told, len(seen)
+
+
+def test_a_trial_is_worth_its_best_policy(optuna, monkeypatch):
+    """Which is the one that a run keeps."""
+    assert ran(monkeypatch, Study(), [1.0, 5.0, 3.0]) == ([(0, 5.0, "COMPLETE")], 3)
+
+
+def test_a_trial_is_pruned_on_its_way_and_not_at_its_end(optuna, monkeypatch):
+    assert ran(monkeypatch, Study(prunes=True), [1.0, 5.0, 3.0]) == ([(0, None, "PRUNED")], 1)
+    assert ran(monkeypatch, Study(prunes=True), [2.0]) == ([(0, 2.0, "COMPLETE")], 1)
+
+
+@pytest.mark.parametrize(("asked", "every"), [(0, RECIPE.steps // 10), (48, 48)])
+def test_trials_are_compared_ten_times_where_the_recipe_does_not_say(asked, every, optuna, monkeypatch, tmp_path):
+    study, cells = Study(), []
+
+    def spread(run, given, workers):
+        cells.extend(given)
+        study.tell(0, 1.0)
+        return iter([None])
+
+    monkeypatch.setattr(module, "_study", lambda folder: study)
+    monkeypatch.setattr(module, "_proposed", lambda study, number, over: {"hyperparameters.gamma": 0.7})
+    monkeypatch.setattr(module, "_keep_best", lambda study, recipe, folder: folder)
+    monkeypatch.setattr(module, "spread", spread)
+    search(replace(RECIPE, judge_every=asked), OVER, tmp_path, 1)
+    ((settings, _, number),) = cells
+    assert (settings.judge_every, settings.hyperparameters["gamma"], number) == (every, 0.7, 0)
+
+
+@pytest.mark.parametrize("ends", [(0.0, 1.0, True), (-1.0, 1.0, True), (0.5, 0.5, False)])
+def test_ends_between_which_nothing_lies_are_refused(ends, tmp_path):
+    low, high, log = ends
+    over = {"hyperparameters.learning_rate": {"low": low, "high": high, "log": log}}
+    line = refusal(search, RECIPE, over, tmp_path / "search", 2)
+    assert line.startswith("over.hyperparameters.learning_rate: ") and line.endswith("low < high, and low > 0 with log")
+
+
+def test_a_setting_is_a_path_of_the_names_above_it():
+    over = {"hyperparameters": {"gamma": {"low": 0.5, "high": 0.9}}, "envs": {"choices": [2, 3]}}
+    assert flat(over) == {"hyperparameters.gamma": {"low": 0.5, "high": 0.9}, "envs": {"choices": [2, 3]}}

@@ -1,0 +1,160 @@
+"""Raster: which samples a shape covers, what hides what, and light, shadow, lines and means by their formulas."""
+
+import numpy as np
+import pytest
+
+from flexman_gym.kernels import raster
+
+SHAPE = 16, 20  # rows and columns of pixels
+ROWS, COLUMNS = np.mgrid[: SHAPE[0], : SHAPE[1]] + 0.5  # centres
+CORNERS = np.array([[1.0, 1.0], [1.0, 9.0], [13.0, 1.0]])  # column and row; counter-clockwise as rows grow downwards
+NEARNESS = np.array([0.1, 0.3, 0.2])
+FACES = np.array([[0, 1, 2]])
+FAR = np.array([0.0, 0.0, 1e9])  # an eye above
+
+
+def canvas(samples=1):
+    """An empty canvas, grey."""
+    height, width = (samples * each for each in SHAPE)
+    colour = np.full((height, width, 3), 100, dtype=np.uint8)
+    depth, mask = np.zeros((height, width), dtype=np.float32), np.zeros((height, width), dtype=np.uint8)
+    shadow, picture = np.zeros(SHAPE, dtype=np.float32), np.zeros((*SHAPE, 3), dtype=np.uint8)
+    box = np.array([1 << 30, -1, 1 << 30, -1])
+    return raster.Canvas(colour, depth, mask, colour.copy(), shadow, shadow.copy(), picture, picture.copy(), box)
+
+
+def screen(nearness=NEARNESS):
+    return np.column_stack([CORNERS, np.broadcast_to(nearness, 3)])
+
+
+def shares():
+    """Barycentric coordinates (3, rows, columns) of the centres, and whether they lie in the triangle."""
+    edges = np.linalg.inv(np.column_stack([CORNERS, np.ones(3)]).T)
+    parts = np.einsum("ij,jrc->irc", edges, np.stack([COLUMNS, ROWS, np.ones(SHAPE)]))
+    return parts, (parts >= 0.0).all(axis=0)
+
+
+def shaded(normals, colours=(200.0, 100.0, 50.0), eye=FAR):
+    """Colours of a canvas with one triangle."""
+    drawn = canvas()
+    every = np.broadcast_to(np.asarray(colours, dtype=float), (3, 3)).copy()
+    given = np.broadcast_to(np.asarray(normals, dtype=float), (3, 3)).copy()
+    raster.shade(drawn, screen(), np.zeros((3, 3)), given, every, FACES, np.asarray(eye, dtype=float))
+    return drawn.colour
+
+
+def test_a_camera_sees_as_a_pinhole():
+    random = np.random.default_rng(0)
+    axes, eye = np.linalg.qr(random.normal(size=(3, 3)))[0], random.normal(size=3)
+    points, out = eye + random.uniform((-1.0, -1.0, 2.0), (1.0, 1.0, 4.0), (9, 3)) @ axes, np.zeros((9, 3))
+    raster.project(points, eye, axes, np.array([50.0, 8.0, 6.0]), out)
+    right, up, forward = axes @ (points - eye).T
+    assert out == pytest.approx(np.column_stack([8.0 + 50.0 * right / forward, 6.0 - 50.0 * up / forward, 1 / forward]))
+
+
+def test_a_triangle_covers_the_centres_within_it_where_it_faces_the_eye():
+    drawn, (parts, inside) = canvas(), shares()
+    corners, up = screen(), np.tile([0.0, 0.0, 1.0], (3, 1))
+    raster.shade(drawn, corners, np.zeros((3, 3)), up, np.zeros((3, 3)), FACES[:, ::-1].copy(), FAR)
+    assert (drawn.depth == 0.0).all() and drawn.box[1] < drawn.box[0], "it is seen from behind"
+    raster.shade(drawn, corners, np.zeros((3, 3)), up, np.zeros((3, 3)), FACES, FAR)
+    assert np.array_equal(drawn.depth > 0.0, inside) and inside.sum() > 40
+    assert drawn.depth[inside] == pytest.approx(np.einsum("i,irc->rc", NEARNESS, parts)[inside], rel=1e-6)
+    rows, columns = np.nonzero(inside)
+    assert (drawn.box[::2] <= (columns.min(), rows.min())).all(), "the box has all that was drawn"
+    assert (drawn.box[1::2] >= (columns.max(), rows.max())).all()
+
+
+@pytest.mark.parametrize("nearest", [0, 1])
+def test_what_is_nearer_hides_what_is_farther_in_either_order(nearest):
+    drawn, up = canvas(), np.tile([0.0, 0.0, 1.0], (3, 1))
+    for i, colour in enumerate(((250.0, 0.0, 0.0), (0.0, 0.0, 250.0))):
+        near = 0.5 if i == nearest else 0.4
+        raster.shade(drawn, screen(near), np.zeros((3, 3)), up, np.tile(colour, (3, 1)), FACES, FAR)
+    pixel = drawn.colour[3, 3].astype(int)
+    assert (pixel[0] > pixel[2]) == (nearest == 0) and drawn.depth[3, 3] == np.float32(0.5)
+
+
+def test_light_of_the_sun_falls_on_what_faces_it():
+    """All lamps by the cosine, and the whole highlight where eye, sun and normal are in line."""
+    sun, other = np.array(raster.SUN), np.array(raster.OPPOSITE)
+    sun, direction = sun / np.linalg.norm(sun), 1e9 * sun
+    factor = raster.AMBIENT + raster.HIGH * sun[2] + raster.KEY + raster.FILL * max(sun @ other, 0.0)
+    expected = factor * np.array([100.0, 50.0, 20.0]) + 255.0 * raster.GLOSS
+    assert np.abs(shaded(7.0 * sun, (100.0, 50.0, 20.0), direction)[3, 3] - expected).max() < 1.1
+    factor = raster.AMBIENT - raster.HIGH * sun[2] + raster.FILL * max(-sun @ other, 0.0)
+    away = factor * np.array([100.0, 50.0, 20.0]) - 80.0 * raster.RIM
+    assert np.abs(shaded(-sun, (100.0, 50.0, 20.0), direction)[3, 3] - np.maximum(away, 0.0)).max() < 1.1
+
+
+def test_normals_and_colours_change_linearly_between_the_corners():
+    """A sample has the colour of a triangle whose corners all have the normal and the colour of that place."""
+    parts, inside = shares()
+    normals = np.array([[0.9, 0.0, 0.4], [-0.5, 0.8, 0.3], [0.0, -0.7, 0.7]])
+    colours = np.array([[250.0, 0.0, 10.0], [20.0, 200.0, 0.0], [0.0, 30.0, 240.0]])
+    smooth = shaded(normals, colours)
+    for row, column in np.argwhere(inside)[::7]:
+        place = parts[:, row, column]
+        flat = shaded(place @ normals, place @ colours)[row, column]
+        assert np.abs(smooth[row, column].astype(int) - flat).max() <= 1
+
+
+def test_a_silhouette_is_seen_where_nothing_is_drawn():
+    (_, inside), drawn, box = shares(), canvas(), np.array([1 << 30, -1, 1 << 30, -1])
+    drawn.depth[:4] = 0.1
+    raster.cover(screen(), FACES, drawn.mask, drawn.depth, box)
+    assert np.array_equal(drawn.mask == 1, inside & (ROWS > 4.0))
+    raster.cover(screen(), FACES, drawn.shadow, np.zeros((1, 1), dtype=np.float32), box)
+    assert np.array_equal(drawn.shadow == 1.0, inside), "a shadow lies under what is drawn, too"
+
+
+def test_a_line_has_its_colour_and_radius_at_its_last_point_and_less_before():
+    """Of two pieces the last has the whole radius and colour, the first what is in the middle between both ends."""
+    drawn, colour, faintest, radius = canvas(), np.array([200.0, 0.0, 150.0]), 0.2, 2.5
+    line = np.array([[3.0, 8.0, 0.5], [9.0, 8.0, 0.5], [17.0, 8.0, 0.5]])
+    drawn.depth[9, 12:14], drawn.depth[9, 14:16] = 0.6, 0.4  # nearer and farther than the line
+    raster.stroke(drawn, line, radius, faintest, colour)
+    part = 0.5 * (1.0 + faintest)
+    distances = [np.hypot(COLUMNS - np.clip(COLUMNS, *ends), ROWS - 8.0) for ends in ((3.0, 9.0), (9.0, 17.0))]
+    last, first = distances[1] <= radius, distances[0] <= radius * (0.4 + 0.6 * part)
+    hidden = drawn.depth > 0.5
+    expected = np.where(first[..., None], 100.0 + part * (colour - 100.0), 100.0)
+    expected = np.where(last[..., None], colour, expected)
+    expected[hidden] = 100.0
+    assert hidden.sum() == 2 and (first & ~last).sum() > 10
+    assert np.abs(drawn.colour - expected).max() <= 1.0
+    assert np.array_equal(drawn.mask == 2, (first | last) & ~hidden)
+
+
+@pytest.mark.parametrize("radius", [1, 2])
+def test_a_shadow_is_softened_by_two_means(radius):
+    """A point becomes a pyramid: two means over 2 r + 1 pixels are a triangle in each direction."""
+    drawn, box = canvas(), np.array([9, 9, 7, 7])
+    drawn.shadow[7, 9] = 1.0
+    raster.soften(drawn.shadow, drawn.scratch, box, radius)
+    wide = 2 * radius + 1
+    rows, columns = (np.maximum(wide - np.abs(np.arange(size) - at), 0) / wide**2 for size, at in ((16, 7), (20, 9)))
+    assert drawn.shadow == pytest.approx(np.outer(rows, columns), abs=1e-7)
+    assert box.tolist() == [9 - 2 * radius, 9 + 2 * radius, 7 - 2 * radius, 7 + 2 * radius]
+
+
+def test_a_shadow_darkens_the_empty_scene_once():
+    drawn = canvas(2)
+    drawn.shadow[3, 4], drawn.shadow[5, 6] = 1.0, 0.5
+    raster.darken(drawn, np.array([4, 6, 3, 5]), 0.3)
+    expected = np.full(drawn.colour.shape, 100.0)
+    expected[6:8, 8:10], expected[10:12, 12:14] = 70.0, 85.0
+    assert np.abs(drawn.colour - expected).max() <= 1.0 and not drawn.shadow.any()
+    assert drawn.box.tolist() == [8, 13, 6, 11]
+
+
+def test_a_pixel_is_the_mean_of_its_samples_to_the_nearest_number():
+    """The ghost is laid over samples of its silhouette alone, not over those of a line."""
+    drawn = canvas(2)
+    drawn.box[:] = 0, 2 * SHAPE[1] - 1, 0, 2 * SHAPE[0] - 1
+    drawn.colour[:2, :2, 0] = [[10, 11], [11, 11]]
+    drawn.mask[2, 2], drawn.mask[2, 4] = 1, 2
+    raster.resolve(drawn, np.array([20.0, 180.0, 100.0]), 0.5)
+    assert drawn.picture[0, 0].tolist() == [11, 100, 100]
+    assert drawn.picture[1, 1].tolist() == [90, 110, 100], "a quarter of the pixel, by a half"
+    assert drawn.picture[1, 2].tolist() == [100, 100, 100] == drawn.picture[8, 8].tolist()
