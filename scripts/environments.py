@@ -4,7 +4,7 @@ import argparse
 
 from flexman_gym.envs import NAMED
 from studies.environments.episode import BASES, draw, run
-from studies.environments.page import page
+from studies.environments.page import baselines, page
 from studies.places import folder
 
 
@@ -13,12 +13,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", choices=sorted(NAMED), help="one of them")
     parser.add_argument("--folder", type=folder, default="out/environments", help="where pages and pictures go")
+    parser.add_argument("--text", action="store_true", help="write the pages alone; the pictures stay as they are")
     options = parser.parse_args()
     for name in [options.only] if options.only else NAMED:
         runs = {base: run(name, base) for base in BASES}
-        draw(runs, options.folder / f"{name}.png")
+        if not options.text:
+            draw(runs, options.folder / f"{name}.png")
         (options.folder / f"{name}.md").write_text(page(name, runs), encoding="utf-8")
-        print(name, *(f"{BASES[base]} {1e3 * each.rms_error:.3g} mm" for base, each in runs.items()), sep=", ")
+        print(name, *baselines(name, runs)[2:], sep="\n", flush=True)
 
 
 if __name__ == "__main__":

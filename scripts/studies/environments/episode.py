@@ -1,59 +1,39 @@
 """Episode: what baselines do on a named environment, and pictures of one episode."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from flexman_gym.arrays import Array
 from flexman_gym.draw.side import side_by_side
 from flexman_gym.draw.style import BLUE, LIGHT, MIDDLE, ORANGE, RED, new_figure
 from flexman_gym.draw.video import write_video
-from flexman_gym.evaluation import rollout
-from flexman_gym.metrics import rms
-from flexman_gym.simulation import Episode
+from flexman_gym.evaluation.rollout import Rollout, rollout
+from flexman_gym.evaluation.seeds import TEST
 
 BASES = {None: "no torque", "pd": "PD", "lqr-tracking": "tracking LQR"}  # the latter knows the arm and its state
-SEEDS = tuple(range(9000, 9008))
+SEEDS = TEST[:20]
 SIZE, BROADER, LEAST = (280, 210), 1.5, 1e-5
 
 
-@dataclass(frozen=True, eq=False)
-class Run:
-    """Episodes of one baseline: errors (T + 1, b) m, nan after an end; the first one; part of them that ended early."""
-
-    errors: Array
-    first: Episode
-    failed: float
-
-    @property
-    def rms_error(self) -> float:
-        """Root mean square of the tip error (m) over all control periods of all episodes."""
-        return float(rms(self.errors[np.isfinite(self.errors)]))
+def run(name: str, base: str | None) -> Rollout:
+    """Run an episode of a baseline from each of the seeds."""
+    return rollout(base or "zero", name, SEEDS)
 
 
-def run(name: str, base: str | None) -> Run:
-    """Runs an episode from each of the seeds."""
-    result = rollout(base or "zero", name, SEEDS)
-    failed = np.array([failure != "" for failure in result.failures])
-    errors = result.errors.T.copy()
-    errors[result.lengths[failed], np.flatnonzero(failed)] = np.nan  # the last state is beyond the limits
-    return Run(errors, result.episode(0), failed=float(failed.mean()))
-
-
-def draw(runs: dict[str | None, Run], path: Path) -> None:
+def draw(runs: dict[str | None, Rollout], path: Path) -> None:
     """Draws tip error and torques of an episode under each baseline, and films it under the tracking LQR (GIF)."""
-    frames, rate = side_by_side([runs["lqr-tracking"].first], small=True, size=SIZE)
+    frames, rate = side_by_side([runs["lqr-tracking"].episode(0)], small=True, size=SIZE)
     write_video(frames, path.with_suffix(".gif"), rate)
     figure = new_figure((11.0, 2.9), 110.0, layout="constrained")
     left, right = figure.subplots(1, 2)
     looks = {None: (MIDDLE, "-"), "pd": (BLUE, "-"), "lqr-tracking": (RED, "-")}
     for base, each in runs.items():
         colour, style = looks[base]
-        times, errors = each.first.time, 1e3 * np.maximum(each.first.errors, LEAST)
+        episode = each.episode(0)
+        times, errors = episode.time, 1e3 * np.maximum(episode.errors, LEAST)
         left.semilogy(times, errors, style, color=colour, label=BASES[base])
         if base is not None:
-            torques = np.abs(each.first.actions).max(axis=1)
+            torques = np.abs(episode.actions).max(axis=1)
             right.plot(times[1:], torques, style, color=colour, linewidth=BROADER, label=BASES[base])
     left.set(xlabel="time (s)", ylabel="tip error (mm)")
     right.set(xlabel="time (s)", ylabel="largest torque / its limit", ylim=(0.0, 1.05))

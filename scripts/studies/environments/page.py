@@ -9,18 +9,24 @@ import numpy as np
 from flexman_gym.envs.catalog import NAMED
 from flexman_gym.envs.description import CONDITIONS, FILES, NOMINAL
 from flexman_gym.envs.sensors import SETS
+from flexman_gym.evaluation.figures import FIGURES, SHARE, Figure
+from flexman_gym.evaluation.rollout import Rollout
+from flexman_gym.metrics import BAND, STAY, VIBRATING
 from flexman_gym.model.instant import frequencies
 from flexman_gym.verification.markdown import markdown_table
 from studies.environments.accuracy import DURATION, FINER, MOTIONS, Accuracy, accuracy
-from studies.environments.episode import BASES, SEEDS, Run
+from studies.environments.episode import BASES, SEEDS
 from studies.environments.first import first
 
+SLEW = ("settled", "settling_time", "vibration")  # figures of a task that names none
+MOVING = "The RMS error is the median over the episodes of the RMS tip error in all control periods of one."
+LEAST = 0.001  # s and mm; smaller numbers are shown as less than this
 STEP = "CPU time of a step of the finer model"
 SECTIONS = ("Description", "Actions", "Observations", "Reward", "Start", "End", "Arguments", "Version history")
 
 
-def page(name: str, runs: dict[str | None, Run]) -> str:
-    """The page of a named environment, in Markdown, with the RMS tip errors of its baselines."""
+def page(name: str, runs: dict[str | None, Rollout]) -> str:
+    """The page of a named environment, in Markdown, with what its baselines reached."""
     sections = docstring_sections(type(NAMED[name].task))
     lines = [f"# {name}", "", f"![{name} under a tracking LQR]({name}.gif)", "", *_head(name), ""]
     for title in SECTIONS:
@@ -30,7 +36,7 @@ def page(name: str, runs: dict[str | None, Run]) -> str:
         )
     lines += ["## What to set first", "", *first(name), ""]
     lines += ["## Accuracy", "", *_left_out(accuracy(name)), ""]
-    lines += ["## Baselines", "", f"![Tip error and torques of {name}]({name}.png)", "", *_baselines(runs), ""]
+    lines += ["## Baselines", "", f"![Tip error and torques of {name}]({name}.png)", "", *baselines(name, runs), ""]
     lines += ["## Conditions", "", *_conditions(name)]
     return "\n".join(lines).rstrip() + "\n"
 
@@ -139,14 +145,35 @@ def _arguments(name: str) -> list[str]:
     return [*given, "", f'This environment has `task={{"kind": "{kind}", {shown}}}`.', ""]
 
 
-def _baselines(runs: dict[str | None, Run]) -> list[str]:
-    rows = [(BASES[base], f"{1e3 * each.rms_error:.3g} mm", f"{each.failed:.0%}") for base, each in runs.items()]
+def baselines(name: str, runs: dict[str | None, Rollout]) -> list[str]:
+    """Compare the baselines of an environment, in Markdown: a slew by its end, other tasks by the RMS tip error."""
+    own = getattr(NAMED[name].task, "figures", SLEW)
+    shown = [FIGURES[figure] for figure in (*own, "failed")]
+    rows = [(BASES[base], *(_cell(figure, each) for figure in shown)) for base, each in runs.items()]
     return [
-        f"{len(SEEDS)} episodes (seeds {SEEDS[0]} to {SEEDS[-1]}), over all of their control periods. The LQR knows "
-        "the arm and its whole state; the PD sees its motors.",
+        f"{len(SEEDS)} test episodes (seeds {SEEDS[0]} to {SEEDS[-1]}). The LQR knows the arm and its whole state; the "
+        f"PD sees its motors. {_ends(name) if own == SLEW else MOVING}",
         "",
-        *markdown_table(("", "RMS tip error", "failed"), rows),
+        *markdown_table(("", *(figure.head for figure in shown)), rows),
     ]
+
+
+def _ends(name: str) -> str:
+    """Definitions of the figures of a slew."""
+    band = BAND * sum(link.length for link in gym.make(name).unwrapped.setup.arm.links)  # type: ignore[attr-defined]
+    return (
+        f"The tip has settled when it stays within {1e3 * band:.3g} mm of its target until the end of the episode, for "
+        f"at least {STAY:g} s. Settling time and vibration are medians. Vibration is the motion of the tip from peak to "
+        f"peak (p-p) in the last {VIBRATING:g} s. The settling time of an episode that does not settle is infinite."
+    )
+
+
+def _cell(figure: Figure, runs: Rollout) -> str:
+    result = figure.sum_up(runs.records)
+    if figure.many == SHARE:
+        return f"{result:.0%}"
+    shown = figure.scale * result
+    return f"<{LEAST:g}" if 0.0 < shown < LEAST else f"{shown:.3g}" if np.isfinite(shown) else "-"
 
 
 def _left_out(each: Accuracy) -> list[str]:
