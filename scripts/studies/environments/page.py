@@ -163,8 +163,8 @@ def _ends(name: str) -> str:
     band = BAND * sum(link.length for link in gym.make(name).unwrapped.setup.arm.links)  # type: ignore[attr-defined]
     return (
         f"The tip has settled when it stays within {1e3 * band:.3g} mm of its target until the end of the episode, for "
-        f"at least {STAY:g} s. Settling time and vibration are medians. Vibration is the motion of the tip from peak to "
-        f"peak (p-p) in the last {VIBRATING:g} s. The settling time of an episode that does not settle is infinite."
+        f"at least {STAY:g} s. Settling time and vibration are medians. Vibration is the motion of the tip from peak "
+        f"to peak (p-p) in the last {VIBRATING:g} s. The settling time of an episode that does not settle is infinite."
     )
 
 
