@@ -118,7 +118,7 @@ def trials(environment: Description, trained: Description) -> list[Trial]:
         changes = _with(environment, {"sensor_noise": (noise, noise)})
         far.append((f"noise {noise:g}", f"noise of {noise:g} of the range of each sensor", changes))
     for name, what, changes in far:
-        result += [Trial(f"{name}, {words}", what, "far", changes, told=words == TOLD) for words in (TOLD, NOT_TOLD)]
+        result += [Trial(f"{name} ({words})", what, "far", changes, told=words == TOLD) for words in (TOLD, NOT_TOLD)]
     return result
 
 

@@ -45,12 +45,12 @@ def test_trials_are_played_where_they_say_and_kept_beside_the_policy(folder):
     assert len(said) == len(rows) and list(rows)[:3] == ["as trained", "finer", "method"]
     assert rows["finer"]["error"] == physical_check("pd", DESCRIBED, SEEDS, ("finer",))["finer"]["error"]
     far = ("payload", "stiffness", "friction", "delay 0", "delay 3", "noise 0.003")
-    assert {"search", *(f"{name}, {words}" for name in far for words in ("told", "not told"))} <= rows.keys()
+    assert {"search", *(f"{name} ({words})" for name in far for words in ("told", "not told"))} <= rows.keys()
     for name, changes in (
         ("as trained", {}),
-        ("payload, told", {"randomisation": {"payload_mass": [0.0, 0.2]}}),
-        ("delay 1, not told", {"randomisation": {"delay": [1, 1]}}),
-        ("friction, told", Description.find("FlexPlanar-v0/friction").whole_settings()),
+        ("payload (told)", {"randomisation": {"payload_mass": [0.0, 0.2]}}),
+        ("delay 1 (not told)", {"randomisation": {"delay": [1, 1]}}),
+        ("friction (told)", Description.find("FlexPlanar-v0/friction").whole_settings()),
     ):
         expected = fm.evaluate("pd", Description("FlexPlanar-v0", {**DESCRIBED.settings, **changes}), SEEDS)
         shown = {each: expected[each] if np.isfinite(expected[each]) else None for each in SHOWN}
@@ -60,15 +60,16 @@ def test_trials_are_played_where_they_say_and_kept_beside_the_policy(folder):
     worst = [each["seed"] for each in rows["search"]["worst"]]
     assert worst == sorted(search, key=rewards.__getitem__)[:5]
     assert result["fails"] == [row["name"] for row in result["trials"] if row["fails"]]
-    assert "delay 3, told" in result["fails"], "the arm then never settles in its second"
+    assert "delay 3 (told)" in result["fails"], "the arm then never settles in its second"
     assert shipped.described("still").startswith("Made up. Not recommended: it fails ")
 
 
 def test_a_policy_without_failures_is_recommended_and_another_has_no_certificate_of_it(folder):
     about = json.loads((folder / ABOUT).read_text())
-    (folder / shipped.CERTIFICATE).write_text(json.dumps({"arrays_hash": about["arrays_hash"], "fails": [], "trials": []}))
+    empty = {"arrays_hash": about["arrays_hash"], "fails": [], "trials": []}
+    (folder / shipped.CERTIFICATE).write_text(json.dumps(empty))
     assert shipped.described("still") == "Made up. Recommended."
-    (folder / shipped.CERTIFICATE).write_text(json.dumps({"arrays_hash": "another", "fails": [], "trials": []}))
+    (folder / shipped.CERTIFICATE).write_text(json.dumps({**empty, "arrays_hash": "another"}))
     assert shipped.described("still") == "Made up. It has no certificate."
 
 
@@ -107,17 +108,18 @@ def test_what_the_training_drew_is_left(monkeypatch):
     """A policy that learned with payloads and stiffness is tried beyond them."""
     trained = Description.find("FlexRRR-v0/unknown")
     changes = {each.name: each.changes for each in trials(Description(), trained)}
-    assert changes["payload, told"] == changes["payload, not told"] == {"randomisation": {"payload_mass": [20.0, 25.0]}}
-    both = changes["stiffness, told"]["randomisation"]
+    assert changes["payload (told)"] == {"randomisation": {"payload_mass": [20.0, 25.0]}}
+    assert changes["payload (not told)"] == changes["payload (told)"]
+    both = changes["stiffness (told)"]["randomisation"]
     assert both["joint_stiffness_factor"] == both["link_stiffness_factor"] == pytest.approx([0.55, 0.7])
-    kept = {each.name: each.changes for each in trials(trained, trained)}["delay 3, told"]["randomisation"]
+    kept = {each.name: each.changes for each in trials(trained, trained)}["delay 3 (told)"]["randomisation"]
     assert kept["delay"] == [3, 3] and kept["payload_mass"] == [0.0, 20.0]
 
 
 def test_friction_is_that_of_the_named_arm_and_no_other_arm_is_tried_with_it():
     own = Description("FlexRRR-v0", {"arm": {**dict(Description().whole()["arm"]), "payload": {"mass": 5.0}}})
     tried = [[each.name for each in trials(what, what)] for what in (Description(), own)]
-    assert ["friction, told" in names for names in tried] == [True, False]
+    assert ["friction (told)" in names for names in tried] == [True, False]
 
 
 @pytest.mark.parametrize(("words", "delay"), [("told", (3, 3)), ("not told", (1, 1))])
@@ -133,7 +135,7 @@ def test_a_controller_is_designed_for_the_delay_that_it_is_told_and_else_for_its
         return SimpleNamespace(records=[])
 
     monkeypatch.setattr(certificate, "rollout", rollout)
-    (trial,) = (each for each in trials(*[entrant.environment] * 2) if each.name == f"delay 3, {words}")
+    (trial,) = (each for each in trials(*[entrant.environment] * 2) if each.name == f"delay 3 ({words})")
     certificate._played(entrant, trial, SEEDS)
     assert [plant.delay for plant in plants] == [delay]
 

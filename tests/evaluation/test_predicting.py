@@ -1,10 +1,15 @@
 """Predicting: any object with `predict` is an entrant, and acts as the environment says that an agent does."""
 
 import numpy as np
+import pytest
 
 import flexman_gym as fm
 from flexman_gym.envs.description import Description
 from flexman_gym.evaluation import find_entrant, rollout
+from flexman_gym.evaluation.entrants import load_shipped, predicting
+from flexman_gym.evaluation.shipped import read_shipped, write_shipped
+
+from oracles.shipped import made_up
 
 AGENT = {"base": "pd", "hold": 3, "history": 2, "sensors": ["full", "fine"]}
 BARE = Description("FlexOne-v0", {"horizon": 0.6})
@@ -43,3 +48,28 @@ def test_its_actions_may_come_first_of_a_pair_and_end_at_one():
 
 def test_it_is_evaluated_in_one_line():
     assert fm.evaluate(Own(0.0), WHOLE, [0, 1]) == fm.evaluate("pd", BARE, [0, 1])
+
+
+@pytest.mark.parametrize(
+    "condition",
+    [
+        "nominal",
+        pytest.param("unknown-lab", marks=pytest.mark.xfail(
+            reason="sensors of an agent and of a controller draw their noise from different streams", strict=True)),
+    ],
+)  # fmt: skip
+def test_a_policy_acts_alike_whether_its_network_is_asked_or_it_is_loaded_from_its_files(condition, tmp_path):
+    """The same weights, seeds and sensors: the same noise, bias and lost samples, hence the same actions."""
+    agent = {"base": "pd", "hold": 2, "sensors": "lab", "horizon": 0.4}
+    described = Description.from_dict(
+        {"id": "FlexPlanar-v0", **Description.under("FlexPlanar-v0", condition).whole_settings(), **agent}
+    )
+    write_shipped(tmp_path, *made_up(described))
+    network = read_shipped(tmp_path)[1]
+
+    class Live:
+        def predict(self, observations):
+            return network(observations)
+
+    loaded, live = (rollout(each, described, [0, 1]) for each in (load_shipped(tmp_path), predicting(Live(), described)))
+    assert np.array_equal(loaded.actions, live.actions)
