@@ -71,5 +71,6 @@ def test_a_policy_acts_alike_whether_its_network_is_asked_or_it_is_loaded_from_i
         def predict(self, observations):
             return network(observations)
 
-    loaded, live = (rollout(each, described, [0, 1]) for each in (load_shipped(tmp_path), predicting(Live(), described)))
+    entrants = load_shipped(tmp_path), predicting(Live(), described)
+    loaded, live = (rollout(each, described, [0, 1]) for each in entrants)
     assert np.array_equal(loaded.actions, live.actions)
