@@ -9,7 +9,8 @@ pytest.importorskip("stable_baselines3")
 
 from flexman_agents import search as module
 from flexman_agents.callbacks import Report
-from flexman_agents.search import flat, run_trial, search
+from flexman_agents.recipes import find_recipe
+from flexman_agents.search import changed, flat, run_trial, search
 
 from oracles.refusals import refusal
 from oracles.runs import RUNS
@@ -29,8 +30,9 @@ class Study:
         return self.trials
 
     def ask(self):
-        state = SimpleNamespace(is_finished=lambda: bool(self.told))
-        self.trials.append(SimpleNamespace(number=len(self.trials), state=state, intermediate_values=self.values))
+        number = len(self.trials)
+        state = SimpleNamespace(is_finished=lambda: number in [each[0] for each in self.told], name="COMPLETE")
+        self.trials.append(SimpleNamespace(number=number, state=state, intermediate_values=self.values))
         return self.trials[-1]
 
     def tell(self, number, value=None, state="COMPLETE"):
@@ -98,6 +100,50 @@ def test_trials_are_compared_ten_times_where_the_recipe_does_not_say(asked, ever
     search(replace(RECIPE, judge_every=asked), OVER, tmp_path, 1)
     ((settings, _, number),) = cells
     assert (settings.judge_every, settings.hyperparameters["gamma"], number) == (every, 0.7, 0)
+
+
+def test_every_trial_is_proposed_by_a_seed_of_its_own(optuna, monkeypatch, tmp_path):
+    """As often as it was asked for, though several are at work at once; else the first ones would be alike."""
+    study, seeds = Study(), []
+
+    def spread(run, cells, workers):
+        for *_, number in cells:
+            study.tell(number, 1.0)
+        return iter([None] * len(cells))
+
+    monkeypatch.setattr(module, "_study", lambda folder: study)
+    monkeypatch.setattr(module, "_proposed", lambda study, number, over: seeds.append(study.sampler) or {})
+    monkeypatch.setattr(module, "_keep_best", lambda study, recipe, folder: folder)
+    monkeypatch.setattr(module, "spread", spread)
+    search(RECIPE, OVER, tmp_path, 3, workers=2, seed=7)
+    assert len(study.trials) == 3 and list(dict.fromkeys(seeds)) == [7, 8, 9]
+
+
+def test_the_best_trial_becomes_a_recipe(optuna, monkeypatch, tmp_path):
+    study = Study()
+    study.ask(), study.ask()
+    study.best_trial = SimpleNamespace(number=1, params={"hyperparameters.gamma": 0.7}, value=5.0)
+    monkeypatch.setattr(module, "machine_text", lambda packages: "a machine")
+    path = module._keep_best(study, RECIPE, tmp_path)
+    assert find_recipe(str(path)) == changed(RECIPE, {"hyperparameters.gamma": 0.7})
+    assert path.read_text().startswith("# Found by flexman search: trial 1 of 2 (2 complete).\n")
+
+
+def test_whole_numbers_choices_and_logarithms_are_asked_for(monkeypatch):
+    names = ("suggest_int", "suggest_float", "suggest_categorical")
+    trial = SimpleNamespace(
+        **{name: lambda *given, name=name, **more: (name, *given, *more.values()) for name in names}
+    )
+    monkeypatch.setattr(module, "_trial", lambda study, number: trial)
+    over = {
+        "a": {"low": 1, "high": 3, "whole": True},
+        "b": {"low": 0.1, "high": 2.0, "log": True},
+        "c": {"choices": [4]},
+    }
+    assert module._proposed(None, 0, over) == {
+        "a": ("suggest_int", "a", 1, 3, False), "b": ("suggest_float", "b", 0.1, 2.0, True),
+        "c": ("suggest_categorical", "c", [4]),
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("ends", [(0.0, 1.0, True), (-1.0, 1.0, True), (0.5, 0.5, False)])

@@ -10,9 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import flexman_gym as fm
-from flexman_gym.draw.replay import packed, replay_page
+from flexman_gym.draw.replay import packed, page_arm, replay_page
 from flexman_gym.simulation.episode import Episode, about
 
 from oracles.browser import MISSING, Browser, one_browser
@@ -120,6 +121,33 @@ def test_a_reading_takes_all_steps_of_two_bytes():
 def test_every_run_moves_its_own_arm():
     page = embedded(replay_page([episode(), episode("stiff", stiffening=True), episode("again")]))
     assert len(page["arms"]) == 2 and [run["arm"] for run in page["runs"]] == [0, 1, 0]
+
+
+def drawn_tip(arm, q, gain):
+    """The tip (3,) by what a page holds of an arm: rotations and shapes of one link after the other."""
+    turned, origin = Rotation.identity(), np.zeros(3)
+    for i, link in enumerate(arm["links"]):
+        motor, elastic = q[link["motor"]], q[slice(*link["elastic"])]
+        rows, slopes = (
+            np.frombuffer(base64.b64decode(link[name]), "<f4").reshape(-1, each, len(elastic)) @ elastic
+            for name, each in (("rows", 10), ("slopes", 2))
+        )
+        turned *= Rotation.from_matrix(np.reshape(link["mount"], (3, 3)))
+        turned *= Rotation.from_rotvec((motor + gain * (q[i] - motor)) * np.array(link["axis"]))
+        place = gain * rows[-1, :3] + (link["length"] - gain**2 * (slopes[: link["before"][-1]] ** 2).sum(), 0.0, 0.0)
+        origin, turned = origin + turned.apply(place), turned * Rotation.from_rotvec(gain * rows[-1, 3:6])
+    return origin
+
+
+@pytest.mark.parametrize("stiffening", [False, True])
+def test_a_page_holds_all_that_places_the_tip(stiffening):
+    """With joints that wind up, axes that lie across one another, and foreshortening; three times enlarged, too."""
+    model = fm.build_model(fm.catalog.paper_rrr(joint_stiffness=5000.0), 1, modes=4, stiffening=stiffening)
+    page, random = page_arm(model), np.random.default_rng(0)
+    for gain in (1.0, 3.0):
+        state = 0.1 * random.normal(size=2 * model.n_dof)
+        tip = fm.curves(model, state, 2, gain).positions[-1, -1]
+        assert drawn_tip(page, state, gain) == pytest.approx(tip, abs=1e-5)
 
 
 def test_floor_and_colours_are_chosen_by_all_episodes():

@@ -287,6 +287,16 @@ def test_both_ends_of_the_score_are_played_in_a_laboratory(monkeypatch):
     assert why == dict.fromkeys(league.SCALE, "it is made") | {"lqr": "it needs more than a laboratory can tell it"}
 
 
+def test_rows_follow_from_every_file_of_a_run(venue, tmp_path, monkeypatch):
+    monkeypatch.setattr(league, "digest_of_code", lambda: "")
+    keys = [league.key_of(str(tmp_path), venue)]
+    for name in (league.SETTINGS, league.BEST, league.NEWEST):
+        for content in (b"one", b"two"):
+            (tmp_path / name).write_bytes(content)
+            keys.append(league.key_of(str(tmp_path), venue))
+    assert len(set(keys)) == 7
+
+
 def test_rows_of_another_processor_count(venue, monkeypatch):
     """Versions of packages change rows, the processor does not."""
     monkeypatch.setattr(league, "digest_of_code", lambda: "")
@@ -316,11 +326,14 @@ def test_a_watch_keeps_starts_and_actions_apart(monkeypatch):
     assert (watch.designing, watch.acting) == pytest.approx((2.0, 6e-3))
 
 
-def test_the_multiple_is_that_of_the_optimised_slew():
-    """Whose own is 1; it is told of no other environment."""
+def test_times_of_slews_belong_to_the_environment_of_their_table():
     table = SlewTable.load(SHIPPED)
     assert slew_times(Description("FlexRRR-v0")) == {seed: table.settling_time(seed) for seed in range(9000, 9100)}
     assert all(slew_times(find_venue(each).environment) == {} for each in USUAL[1:])
+
+
+def test_the_multiple_is_that_of_the_optimised_slew():
+    """Whose own is 1."""
     at = VALUES.index(MULTIPLE)
     for entrant in ("optimised", "lqr-tracking"):
         rows = play(Cell("", entrant, "FlexRRR-v0", 9000, 9003))[1]

@@ -65,6 +65,12 @@ def test_a_triangle_covers_the_centres_within_it_where_it_faces_the_eye():
     assert (drawn.box[1::2] >= (columns.max(), rows.max())).all()
 
 
+def test_what_is_larger_than_the_picture_covers_all_of_it():
+    drawn, wide = canvas(), np.column_stack([[-50.0, -50.0, 100.0], [-50.0, 100.0, -50.0], NEARNESS])
+    raster.shade(drawn, wide, np.zeros((3, 3)), np.ones((3, 3)), np.zeros((3, 3)), FACES, FAR)
+    assert (drawn.depth > 0.0).all() and drawn.box.tolist() == [0, SHAPE[1] - 1, 0, SHAPE[0] - 1]
+
+
 @pytest.mark.parametrize("nearest", [0, 1])
 def test_what_is_nearer_hides_what_is_farther_in_either_order(nearest):
     drawn, up = canvas(), np.tile([0.0, 0.0, 1.0], (3, 1))
@@ -75,13 +81,17 @@ def test_what_is_nearer_hides_what_is_farther_in_either_order(nearest):
     assert (pixel[0] > pixel[2]) == (nearest == 0) and drawn.depth[3, 3] == np.float32(0.5)
 
 
-def test_light_of_the_sun_falls_on_what_faces_it():
-    """All lamps by the cosine, and the whole highlight where eye, sun and normal are in line."""
+@pytest.mark.parametrize("angle", [0.0, 0.2, 0.5])
+def test_light_of_the_sun_falls_on_what_faces_it(angle):
+    """All lamps by the cosine to the normal, and a highlight by its power of 32 where the eye is before the sun."""
     sun, other = np.array(raster.SUN), np.array(raster.OPPOSITE)
     sun, direction = sun / np.linalg.norm(sun), 1e9 * sun
-    factor = raster.AMBIENT + raster.HIGH * sun[2] + raster.KEY + raster.FILL * max(sun @ other, 0.0)
-    expected = factor * np.array([100.0, 50.0, 20.0]) + 255.0 * raster.GLOSS
-    assert np.abs(shaded(7.0 * sun, (100.0, 50.0, 20.0), direction)[3, 3] - expected).max() < 1.1
+    across = np.cross(sun, (0.0, 0.0, 1.0))
+    normal, share = np.cos(angle) * sun + np.sin(angle) * across / np.linalg.norm(across), np.cos(angle)
+    factor = raster.AMBIENT + raster.HIGH * normal[2] + raster.KEY * share + raster.FILL * max(normal @ other, 0.0)
+    expected = factor * np.array([100.0, 50.0, 20.0]) + 255.0 * raster.GLOSS * share**32
+    expected -= 80.0 * raster.RIM * (1.0 - share) ** 3
+    assert np.abs(shaded(7.0 * normal, (100.0, 50.0, 20.0), direction)[3, 3] - expected).max() < 1.1
     factor = raster.AMBIENT - raster.HIGH * sun[2] + raster.FILL * max(-sun @ other, 0.0)
     away = factor * np.array([100.0, 50.0, 20.0]) - 80.0 * raster.RIM
     assert np.abs(shaded(-sun, (100.0, 50.0, 20.0), direction)[3, 3] - np.maximum(away, 0.0)).max() < 1.1
@@ -157,4 +167,5 @@ def test_a_pixel_is_the_mean_of_its_samples_to_the_nearest_number():
     raster.resolve(drawn, np.array([20.0, 180.0, 100.0]), 0.5)
     assert drawn.picture[0, 0].tolist() == [11, 100, 100]
     assert drawn.picture[1, 1].tolist() == [90, 110, 100], "a quarter of the pixel, by a half"
-    assert drawn.picture[1, 2].tolist() == [100, 100, 100] == drawn.picture[8, 8].tolist()
+    drawn.picture[:2, :2] = 100
+    assert (drawn.picture == 100).all(), "to the last row and column"
