@@ -87,8 +87,8 @@ def _bode(options: argparse.Namespace, out: Path) -> list[Path]:
     stuck = margins(loops, gains["stiffness"], gains["damping"]).stuck
     loop = next(each for each in loops if each.stuck == stuck)
     responses = open_loops(loop, gains["stiffness"], gains["damping"], places, period)
-    named = {f"motor {i + 1}": response for i, response in enumerate(responses)}
-    title = f"{options.subject[0]}: the PD's loop opened at one motor, the others act{stuck_motors(stuck)}"
+    named = {f"motor {i + 1}": response for i, response in enumerate(responses) if i not in stuck}
+    title = f"{options.subject[0]}: loops of the PD, each opened at one motor{stuck_motors(stuck)}"
     return [bode_diagram(places, named, out, title)]
 
 
