@@ -138,13 +138,13 @@ def test_a_line_has_its_colour_and_radius_at_its_last_point_and_less_before():
 
 @pytest.mark.parametrize("radius", [1, 2])
 def test_a_shadow_at_the_edge_is_not_seen_at_the_other(radius):
-    drawn, box = canvas(), np.array([0, 0, 0, 0])
-    drawn.shadow[0, 0] = 1.0
+    drawn, box = canvas(), np.array([0, SHAPE[1] - 1, 0, SHAPE[0] - 1])
+    drawn.shadow[-1, -1] = 1.0
     raster.soften(drawn.shadow, drawn.scratch, box, radius)
     means = [np.tri(size, k=radius) * np.tri(size, k=radius).T / (2 * radius + 1) for size in SHAPE]
-    rows, columns = (mean @ mean[:, 0] for mean in means)
+    rows, columns = (mean @ mean[:, -1] for mean in means)
     assert drawn.shadow == pytest.approx(np.outer(rows, columns), abs=1e-7)
-    assert box.tolist() == [0, 2 * radius, 0, 2 * radius]
+    assert box.tolist() == [0, SHAPE[1] - 1, 0, SHAPE[0] - 1]
 
 
 @pytest.mark.parametrize("radius", [1, 2])
