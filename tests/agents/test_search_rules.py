@@ -3,6 +3,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 pytest.importorskip("stable_baselines3")
@@ -61,6 +62,8 @@ def ran(monkeypatch, study, rewards):
 
     def trained(cell):
         for i, reward in enumerate(rewards, 1):
+            if np.isnan(reward):
+                raise ValueError("it diverges")
             seen.append(reward)
             last = i == len(rewards)
             if cell[2]["hook"](Report(RECIPE.steps if last else i * steps, {"reward": reward}, lambda: None)):
@@ -84,13 +87,31 @@ def test_a_trial_is_pruned_on_its_way_and_not_at_its_end(optuna, monkeypatch):
     assert ran(monkeypatch, Study(prunes=True), [2.0]) == ([(0, 2.0, "COMPLETE")], 1)
 
 
+def test_a_trial_that_diverges_has_failed(optuna, monkeypatch, capsys):
+    assert ran(monkeypatch, Study(), [1.0, np.nan]) == ([(0, None, "FAIL")], 1)
+    assert capsys.readouterr().err == "trial 0: it diverges\n"
+
+
+def test_a_trial_that_was_killed_when_it_was_pruned_does_not_go_on(optuna, monkeypatch):
+    study = Study(prunes=True)
+    study._cached_frozen_trial.intermediate_values[16] = 1.0
+    assert ran(monkeypatch, study, [1.0, 2.0]) == ([(0, None, "PRUNED")], 0)
+
+
+def test_a_judgement_is_reported_once(optuna, monkeypatch):
+    """Rollouts that begin after it show it again."""
+    study = Study()
+    ran(monkeypatch, study, [1.0, 1.0, 2.0, 2.0])
+    assert [*study.values.values()] == [1.0, 2.0]
+
+
 @pytest.mark.parametrize(("asked", "every"), [(0, RECIPE.steps // 10), (48, 48)])
 def test_trials_are_compared_ten_times_where_the_recipe_does_not_say(asked, every, optuna, monkeypatch, tmp_path):
     study, cells = Study(), []
 
     def spread(run, given, workers):
         cells.extend(given)
-        study.tell(0, 1.0)
+        study.tell(given[0][-1], 1.0)
         return iter([None])
 
     monkeypatch.setattr(module, "_study", lambda folder: study)

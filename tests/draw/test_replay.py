@@ -13,6 +13,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import flexman_gym as fm
+from flexman_gym.draw.frames import FramePainter
+from flexman_gym.draw.mesh import outlines
 from flexman_gym.draw.replay import packed, page_arm, replay_page
 from flexman_gym.simulation.episode import Episode, about
 
@@ -158,6 +160,31 @@ def test_floor_and_colours_are_chosen_by_all_episodes():
     assert alone["strain"] == first["strain"] == last["strain"] > 0.0
     assert alone["floor"] < min(bent.tips[:, 2].min(), bent.targets[:, 2].min(), 0.0)
     assert alone["floor"] > bent.tips[:, 2].min() - alone["reach"]
+
+
+def test_colours_reach_to_what_happens_in_half_of_an_episode():
+    one = episode()
+    states = np.tile(one.states[ROWS // 3], (ROWS, 1))
+    half = np.where((np.arange(ROWS) < ROWS // 2)[:, None], 0.0, states)
+    whole, part = (embedded(replay_page([replace(one, states=each)]))["stage"]["strain"] for each in (states, half))
+    assert whole == part > 0.0
+
+
+def test_targets_are_seen_from_where_a_picture_is_seen():
+    one = episode()
+    far = replace(one, targets=np.tile([0.0, 30.0, 40.0], (ROWS, 1)))
+    stage = embedded(replay_page([far]))["stage"]
+    assert np.abs(np.array(stage["points"]) - (0.0, 30.0, 40.0)).sum(axis=1).min() < 1e-5
+    assert stage["distance"] > np.hypot(30.0, 40.0)
+    eye, forward = stage["towards"], FramePainter(one.model, (16, 16)).shot().camera.axes[2]
+    assert eye == pytest.approx(-forward)
+
+
+def test_a_page_holds_the_outlines_of_the_links():
+    model = episode().model
+    for link, section in zip(page_arm(model)["links"], outlines(model, 24), strict=True):
+        for name, values in section._asdict().items():
+            assert np.array_equal(np.frombuffer(base64.b64decode(link[name]), "<f4"), values.astype("f4").ravel()), name
 
 
 def test_a_run_says_why_it_ended():

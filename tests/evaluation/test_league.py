@@ -25,7 +25,7 @@ from flexman_gym.evaluation.league import (
 from flexman_gym.evaluation.rollout import Record
 from flexman_gym.evaluation.seeds import SELECTION, training_seed
 from flexman_gym.evaluation.submission import about, check_seeds, is_buildable, needs, training_seconds
-from flexman_gym.evaluation.venues import SWEEPS, USUAL, find_venue, sweep_names
+from flexman_gym.evaluation.venues import SWEEPS, USUAL, Venue, find_venue, sweep_names
 
 from oracles.refusals import refusal
 
@@ -285,6 +285,30 @@ def test_both_ends_of_the_score_are_played_in_a_laboratory(monkeypatch):
     monkeypatch.setattr(league, "_watched", refuse)
     why = {who: play(Cell("", who, "FlexPlanar-v0/unknown-lab", 9000, 9001))[0].why for who in (*league.SCALE, "lqr")}
     assert why == dict.fromkeys(league.SCALE, "it is made") | {"lqr": "it needs more than a laboratory can tell it"}
+
+
+def test_arms_of_a_venue_are_moved_by_its_plant(monkeypatch):
+    moved = []
+    monkeypatch.setattr(league, "find_plant", lambda name: name)
+
+    def rollout(*_, **named):
+        moved.append(named["moved"])
+        raise ValueError("that is enough")
+
+    monkeypatch.setattr(league, "rollout", rollout)
+    for venue in ("FlexRRR-v0", "FlexRRR-v0@finer"):
+        play(Cell("", "zero", venue, 9000, 9001))
+    assert moved == ["usual", "finer"]
+
+
+def test_rows_follow_from_what_is_played_and_from_what_controllers_are_told(monkeypatch):
+    one, other = Description("FlexOne-v0"), Description("FlexOne-v0", {"control_period": 0.02})
+    monkeypatch.setattr(league, "digest_of_code", lambda: "")
+    keys = set()
+    for venue in (Venue(one, one), Venue(one, other), Venue(other, one), Venue(one, one, "finer")):
+        monkeypatch.setattr(league, "find_venue", lambda name: venue)  # noqa: B023
+        keys.add(league.key_of("pd", "FlexOne-v0"))
+    assert len(keys) == 4
 
 
 def test_rows_follow_from_every_file_of_a_run(venue, tmp_path, monkeypatch):

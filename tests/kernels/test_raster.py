@@ -119,21 +119,32 @@ def test_a_silhouette_is_seen_where_nothing_is_drawn():
 
 
 def test_a_line_has_its_colour_and_radius_at_its_last_point_and_less_before():
-    """Of two pieces the last has the whole radius and colour, the first what is in the middle between both ends."""
+    """Of three pieces the last has the whole radius and colour, the others have parts; a sample takes one of them."""
     drawn, colour, faintest, radius = canvas(), np.array([200.0, 0.0, 150.0]), 0.2, 2.5
-    line = np.array([[3.0, 8.0, 0.5], [9.0, 8.0, 0.5], [17.0, 8.0, 0.5]])
+    ends = 3.0, 7.0, 11.0, 17.0
+    line = np.array([[column, 8.0, 0.5] for column in ends])
     drawn.depth[9, 12:14], drawn.depth[9, 14:16] = 0.6, 0.4  # nearer and farther than the line
     raster.stroke(drawn, line, radius, faintest, colour)
-    part = 0.5 * (1.0 + faintest)
-    distances = [np.hypot(COLUMNS - np.clip(COLUMNS, *ends), ROWS - 8.0) for ends in ((3.0, 9.0), (9.0, 17.0))]
-    last, first = distances[1] <= radius, distances[0] <= radius * (0.4 + 0.6 * part)
-    hidden = drawn.depth > 0.5
-    expected = np.where(first[..., None], 100.0 + part * (colour - 100.0), 100.0)
-    expected = np.where(last[..., None], colour, expected)
-    expected[hidden] = 100.0
-    assert hidden.sum() == 2 and (first & ~last).sum() > 10
+    expected, hidden, parts = np.full((*SHAPE, 3), 100.0), drawn.depth > 0.5, np.zeros(SHAPE)
+    for first, last, share in zip(ends, ends[1:], (1 / 3, 2 / 3, 1.0), strict=False):
+        part = faintest + (1.0 - faintest) * share
+        near = np.hypot(COLUMNS - np.clip(COLUMNS, first, last), ROWS - 8.0) <= radius * (0.4 + 0.6 * part)
+        parts[near & ~hidden] = part
+    expected += parts[..., None] * (colour - 100.0)
+    assert hidden.sum() == 2 and len(np.unique(parts)) == 4
     assert np.abs(drawn.colour - expected).max() <= 1.0
-    assert np.array_equal(drawn.mask == 2, (first | last) & ~hidden)
+    assert np.array_equal(drawn.mask == 2, parts > 0.0)
+
+
+@pytest.mark.parametrize("radius", [1, 2])
+def test_a_shadow_at_the_edge_is_not_seen_at_the_other(radius):
+    drawn, box = canvas(), np.array([0, SHAPE[1] - 1, 0, SHAPE[0] - 1])
+    drawn.shadow[-1, -1] = 1.0
+    raster.soften(drawn.shadow, drawn.scratch, box, radius)
+    means = [np.tri(size, k=radius) * np.tri(size, k=radius).T / (2 * radius + 1) for size in SHAPE]
+    rows, columns = (mean @ mean[:, -1] for mean in means)
+    assert drawn.shadow == pytest.approx(np.outer(rows, columns), abs=1e-7)
+    assert box.tolist() == [0, SHAPE[1] - 1, 0, SHAPE[0] - 1]
 
 
 @pytest.mark.parametrize("radius", [1, 2])
