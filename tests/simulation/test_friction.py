@@ -55,7 +55,7 @@ def test_the_slope_of_friction_is_in_the_linear_model(flexible_joints):
     joints = [replace(joint, viscous_friction=4.0, coulomb_friction=9.0, coulomb_rate=0.5) for joint in arm.joints]
     model = fm.build_model(replace(arm, joints=joints), modes=3, flexible_joints=flexible_joints)
     state = model.initial_state([0.1, -0.3, 0.6], [0.2, -0.5, 0.4])
-    slopes = fm.linearize(model, state=state).A[model.n_dof :]
+    slopes = fm.linearize(model, state=state, friction="at rest").A[model.n_dof :]
     for column in model.n_dof + model.motor_columns:
         shift = 1e-6 * np.eye(len(state))[column]
         ahead, behind = (fm.acceleration(model, state + sign * shift, [0.0] * 3) for sign in (1.0, -1.0))
