@@ -29,6 +29,12 @@ class Prediction:
         self.past, self._limits = grown(self.past, count), grown(self._limits, count)
         self.past[arms], self._limits[arms] = 0.0, self._usual if limits is None else limits
 
+    def remember(self, delay: int) -> None:
+        """Make room for the torques of a delay (control periods) that is longer than the plant's."""
+        missing = delay + 1 - self.past.shape[1]
+        if missing > 0:
+            self.past = np.pad(self.past, ((0, 0), (0, missing), (0, 0)))
+
     def vary(self, arms: IntArray, parameters: dict[str, Array]) -> None:
         """Takes physical parameters, name -> (r, ...), of the arms (r,)."""
         if parameters:

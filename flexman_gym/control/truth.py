@@ -40,6 +40,7 @@ class Truth:
     def reset(self, arms: IntArray, episode: Episode) -> None:
         """Takes parameters and delays of new episodes of the arms (r,)."""
         self._prediction.reset(arms, episode.drawn.get("torque_limit"))
+        self._prediction.remember(int(np.max(episode.drawn.get("delay", 0), initial=0)))
         count = len(self._prediction.past)
         drawn = {name: values.astype(float) for name, values in episode.drawn.items() if name in PARAMETERS}
         for name, values in drawn.items():

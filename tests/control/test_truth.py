@@ -35,12 +35,15 @@ def copied(estimate):
     return estimate._replace(states=estimate.states.copy(), lead=estimate.lead.copy(), parameters=parameters)
 
 
-def played(delay, periods=24, horizon=4.0, arms=4):
-    """What Truth says in each period, the states of the arms then, and what they drew."""
+def played(delay, periods=24, horizon=4.0, arms=4, told=None):
+    """What Truth says in each period, the states of the arms then, and what they drew.
+
+    Its plant has the delay `told`, None for that of the arms.
+    """
     randomisation = {**DRAWN, "delay": delay}
     settings = {"name": "FlexPlanar-v0", **SMALL, "randomisation": randomisation, "horizon": horizon}
     asked = np.random.default_rng(0).uniform(-0.5, 0.5, (periods, arms, 2))
-    base = Asking(Truth(small_plant("FlexPlanar-v0", randomisation)), asked)
+    base = Asking(Truth(small_plant("FlexPlanar-v0", randomisation | ({"delay": told} if told else {}))), asked)
     env = FlexManVectorEnv(arms, base=base, **settings)
     _, infos = env.reset(seed=3)
     states = []
@@ -48,6 +51,11 @@ def played(delay, periods=24, horizon=4.0, arms=4):
         states.append(env.episodes.batch.state.copy())
         env.step(np.zeros((arms, 2), dtype=np.float32))
     return base.said, np.array(states), infos["drawn"]
+
+
+def test_the_delay_of_an_episode_may_be_longer_than_that_of_its_plant():
+    for ours, longer in zip(played((2, 3), told=(0, 0))[0], played((2, 3))[0], strict=True):
+        assert np.array_equal(ours.states, longer.states) and np.array_equal(ours.lead, longer.lead)
 
 
 @pytest.mark.parametrize("delay", [(0, 0), (1, 1), (0, 3)])
