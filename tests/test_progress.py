@@ -2,7 +2,6 @@
 
 import json
 
-import numpy as np
 import pytest
 
 import flexman_gym as fm
@@ -10,10 +9,9 @@ from flexman_gym import progress
 from flexman_gym.envs.description import Description
 from flexman_gym.evaluation import certificate, shipped
 from flexman_gym.evaluation.league import play_league
-from flexman_gym.evaluation.shipped import write_shipped
 from flexman_gym.progress import Progress
 
-from oracles.shipped import DESCRIBED, made_up
+from oracles.shipped import write_still
 
 SHORT = Description("FlexOne-v0", {"horizon": 0.2})
 
@@ -75,11 +73,7 @@ def test_a_long_league_says_how_far_it_is(impatient, capsys, tmp_path):
 
 def test_a_long_certificate_says_how_far_it_is(impatient, capsys, tmp_path, monkeypatch):
     """Of each trial, and of the search, which plays many episodes and says nothing until its end."""
-    about, arrays = made_up()
-    for name in ("action_net.weight", "action_net.bias", "check.actions"):
-        arrays[name] = np.zeros_like(arrays[name])
-    about["recipe"]["settings"]["environment"] = DESCRIBED.whole()
-    write_shipped(tmp_path / "still", about, arrays)
+    write_still(tmp_path / "still")
     monkeypatch.setattr(shipped, "FOLDER", tmp_path)
     monkeypatch.setattr(certificate, "trials", lambda *given: certificate_trials(*given)[:1])
     path = certificate.certify(str(tmp_path / "still"), range(9000, 9002), 6, lambda line: None)

@@ -75,7 +75,7 @@ def sampled_loops(
         delay: whole periods by which torques come late.
         bandwidth: Hz, of drives whose torque lags, see `lag`; None for none.
     """
-    linear = linearize(model, state=rest_state(model, joint_angles), torque=holding_torques(model, joint_angles))
+    linear = _at_rest(model, joint_angles)
     return [_loop(model, linear, stuck, period, delay, bandwidth) for stuck in _stuck_sets(model)]
 
 
@@ -83,8 +83,12 @@ def sampled_loop(
     model: Model, joint_angles: Vector, period: float, delay: int = 0, bandwidth: float | None = None
 ) -> Loop:
     """Return the loop of an arm at rest whose motors all slide; arguments are those of `sampled_loops`."""
-    linear = linearize(model, state=rest_state(model, joint_angles), torque=holding_torques(model, joint_angles))
-    return _loop(model, linear, (), period, delay, bandwidth)
+    return _loop(model, _at_rest(model, joint_angles), (), period, delay, bandwidth)
+
+
+def _at_rest(model: Model, joint_angles: Vector) -> LinearModel:
+    """Return the linear model about rest at joint angles (n,) rad, with motors that slide."""
+    return linearize(model, state=rest_state(model, joint_angles), torque=holding_torques(model, joint_angles))
 
 
 def _stuck_sets(model: Model) -> Iterator[tuple[int, ...]]:
@@ -99,8 +103,9 @@ def _loop(
 ) -> Loop:
     """Return the loop of a linear model with clamped motors, whose departures stay 0."""
     motors, n, d = model.motor_columns, model.n_joints, model.n_dof
-    clamped = np.concatenate([motors[list(stuck)], d + motors[list(stuck)]]).astype(int)
-    sampled = (_clamped(linear, motors[list(stuck)]) if stuck else linear).discrete(period, delay * period)
+    columns = motors[list(stuck)]
+    clamped = np.concatenate([columns, d + columns])
+    sampled = (_clamped(linear, columns) if stuck else linear).discrete(period, delay * period)
     late, entry = sampled.A, sampled.B
     late[clamped], late[:, clamped], entry[clamped] = 0.0, 0.0, 0.0
     if bandwidth is not None:
@@ -200,8 +205,7 @@ def open_loops(loop: Loop, stiffness: Vector, damping: Vector, frequencies: Vect
         period: of sampling, s.
     """
     n, size = loop.inputs.shape[1], len(loop.transition)
-    gain, result = np.zeros((n, size)), []
-    gain[np.arange(n), loop.motors], gain[np.arange(n), loop.rates] = stiffness, damping
+    gain, result = _gain(loop, stiffness, damping), []
     turns = np.exp(2j * np.pi * period * np.asarray(frequencies, dtype=float))
     for motor in range(n):
         acting = np.where(np.arange(n) == motor, 0.0, 1.0)[:, None] * gain

@@ -17,7 +17,7 @@ from flexman_gym.evaluation.rollout import Record
 from flexman_gym.evaluation.shipped import ABOUT, write_shipped
 
 from oracles.refusals import refusal
-from oracles.shipped import DESCRIBED, made_up
+from oracles.shipped import DESCRIBED, made_up, write_still
 
 SEEDS = range(9000, 9002)
 
@@ -25,11 +25,7 @@ SEEDS = range(9000, 9002)
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """A policy that does nothing beside its PD controller, under a name."""
-    about, arrays = made_up()
-    for name in ("action_net.weight", "action_net.bias", "check.actions"):
-        arrays[name] = np.zeros_like(arrays[name])
-    about["recipe"]["settings"]["environment"] = DESCRIBED.whole()
-    write_shipped(tmp_path / "still", about, arrays)
+    write_still(tmp_path / "still")
     monkeypatch.setattr(shipped, "FOLDER", tmp_path)
     monkeypatch.setattr(certificate, "METHOD", "midpoint_2_sweeps")  # another one compiles for long
     monkeypatch.delitem(certificate.PLANTS, "mujoco")  # and this one plays for long

@@ -45,6 +45,15 @@ def made_up(described=DESCRIBED, seed=0):
     return about, arrays | {"check.observations": seen, "check.actions": actions}
 
 
+def write_still(folder):
+    """Write a policy that does nothing beside its PD controller, trained in its own environment, to a folder."""
+    about, arrays = made_up()
+    for name in ("action_net.weight", "action_net.bias", "check.actions"):
+        arrays[name] = np.zeros_like(arrays[name])
+    about["recipe"]["settings"]["environment"] = DESCRIBED.whole()
+    write_shipped(folder, about, arrays)
+
+
 @cache
 def files():
     """The files of the policy."""
