@@ -21,7 +21,7 @@ from flexman_gym.envs.sensors.measured import Measured
 from flexman_gym.envs.setup import Setup
 from flexman_gym.envs.sight import Observations, Sight, sight_parts
 from flexman_gym.envs.snapshot import give, take
-from flexman_gym.envs.tasks.rewards import reward_terms
+from flexman_gym.envs.tasks.rewards import reward_terms, total
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.periods import ask, outlast
 from flexman_gym.kernels.readings import beyond
@@ -277,12 +277,12 @@ class Episodes:
 
     def rewards(self, view: View) -> Number:
         """Rewards of the control period just over."""
-        return sum(self._terms(view).values())
+        return total(self._terms(view))
 
     def outcome(self, view: View) -> tuple[Number, dict[str, Any]]:
         """Reward and the part of the info that is numbers, from the view of all arms or from that of the only one."""
         terms, residual = self._terms(view), view.energy_residual
-        return sum(terms.values()), {
+        return total(terms), {
             "tip_error": view.tip_error,
             "tip_vibration": view.tip_vibration,
             "elastic_energy": view.elastic_energy,

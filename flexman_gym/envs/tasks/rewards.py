@@ -1,6 +1,8 @@
 """Rewards: what nearness to a target is worth, and terms of a task with weights or a function in their place."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import reduce
+from operator import add
 from typing import Any
 
 import numpy as np
@@ -46,6 +48,15 @@ def reward_terms(task: Any, reward: Any) -> Callable[[View], dict[str, Number]]:
         return {name: reward.get(name, 1.0) * each for name, each in terms.items()}
 
     return weighed
+
+
+def total(terms: Mapping[str, Number]) -> Number:
+    """Return the sum of the terms in their order.
+
+    The built-in `sum` compensates the rounding of floats from Python 3.12 on, and not that of arrays: the reward of one
+    arm would differ from the reward of the same arm among many in the last bit.
+    """
+    return reduce(add, terms.values(), 0.0)
 
 
 def _own(reward: Callable[[View], Number], view: View) -> Number:
