@@ -1,18 +1,92 @@
-"""Callbacks: what happens on the way of a training, its exploration, its savings and its judgement."""
+"""Callbacks of a training: exploration, checkpoints, evaluation, learning curves and interruption."""
 
+import csv
 import math
+import signal
 import sys
-from collections.abc import Callable, Mapping
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
 from typing import NamedTuple
 
 import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import CSVOutputFormat, Logger, TensorBoardOutputFormat
+from torch.utils.tensorboard import SummaryWriter
 
 from flexman_agents.settings import Schedule, Settings
-from flexman_gym.evaluation.entrants import Act, Entrant, parted
-from flexman_gym.evaluation.figures import FIGURES, evaluate
-from flexman_gym.evaluation.seeds import SELECTION
+from flexman_gym.common.checks import is_count
+from flexman_gym.common.time_series import read_csv_lines
+from flexman_gym.evaluation.agent import ActionFunction, Agent, split_interface
+from flexman_gym.evaluation.metrics import METRICS, evaluate
+from flexman_gym.evaluation.rollout import SELECTION_SEEDS
+
+
+class Interrupted(Exception):
+    """A training was asked to stop; the run is kept and can go on."""
+
+
+@contextmanager
+def stop_on_interrupt() -> Iterator[threading.Event]:
+    """An event that Ctrl-C sets; pressed again it interrupts at once."""
+    asked = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield asked  # only the main thread hears signals
+        return
+
+    def hear(number: int, frame: object) -> None:
+        if asked.is_set():
+            raise KeyboardInterrupt
+        asked.set()
+        print("Stopping after this rollout; press Ctrl-C again to lose it.", file=sys.stderr)
+
+    before = signal.signal(signal.SIGINT, hear)
+    try:
+        yield asked
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+STEPS_COLUMN = "time/total_timesteps"  # the column that Stable-Baselines3 counts in
+
+
+class _Events(TensorBoardOutputFormat):
+    """TensorBoard events of a folder; those from `steps` on that an earlier process wrote are hidden."""
+
+    def __init__(self, folder: Path, steps: int) -> None:
+        self.writer = SummaryWriter(str(folder), purge_step=steps)
+        self._is_closed = False
+
+
+def open_logger(folder: Path, before: int, steps: int) -> Logger:
+    """Opens the curves of a run that goes on after `steps`, the run in the folder before it having taken `before`.
+
+    They are in progress-N.csv for N = before + steps > 0, else in progress.csv. Rows of the same run from there on,
+    which a process wrote that did not keep its steps, are taken out of the earlier files. Events of another run are in
+    a folder of their own.
+    """
+    for path in folder.glob("progress*.csv"):
+        first = path.stem.removeprefix("progress").removeprefix("-") or "0"
+        if is_count(first) and before <= int(first) < before + steps and not path.is_symlink():
+            _cut(path, steps)
+    path = folder / (f"progress-{before + steps}.csv" if before + steps else "progress.csv")
+    path.unlink(missing_ok=True)  # it may be a link to a file of somebody's
+    events = folder / f"after-{before}" if before else folder
+    return Logger(str(folder), [CSVOutputFormat(str(path)), _Events(events, steps)])
+
+
+def _cut(path: Path, steps: int) -> None:
+    """Takes the rows after so many steps out of a file."""
+    names, *rows = [*read_csv_lines(path)] or [[]]
+    if STEPS_COLUMN not in names:
+        return
+    column = names.index(STEPS_COLUMN)
+    rows = [row for row in rows if len(row) == len(names) and row[column] and float(row[column]) <= steps]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows([names, *rows])
+
 
 CURVES = ("settling_time", "vibration", "error", "reward", "settled", "roughness", "failed")
 WORSE = 0.2  # share of settled episodes that may be lost before a warning
@@ -62,7 +136,7 @@ class Exploration(BaseCallback):
         return True
 
 
-class ValueFirst(BaseCallback):
+class ValueWarmup(BaseCallback):
     """Lets the value function of PPO learn alone at first: while it says nothing, a policy learns noise from it."""
 
     def __init__(self, steps: int) -> None:
@@ -105,7 +179,7 @@ class Checkpoints(BaseCallback):
         return self.stopped is None
 
 
-class Judge(BaseCallback):
+class Evaluation(BaseCallback):
     """Evaluates the policy without noise on selection seeds, at the end too, and keeps the best one.
 
     The best has the highest mean reward, which tells more in a hundred episodes than the share that settles. A line on
@@ -117,10 +191,10 @@ class Judge(BaseCallback):
 
     kept = ("_best", "_next", "_warned")
 
-    def __init__(self, settings: Settings, act: Act, keep: Callable[[], None]) -> None:
+    def __init__(self, settings: Settings, act: ActionFunction, keep: Callable[[], None]) -> None:
         super().__init__()
-        self._environment, interface = parted(settings.description)
-        self._entrant = Entrant("training", act, interface)
+        self._environment, interface = split_interface(settings.description)
+        self._entrant = Agent("training", act, interface)
         self._every, self._last, self._keep = settings.judge_every, settings.steps, keep
         self._best = [-math.inf, 0.0]  # reward, and share that settled
         self.latest: Mapping[str, float] = {}
@@ -144,9 +218,9 @@ class Judge(BaseCallback):
 
     def _compare(self) -> None:
         """Evaluates the policy as it is and keeps it where it is the best."""
-        self.latest = result = evaluate(self._entrant, self._environment, SELECTION)
+        self.latest = result = evaluate(self._entrant, self._environment, SELECTION_SEEDS)
         for name in CURVES:
-            unit = FIGURES[name].unit
+            unit = METRICS[name].unit
             self.logger.record(f"selection/{name}_{unit}" if unit else f"selection/{name}", result[name])
         if result["reward"] > self._best[0]:
             self._best, self._warned = [result["reward"], result["settled"]], False

@@ -1,4 +1,4 @@
-"""Imitation: a network learns what a controller would do where the network itself leads the arms (DAgger)."""
+"""DAgger: the student acts, the teacher labels the visited states."""
 
 import sys
 import time
@@ -12,33 +12,29 @@ import torch
 from numpy.typing import NDArray
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from flexman_agents.algorithm import LAYERS
-from flexman_agents.callbacks import Hook, Report
-from flexman_agents.curves import STEPS, open_curves
-from flexman_agents.interruption import Interrupted, asked_to_stop
+from flexman_agents.callbacks import STEPS_COLUMN, Hook, Interrupted, Report, open_logger, stop_on_interrupt
+from flexman_agents.sb3 import LAYERS
 from flexman_agents.settings import HYPERPARAMETERS, Settings
-from flexman_gym.arrays import Array, Flags, IntArray
-from flexman_gym.checks import one_of, refusal
+from flexman_gym.common.arrays import Array, Flags, IntArray
+from flexman_gym.common.checks import one_of, value_error
+from flexman_gym.common.run_folder import NEWEST, write_data
 from flexman_gym.control.actions import ActionMode
-from flexman_gym.control.controller import Controller, Episode, Readings
-from flexman_gym.control.history import parts_of
+from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
 from flexman_gym.control.network import LARGEST, LEAST, Network
-from flexman_gym.control.policy import Policy
-from flexman_gym.envs.setup import build
-from flexman_gym.evaluation.entrants import acting, observed, parted
-from flexman_gym.evaluation.folder import NEWEST, write_data
-from flexman_gym.evaluation.rollout import Rollout, rollout
-from flexman_gym.evaluation.seeds import training_seed
-from flexman_gym.evaluation.submission import SECONDS
+from flexman_gym.control.policy import Policy, history_length
+from flexman_gym.envs.config.setup import build
+from flexman_gym.evaluation.agent import make_policy, observation_layout, split_interface
+from flexman_gym.evaluation.agent_info import TIME_COLUMN
+from flexman_gym.evaluation.rollout import Rollout, rollout, training_seed
 
-LED = (1.0, 0.5, 0.25)  # share of the arms that the teacher leads, in the first rounds
+BETA = (1.0, 0.5, 0.25)  # share of the arms that the teacher leads, in the first rounds
 SCALE = 10.0  # of actions while they are learned: most are small beside 1
 FLOOR, HEAVIEST = 0.15, 10.0  # beside the mean size of actions of an instant, by which it is weighed; largest weight
 AVERAGED = 0.995  # of the weights that act, after each step
 STEEPEST = 5.0  # norm of a gradient
 
 
-class Pupil:
+class Student:
     """A policy that leads arms, and the controller that says beside it what it would do.
 
     Args:
@@ -61,7 +57,7 @@ class Pupil:
         self.led: Flags = np.zeros(0, dtype=bool)
         self.notes: list[tuple[Array, Array, Flags]] = []
 
-    def reset(self, arms: IntArray, episode: Episode) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
         """Starts new episodes of the arms (r,)."""
         self._teacher.reset(arms, episode)
         self.policy.reset(arms, episode)
@@ -83,11 +79,11 @@ def _strength(mode: ActionMode) -> float | Array:
     strength: float | Array | None = getattr(mode, "strength", None)
     if strength is None:
         allowed = "torque, current, or shaping with pace, offset and fading 0: a student learns torques"
-        raise refusal("actions", ", ".join(mode.names), allowed)
+        raise value_error("actions", ", ".join(mode.names), allowed)
     return strength
 
 
-class Imitation:
+class DAgger:
     """Learns from a teacher in rounds of episodes, of which the last ones are remembered.
 
     In the first round the teacher leads the arms, later the student does, and the teacher says what it would have done
@@ -115,7 +111,7 @@ class Imitation:
         self._random = np.random.default_rng(settings.seed)
         setup = self._described.setup()
         widths = [
-            parts_of(setup.history) * sum(each["size"] for each in observed(self._described)),
+            history_length(setup.history) * sum(each["size"] for each in observation_layout(self._described)),
             *chosen["net_arch"],
         ]
         pairs, between = pairwise(widths), LAYERS[chosen["activation"]]
@@ -127,8 +123,8 @@ class Imitation:
         self._optimizer = torch.optim.Adam(self._layers.parameters(), fused=True)
         averaged = get_ema_multi_avg_fn(AVERAGED)  # type: ignore[no-untyped-call]
         self._mean = AveragedModel(self._layers, multi_avg_fn=averaged)
-        policy: Any = acting(self._network(), self._described)
-        self._pupil = Pupil(policy, setup.controller(chosen["teacher"], build(setup).model))
+        policy: Any = make_policy(self._network(), self._described)
+        self._pupil = Student(policy, setup.controller(chosen["teacher"], build(setup).model))
         self._per_round = settings.envs * -(-setup.longest // setup.hold)
         self.steps = self._per_round * -(-settings.steps // self._per_round)
         self._rounds: list[list[NDArray[np.float32]]] = []  # what was seen, what is wanted, and how much it counts
@@ -172,16 +168,16 @@ class Imitation:
         """Plays a round, and remembers what it teaches."""
         arms, kept = self._settings.envs, self._chosen["rounds_kept"]
         self._pupil.policy.network, self._pupil.notes = self._network(), []
-        self._pupil.led = self._random.random(arms) < (LED[number] if number < len(LED) else 0.0)
-        first, acted = training_seed(self._settings.seed) + number * arms, list[Pupil]()
-        environment = parted(self._described)[0]
+        self._pupil.led = self._random.random(arms) < (BETA[number] if number < len(BETA) else 0.0)
+        first, acted = training_seed(self._settings.seed) + number * arms, list[Student]()
+        environment = split_interface(self._described)[0]
 
         def watch(episodes: Any) -> None:
             acted[:] = [episodes.acting.base]
 
         played = rollout(self._pupil, environment, range(first, first + arms), watch)
         self._pupil = acted[0]  # a rollout copies who acts; this one knows the tables of the slews that it has seen
-        self._rounds = [*self._rounds, _lesson(self._pupil.notes, number % 2)][-kept:]
+        self._rounds = [*self._rounds, _training_set(self._pupil.notes, number % 2)][-kept:]
         self._usual = np.mean([weights.mean() for _, _, weights in self._rounds])
         if number == 0:
             seen = self._rounds[0][0]
@@ -207,21 +203,21 @@ class Imitation:
         return float(loss.item())
 
 
-class Lessons:
+class DAggerRun:
     """An imitation in a folder. What it remembers of its rounds is not kept, so that it cannot go on."""
 
     done = 0
 
     def __init__(self, settings: Settings, folder: Path) -> None:
-        self._imitation, self._settings, self._folder = Imitation(settings), settings, folder
+        self._imitation, self._settings, self._folder = DAgger(settings), settings, folder
 
     def give(self, data: dict[str, Any], another: bool) -> None:
         """Refuses to go on after its end."""
-        raise refusal("steps", self._settings.steps, f"nothing: the imitation in {self._folder} is finished")
+        raise value_error("steps", self._settings.steps, f"nothing: the imitation in {self._folder} is finished")
 
     def learn(self, checkpoint_every: int, progress: bool, hook: Hook | None) -> None:
         """Learns to the end of the steps, or until it is told to stop, and then keeps nothing."""
-        curves, taken, started = open_curves(self._folder, 0, 0), 0, time.process_time()
+        curves, taken, started = open_logger(self._folder, 0, 0), 0, time.process_time()
 
         def stop(steps: int, figures: Mapping[str, float]) -> bool:
             nonlocal taken
@@ -229,15 +225,15 @@ class Lessons:
             for name, value in figures.items():
                 curves.record(name, value)
             if figures:
-                curves.record(STEPS, steps)
-                curves.record(SECONDS, time.process_time() - started)
+                curves.record(STEPS_COLUMN, steps)
+                curves.record(TIME_COLUMN, time.process_time() - started)
                 curves.dump(steps)
             if progress and figures:
                 said = ", ".join(f"{name.split('/')[1]} {value:.3g}" for name, value in figures.items())
                 print(f"{steps:,} of {self._imitation.steps:,} actions: {said}", file=sys.stderr)
             return asked.is_set() or bool(hook and hook(Report(steps, {}, lambda: None)))
 
-        with asked_to_stop() as asked:
+        with stop_on_interrupt() as asked:
             learned = self._imitation.learn(stop)
         curves.close()
         if learned:
@@ -254,7 +250,7 @@ class _Quick(Network):
         return values @ weights.T
 
 
-def _lesson(notes: list[tuple[Array, Array, Flags]], odd: int) -> list[NDArray[np.float32]]:
+def _training_set(notes: list[tuple[Array, Array, Flags]], odd: int) -> list[NDArray[np.float32]]:
     """Every second one of the notes: what was seen (r, size), actions wanted (r, n), how much they count (r,)."""
     parts = []
     for seen, wanted, due in notes[odd::2]:

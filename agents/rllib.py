@@ -1,25 +1,184 @@
-"""RLlib: the recipes of PPO on Ray's library, with runners that keep the arrays of the vector environment whole."""
+"""RLlib: PPO recipes on Ray's library, with an environment runner that keeps whole arrays."""
 
 import shutil
+import uuid
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from ray.rllib.algorithms.ppo import PPOConfig
+from ray.rllib.connectors.connector_v2 import ConnectorV2
+from ray.rllib.core.columns import Columns
 from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
+from ray.rllib.env.single_agent_env_runner import SingleAgentEnvRunner
+from ray.rllib.env.single_agent_episode import SingleAgentEpisode
+from ray.rllib.env.utils.infinite_lookback_buffer import InfiniteLookbackBuffer
 from ray.tune.registry import register_env
 
-from flexman_agents.array_runner import ArrayRunner, Moments, make_arms
-from flexman_agents.record import keep_settings
-from flexman_agents.settings import EXPLORATION, HYPERPARAMETERS, Settings
-from flexman_gym.checks import refusal, whole_number
-from flexman_gym.evaluation.folder import NEWEST, locked, write_data
-from flexman_gym.evaluation.seeds import training_seed
-from flexman_gym.evaluation.workers import cluster, paths
+from flexman_agents.settings import EXPLORATION, HYPERPARAMETERS, Settings, write_settings
+from flexman_gym.common.checks import value_error, whole_number
+from flexman_gym.common.grid import python_path, ray_cluster
+from flexman_gym.common.run_folder import NEWEST, lock_folder, write_data
+from flexman_gym.control.normalisation import RunningMeanStd
+from flexman_gym.envs.config.description import Description
+from flexman_gym.evaluation.rollout import training_seed
+
+MOST = 10.0  # magnitude of what is normalised
+
+
+class Moments(ConnectorV2):
+    """Scales of observations and returns: those that all runners share, and what this one has seen since."""
+
+    def __init__(self, size: int) -> None:
+        super().__init__()
+        self.shared, self.own = self._new(size), self._new(size)
+
+    @staticmethod
+    def _new(size: int) -> dict[str, RunningMeanStd]:
+        return {"seen": RunningMeanStd((size,)), "returns": RunningMeanStd()}
+
+    def now(self, name: str) -> RunningMeanStd:
+        """Both together."""
+        result = RunningMeanStd(self.own[name].mean.shape)
+        result.merge(self.shared[name])
+        result.merge(self.own[name])
+        return result
+
+    def __call__(self, *, batch: Any, **named: Any) -> Any:
+        return batch  # the runner has normalised what it gives
+
+    def get_state(self, *parts: Any, **named: Any) -> dict[str, Any]:
+        """Both, as arrays and numbers."""
+        return {part: {name: each.get_state() for name, each in getattr(self, part).items()}
+                for part in ("shared", "own")}  # fmt: skip
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Takes what `get_state` or `merge_states` gave."""
+        for part, scales in state.items():
+            for name, each in scales.items():
+                getattr(self, part)[name].set_state(each)
+
+    def merge_states(self, states: list[dict[str, Any]]) -> dict[str, Any]:
+        """What all runners have seen, counted once."""
+        result = Moments(len(self.own["seen"].mean))
+        for part, several in (("shared", states[:1]), ("own", states)):
+            for name, scales in result.shared.items():
+                for state in several:
+                    other = RunningMeanStd(scales.mean.shape)
+                    other.set_state(state[part][name])
+                    scales.merge(other)
+        return result.get_state()
+
+
+class ArrayRunner(SingleAgentEnvRunner):
+    """Rolls all arms out as arrays and cuts them into episodes once; the stock runner handles arm after arm."""
+
+    _needs_initial_reset: bool
+    _seen: NDArray[Any]
+    _return: NDArray[Any]
+    _score: NDArray[Any]
+    _length: NDArray[Any]
+
+    def _sample(self, *, num_timesteps: int | None = None, force_reset: bool = False, **named: Any) -> list[Any]:
+        assert num_timesteps is not None, "the algorithm asks for steps"
+        steps = -(-num_timesteps // self.num_envs)
+        if self._needs_initial_reset or force_reset:
+            self._begin()
+        moments = next(each for each in self._env_to_module if isinstance(each, Moments))
+        seen, spread = moments.now("seen"), moments.now("returns").deviation
+        scale = spread if self.config.env_config["normalise_reward"] else 1.0
+        rows: dict[str, list[Any]] = {name: [] for name in ("raw", "acts", "logits", "logp", "rewards", "returns")}
+        ends: list[tuple[int, int, Any, bool]] = []
+        for step in range(1, steps + 1):
+            with torch.no_grad():
+                batch = {Columns.OBS: torch.from_numpy(seen.apply(self._seen, MOST))}
+                logits = self.module.forward_exploration(batch)[Columns.ACTION_DIST_INPUTS]
+                chance = self.module.get_exploration_action_dist_cls().from_logits(logits)
+                acts = chance.sample()
+                logp = chance.logp(acts)
+            rows["raw"].append(self._seen)
+            self._seen, reward, ended, cut, infos = self.env.env.step(acts.clamp(-1.0, 1.0).numpy())
+            self._return = self._return * self.config.gamma + reward
+            self._score += reward
+            self._length += 1
+            reward = np.clip(reward / scale, -MOST, MOST)
+            for name, each in zip(("acts", "logits", "logp", "rewards", "returns"),
+                                  (acts.numpy(), logits.numpy(), logp.numpy(), reward, self._return.copy()),
+                                  strict=True):  # fmt: skip
+                rows[name].append(each)
+            for arm in np.flatnonzero(ended | cut).tolist():
+                ends.append((arm, step, seen.apply(infos["final_obs"][arm], MOST), bool(ended[arm])))
+                self._log_episode_metrics(int(self._length[arm]), float(self._score[arm]), 0.0)
+                self._return[arm] = self._score[arm] = self._length[arm] = 0
+        moments.own["seen"].add(np.array(rows["raw"]))
+        moments.own["returns"].add(np.array(rows.pop("returns")))
+        arrays = {name: np.stack(values, 1) for name, values in rows.items()}
+        arrays["obs"] = np.concatenate([seen.apply(arrays.pop("raw"), MOST), seen.apply(self._seen, MOST)[:, None]], 1)
+        self._log_env_steps(metric=self._metrics_num_env_steps_sampled, num_steps=self.num_envs * steps)
+        self._increase_sampled_metrics(self.num_envs * steps, len(ends))
+        return self._episodes(arrays, ends, steps)
+
+    def _begin(self) -> None:
+        """Starts all arms with seeds that no other runner has."""
+        first = self.config.env_config["first_seed"] + max(0, self.worker_index - 1) * self.num_envs
+        self._seen, _ = self.env.env.reset(seed=first)
+        self._return, self._score, self._length = np.zeros((3, self.num_envs))
+        self._names = [uuid.uuid4().hex for _ in range(self.num_envs)]
+        self._needs_initial_reset = False
+
+    def _episodes(self, arrays: dict[str, NDArray[Any]], ends: list[Any], steps: int) -> list[Any]:
+        """Cuts arrays (arms, steps, ...) into episodes; `ends` are arm, step, last observation, and whether it failed.
+
+        Those that go on are cut where the arrays end.
+        """
+        starts, result = np.zeros(self.num_envs, dtype=int), []
+        open_ends = [(arm, steps, None, False) for arm in range(self.num_envs)]
+        for arm, stop, last, failed in ends + open_ends:
+            part = slice(starts[arm], stop)
+            starts[arm], length = stop, stop - starts[arm]
+            if length == 0:
+                continue
+            seen = arrays["obs"][arm, part.start : stop + 1].copy()
+            if last is not None:
+                seen[-1] = last
+            episode = SingleAgentEpisode(
+                self._names[arm], observations=_buffer(seen), infos=_buffer([{}] * (length + 1)), t_started=0,
+                actions=_buffer(arrays["acts"][arm, part]), rewards=_buffer(arrays["rewards"][arm, part]),
+                extra_model_outputs={Columns.ACTION_DIST_INPUTS: _buffer(arrays["logits"][arm, part]),
+                                     Columns.ACTION_LOGP: _buffer(arrays["logp"][arm, part])},
+                terminated=failed, truncated=last is not None and not failed, len_lookback_buffer=0,
+            )  # fmt: skip
+            episode.t = length
+            result.append(episode)
+            if last is not None:
+                self._names[arm] = uuid.uuid4().hex
+        return result
+
+    def get_metrics(self) -> Any:
+        """Figures of what was sampled since."""
+        return self.metrics.reduce()
+
+
+def _buffer(values: Any) -> Any:
+    """What an episode of RLlib keeps, already as arrays."""
+    result = InfiniteLookbackBuffer(data=values, lookback=0)
+    result.finalized = not isinstance(values, list)
+    return result
+
+
+def _make_environment(context: Any) -> Any:
+    """The vector environment of a runner."""
+    torch.set_num_threads(1)
+    described = Description.from_dict(dict(context["environment"]))
+    return gym.make_vec(described.id, context.get("num_envs", 1), "vector_entry_point", autoreset_mode="SameStep",
+                        infos="at end", **described.keywords())  # fmt: skip
+
 
 CHECKPOINTS = "rllib"  # the folder of them
-NAMES = {"n_steps": "", "batch_size": "minibatch_size", "n_epochs": "num_epochs", "gamma": "gamma",
+RLLIB_NAMES = {"n_steps": "", "batch_size": "minibatch_size", "n_epochs": "num_epochs", "gamma": "gamma",
          "gae_lambda": "lambda_", "clip_range": "clip_param", "ent_coef": "entropy_coeff",
          "vf_coef": "vf_loss_coeff", "max_grad_norm": "grad_clip"}  # fmt: skip
 POLICY = ("net_arch", "activation", "log_std_init", "learning_rate", "ortho_init")
@@ -33,22 +192,22 @@ def configure(settings: Settings, runners: int) -> PPOConfig:
         ValueError: one line, for SAC, for hyperparameters and arms that have no translation, and for a judge.
     """
     if settings.algo != "ppo":
-        raise refusal("algo", settings.algo, "ppo with RLlib")
+        raise value_error("algo", settings.algo, "ppo with RLlib")
     if settings.envs % max(1, runners):
-        raise refusal("runners", runners, f"a number that divides the {settings.envs} arms")
+        raise value_error("runners", runners, f"a number that divides the {settings.envs} arms")
     for name in ("judge_every", "value_first"):
         if getattr(settings, name):
-            raise refusal(name, getattr(settings, name), "0 with RLlib")
+            raise value_error(name, getattr(settings, name), "0 with RLlib")
     chosen = HYPERPARAMETERS["ppo"] | {"clip_range": 0.2, "ent_coef": 0.0, "vf_coef": 0.5, "max_grad_norm": 0.5}
     chosen |= dict(settings.hyperparameters)
-    if unknown := chosen.keys() - {*NAMES, *POLICY}:
-        raise refusal("hyperparameters", sorted(unknown), f"some of {', '.join([*NAMES, *POLICY])}")
+    if unknown := chosen.keys() - {*RLLIB_NAMES, *POLICY}:
+        raise value_error("hyperparameters", sorted(unknown), f"some of {', '.join([*RLLIB_NAMES, *POLICY])}")
     rate, gain = settings.schedule("learning_rate"), {"gain": 2.0**0.5}
     fixed = chosen.get("learning_rate", 2e-4)
     points = [[0, fixed]] if rate is None else [[0, rate.start], [int(rate.until * settings.steps), rate.end + 1e-12]]
     rows = chosen["n_steps"] * settings.envs
     chosen["batch_size"] = min(chosen["batch_size"], rows)
-    register_env("flexman", make_arms)
+    register_env("flexman", _make_environment)
     context = {"environment": dict(settings.environment), "first_seed": training_seed(settings.seed),
                "normalise_reward": settings.normalise_reward}  # fmt: skip
     model = DefaultModelConfig(
@@ -67,7 +226,7 @@ def configure(settings: Settings, runners: int) -> PPOConfig:
                      env_to_module_connector=_moments)
         .learners(num_learners=0)
         .training(lr=points, train_batch_size_per_learner=rows, use_kl_loss=False, kl_coeff=0.0, vf_clip_param=1e9,
-                  grad_clip_by="global_norm", **{ours: chosen[name] for name, ours in NAMES.items() if ours})
+                  grad_clip_by="global_norm", **{ours: chosen[name] for name, ours in RLLIB_NAMES.items() if ours})
         .rl_module(model_config=model)
         .reporting(metrics_num_episodes_for_smoothing=settings.envs, min_time_s_per_iteration=None)
         .debugging(seed=settings.seed, log_level="ERROR")
@@ -99,11 +258,11 @@ def train_rllib(settings: Settings, folder: Path, runners: int = 0, every: int =
     if resume and not known:
         raise FileNotFoundError(f"{place}: no checkpoint; give a folder that a training with RLlib has written")
     if not resume and folder.exists() and any(folder.iterdir()):
-        raise refusal("folder", folder, "a new one, or resume the run in it")
+        raise value_error("folder", folder, "a new one, or resume the run in it")
     place.mkdir(parents=True, exist_ok=True)
-    here = {"env_vars": {"PYTHONPATH": paths(), "OMP_NUM_THREADS": "1"}}
-    with cluster(runners + 1, runtime_env=here), locked(folder):
-        keep_settings(settings, folder, 0)
+    here = {"env_vars": {"PYTHONPATH": python_path(), "OMP_NUM_THREADS": "1"}}
+    with ray_cluster(runners + 1, runtime_env=here), lock_folder(folder):
+        write_settings(settings, folder, 0)
         _learn(config.build_algo(), settings, place, every, int(known[-1].name) if resume else 0)
 
 

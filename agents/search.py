@@ -1,4 +1,4 @@
-"""Search: Optuna looks for settings of a recipe; trials are runs in folders, stopped early where others do better."""
+"""Hyperparameter search with Optuna: each trial is a training run in its folder, pruned by the median rule."""
 
 import json
 import sys
@@ -12,11 +12,11 @@ import yaml
 
 from flexman_agents.callbacks import Report
 from flexman_agents.settings import Settings
-from flexman_agents.training import trained
-from flexman_gym.checks import finite, mapping, one_of, refusal, sequence, whole_number
-from flexman_gym.evaluation.folder import write
-from flexman_gym.evaluation.grid import Workers, spread
-from flexman_gym.verification.machine import machine_text
+from flexman_agents.training import train_or_resume
+from flexman_gym.common.checks import finite, mapping, one_of, sequence, value_error, whole_number
+from flexman_gym.common.computer import computer_text
+from flexman_gym.common.grid import Workers, run_cells
+from flexman_gym.common.run_folder import write_atomically
 
 JOURNAL, BEST, NAME = "study.log", "best.yaml", "flexman"
 MOST_TRIALS, PARTS = 100_000, 10  # evaluations of a trial where the recipe asks for none
@@ -62,8 +62,8 @@ def search(
             _proposed(study, begun[-1], over)  # before anything can be killed that another sampler would go on with
         if not begun:
             return _keep_best(study, recipe, folder)
-        cells = [(changed(recipe, _proposed(study, number, over)), str(folder), number) for number in begun]
-        for _ in spread(run_trial, cells, workers):
+        cells = [(change_settings(recipe, _proposed(study, number, over)), str(folder), number) for number in begun]
+        for _ in run_cells(run_trial, cells, workers):
             pass
 
 
@@ -87,7 +87,7 @@ def run_trial(cell: tuple[Settings, str, int]) -> None:
 
     try:
         if not pruned:
-            trained((settings, str(place), {"progress": False, "hook": hook}))
+            train_or_resume((settings, str(place), {"progress": False, "hook": hook}))
     except ValueError as error:  # what diverges is a trial that failed
         print(f"trial {number}: {error}", file=sys.stderr)
         study.tell(number, state=_optuna().trial.TrialState.FAIL)
@@ -99,16 +99,16 @@ def run_trial(cell: tuple[Settings, str, int]) -> None:
         study.tell(number, max(rewards))
 
 
-def flat(over: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+def flatten_ranges(over: Mapping[str, Any], path: str = "") -> dict[str, Any]:
     """Gives path -> what a setting may be, from mappings in mappings as a file has them."""
     result: dict[str, Any] = {}
     for name, said in over.items():
         inner = isinstance(said, dict) and not {"low", "high", "choices"} & said.keys()
-        result |= flat(said, f"{path}{name}.") if inner else {f"{path}{name}": said}
+        result |= flatten_ranges(said, f"{path}{name}.") if inner else {f"{path}{name}": said}
     return result
 
 
-def changed(recipe: Settings, values: Mapping[str, Any]) -> Settings:
+def change_settings(recipe: Settings, values: Mapping[str, Any]) -> Settings:
     """Gives a recipe with other values of some settings, by their paths."""
     data = json.loads(json.dumps(recipe.plain()))
     for path, value in values.items():
@@ -128,14 +128,14 @@ def _check(path: str, said: Any, recipe: Settings) -> None:
     else:
         given = mapping(field, said, ("low", "high", "log", "whole"))
         if not {"low", "high"} <= given.keys():
-            raise refusal(field, said, "a mapping with low and high, or with choices")
+            raise value_error(field, said, "a mapping with low and high, or with choices")
         values = [finite(f"{field}.{name}", given[name]) for name in ("low", "high")]
         if not values[0] < values[1] or (given.get("log") and values[0] <= 0.0):
-            raise refusal(field, said, "low < high, and low > 0 with log")
+            raise value_error(field, said, "low < high, and low > 0 with log")
         values = [int(value) if given.get("whole") else value for value in values]
     one_of(field, path.partition(".")[0], sorted({*recipe.plain()} - {"algo", "steps", "judge_every"}))
     for value in values:
-        changed(recipe, {path: value})
+        change_settings(recipe, {path: value})
 
 
 def _proposed(study: Any, number: int, over: Mapping[str, Any]) -> dict[str, Any]:
@@ -156,13 +156,13 @@ def _keep_best(study: Any, recipe: Settings, folder: Path) -> Path:
     best = study.best_trial
     finished = [each.state.name.lower() for each in study.get_trials(deepcopy=False)]
     counts = ", ".join(f"{finished.count(state)} {state}" for state in sorted(set(finished)))
-    settings = changed(recipe, best.params)
+    settings = change_settings(recipe, best.params)
     words = [f"Found by flexman search: trial {best.number} of {len(finished)} ({counts}).",
              f"Mean reward on the selection seeds: {best.value!r}.",
              *(f"{path}: {value!r}" for path, value in best.params.items()),
-             machine_text(("optuna", "torch"))]  # fmt: skip
+             computer_text(("optuna", "torch"))]  # fmt: skip
     text = "".join(f"# {line}\n" for line in words) + yaml.safe_dump(json.loads(json.dumps(settings.plain())))
-    write(folder / BEST, lambda file: file.write(text.encode()))
+    write_atomically(folder / BEST, lambda file: file.write(text.encode()))
     return folder / BEST
 
 

@@ -1,26 +1,31 @@
-"""Settings: all that a training run needs to be repeated, as plain data in a file."""
+"""Settings of a training run: hyperparameters, schedules, recipes, and the record in the folder of the run."""
 
 import json
+import os
+import platform
+import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self
 
-from flexman_gym.checks import (
+from flexman_gym.common import files
+from flexman_gym.common.checks import (
     finite,
     flag,
     mapping,
     one_of,
     positive,
-    refusal,
     sequence,
-    shown_path,
-    store,
+    set_fields,
+    short_path,
+    value_error,
     whole_number,
 )
-from flexman_gym.control.bases import checked_base
-from flexman_gym.envs.description import Description
-from flexman_gym.scene import file
+from flexman_gym.common.run_folder import SETTINGS, read_settings, write_atomically
+from flexman_gym.control.base_controllers import checked_base
+from flexman_gym.envs.config.description import Description
 
 ALGORITHMS = ("ppo", "sac", "dagger")
 ENVS = {"ppo": 64, "sac": 16, "dagger": 128}
@@ -67,7 +72,7 @@ class Schedule:
         for each in fields(self):
             finite(f"schedule.{each.name}", getattr(self, each.name))
         if not 0.0 < self.until <= 1.0:
-            raise refusal("schedule.until", self.until, "a part of the training > 0, at most 1")
+            raise value_error("schedule.until", self.until, "a part of the training > 0, at most 1")
 
     def at(self, progress: float) -> float:
         """Gives the value when a part of the training, 0 to 1, is done."""
@@ -117,19 +122,19 @@ class Settings:
     base_in_use: Any = None
 
     def __post_init__(self) -> None:
-        store(self, algo=one_of("algo", self.algo, ALGORITHMS))
+        set_fields(self, algo=one_of("algo", self.algo, ALGORITHMS))
         for name in ("environment", "hyperparameters", "schedules"):
             if not isinstance(getattr(self, name), dict):
-                raise refusal(name, getattr(self, name), "a mapping")
+                raise value_error(name, getattr(self, name), "a mapping")
         for name in self.schedules:
             if self.algo not in SCHEDULED[one_of("schedules", name, SCHEDULED)]:
-                raise refusal(f"schedules.{name}", self.algo, f"it with {' and '.join(SCHEDULED[name])} only")
+                raise value_error(f"schedules.{name}", self.algo, f"it with {' and '.join(SCHEDULED[name])} only")
             self.schedule(name)
         if self.base_in_use is not None:
             checked_base(self.base_in_use)
         for name, value in self.hyperparameters.items():
             _check(f"hyperparameters.{name}", name, value)
-        store(
+        set_fields(
             self,
             environment=self.description.whole(),
             steps=whole_number("steps", self.steps, 1, MOST_STEPS),
@@ -151,7 +156,7 @@ class Settings:
         if data is None:
             return None
         if not isinstance(data, dict) or not {"start", "end"} <= data.keys() <= {"start", "end", "until"}:
-            raise refusal(f"schedules.{name}", data, "a mapping with start, end and, if wanted, until")
+            raise value_error(f"schedules.{name}", data, "a mapping with start, end and, if wanted, until")
         return Schedule(**data)
 
     @classmethod
@@ -169,13 +174,13 @@ class Settings:
             ValueError: one line with file, field, value and what is allowed.
         """
         try:
-            data = file.read(Path(path))
+            data = files.read_data(Path(path))
             if isinstance(data, dict) and isinstance(data.get("environment"), dict):
                 described = Description.from_dict(data["environment"], Path(path).parent)
                 data["environment"] = described.whole()
             return cls.from_dict(data)
         except ValueError as error:
-            raise ValueError(f"{shown_path(path)}: {error}") from None
+            raise ValueError(f"{short_path(path)}: {error}") from None
 
     @classmethod
     def from_json(cls, path: Path, text: str) -> Self:
@@ -190,7 +195,7 @@ class Settings:
             return cls.from_dict({name: record[name] for name in (each.name for each in fields(cls))})
         except (KeyError, TypeError, ValueError, RecursionError) as error:
             said = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise ValueError(f"{shown_path(path)}: {said}; give the settings of a training run") from None
+            raise ValueError(f"{short_path(path)}: {said}; give the settings of a training run") from None
 
     def plain(self) -> dict[str, Any]:
         """Gives all of them as a mapping for JSON."""
@@ -206,7 +211,7 @@ def _check(field: str, name: str, value: object) -> None:
     if name in COUNTS:
         whole_number(field, value, 1 - (name == "learning_starts"), MOST_STEPS)
     elif name in PARTS and not positive(field, value) <= 1.0:
-        raise refusal(field, value, "a number > 0, at most 1")
+        raise value_error(field, value, "a number > 0, at most 1")
     elif name == "learning_rate":
         positive(field, value)
     elif name == "activation":
@@ -218,3 +223,46 @@ def _check(field: str, name: str, value: object) -> None:
     elif name == "net_arch" and not isinstance(value, dict):
         for i, width in enumerate(sequence(field, value, "widths of layers")):
             whole_number(f"{field}[{i}]", width, 1, WIDEST)
+
+
+RECIPE_FOLDER = Path(__file__).parent / "recipes"
+RECIPES = sorted(path.stem for path in RECIPE_FOLDER.glob("*.yaml"))
+
+
+def find_recipe(name: str) -> Settings:
+    """Gives the settings of a recipe by its name, or of a file of one's own.
+
+    Raises:
+        FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
+    """
+    if name in RECIPES:
+        return Settings.recipe(RECIPE_FOLDER / f"{name}.yaml")
+    if not os.path.isfile(name):  # whatever the name is
+        raise FileNotFoundError(
+            f"recipe: {short_path(name)} is not allowed; give a file, or one of {', '.join(RECIPES)}"
+        )
+    return Settings.recipe(name)
+
+
+PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
+
+
+def check_new_folder(folder: Path) -> None:
+    """Refuses a folder that holds a run already."""
+    if (folder / SETTINGS).exists():
+        raise ValueError(f"folder: {folder} is not allowed; give a new one, or resume the run in it")
+
+
+def write_settings(settings: Settings, folder: Path, done: int) -> None:
+    """Writes the settings of a run that goes on after `done` steps, with the versions of all its parts."""
+    now = {name: version(name) for name in PACKAGES} | {"python": platform.python_version()}
+    path = folder / SETTINGS
+    kept = read_settings(folder) if path.is_file() else {}
+    earlier, last = kept.get("earlier_versions", []), kept.get("versions", now)
+    if last != now and isinstance(last, dict):
+        names = [name for name in now | last if now.get(name) != last.get(name)]
+        said = ", ".join(f"{name} {now.get(name)} instead of {last.get(name)}" for name in names)
+        print(f"Since {folder} was written: {said}; its bits may be others from here on.", file=sys.stderr)
+        earlier = [*earlier, last | {"until_step": done}]
+    record = settings.plain() | {"versions": now} | ({"earlier_versions": earlier} if earlier else {})
+    write_atomically(path, lambda file: file.write((json.dumps(record, indent=1) + "\n").encode()))

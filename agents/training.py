@@ -1,36 +1,238 @@
-"""Training: PPO or SAC on an environment; a run is kept in one folder, survives its process and goes on exactly."""
+"""Training: PPO, SAC or DAgger in a run folder, with its complete state and exact resumption."""
 
+import random
 import sys
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3 import SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-from flexman_agents.algorithm import acting, make_model
-from flexman_agents.callbacks import Checkpoints, Exploration, Hook, Judge, Report, ValueFirst
-from flexman_agents.curves import open_curves
-from flexman_agents.imitation import Lessons
-from flexman_agents.interruption import Interrupted, asked_to_stop
-from flexman_agents.memory import give_policy, give_training, take_policy, take_training
-from flexman_agents.record import check_new, keep_settings
-from flexman_agents.settings import EXPLORATION, MOST_STEPS, Settings
-from flexman_gym.checks import refusal, whole_number
-from flexman_gym.envs.snapshot import give, take
-from flexman_gym.evaluation.folder import (
+from flexman_agents.callbacks import (
+    Checkpoints,
+    Evaluation,
+    Exploration,
+    Hook,
+    Interrupted,
+    Report,
+    ValueWarmup,
+    open_logger,
+    stop_on_interrupt,
+)
+from flexman_agents.imitation import DAggerRun
+from flexman_agents.sb3 import action_function, make_model
+from flexman_agents.settings import EXPLORATION, MOST_STEPS, Settings, check_new_folder, write_settings
+from flexman_agents.vector import Arms
+from flexman_gym.common.checks import value_error, whole_number
+from flexman_gym.common.run_folder import (
     BEST,
     NEWEST,
     SETTINGS,
     check_settings,
-    locked,
+    lock_folder,
     read_data,
     read_settings,
-    settings_text,
+    read_settings_text,
     write_data,
 )
+from flexman_gym.common.snapshot import get_state, set_state
+
+COUNTS = ("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining")
+LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts")
+SEEN = ("old_obs", "old_reward")
+RETURNS = ("episode_returns", "episode_lengths", "episode_count")
+REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+MOMENTS = ("mean", "var", "count")
+
+
+def policy_state(model: BaseAlgorithm) -> dict[str, Any]:
+    """Gives what acts: the parameters of the networks and the statistics that normalise what they see."""
+    return {"policy": _of_tensors(model.policy.state_dict()), "statistics": _of_statistics(_normaliser(model).obs_rms)}
+
+
+def _set_policy_state(model: BaseAlgorithm, data: Any) -> None:
+    """Gives networks and statistics back to a model made alike.
+
+    Raises:
+        ValueError: one line, for those of other networks or other observations.
+    """
+    _check(data, ("policy", "statistics"))
+    model.policy.load_state_dict(_tensors("policy", model.policy.state_dict(), data["policy"]))
+    _give_statistics("statistics", _normaliser(model).obs_rms, data["statistics"])
+
+
+def _training_state(model: BaseAlgorithm) -> dict[str, Any]:
+    """Gives all that a model remembers at the beginning of a rollout, beside its policy."""
+    result: dict[str, Any] = {
+        "counts": {name: getattr(model, name) for name in _counts(model)},
+        "last": {name: get_state(getattr(model, name)) for name in LAST},
+        "optimizers": {name: _of_optimizer(each) for name, each in _optimizers(model).items()},
+        "episodes": [[float(each[key]) for key in "rlt"] for each in model.ep_info_buffer or ()],
+        "random": _of_random(),
+    }
+    normaliser, monitor, arms = _layers(model)
+    result["returns"] = {"statistics": _of_statistics(normaliser.ret_rms), "running": normaliser.returns.copy()}
+    result["seen"] = {name: get_state(getattr(normaliser, name)) for name in SEEN}
+    result["monitor"] = {name: get_state(getattr(monitor, name)) for name in RETURNS}
+    result["environment"] = arms.env.unwrapped.get_state()  # type: ignore[attr-defined]
+    if isinstance(model, SAC):
+        learned = model.log_ent_coef
+        result["entropy"] = None if learned is None else learned.detach().numpy().copy()
+        result["replay"] = _of_replay(model)
+    return result
+
+
+def _set_training_state(model: BaseAlgorithm, data: Any) -> None:
+    """Gives the same back to a model made alike.
+
+    Raises:
+        ValueError: one line, for what another model remembers.
+    """
+    names = ["counts", "last", "optimizers", "episodes", "random", "returns", "seen", "monitor", "environment"]
+    _check(data, names + ["entropy", "replay"] * isinstance(model, SAC))
+    normaliser, monitor, arms = _layers(model)
+    for part, wanted in (("counts", _counts(model)), ("last", LAST), ("seen", SEEN), ("monitor", RETURNS)):
+        _check(data[part], wanted, part)
+    arms.env.unwrapped.set_state(data["environment"])  # type: ignore[attr-defined]
+    for name in _counts(model):
+        setattr(model, name, data["counts"][name])
+    for name in LAST:
+        setattr(model, name, get_state(data["last"][name]))
+    for name, optimizer in _optimizers(model).items():
+        _give_optimizer(name, optimizer, data["optimizers"].get(name))
+    told = [dict(zip("rlt", each, strict=True)) for each in data["episodes"]]
+    model.ep_info_buffer = deque(told, maxlen=model._stats_window_size)
+    model.ep_success_buffer = deque(maxlen=model._stats_window_size)  # no task of ours says success
+    _give_statistics("returns", normaliser.ret_rms, data["returns"]["statistics"])
+    set_state("returns", normaliser.returns, data["returns"]["running"])
+    for name in SEEN:
+        setattr(normaliser, name, get_state(data["seen"][name]))
+    for name in RETURNS:
+        setattr(monitor, name, get_state(data["monitor"][name]))
+    if isinstance(model, SAC):
+        if model.log_ent_coef is not None:
+            logarithm = model.log_ent_coef.detach().numpy().copy()
+            model.log_ent_coef.data = torch.as_tensor(set_state("entropy", logarithm, data["entropy"]))
+        _give_replay(model, data["replay"])
+    _give_random(data["random"])
+
+
+def _layers(model: BaseAlgorithm) -> tuple[VecNormalize, VecMonitor, Arms]:
+    """What stands between a model and its arms."""
+    normaliser = _normaliser(model)
+    monitor: Any = normaliser.venv
+    return normaliser, monitor, monitor.venv
+
+
+def _normaliser(model: BaseAlgorithm) -> VecNormalize:
+    result = model.get_vec_normalize_env()
+    assert result is not None
+    return result
+
+
+def _counts(model: BaseAlgorithm) -> list[str]:
+    return [name for name in COUNTS if hasattr(model, name)]
+
+
+def _check(data: Any, names: Collection[str], field: str = "run") -> None:
+    if not isinstance(data, dict) or not set(names) <= data.keys():
+        result = sorted(data) if isinstance(data, dict) else type(data).__name__
+        raise value_error(field, result, f"what a run remembers: {', '.join(names)}")
+
+
+def _of_tensors(tensors: Any) -> dict[str, Any]:
+    return {name: tensor.detach().cpu().numpy().copy() for name, tensor in tensors.items()}
+
+
+def _tensors(field: str, like: Any, arrays: Any) -> dict[str, torch.Tensor]:
+    if not isinstance(arrays, dict) or arrays.keys() != like.keys():
+        raise value_error(field, sorted(arrays) if isinstance(arrays, dict) else arrays, f"arrays {', '.join(like)}")
+    wanted = _of_tensors(like)
+    return {name: torch.as_tensor(_finite(f"{field}.{name}", wanted[name], arrays[name])) for name in like}
+
+
+def _finite(field: str, old: NDArray[Any], data: Any, least: float = -np.inf) -> Any:
+    """Gives data back to an array, once all of its numbers are finite and none is below the least."""
+    result = set_state(field, old, data)
+    if not (np.isfinite(result) & (np.asarray(result) >= least)).all():
+        allowed = "finite numbers" if least < 0.0 else "finite numbers >= 0"
+        raise value_error(field, "another number", allowed)
+    return result
+
+
+def _of_statistics(moments: Any) -> dict[str, Any]:
+    return {name: np.array(getattr(moments, name), dtype=np.float64) for name in MOMENTS}
+
+
+def _give_statistics(field: str, moments: Any, data: Any) -> None:
+    for name, value in _of_statistics(moments).items():
+        given = data.get(name) if isinstance(data, dict) else None
+        result = _finite(f"{field}.{name}", value, given, -np.inf if name == "mean" else 0.0)
+        setattr(moments, name, result if result.ndim else result.item() if name == "count" else np.float64(result))
+
+
+def _optimizers(model: BaseAlgorithm) -> dict[str, torch.optim.Optimizer]:
+    if not isinstance(model, SAC):
+        return {"policy": model.policy.optimizer}
+    result = {"actor": model.actor.optimizer, "critic": model.critic.optimizer}
+    return result | ({"entropy": model.ent_coef_optimizer} if model.ent_coef_optimizer else {})
+
+
+def _of_optimizer(optimizer: torch.optim.Optimizer) -> dict[str, Any]:
+    """What an optimiser remembers of each parameter; its settings belong to the model."""
+    return {str(key): _of_tensors(each) for key, each in optimizer.state_dict()["state"].items()}
+
+
+def _give_optimizer(field: str, optimizer: torch.optim.Optimizer, data: Any) -> None:
+    plain = optimizer.state_dict()
+    if not isinstance(data, dict) or not data.keys() <= {str(i) for i in plain["param_groups"][0]["params"]}:
+        raise value_error(
+            f"optimizers.{field}", data if data is None else sorted(data), "what the optimiser remembered"
+        )
+    state = {int(key): {name: torch.as_tensor(value) for name, value in each.items()} for key, each in data.items()}
+    optimizer.load_state_dict({"state": state, "param_groups": plain["param_groups"]})
+
+
+def _of_replay(model: SAC) -> dict[str, Any]:
+    buffer: Any = model.replay_buffer
+    rows = buffer.buffer_size if buffer.full else buffer.pos
+    return {"pos": int(buffer.pos), "full": bool(buffer.full)} | {name: getattr(buffer, name)[:rows] for name in REPLAY}
+
+
+def _give_replay(model: SAC, data: Any) -> None:
+    buffer: Any = model.replay_buffer
+    rows = buffer.buffer_size if data["full"] else data["pos"]
+    for name in REPLAY:
+        set_state(f"replay.{name}", getattr(buffer, name)[:rows], data[name])
+    buffer.pos, buffer.full = data["pos"], data["full"]
+
+
+def _of_random() -> dict[str, Any]:
+    """The states of the generators that Python, NumPy and PyTorch share with everybody."""
+    version, words, gauss = random.getstate()
+    kind, keys, *rest = np.random.get_state(legacy=True)  # noqa: NPY002, Stable-Baselines3 draws from it
+    return {
+        "python": [version, list(words), gauss],
+        "numpy": [kind, np.asarray(keys), *(each if isinstance(each, str) else float(each) for each in rest)],
+        "torch": torch.get_rng_state().numpy().copy(),
+    }
+
+
+def _give_random(data: dict[str, Any]) -> None:
+    version, words, gauss = data["python"]
+    random.setstate((version, tuple(words), gauss))
+    kind, keys, position, has, gaussian = data["numpy"]
+    np.random.set_state((kind, keys, int(position), int(has), gaussian))  # noqa: NPY002
+    torch.set_rng_state(torch.as_tensor(data["torch"]))
 
 
 def train(
@@ -63,13 +265,13 @@ def train(
         Interrupted: after Ctrl-C, once the run is saved.
     """
     folder = Path(folder)
-    check_new(folder)
+    check_new_folder(folder)
     checkpoint_every = whole_number("checkpoint_every", checkpoint_every, 0, MOST_STEPS)
-    run = _begun(settings, folder, device)
+    run = _new_run(settings, folder, device)
     folder.mkdir(parents=True, exist_ok=True)
-    with locked(folder):
-        check_new(folder)  # another process may have trained there meanwhile
-        keep_settings(settings, folder, 0)
+    with lock_folder(folder):
+        check_new_folder(folder)  # another process may have trained there meanwhile
+        write_settings(settings, folder, 0)
         return run.learn(checkpoint_every, progress, hook)
 
 
@@ -96,7 +298,7 @@ def resume(
     """
     checkpoint_every = whole_number("checkpoint_every", checkpoint_every, 0, MOST_STEPS)
     settings = load_settings(folder)
-    with locked(folder):
+    with lock_folder(folder):
         data = read_data(folder / NEWEST) if (folder / NEWEST).is_file() else None
         if data is not None:
             check_settings(folder / NEWEST, data, read_settings(folder))
@@ -107,17 +309,17 @@ def resume(
             settings = replace(settings, judge_every=judge_every)
         if (folder / BEST).is_file() and not settings.judge_every:
             allowed = f"the steps between evaluations, > 0: {folder} keeps its best policy"
-            raise refusal("judge_every", settings.judge_every, allowed)
-        run = _begun(settings, folder, device)
+            raise value_error("judge_every", settings.judge_every, allowed)
+        run = _new_run(settings, folder, device)
         if data is None:
             print(f"Nothing was kept in {folder} yet: the run begins again.", file=sys.stderr)
         else:
             run.give(data, finished)
-        keep_settings(settings, folder, run.done)
+        write_settings(settings, folder, run.done)
         return run.learn(checkpoint_every, progress, hook)
 
 
-def trained(cell: tuple[Settings, str, Mapping[str, Any]]) -> str:
+def train_or_resume(cell: tuple[Settings, str, Mapping[str, Any]]) -> str:
     """Trains a run as `train` does, or goes on with it to its end; a cell of a grid.
 
     Args:
@@ -135,7 +337,7 @@ def trained(cell: tuple[Settings, str, Mapping[str, Any]]) -> str:
         train(settings, path, **how)
         return folder
     if load_settings(path) != settings:
-        raise refusal("folder", folder, "one without a run of other settings")
+        raise value_error("folder", folder, "one without a run of other settings")
     if not (path / NEWEST).is_file() or _steps_done(path / NEWEST, read_data(path / NEWEST)) < settings.steps:
         resume(path, **how)
     return folder
@@ -147,13 +349,13 @@ def load_settings(folder: Path) -> Settings:
     Raises:
         FileNotFoundError, ValueError: one clear line.
     """
-    return Settings.from_json(folder / SETTINGS, settings_text(folder))
+    return Settings.from_json(folder / SETTINGS, read_settings_text(folder))
 
 
-def _begun(settings: Settings, folder: Path, device: str) -> "_Run | Lessons":
+def _new_run(settings: Settings, folder: Path, device: str) -> "_Run | DAggerRun":
     """A run at its beginning."""
     if settings.algo == "dagger":
-        return Lessons(settings, folder)
+        return DAggerRun(settings, folder)
     return _Run(make_model(settings, device), settings, folder)
 
 
@@ -163,11 +365,11 @@ class _Run:
     def __init__(self, model: BaseAlgorithm, settings: Settings, folder: Path) -> None:
         self.model, self.settings, self.folder = model, settings, folder
         self._before = 0  # steps of runs that this one followed
-        self._judge: Judge | None = None
+        self._judge: Evaluation | None = None
         if settings.judge_every:
             statistics = model.get_vec_normalize_env()
             assert statistics is not None
-            self._judge = Judge(settings, acting(model, statistics), self._keep_best)
+            self._judge = Evaluation(settings, action_function(model, statistics), self._keep_best)
 
     @property
     def done(self) -> int:
@@ -178,10 +380,10 @@ class _Run:
         """Puts everything where it was when it was saved; another run counts its steps from there."""
         path = self.folder / NEWEST
         try:
-            give_policy(self.model, data)
-            give_training(self.model, data["training"])
+            _set_policy_state(self.model, data)
+            _set_training_state(self.model, data["training"])
             if self._judge and data["judge"] is not None:
-                give("judge", self._judge, data["judge"])
+                set_state("judge", self._judge, data["judge"])
             self._before = whole_number("before", data["before"], 0, MOST_STEPS)
         except (KeyError, TypeError, AttributeError, IndexError, ValueError) as error:
             said = " ".join(str(error).split()) or type(error).__name__
@@ -203,14 +405,14 @@ class _Run:
         for exploration in filter(None, map(settings.schedule, EXPLORATION)):
             callbacks.append(Exploration(exploration, settings.steps))
         if settings.value_first:
-            callbacks.append(ValueFirst(settings.value_first))
+            callbacks.append(ValueWarmup(settings.value_first))
         if self._judge:
             callbacks.append(self._judge)
         told: dict[str, Any] = {"progress_bar": progress, "reset_num_timesteps": False}
         if isinstance(model, OffPolicyAlgorithm):
             told["log_interval"] = settings.envs  # SAC logs after so many episodes, which end together
-        with asked_to_stop() as asked:
-            model.set_logger(open_curves(self.folder, self._before, model.num_timesteps))
+        with stop_on_interrupt() as asked:
+            model.set_logger(open_logger(self.folder, self._before, model.num_timesteps))
             stop = (lambda: asked.is_set() or bool(hook(self._report()))) if hook else asked.is_set
             checkpoints = Checkpoints(checkpoint_every, self._save, stop)
             model.learn(settings.steps - model.num_timesteps, callback=[checkpoints, *callbacks], **told)
@@ -227,8 +429,8 @@ class _Run:
         return Report(self.done, dict(self._judge.latest) if self._judge else {}, self._save)
 
     def _save(self) -> None:
-        judge = take(self._judge) if self._judge else None
-        data = {"training": take_training(self.model), "judge": judge, "before": self._before}
+        judge = get_state(self._judge) if self._judge else None
+        data = {"training": _training_state(self.model), "judge": judge, "before": self._before}
         write_data(self.folder / NEWEST, self._policy() | data)
 
     def _keep_best(self) -> None:
@@ -236,7 +438,7 @@ class _Run:
 
     def _policy(self) -> dict[str, Any]:
         """The policy with the settings that it belongs to."""
-        return take_policy(self.model) | {"settings": self.settings.plain()}
+        return policy_state(self.model) | {"settings": self.settings.plain()}
 
 
 def _steps_done(path: Path, data: Any) -> int:
@@ -252,5 +454,5 @@ def _further(settings: Settings, folder: Path, steps: int | None, done: int, fin
         raise ValueError(f"steps: None is not allowed; give those of another run: that in {folder} is finished")
     if not finished and steps is not None:
         allowed = f"nothing: the run in {folder} has {done} of its {settings.steps} steps and goes on to its end"
-        raise refusal("steps", steps, allowed)
+        raise value_error("steps", steps, allowed)
     return settings if steps is None else replace(settings, steps=steps)

@@ -1,4 +1,4 @@
-"""Vector: many arms of one vector environment behind the interface for vectors of Stable-Baselines3."""
+"""Vector environment behind the VecEnv interface of Stable-Baselines3."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
-from flexman_gym.checks import refusal
+from flexman_gym.common.checks import value_error
 
 Infos = dict[str, Any]
 
@@ -29,14 +29,14 @@ class Arms(VecEnv):
     def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any]) -> None:
         mode = env.metadata.get("autoreset_mode")
         if mode != AutoresetMode.SAME_STEP:
-            raise refusal("autoreset_mode", mode, "an environment made with AutoresetMode.SAME_STEP")
+            raise value_error("autoreset_mode", mode, "an environment made with AutoresetMode.SAME_STEP")
         self.env = env
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> NDArray[np.float32]:
         """Observations (b, size) of new episodes, with the seeds of `seed` and the options of `set_options`."""
         if any(options != self._options[0] for options in self._options):
-            raise refusal("options", self._options, "the same options for all environments")
+            raise value_error("options", self._options, "the same options for all environments")
         seeds = None if None in self._seeds else self._seeds
         observations, _ = self.env.reset(seed=seeds, options=self._options[0] or None)  # type: ignore[arg-type]
         self._reset_seeds()
@@ -72,11 +72,11 @@ class Arms(VecEnv):
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Refused: the arms share one environment."""
-        raise refusal("set_attr", attr_name, "arguments to the environment as it is made: its arms share them")
+        raise value_error("set_attr", attr_name, "arguments to the environment as it is made: its arms share them")
 
     def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **named: Any) -> list[Any]:
         """Refused: the arms share one environment."""
-        raise refusal("env_method", method_name, "a call of a method of `env`, which all arms share")
+        raise value_error("env_method", method_name, "a call of a method of `env`, which all arms share")
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
         """False for each of the arms: none has a wrapper of its own."""

@@ -30,7 +30,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="flexman",
         usage="flexman [-h] [--version] command ...",
-        description=f"{words}\n\n{overview()}",
+        description=f"{words}\n\n{_overview()}",
         formatter_class=form,
     )
     parser.add_argument("--version", action="version", version=__version__)
@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
         prog="flexman", dest="command", required=True, metavar="command", help=argparse.SUPPRESS
     )
     for each in pkgutil.iter_modules(commands.__path__):
-        chosen.add_parser(each.name, description=about(each.name))
+        chosen.add_parser(each.name, description=command_summary(each.name))
     if not given or given[0] not in chosen.choices:
         if given and not given[0].startswith("-"):
             near = get_close_matches(given[0], chosen.choices, 1, 0.0)[0]
@@ -63,20 +63,20 @@ def main(arguments: list[str] | None = None) -> int:
     return 2
 
 
-def overview() -> str:
+def _overview() -> str:
     """Return the commands in groups, a line for each."""
     lines = []
     for group, names in GROUPS.items():
         lines.append(f"{group}:")
         for name in names:
-            words = about(name).rstrip(".")
+            words = command_summary(name).rstrip(".")
             words = words if len(words) <= WIDTH else words.partition(": ")[0]
             words = words if len(words) <= WIDTH else words.partition(", ")[0]
             lines.append(f"    {name:<11}{words[0].lower()}{words[1:]}")
     return "\n".join(lines)
 
 
-def about(name: str) -> str:
+def command_summary(name: str) -> str:
     """The first line of a command's file, which is not run for it."""
     text = (Path(commands.__path__[0]) / f"{name}.py").read_text(encoding="utf-8")
     return (ast.get_docstring(ast.parse(text)) or name).splitlines()[0]

@@ -2,12 +2,11 @@
 
 import argparse
 
-from flexman_gym.verification.machine import machine_text
-from studies.benchmark import environments, evaluations, parts, starts
+from flexman_gym.common.computer import computer_text
+from studies.benchmark import measure
+from studies.benchmark.measure import BenchmarkRow
 from studies.benchmark.page import publish
-from studies.benchmark.rows import Row
-from studies.places import folder
-from studies.table import read_rows, write_rows
+from studies.files import folder, read_rows, write_rows
 
 EVALUATION_ROUNDS, PART_ROUNDS, STARTS = 40, 15, 5
 PEERS = ("gymnasium", "stable-baselines3", "torch", "mujoco", "pin")
@@ -23,13 +22,13 @@ def main() -> None:
     options.folder.mkdir(parents=True, exist_ok=True)
     file = options.folder / "benchmark.csv"
     if not options.redraw:
-        grid = environments.QUICK if options.quick else environments.Grid()
-        rows = environments.rows(grid)
-        rows += parts.rows(1 if options.quick else PART_ROUNDS)
-        rows += starts.rows(1 if options.quick else STARTS, cold=not options.quick)
-        rows += evaluations.rows(2 if options.quick else EVALUATION_ROUNDS)
+        grid = measure.QUICK if options.quick else measure.Grid()
+        rows = measure.environment_rows(grid)
+        rows += measure.part_rows(1 if options.quick else PART_ROUNDS)
+        rows += measure.start_rows(1 if options.quick else STARTS, cold=not options.quick)
+        rows += measure.evaluation_rows(2 if options.quick else EVALUATION_ROUNDS)
         write_rows(rows, file)
-    print(publish(read_rows(file, Row), machine_text(PEERS), options.folder))
+    print(publish(read_rows(file, BenchmarkRow), computer_text(PEERS), options.folder))
 
 
 if __name__ == "__main__":

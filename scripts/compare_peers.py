@@ -3,12 +3,11 @@
 import argparse
 
 from flexman_gym.verification.cases import REFERENCE
-from studies.peers import abreast
-from studies.peers.compare import in_turns, ours, study, theirs, truth
+from studies.files import folder, read_rows, write_rows
+from studies.peers import measure
+from studies.peers.measure import in_turns, ours, study, theirs, truth
 from studies.peers.page import publish
-from studies.places import folder
-from studies.precision.measure import Row
-from studies.table import read_rows, write_rows
+from studies.precision.measure import PrecisionRow
 
 SHOWN = 5  # last lines of the page
 
@@ -24,8 +23,8 @@ def main() -> None:
     if not options.redraw:
         result = study(known)
         alone = in_turns(ours(result) + theirs(result))
-        write_rows(alone + abreast.rows(result, alone), file)
-    text = publish(read_rows(file, Row), known.floor, options.folder)
+        write_rows(alone + measure.batch_rows(result, alone), file)
+    text = publish(read_rows(file, PrecisionRow), known.floor, options.folder)
     print("\n".join(text.splitlines()[-SHOWN:]))
 
 

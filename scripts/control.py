@@ -2,10 +2,9 @@
 
 import argparse
 
-from studies.control.cases import CASES, Row, played
+from studies.control.cases import CASES, ControlRow, played
 from studies.control.page import page
-from studies.places import folder
-from studies.table import read_rows, write_rows
+from studies.files import folder, read_rows, write_rows
 
 
 def main() -> None:
@@ -17,7 +16,7 @@ def main() -> None:
     parser.add_argument("--folder", type=folder, default="out/control", help="where table and page go")
     options = parser.parse_args()
     path = options.folder / "control.csv"
-    rows = {row.case: row for row in read_rows(path, Row)} if path.exists() else {}
+    rows = {row.case: row for row in read_rows(path, ControlRow)} if path.exists() else {}
     for case in CASES:
         if not options.only or case.name.startswith(options.only):
             row = rows[case.name] = played(case, options.episodes, options.seed)

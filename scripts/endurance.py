@@ -6,9 +6,8 @@ from gymnasium.vector import AutoresetMode
 
 import flexman_gym as fm
 from flexman_gym.envs import NAMED
-from studies.benchmark.alike import alike
-from studies.benchmark.endurance import ALLOWED, SETTLED, all_conditions, endure, publish
-from studies.places import folder
+from studies.benchmark.endurance import ALLOWED, SETTLED, alike, all_conditions, endure, publish
+from studies.files import folder
 
 MOST_ALARMS = 0.005  # of the steps
 SENSORS = ("full", "lab", ("lab", "accelerometer", "tip"))

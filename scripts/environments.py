@@ -3,9 +3,9 @@
 import argparse
 
 from flexman_gym.envs import NAMED
-from studies.environments.episode import BASES, draw, run
+from studies.environments.measure import BASES, draw, run
 from studies.environments.page import baselines, page
-from studies.places import folder
+from studies.files import folder
 
 
 def main() -> None:

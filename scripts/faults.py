@@ -6,7 +6,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from studies.faults import disk_full, faults, page
-from studies.places import folder
+from studies.files import folder
 
 
 def main() -> int:

@@ -3,11 +3,10 @@
 import argparse
 from pathlib import Path
 
-from flexman_gym.evaluation.grid import Workers, gathered
-from studies.fidelity.measure import SCENES, Row, rows_of
+from flexman_gym.common.grid import Workers, collect_cells
+from studies.fidelity.measure import SCENES, FidelityRow, rows_of
 from studies.fidelity.page import page
-from studies.places import folder
-from studies.table import read_rows, write_rows
+from studies.files import folder, read_rows, write_rows
 
 DIGITS = 9
 
@@ -22,11 +21,13 @@ def main() -> None:
     options = parser.parse_args()
     files = {file: make() for file, make in SCENES.items()}
     for file, cases in files.items() if not options.redraw else ():
-        done = gathered(rows_of, [(file, name) for name in cases], Workers.of(options), options.kept)
-        result = [Row(**row) for rows in done for row in rows]
+        done = collect_cells(rows_of, [(file, name) for name in cases], Workers.of(options), options.kept)
+        result = [FidelityRow(**row) for rows in done for row in rows]
         print(*result, sep="\n", flush=True)
         write_rows(result, options.folder / file, DIGITS)
-    known = [read_rows(options.folder / file, Row) if (options.folder / file).exists() else [] for file in files]
+    known = [
+        read_rows(options.folder / file, FidelityRow) if (options.folder / file).exists() else [] for file in files
+    ]
     (options.folder / "fidelity.md").write_text(page(*known), encoding="utf-8")
 
 

@@ -5,14 +5,22 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from flexman_gym.evaluation.grid import Workers
-from flexman_gym.verification.machine import machine_text
-from studies.learning.cases import Case, cases
-from studies.learning.curves import Point, pictures, points
-from studies.learning.measure import Row, controllers, place, runs, tasks
+from flexman_gym.common.computer import computer_text
+from flexman_gym.common.grid import Workers
+from studies.files import folder, read_comment, read_rows, write_rows
+from studies.learning.measure import (
+    LearningCase,
+    LearningRow,
+    Point,
+    cases,
+    controllers,
+    pictures,
+    place,
+    points,
+    runs,
+    tasks,
+)
 from studies.learning.page import page
-from studies.places import folder
-from studies.table import read_comment, read_rows, write_rows
 
 ALONE = {"controllers": controllers, "tasks": tasks}  # rows that no training precedes
 CURVES = "learning_curves.csv"
@@ -42,23 +50,25 @@ def main() -> int:
     file = options.folder / "learning.csv"
     if (options.folder / CURVES).is_file():
         pictures(read_rows(options.folder / CURVES, Point), options.folder)
-    (options.folder / "learning.md").write_text(page(read_rows(file, Row), read_comment(file)), encoding="utf-8")
+    (options.folder / "learning.md").write_text(
+        page(read_rows(file, LearningRow), read_comment(file)), encoding="utf-8"
+    )
     return 0
 
 
-def _curves(case: Case, folder: Path) -> list[Point]:
+def _curves(case: LearningCase, folder: Path) -> list[Point]:
     """How the runs of a recipe went."""
     return [point for seed in range(case.seeds) for point in points(case.name, seed, place(case, folder, seed))]
 
 
-def _keep(result: Sequence[Row] | Sequence[Point], file: Path) -> None:
+def _keep(result: Sequence[LearningRow] | Sequence[Point], file: Path) -> None:
     """Writes rows beside those of other cases that are there already."""
     own, kind = {_case(row) for row in result}, type(result[0])
     others = [row for row in read_rows(file, kind) if _case(row) not in own] if file.exists() else []
-    write_rows([*others, *result], file, comment=machine_text(("stable-baselines3", "torch")))
+    write_rows([*others, *result], file, comment=computer_text(("stable-baselines3", "torch")))
 
 
-def _case(row: Row | Point) -> tuple[str, str]:
+def _case(row: LearningRow | Point) -> tuple[str, str]:
     return getattr(row, "kind", "recipe"), row.name
 
 

@@ -3,14 +3,10 @@
 import argparse
 from pathlib import Path
 
-from flexman_gym.verification.machine import machine_text
-from studies.machine.charts import draw
-from studies.machine.made_up import coverage
-from studies.machine.measure import stage_1, stages
-from studies.machine.page import page
-from studies.machine.records import DATA
-from studies.places import folder
-from studies.table import write_rows
+from flexman_gym.common.computer import computer_text
+from studies.files import folder, write_rows
+from studies.machine.measure import DATA, coverage, stage_1, stages
+from studies.machine.page import draw, page
 
 
 def main() -> None:
@@ -29,9 +25,9 @@ def main() -> None:
         return
     rows, lines = stage_1(options.data)
     more, told = stages(options.stages or options.data / "two_stages.csv")
-    write_rows([*rows, *more], options.folder / "machine.csv", comment=machine_text(("mujoco",)))
+    write_rows([*rows, *more], options.folder / "machine.csv", comment=computer_text(("mujoco",)))
     draw(lines, told, options.folder)
-    text = page([*rows, *more], machine_text(("mujoco",)))
+    text = page([*rows, *more], computer_text(("mujoco",)))
     (options.folder / "machine.md").write_text(text, encoding="utf-8")
     print(text)
 

@@ -2,19 +2,16 @@
 
 import argparse
 
-from flexman_gym.envs.setup import Setup, build
-from flexman_gym.verification.machine import machine_text
-from studies.places import folder
-from studies.ringdown.charts import draw
-from studies.ringdown.default import errors_of_default
-from studies.ringdown.measure import Row, rows
-from studies.ringdown.page import TITLES, page
-from studies.table import read_comment, read_rows, write_rows
+from flexman_gym.common.computer import computer_text
+from flexman_gym.envs.config.setup import Setup, build
+from studies.files import folder, read_comment, read_rows, write_rows
+from studies.ringdown.measure import RingDownRow, errors_of_default, rows
+from studies.ringdown.page import TITLES, draw, page
 
 ARMS, FEW, THEIRS, MANY = 128, 12, 6, 300  # of methods in lanes, of others, of MuJoCo, and of the default
 
 
-def compute(quick: bool) -> list[Row]:
+def compute(quick: bool) -> list[RingDownRow]:
     """Measures all kinds, or a few arms."""
     arms, few, theirs = (2, 1, 1) if quick else (ARMS, FEW, THEIRS)
     result = [row for kind in TITLES for row in rows(kind, arms, few)]
@@ -36,12 +33,12 @@ def main() -> None:
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     if options.default:
-        write_rows(errors_of_default(2 if options.quick else MANY), options.folder / "accuracy.csv", 3, machine_text())
+        write_rows(errors_of_default(2 if options.quick else MANY), options.folder / "accuracy.csv", 3, computer_text())
         return
     file = options.folder / "ring_down.csv"
     if not options.redraw:
-        write_rows(compute(options.quick), file, comment=machine_text())
-    chosen, result = build(Setup()), read_rows(file, Row)
+        write_rows(compute(options.quick), file, comment=computer_text())
+    chosen, result = build(Setup()), read_rows(file, RingDownRow)
     default = str(chosen.method), chosen.step
     draw(result, options.folder, default)
     (options.folder / "ring_down.md").write_text(page(result, read_comment(file), default), encoding="utf-8")

@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 
 import flexman_gym  # noqa: F401  registers the environments
-from flexman_gym.evaluation.grid import Workers, gathered
+from flexman_gym.common.grid import Workers, collect_cells
 
 ARMS, PERIODS, UPDATES = 256, 12, 20
 RECIPE = "ppo_on_pd_minute"
@@ -50,7 +50,7 @@ def torchrl() -> float:
 
 def sb3() -> float:
     """The same of a training with Stable-Baselines3, its learning included."""
-    from flexman_agents.recipes import find_recipe
+    from flexman_agents.settings import find_recipe
     from flexman_agents.training import train
 
     settings, moments = replace(find_recipe(RECIPE), steps=(UPDATES + 2) * ARMS * PERIODS), []
@@ -65,7 +65,7 @@ def rllib() -> float:
     from ray.rllib.algorithms.ppo import PPO
 
     from flexman_agents import rllib
-    from flexman_agents.recipes import find_recipe
+    from flexman_agents.settings import find_recipe
 
     settings, moments, inner = replace(find_recipe(RECIPE), steps=(UPDATES + 2) * ARMS * PERIODS), [], PPO.train
 
@@ -94,7 +94,7 @@ def started(number: int) -> float:
 
 def worker() -> float:
     """CPU seconds that the start of a worker takes, kernels from the disk included."""
-    return max(gathered(started, range(2), Workers(2)))
+    return max(collect_cells(started, range(2), Workers(2)))
 
 
 PARTS: dict[str, Callable[[], float]] = {

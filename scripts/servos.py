@@ -3,12 +3,10 @@
 import argparse
 import warnings
 
-from flexman_gym.verification.machine import machine_text
-from studies.places import folder
-from studies.servos.friction import FrictionRow, friction_rows
-from studies.servos.measure import Row, rows
+from flexman_gym.common.computer import computer_text
+from studies.files import folder, read_comment, read_rows, write_rows
+from studies.servos.measure import FrictionRow, ServoRow, friction_rows, rows
 from studies.servos.page import page
-from studies.table import read_comment, read_rows, write_rows
 
 
 def main() -> None:
@@ -20,9 +18,9 @@ def main() -> None:
     file, rubbing = options.folder / "servos.csv", options.folder / "servos_friction.csv"
     if not options.redraw:
         warnings.filterwarnings("ignore", "actions: a servo", UserWarning)  # which is what is looked for
-        write_rows(list(rows()), file, 6, machine_text())
-        write_rows(list(friction_rows()), rubbing, 12, machine_text())
-    text = page(read_comment(file), read_rows(file, Row), read_rows(rubbing, FrictionRow))
+        write_rows(list(rows()), file, 6, computer_text())
+        write_rows(list(friction_rows()), rubbing, 12, computer_text())
+    text = page(read_comment(file), read_rows(file, ServoRow), read_rows(rubbing, FrictionRow))
     (options.folder / "servos.md").write_text(text, encoding="utf-8")
 
 

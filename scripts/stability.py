@@ -6,13 +6,12 @@ import warnings
 from pathlib import Path
 from time import perf_counter
 
-from flexman_gym.evaluation.grid import Workers
-from flexman_gym.verification.machine import machine_text
-from studies.places import folder
-from studies.stability.measure import Row
+from flexman_gym.common.computer import computer_text
+from flexman_gym.common.grid import Workers
+from studies.files import folder, read_comment, read_rows, write_rows
+from studies.stability.measure import StabilityRow
 from studies.stability.page import page, summary
 from studies.stability.rows import all_rows
-from studies.table import read_comment, read_rows, write_rows
 
 DIGITS = 9
 
@@ -32,20 +31,22 @@ def main() -> int:
     warnings.filterwarnings("ignore", "Link.second_moment_y", UserWarning)  # of the paper's printed area of link 1
     started = perf_counter()
     result = (
-        read_rows(options.rows, Row) if options.rows else all_rows(options.quick, Workers.of(options), options.kept)
+        read_rows(options.rows, StabilityRow)
+        if options.rows
+        else all_rows(options.quick, Workers.of(options), options.kept)
     )
     print(summary(result))
     print(f"{perf_counter() - started:.0f} s")
     if options.csv:
-        write_rows(result, options.csv, DIGITS, machine_text())
+        write_rows(result, options.csv, DIGITS, computer_text())
     if options.folder:
         from studies.stability.charts import draw
 
         options.folder.mkdir(parents=True, exist_ok=True)
         file = options.rows or options.folder / "stability.csv"
         if not options.rows:
-            write_rows(result, file, DIGITS, machine_text())
-        result = read_rows(file, Row)
+            write_rows(result, file, DIGITS, computer_text())
+        result = read_rows(file, StabilityRow)
         draw(result, options.folder)
         (options.folder / "stability.md").write_text(page(read_comment(file), result), encoding="utf-8")
     return 0

@@ -4,10 +4,10 @@ import argparse
 import warnings
 from pathlib import Path
 
-from flexman_gym.evaluation.grid import Workers
+from flexman_gym.common.grid import Workers
 from flexman_gym.verification.cases import REFERENCE
-from studies.places import folder
-from studies.precision.files import compute, publish
+from studies.files import folder
+from studies.precision.page import compute, publish
 
 
 def main() -> None:

@@ -9,16 +9,15 @@ import pytest
 import flexman_gym as fm
 from flexman_gym import metrics
 from flexman_gym.control import LQR, PD
-from flexman_gym.envs.description import Description
+from flexman_gym.envs.config.description import Description
 from flexman_gym.fidelity.choose import assembled_modes
 from flexman_gym.fidelity.mesh import MeshSearch
 from flexman_gym.fidelity.search import TRIED
 
 from oracles import fuzz
 from oracles.fuzz import arguments, described, outcome, too_much
-from oracles.odd import BAD, fits
-from oracles.samples import JOINT, LINK, ONE, PARTS, SCENE, arm_of
-from oracles.targets import TARGETS, Target
+from oracles.fuzz_targets import JOINT, LINK, ONE, PARTS, SCENE, TARGETS, Target, arm_of
+from oracles.odd_values import BAD, fits
 
 CALLS, FILES = 8, 100  # of each target, and in all
 

@@ -4,14 +4,14 @@ import os
 
 import pytest
 
-from flexman_gym.control.slew_table import SlewTable
-from flexman_gym.draw.learning import read_progress
-from flexman_gym.envs.description import Description
-from flexman_gym.envs.scales import Scales
-from flexman_gym.evaluation.entrants import find_entrant
-from flexman_gym.evaluation.league import Book
-from flexman_gym.evaluation.venues import find_venue
-from flexman_gym.scene.record import read_record
+from flexman_gym.common.time_series import read_time_series
+from flexman_gym.control.normalisation import RunningMeanStd
+from flexman_gym.control.references.optimised_slews import SlewTable
+from flexman_gym.draw.evaluation import read_progress
+from flexman_gym.envs.config.description import Description
+from flexman_gym.evaluation.agent import find_agent
+from flexman_gym.league.rows import LeagueRows
+from flexman_gym.league.scenarios import find_scenario
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.episode import Episode
 
@@ -31,14 +31,14 @@ def test_a_hostile_file_is_refused_at_once_in_one_line(name, what, make, tmp_pat
 
 
 BY_NAME = [
-    find_entrant,
-    find_venue,
+    find_agent,
+    find_scenario,
     Description.find,
     Scene.load,
-    read_record,
+    read_time_series,
     Episode.load,
     SlewTable.load,
-    Scales.load,
+    RunningMeanStd.load,
 ]
 
 
@@ -52,7 +52,7 @@ def test_a_name_that_no_file_has_is_refused_in_one_line(read, name):
 
 
 def test_the_folder_of_nothing_is_one_line():
-    assert Book.load(hostile.Path("x" * 5000)).rows == {}
+    assert LeagueRows.load(hostile.Path("x" * 5000)).rows == {}
     with pytest.raises(FileNotFoundError, match=r"^x{60,80}\.\.\.x+: no progress\.csv with rows"):
         read_progress("x" * 5000)
 

@@ -16,31 +16,31 @@ MOST_LINES, MOST_FUNCTION_LINES, MOST_ARGUMENTS, MOST_KERNEL_ARGUMENTS = 500, 50
 
 # Who may import whom, from the ground up: a folder uses what stands beside it, and itself, and nothing else of ours.
 FLOORS = {
-    "arrays": "",
-    "checks": "",
-    "progress": "",
+    "common": "kernels",  # a grid of processes compiles the kernels once
     "kernels": "",
-    "scene": "arrays checks",
-    "model": "scene kernels arrays checks",
-    "simulation": "model scene kernels arrays checks",
-    "fidelity": "simulation model scene arrays checks progress",
-    "fit": "simulation model scene kernels arrays checks progress",
-    "control": "simulation model kernels arrays checks",
-    "draw": "simulation model scene kernels arrays checks",
-    "envs": "draw control fidelity simulation model scene kernels arrays checks",
-    "metrics": "arrays checks",
-    "verification": "simulation model scene kernels arrays checks",
-    "evaluation": "verification metrics envs draw control simulation scene kernels arrays checks progress",
-    "agents": "flexman_gym verification evaluation envs metrics draw control simulation scene arrays checks",
-    "commands": "flexman_gym agents verification evaluation envs draw control fidelity simulation model scene kernels "
-    "checks",
+    "scene": "common",
+    "model": "scene kernels common",
+    "simulation": "model scene kernels common",
+    "fidelity": "simulation model scene common",
+    "identification": "simulation model scene kernels common",
+    "draw": "simulation model scene kernels common",
+    "control": "simulation model kernels common",
+    "envs": "draw control fidelity simulation model scene kernels common",
+    "metrics": "common",
+    "verification": "simulation model scene kernels common",
+    "evaluation": "metrics envs draw control simulation scene kernels common",
+    "league": "verification evaluation metrics envs draw control simulation scene kernels common",
+    "agents": "flexman_gym league evaluation envs metrics draw control simulation scene common",
+    "commands": "flexman_gym agents verification league evaluation envs draw control fidelity simulation model scene "
+    "kernels common",
     "__main__": "flexman_gym commands",
-    "studies": "flexman_gym agents verification evaluation metrics envs draw control fit fidelity simulation model "
-    "scene kernels arrays checks",
-    "scripts": "flexman_gym __main__ agents studies verification evaluation envs draw fidelity simulation model scene",
+    "studies": "flexman_gym agents verification league evaluation metrics envs draw control identification fidelity "
+    "simulation model scene kernels common",
+    "scripts": "flexman_gym __main__ agents studies verification league evaluation envs draw fidelity simulation model "
+    "scene common",
 }
 # what flexman_gym/__init__.py gathers
-PUBLIC = "evaluation envs control draw fit fidelity metrics simulation model scene"
+PUBLIC = "evaluation envs control draw identification fidelity metrics simulation model scene"
 INSIDE_KERNELS = {"numba", "llvmlite", "numpy", "math", "operator", "typing", "collections", "functools"}
 # what names the folder of the binaries, and keeps them there
 CACHE_ROOM = {"hashlib", "os", "sys", "tempfile", "pathlib", "pickle", "re", "shutil", "stat"}

@@ -8,11 +8,11 @@ import gymnasium as gym
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.envs.description import Description, described
+from flexman_gym.envs.config.description import Description, described
 from flexman_gym.envs.tasks import Slew
 
+from oracles.assertions import refusal
 from oracles.files import ROOT
-from oracles.refusals import refusal
 
 
 def told(value):

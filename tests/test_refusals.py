@@ -11,23 +11,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import flexman_gym as fm
-from flexman_gym import checks
+from flexman_gym.common import checks
+from flexman_gym.control.input_shaping.shaped_controller import InputShapedController
+from flexman_gym.control.input_shaping.shapers import design_shaper, ringing_modes
 from flexman_gym.control.lqr import LQR, TrackingLQR
-from flexman_gym.control.modes import ringing_modes
 from flexman_gym.control.pd import PD
-from flexman_gym.control.shaped import Shaped
-from flexman_gym.control.shaper import design
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.fidelity.choose import assembled_modes
 from flexman_gym.kernels.layout import LARGEST_STATE
 from flexman_gym.model.model import scene_model
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.run import MOST_STEPS
+from flexman_gym.simulation.integrator import MOST_STEPS
 
-from oracles import odd
-from oracles.odd import Rude
-from oracles.refusals import offenders
+from oracles import odd_values
+from oracles.assertions import offenders
+from oracles.odd_values import Rude
 
 ARM = fm.catalog.planar_2r(joint_stiffness=20.0)
 LINK, JOINT = ARM.links[0], ARM.joints[0]
@@ -42,7 +41,7 @@ ONE, MANY = (
 )
 
 
-BAD = [*odd.BAD, ARM, MODEL, SCENE]
+BAD = [*odd_values.BAD, ARM, MODEL, SCENE]
 
 
 def reset(env, **given):
@@ -118,14 +117,14 @@ CALLS = {
     "LQR": lambda value: LQR(value, 1.0, 0.01),
     "TrackingLQR": lambda value: TrackingLQR(value, 1.0, 0.01),
     **{
-        f"Shaped.{name}": lambda value, name=name: Shaped(PD(TWO, TWO, 1.0), MODEL, **{name: value})
+        f"Shaped.{name}": lambda value, name=name: InputShapedController(PD(TWO, TWO, 1.0), MODEL, **{name: value})
         for name in ("shaper", "modes", "places", "duration", "tolerance")
     },
-    "Shaped.inner": lambda value: Shaped(value, MODEL),
-    "Shaped.model": lambda value: Shaped(PD(TWO, TWO, 1.0), value),
-    "design.shaper": lambda value: design(value, 1.0),
-    "design.frequency": lambda value: design("ei", value),
-    "design.ratio": lambda value: design("ei", 1.0, value),
+    "Shaped.inner": lambda value: InputShapedController(value, MODEL),
+    "Shaped.model": lambda value: InputShapedController(PD(TWO, TWO, 1.0), value),
+    "design.shaper": lambda value: design_shaper(value, 1.0),
+    "design.frequency": lambda value: design_shaper("ei", value),
+    "design.ratio": lambda value: design_shaper("ei", 1.0, value),
     "ringing_modes.posture": lambda value: ringing_modes(MODEL, value),
     "Slew.start": lambda value: fm.Slew(start=value),
     "Randomisation.payload_mass": lambda value: fm.Randomisation(payload_mass=value),
@@ -158,7 +157,7 @@ def started():
 
 def taken_or_said(line):
     """Whether a value is taken, or refused in a line that says what is wrong."""
-    return line == "" or odd.fits(line)
+    return line == "" or odd_values.fits(line)
 
 
 def line_of(call, value):
@@ -253,9 +252,9 @@ def test_a_value_is_shown_on_one_short_line_whatever_it_is():
     deep = []
     deep.append(deep)
     for value in (Rude(), [Rude()], list(range(10**6)), "x" * 10**6, "a\nb", 10**5000, deep, {1: Rude()}):
-        text = checks.shown(value)
+        text = checks.short_repr(value)
         assert len(text) <= 80 and "\n" not in text
-    assert checks.shown([1.0, 2.0]) == "[1.0, 2.0]" and checks.shown(Rude()) == "this Rude"
+    assert checks.short_repr([1.0, 2.0]) == "[1.0, 2.0]" and checks.short_repr(Rude()) == "this Rude"
 
 
 def test_arms_of_extreme_sizes_are_refused_or_have_finite_numbers():

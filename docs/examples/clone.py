@@ -8,11 +8,11 @@ import minari
 import numpy as np
 import torch
 
-from flexman_agents.algorithm import make_model
-from flexman_agents.memory import take_policy
+from flexman_agents.sb3 import make_model
+from flexman_agents.training import policy_state
 from flexman_agents.settings import Settings
-from flexman_gym.envs.scales import Scales
-from flexman_gym.evaluation.folder import NEWEST, SETTINGS, write_data
+from flexman_gym.control.normalisation import RunningMeanStd
+from flexman_gym.common.run_folder import NEWEST, SETTINGS, write_data
 
 BATCH, RATE = 1024, 1e-3
 
@@ -28,7 +28,7 @@ def clone(dataset: str, folder: Path, steps: int = 5000) -> float:
     observations = np.concatenate([each.observations[:-1] for each in episodes])
     actions = torch.from_numpy(np.concatenate([each.actions for each in episodes]))
 
-    scales, statistics = Scales(observations.shape[1:]), model.get_vec_normalize_env().obs_rms
+    scales, statistics = RunningMeanStd(observations.shape[1:]), model.get_vec_normalize_env().obs_rms
     scales.add(observations)
     statistics.mean, statistics.var, statistics.count = scales.mean, scales.squares / scales.count, scales.count
     inputs, random = torch.from_numpy(scales.apply(observations)), torch.Generator().manual_seed(0)
@@ -42,7 +42,7 @@ def clone(dataset: str, folder: Path, steps: int = 5000) -> float:
         loss.backward()
         adam.step()
     folder.mkdir(parents=True)
-    write_data(folder / NEWEST, take_policy(model) | {"settings": settings.plain()})
+    write_data(folder / NEWEST, policy_state(model) | {"settings": settings.plain()})
     (folder / SETTINGS).write_text(json.dumps(settings.plain()))
     return float(loss.detach())
 

@@ -5,7 +5,7 @@ import argparse
 
 def arguments(result: argparse.ArgumentParser) -> None:
     """Says what it takes."""
-    from flexman_gym.evaluation.shipped import POLICIES
+    from flexman_gym.evaluation.policy_files import POLICIES
 
     result.add_argument("policy", help=f"folder of an exported policy, or {', '.join(POLICIES)}")
 
@@ -14,7 +14,7 @@ def run(options: argparse.Namespace) -> int:
     """Writes the certificate; returns 0, or 1 where something fails."""
     import json
 
-    from flexman_gym.evaluation.certificate import certify
+    from flexman_gym.league.certificate import certify
 
     path = certify(options.policy, say=lambda said: print(said, flush=True))
     fails = json.loads(path.read_bytes())["fails"]

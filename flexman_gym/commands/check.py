@@ -17,20 +17,20 @@ def arguments(result: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Says what a report of a problem needs, and steps an environment."""
+    from flexman_gym.common.computer import computer_info
     from flexman_gym.kernels import FOLDER
-    from flexman_gym.verification.machine import machine
 
-    for name, value in (machine(PACKAGES) | {"vector registers": f"{vector_bits()} bits"}).items():
+    for name, value in (computer_info(PACKAGES) | {"vector registers": f"{_vector_bits()} bits"}).items():
         print(f"{name}: {value}")
     print(f"cache folder: {FOLDER or 'none that is yours alone can be written'}")
     for kind, words in KINDS.items():
-        there = on_disk(KERNELS[kind])
+        there = _is_compiled(KERNELS[kind])
         print(f"kernels of {words}: {'compiled' if there else 'not compiled yet'}", flush=True)
-    print(f"steps of FlexRRR-v0: {steps_a_second():,.0f} a second")
+    print(f"steps of FlexRRR-v0: {_steps_per_second():,.0f} a second")
     return 0
 
 
-def on_disk(name: str) -> bool:
+def _is_compiled(name: str) -> bool:
     """Whether a kernel of this installation is compiled; others keep theirs in folders beside it."""
     from flexman_gym.kernels import arms
 
@@ -38,7 +38,7 @@ def on_disk(name: str) -> bool:
     return folder is not None and any(Path(folder).glob(f"arms.{name}-*.nbc"))
 
 
-def vector_bits() -> int:
+def _vector_bits() -> int:
     """The width of the widest vector registers that the compiler finds."""
     from llvmlite import binding
 
@@ -46,7 +46,7 @@ def vector_bits() -> int:
     return next((bits for name, bits in (("avx512f", 512), ("avx", 256)) if features.get(name)), 128)
 
 
-def steps_a_second() -> float:
+def _steps_per_second() -> float:
     """Steps of one environment under random actions, by the clock."""
     import gymnasium as gym
 

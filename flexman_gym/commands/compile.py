@@ -17,10 +17,10 @@ def arguments(result: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Compiles; returns the exit code."""
-    return compile_both() if options.kind is None else compile_kind(options.kind)
+    return _compile_both() if options.kind is None else _compile_kind(options.kind)
 
 
-def compile_both() -> int:
+def _compile_both() -> int:
     """Compiles both kinds of kernels at once, each in a process of its own, and returns 0, or 1 where one fails."""
     from flexman_gym.kernels import FOLDER
 
@@ -39,7 +39,7 @@ def compile_both() -> int:
     return failed
 
 
-def compile_kind(kind: str) -> int:
+def _compile_kind(kind: str) -> int:
     """Compiles what the environments of one kind call."""
     import gymnasium as gym
 

@@ -9,13 +9,13 @@ import numpy as np
 from matplotlib.image import imsave
 
 import flexman_gym as fm
-from flexman_agents.recipes import find_recipe
+from flexman_agents.settings import find_recipe
 from flexman_agents.training import train
 from flexman_gym import draw
-from flexman_gym.draw.episodes import draw_episodes
-from flexman_gym.evaluation import find_entrant, rollout, table
-from flexman_gym.evaluation.entrants import common_environment
-from flexman_gym.evaluation.seeds import TEST
+from flexman_gym.draw.evaluation import draw_episodes
+from flexman_gym.evaluation import find_agent, rollout, table
+from flexman_gym.evaluation.agent import common_environment
+from flexman_gym.evaluation.rollout import TEST_SEEDS
 from flexman_gym.model import scene_model
 
 OUT = Path("out")
@@ -36,17 +36,17 @@ def run(options: argparse.Namespace) -> int:
     """Runs it all; returns the exit code."""
     started = time.perf_counter()
     print("1. The paper's scene: 2 s under 400 N m at each joint, by the adaptive reference method.")
-    draw_cases(simulate_cases())
+    _draw_cases(_simulate_cases())
     print(f"2. Training: the recipe {RECIPE}, PPO that adds to a PD controller of the motors.")
     shutil.rmtree(OUT / "ppo", ignore_errors=True)
     train(find_recipe(RECIPE), OUT / "ppo")
-    print(f"3. Evaluation: {len(TEST)} test episodes of FlexRRR-v0 each, the same for all.")
-    compare()
+    print(f"3. Evaluation: {len(TEST_SEEDS)} test episodes of FlexRRR-v0 each, the same for all.")
+    _compare()
     print(f"Done in {time.perf_counter() - started:.0f} s.")
     return 0
 
 
-def simulate_cases() -> dict[str, fm.Trajectory]:
+def _simulate_cases() -> dict[str, fm.Trajectory]:
     """The trajectory of each of the paper's cases, with a line of progress and result for each."""
     print(f"   {'case':<33}{'status':<10}{'computing':>10}{'largest energy residual':>26}")
     trajectories = {}
@@ -59,7 +59,7 @@ def simulate_cases() -> dict[str, fm.Trajectory]:
     return trajectories
 
 
-def draw_cases(trajectories: dict[str, fm.Trajectory]) -> None:
+def _draw_cases(trajectories: dict[str, fm.Trajectory]) -> None:
     """Draws Figures 6 to 11 and the moment at which flexible links are bent most."""
     paths = draw.paper_figures(trajectories["rr"], trajectories["fr"], trajectories["ff"], OUT)
     model, trajectory = scene_model(fm.catalog.paper_scene("fr")), trajectories["fr"]
@@ -69,12 +69,12 @@ def draw_cases(trajectories: dict[str, fm.Trajectory]) -> None:
     print(f"   {OUT}/arm.png shows the arm at {trajectory.time[row]:.2f} s, its links bent most, its joints rigid.")
 
 
-def compare() -> None:
+def _compare() -> None:
     """Prints the figures of all policies, and draws the first test episode of each."""
-    entrants = {"PPO on PD": find_entrant(str(OUT / "ppo"))}
-    entrants |= {name: find_entrant(name) for name in ("lqr-tracking", "lqr", "pd", "zero")}
+    entrants = {"PPO on PD": find_agent(str(OUT / "ppo"))}
+    entrants |= {name: find_agent(name) for name in ("lqr-tracking", "lqr", "pd", "zero")}
     environment = common_environment(list(entrants.values()), None)
-    records = {name: rollout(each, environment, TEST).records for name, each in entrants.items()}
+    records = {name: rollout(each, environment, TEST_SEEDS).records for name, each in entrants.items()}
     print(table(records, environment))
     draw_episodes({name: each[0] for name, each in records.items()}, OUT / "episode.png")
     print(f"   {OUT}/episode.png shows the first of them: tip error over time, and the torques.")

@@ -30,15 +30,15 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def model_of(name: str, stiffening: bool = False) -> "Model":
+def _find_model(name: str, stiffening: bool = False) -> "Model":
     """Gives the model of an environment, an arm or a file."""
-    from flexman_gym.envs.description import Description
-    from flexman_gym.envs.setup import build
+    from flexman_gym.common import files
+    from flexman_gym.envs.config.description import Description
+    from flexman_gym.envs.config.setup import build
     from flexman_gym.model.model import build_model
-    from flexman_gym.scene import file
-    from flexman_gym.scene.naming import ARMS, SUFFIXES, find_arm
+    from flexman_gym.scene.serialization import ARMS, SUFFIXES, find_arm
 
-    data = file.read(Path(name)) if name.endswith(SUFFIXES) else {}
+    data = files.read_data(Path(name)) if name.endswith(SUFFIXES) else {}
     if name in ARMS or "arm" in data or "links" in data:
         return build_model(find_arm(name), stiffening=stiffening)
     model = build(Description.find(name).setup()).model
@@ -46,25 +46,25 @@ def model_of(name: str, stiffening: bool = False) -> "Model":
 
 
 def _modes(options: argparse.Namespace, out: Path) -> list[Path]:
-    from flexman_gym.draw.modes import mode_pictures
+    from flexman_gym.draw.frequency_diagrams import mode_pictures
     from flexman_gym.draw.video import write_picture
 
-    return [write_picture(mode_pictures(model_of(options.subject[0]), options.angles, options.count), out)]
+    return [write_picture(mode_pictures(_find_model(options.subject[0]), options.angles, options.count), out)]
 
 
 def _map(options: argparse.Namespace, out: Path) -> list[Path]:
-    from flexman_gym.draw.postures import frequency_map
+    from flexman_gym.draw.frequency_diagrams import frequency_map
 
-    return [frequency_map(model_of(options.subject[0]), out, options.mode)]
+    return [frequency_map(_find_model(options.subject[0]), out, options.mode)]
 
 
 def _campbell(options: argparse.Namespace, out: Path) -> list[Path]:
     import numpy as np
 
-    from flexman_gym.draw.postures import campbell_diagram
-    from flexman_gym.model.instant import frequencies
+    from flexman_gym.draw.frequency_diagrams import campbell_diagram
+    from flexman_gym.model.dynamics import frequencies
 
-    model = model_of(options.subject[0], stiffening=True)
+    model = _find_model(options.subject[0], stiffening=True)
     if model.n_dof == model.n_joints:
         raise ValueError(f"subject: {options.subject[0]} is not allowed; give an arm with flexible links or joints")
     fastest = options.fastest or 2 * np.pi * float(frequencies(model, lock_joints=True)[0])
@@ -74,10 +74,10 @@ def _campbell(options: argparse.Namespace, out: Path) -> list[Path]:
 def _bode(options: argparse.Namespace, out: Path) -> list[Path]:
     import numpy as np
 
-    from flexman_gym.control.margins import margins, open_loops, sampled_loops, stuck_motors
-    from flexman_gym.draw.bode import bode_diagram
-    from flexman_gym.envs.description import Description
-    from flexman_gym.envs.setup import build
+    from flexman_gym.control.margins import describe_stuck_motors, margins, open_loop_responses, sampled_loops
+    from flexman_gym.draw.frequency_diagrams import bode_diagram
+    from flexman_gym.envs.config.description import Description
+    from flexman_gym.envs.config.setup import build
 
     setup = Description.find(options.subject[0]).setup()
     model, period, gains = build(setup).model, setup.control_period, setup.pd_gains
@@ -86,14 +86,14 @@ def _bode(options: argparse.Namespace, out: Path) -> list[Path]:
     loops = sampled_loops(model, angles, period, setup.latest_delay, setup.drive_bandwidth)
     stuck = margins(loops, gains["stiffness"], gains["damping"]).stuck
     loop = next(each for each in loops if each.stuck == stuck)
-    responses = open_loops(loop, gains["stiffness"], gains["damping"], places, period)
+    responses = open_loop_responses(loop, gains["stiffness"], gains["damping"], places, period)
     named = {f"motor {i + 1}": response for i, response in enumerate(responses) if i not in stuck}
-    title = f"{options.subject[0]}: loops of the PD, each opened at one motor{stuck_motors(stuck)}"
+    title = f"{options.subject[0]}: loops of the PD, each opened at one motor{describe_stuck_motors(stuck)}"
     return [bode_diagram(places, named, out, title)]
 
 
 def _learning(options: argparse.Namespace, out: Path) -> list[Path]:
-    from flexman_gym.draw.learning import learning_curves, read_progress
+    from flexman_gym.draw.evaluation import learning_curves, read_progress
 
     runs, label = {}, options.column
     for folder in map(Path, options.subject):
@@ -105,16 +105,16 @@ def _learning(options: argparse.Namespace, out: Path) -> list[Path]:
 
 
 def _league(options: argparse.Namespace, out: Path) -> list[Path]:
-    from flexman_gym.evaluation.league import Book
-    from flexman_gym.evaluation.league_page import draw_charts
-    from flexman_gym.evaluation.standing import Standing
+    from flexman_gym.league.page import draw_charts
+    from flexman_gym.league.rows import LeagueRows
+    from flexman_gym.league.standings import Standings
 
     folder = Path(options.subject[0])
-    book, place = Book.load(folder), options.out or folder
+    book, place = LeagueRows.load(folder), options.out or folder
     if place.suffix:
         raise ValueError(f"--out: {place} is not allowed; give a folder, as a league has several pictures")
     place.mkdir(parents=True, exist_ok=True)
-    paths = draw_charts(Standing(book), place, options.what == "robustness")
+    paths = draw_charts(Standings(book), place, options.what == "robustness")
     if not paths:
         allowed = "the folder of a league" + (" with sweeps" if options.what == "robustness" else "")
         raise ValueError(f"subject: {folder} is not allowed; give {allowed}")
@@ -122,7 +122,7 @@ def _league(options: argparse.Namespace, out: Path) -> list[Path]:
 
 
 def _episode(options: argparse.Namespace, out: Path) -> list[Path]:
-    from flexman_gym.draw.episodes import draw_episodes
+    from flexman_gym.draw.evaluation import draw_episodes
     from flexman_gym.simulation.episode import Episode
 
     loaded = [Episode.load(path) for path in options.subject]
@@ -133,8 +133,7 @@ def _episode(options: argparse.Namespace, out: Path) -> list[Path]:
 
 
 def _side(options: argparse.Namespace, out: Path) -> list[Path]:
-    from flexman_gym.draw.side import side_by_side
-    from flexman_gym.draw.video import write_video
+    from flexman_gym.draw.video import side_by_side, write_video
     from flexman_gym.simulation.episode import Episode
 
     frames, fps = side_by_side([Episode.load(path) for path in options.subject], out.suffix == ".gif")

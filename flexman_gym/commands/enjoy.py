@@ -7,34 +7,34 @@ from pathlib import Path
 
 def arguments(result: argparse.ArgumentParser) -> None:
     """Says what it takes."""
-    from flexman_gym.evaluation.entrants import ENTRANTS
-    from flexman_gym.evaluation.seeds import TEST
+    from flexman_gym.evaluation.agent import AGENTS
+    from flexman_gym.evaluation.rollout import TEST_SEEDS
 
-    result.add_argument("entrant", help=f"folder of a run or a policy, a zip, or {', '.join(ENTRANTS)}")
+    result.add_argument("entrant", help=f"folder of a run or a policy, a zip, or {', '.join(AGENTS)}")
     result.add_argument("--env", help="a file, an id, or an id and a condition; without it that of the policy")
-    result.add_argument("--seed", type=int, default=TEST.start, help="of the episode")
+    result.add_argument("--seed", type=int, default=TEST_SEEDS.start, help="of the episode")
     result.add_argument("--picture", type=Path, default=Path("out/episode.png"), help="of error and torques")
     result.add_argument("--trust", action="store_true", help="read files of Stable-Baselines3, which can run any code")
 
 
 def run(options: argparse.Namespace) -> int:
     """Plays; returns the exit code."""
-    from flexman_gym.commands.evaluate import entrant
-    from flexman_gym.draw.episodes import draw_episodes
-    from flexman_gym.envs.description import Description
+    from flexman_gym.commands.evaluate import load_agent
+    from flexman_gym.draw.evaluation import draw_episodes
+    from flexman_gym.envs.config.description import Description
     from flexman_gym.evaluation import rollout
-    from flexman_gym.evaluation.entrants import common_environment
-    from flexman_gym.evaluation.figures import figures_of
+    from flexman_gym.evaluation.agent import common_environment
+    from flexman_gym.evaluation.metrics import task_metrics
 
     named = Description.find(options.env) if options.env else None
-    player = entrant(options.entrant, options.trust, named)
+    player = load_agent(options.entrant, options.trust, named)
     environment = common_environment([player], named)
     (record,) = rollout(player, environment, [options.seed]).records
     seconds = record.period * len(record.actions)
     print(
         f"{options.entrant} on {environment.id}, seed {options.seed}: {record.failure or f'played for {seconds:g} s'}"
     )
-    for figure in figures_of(environment.setup().task):
+    for figure in task_metrics(environment.setup().task):
         print(f"  {figure.head:<14}{figure.scale * figure.of(record):.3g}")
     if find_spec("matplotlib"):
         draw_episodes({options.entrant: record}, options.picture)

@@ -5,25 +5,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from flexman_gym.envs.description import Description
-    from flexman_gym.evaluation.entrants import Entrant
+    from flexman_gym.envs.config.description import Description
+    from flexman_gym.evaluation.agent import Agent
 
 
 def arguments(result: argparse.ArgumentParser) -> None:
     """Says what it takes."""
-    episode_arguments(result)
+    add_episode_arguments(result)
     result.add_argument("--save", type=Path, metavar="FOLDER", help="keep each episode there, a file of arrays each")
 
 
-def episode_arguments(result: argparse.ArgumentParser) -> None:
+def add_episode_arguments(result: argparse.ArgumentParser) -> None:
     """Says which entrants play which episodes."""
     from flexman_gym.envs import NAMED
-    from flexman_gym.evaluation.entrants import ENTRANTS
-    from flexman_gym.evaluation.seeds import TEST
+    from flexman_gym.evaluation.agent import AGENTS
+    from flexman_gym.evaluation.rollout import TEST_SEEDS
 
-    result.add_argument("entrant", nargs="+", help=f"folder of a run or a policy, a zip, or {', '.join(ENTRANTS)}")
-    result.add_argument("--episodes", type=int, default=len(TEST))
-    result.add_argument("--seed", type=int, default=TEST.start, help="of the first episode; the next follow")
+    result.add_argument("entrant", nargs="+", help=f"folder of a run or a policy, a zip, or {', '.join(AGENTS)}")
+    result.add_argument("--episodes", type=int, default=len(TEST_SEEDS))
+    result.add_argument("--seed", type=int, default=TEST_SEEDS.start, help="of the first episode; the next follow")
     where = f"a file, an id and a condition such as FlexRRR-v0/delay, or one of {', '.join(sorted(NAMED))}"
     result.add_argument("--env", help=f"{where}; without it that of the runs")
     result.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the environment")
@@ -32,15 +32,15 @@ def episode_arguments(result: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Prints one table; returns the exit code."""
-    from flexman_gym.envs.description import Description
+    from flexman_gym.envs.config.description import Description
     from flexman_gym.evaluation import rollout, table
-    from flexman_gym.evaluation.entrants import changed_environment, common_environment
+    from flexman_gym.evaluation.agent import change_environment, common_environment
 
     if options.episodes < 1:
         options.parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
     named = Description.find(options.env) if options.env else None
-    entrants = {name: entrant(name, options.trust, named) for name in options.entrant}
-    environment = changed_environment(common_environment(list(entrants.values()), named), options.set)
+    entrants = {name: load_agent(name, options.trust, named) for name in options.entrant}
+    environment = change_environment(common_environment(list(entrants.values()), named), options.set)
     seeds = range(options.seed, options.seed + options.episodes)
     results = {name: rollout(each, environment, seeds) for name, each in entrants.items()}
     print(table({name: each.records for name, each in results.items()}, environment))
@@ -50,16 +50,16 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def entrant(name: str, trust: bool, named: "Description | None" = None) -> "Entrant":
+def load_agent(name: str, trust: bool, named: "Description | None" = None) -> "Agent":
     """Gives an entrant; files of Stable-Baselines3 only where they are trusted, as reading them runs code.
 
     A zip sees and holds as the named environment says.
     """
-    from flexman_gym.evaluation.entrants import find_entrant
-    from flexman_gym.evaluation.folder import is_foreign
+    from flexman_gym.common.run_folder import is_sb3_folder
+    from flexman_gym.evaluation.agent import find_agent
 
-    if trust and (is_foreign(Path(name)) or name.endswith(".zip")):
-        from flexman_agents.foreign import load_foreign, load_zip
+    if trust and (is_sb3_folder(Path(name)) or name.endswith(".zip")):
+        from flexman_agents.sb3 import load_sb3_run, load_sb3_zip
 
-        return load_zip(Path(name), named) if name.endswith(".zip") else load_foreign(Path(name))
-    return find_entrant(name)
+        return load_sb3_zip(Path(name), named) if name.endswith(".zip") else load_sb3_run(Path(name))
+    return find_agent(name)

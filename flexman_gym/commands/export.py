@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 
-class Target(NamedTuple):
+class _Target(NamedTuple):
     """What can be exported: words for its help, what it takes, and what makes it and says what it made."""
 
     words: str
@@ -37,10 +37,10 @@ def _policy_arguments(result: argparse.ArgumentParser) -> None:
 
 
 def _policy(options: argparse.Namespace) -> str:
-    from flexman_gym.evaluation.shipping import bundled, ship
+    from flexman_gym.evaluation.export import export_policy, package_folder
 
-    folder = options.folder if len(options.folder.parts) > 1 else bundled(str(options.folder))
-    figures = ship(options.run, folder, options.words, options.recipe, options.env, options.licence)
+    folder = options.folder if len(options.folder.parts) > 1 else package_folder(str(options.folder))
+    figures = export_policy(options.run, folder, options.words, options.recipe, options.env, options.licence)
     reached = ", ".join(f"{name} {figures[name]:.3g}" for name in ("settled", "settling_time", "vibration"))
     return f"{folder} holds the policy: {reached}"
 
@@ -51,14 +51,14 @@ def _onnx_arguments(result: argparse.ArgumentParser) -> None:
 
 
 def _onnx(options: argparse.Namespace) -> str:
-    from flexman_gym.evaluation.onnx_file import write_onnx
+    from flexman_gym.evaluation.export import write_onnx
 
     apart = write_onnx(options.entrant, options.path)
     return f"{options.path}: actions within {apart:.1g} of those of {options.entrant}"
 
 
 def _mujoco_arguments(result: argparse.ArgumentParser) -> None:
-    from flexman_gym.envs.catalog import DEFAULT
+    from flexman_gym.envs.config.named_environments import DEFAULT
     from flexman_gym.model.mjcf import PIECES
 
     result.add_argument("arm", nargs="?", default=DEFAULT, help="an id, an id and a condition, a name in the "
@@ -68,14 +68,14 @@ def _mujoco_arguments(result: argparse.ArgumentParser) -> None:
 
 
 def _mujoco(options: argparse.Namespace) -> str:
-    from flexman_gym.envs.catalog import NAMED
-    from flexman_gym.envs.description import Description
+    from flexman_gym.common import files
+    from flexman_gym.envs.config.description import Description
+    from flexman_gym.envs.config.named_environments import NAMED
     from flexman_gym.model.mjcf import mjcf
-    from flexman_gym.scene import file
-    from flexman_gym.scene.naming import ARMS, SUFFIXES, find_arm
+    from flexman_gym.scene.serialization import ARMS, SUFFIXES, find_arm
 
     name = options.arm
-    alone = name in ARMS or (name.endswith(SUFFIXES) and "id" not in file.read(Path(name)))
+    alone = name in ARMS or (name.endswith(SUFFIXES) and "id" not in files.read_data(Path(name)))
     arm = find_arm(name) if alone else Description.find(name).setup().arm
     options.out.write_text(mjcf(arm, options.pieces), encoding="utf-8")
     known = f" of {name}" if name.partition("/")[0] in NAMED else ""
@@ -83,7 +83,7 @@ def _mujoco(options: argparse.Namespace) -> str:
 
 
 TARGETS = {
-    "policy": Target("a policy as arrays and JSON, which NumPy alone runs", _policy_arguments, _policy),
-    "mujoco": Target("an arm as MJCF, every link rigid pieces between springs", _mujoco_arguments, _mujoco),
-    "onnx": Target("a policy as ONNX, with its normalisation inside", _onnx_arguments, _onnx),
+    "policy": _Target("a policy as arrays and JSON, which NumPy alone runs", _policy_arguments, _policy),
+    "mujoco": _Target("an arm as MJCF, every link rigid pieces between springs", _mujoco_arguments, _mujoco),
+    "onnx": _Target("a policy as ONNX, with its normalisation inside", _onnx_arguments, _onnx),
 }

@@ -4,15 +4,15 @@ import argparse
 
 import yaml
 
-from flexman_gym.checks import refusal
 from flexman_gym.commands import train
+from flexman_gym.common.checks import value_error
 
 OTHERS = ("algo", "engine", "runners", "device", "judge_every", "checkpoint_every")  # that only a training has
 
 
 def arguments(result: argparse.ArgumentParser) -> None:
     """Says what it takes."""
-    from flexman_gym.control.bases import BASES
+    from flexman_gym.control.base_controllers import BASES
 
     known = ", ".join(BASES)
     result.add_argument("teacher", type=yaml.safe_load, help=f"one of {known}, or a mapping with one at kind")
@@ -25,6 +25,6 @@ def arguments(result: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Learns; returns the exit code."""
     if options.algo not in (None, "dagger") or options.engine != "sb3":
-        raise refusal("algo", options.algo or options.engine, "nothing: a controller is imitated by DAgger")
+        raise value_error("algo", options.algo or options.engine, "nothing: a controller is imitated by DAgger")
     options.algo = "dagger"
     return train.run(options)

@@ -22,7 +22,7 @@ def run(options: argparse.Namespace) -> int:
         if what not in WHAT:
             options.parser.error(f"what: {what} is not allowed; give some of {', '.join(WHAT)}")
     for what in options.what or WHAT:
-        entries = dict(named(what))
+        entries = dict(_entries(what))
         print(f"{what}:")
         width = max(map(len, entries), default=0)
         for name, words in entries.items():
@@ -30,28 +30,28 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def named(what: str) -> Iterable[tuple[str, str]]:
+def _entries(what: str) -> Iterable[tuple[str, str]]:
     """Names of a kind, each with a few words."""
-    from flexman_gym.control.bases import BASES
-    from flexman_gym.envs.catalog import NAMED
-    from flexman_gym.envs.description import CONDITIONS, FILES
+    from flexman_gym.control.base_controllers import BASES
+    from flexman_gym.envs.config.description import CONDITION_FOLDER, CONDITIONS
+    from flexman_gym.envs.config.named_environments import NAMED
     from flexman_gym.envs.sensors import SENSORS, SETS
     from flexman_gym.scene import catalog
-    from flexman_gym.scene.naming import ARMS
+    from flexman_gym.scene.serialization import ARMS
     from flexman_gym.simulation.methods import METHODS
 
     if what == "environments":
         for id, each in NAMED.items():
             yield id, f"{type(each.task).__name__.lower()}, {each.control_period:g} s a period, {each.horizon:g} s"
     elif what == "conditions":
-        words = {path.stem: opening(path) for path in sorted(FILES.glob("*/*.yaml"))}
+        words = {path.stem: _first_sentence(path) for path in sorted(CONDITION_FOLDER.glob("*/*.yaml"))}
         yield from ((name, words.get(name, "Nothing is changed.")) for name in CONDITIONS)
     elif what == "controllers":
         yield from ((name, f"knows {', '.join(base.knows) or 'its motors'}") for name, base in BASES.items())
     elif what == "policies":
-        from flexman_gym.evaluation.shipped import POLICIES, described
+        from flexman_gym.evaluation.policy_files import POLICIES, describe_policy
 
-        yield from ((name, described(name)) for name in POLICIES)
+        yield from ((name, describe_policy(name)) for name in POLICIES)
     elif what == "sensors":
         parts: Mapping[str, object] = {name: "" for name in SENSORS} | {name: " + ".join(SETS[name]) for name in SETS}
         yield from ((name, str(words)) for name, words in parts.items())
@@ -61,17 +61,17 @@ def named(what: str) -> Iterable[tuple[str, str]]:
         yield from ((name, (getattr(catalog, name).__doc__ or "").splitlines()[0]) for name in ARMS)
     elif what == "examples":
         folder = next(path for path in EXAMPLES if path.is_dir())
-        yield from ((str(path), opening(path)) for path in sorted(folder.glob("*.*")))
+        yield from ((str(path), _first_sentence(path)) for path in sorted(folder.glob("*.*")))
     else:
         try:
-            from flexman_agents.recipes import FOLDER, NAMES
+            from flexman_agents.settings import RECIPE_FOLDER, RECIPES
         except ImportError as error:
             yield "none:", str(error)
             return
-        yield from ((name, opening(FOLDER / f"{name}.yaml")) for name in NAMES)
+        yield from ((name, _first_sentence(RECIPE_FOLDER / f"{name}.yaml")) for name in RECIPES)
 
 
-def opening(path: Path) -> str:
+def _first_sentence(path: Path) -> str:
     """The first sentence of the comment that a file opens with, or of the docstring of Python code."""
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".py":

@@ -15,17 +15,17 @@ def arguments(result: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Prints a line an episode; the table is written after each."""
-    from flexman_gym.control.slew_table import SlewTable
-    from flexman_gym.envs.description import Description
-    from flexman_gym.evaluation.optimising import empty_table, optimise
+    from flexman_gym.control.references.optimised_slews import SlewTable
+    from flexman_gym.envs.config.description import Description
+    from flexman_gym.evaluation.optimisation import empty_slew_table, optimise_slews
 
     environment, (first, count) = Description.find(options.environment), options.seeds
     if first < 0 or count < 1:
         options.parser.error(f"--seeds: {first} {count} is not allowed; give a first seed and how many, at least one")
-    table = SlewTable.load(options.out) if options.out.exists() else empty_table(environment)
+    table = SlewTable.load(options.out) if options.out.exists() else empty_slew_table(environment)
     table.about = {**table.about, "command": f"flexman optimise {options.environment} --seeds {first} {count}"}
     print(f"{'seed':>8}{'settling, s':>13}{'tracking LQR, s':>17}{'ratio':>7}{'search, CPU s':>15}")
-    for found in optimise(environment, range(first, first + count), table):
+    for found in optimise_slews(environment, range(first, first + count), table):
         ratio = found.time / found.tracking
         line = f"{found.seed:>8}{found.time:>13.2f}{found.tracking:>17.2f}{ratio:>7.2f}{found.seconds:>15.1f}"
         print(line, flush=True)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from flexman_gym.control.resonance import Answer, Case
+    from flexman_gym.control.input_shaping.shapers import OperatingPoint, ShaperEvaluation
     from flexman_gym.model.model import Model
 
 POSTURES, ANGLE = 8, 1.2  # how many are looked at; rad, up to which they are drawn for an arm without a task
@@ -19,7 +19,7 @@ MOTORS = ("held", "free")
 
 def arguments(result: argparse.ArgumentParser) -> None:
     """Says what it takes."""
-    from flexman_gym.scene.naming import ARMS
+    from flexman_gym.scene.serialization import ARMS
 
     where = (
         f"an environment as `flexman evaluate` takes it, an arm ({', '.join(ARMS)}), or a file with an arm or a scene"
@@ -33,51 +33,51 @@ def arguments(result: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Prints modes, shapers and a recommendation."""
-    from flexman_gym.control.resonance import find_answers, find_cases
+    from flexman_gym.control.input_shaping.shapers import evaluate_shapers, find_operating_points
 
     if options.postures < 1:
         options.parser.error(f"--postures: {options.postures} is not allowed; give a whole number > 0")
-    model, postures, payloads = subject(options.arm, options.postures)
+    model, postures, payloads = _find_model(options.arm, options.postures)
     if options.payload:
         payloads = [options.payload[0], sum(options.payload) / 2.0, options.payload[1]]
-    cases = find_cases(model, postures, payloads)
+    cases = find_operating_points(model, postures, payloads)
     print(f"{options.arm}: {len(postures)} postures, payloads of {', '.join(f'{mass:g}' for mass in payloads)} kg")
     if not all(len(case.held) for case in cases):
         print("recommendation: none, for nothing bends that the motors move")
         return 0
-    answers = find_answers(cases)
-    print("\n".join([*mode_lines(cases), "", *shaper_lines(answers), "", sentence(cases, answers)]))
+    answers = evaluate_shapers(cases)
+    print("\n".join([*_mode_lines(cases), "", *_shaper_lines(answers), "", _recommendation(cases, answers)]))
     if options.csv:
-        keep(options.csv, cases, answers)
+        _write_table(options.csv, cases, answers)
     return 0
 
 
-def subject(name: str, count: int) -> "tuple[Model, np.ndarray, list[float]]":
+def _find_model(name: str, count: int) -> "tuple[Model, np.ndarray, list[float]]":
     """Gives the model of an arm, postures (count, n) rad and payloads (kg)."""
-    from flexman_gym.envs.description import Description
+    from flexman_gym.common import files
+    from flexman_gym.envs.config.description import Description
     from flexman_gym.fidelity.choose import assembled_modes
     from flexman_gym.model.model import build_model
-    from flexman_gym.scene import file
-    from flexman_gym.scene.naming import ARMS, SUFFIXES, find_arm
+    from flexman_gym.scene.serialization import ARMS, SUFFIXES, find_arm
 
-    data = file.read(Path(name)) if name.endswith(SUFFIXES) else None
+    data = files.read_data(Path(name)) if name.endswith(SUFFIXES) else None
     if name in ARMS or (isinstance(data, dict) and ("arm" in data or "links" in data) and "id" not in data):
         arm = find_arm(name)
         model = build_model(arm, 2, assembled_modes(arm, 2, HIGHEST))
         postures = np.random.default_rng(0).uniform(-ANGLE, ANGLE, (count, arm.n_joints))
         drawn = None
     else:
-        model, postures, drawn = moved(Description.find(name), count)
+        model, postures, drawn = _environment_model(Description.find(name), count)
     nominal = float(model.constants.payload_mass[0])
     low, high = drawn or (0.0, 2.0 * nominal)
     return model, postures, sorted({low, 0.5 * (low + high), high})
 
 
-def moved(environment: object, count: int) -> "tuple[Model, np.ndarray, tuple[float, float] | None]":
+def _environment_model(environment: object, count: int) -> "tuple[Model, np.ndarray, tuple[float, float] | None]":
     """Gives the model of an environment, goals of its first episodes, and the payloads that it draws from."""
     import gymnasium as gym
 
-    from flexman_gym.envs.description import Description
+    from flexman_gym.envs.config.description import Description
 
     assert isinstance(environment, Description)
     venv = gym.make_vec(environment.id, count, "vector_entry_point", **environment.keywords())
@@ -88,7 +88,7 @@ def moved(environment: object, count: int) -> "tuple[Model, np.ndarray, tuple[fl
     return result
 
 
-def mode_lines(cases: "Sequence[Case]") -> list[str]:
+def _mode_lines(cases: "Sequence[OperatingPoint]") -> list[str]:
     """A line for each mode: its frequencies and damping ratios over all cases."""
     result = [f"{'mode':<18}{'Hz, least':>12}{'median':>10}{'most':>10}{'damping ratio':>22}{'tip, m/rad':>12}"]
     for motors in MOTORS:
@@ -102,51 +102,57 @@ def mode_lines(cases: "Sequence[Case]") -> list[str]:
     return result
 
 
-def shaper_lines(answers: "Sequence[Answer]") -> list[str]:
+def _shaper_lines(answers: "Sequence[ShaperEvaluation]") -> list[str]:
     """A line for each shaper: its delay, the error that it bears, and what it leaves, the median and the worst case."""
-    from flexman_gym.control.resonance import LEFT
+    from flexman_gym.control.input_shaping.shapers import TOLERATED_RESIDUAL
 
     count = answers[0].left.shape[1]
     heads = "".join(f"{f'mode {number + 1}, %':>16}" for number in range(count))
-    result = [f"{'shaper, of modes':<20}{'delay, s':>10}{f'bears for {LEFT:g} %':>20}{'tip, %':>16}{heads}"]
+    result = [
+        f"{'shaper, of modes':<20}{'delay, s':>10}{f'bears for {TOLERATED_RESIDUAL:g} %':>20}{'tip, %':>16}{heads}"
+    ]
     for each in answers:
         errors = f"{each.borne[0]:+.0%} to {each.borne[1]:+.0%}"
         columns = [each.tip, *each.left.T]
         cells = "".join(f"{f'{np.median(left):.1f} / {left.max():.1f}':>16}" for left in columns)
-        result.append(f"{called(each):<20}{each.delay:>10.3g}{errors:>20}{cells}")
+        result.append(f"{_shaper_name(each):<20}{each.delay:>10.3g}{errors:>20}{cells}")
     return [*result, "left: median / worst case, in percent of what one step of the motors causes"]
 
 
-def called(answer: "Answer") -> str:
+def _shaper_name(answer: "ShaperEvaluation") -> str:
     """The shaper and its modes in words."""
     return f"{answer.name}, 1" if answer.modes == 1 else f"{answer.name}, 1 + 2"
 
 
-def sentence(cases: "Sequence[Case]", answers: "Sequence[Answer]") -> str:
+def _recommendation(cases: "Sequence[OperatingPoint]", answers: "Sequence[ShaperEvaluation]") -> str:
     """The recommendation and its reason."""
-    from flexman_gym.control.resonance import BOUND, middle_case, recommended
+    from flexman_gym.control.input_shaping.shapers import TIP_VIBRATION_LIMIT, median_operating_point, recommend_shaper
 
-    best = recommended(answers)
+    best = recommend_shaper(answers)
     if best is not None:
         return (
-            f"recommendation: {called(best)}, designed for the middle case. It leaves {best.tip.max():.1f} % of the "
-            f"tip's vibration at worst. Of all that leave at most {BOUND:g} % it delays least, by {best.delay:.3g} s."
+            f"recommendation: {_shaper_name(best)}, designed for the middle case. It leaves {best.tip.max():.1f} % of "
+            f"the "
+            f"tip's vibration at worst. Of all that leave at most {TIP_VIBRATION_LIMIT:g} % it delays least, by "
+            f"{best.delay:.3g} s."
         )
     least = min(answers, key=lambda answer: float(answer.tip.max()))
     row = int(least.tip.argmax())
     number = int((least.left[row] * cases[row].held[: least.left.shape[1], 2]).argmax())
-    here, there = (float(case.held[number, 0]) for case in (middle_case(cases), cases[row]))
+    here, there = (float(case.held[number, 0]) for case in (median_operating_point(cases), cases[row]))
     return (
-        f"recommendation: none. The best, {called(least)}, leaves {least.tip.max():.1f} % of the tip's vibration at "
-        f"worst, and {BOUND:g} % is the most that is wanted. There mode {number + 1} is at {there:.3g} Hz, in the "
+        f"recommendation: none. The best, {_shaper_name(least)}, leaves {least.tip.max():.1f} % of the tip's "
+        f"vibration at "
+        f"worst, and {TIP_VIBRATION_LIMIT:g} % is the most that is wanted. There mode {number + 1} is at {there:.3g} "
+        f"Hz, in the "
         f"middle case at {here:.3g} Hz. Shape for the posture and payload of each slew, or damp by feedback."
     )
 
 
-def keep(path: Path, cases: "Sequence[Case]", answers: "Sequence[Answer]") -> None:
+def _write_table(path: Path, cases: "Sequence[OperatingPoint]", answers: "Sequence[ShaperEvaluation]") -> None:
     """Writes a row for each mode of each case; what shapers leave is of held motors."""
     heads = [f"motor_angle_{i + 1}" for i in range(len(cases[0].posture))]
-    heads += ["payload", "motors", "mode", "frequency", "damping_ratio", *map(called, answers)]
+    heads += ["payload", "motors", "mode", "frequency", "damping_ratio", *map(_shaper_name, answers)]
     with path.open("w", newline="", encoding="utf-8") as stream:
         table = csv.writer(stream)
         table.writerow(heads)

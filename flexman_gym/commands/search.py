@@ -6,7 +6,7 @@ from pathlib import Path
 
 def arguments(result: argparse.ArgumentParser) -> None:
     """Says what it takes."""
-    from flexman_gym.evaluation.grid import Workers
+    from flexman_gym.common.grid import Workers
 
     result.add_argument("recipe", help="a file of settings, or the name of a recipe")
     result.add_argument("--over", type=Path, required=True, metavar="FILE", help="settings, each with what it may be")
@@ -18,16 +18,16 @@ def arguments(result: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Searches; returns the exit code."""
-    from flexman_agents.recipes import find_recipe
-    from flexman_agents.search import flat, search
-    from flexman_gym.checks import refusal
-    from flexman_gym.evaluation.grid import Workers
-    from flexman_gym.scene import file
+    from flexman_agents.search import flatten_ranges, search
+    from flexman_agents.settings import find_recipe
+    from flexman_gym.common import files
+    from flexman_gym.common.checks import value_error
+    from flexman_gym.common.grid import Workers
 
-    over = file.read(options.over)
+    over = files.read_data(options.over)
     if not isinstance(over, dict) or not over:
-        raise refusal("over", str(options.over), "a file with a mapping of settings")
+        raise value_error("over", str(options.over), "a file with a mapping of settings")
     how = options.folder, options.trials, Workers.of(options), options.seed
-    path = search(find_recipe(options.recipe), flat(over), *how)
+    path = search(find_recipe(options.recipe), flatten_ranges(over), *how)
     print(f"The best is in {path}; train it with other seeds: flexman train {path} --seeds 5")
     return 0

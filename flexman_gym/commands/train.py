@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flexman_gym.checks import refusal
+from flexman_gym.common.checks import value_error
 
 if TYPE_CHECKING:
     from flexman_agents.settings import Settings
@@ -19,8 +19,8 @@ INTERRUPTED = 130  # what a shell says of a process that Ctrl-C has ended
 def arguments(result: argparse.ArgumentParser) -> None:
     """Says what it takes."""
     from flexman_agents.settings import ALGORITHMS
+    from flexman_gym.common.grid import Workers
     from flexman_gym.envs import NAMED
-    from flexman_gym.evaluation.grid import Workers
 
     result.add_argument("recipe", nargs="?", help="a file of settings, or a name: flexman list recipes")
     result.add_argument("--algo", choices=ALGORITHMS, help="instead of the recipe's; ppo without one")
@@ -43,19 +43,19 @@ def arguments(result: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Trains; returns the exit code."""
-    from flexman_agents.interruption import Interrupted
+    from flexman_agents.callbacks import Interrupted
     from flexman_agents.training import resume
 
     try:
         if options.resume:
-            refuse_settings(options)
+            _refuse_settings(options)
         if options.engine == "rllib":
-            folders = [by_rllib(options)]
+            folders = [_train_with_rllib(options)]
         elif options.resume:
-            resume(options.folder, options.steps, judge_every=options.judge_every, **how_of(options))
+            resume(options.folder, options.steps, judge_every=options.judge_every, **_training_options(options))
             folders = [options.folder]
         else:
-            folders = start(options)
+            folders = _train_runs(options)
     except Interrupted as stop:
         print(f"{stop}; go on with: flexman train --resume --folder {options.folder}", file=sys.stderr)
         return INTERRUPTED
@@ -67,14 +67,14 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def refuse_settings(options: argparse.Namespace) -> None:
+def _refuse_settings(options: argparse.Namespace) -> None:
     """Refuses what a run that goes on has already."""
     for name in ("recipe", "algo", "env", "set", "seed", "envs"):
         if getattr(options, name) not in (None, []):
-            raise refusal(name, getattr(options, name), "nothing with --resume: the run keeps its settings")
+            raise value_error(name, getattr(options, name), "nothing with --resume: the run keeps its settings")
 
 
-def warn_of_lost(recipe: Mapping[str, Any], own: Mapping[str, Any], options: argparse.Namespace) -> None:
+def _warn_of_missing_settings(recipe: Mapping[str, Any], own: Mapping[str, Any], options: argparse.Namespace) -> None:
     """Says which settings a recipe learned with that an environment in its place does not have."""
     named = {change.partition("=")[0].partition(".")[0] for change in options.set}
     lost = [f"{name}: {recipe[name]}" for name in LEARNED_WITH if name in recipe and name not in {*own, *named}]
@@ -82,7 +82,7 @@ def warn_of_lost(recipe: Mapping[str, Any], own: Mapping[str, Any], options: arg
         print(f"{options.env} does not have what the recipe learned with: {', '.join(lost)}", file=sys.stderr)
 
 
-def by_rllib(options: argparse.Namespace) -> Path:
+def _train_with_rllib(options: argparse.Namespace) -> Path:
     """Trains one run with RLlib, or goes on with it; returns its folder."""
     try:
         from flexman_agents.rllib import train_rllib
@@ -92,22 +92,21 @@ def by_rllib(options: argparse.Namespace) -> Path:
     from flexman_agents.training import load_settings
 
     if options.seeds != 1:
-        raise refusal("seeds", options.seeds, "1 with RLlib")
-    settings = load_settings(options.folder) if options.resume else settings_of(options)
+        raise value_error("seeds", options.seeds, "1 with RLlib")
+    settings = load_settings(options.folder) if options.resume else _make_settings(options)
     train_rllib(settings, options.folder, options.runners, options.checkpoint_every, options.resume)
     return Path(options.folder)
 
 
-def how_of(options: argparse.Namespace) -> dict[str, Any]:
+def _training_options(options: argparse.Namespace) -> dict[str, Any]:
     """What the command line asks of a training, new or not."""
     return {"checkpoint_every": options.checkpoint_every, "progress": not options.quiet, "device": options.device}
 
 
-def settings_of(options: argparse.Namespace) -> "Settings":
+def _make_settings(options: argparse.Namespace) -> "Settings":
     """The settings that the command line asks for."""
-    from flexman_agents.recipes import find_recipe
-    from flexman_agents.settings import Settings
-    from flexman_gym.envs.description import Description
+    from flexman_agents.settings import Settings, find_recipe
+    from flexman_gym.envs.config.description import Description
 
     settings = find_recipe(options.recipe) if options.recipe else Settings()
     named = {name: getattr(options, name) for name in ("algo", "steps", "seed", "envs", "judge_every")}
@@ -119,17 +118,17 @@ def settings_of(options: argparse.Namespace) -> "Settings":
     described = settings.description
     if options.env:
         described = Description.find(options.env)
-        warn_of_lost(settings.environment if options.recipe else {}, described.settings or {}, options)
+        _warn_of_missing_settings(settings.environment if options.recipe else {}, described.settings or {}, options)
     described = described.changed(options.set)
     return replace(settings, environment=described.whole(), **named)
 
 
-def start(options: argparse.Namespace) -> list[Path]:
+def _train_runs(options: argparse.Namespace) -> list[Path]:
     """Trains the runs that the command line asks for; returns their folders."""
-    from flexman_agents.training import train, trained
-    from flexman_gym.evaluation.grid import Workers, gathered
+    from flexman_agents.training import train, train_or_resume
+    from flexman_gym.common.grid import Workers, collect_cells
 
-    settings, how = settings_of(options), how_of(options)
+    settings, how = _make_settings(options), _training_options(options)
     if options.seeds == 1:
         train(settings, options.folder, **how)
         return [options.folder]
@@ -137,4 +136,4 @@ def start(options: argparse.Namespace) -> list[Path]:
     if workers != Workers():
         how |= {"progress": False}  # bars of several runs would be one tangle
     cells = [(settings.with_seed(seed), str(options.folder / f"seed-{seed}"), how) for seed in seeds]
-    return [Path(folder) for folder in gathered(trained, cells, workers)]
+    return [Path(folder) for folder in collect_cells(train_or_resume, cells, workers)]

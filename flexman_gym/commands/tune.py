@@ -6,7 +6,7 @@ import sys
 
 def arguments(result: argparse.ArgumentParser) -> None:
     """Says what it takes."""
-    from flexman_gym.evaluation.grid import Workers
+    from flexman_gym.common.grid import Workers
 
     result.add_argument("env", help="an id, an id and a condition such as FlexRRR-v0/delay, or the path of a file")
     result.add_argument("--no-margins", action="store_true", help="try gains without a gain and a phase margin, too")
@@ -16,10 +16,10 @@ def arguments(result: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Prints gains; returns the exit code."""
-    from flexman_gym.control.margins import stuck_motors
-    from flexman_gym.envs.description import Description
-    from flexman_gym.evaluation.grid import Workers
-    from flexman_gym.evaluation.tuning import tune
+    from flexman_gym.common.grid import Workers
+    from flexman_gym.control.margins import describe_stuck_motors
+    from flexman_gym.envs.config.description import Description
+    from flexman_gym.evaluation.optimisation import tune
 
     try:
         environment = Description.find(options.env)
@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"{name}: {', '.join(f'{gain:.3g}' for gain in getattr(result, name))}")
     gains = {name: [float(f"{gain:.3g}") for gain in getattr(result, name)] for name in ("stiffness", "damping")}
     print(f"in a file of an environment: gains: {gains}".replace("'", ""))
-    where = stuck_motors(result.margins.stuck)
+    where = describe_stuck_motors(result.margins.stuck)
     print(f"gain margin: {result.margins.gain:.3g}, phase margin: {result.margins.phase:.3g} degrees{where}")
     print(f"mean reward of 8 episodes: {result.reward:.1f}")
     return 0

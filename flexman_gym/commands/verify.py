@@ -19,8 +19,7 @@ def arguments(result: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Prints one table; returns 1 when a row fails."""
     from flexman_gym.verification.cases import rows
-    from flexman_gym.verification.page import as_json, page, table
-    from flexman_gym.verification.rows import exit_code
+    from flexman_gym.verification.table import as_json, exit_code, markdown_page, text_table
 
     if not options.reference.is_dir():
         allowed = "give the folder of the reference solutions"
@@ -28,9 +27,9 @@ def run(options: argparse.Namespace) -> int:
     warnings.filterwarnings("ignore", "Link.second_moment_y", UserWarning)  # of the paper's printed area of link 1
     started = perf_counter()
     result = rows(options.reference, options.quick)
-    print(table(result))
+    print(text_table(result))
     print(f"{perf_counter() - started:.0f} s")
-    for file, text in ((options.json, as_json), (options.markdown, page)):
+    for file, text in ((options.json, as_json), (options.markdown, markdown_page)):
         if file is not None:
             file.write_text(text(result), encoding="utf-8")
     return exit_code(result)

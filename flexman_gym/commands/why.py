@@ -15,28 +15,30 @@ EPISODES = 20
 
 def arguments(result: argparse.ArgumentParser) -> None:
     """Says what it takes: what `evaluate` does, for one entrant or several."""
-    evaluate.episode_arguments(result)
+    evaluate.add_episode_arguments(result)
     result.set_defaults(episodes=EPISODES)
 
 
 def run(options: argparse.Namespace) -> int:
     """Prints for each entrant the share of each cause and what would help against the largest."""
-    from flexman_gym.envs.description import Description
+    from flexman_gym.envs.config.description import Description
+    from flexman_gym.evaluation.agent import change_environment, common_environment
     from flexman_gym.evaluation.diagnosis import diagnose
-    from flexman_gym.evaluation.entrants import changed_environment, common_environment
 
     if options.episodes < 1:
         options.parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
-    entrants = {name: evaluate.entrant(name, options.trust) for name in options.entrant}
+    entrants = {name: evaluate.load_agent(name, options.trust) for name in options.entrant}
     named = Description.find(options.env) if options.env else None
-    environment = changed_environment(common_environment(list(entrants.values()), named), options.set)
+    environment = change_environment(common_environment(list(entrants.values()), named), options.set)
     seeds = range(options.seed, options.seed + options.episodes)
     for name, each in entrants.items():
-        print("\n".join(lines(f"{name} on {options.env or environment.id}", diagnose(each, environment, seeds))))
+        print(
+            "\n".join(diagnosis_lines(f"{name} on {options.env or environment.id}", diagnose(each, environment, seeds)))
+        )
     return 0
 
 
-def lines(title: str, results: "Sequence[Diagnosis]") -> list[str]:
+def diagnosis_lines(title: str, results: "Sequence[Diagnosis]") -> list[str]:
     """Says what was found in some episodes."""
     import numpy as np
 
@@ -52,14 +54,15 @@ def lines(title: str, results: "Sequence[Diagnosis]") -> list[str]:
     said = [f"{title}: {len(results)} episodes, {', '.join(about)}"]
     for cause, share in sorted(shares.items(), key=lambda entry: -entry[1]):
         said.append(
-            f"  {cause:<12}{share:>6.1%}, the largest share of {largest[cause]} episodes{voices(results, cause)}"
+            f"  {cause:<12}{share:>6.1%}, the largest share of {largest[cause]} "
+            f"episodes{_dominant_tone(results, cause)}"
         )
     worst = max(shares, key=lambda cause: shares[cause])
     words = "nothing is needed, so little is left" if all(each.quiet for each in results) else HELP[worst]
     return [*said, f"  what would help: {words}"]
 
 
-def voices(results: "Sequence[Diagnosis]", cause: str) -> str:
+def _dominant_tone(results: "Sequence[Diagnosis]", cause: str) -> str:
     """The mode that has most of a cause, and the median frequency of its tones; "" where no tone tells anything."""
     import numpy as np
 

@@ -1,20 +1,239 @@
-"""Actions: what the numbers of an agent mean for the motors; the protocol of such a mode, and those with a name."""
+"""Action modes: torques, currents, servo references and reference shaping as actions of an agent."""
 
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
 
-from flexman_gym.arrays import Array, Flags, IntArray
-from flexman_gym.checks import refusal
-from flexman_gym.control.controller import Controller, Episode, Readings
-from flexman_gym.control.kind import checked_kind
-from flexman_gym.control.plant import Plant
-from flexman_gym.control.servo import make_servo
-from flexman_gym.control.shape import Authority
-from flexman_gym.control.shaping import Shaping
+from flexman_gym.common.arrays import Array, Flags, IntArray, Vector, pad_rows
+from flexman_gym.common.checks import non_negative, physical, value_error, vector
+from flexman_gym.control.base_controllers import checked_kind, make_base
+from flexman_gym.control.controller import Controller, EpisodeInfo, Plant, Readings
+from flexman_gym.control.margins import describe_stuck_motors, sampled_loops, spectral_radius
+from flexman_gym.control.observers.observer import Estimate
+from flexman_gym.control.pd import PD
+from flexman_gym.control.reference_shaping import Authority, ReferenceShape
+from flexman_gym.control.tracking import OutputFeedback
+from flexman_gym.simulation.readings import LinearReadings as Quantities
+
+UNSTABLE = 1.0 + 1e-6  # spectral radius; modes without damping that no motor moves have 1, to rounding
+
+
+class _ServoMode:
+    """A servo of each joint: torque = stiffness (reference - angle) + damping (reference rate - rate).
+
+    It acts in every control period, and measures its motor alone. With kind="position" an action is the reference, a
+    part of a range of angles (rad), and the reference rate is 0. With kind="velocity" an action is the reference rate,
+    a part of a range of speeds (rad/s), and the reference is its integral from the start on: stiffness is then the
+    integral gain of the speed loop. That integral stays where the torque of the stiffness is within the limits, so
+    that it does not wind up. There is no other integral action: in a field of gravity a position servo rests beside its
+    reference, by the weight over the stiffness.
+
+    Args:
+        kind: "position" or "velocity".
+        gains: PD with the gains and torque limits.
+        span: (n,) rad or rad/s, of an action of 1.
+        period: of control, s.
+    """
+
+    kept = ("_reference",)
+    sensors: tuple[object, ...] = ("motor_encoders",)
+
+    def __init__(self, kind: str, gains: PD, span: Vector, period: float) -> None:
+        self._moves, self._gains, self._span, self._period = kind == "velocity", gains, np.array(span), period
+        self.joints = len(self._span)
+        self.names = tuple(f"{kind}_{joint + 1}" for joint in range(self.joints))
+        self._reference = np.zeros((1, self.joints))  # of each arm, rad
+        soft = gains.stiffness == 0.0
+        self._most = np.where(soft, np.inf, gains.torque_limit / np.where(soft, 1.0, gains.stiffness))
+
+    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+        """Starts new episodes of the arms (r,) with the reference where they are."""
+        self._reference = pad_rows(self._reference, int(arms.max(initial=-1)) + 1)
+        self._reference[arms] = episode.start
+
+    def act(self, actions: Array, readings: Readings, applied: Array, playing: Flags) -> Array:
+        """Gives the torques (b, n) for references (b, n), parts of the torque limits from -1 to 1."""
+        angles, asked = readings["motor_angles"], actions * self._span
+        if self._moves:
+            error, wanted = self._reference - angles, asked
+            onward = np.clip(self._reference + asked * self._period, angles - self._most, angles + self._most)
+            self._reference[playing] = onward[playing]
+        else:
+            error, wanted = asked - angles, 0.0
+        torque = self._gains.stiffness * error + self._gains.damping * (wanted - readings["motor_rates"])
+        result: Array = np.clip(torque / self._gains.torque_limit, -1.0, 1.0)
+        return result
+
+
+def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) -> _ServoMode:
+    """Makes a servo with gains that are given, or those that were tuned for the plant.
+
+    It warns (UserWarning) where its sampled loop, with delay and drive, is unstable at zero angles, whichever of its
+    motors slide or stick.
+
+    Args:
+        kind: "position" or "velocity".
+        plant: of the joints.
+        base: None.
+        given: "stiffness" (N m/rad) and "damping" (N m s/rad), (n,) each; "range", rad or rad/s of an action of 1, one
+            number or one for each joint: pi, or the speed limits of the motors, where none is given.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed.
+    """
+    if base is not None:
+        raise value_error("base", base, f'None: with actions="{kind}" the servo acts on the motors')
+    n, span = len(plant.torque_limit), given.pop("range", None)
+    if span is None:
+        motors = [joint.motor for joint in plant.model.arm.joints]
+        speeds = [motor.joint_speed_limit if motor else None for motor in motors]
+        spans = [speed if speed and kind == "velocity" else np.pi for speed in speeds]
+    else:
+        several = span if isinstance(span, list | tuple | np.ndarray) else [span] * n
+        numbers = vector("actions.range", several, n)
+        spans = [physical(f"actions.range[{i}]", number) for i, number in enumerate(numbers)]
+    gains = make_base({"kind": "pd", **given}, plant)
+    assert isinstance(gains, PD)
+    loops = sampled_loops(plant.model, np.zeros(n), plant.period, plant.delay[1], plant.bandwidth)
+    radii = [spectral_radius(loop, gains.stiffness, gains.damping) for loop in loops]
+    radius, stuck = max(radii), loops[int(np.argmax(radii))].stuck
+    if radius > UNSTABLE:
+        warnings.warn(
+            f"actions: a servo with stiffness {gains.stiffness.tolist()} and damping {gains.damping.tolist()} is not "
+            f"stable with a period of {plant.period:g} s{describe_stuck_motors(stuck)} (spectral radius "
+            f"{radius:.4g}); give "
+            "smaller gains, or a shorter control_period with a larger hold",
+            stacklevel=2,
+        )
+    return _ServoMode(kind, gains, spans, plant.period)
+
+
+DEPARTURE, ANGLE = 1.0 / 30.0, 0.01  # of a range, and rad: up to where departures and errors of angles are small
+LARGEST = 100.0  # number that is shown
+
+
+class _ReferenceShapingMode:
+    """Pace of the reference, offsets of its joints and torques beside the law, on what the base estimates.
+
+    It shows the agent what the base knows: the state by quantities, their departures from the reference as arcsinh,
+    errors of the motors, the reference, its clock and its shape, the last torques and actions, payload and stiffness.
+
+    Args:
+        plant: the arm.
+        base: an observer and a law that tracks references.
+        authority: pace, offset, torque and fading, see `Authority`.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed.
+    """
+
+    def __init__(self, plant: Plant, base: Controller | None, **authority: object) -> None:
+        if not isinstance(base, OutputFeedback):
+            allowed = "torque, or it with a base that has an observer and tracks: adaptive-lqr, lqg or privileged-lqr"
+            raise value_error("actions", "shaping", allowed)
+        self._base, self._law, self._plant = base, base.law, plant
+        far = Authority(**{name: non_negative(f"actions.{name}", value) for name, value in authority.items()})
+        self.strength = far.torque if far.fading == 0.0 else None
+        n = self.joints = len(plant.torque_limit)
+        self._shape = self._law.shape = ReferenceShape(self._law.slews, self._law.limits, plant.period, far)
+        every = ("pace", *(f"{part}_{joint + 1}" for part in ("offset", "torque") for joint in range(n)))
+        self._columns = np.flatnonzero(np.repeat([far.pace, far.offset, far.torque], [1, n, n]) > 0.0)
+        self.names = tuple(every[column] for column in self._columns)
+        self.sensors: tuple[object, ...] = tuple(base.sensors)
+        self._quantities = Quantities(plant.model)
+        self._ranges = np.concatenate([plant.measured()[name][0] for name in self._quantities.places])
+        sizes = {"estimate": 8 * n, "departures": 8 * n, "angle_errors": 2 * n, "reference": 2 * n, "way": 3 * n}
+        sizes |= {"clock": 6, "offsets": 2 * n, "applied": n, "action": len(self.names)}
+        sizes |= {"parameters": 1 + 2 * n, "deviations": 1 + 2 * n}
+        self.shown: Mapping[str, int] = sizes
+        self._seen = np.zeros((0, sum(sizes.values())))
+
+    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+        """Starts new episodes of the arms (r,).
+
+        Raises:
+            ValueError: for a goal that moves.
+        """
+        if episode.reference is not None:
+            raise value_error(
+                "actions", "shaping", "torque: the goal of this task moves, and slews alone can be shaped"
+            )
+        self._shape.reset(arms)
+        self._base.reset(arms, episode)
+
+    def act(self, actions: Array, readings: Readings, applied: Array, playing: Flags) -> Array:
+        """Gives what the motors (b, n) are asked for, parts of the torque limits."""
+        arms = np.flatnonzero(playing)
+        self._shape.wanted[arms[:, None], self._columns] = actions[arms]
+        return self._base.act(readings, applied, playing)
+
+    def look(self, readings: Readings, applied: Array, playing: Flags) -> Array:
+        """Gives what it shows of all arms, (b, sum of the sizes in `shown`), anew of those that are playing (b,)."""
+        if len(self._seen) < len(playing):
+            self._seen = np.zeros((len(playing), self._seen.shape[1]))
+        if playing.any():
+            estimate, arms = self._base.look(readings, applied, playing), np.flatnonzero(playing)
+            self._law.plan(estimate, playing)
+            shown = np.concatenate(list(self._parts(estimate, applied, arms).values()), axis=1)
+            self._seen[arms] = np.clip(np.nan_to_num(shown), -LARGEST, LARGEST)
+        return self._seen
+
+    def _parts(self, estimate: Estimate, applied: Array, arms: IntArray) -> dict[str, Array]:
+        """What is shown of the arms (r,), by name."""
+        law, slews, model, d = self._law, self._law.slews, self._plant.model, self._plant.model.n_dof
+        states, reference, now = estimate.states[arms], law.reference(estimate, arms), law.clock(estimate, arms)
+        motors, (place, speed, change) = model.motor_columns, slews.at(now, arms)
+        way, left = slews.way[arms], slews.begun[arms] + slews.lasting[arms] - now
+        errors = slews.start[arms] + way + slews.shift[arms] - states[:, motors]
+        departures = np.arcsinh(self._read(states - reference) / (DEPARTURE * self._ranges))
+        ways = [way * (1.0 - place)[:, None], way * speed[:, None], way * change[:, None]]
+        clock = [place, speed, change, np.maximum(left, 0.0), slews.pace[arms], slews.begun[arms] + slews.lasting[arms]]
+        return {
+            "estimate": self._read(states),
+            "departures": departures,
+            "angle_errors": np.concatenate([errors, np.arcsinh(errors / ANGLE)], axis=1),
+            "reference": np.concatenate([reference[:, motors], reference[:, d + motors]], axis=1),
+            "way": np.concatenate(ways, axis=1),
+            "clock": np.stack(clock, axis=1),
+            "offsets": self._shape.offsets[arms].reshape(len(arms), 2 * self.joints),
+            "applied": applied[arms],
+            "action": self._shape.wanted[arms][:, self._columns],
+            "parameters": self._parameters(estimate, arms),
+            "deviations": self._deviations(arms),
+        }
+
+    def _read(self, states: Array) -> Array:
+        """The quantities (r, 8 n) of states (r, 2 d)."""
+        named = self._quantities.named(states)
+        return np.concatenate([named[name] for name in self._quantities.places], axis=1)
+
+    def _parameters(self, estimate: Estimate, arms: IntArray) -> Array:
+        """Payload (kg), and stiffness of joints and links as parts of the nominal one, (r, 1 + 2 n)."""
+        constants, known = self._plant.model.constants, estimate.parameters
+        stiffness = np.where(constants.motor >= 0, constants.joint_stiffness, 1.0)
+        ones = np.ones((len(arms), self.joints))
+        payload = known["payload_mass"][arms] if "payload_mass" in known else constants.payload_mass[0] * ones[:, 0]
+        joints = known["joint_stiffness"][arms] / stiffness if "joint_stiffness" in known else ones
+        links = known["link_stiffness"][arms] if "link_stiffness" in known else ones
+        return np.concatenate([payload[:, None], joints, links], axis=1)
+
+    def _deviations(self, arms: IntArray) -> Array:
+        """Standard deviations of these, (r, 1 + 2 n), 0 of what is known, as of joints that are rigid."""
+        constants, said = self._plant.model.constants, self._base.estimates
+        result, n = np.zeros((len(arms), 1 + 2 * self.joints)), self.joints
+        if "payload_mass_deviation" in said:
+            result[:, 0] = said["payload_mass_deviation"][arms]
+        if "joint_stiffness_deviation" in said:
+            flexible = constants.motor >= 0
+            part = said["joint_stiffness_deviation"][arms] / constants.joint_stiffness[flexible]
+            result[:, 1 : 1 + n][:, flexible] = part
+        if "link_stiffness_deviation" in said:
+            result[:, 1 + n :] = said["link_stiffness_deviation"][arms]
+        return result
 
 
 class ActionMode(Protocol):
@@ -47,7 +266,7 @@ class ActionMode(Protocol):
         """Names of the sensors that it and its base read."""
         ...
 
-    def reset(self, arms: IntArray, episode: Episode) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
         """Starts new episodes of the arms with the indices (r,), of its base too."""
         ...
 
@@ -63,7 +282,7 @@ class ActionMode(Protocol):
         ...
 
 
-class Torque:
+class TorqueMode:
     """Torques of the motors as parts of their limits, added to those of a base; the sum ends at -1 and 1.
 
     Args:
@@ -77,7 +296,7 @@ class Torque:
         self.names = tuple(f"torque_{joint + 1}" for joint in range(joints))
         self.sensors: tuple[object, ...] = tuple(base.sensors) if base else ()
 
-    def reset(self, arms: IntArray, episode: Episode) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
         """Starts new episodes of the arms (r,)."""
         if self._base:
             self._base.reset(arms, episode)
@@ -91,12 +310,12 @@ class Torque:
         return result
 
 
-class Current(Torque):
+class CurrentMode(TorqueMode):
     """Currents of the motors as parts of their limits, which are torques by gear and torque constant.
 
     Args:
-        joints: as of `Torque`.
-        base: as of `Torque`.
+        joints: as of `TorqueMode`.
+        base: as of `TorqueMode`.
         largest: (n,) torque at the current limit, a part of the torque limit, at which it is cut off.
     """
 
@@ -111,7 +330,7 @@ class Current(Torque):
 
 
 @dataclass(frozen=True)
-class Mode:
+class ActionModeEntry:
     """A mode with a name.
 
     Attributes:
@@ -123,27 +342,27 @@ class Mode:
     takes: tuple[str, ...] = ()
 
 
-def _make_current(plant: Plant, base: Controller | None) -> Current:
+def _make_current(plant: Plant, base: Controller | None) -> CurrentMode:
     """The mode for currents; raises ValueError for an arm of which a motor is missing, or has no current limit."""
     motors = [joint.motor for joint in plant.model.arm.joints]
     limits = [motor.joint_torque_limit if motor else None for motor in motors]
     if None in limits:
         allowed = "it for an arm each of whose joints has a motor (fm.Motor) with a current_limit"
-        raise refusal("actions", "current", allowed)
-    return Current(len(limits), base, np.array(limits) / plant.torque_limit)
+        raise value_error("actions", "current", allowed)
+    return CurrentMode(len(limits), base, np.array(limits) / plant.torque_limit)
 
 
 SERVO = ("stiffness", "damping", "range")
-ACTIONS: dict[str, Mode] = {
-    "torque": Mode(lambda plant, base: Torque(len(plant.torque_limit), base)),
-    "current": Mode(_make_current),
-    "velocity": Mode(partial(make_servo, "velocity"), SERVO),
-    "position": Mode(partial(make_servo, "position"), SERVO),
-    "shaping": Mode(Shaping, Authority._fields),
+ACTIONS: dict[str, ActionModeEntry] = {
+    "torque": ActionModeEntry(lambda plant, base: TorqueMode(len(plant.torque_limit), base)),
+    "current": ActionModeEntry(_make_current),
+    "velocity": ActionModeEntry(partial(_make_servo, "velocity"), SERVO),
+    "position": ActionModeEntry(partial(_make_servo, "position"), SERVO),
+    "shaping": ActionModeEntry(_ReferenceShapingMode, Authority._fields),
 }
 
 
-def shown_size(mode: ActionMode) -> int:
+def mode_observation_size(mode: ActionMode) -> int:
     """Gives how many numbers a mode shows its agent."""
     return sum(getattr(mode, "shown", {}).values())
 

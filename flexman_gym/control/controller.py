@@ -1,15 +1,51 @@
-"""Controller: the one protocol of everything that acts on arms."""
+"""Controller protocol, the data of an episode that a controller is given, and the plant for which it is designed."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from inspect import signature
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array, Flags, IntArray
-from flexman_gym.checks import check_members, refusal
+from flexman_gym.common.arrays import Array, Flags, IntArray, Vector
+from flexman_gym.common.checks import check_members, value_error
+from flexman_gym.model.model import Model
+from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
+
+Gains = Mapping[str, Vector]
+
+
+class Plant(NamedTuple):
+    """What a controller is made for.
+
+    Attributes:
+        model: of the arm, as the base knows it.
+        torque_limit: (n,) N m.
+        period: of control, s.
+        gains: makes "stiffness" (N m/rad) and "damping" (N m s/rad) that were tuned for the arm, (n,) each.
+        unknown: name -> (low, high) of the physical parameters that differ from arm to arm, see
+            `simulation.parameters.PARAMETERS`; parts of the nominal value where the table there says factor.
+        delay: fewest and most whole control periods by which torques come late.
+        moved: method and step (s) by which the arm is simulated.
+        push: N, how large forces on the tip may be that nobody tells.
+        measured: gives, name -> (2, size), the range of each quantity that instruments measure and the standard
+            deviation of their noise, in its unit.
+        bandwidth: Hz, of drives that follow what they are asked for as a first-order lag; None for such that do so at
+            once.
+    """
+
+    model: Model
+    torque_limit: tuple[float, ...]
+    period: float
+    gains: Callable[[], Gains]
+    unknown: Mapping[str, tuple[float, float]] = {}
+    delay: tuple[int, int] = (0, 0)
+    moved: tuple[str | Method, float | str] = (DEFAULT_METHOD, "auto")
+    push: float = 0.0
+    measured: Callable[[], Mapping[str, Array]] = dict
+    bandwidth: float | None = None
+
 
 Readings = Mapping[str, NDArray[Any]]
 OPTIONAL = ("kept", "estimates")  # members that a controller may leave out
@@ -17,7 +53,7 @@ CALLS = {"reset": ("arms", "episode"), "act": ("readings", "applied", "playing")
 
 
 @dataclass(frozen=True, eq=False)
-class Episode:
+class EpisodeInfo:
     """What a controller is told of r arms whose episodes start.
 
     Attributes:
@@ -62,7 +98,7 @@ class Controller(Protocol):
         """Names of the sensors that it reads."""
         ...
 
-    def reset(self, arms: IntArray, episode: Episode) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
         """Starts new episodes of the arms with the indices (r,)."""
         ...
 
@@ -86,12 +122,12 @@ def checked_controller(field: str, value: object, others: str = "") -> Controlle
             that of an optional member.
     """
     if not isinstance(value, Controller) or isinstance(value, type):
-        raise refusal(field, value, f"{others}a Controller: an object with sensors, reset and act")
+        raise value_error(field, value, f"{others}a Controller: an object with sensors, reset and act")
     for name, wanted in CALLS.items():
         takes = signature(getattr(value, name))
         try:
             takes.bind(*wanted)
         except TypeError:
-            raise refusal(f"{field}.{name}", str(takes), f"({', '.join(wanted)})") from None
+            raise value_error(f"{field}.{name}", str(takes), f"({', '.join(wanted)})") from None
     check_members(field, value, OPTIONAL, (*CALLS, "sensors"))
     return value

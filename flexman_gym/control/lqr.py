@@ -1,20 +1,206 @@
-"""LQR: linear-quadratic control of the whole state, at the goal or along a slew to it."""
+"""Linear-quadratic regulators: gain of the sampled model, table of gains, control at the goal and along a slew."""
 
+import hashlib
+import os
+import tempfile
+from collections.abc import Sequence
+from itertools import product
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array, Flags, IntArray, Vector, grown, row_dots
-from flexman_gym.checks import one_of, positive
-from flexman_gym.control.controller import Episode, Readings
-from flexman_gym.control.discrete import Weights, optimal_gain
+from flexman_gym.common.arrays import Array, Flags, IntArray, Vector, pad_rows, row_dots
+from flexman_gym.common.checks import READ_ERRORS, one_of, open_arrays, positive
+from flexman_gym.control.controller import EpisodeInfo, Readings
 from flexman_gym.control.pd import torque_limits
-from flexman_gym.control.reference import plan_path, plan_slew
-from flexman_gym.control.timing import LAWS
-from flexman_gym.model.linear import linearize
+from flexman_gym.control.references.trajectories import TIMING_LAWS, plan_path, plan_slew
+from flexman_gym.kernels.cache import find_folder
+from flexman_gym.model.linearization import SLIDING, linearize
 from flexman_gym.model.model import Model, checked_model
+from flexman_gym.model.natural_modes import check_solvable
+from flexman_gym.model.state_space import LinearModel, discretize
 from flexman_gym.model.statics import holding_torques, rest_state
+from flexman_gym.simulation.parameters import varied_model
+
+
+class CostWeights(NamedTuple):
+    """Departures that weigh alike in the cost of an LQR: tip in m, its speed in m/s, motor angles in rad.
+
+    Torques weigh as much where they reach their limits.
+    """
+
+    tip: float
+    tip_speed: float
+    motor: float
+
+
+def zero_order_hold(linear: LinearModel, period: float) -> tuple[Array, Array]:
+    """Gives the transition of states (2 d, 2 d) and of torques (2 d, n) over a period (s) of constant torques."""
+    return discretize(linear.A, linear.B, period)
+
+
+def optimal_gain(linear: LinearModel, motors: Array, limits: Array, weights: CostWeights, period: float) -> Array:
+    """Gives the gain K (n, 2 d) of the sampled LQR: torques -K x, for departures x from the place of the model.
+
+    Args:
+        linear: the arm about a place where it rests.
+        motors: (n,) columns of the motor angles in x.
+        limits: (n,) N m, torque limits.
+        weights: of the cost.
+        period: s.
+
+    Raises:
+        ValueError: for an arm for which rounding leaves no such gain.
+    """
+    with check_solvable("gains of a regulator"):
+        return _riccati_gain(linear, motors, limits, weights, period)
+
+
+def weighted_outputs(linear: LinearModel, motors: Array, weights: CostWeights) -> Array:
+    """Gives what a cost squares (6 + n, 2 d): tip, its velocity and motor angles, parts of their weights."""
+    d, n = len(linear.A) // 2, len(motors)
+    tip, outputs = linear.C[:, :d], np.zeros((6 + n, 2 * d))
+    outputs[:3, :d], outputs[3:6, d:] = tip / weights.tip, tip / weights.tip_speed
+    outputs[6:, motors] = np.eye(n) / weights.motor
+    return outputs
+
+
+def _riccati_gain(linear: LinearModel, motors: Array, limits: Array, weights: CostWeights, period: float) -> Array:
+    from scipy.linalg import solve_discrete_are
+
+    transition, inputs = zero_order_hold(linear, period)
+    n, outputs = len(limits), weighted_outputs(linear, motors, weights)
+    cost = np.diag(1.0 / limits**2)
+    # torques in parts of their limits, so that the equation is well scaled
+    scaled = inputs * limits
+    solution = solve_discrete_are(transition, scaled, outputs.T @ outputs, cost * np.outer(limits, limits))
+    gain = np.linalg.solve(np.eye(n) + scaled.T @ solution @ scaled, scaled.T @ solution @ transition)
+    return limits[:, None] * gain
+
+
+SPACING = 0.17  # rad between postures; with 0.43 the gains between two of them let a folded arm shake
+UNSAVED = 50  # designs, of 15 ms each, that a killed process may lose
+
+
+class GainTable:
+    """Gains K (n, 2 d) of the sampled LQR, linear between designs at postures SPACING apart and at some payloads.
+
+    A first joint that turns the arm about the direction of gravity changes nothing and has no axis in the table.
+
+    Args:
+        model: of the arm.
+        limits: (n,) N m, torque limits.
+        period: of control, s.
+        weights: of the cost.
+        payloads: kg, ascending; one, or several between which the payload is interpolated and beyond which it is not.
+    """
+
+    def __init__(
+        self, model: Model, limits: Array, period: float, weights: CostWeights, payloads: Sequence[float]
+    ) -> None:
+        self._design = limits, period, weights
+        self._payloads = np.array(payloads, dtype=float)
+        self._models = [varied_model(model, payload_mass=mass) for mass in payloads]
+        somewhere, turn = np.full(model.n_joints, 0.3), np.eye(model.n_joints)[0]
+        alike = np.allclose(holding_torques(model, somewhere), holding_torques(model, somewhere + turn))
+        self._joints = np.arange(1 if alike else 0, model.n_joints)
+        self._rows: dict[tuple[int, ...], int] = {}
+        self._rows_of: dict[bytes, list[int]] = {}  # those of the corners of a cell
+        self._gains = np.zeros((0, model.n_joints, 2 * model.n_dof))
+        self._cells = np.zeros((0, 1 + len(self._joints)), dtype=np.int64)  # of each arm, and the rows of its corners
+        self._corners = np.zeros((0, 2 ** (1 + len(self._joints))), dtype=np.int64)
+        self._steps = np.array(list(product((0, 1), repeat=1 + len(self._joints))))
+        self._path, self._unsaved = self._file(model), 0
+        self._load()
+
+    def __call__(self, arms: IntArray, postures: Array, payloads: Array) -> Array:
+        """Gives the gains (r, n, 2 d) of the arms (r,) at motor angles (r, n) rad and payloads (r,) kg."""
+        places = np.column_stack([self._between(payloads), postures[:, self._joints] / SPACING])
+        cells = np.floor(places).astype(np.int64)
+        cells[:, 0] = np.minimum(cells[:, 0], max(len(self._payloads) - 2, 0))
+        self._find(arms, cells)
+        parts = places - cells
+        weights = np.ones((len(places), len(self._steps)))
+        for axis in range(places.shape[1]):
+            part = parts[:, axis, None]
+            weights *= np.where(self._steps[:, axis], part, 1.0 - part)
+        result = np.zeros((len(places), *self._gains.shape[1:]))
+        for corner in range(len(self._steps)):
+            result += weights[:, corner, None, None] * self._gains[self._corners[arms, corner]]
+        return result
+
+    def _between(self, payloads: Array) -> Array:
+        """Where payloads (b,) are among those of the table, from 0 on."""
+        if len(self._payloads) == 1:
+            return np.zeros(len(payloads))
+        return np.interp(payloads, self._payloads, np.arange(len(self._payloads)))
+
+    def _find(self, arms: IntArray, cells: IntArray) -> None:
+        """Looks up the corners of the cells (r, axes) of the arms (r,) that have come into another one."""
+        count = int(arms.max(initial=-1)) + 1
+        if count > len(self._cells):
+            far = np.full((count - len(self._cells), cells.shape[1]), np.iinfo(np.int64).min)
+            self._cells, self._corners = np.concatenate([self._cells, far]), pad_rows(self._corners, count)
+        moved: Flags = (cells != self._cells[arms]).any(axis=1)
+        for arm, cell in zip(arms[moved], cells[moved], strict=True):
+            key = cell.tobytes()
+            if key not in self._rows_of:
+                self._rows_of[key] = [self._row(tuple(corner)) for corner in (cell + self._steps).tolist()]
+            self._corners[arm] = self._rows_of[key]
+        self._cells[arms] = cells
+
+    def _row(self, key: tuple[int, ...]) -> int:
+        """The row of a design, which is made where it is missing."""
+        key = (min(key[0], len(self._payloads) - 1), *key[1:])
+        if key not in self._rows:
+            model, posture = self._models[key[0]], np.zeros(self._gains.shape[1])
+            posture[self._joints] = SPACING * np.array(key[1:])
+            limits, period, weights = self._design
+            linear = linearize(model, state=rest_state(model, posture), torque=holding_torques(model, posture))
+            gain = optimal_gain(linear, model.motor_columns, limits, weights, period)
+            self._rows[key] = len(self._gains)
+            self._gains = np.concatenate([self._gains, gain[None]])
+            self._unsaved += 1
+            if self._unsaved >= UNSAVED:
+                self.save()
+        return self._rows[key]
+
+    def _file(self, model: Model) -> Path | None:
+        """Where designs for this arm are kept, beside the kernels that they were calculated with."""
+        folder = find_folder()
+        if folder is None:
+            return None
+        seal = hashlib.sha256(SLIDING.encode())  # designs of motors that stick were kept before
+        for values in (*model.constants, *map(np.array, self._design), self._payloads, np.array(SPACING)):
+            seal.update(np.ascontiguousarray(values).tobytes())
+        return Path(folder) / f"gains-{seal.hexdigest()[:16]}.npz"
+
+    def _load(self) -> None:
+        """Takes the designs of the file; one that cannot be read is written anew."""
+        try:
+            with open_arrays(self._path) as data:  # type: ignore[arg-type]
+                keys, gains = data["keys"], data["gains"]
+        except READ_ERRORS:
+            return
+        if gains.shape[1:] == self._gains.shape[1:] and keys.shape == (len(gains), 1 + len(self._joints)):
+            self._rows = {tuple(key): row for row, key in enumerate(keys.tolist())}
+            self._gains = gains
+
+    def save(self) -> None:
+        """Writes the designs to the file, where one can be written."""
+        if self._path is None or not self._unsaved:
+            return
+        handle, name = tempfile.mkstemp(dir=self._path.parent, suffix=".npz")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                np.savez(file, keys=np.array(list(self._rows)), gains=self._gains)
+            os.replace(name, self._path)
+        except OSError:
+            Path(name).unlink(missing_ok=True)
+        self._unsaved = 0
+
 
 TIP, TIP_SPEED, MOTOR = 0.2 / 8.5, 1.0 / 8.5, 0.5  # of the reach, reaches a second, rad: stiffer ones saturate and fail
 HOLDING = 0.25  # of the weight of the tip, where an arm starts at its goal
@@ -22,10 +208,10 @@ SHARE = 0.95  # of the torque limits, for the feed-forward
 GAINS, PATH_GAINS = 3, 25  # postures along a slew, and along a path, for which gains are designed
 
 
-def usual_weights(model: Model) -> Weights:
+def default_weights(model: Model) -> CostWeights:
     """Gives 20 cm of tip, 1 m/s and 0.5 rad for 8.5 m of reach, and as large parts of other reaches."""
     reach = float(model.constants.length.sum())
-    return Weights(TIP * reach, TIP_SPEED * reach, MOTOR)
+    return CostWeights(TIP * reach, TIP_SPEED * reach, MOTOR)
 
 
 class LQR:
@@ -37,7 +223,7 @@ class LQR:
         model: of the arm, with as many coordinates as the one that is controlled.
         torque_limit: N m, one number or one for each joint.
         period: of control, s.
-        weights: of the cost; None takes `usual_weights`.
+        weights: of the cost; None takes `default_weights`.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
@@ -46,25 +232,25 @@ class LQR:
     sensors: tuple[str, ...] = ("state",)
 
     def __init__(
-        self, model: Model, torque_limit: float | Vector, period: float, weights: Weights | None = None
+        self, model: Model, torque_limit: float | Vector, period: float, weights: CostWeights | None = None
     ) -> None:
         checked_model(model)
         n, d = model.n_joints, model.n_dof
         self.model, self.period = model, positive("period", period, "s")
         self.limits = np.array(torque_limits("torque_limit", torque_limit, n))
-        self.weights = weights or usual_weights(model)
+        self.weights = weights or default_weights(model)
         self._gains, self._rest, self._held = np.zeros((0, n, 2 * d)), np.zeros((0, 2 * d)), np.zeros((0, n))
 
-    def gain(self, posture: Array, weights: Weights | None = None) -> Array:
+    def gain(self, posture: Array, weights: CostWeights | None = None) -> Array:
         """Designs K (n, 2 d) for a posture (n,) rad of the motors; weights of None are its own."""
         state, held = rest_state(self.model, posture), holding_torques(self.model, posture)
         linear = linearize(self.model, state=state, torque=held)
         return optimal_gain(linear, self.model.motor_columns, self.limits, weights or self.weights, self.period)
 
-    def reset(self, arms: IntArray, episode: Episode) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
         """Designs for new episodes of the arms (r,)."""
         self._gains, self._rest, self._held = (
-            grown(values, int(arms.max(initial=-1)) + 1) for values in (self._gains, self._rest, self._held)
+            pad_rows(values, int(arms.max(initial=-1)) + 1) for values in (self._gains, self._rest, self._held)
         )
         for arm, angles in zip(arms, episode.goal, strict=True):
             self._gains[arm] = self.gain(angles)
@@ -86,7 +272,7 @@ class LQR:
         return self._held - row_dots(self._gains, (states - self._rest)[:, None])
 
 
-class GainSchedule(NamedTuple):
+class _GainSchedule(NamedTuple):
     """What a tracking LQR follows, period by period.
 
     Attributes:
@@ -119,15 +305,15 @@ class TrackingLQR(LQR):
         model: Model,
         torque_limit: float | Vector,
         period: float,
-        weights: Weights | None = None,
+        weights: CostWeights | None = None,
         law: str = "minimum-jerk",
     ) -> None:
         super().__init__(model, torque_limit, period, weights)
-        self.law = one_of("law", law, LAWS)
-        self._plans: list[GainSchedule] = []
+        self.law = one_of("law", law, TIMING_LAWS)
+        self._plans: list[_GainSchedule] = []
         self._now = np.zeros(0, dtype=np.int64)
 
-    def reset(self, arms: IntArray, episode: Episode) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
         """Plans how the arms (r,) slew to their goals, or follow those that move."""
         if episode.reference is not None:
             self._follow(arms, episode.reference)
@@ -142,13 +328,13 @@ class TrackingLQR(LQR):
             moved = slew.states[:, motors] - slew.states[0, motors]
             way = row_dots(moved, moved[-1]) / max(moved[-1] @ moved[-1], 1e-12)
             torques = np.vstack([slew.torques, holding_torques(self.model, last)])
-            self._keep(int(arm), GainSchedule(slew.states, torques, gains, (GAINS - 1) * np.clip(way, 0.0, 1.0)))
+            self._keep(int(arm), _GainSchedule(slew.states, torques, gains, (GAINS - 1) * np.clip(way, 0.0, 1.0)))
 
-    def _holding(self, posture: Array) -> GainSchedule:
+    def _holding(self, posture: Array) -> _GainSchedule:
         """Stays at a posture; nothing has to be saved for a slew, so that the tip weighs more."""
         tight = self.weights._replace(tip=HOLDING * self.weights.tip)
         held = holding_torques(self.model, posture)[None]
-        return GainSchedule(rest_state(self.model, posture)[None], held, self.gain(posture, tight)[None], np.zeros(1))
+        return _GainSchedule(rest_state(self.model, posture)[None], held, self.gain(posture, tight)[None], np.zeros(1))
 
     def _follow(self, arms: IntArray, postures: Array) -> None:
         """Plans how the arms (r,) follow goal postures (r, T + 1, n) rad, one for each control period."""
@@ -157,13 +343,15 @@ class TrackingLQR(LQR):
             rows = np.linspace(0, len(path) - 1, min(PATH_GAINS, len(path))).round().astype(int)
             gains = np.array([self.gain(path[row]) for row in rows])
             places = np.interp(np.arange(len(path)), rows, np.arange(len(rows)))
-            self._keep(int(arm), GainSchedule(slew.states, np.vstack([slew.torques, slew.torques[-1:]]), gains, places))
+            self._keep(
+                int(arm), _GainSchedule(slew.states, np.vstack([slew.torques, slew.torques[-1:]]), gains, places)
+            )
 
-    def _keep(self, arm: int, plan: GainSchedule) -> None:
+    def _keep(self, arm: int, plan: _GainSchedule) -> None:
         """Begins a plan of an arm."""
-        empty = GainSchedule(*(np.zeros(0),) * 4)
+        empty = _GainSchedule(*(np.zeros(0),) * 4)
         self._plans += [empty] * (arm + 1 - len(self._plans))
-        self._now = grown(self._now, arm + 1)
+        self._now = pad_rows(self._now, arm + 1)
         self._plans[arm], self._now[arm] = plan, 0
 
     def torques(self, states: Array) -> Array:

@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array, IntArray, Vector
-from flexman_gym.model.linear import linearize
+from flexman_gym.common.arrays import Array, IntArray, Vector
+from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel
 from flexman_gym.model.statics import holding_torques, rest_state
@@ -28,7 +28,7 @@ STEADY = 1.0 + 1e-9  # spectral radius; undamped modes that no motor moves have 
 Response = NDArray[np.complex128]
 
 
-class Loop(NamedTuple):
+class SampledLoop(NamedTuple):
     """Linear model of an arm about a posture under sampled torques: next = transition x + inputs torques.
 
     Attributes:
@@ -62,7 +62,7 @@ class Margins(NamedTuple):
 
 def sampled_loops(
     model: Model, joint_angles: Vector, period: float, delay: int = 0, bandwidth: float | None = None
-) -> list[Loop]:
+) -> list[SampledLoop]:
     """Return the loops of an arm at rest, one for each set of motors that may stick.
 
     Only motors with Coulomb friction stick; an arm without has one loop. The set of all motors is left out: no torque
@@ -73,7 +73,7 @@ def sampled_loops(
         joint_angles: (n,) rad.
         period: of control, s.
         delay: whole periods by which torques come late.
-        bandwidth: Hz, of drives whose torque lags, see `lag`; None for none.
+        bandwidth: Hz, of drives whose torque lags, see `first_order_lag`; None for none.
     """
     linear = _at_rest(model, joint_angles)
     return [_loop(model, linear, stuck, period, delay, bandwidth) for stuck in _stuck_sets(model)]
@@ -81,7 +81,7 @@ def sampled_loops(
 
 def sampled_loop(
     model: Model, joint_angles: Vector, period: float, delay: int = 0, bandwidth: float | None = None
-) -> Loop:
+) -> SampledLoop:
     """Return the loop of an arm at rest whose motors all slide; arguments are those of `sampled_loops`."""
     return _loop(model, _at_rest(model, joint_angles), (), period, delay, bandwidth)
 
@@ -100,7 +100,7 @@ def _stuck_sets(model: Model) -> Iterator[tuple[int, ...]]:
 
 def _loop(
     model: Model, linear: LinearModel, stuck: tuple[int, ...], period: float, delay: int, bandwidth: float | None
-) -> Loop:
+) -> SampledLoop:
     """Return the loop of a linear model with clamped motors, whose departures stay 0."""
     motors, n, d = model.motor_columns, model.n_joints, model.n_dof
     columns = motors[list(stuck)]
@@ -109,10 +109,10 @@ def _loop(
     late, entry = sampled.A, sampled.B
     late[clamped], late[:, clamped], entry[clamped] = 0.0, 0.0, 0.0
     if bandwidth is not None:
-        left, mean = lag(period, bandwidth)
+        left, mean = first_order_lag(period, bandwidth)
         late = np.block([[late, mean * entry], [np.zeros((n, len(late))), left * np.eye(n)]])
         entry = np.vstack([(1.0 - mean) * entry, (1.0 - left) * np.eye(n)])
-    return Loop(late, entry, motors, d + motors, stuck)
+    return SampledLoop(late, entry, motors, d + motors, stuck)
 
 
 def _clamped(linear: LinearModel, columns: IntArray) -> LinearModel:
@@ -131,7 +131,7 @@ def _clamped(linear: LinearModel, columns: IntArray) -> LinearModel:
     return replace(linear, A=A, B=B, balance=None)
 
 
-def lag(period: float, bandwidth: float) -> tuple[float, float]:
+def first_order_lag(period: float, bandwidth: float) -> tuple[float, float]:
     """Gives how a first-order lag of a bandwidth (Hz) passes a period (s) in which it is asked for the same.
 
     Returns:
@@ -141,7 +141,7 @@ def lag(period: float, bandwidth: float) -> tuple[float, float]:
     return float(np.exp(-turned)), float(-np.expm1(-turned) / turned)
 
 
-def margins(loops: Sequence[Loop], stiffness: Vector, damping: Vector) -> Margins:
+def margins(loops: Sequence[SampledLoop], stiffness: Vector, damping: Vector) -> Margins:
     """Return the least margins of a PD over loops, (1, 0) where one of these is unstable.
 
     A margin is the least change of the torques with which an eigenvalue of the closed loop leaves the unit circle:
@@ -163,30 +163,30 @@ def margins(loops: Sequence[Loop], stiffness: Vector, damping: Vector) -> Margin
     return Margins(float(gains.min()), float(phases.min()), worst.stuck)
 
 
-def has_margins(loops: Sequence[Loop], stiffness: Vector, damping: Vector, least: Margins) -> bool:
+def has_margins(loops: Sequence[SampledLoop], stiffness: Vector, damping: Vector, least: Margins) -> bool:
     """Return whether loops are stable as they are and with both of the changes at the end of the least margins."""
     changes = (1.0, least.gain, np.exp(TURN * least.phase))
     return all(_stable(loop, stiffness, damping, change) for change in changes for loop in loops)
 
 
-def stuck_motors(stuck: Sequence[int]) -> str:
+def describe_stuck_motors(stuck: Sequence[int]) -> str:
     """Return a clause for messages with the motors that stick, counted from 1; "" for none."""
     return f" while friction holds motor {' and '.join(str(joint + 1) for joint in stuck)}" if stuck else ""
 
 
-def spectral_radius(loop: Loop, stiffness: Vector, damping: Vector) -> float:
+def spectral_radius(loop: SampledLoop, stiffness: Vector, damping: Vector) -> float:
     """Return the largest magnitude of an eigenvalue of a loop that a PD closes; below 1 where it is stable."""
     return float(np.abs(np.linalg.eigvals(loop.transition - loop.inputs @ _gain(loop, stiffness, damping))).max())
 
 
-def _gain(loop: Loop, stiffness: Vector, damping: Vector) -> Array:
+def _gain(loop: SampledLoop, stiffness: Vector, damping: Vector) -> Array:
     """The gain (n, m) of a PD on the state of a loop."""
     n, gain = loop.inputs.shape[1], np.zeros(loop.inputs.T.shape)
     gain[np.arange(n), loop.motors], gain[np.arange(n), loop.rates] = stiffness, damping
     return gain
 
 
-def _stable(loop: Loop, stiffness: Vector, damping: Vector, change: complex) -> bool:
+def _stable(loop: SampledLoop, stiffness: Vector, damping: Vector, change: complex) -> bool:
     """Whether a loop is stable while the torques of any one motor, and those of all, are multiplied by a number."""
     n, gain = loop.inputs.shape[1], _gain(loop, stiffness, damping)
     motors = np.ones((1, n)) if n == 1 or change == 1.0 else np.vstack([np.eye(n), np.ones(n)])
@@ -194,7 +194,9 @@ def _stable(loop: Loop, stiffness: Vector, damping: Vector, change: complex) -> 
     return bool((np.abs(np.linalg.eigvals(closed)) < STEADY).all())
 
 
-def open_loops(loop: Loop, stiffness: Vector, damping: Vector, frequencies: Vector, period: float) -> Response:
+def open_loop_responses(
+    loop: SampledLoop, stiffness: Vector, damping: Vector, frequencies: Vector, period: float
+) -> Response:
     """Gives the responses (n, f) of a PD's loops, each opened at one motor while the others act.
 
     Args:

@@ -6,20 +6,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.arrays import Array, Flags, IntArray, Vector, grown, row_dots
-from flexman_gym.checks import refusal
-from flexman_gym.control.controller import Episode, Readings
-from flexman_gym.control.discrete import Weights, weighted_outputs, zero_order_hold
-from flexman_gym.control.lqr import MOTOR
+from flexman_gym.common.arrays import Array, Flags, IntArray, Vector, pad_rows, row_dots
+from flexman_gym.common.checks import value_error
+from flexman_gym.control.controller import EpisodeInfo, Readings
+from flexman_gym.control.lqr import MOTOR, CostWeights, weighted_outputs, zero_order_hold
 from flexman_gym.control.pd import torque_limits
-from flexman_gym.control.reference import plan_slew
+from flexman_gym.control.references.trajectories import plan_slew
 from flexman_gym.kernels.layout import TIP, TIP_VELOCITY
-from flexman_gym.model.linear import linearize
+from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import Model, checked_model
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.families import Method
-from flexman_gym.simulation.methods import DEFAULT
+from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 
 TIP_PART, SPEED_PART = 0.05 / 8.5, 0.5 / 8.5  # of the reach, reaches a second: a quarter and half of those of the LQR
 SHARE = 1.3  # of the torque limits, for the slew that it follows as well as they allow
@@ -30,7 +28,7 @@ TINY = 1e-12  # rad^2
 BLOCKS = (1, 2, 3, 4, 5, 5, 5, 6, 7, 7, 8, 10)  # control periods for which a change of the planned torques lasts
 
 
-class Horizon(NamedTuple):
+class _Horizon(NamedTuple):
     """What is to be small over N periods, linear in m = blocks x n changes of planned torques, in parts of the limits.
 
     Outputs are parts of the weights: tip, its speed and motors after each period but the last, whose whole state
@@ -47,9 +45,9 @@ class Horizon(NamedTuple):
     ending: Array
 
 
-def design(
-    model: Model, posture: Array, limits: Array, weights: Weights, period: float, blocks: Sequence[int]
-) -> Horizon:
+def design_horizon(
+    model: Model, posture: Array, limits: Array, weights: CostWeights, period: float, blocks: Sequence[int]
+) -> _Horizon:
     """Designs for a posture (n,) rad of the motors; blocks are numbers of control periods, whose sum is N."""
     from scipy.linalg import solve_discrete_are
 
@@ -65,7 +63,7 @@ def design(
         state[:, n * block : n * (block + 1)] += inputs
         rows.append(outputs @ state)
     slopes = np.vstack([*rows[:-1], ending @ state]).T.copy()
-    return Horizon(slopes, slopes @ slopes.T + np.diag(np.repeat(np.array(blocks, dtype=float), n)), ending)
+    return _Horizon(slopes, slopes @ slopes.T + np.diag(np.repeat(np.array(blocks, dtype=float), n)), ending)
 
 
 class _Plan(NamedTuple):
@@ -74,7 +72,7 @@ class _Plan(NamedTuple):
     states (T, 2 d), outputs (T, OUTPUTS), torques (T, n) parts of the limits.
     """
 
-    horizons: Horizon
+    horizons: _Horizon
     start: Array
     way: Array
     states: Array
@@ -110,13 +108,13 @@ class MPC:
         model: Model,
         torque_limit: float | Vector,
         period: float,
-        moved: tuple[str | Method, float | str] = (DEFAULT, "auto"),
+        moved: tuple[str | Method, float | str] = (DEFAULT_METHOD, "auto"),
     ) -> None:
-        self._daqp = solver()
+        self._daqp = _import_solver()
         reach = float(checked_model(model).constants.length.sum())
         self.model, self.period, self._moved = model, period, moved
         self.limits = np.array(torque_limits("torque_limit", torque_limit, model.n_joints))
-        self._weights = Weights(TIP_PART * reach, SPEED_PART * reach, MOTOR)
+        self._weights = CostWeights(TIP_PART * reach, SPEED_PART * reach, MOTOR)
         self._plans: list[_Plan] = []
         self._planned, self._now = np.zeros((0, sum(BLOCKS), model.n_joints)), np.zeros(0, dtype=np.int64)
         self._batch = self._arms(1)
@@ -124,12 +122,12 @@ class MPC:
     def _arms(self, count: int) -> Batch:
         return Batch(self.model, *self._moved, self.period, arms=count)
 
-    def reset(self, arms: IntArray, episode: Episode) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
         """Plans the slews of the arms (r,), and designs for postures on their ways."""
         if episode.path is not None:
-            raise refusal("episode", "a goal that moves", "one that stays, for which the MPC plans")
+            raise value_error("episode", "a goal that moves", "one that stays, for which the MPC plans")
         count = int(arms.max(initial=-1)) + 1
-        self._planned, self._now = grown(self._planned, count), grown(self._now, count)
+        self._planned, self._now = pad_rows(self._planned, count), pad_rows(self._now, count)
         for arm, start, goal in zip(arms.tolist(), episode.start, episode.goal, strict=True):
             plan = self._plan(start, goal)
             self._plans += [plan] * (arm + 1 - len(self._plans))
@@ -143,8 +141,8 @@ class MPC:
         batch = self._arms(len(states))
         batch.reset(np.arange(len(states)), states)
         postures = start + np.linspace(0.0, 1.0, POSTURES)[:, None] * (goal - start)
-        each = [design(self.model, one, self.limits, self._weights, self.period, BLOCKS) for one in postures]
-        horizons = Horizon(*(np.array(parts) for parts in zip(*each, strict=True)))
+        each = [design_horizon(self.model, one, self.limits, self._weights, self.period, BLOCKS) for one in postures]
+        horizons = _Horizon(*(np.array(parts) for parts in zip(*each, strict=True)))
         return _Plan(horizons, start, goal - start, states, batch.outputs, torques / self.limits)
 
     def act(self, readings: Readings, applied: Array, playing: Flags) -> Array:
@@ -173,13 +171,13 @@ class MPC:
             mean = (np.add.reduceat(planned, firsts) / np.array(BLOCKS)[:, None]).ravel()
             slope = row_dots(horizon.slopes, gap) + beyond
             low, high = np.maximum(-1.0 - mean, -TRUST), np.minimum(1.0 - mean, TRUST)
-            changes = least(self._daqp, horizon.curvature, slope, low, high)
+            changes = solve_quadratic_program(self._daqp, horizon.curvature, slope, low, high)
             planned = np.clip(planned + np.repeat(changes.reshape(-1, n), BLOCKS, axis=0), -1.0, 1.0)
         self._planned[arm] = np.vstack([planned[1:], np.clip(plan.torques[rows[-1]], -1.0, 1.0)])
         self._now[arm] += 1
         return planned[0]
 
-    def _between(self, plan: _Plan, state: Array) -> Horizon:
+    def _between(self, plan: _Plan, state: Array) -> _Horizon:
         """The horizon of the place on its way that an arm has come to."""
         come = row_dots(state[self.model.motor_columns] - plan.start, plan.way) / max(
             row_dots(plan.way, plan.way), TINY
@@ -187,22 +185,22 @@ class MPC:
         place = float(np.clip(come, 0.0, 1.0)) * (POSTURES - 1)
         lower = min(int(place), POSTURES - 2)
         part = place - lower
-        return Horizon(*(each[lower] + part * (each[lower + 1] - each[lower]) for each in plan.horizons))
+        return _Horizon(*(each[lower] + part * (each[lower + 1] - each[lower]) for each in plan.horizons))
 
-    def _gap(self, horizon: Horizon, states: Array, outputs: Array) -> Array:
-        """What is to be small, see `Horizon`, for departures of states (N, 2 d) and outputs (N, OUTPUTS)."""
+    def _gap(self, horizon: _Horizon, states: Array, outputs: Array) -> Array:
+        """What is to be small, see `_Horizon`, for departures of states (N, 2 d) and outputs (N, OUTPUTS)."""
         weights, motors = self._weights, states[:-1, self.model.motor_columns]
         near = outputs[:-1, TIP] / weights.tip, outputs[:-1, TIP_VELOCITY] / weights.tip_speed, motors / weights.motor
         return np.concatenate([np.hstack(near).ravel(), row_dots(horizon.ending, states[-1])])
 
 
-def least(daqp: ModuleType, curvature: Array, slope: Array, low: Array, high: Array) -> Array:
+def solve_quadratic_program(daqp: ModuleType, curvature: Array, slope: Array, low: Array, high: Array) -> Array:
     """Gives the changes (m,) from low to high of least cost, zero where the solver finds none."""
     changes, _, status, _ = daqp.solve(curvature, slope, np.zeros((0, len(slope))), high, low)
     return np.array(changes) if status > 0 else np.clip(np.zeros(len(slope)), low, high)
 
 
-def solver() -> ModuleType:
+def _import_solver() -> ModuleType:
     """Gives the package that solves the quadratic programs.
 
     Raises:

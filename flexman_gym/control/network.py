@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array, row_dots
-from flexman_gym.checks import is_count, one_of, refusal
+from flexman_gym.common.arrays import Array, row_dots
+from flexman_gym.common.checks import is_count, one_of, value_error
 
 FUNCTIONS: dict[str, Callable[[Array], Array]] = {"tanh": np.tanh, "relu": lambda values: np.maximum(values, 0.0)}
 LARGEST, LEAST = 10.0, 1e-8  # of what is normalised, and variance beside the one that was seen
@@ -55,9 +55,9 @@ class Network:
         sizes = [self.mean.size, *(len(bias) for _, bias in self.layers)]
         for (weights, _), size in zip(self.layers, sizes, strict=False):
             if weights.shape[1] != size:
-                raise refusal("policy", f"a layer of {weights.shape[1]} numbers", f"one of {size}")
+                raise value_error("policy", f"a layer of {weights.shape[1]} numbers", f"one of {size}")
         if self.scale.shape != self.mean.shape or self.mean.ndim != 1:
-            raise refusal("statistics.var", f"an array {self.scale.shape}", f"one of {self.mean.shape}")
+            raise value_error("statistics.var", f"an array {self.scale.shape}", f"one of {self.mean.shape}")
         self.size, self.joints = sizes[0], sizes[-1]
 
     def __call__(self, observations: NDArray[np.floating]) -> Array:
@@ -75,7 +75,7 @@ class Network:
         return result
 
 
-def layers_of(algo: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
+def policy_parameters(algo: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Gives those of the parameters that act, without critics and what explores.
 
     Raises:
@@ -91,21 +91,23 @@ def _is_layer(name: str, first: str) -> bool:
 
 def _mapping(field: str, value: object) -> Mapping[str, Any]:
     if not isinstance(value, dict):
-        raise refusal(field, type(value).__name__, "a mapping of arrays")
+        raise value_error(field, type(value).__name__, "a mapping of arrays")
     return value
 
 
 def _layer(result: Mapping[str, Array], name: str) -> Sequence[Array]:
     weights, bias = (result.get(f"{name}.{part}", np.zeros(0)) for part in ("weight", "bias"))
     if weights.ndim != 2 or bias.shape != weights.shape[:1]:
-        raise refusal(f"policy.{name}", f"arrays {weights.shape} and {bias.shape}", "weights (m, k) and a bias (m,)")
+        raise value_error(
+            f"policy.{name}", f"arrays {weights.shape} and {bias.shape}", "weights (m, k) and a bias (m,)"
+        )
     return weights, bias
 
 
 def _finite(field: str, value: object, least: float = -np.inf) -> Array:
     """The array as floats, once all of its numbers are finite and none is below the least."""
     if not isinstance(value, np.ndarray) or value.dtype.kind != "f":
-        raise refusal(field, type(value).__name__, "an array of numbers")
+        raise value_error(field, type(value).__name__, "an array of numbers")
     if not (np.isfinite(value) & (value >= least)).all():
-        raise refusal(field, "another number", "finite numbers" if least < 0.0 else "finite numbers >= 0")
+        raise value_error(field, "another number", "finite numbers" if least < 0.0 else "finite numbers >= 0")
     return value.astype(np.float64)

@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array, Flags, IntArray, Vector, grown
-from flexman_gym.checks import non_negative, physical, vector
-from flexman_gym.control.controller import Episode, Readings
-from flexman_gym.model.instant import mass_matrix
+from flexman_gym.common.arrays import Array, Flags, IntArray, Vector, pad_rows
+from flexman_gym.common.checks import non_negative, physical, vector
+from flexman_gym.control.controller import EpisodeInfo, Readings
+from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import Model, checked_model
 from flexman_gym.model.statics import holding_torques
 
@@ -48,11 +48,11 @@ class PD:
         self.gravity_model = None if gravity_model is None else checked_model(gravity_model)
         self._holding = np.zeros((1, n))  # torques of each arm
 
-    def reset(self, arms: IntArray, episode: Episode) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
         """Takes the torques that hold the arms (r,) at their goals."""
         if self.gravity_model is None:
             return
-        self._holding = grown(self._holding, int(arms.max(initial=-1)) + 1)
+        self._holding = pad_rows(self._holding, int(arms.max(initial=-1)) + 1)
         for arm, angles in zip(arms, episode.goal, strict=True):
             self._holding[arm] = holding_torques(self.gravity_model, angles)
 

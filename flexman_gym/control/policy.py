@@ -1,17 +1,77 @@
-"""Policy: a learned policy as a controller, with its sensors, its memory, its hold, and the base it learned beside."""
+"""Learned policy as a controller: sensors, observation history, action repeat, network and base controller."""
 
 from typing import Any
 
 import numpy as np
 
-from flexman_gym.arrays import Array, Flags, IntArray, grown
-from flexman_gym.checks import refusal
-from flexman_gym.control.actions import ActionMode, Torque, make_action_mode, shown_size
-from flexman_gym.control.bases import make_base
-from flexman_gym.control.controller import Controller, Episode, Readings
-from flexman_gym.control.history import History, parts_of
+from flexman_gym.common.arrays import Array, Flags, IntArray, pad_rows
+from flexman_gym.common.checks import positive, sequence, value_error, whole_number
+from flexman_gym.control.actions import ActionMode, TorqueMode, make_action_mode, mode_observation_size
+from flexman_gym.control.base_controllers import make_base
+from flexman_gym.control.controller import Controller, EpisodeInfo, Plant, Readings
 from flexman_gym.control.network import Network
-from flexman_gym.control.plant import Plant
+
+MOST = 1000  # observations
+
+
+class History:
+    """The last k observations of b arms, the newest first, or the present one and exponential averages of all.
+
+    In an episode that has just begun the first observation stands for those before it.
+
+    Args:
+        kind: k, or the times (s) of the averages: an observation counts 1/e of a new one so long after it was made.
+        interval: between two observations, s.
+        arms: b.
+        size: of an observation.
+    """
+
+    kept = ("_memory",)
+
+    def __init__(self, kind: int | tuple[float, ...], interval: float, arms: int, size: int) -> None:
+        self._gains = None if isinstance(kind, int) else 1.0 - np.exp(-interval / np.array(kind))[:, None]
+        self.parts = history_length(kind)
+        self._memory = np.zeros((arms, self.parts, size))
+
+    def following(self, earlier: "History") -> "History":
+        """Gives itself with what an earlier one of fewer arms remembers."""
+        self._memory[: len(earlier._memory)] = earlier._memory
+        return self
+
+    def begin(self, observations: Array, arms: IntArray) -> Array:
+        """Starts with the first observations (r, size) of the arms (r,); returns what is seen, (r, parts size)."""
+        self._memory[arms] = observations[:, None]
+        return self.seen(arms)
+
+    def add(self, observations: Array, arms: IntArray) -> Array:
+        """Adds observations (r, size) of the arms (r,); returns what is seen, (r, parts size)."""
+        memory = self._memory
+        if self._gains is None:
+            memory[arms, 1:] = memory[arms, :-1]
+        else:
+            memory[arms, 1:] += self._gains * (observations[:, None] - memory[arms, 1:])
+        memory[arms, 0] = observations
+        return self.seen(arms)
+
+    def seen(self, arms: IntArray) -> Array:
+        """Gives what is seen of the arms (r,), (r, parts size)."""
+        result: Array = self._memory[arms].reshape(len(arms), self._memory[0].size)  # of no arm too
+        return result
+
+
+def history_length(kind: int | tuple[float, ...]) -> int:
+    """How many observations a history shows."""
+    return kind if isinstance(kind, int) else 1 + len(kind)
+
+
+def checked_history(value: object) -> int | tuple[float, ...]:
+    """A number of observations, or the times of averages; raises ValueError for anything else."""
+    if not isinstance(value, list | tuple) and not (isinstance(value, np.ndarray) and value.ndim):
+        return whole_number("history", value, 1, MOST)
+    times = sequence("history", value, "times (s)")
+    if not 0 < len(times) <= MOST:
+        raise value_error("history", value, f"a whole number, or 1 to {MOST} times (s)")
+    return tuple(positive(f"history[{i}]", time, "s") for i, time in enumerate(times))
 
 
 class Policy:
@@ -38,24 +98,24 @@ class Policy:
         mode: ActionMode | None = None,
     ) -> None:
         self.network, self._kind, self._hold, self.base = network, history, hold, base
-        self.mode = mode or Torque(network.joints, base)
+        self.mode = mode or TorqueMode(network.joints, base)
         if network.joints != len(self.mode.names):
-            raise refusal("actions", self.mode.names, f"a mode of {network.joints} numbers, which the policy gives")
+            raise value_error("actions", self.mode.names, f"a mode of {network.joints} numbers, which the policy gives")
         self.sensors = (*sensors, *self.mode.sensors)
-        self._parts, self._shown = parts_of(history), shown_size(self.mode)
+        self._parts, self._shown = history_length(history), mode_observation_size(self.mode)
         self._ages, self.actions = np.zeros(0, dtype=np.int64), np.zeros((0, network.joints), dtype=np.float32)
         self._past = self._history(0, 1.0)
 
     def _history(self, arms: int, period: float) -> History:
         return History(self._kind, self._hold * period, arms, self.network.size // self._parts)
 
-    def reset(self, arms: IntArray, episode: Episode) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
         """Starts new episodes of the arms (r,)."""
         if episode.start.shape[1] != self.mode.joints:
-            raise refusal("base", f"a policy of {self.mode.joints} motors", f"one of {episode.start.shape[1]}")
+            raise value_error("base", f"a policy of {self.mode.joints} motors", f"one of {episode.start.shape[1]}")
         count = int(arms.max(initial=-1)) + 1
         if count > len(self._ages):
-            self._ages, self.actions = grown(self._ages, count), grown(self.actions, count)
+            self._ages, self.actions = pad_rows(self._ages, count), pad_rows(self.actions, count)
             self._past = self._history(count, episode.period).following(self._past)
         self._ages[arms] = 0
         self.mode.reset(arms, episode)
@@ -97,13 +157,13 @@ class Policy:
             parts.append(values)
             size += values.shape[1]
         if size != wanted:
-            raise refusal(
+            raise value_error(
                 "base", f"a policy of {wanted} observed numbers", f"one of {size}, which its sensors read here"
             )
         return np.concatenate([np.zeros((len(self._ages), 0)), *parts], axis=1)
 
 
-class Learned:
+class PolicyFactory:
     """A policy whose base is made for the arm on which it acts.
 
     Args:

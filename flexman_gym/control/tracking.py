@@ -1,17 +1,16 @@
-"""Tracking: the law that drives arms along references, by feed-forward and scheduled LQR gains on what is estimated."""
+"""Tracking control: feed-forward and scheduled LQR gains along a reference, and output feedback with an observer."""
+
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
-from flexman_gym.arrays import Array, Flags, IntArray, grown, row_dots
-from flexman_gym.control.controller import Episode
-from flexman_gym.control.discrete import Weights
-from flexman_gym.control.following import Following
-from flexman_gym.control.gains import GainTable
-from flexman_gym.control.lqr import HOLDING, SHARE, usual_weights
-from flexman_gym.control.observer import Estimate
-from flexman_gym.control.plant import Plant
-from flexman_gym.control.shape import Shape
-from flexman_gym.control.slews import Slews, payloads_of
+from flexman_gym.common.arrays import Array, Flags, IntArray, pad_rows, row_dots
+from flexman_gym.control.controller import Controller, EpisodeInfo, Plant, Readings
+from flexman_gym.control.lqr import HOLDING, SHARE, CostWeights, GainTable, default_weights
+from flexman_gym.control.observers.observer import Estimate, Observer
+from flexman_gym.control.reference_shaping import ReferenceShape
+from flexman_gym.control.references.adaptive_references import PathReferences, SlewReferences, estimated_payloads
 
 RETIMED = (6, 12, 20, 30, 45)  # control periods after which a slew is timed anew with the parameters as estimated
 ARRIVING = 0.75  # of a path, from which on it is not timed anew
@@ -36,27 +35,27 @@ class Tracking:
 
     kept = ("slews", "_following", "_ages", "_tight", "_goal", "_planned", "shape")
 
-    def __init__(self, plant: Plant, weights: Weights | None = None, retimed: bool = True) -> None:
+    def __init__(self, plant: Plant, weights: CostWeights | None = None, retimed: bool = True) -> None:
         model, self._retimed = plant.model, RETIMED if retimed else ()
-        weights = weights or usual_weights(model)
+        weights = weights or default_weights(model)
         low, high = plant.unknown.get("payload_mass", (model.constants.payload_mass[0],) * 2)
         self._payloads = (low, 0.5 * (low + high), high) if high > low else (low,)
         self.limits, self._period = np.array(plant.torque_limit), plant.period
-        self._following = Following(model, plant.period, self._payloads)
-        self.slews = Slews(model, self.limits, SHARE, self._payloads)
+        self._following = PathReferences(model, plant.period, self._payloads)
+        self.slews = SlewReferences(model, self.limits, SHARE, self._payloads)
         tight = weights._replace(tip=HOLDING * weights.tip)
         self._gains = [GainTable(model, self.limits, plant.period, each, self._payloads) for each in (weights, tight)]
         self._motors = model.motor_columns
-        self.shape: Shape | None = None
+        self.shape: ReferenceShape | None = None
         self._planned = np.zeros(0, dtype=bool)  # in this period
         self._ages, self._tight = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
         self._goal, self._follows = np.zeros((0, model.n_joints)), np.zeros(0, dtype=bool)  # whether goals move
 
-    def reset(self, arms: IntArray, episode: Episode) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
         """Starts new episodes of the arms (r,); they are planned from the first estimate of where they are."""
         count = int(arms.max(initial=-1)) + 1
         for name in ("_ages", "_tight", "_goal", "_follows", "_planned"):
-            setattr(self, name, grown(getattr(self, name), count))
+            setattr(self, name, pad_rows(getattr(self, name), count))
         self.slews.grow(count)
         self._planned[arms] = False
         self._ages[arms], self._goal[arms], self._follows[arms] = 0, episode.goal, episode.reference is not None
@@ -77,7 +76,7 @@ class Tracking:
             self.shape.quicken(arms)
         now = self.clock(estimate, arms)
         states, (reference, forward) = estimate.states[arms], self._reference(now, arms)
-        payloads = payloads_of(self.slews.model, estimate.parameters, arms)
+        payloads = estimated_payloads(self.slews.model, estimate.parameters, arms)
         gains = np.zeros((len(arms), len(self.limits), states.shape[1]))
         for table, some in zip(self._gains, (~self._tight[arms], self._tight[arms]), strict=True):
             if some.any():
@@ -136,3 +135,65 @@ class Tracking:
         if len(again):
             again = again[self.slews.at(self.clock(estimate, again), again)[0] < ARRIVING]
             self.slews.time(again, self.clock(estimate, again), first=False)
+
+
+class OutputFeedback:
+    """Torques of a tracking law on the state that an observer estimates.
+
+    Where the observer says that it is wrong, as its readings cannot be explained by any arm that it knows, a fallback
+    takes over until the episode ends.
+
+    Args:
+        observer: says where the arm is, and what it is like. Its optional member `wrong`, (b,) flags, says where not.
+        law: that follows references.
+        fallback: that needs no model, such as a PD; None for none.
+    """
+
+    kept = ("observer", "law", "fallback", "_given_up", "_looked", "_known")
+
+    def __init__(self, observer: Observer, law: Tracking, fallback: Controller | None = None) -> None:
+        self.observer, self.law, self.fallback = observer, law, fallback
+        self.sensors = (*observer.sensors, *(fallback.sensors if fallback else ()))
+        self._given_up, self._looked = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
+        self._known: dict[str, Any] = {}  # the estimate of arms that have been looked at in this period
+
+    @property
+    def estimates(self) -> Mapping[str, Array]:
+        """What the observer says of the arms, name -> (b, ...)."""
+        return getattr(self.observer, "estimates", {})
+
+    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+        """Starts new episodes of the arms (r,)."""
+        self.observer.reset(arms, episode)
+        self.law.reset(arms, episode)
+        if self.fallback:
+            self.fallback.reset(arms, episode)
+        for name in ("_given_up", "_looked"):
+            setattr(self, name, pad_rows(getattr(self, name), int(arms.max(initial=-1)) + 1))
+            getattr(self, name)[arms] = False
+
+    def look(self, readings: Readings, applied: Array, playing: Flags) -> Estimate:
+        """Gives what the observer says of the arms (b,) that are playing, who is asked once a period of each."""
+        due = playing & ~self._looked
+        if self._known and not due.any():
+            return Estimate(**self._known)
+        estimate = self.observer.estimate(readings, applied, due)
+        self._given_up |= getattr(self.observer, "wrong", False)
+        if self._looked.any():
+            states = np.where(due[:, None], estimate.states, self._known["states"])
+            estimate = estimate._replace(states=states)
+        self._known, self._looked = estimate._asdict(), self._looked | due
+        return estimate
+
+    def act(self, readings: Readings, applied: Array, playing: Flags) -> Array:
+        """Gives actions (b, n), parts of the torque limits."""
+        estimate = self.look(readings, applied, playing)
+        self._looked &= ~playing
+        torques = self.law.torques(estimate, playing & ~self._given_up) - estimate.disturbance
+        result = np.clip(torques / self.law.limits, -1.0, 1.0)
+        if self.fallback and self._given_up.any():
+            safe = np.asarray(self.fallback.act(readings, applied, playing), dtype=float)
+            result = np.where(self._given_up[:, None], safe, result)
+        if not self._looked.any():
+            self._known = {}
+        return result

@@ -1,4 +1,4 @@
-"""Frames: pictures of an arm at one state after another, painted by kernels, without a display or Matplotlib."""
+"""Frames of an arm, rendered by kernels: camera, painter, grid of frames."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -6,15 +6,116 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array, Vector
-from flexman_gym.checks import flag, non_negative, number_array, refusal, vector, whole_number
-from flexman_gym.draw.camera import Camera, direction, fitted, reached
-from flexman_gym.draw.mesh import Mesh, cylinder, joined, outlines, ring, sphere, tube_faces, tubes
+from flexman_gym.common.arrays import Array, Vector
+from flexman_gym.common.checks import flag, non_negative, number_array, positive, value_error, vector, whole_number
+from flexman_gym.draw.mesh import Mesh, cylinder, join_meshes, ring, section_outlines, sphere, tube_faces, tube_surfaces
 from flexman_gym.draw.overlay import Caption, draw_caption, strain_colours
 from flexman_gym.draw.style import rgb, round_number
-from flexman_gym.kernels import raster, scenery
-from flexman_gym.model.curves import curves
+from flexman_gym.kernels import raster
+from flexman_gym.model.deformation import curves
 from flexman_gym.model.model import Model, checked_model
+
+AZIMUTH, ELEVATION = -58.0, 24.0  # degrees, as seen from the base; +X points to the right and +Y away
+ASIDE, LOW, HIGH = 28.0, 14.0, 48.0  # degrees: beside the axes of a plane arm that stands, and above one that lies
+ALIKE = 1e-6  # how far unit vectors of one direction may be apart
+LENS = 15.0  # degrees from the middle to the upper edge
+SLACK, NEAREST = 1e-3, 0.05  # part of the distance beyond what is needed; of the depth of the points in front of them
+
+
+class _Camera(NamedTuple):
+    """A pinhole camera.
+
+    Attributes:
+        eye: (3,) m, base frame.
+        axes: (3, 3) directions right, up and forward as rows.
+        lens: (3,) focal length and centre, in pixels: columns grow to the right, rows downwards.
+    """
+
+    eye: Array
+    axes: Array
+    lens: Array
+
+    def project(self, points: Array) -> Array:
+        """Gives columns and rows (..., 2) of the picture where points (..., 3) are seen, in pixels."""
+        seen = (points - self.eye) @ self.axes.T
+        return self.lens[1:] + self.lens[0] * seen[..., :2] * (1.0, -1.0) / seen[..., 2:]
+
+
+def view_direction(model: Model, angles: object = None) -> tuple[float, float, float]:
+    """Gives azimuth and elevation in degrees, and how much nearer than needed the camera stands.
+
+    Args:
+        model: the arm. One whose joints all turn about one direction is seen from along that, somewhat aside.
+        angles: what a person asks for, two or three numbers; None for none.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    if angles is not None:
+        given = vector("camera", angles)
+        if len(given) not in (2, 3):
+            raise value_error("camera", angles, "azimuth and elevation (degrees), and a zoom, 1 by default")
+        if not -89.0 <= given[1] <= 89.0:
+            raise value_error("camera[1]", given[1], "an elevation from -89 to 89 (degrees)")
+        return given[0], given[1], positive("camera[2]", given[2]) if len(given) == 3 else 1.0
+    axis = _common_axis(model)
+    if axis is None:
+        return AZIMUTH, ELEVATION, 1.0
+    if abs(axis[2]) > 0.5:
+        return AZIMUTH, HIGH, 1.0
+    along = np.degrees(np.arctan2(-abs(axis[1]), -abs(axis[0])))  # the side that has +X to its right
+    return along + ASIDE, LOW, 1.0
+
+
+def _fit_camera(points: Array, towards: tuple[float, float, float], size: tuple[int, int], clear: Array) -> _Camera:
+    """Gives the nearest camera of a direction that has all points between the edges.
+
+    Args:
+        points: (p, 3) m, base frame.
+        towards: azimuth and elevation, degrees, and a zoom.
+        size: width and height of the picture, pixels.
+        clear: (4,) parts of the picture that stay free at the left, the right, the top and the bottom.
+    """
+    azimuth, elevation = np.radians(towards[:2])
+    back = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    axes = np.array([right, np.cross(back, right), -back])
+    half = np.tan(np.radians(LENS)) * np.array([size[0] / size[1], 1.0])
+    low, high = (
+        half * (2.0 * clear[[0, 3]] - 1.0),
+        half * (1.0 - 2.0 * clear[[1, 2]]),
+    )  # slopes of the rays at the edges
+    seen = points @ axes.T
+    across, depth = seen[:, :2], seen[:, 2:]
+    # low (depth - eye) <= across - eye <= high (depth - eye) for all points: the eye lies between two lines
+    least, most = (across - high * depth).max(axis=0), (across - low * depth).min(axis=0)
+    nearest = min(((most - least) / (high - low)).min(), depth.min() - NEAREST * np.ptp(depth) - 1e-9)
+    place = nearest - SLACK * (depth.mean() - nearest)
+    eye = np.append((least + high * place + most + low * place) / 2, place)
+    eye[2] += (depth.mean() - place) * (1.0 - 1.0 / towards[2])
+    focal = size[1] / 2 / np.tan(np.radians(LENS))
+    return _Camera(eye @ axes, axes, np.array([focal, size[0] / 2, size[1] / 2]))
+
+
+def _common_axis(model: Model) -> Array | None:
+    """Gives the direction (3,) about which all joints turn, in the base frame; None where there is no such one."""
+    frame, axes = np.eye(3), []
+    for mount, axis in zip(model.constants.mount.reshape(-1, 3, 3), model.constants.axis, strict=True):
+        frame = frame @ mount
+        axes.append(frame @ axis)
+    return axes[0] if all(abs(abs(axes[0] @ axis) - 1.0) < ALIKE for axis in axes) else None
+
+
+def _reachable_points(model: Model) -> Array:
+    """Gives points (p, 3) m around all that an arm can reach: of a ball, or of a disc if it moves in one plane."""
+    reach, axis = float(model.constants.length.sum()), _common_axis(model)
+    turn = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
+    around = np.array([[np.cos(a) * np.cos(b), np.sin(a) * np.cos(b), np.sin(b)] for a in turn for b in turn])
+    if axis is not None:
+        around = around - (around @ axis)[:, None] * axis
+        around /= np.maximum(np.linalg.norm(around, axis=1), ALIKE)[:, None]
+    return reach * around
+
 
 POINTS = 24  # of the curve of a link
 SAMPLES = 2  # of a pixel, each way
@@ -38,7 +139,7 @@ class Shot(NamedTuple):
         plain: (H, W, 3) pixels.
     """
 
-    camera: Camera
+    camera: _Camera
     floor: float
     back: NDArray[np.uint8]
     plain: NDArray[np.uint8]
@@ -80,14 +181,14 @@ class FramePainter:
         shadow: bool = True,
     ) -> None:
         if not isinstance(size, tuple | list) or len(size) != 2:
-            raise refusal("size", size, "two numbers of pixels, width and height")
+            raise value_error("size", size, "two numbers of pixels, width and height")
         width, height = (whole_number(f"size[{i}]", side, 16, LARGEST_PICTURE) for i, side in enumerate(size))
         self.model, self.size = checked_model(model), (width, height)
         self.gain, self.overlays = non_negative("gain", gain), flag("overlays", overlays)
         self._shadow = flag("shadow", shadow)
-        self._direction = direction(model, camera)
+        self._direction = view_direction(model, camera)
         self.reach = float(model.constants.length.sum())
-        self._sections = outlines(model, POINTS)
+        self._sections = section_outlines(model, POINTS)
         self.radii = np.clip([1.3 * each.radius for each in self._sections], 0.012 * self.reach, 0.05 * self.reach)
         self._tubes = tube_faces(model.n_joints, POINTS)
         self._grid = round_number(self.reach / 10)
@@ -105,22 +206,22 @@ class FramePainter:
         Args:
             points: (p, 3) m, base frame; None takes all that the arm can reach.
         """
-        camera, floor = self.camera(reached(self.model) if points is None else points)
+        camera, floor = self.camera(_reachable_points(self.model) if points is None else points)
         canvas, (width, height) = self._canvas, self.size
         back, plain = np.zeros_like(canvas.back), np.zeros_like(canvas.plain)
-        scenery.lay_floor(back, camera.eye, camera.axes, camera.lens * SAMPLES, floor, self.reach, self._grid)
+        raster.draw_floor(back, camera.eye, camera.axes, camera.lens * SAMPLES, floor, self.reach, self._grid)
         whole = canvas._replace(
             colour=back, back=back, picture=plain, box=np.array([0, SAMPLES * width - 1, 0, SAMPLES * height - 1])
         )
         raster.resolve(whole._replace(mask=np.zeros_like(canvas.mask)), np.zeros(3), 0.0)
         return Shot(camera, floor, back, plain)
 
-    def camera(self, points: Array) -> tuple[Camera, float]:
+    def camera(self, points: Array) -> tuple[_Camera, float]:
         """Gives the camera of a `shot`, and the height of the floor, m; points as there."""
         places = np.concatenate([np.asarray(points, dtype=float).reshape(-1, 3), np.zeros((1, 3))])
         floor = float(places[:, 2].min()) - BELOW * self.reach
         places = np.concatenate([places, [[0.0, 0.0, floor]]])
-        return fitted(places, self._direction, self.size, CLEAR_WITH_OVERLAY if self.overlays else CLEAR), floor
+        return _fit_camera(places, self._direction, self.size, CLEAR_WITH_OVERLAY if self.overlays else CLEAR), floor
 
     def paint(
         self,
@@ -150,10 +251,10 @@ class FramePainter:
         self._show(shot or self._shown or self.shot())
         assert self._shown is not None
         bent, rigid = (curves(self.model, x, POINTS, gain) for gain in (self.gain, 0.0))
-        points, normals, strain = tubes(bent, self._sections)
+        points, normals, strain = tube_surfaces(bent, self._sections)
         links = strain_colours(strain / self.scale) if self.scale else np.tile(rgb("#b8bec8"), (len(points), 1))
         parts = self._parts(bent.positions, bent.frames, place)
-        mesh = joined([Mesh(points, normals, self._tubes), *(part for part, _ in parts)])
+        mesh = join_meshes([Mesh(points, normals, self._tubes), *(part for part, _ in parts)])
         colours = np.concatenate([links, *(np.tile(rgb(colour), (len(part.points), 1)) for part, colour in parts)])
         self._draw(mesh, colours)
         if trail is not None and len(trail) > 1:
@@ -164,8 +265,8 @@ class FramePainter:
         if self.gain != 1.0:
             true = curves(self.model, x, 2).positions[-1, -1]
             self._line(np.array([true, true + 1e-6]), 3.0, 1.0, TRAIL)
-        canvas, ghost = self._canvas, self._seen(tubes(rigid, self._sections)[0], SAMPLES)
-        raster.cover(ghost, self._tubes, canvas.mask, canvas.depth, canvas.box)
+        canvas, ghost = self._canvas, self._seen(tube_surfaces(rigid, self._sections)[0], SAMPLES)
+        raster.mark_coverage(ghost, self._tubes, canvas.mask, canvas.depth, canvas.box)
         raster.resolve(canvas, rgb(GHOST), GHOST_SHARE)
         picture = canvas.picture.copy()
         if self.overlays:
@@ -200,17 +301,19 @@ class FramePainter:
         canvas, sun, box = self._canvas, np.array(raster.SUN), np.array([1 << 30, -1, 1 << 30, -1])
         if self._shadow:
             fallen = mesh.points - (mesh.points[:, 2:] - self._shown.floor) / sun[2] * sun
-            raster.cover(self._seen(fallen, 1), mesh.faces, canvas.shadow, np.zeros((1, 1), dtype=np.float32), box)
+            raster.mark_coverage(
+                self._seen(fallen, 1), mesh.faces, canvas.shadow, np.zeros((1, 1), dtype=np.float32), box
+            )
         if box[1] >= 0:
-            raster.soften(canvas.shadow, canvas.scratch, box, max(2, self.size[1] // 180))
-            raster.darken(canvas, box, SHADOW_SHARE)
+            raster.blur_shadow(canvas.shadow, canvas.scratch, box, max(2, self.size[1] // 180))
+            raster.apply_shadow(canvas, box, SHADOW_SHARE)
         screen = self._seen(mesh.points, SAMPLES)
-        raster.shade(canvas, screen, mesh.points, mesh.normals, colours, mesh.faces, self._shown.camera.eye)
+        raster.draw_triangles(canvas, screen, mesh.points, mesh.normals, colours, mesh.faces, self._shown.camera.eye)
 
     def _line(self, points: Array, radius: float, faintest: float, colour: str) -> None:
         """Draws a line with a radius in pixels of a picture of 480 rows."""
         thick = radius * SAMPLES * max(self.size[1] / 480, 0.5)
-        raster.stroke(self._canvas, self._seen(points, SAMPLES), thick, faintest, rgb(colour))
+        raster.draw_line(self._canvas, self._seen(points, SAMPLES), thick, faintest, rgb(colour))
 
     def _parts(self, positions: Array, frames: Array, target: Array | None) -> list[tuple[Mesh, str]]:
         """Gives motors, post, tip with payload and target, each with its colour."""
@@ -271,7 +374,7 @@ def grid(frames: Sequence[NDArray[np.uint8]], across: int | None = None) -> NDAr
         ValueError: for no frames, and for frames of different sizes.
     """
     if not len(frames) or len({each.shape for each in frames}) > 1:
-        raise refusal("frames", [each.shape for each in frames], "at least one, all of one size")
+        raise value_error("frames", [each.shape for each in frames], "at least one, all of one size")
     across = across or int(np.ceil(np.sqrt(len(frames))))
     down = -(-len(frames) // across)
     height, width, _ = frames[0].shape

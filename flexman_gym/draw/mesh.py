@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from flexman_gym.arrays import Array, IntArray
-from flexman_gym.model.curves import Curves
+from flexman_gym.common.arrays import Array, IntArray
+from flexman_gym.model.deformation import Curves
 from flexman_gym.model.element import find_element
 from flexman_gym.model.model import Model
 
@@ -37,7 +37,7 @@ class Mesh(NamedTuple):
         return Mesh(self.points * (radius, radius, half) @ turned + origin, self.normals @ turned, self.faces)
 
 
-class Outline(NamedTuple):
+class SectionOutlines(NamedTuple):
     """Sections of a link as they are drawn, at P places.
 
     Attributes:
@@ -56,7 +56,7 @@ class Outline(NamedTuple):
         return float(np.abs(self.points).max())
 
 
-def outlines(model: Model, places: int) -> tuple[Outline, ...]:
+def section_outlines(model: Model, places: int) -> tuple[SectionOutlines, ...]:
     """Gives the sections of all links at equally spaced places.
 
     A section has the outline that its link says. Without one it is a solid disc where its radii of gyration agree,
@@ -72,7 +72,7 @@ def outlines(model: Model, places: int) -> tuple[Outline, ...]:
         parts = [
             _section(find_element(elements, place)[0].section, reach) for place in np.linspace(0.0, link.length, places)
         ]
-        result.append(Outline(*(np.array(each) for each in zip(*parts, strict=True))))
+        result.append(SectionOutlines(*(np.array(each) for each in zip(*parts, strict=True))))
     return tuple(result)
 
 
@@ -105,7 +105,7 @@ def tube_faces(links: int, places: int) -> IntArray:
     return np.concatenate([sides, root.reshape(-1, 3), tip.reshape(-1, 3)])
 
 
-def tubes(curves: Curves, sections: Sequence[Outline]) -> tuple[Array, Array, Array]:
+def tube_surfaces(curves: Curves, sections: Sequence[SectionOutlines]) -> tuple[Array, Array, Array]:
     """Gives points and normals (..., v, 3) of all links and the axial strain (..., v) that their points show.
 
     Args:
@@ -122,7 +122,7 @@ def tubes(curves: Curves, sections: Sequence[Outline]) -> tuple[Array, Array, Ar
     return surface.reshape(*front, -1, 3), outward.reshape(*front, -1, 3), strain.reshape(*front, -1)
 
 
-def joined(meshes: Sequence[Mesh]) -> Mesh:
+def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
     """Gives several meshes as one."""
     starts = np.cumsum([0, *(len(mesh.points) for mesh in meshes)])
     faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]
@@ -131,7 +131,7 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
 
 
 @lru_cache(maxsize=8)
-def turned(profile: tuple[tuple[float, float, float, float], ...], sides: int = 24) -> Mesh:
+def _surface_of_revolution(profile: tuple[tuple[float, float, float, float], ...], sides: int = 24) -> Mesh:
     """Gives the surface that a profile of radius, height and their normal sweeps about the z axis.
 
     Args:
@@ -155,17 +155,17 @@ def cylinder(bevel: float = 0.1) -> Mesh:
     inner, half = 1.0 - bevel, ((0.0, -1.0), (1.0 - bevel, -1.0))
     low = [(radius, height, 0.0, -1.0) for radius, height in half]
     edge = [(inner, -1.0, 0.4, -0.9), (1.0, -inner, 0.95, -0.3), (1.0, inner, 0.95, 0.3), (inner, 1.0, 0.4, 0.9)]
-    return turned((*low, *edge, (inner, 1.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0)))
+    return _surface_of_revolution((*low, *edge, (inner, 1.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0)))
 
 
 def sphere(rings: int = 12) -> Mesh:
     """Gives a sphere of radius 1."""
     turn = np.linspace(-np.pi / 2, np.pi / 2, rings + 1)
-    return turned(tuple((np.cos(t), np.sin(t), np.cos(t), np.sin(t)) for t in turn.tolist()))
+    return _surface_of_revolution(tuple((np.cos(t), np.sin(t), np.cos(t), np.sin(t)) for t in turn.tolist()))
 
 
 def ring(thick: float = 0.11, rings: int = 10) -> Mesh:
     """Gives a ring of radius 1 in the x-y plane."""
     turn = np.linspace(-np.pi, np.pi, rings + 1)
     profile = ((1.0 + thick * np.cos(t), thick * np.sin(t), np.cos(t), np.sin(t)) for t in turn.tolist())
-    return turned(tuple(profile), 40)
+    return _surface_of_revolution(tuple(profile), 40)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array
+from flexman_gym.common.arrays import Array
 from flexman_gym.draw.style import LINK_COLOURS, rgb
 
 GLYPHS = Path(__file__).parent / "glyphs.npz"  # of scripts/glyphs.py
@@ -43,7 +43,7 @@ def _font(size: int) -> tuple[dict[str, int], NDArray[np.uint8], list[int]]:
 
 
 @lru_cache(maxsize=256)
-def words(text: str, size: int) -> NDArray[np.float32]:
+def text_mask(text: str, size: int) -> NDArray[np.float32]:
     """Gives how much of each pixel (h, w) letters of a size cover, from 0 to 1; a letter without a shape is a "?"."""
     letters, shapes, starts = _font(size)
     places = [letters.get(letter, letters["?"]) for letter in text]
@@ -51,31 +51,33 @@ def words(text: str, size: int) -> NDArray[np.float32]:
     return np.concatenate([shapes[:, :0], *parts], axis=1).astype(np.float32) / np.float32(255.0)
 
 
-def letter_size(height: int) -> int:
+def font_size(height: int) -> int:
     """Gives the size of letters that a picture of so many rows takes."""
     return max(size for size in SIZES if size <= max(height / 33.0, SIZES[0]))
 
 
-def write(picture: Picture, text: str, place: tuple[int, int], size: int, colour: str = INK) -> None:
+def write_text(picture: Picture, text: str, place: tuple[int, int], size: int, colour: str = INK) -> None:
     """Writes text into a picture: its upper left corner at column and row, its right end there where column < 0."""
-    shape = words(text, size)
+    shape = text_mask(text, size)
     column, row = place
     if column < 0:
         column += picture.shape[1] - shape.shape[1]
     top, left = max(-row, 0), max(-column, 0)
     part = picture[max(row, 0) : max(row + shape.shape[0], 0), max(column, 0) : max(column + shape.shape[1], 0)]
-    blend(part, colour, shape[top : top + part.shape[0], left : left + part.shape[1], None])
+    _blend(part, colour, shape[top : top + part.shape[0], left : left + part.shape[1], None])
 
 
-def blend(part: Picture, colour: str, share: "NDArray[np.float32] | float") -> None:
+def _blend(part: Picture, colour: str, share: "NDArray[np.float32] | float") -> None:
     """Lays a colour over a part of a picture, by a share from 0 to 1."""
     base = part.astype(np.float32)
     part[:] = (base + np.float32(share) * (rgb(colour).astype(np.float32) - base) + np.float32(0.5)).astype(np.uint8)
 
 
-def box(picture: Picture, columns: tuple[int, int], rows: tuple[int, int], colour: str, share: float = 1.0) -> None:
+def _fill_rectangle(
+    picture: Picture, columns: tuple[int, int], rows: tuple[int, int], colour: str, share: float = 1.0
+) -> None:
     """Fills a rectangle, its ends left out."""
-    blend(picture[rows[0] : rows[1], columns[0] : columns[1]], colour, share)
+    _blend(picture[rows[0] : rows[1], columns[0] : columns[1]], colour, share)
 
 
 def draw_caption(picture: Picture, caption: Caption, gain: float, scale: float, grid: float) -> None:
@@ -89,10 +91,10 @@ def draw_caption(picture: Picture, caption: Caption, gain: float, scale: float, 
         grid: distance of the lines of the floor, m.
     """
     height, width = picture.shape[:2]
-    size, small = letter_size(height), letter_size(int(0.82 * height))
+    size, small = font_size(height), font_size(int(0.82 * height))
     edge, line = size, round(1.45 * size)
     if caption.title:
-        write(picture, caption.title, (edge, edge // 2), size)
+        write_text(picture, caption.title, (edge, edge // 2), size)
     row = edge // 2 + line * bool(caption.title)
     error = "tip error {:.2f} m" if (caption.error or 0.0) >= 1.0 else "tip error {:.1f} mm"
     known = (
@@ -102,15 +104,15 @@ def draw_caption(picture: Picture, caption: Caption, gain: float, scale: float, 
     )
     for column, value, form, factor in known:  # at places of their own, so that they stand still while numbers change
         if value is not None:
-            write(picture, form.format(factor * value), (edge + round(column * small), row), small)
+            write_text(picture, form.format(factor * value), (edge + round(column * small), row), small)
     if gain != 1.0:
-        write(picture, f"deflection {TIMES} {gain:g}", (-edge, edge // 2), size, WARNING)
+        write_text(picture, f"deflection {TIMES} {gain:g}", (-edge, edge // 2), size, WARNING)
     said = f"grid {grid:g} m"
     if scale > 0.0:
         unit, factor = ("µε", 1e6) if scale < 1e-3 else ("%", 1e2)
         said = f"strain ±{factor * scale:g} {unit}   {said}"
         _colour_bar(picture, (edge, height - edge), small)
-    write(picture, said, (edge, height - edge - max(small // 2, 5) - round(1.4 * small)), small)
+    write_text(picture, said, (edge, height - edge - max(small // 2, 5) - round(1.4 * small)), small)
     if caption.torques is not None:
         _bars(picture, caption.torques, (width - edge, height - edge), small)
 
@@ -127,14 +129,14 @@ def _bars(picture: Picture, torques: Array, place: tuple[int, int], size: int) -
     """Draws a bar for each motor from the middle up or down, the lower right corner at a place."""
     wide, half, gap = size, round(2.3 * size), size // 2
     column, middle = place[0] - len(torques) * (wide + gap) + gap, place[1] - half
-    write(picture, "torque / limit", (place[0] - picture.shape[1], middle - half - round(1.5 * size)), size)
+    write_text(picture, "torque / limit", (place[0] - picture.shape[1], middle - half - round(1.5 * size)), size)
     for i, torque in enumerate(np.clip(torques, -1.0, 1.0)):
         first = column + i * (wide + gap)
-        box(picture, (first, first + wide), (middle - half, middle + half), SOFT, 0.8)
-        box(picture, (first + 1, first + wide - 1), (middle - half + 1, middle + half - 1), "#ffffff", 0.9)
+        _fill_rectangle(picture, (first, first + wide), (middle - half, middle + half), SOFT, 0.8)
+        _fill_rectangle(picture, (first + 1, first + wide - 1), (middle - half + 1, middle + half - 1), "#ffffff", 0.9)
         rows = sorted((middle, middle - round(half * torque)))
-        box(picture, (first + 1, first + wide - 1), (rows[0], rows[1]), LINK_COLOURS[i % len(LINK_COLOURS)])
-        box(picture, (first - 2, first + wide + 2), (middle, middle + 1), SOFT)
+        _fill_rectangle(picture, (first + 1, first + wide - 1), (rows[0], rows[1]), LINK_COLOURS[i % len(LINK_COLOURS)])
+        _fill_rectangle(picture, (first - 2, first + wide + 2), (middle, middle + 1), SOFT)
 
 
 def strain_colours(share: Array) -> Array:

@@ -1,11 +1,13 @@
-"""Replay: a page of episodes that opens from the disk, where arms move side by side and can be turned round.
-
-The page holds states and the shapes of the links, no meshes, and works out where they are by itself.
-"""
+"""Replay page in a browser: saved episodes as one HTML file, and a live page of a running environment."""
 
 import base64
 import html
+import http.server
 import json
+import queue
+import sys
+import threading
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from string import Template
@@ -14,13 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array
-from flexman_gym.checks import refusal
-from flexman_gym.draw.camera import direction
-from flexman_gym.draw.frames import BELOW, FramePainter
-from flexman_gym.draw.mesh import outlines
+from flexman_gym.common.arrays import Array
+from flexman_gym.common.checks import value_error
+from flexman_gym.draw.frames import BELOW, FramePainter, view_direction
+from flexman_gym.draw.mesh import section_outlines
 from flexman_gym.draw.style import BLUE, GREEN, ORANGE, RED, SKY, round_number
-from flexman_gym.model.curves import curves, link_shapes
+from flexman_gym.model.deformation import curves, link_shapes
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.episode import Episode
 
@@ -43,11 +44,11 @@ def replay_page(episodes: Sequence[Episode], title: str = "") -> str:
         ValueError: for none or more than 8 episodes.
     """
     if not 1 <= len(episodes) <= len(COLOURS):
-        raise refusal("episodes", len(episodes), f"1 to {len(COLOURS)} of them")
+        raise value_error("episodes", len(episodes), f"1 to {len(COLOURS)} of them")
     arms: list[dict[str, Any]] = []
     runs = []
     for episode, colour in zip(episodes, COLOURS, strict=False):
-        arm = page_arm(episode.model)
+        arm = arm_data(episode.model)
         if arm not in arms:
             arms.append(arm)
         runs.append(_run(episode, colour) | {"arm": arms.index(arm)})
@@ -58,11 +59,11 @@ def replay_page(episodes: Sequence[Episode], title: str = "") -> str:
     first = episodes[0].about
     told = {"seed": first.get("seed"), "settings": first.get("hash"), **first.get("versions", {})}
     words = " \N{MIDDLE DOT} ".join(f"{name} {value}" for name, value in told.items() if value is not None)
-    data = {"live": False, "arms": arms, "runs": runs, "stage": _stage(episodes)}
-    return page(data, title or f"{first.get('environment', '')} {' and '.join(names)}".strip(), words)
+    data = {"live": False, "arms": arms, "runs": runs, "stage": _episodes_view(episodes)}
+    return _html_page(data, title or f"{first.get('environment', '')} {' and '.join(names)}".strip(), words)
 
 
-def page(data: dict[str, Any], title: str, words: str) -> str:
+def _html_page(data: dict[str, Any], title: str, words: str) -> str:
     """Gives the page of plain data; whatever text is in them, none of it is read as a part of the page.
 
     Args:
@@ -80,23 +81,25 @@ def page(data: dict[str, Any], title: str, words: str) -> str:
     )  # fmt: skip
 
 
-def page_arm(model: Model) -> dict[str, Any]:
+def arm_data(model: Model) -> dict[str, Any]:
     """Gives what the page needs of a model to draw it, plain; arrays as texts."""
     links, constants = [], model.constants
-    painter, sections = FramePainter(model, (16, 16)), outlines(model, POINTS)
+    painter, sections = FramePainter(model, (16, 16)), section_outlines(model, POINTS)
     for i, (shapes, section) in enumerate(zip(link_shapes(model, POINTS), sections, strict=True)):
         columns = model.elastic_columns(i)
         links.append({
             "length": float(constants.length[i]), "motor": int(model.motor_columns[i]),
             "axis": constants.axis[i].tolist(), "mount": constants.mount.reshape(-1, 9)[i].tolist(),
-            "elastic": [columns.start, columns.stop], "rows": packed(shapes.rows), "slopes": packed(shapes.slopes),
-            "before": shapes.before.tolist(), "points": packed(section.points), "normals": packed(section.normals),
-            "gauges": packed(section.gauges),
+            "elastic": [columns.start, columns.stop], "rows": encode_array(shapes.rows),
+            "slopes": encode_array(shapes.slopes),
+            "before": shapes.before.tolist(), "points": encode_array(section.points),
+            "normals": encode_array(section.normals),
+            "gauges": encode_array(section.gauges),
         })  # fmt: skip
     return {"points": POINTS, "width": model.n_dof, "links": links, "radii": painter.radii.tolist()}
 
 
-def stage(models: Sequence[Model], points: Array, strain: float) -> dict[str, Any]:
+def _view_data(models: Sequence[Model], points: Array, strain: float) -> dict[str, Any]:
     """Gives camera, floor and scale of the page, plain.
 
     Args:
@@ -108,14 +111,14 @@ def stage(models: Sequence[Model], points: Array, strain: float) -> dict[str, An
     points = np.concatenate([points[np.isfinite(points).all(axis=1)], np.zeros((1, 3))])
     floor = float(points[:, 2].min()) - BELOW * reach
     points = np.concatenate([points, [[0.0, 0.0, floor]]])
-    azimuth, elevation = np.radians(direction(models[0])[:2])
+    azimuth, elevation = np.radians(view_direction(models[0])[:2])
     towards = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     return {"reach": reach, "points": np.round(points, 6).tolist(), "distance": 3.0 * size, "floor": floor,
             "towards": towards.tolist(), "step": round_number(reach / 10), "strain": strain}  # fmt: skip
 
 
-def packed(values: NDArray[Any], kind: str = "<f4") -> str:
+def encode_array(values: NDArray[Any], kind: str = "<f4") -> str:
     """Gives numbers as a text that the page reads: base64 of little-endian float32 or of another kind."""
     return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode("ascii")
 
@@ -126,8 +129,8 @@ def _run(episode: Episode, colour: str) -> dict[str, Any]:
     return {
         "name": episode.name, "colour": colour, "note": episode.about.get("failure") or "over",
         "dt": episode.period, "rows": len(episode.time),
-        "x": packed(episode.states[:, : episode.states.shape[1] // 2]), "target": packed(episode.targets),
-        "error": packed(episode.errors), "torque": packed(torques),
+        "x": encode_array(episode.states[:, : episode.states.shape[1] // 2]), "target": encode_array(episode.targets),
+        "error": encode_array(episode.errors), "torque": encode_array(torques),
         "readings": [_reading(name, values) for name, values in episode.readings.items()],
     }  # fmt: skip
 
@@ -138,11 +141,11 @@ def _reading(name: str, values: Array) -> dict[str, Any]:
     low, high = np.where(known, values, np.inf).min(axis=0), np.where(known, values, -np.inf).max(axis=0)
     low, high = np.where(known.any(axis=0), (low, high), 0.0) / 2  # the difference of two large numbers may be infinite
     middle, scale = low + high, np.maximum((high - low) / STEPS, 1e-30)
-    steps = packed(np.where(known, np.rint((np.where(known, values, middle) - middle) / scale), GAP), "<i2")
+    steps = encode_array(np.where(known, np.rint((np.where(known, values, middle) - middle) / scale), GAP), "<i2")
     return {"name": name, "size": values.shape[1], "values": steps, "scale": scale.tolist(), "middle": middle.tolist()}
 
 
-def _stage(episodes: Sequence[Episode]) -> dict[str, Any]:
+def _episodes_view(episodes: Sequence[Episode]) -> dict[str, Any]:
     """Camera and scales by what happens in the episodes."""
     points, largest = [], 0.0
     for episode in episodes:
@@ -151,7 +154,7 @@ def _stage(episodes: Sequence[Episode]) -> dict[str, Any]:
         points += [bent.positions[:, :, -1].reshape(-1, 3), episode.targets[some]]
         largest = max(largest, 2.0 * float(np.percentile(np.abs(bent.strains[..., :3]).max(axis=(1, 2, 3)), 90)))
     strain = round_number(largest) if largest > 0.0 else 0.0
-    return stage([episode.model for episode in episodes], _corners(np.concatenate(points)), strain)
+    return _view_data([episode.model for episode in episodes], _corners(np.concatenate(points)), strain)
 
 
 def _corners(points: Array) -> Array:
@@ -165,3 +168,123 @@ def _corners(points: Array) -> Array:
 
 def _percent(strain: float) -> str:
     return f"{1e6 * strain:g} µε" if strain < 1e-3 else f"{1e2 * strain:g} %"
+
+
+WAITING = 200  # rows that a slow browser may be behind before it misses some
+
+
+class LivePage:
+    """A page that follows an arm; a line on stderr says its address, once.
+
+    Attributes:
+        address: of the page.
+        shown, late: rows that were shown, and those of them that came later than the clock wanted.
+    """
+
+    def __init__(self, model: Model, title: str, period: float, strain: float) -> None:
+        self._model, self._title, self._period, self._strain = model, title, period, strain
+        self._clients: list[queue.Queue[bytes]] = []
+        self._rows: list[bytes] = []
+        self._lock = threading.Lock()
+        self._page = b""
+        self.shown, self.late, self._next = 0, 0, 0.0
+        self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), _handler(self))
+        self._server.daemon_threads = True
+        threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True).start()
+        self.address = f"http://127.0.0.1:{self._server.server_address[1]}/"
+        print(f"the arm can be seen at {self.address}", file=sys.stderr, flush=True)
+
+    def begin(self, points: Array) -> None:
+        """Starts an episode.
+
+        Args:
+            points: (p, 3) m, all that should be seen.
+        """
+        run = {"name": self._title, "colour": BLUE, "note": "", "dt": self._period, "rows": 0, "arm": 0}
+        data = {"live": True, "arms": [arm_data(self._model)], "runs": [run],
+                "stage": _view_data([self._model], points, self._strain)}  # fmt: skip
+        with self._lock:
+            self._page, self._rows = _html_page(data, self._title, "live").encode(), []
+            self._tell(b"event: begin\ndata: \n\n")
+        self._next = time.perf_counter()
+
+    def show(self, row: Array) -> None:
+        """Sends a row, and waits until it is its time.
+
+        Args:
+            row: coordinates (d,), target (3,), error and torques (n,) as parts of their limits, side by side.
+        """
+        message = b"data: " + encode_array(row).encode() + b"\n\n"
+        with self._lock:
+            self._rows.append(message)
+            self._tell(message)
+        self.shown += 1
+        now, self._next = time.perf_counter(), self._next + self._period
+        if now > self._next:
+            self.late, self._next = self.late + 1, now
+        else:
+            time.sleep(self._next - now)
+
+    def _tell(self, message: bytes) -> None:
+        for client in self._clients:
+            if not client.full():
+                client.put_nowait(message)
+
+    def listen(self) -> "tuple[bytes, queue.Queue[bytes]]":
+        """Gives what the episode has had so far, and a queue of what follows."""
+        with self._lock:
+            client: queue.Queue[bytes] = queue.Queue(WAITING)
+            self._clients.append(client)
+            return b"".join(self._rows), client
+
+    def leave(self, client: "queue.Queue[bytes]") -> None:
+        """Ends what `listen` began."""
+        with self._lock:
+            self._clients.remove(client)
+
+    def html(self) -> bytes:
+        """The page of the present episode."""
+        return self._page
+
+    def close(self) -> None:
+        """Ends the server; a line on stderr says how many rows were late, if any."""
+        self._server.shutdown()
+        self._server.server_close()
+        if self.late:
+            print(f"{self.late} of {self.shown} steps came late", file=sys.stderr)
+
+
+def _handler(live: LivePage) -> type[http.server.BaseHTTPRequestHandler]:
+    class Handler(http.server.BaseHTTPRequestHandler):
+        """Gives the page at / and the events at /live."""
+
+        def log_message(self, *_: Any) -> None:
+            pass
+
+        def do_GET(self) -> None:
+            known = {"/": "text/html; charset=utf-8", "/live": "text/event-stream"}
+            self.send_response(200 if self.path in known else 404)
+            self.send_header("Content-Type", known.get(self.path, "text/plain"))
+            self.send_header("Cache-Control", "no-store")
+            self.end_headers()
+            if self.path == "/":
+                self.wfile.write(live.html())
+            if self.path == "/live":
+                self._stream()
+
+        def _stream(self) -> None:
+            before, client = live.listen()
+            try:
+                self.wfile.write(before)
+                while True:
+                    self.wfile.write(client.get())
+            except OSError:  # the browser has gone
+                live.leave(client)
+
+    return Handler
+
+
+def live_row(coordinates: Array, target: Array, error: float, torques: Array) -> Array:
+    """Gives the row of `LivePage.show`."""
+    result: Array = np.concatenate([coordinates, target, [error], torques])
+    return result

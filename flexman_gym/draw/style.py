@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.arrays import Array
+from flexman_gym.common.arrays import Array
 
 # Colours that people who cannot tell red from green can tell apart (Okabe and Ito).
 BLUE, ORANGE, GREEN, SKY, YELLOW, RED = "#0072B2", "#E69F00", "#009E73", "#56B4E9", "#F0E442", "#D55E00"

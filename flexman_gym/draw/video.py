@@ -1,14 +1,21 @@
-"""Video: frames as a picture, a film or a moving picture, in a file."""
+"""Videos and pictures: frames in a file, in a window, and saved episodes side by side."""
 
+import os
 import struct
+import sys
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.checks import positive, refusal
+from flexman_gym.common.checks import positive, value_error
+from flexman_gym.draw.frames import FramePainter, grid
+from flexman_gym.draw.overlay import Caption
+from flexman_gym.model.deformation import curves
+from flexman_gym.simulation.episode import Episode
 
 STILL = 6  # levels by which a colour of a GIF may be off before it is drawn anew
 COLOURS, GRAIN = 64, 4  # of a GIF; levels of a channel that count as one when they are chosen
@@ -34,9 +41,9 @@ def write_video(frames: Sequence[NDArray[np.uint8]], path: str | Path, fps: floa
     """
     path, rate = Path(path), positive("fps", fps)
     if path.suffix not in SUFFIXES:
-        raise refusal("path", str(path), f"a file that ends in {' or '.join(SUFFIXES)}")
+        raise value_error("path", str(path), f"a file that ends in {' or '.join(SUFFIXES)}")
     if not len(frames):
-        raise refusal("frames", frames, "at least one")
+        raise value_error("frames", frames, "at least one")
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
         (_write_mp4 if path.suffix == ".mp4" else _write_gif)(frames, path, rate)
@@ -106,3 +113,98 @@ def _write_gif(frames: Sequence[NDArray[np.uint8]], path: Path, rate: float) -> 
     for image in images:
         image.putpalette(numbers)  # its numbers are now those of colours
     first.save(path, save_all=True, append_images=rest, duration=round(1e3 / rate), loop=0, optimize=True)
+
+
+def has_display() -> bool:
+    """Whether a window could be opened: there is pygame and, on Linux, a display."""
+    from importlib.util import find_spec
+
+    shown = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"))
+    return find_spec("pygame") is not None and (shown or not sys.platform.startswith("linux"))
+
+
+class Window:
+    """A window that shows frames at their pace.
+
+    Attributes:
+        shown, late: frames that were shown, and those of them that came later than the clock wanted.
+    """
+
+    def __init__(self, size: tuple[int, int], title: str, period: float) -> None:
+        os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+        import pygame
+
+        self._pygame: Any = pygame
+        pygame.display.init()
+        pygame.display.set_caption(title)
+        self._screen, self._clock = pygame.display.set_mode(size), pygame.time.Clock()
+        self._period, self.shown, self.late = period, 0, 0
+
+    def show(self, picture: NDArray[np.uint8]) -> None:
+        """Shows a picture (height, width, 3), and waits until it is time for the next."""
+        surface = self._pygame.surfarray.make_surface(picture.swapaxes(0, 1))
+        self._screen.blit(surface, (0, 0))
+        self._pygame.event.pump()
+        self._pygame.display.flip()
+        self.shown += 1
+        taken = self._clock.tick(1.0 / self._period)
+        self.late += bool(self.shown > 1 and taken > 1500.0 * self._period)
+
+    def close(self) -> None:
+        """Closes it."""
+        self._pygame.display.quit()
+        if self.late:
+            print(f"{self.late} of {self.shown} frames came late", file=sys.stderr)
+
+
+SMALL, LARGE = (480, 360), (1280, 720)  # pixels of a moving picture and of a film, all arms together
+SECONDS, SMALL_RATE, RATE = 5.0, 10.0, 50.0  # of a moving picture; frames a second
+TRAIL = 1.5  # s
+
+
+def side_by_side(
+    episodes: Sequence[Episode], small: bool = False, size: tuple[int, int] | None = None
+) -> tuple[list[NDArray[np.uint8]], float]:
+    """Paints frames of episodes side by side, from one camera direction and with one scale.
+
+    Args:
+        episodes: at least one.
+        small: a moving picture of 5 s at 10 frames a second, instead of a film of the whole at 50.
+        size: width and height of all together, pixels; None takes 480 x 360 or 1280 x 720.
+
+    Returns:
+        Frames (height, width, 3), and how many of them a second.
+
+    Raises:
+        ValueError: for no episode, and what a FramePainter refuses.
+    """
+    if not episodes:
+        raise value_error("episodes", episodes, "at least one")
+    whole = size or (SMALL if small else LARGE)
+    cell, rate = (whole[0] // len(episodes), whole[1]), SMALL_RATE if small else RATE
+    end = min(max(float(each.time[-1]) for each in episodes), SECONDS if small else np.inf)
+    stage = np.concatenate([
+        points for each in episodes
+        for points in (curves(each.model, each.states[:: max(1, len(each.time) // 60)], 4).positions.reshape(-1, 3),
+                       each.targets[np.isfinite(each.targets).all(axis=1)])
+    ])  # fmt: skip
+    painters = [FramePainter(each.model, cell, shadow=not small) for each in episodes]
+    shots = [painter.shot(stage) for painter in painters]
+    frames = []
+    for time in np.arange(0.0, end - 0.5 / rate, 1.0 / rate):
+        row = [min(round(time / each.period), len(each.time) - 1) for each in episodes]
+        frames.append(grid([
+            painter.paint(each.states[k], each.targets[k] if np.isfinite(each.targets[k]).all() else None,
+                          _caption(each, k), each.tips[max(0, k - round(TRAIL / each.period)) : k + 1], shot)
+            for painter, each, k, shot in zip(painters, episodes, row, shots, strict=True)
+        ], len(episodes)))  # fmt: skip
+    return frames, rate
+
+
+def _caption(episode: Episode, row: int) -> Caption:
+    """What is known at a row."""
+    error, torques = float(episode.errors[row]), episode.actions[max(row - 1, 0)] if len(episode.actions) else None
+    known = torques is not None and bool(np.isfinite(torques).all())
+    return Caption(
+        episode.name, float(episode.time[row]), error if np.isfinite(error) else None, None, torques if known else None
+    )

@@ -1,9 +1,9 @@
 """Environments: arms in episodes behind Gymnasium's interfaces, one or many."""
 
-from flexman_gym.envs.catalog import NAMED
+from flexman_gym.envs.config.named_environments import NAMED
+from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.limits import Limits
-from flexman_gym.envs.randomisation import Randomisation
 from flexman_gym.envs.tasks import Slew
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 

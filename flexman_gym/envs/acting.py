@@ -5,16 +5,16 @@ from functools import partial
 
 import numpy as np
 
-from flexman_gym.arrays import Array, Flags, IntArray
+from flexman_gym.common.arrays import Array, Flags, IntArray
 from flexman_gym.control.actions import make_action_mode
-from flexman_gym.control.controller import Episode
-from flexman_gym.envs.effects.active import Effects
-from flexman_gym.envs.setup import Setup
+from flexman_gym.control.controller import EpisodeInfo
+from flexman_gym.envs.active_effects import ActiveEffects
+from flexman_gym.envs.config.setup import Setup
+from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.sight import Sight
-from flexman_gym.envs.specification import make_plant
 from flexman_gym.envs.tasks.task import goal_path
+from flexman_gym.envs.view import View
 from flexman_gym.model.model import Model
-from flexman_gym.simulation.view import View
 
 
 class Acting:
@@ -35,7 +35,7 @@ class Acting:
         self.mode = make_action_mode(setup.actions, self.plant, self.base)
 
     def begin(
-        self, arms: IntArray, plan: Mapping[str, Array], posture: Array, view: View, effects: Effects | None
+        self, arms: IntArray, plan: Mapping[str, Array], posture: Array, view: View, effects: ActiveEffects | None
     ) -> None:
         """Tells of start and first goal of new episodes of arms (r,), and of the path of a goal that moves.
 
@@ -48,7 +48,7 @@ class Acting:
         """
         path = partial(goal_path, self._task, plan, self._longest, view) if self._task.moves else None
         drawn = {name: values[arms] for name, values in effects.drawn.items()} if effects else {}
-        self.mode.reset(arms, Episode(plan["start"], posture, view.control_period, path, drawn))
+        self.mode.reset(arms, EpisodeInfo(plan["start"], posture, view.control_period, path, drawn))
 
     def asked(self, actions: Array, sight: Sight, view: View, playing: Flags) -> Array:
         """Gives what motors (b, n) are asked for under actions (b, k), parts of the torque limits."""

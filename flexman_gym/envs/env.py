@@ -10,15 +10,14 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Vector
-from flexman_gym.checks import whole_number
-from flexman_gym.envs.description import find_setup
-from flexman_gym.envs.episodes import Episodes
-from flexman_gym.envs.motors import action_space, checked_actions
-from flexman_gym.envs.options import check_parameters
-from flexman_gym.envs.remembering import Remembering
+from flexman_gym.common.arrays import Vector
+from flexman_gym.common.checks import whole_number
+from flexman_gym.envs.config.description import find_setup
+from flexman_gym.envs.config.reset_options import check_parameters
+from flexman_gym.envs.config.setup import build
+from flexman_gym.envs.episodes import Episodes, action_space, checked_actions
 from flexman_gym.envs.rendering import MODES, RENDER, make_rendering
-from flexman_gym.envs.setup import build
+from flexman_gym.envs.stateful import StatefulEnv
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.simulator import Simulator
 
@@ -27,7 +26,7 @@ ONLY = np.zeros(1, dtype=np.int64)  # the index of the arm
 LARGEST_SEED = 2**128 - 1
 
 
-class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
+class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
     """A flexible arm slews its tip to a target and settles there: `gym.make("FlexRRR-v0")`.
 
     Named environments
@@ -35,7 +34,8 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
         FlexPlanar-v0  two strips, 1 m together, that lift 0.1 kg in a vertical plane under gravity, 100 Hz
         FlexOne-v0     the textbook case: one strip of 0.8 m on one elastic joint, in a horizontal plane, 50 Hz
         FlexQuanser-v0 a real machine: two steel strips in a horizontal plane with its motors and sensors, 100 Hz
-        `envs.catalog.NAMED` has what each is made of. The latter three are rewarded by distance (see `Slew`).
+        `envs.config.named_environments.NAMED` has what each is made of. The latter three are rewarded by distance (see
+        `Slew`).
 
     Arm
         The paper's three-link arm of 8.5 m, flexible links and joints (K 5000 N m/rad), no gravity, 0.5 % modal damping
@@ -107,7 +107,7 @@ class FlexManEnv(Remembering, gym.Env[Observation, Observation]):
         render_gain: by which the deflection is multiplied in a frame, which says so.
         render_overlays: whether time, tip error, reward, torques and scales are written over a frame.
         settings: the attributes of `Setup`: arm, task, limits, fidelity and so on; and "condition", one of
-            `envs.description.CONDITIONS`, which changes some of those that are not given.
+            `envs.config.description.CONDITIONS`, which changes some of those that are not given.
 
     Raises:
         ValueError: one line with field, value and what is allowed.

@@ -1,35 +1,88 @@
-"""Episodes: arms side by side, each in an episode of its own; the core that the environments share."""
+"""Episodes of many arms: action space, motors, limits and rewards, the core of both environments."""
 
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 
-from flexman_gym.arrays import Array, Flags, IntArray
-from flexman_gym.checks import one_of, refusal
+from flexman_gym.common.arrays import Array, Flags, IntArray
+from flexman_gym.common.checks import number_array, one_of, value_error
+from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.control.controller import Controller
 from flexman_gym.envs.acting import Acting
+from flexman_gym.envs.active_effects import ActiveEffects
+from flexman_gym.envs.config.reset_options import parse_options, replace_tip_positions
+from flexman_gym.envs.config.setup import Setup
 from flexman_gym.envs.effects import Stage
-from flexman_gym.envs.effects.active import Effects
-from flexman_gym.envs.limits import broken
-from flexman_gym.envs.motors import Motors
-from flexman_gym.envs.options import given_options
-from flexman_gym.envs.places import postures_of
+from flexman_gym.envs.limits import limit_violation
 from flexman_gym.envs.sensors import Sensors, measured_names
-from flexman_gym.envs.sensors.measured import Measured
-from flexman_gym.envs.setup import Setup
-from flexman_gym.envs.sight import Observations, Sight, sight_parts
-from flexman_gym.envs.snapshot import give, take
+from flexman_gym.envs.sensors.sensor import MeasuredView
+from flexman_gym.envs.sight import Sight, sight_parts
 from flexman_gym.envs.tasks.rewards import reward_terms, total
+from flexman_gym.envs.view import Number, View
 from flexman_gym.kernels import layout
-from flexman_gym.kernels.periods import ask, outlast
-from flexman_gym.kernels.readings import beyond
+from flexman_gym.kernels.control_period import advance_ages, all_within, flag_violations, request_torques
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.energy import alarm
-from flexman_gym.simulation.view import Number, View
+from flexman_gym.simulation.trajectory import energy_alarm
 
-__all__ = ["Episodes", "Observations"]
+ROUNDING = 1e-6  # of float32 and of what is computed in it, on numbers near 1
+
+
+def action_space(size: int) -> spaces.Space[Any]:
+    """The space of actions of one arm, of so many numbers."""
+    return spaces.Box(-1.0, 1.0, (size,), dtype=np.float32)
+
+
+def checked_actions(name: str, value: object, shape: tuple[int, ...], allowed: str) -> Array:
+    """The actions as a new array of floats; raises ValueError for another shape and for numbers outside -1 to 1.
+
+    Numbers beyond by what float32 may round, less than 1e-6, count as -1 or 1.
+    """
+    if isinstance(value, np.ndarray) and value.shape == shape and value.dtype.kind == "f":
+        actions = value.astype(np.float64, order="C")
+    else:
+        actions = number_array(name, value, shape, allowed).astype(np.float64, order="C")
+    if all_within(actions.ravel(), 1.0):
+        return actions
+    if np.count_nonzero(np.abs(actions) < 1.0 + ROUNDING) == actions.size:
+        return np.clip(actions, -1.0, 1.0)
+    raise value_error(name, value, allowed)
+
+
+class _Motors:
+    """The motors of b arms of n joints, and what else drives the arms.
+
+    Attributes:
+        limits: (b, n) N m, the torque limits, which effects may change.
+        drive: (b, n + 6) of `Batch.step`, of which the following are views.
+        torques: (b, n) N m, of the last control period.
+        forces: (b, 3) N, on the tips in the base frame.
+        accelerations: (b, 3) m/s^2, of the bases in the base frame.
+        reached: (b, n) where drives with a bandwidth are, parts of the limits; they start at 0.
+    """
+
+    kept = ("limits", "forces", "accelerations", "reached")
+
+    def __init__(self, limits: Sequence[float], arms: int, lag: tuple[float, float] | None = None) -> None:
+        joints = len(limits)
+        self.limits, self._lag = np.tile(limits, (arms, 1)), lag
+        self.reached = np.zeros((arms, joints if lag else 0))
+        self.drive = np.zeros((arms, joints + 6))
+        self.torques, self.forces = self.drive[:, :joints], self.drive[:, joints : joints + 3]
+        self.accelerations = self.drive[:, joints + 3 :]
+
+    def followed(self, actions: Array) -> Array:
+        """What torques (b, n) are in the mean of a period for arriving actions (b, n), parts of the limits.
+
+        Drives that lag follow them late; see `control.margins.first_order_lag`.
+        """
+        if self._lag is None:
+            return actions
+        missing = self.reached - actions
+        self.reached[:] = actions + self._lag[0] * missing
+        return actions + self._lag[1] * missing
 
 
 class Episodes:
@@ -54,7 +107,7 @@ class Episodes:
         self._terms = reward_terms(setup.task, setup.reward)
         arms = len(batch.rows)
         self._limits = np.concatenate(list(setup.limits.bounds(self.view).values()))
-        self.motors = Motors(setup.torque_limit, arms, setup.lag)
+        self.motors = _Motors(setup.torque_limit, arms, setup.lag)
         self.acting = Acting(setup, batch.model)
         self.effects = self._effects(setup)
         self.sight = Sight(setup, self.view, self.acting.mode, self.effects)
@@ -69,16 +122,16 @@ class Episodes:
         self._ages, self._beyond = np.zeros(arms, dtype=np.int64), np.zeros(arms, dtype=bool)
         self._all = np.ones(arms, dtype=bool)
 
-    def _effects(self, setup: Setup) -> Effects | None:
+    def _effects(self, setup: Setup) -> ActiveEffects | None:
         """What disturbs the arms, of the randomisation and of the task."""
         randomisation = setup.disturbed
         if randomisation is None:
             return None
         parts, own = sight_parts(setup, self.acting.mode)
-        bound = Measured(self.view, setup.limits, measured_names([*parts, *own])).bound
+        bound = MeasuredView(self.view, setup.limits, measured_names([*parts, *own])).bound
         nominal = np.array(setup.torque_limit)
         stage = Stage(self.batch, setup.limits, bound, self.motors.limits, nominal, randomisation.impulse_gap)
-        return Effects(randomisation, stage)
+        return ActiveEffects(randomisation, stage)
 
     @property
     def base(self) -> Controller | None:
@@ -103,13 +156,13 @@ class Episodes:
         """
         view = self.view
         if self.effects is not None:
-            self.effects.drawn = take(self.effects.drawn)  # the present one may be in somebody's hands
+            self.effects.drawn = get_state(self.effects.drawn)  # the present one may be in somebody's hands
         self.over[:] = True
-        give("state.episodes", self, data)
+        set_state("state.episodes", self, data)
         if view.plan:  # a base makes again what it does not remember
             posture = self.task.goal(view.plan, np.zeros(len(self.over)), view).angles
             self.acting.begin(np.arange(len(self.over)), view.plan, posture, view, self.effects)
-        give("state.acting", self.acting, acting)
+        set_state("state.acting", self.acting, acting)
         if self.effects is not None:
             self.effects.follow(randoms)
         view.renew()
@@ -130,8 +183,8 @@ class Episodes:
         """Starts new episodes of the arms with the indices (r,), each drawn from its own generator.
 
         Options may set what the task draws, such as "start" and "goal_angles", for all arms or with a leading axis b,
-        both also by places of the tip, "start_tip" and "goal_tip" (3,) m, see `postures_of`; and "parameters" of the
-        arms from this episode on: a dict of what `Batch.vary` takes.
+        both also by places of the tip, "start_tip" and "goal_tip" (3,) m, see `replace_tip_positions`; and
+        "parameters" of the arms from this episode on: a dict of what `Batch.vary` takes.
 
         Raises:
             ValueError: one line with field, value and what is allowed; the episodes of these arms are then over.
@@ -141,13 +194,13 @@ class Episodes:
         for each in drawn:
             self._check_plan(each)
         plan = {name: np.array([each[name] for each in drawn]) for name in drawn[0]} if drawn else {}
-        given = given_options(options, plan, (len(self.over), self.batch.model.n_joints))
+        given = parse_options(options, plan, (len(self.over), self.batch.model.n_joints))
         parameters = {name: values[arms] for name, values in given.pop("parameters", {}).items()}
         if self.effects is not None:
             parameters = self.effects.draw(arms, randoms, parameters)
         if parameters:
             self.batch.vary(arms, **parameters)
-        plan = postures_of(plan | {name: values[arms] for name, values in given.items()}, self.view)
+        plan = replace_tip_positions(plan | {name: values[arms] for name, values in given.items()}, self.view)
         self._set_goal(arms, plan)
         start = self.view.rest_states(plan["start"])
         if self.effects is not None:
@@ -169,7 +222,7 @@ class Episodes:
         """Refuses what a task draws without a start that has an angle for each joint."""
         n = self.batch.model.n_joints
         if not isinstance(plan, dict) or np.shape(plan.get("start", ())) != (n,):
-            raise refusal("task.draw", plan, f'a dict with "start", {n} joint angles (rad)')
+            raise value_error("task.draw", plan, f'a dict with "start", {n} joint angles (rad)')
 
     def _set_goal(self, arms: IntArray, plan: Mapping[str, Array]) -> None:
         """Keeps the plans of new episodes and sets their goals."""
@@ -186,7 +239,7 @@ class Episodes:
         for arm in arms:
             if failure := self._broken(arm):
                 field, value = ("options", options) if options else ("task", self.task)
-                raise refusal(field, value, f"a start and a goal within the limits ({failure})")
+                raise value_error(field, value, f"a start and a goal within the limits ({failure})")
 
     def step(self, actions: Array) -> Number | None:
         """Moves all arms by `hold` control periods under actions (b, k) of the agent.
@@ -222,7 +275,7 @@ class Episodes:
             arriving = np.ascontiguousarray(self.effects.motor_actions(actions))
             self.effects.disturb(motors.forces, motors.accelerations, self.over)
         arriving = motors.followed(arriving)
-        ask(actions, arriving, motors.limits, playing, motors.drive, view.action, view.effort)
+        request_torques(actions, arriving, motors.limits, playing, motors.drive, view.action, view.effort)
         self.batch.step(motors.drive, None if everyone else playing)
         if self.task.moves:
             self._move_goals(playing)
@@ -241,9 +294,9 @@ class Episodes:
         if last:
             self.sight.sensors.read()
             observations, bound = self.sight.sensors.observations, self.sight.sensors.bound
-        if beyond(view.motion, self._limits, observations, bound, self.batch.status, self._beyond):
+        if flag_violations(view.motion, self._limits, observations, bound, self.batch.status, self._beyond):
             self._fail(np.flatnonzero(self._beyond & playing))
-        if outlast(self._ages, playing, self.longest, self.truncated):
+        if advance_ages(self._ages, playing, self.longest, self.truncated):
             self.over |= self.truncated
         if self.watch is not None:
             self.watch()
@@ -272,8 +325,8 @@ class Episodes:
     def _broken(self, arm: int) -> str:
         """What of an arm is beyond its limits, or beyond what its sensors can say; "" where nothing is."""
         view, sensors = self.view, self.sensors
-        failure = broken(view.motion[arm], self._limits, view.places, view.units)
-        return failure or broken(sensors.observations[arm], sensors.bound, sensors.slices, sensors.units)
+        failure = limit_violation(view.motion[arm], self._limits, view.places, view.units)
+        return failure or limit_violation(sensors.observations[arm], sensors.bound, sensors.slices, sensors.units)
 
     def rewards(self, view: View) -> Number:
         """Rewards of the control period just over."""
@@ -287,7 +340,7 @@ class Episodes:
             "tip_vibration": view.tip_vibration,
             "elastic_energy": view.elastic_energy,
             "energy_residual": residual,
-            "energy_alarm": alarm(residual, view.energy_turnover, self._energy_alarm),
+            "energy_alarm": energy_alarm(residual, view.energy_turnover, self._energy_alarm),
             "reward_terms": terms,
             **{name: copy(value) for name, value in self.task.info(view).items()},  # what a view has goes on
             **{name: copy(getattr(view, name)) for name in self._told},

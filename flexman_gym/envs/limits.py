@@ -4,9 +4,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from flexman_gym.arrays import Array
-from flexman_gym.checks import mapping, positive, store
-from flexman_gym.simulation.view import View
+from flexman_gym.common.arrays import Array
+from flexman_gym.common.checks import mapping, positive, set_fields
+from flexman_gym.envs.view import View
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Limits:
     tip_speed: float = 40.0
 
     def __post_init__(self) -> None:
-        store(self, **{name: positive(f"Limits.{name}", value) for name, value in vars(self).items()})
+        set_fields(self, **{name: positive(f"Limits.{name}", value) for name, value in vars(self).items()})
 
     def bounds(self, view: View) -> dict[str, Array]:
         """name -> largest magnitude of each entry of that part of `view.motion`."""
@@ -52,7 +52,7 @@ class Limits:
         return {name: np.ones(size) * np.asarray(values[name]) for name, size in sizes.items()}
 
 
-def broken(values: Array, bound: Array, places: dict[str, slice], units: dict[str, str]) -> str:
+def limit_violation(values: Array, bound: Array, places: dict[str, slice], units: dict[str, str]) -> str:
     """The name of the first of the values (size,) beyond its bound, with value and unit; "" where all are within."""
     inside = np.abs(values) <= bound
     if inside.all():

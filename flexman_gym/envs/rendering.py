@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array
-from flexman_gym.checks import one_of
+from flexman_gym.common.arrays import Array
+from flexman_gym.common.checks import one_of
 from flexman_gym.draw.frames import FramePainter, Shot
 from flexman_gym.draw.overlay import Caption
 from flexman_gym.envs.episodes import Episodes
-from flexman_gym.model.curves import curves
+from flexman_gym.model.deformation import curves
 
 RENDER = ("render_mode", "render_size", "render_camera", "render_gain", "render_overlays")
 MODES = ("human", "rgb_array")
@@ -18,7 +18,7 @@ TRAIL = 1.5  # s of the way of the tip
 PLACES, BETWEEN, TIMES = 5, 7, 24  # on each link; postures from start to goal; moments of a goal that moves
 
 
-class Rendering:
+class _Renderer:
     """Paints the arms of an environment, each from a camera that has its whole task in the picture.
 
     Args:
@@ -62,8 +62,8 @@ class Rendering:
 
     def show(self) -> None:
         """Shows the first arm to a person: in a window where there is a display, else on a page of this machine."""
-        from flexman_gym.draw.live import Live, row_of  # a server, whose import takes time
-        from flexman_gym.draw.window import Window, has_display
+        from flexman_gym.draw.replay import LivePage, live_row
+        from flexman_gym.draw.video import Window, has_display
 
         view, model = self._episodes.view, self._episodes.batch.model
         period = self._episodes.hold * view.control_period
@@ -72,13 +72,13 @@ class Rendering:
             self.screen = (
                 Window(shown.size, self._title, period)
                 if has_display()
-                else Live(model, self._title, period, shown.scale)
+                else LivePage(model, self._title, period, shown.scale)
             )
         if isinstance(self.screen, Window):
             return self.screen.show(self.frame(0))
         if self._is_new(0) or self._episodes.batch.time[0] == 0.0:
             self.screen.begin(self.stage(0))
-        self.screen.show(row_of(view.state[0, : model.n_dof], view.target[0], view.tip_error[0], view.action[0]))
+        self.screen.show(live_row(view.state[0, : model.n_dof], view.target[0], view.tip_error[0], view.action[0]))
 
     def close(self) -> None:
         """Closes window or page."""
@@ -101,7 +101,7 @@ class Rendering:
 
 def make_rendering(
     mode: str | None, episodes: Episodes, title: str, look: tuple[Any, ...], modes: tuple[str, ...] = MODES
-) -> Rendering | None:
+) -> _Renderer | None:
     """Gives what renders in a mode, None for none.
 
     Args:
@@ -117,4 +117,4 @@ def make_rendering(
     if mode is None:
         return None
     one_of("render_mode", mode, modes)
-    return Rendering(episodes, title, look)
+    return _Renderer(episodes, title, look)

@@ -5,15 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array, IntArray
-from flexman_gym.control.actions import ActionMode, shown_size
-from flexman_gym.control.history import History
-from flexman_gym.control.shaping import LARGEST
-from flexman_gym.envs.effects.active import Effects
+from flexman_gym.common.arrays import Array, IntArray
+from flexman_gym.control.actions import LARGEST, ActionMode, mode_observation_size
+from flexman_gym.control.policy import History
+from flexman_gym.envs.active_effects import ActiveEffects
+from flexman_gym.envs.config.setup import Setup
 from flexman_gym.envs.sensors import Sensors, find_sensors, measured_names
-from flexman_gym.envs.sensors.measured import Measured
-from flexman_gym.envs.setup import Setup
-from flexman_gym.simulation.view import View
+from flexman_gym.envs.sensors.sensor import MeasuredView
+from flexman_gym.envs.view import View
 
 Observations = NDArray[np.float32]
 
@@ -30,17 +29,17 @@ class Sight:
 
     kept = ("_measured", "sensors", "_base_sensors", "_history", "seen")
 
-    def __init__(self, setup: Setup, view: View, acting: ActionMode, effects: Effects | None) -> None:
+    def __init__(self, setup: Setup, view: View, acting: ActionMode, effects: ActiveEffects | None) -> None:
         self._effects, arms = effects, len(view.motion)
         parts, own = sight_parts(setup, acting)
         self._measured = None
         if effects is not None and effects.measures:
-            self._measured = Measured(view, setup.limits, measured_names([*parts, *own]))
+            self._measured = MeasuredView(view, setup.limits, measured_names([*parts, *own]))
         source = self._measured or view
         self.sensors = Sensors(parts, source, setup.limits)  # type: ignore[arg-type]
         self._base_sensors = Sensors(own, source, setup.limits, "base", self.sensors)  # type: ignore[arg-type]
         self._history: History | None = None
-        self._shown = np.zeros((arms, shown_size(acting)))
+        self._shown = np.zeros((arms, mode_observation_size(acting)))
         bound = np.concatenate([self.sensors.bound, np.full(self._shown.shape[1], LARGEST)])
         size, parts_of_history = len(bound), 1
         if setup.history != 1:

@@ -1,4 +1,4 @@
-"""Vector environment: many arms, each in an episode of its own, behind Gymnasium's interface for vectors."""
+"""Vector environment: many arms, each in its own episode, behind Gymnasium's interface for vectors."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,19 +10,48 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array, Flags, IntArray, Vector
-from flexman_gym.checks import one_of, refusal, sequence, whole_number
-from flexman_gym.envs.description import find_setup
+from flexman_gym.common.arrays import Array, Flags, IntArray, Vector
+from flexman_gym.common.checks import one_of, sequence, value_error, whole_number
+from flexman_gym.envs.config.description import find_setup
+from flexman_gym.envs.config.reset_options import check_parameters
+from flexman_gym.envs.config.setup import build
 from flexman_gym.envs.env import LARGEST_SEED, FlexManEnv, observation_space
-from flexman_gym.envs.episodes import Episodes, Observations
-from flexman_gym.envs.infos import Infos, arrays, masked, with_masks
-from flexman_gym.envs.motors import action_space, checked_actions
-from flexman_gym.envs.options import check_parameters
-from flexman_gym.envs.remembering import Remembering
+from flexman_gym.envs.episodes import Episodes, action_space, checked_actions
 from flexman_gym.envs.rendering import RENDER, make_rendering
-from flexman_gym.envs.setup import build
+from flexman_gym.envs.sight import Observations
+from flexman_gym.envs.stateful import StatefulEnv
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import MOST_ARMS, Batch
+
+Infos = dict[str, Any]
+
+
+def _batched(info: Infos) -> Infos:
+    """The info of an arm alone, with an axis for the arms in front of every number and array."""
+    return {key: _batched(value) if isinstance(value, dict) else np.array([value]) for key, value in info.items()}
+
+
+def _with_masks(infos: Infos, mask: Flags) -> Infos:
+    """The infos with a mask for each key, those of dicts inside too."""
+    result = {}
+    for key, value in infos.items():
+        result[key] = _with_masks(value, mask) if isinstance(value, dict) else value
+        result[f"_{key}"] = mask
+    return result
+
+
+def _masked(infos: Infos, mask: Flags) -> Infos:
+    """Infos of the arms of a mask alone, zero (None for objects) elsewhere."""
+    result: Infos = {}
+    for key, value in infos.items():
+        if isinstance(value, dict):
+            result[key] = _masked(value, mask)
+        elif not key.startswith("_"):
+            result[key] = np.zeros_like(value) if value.dtype != object else np.full_like(value, None)
+            result[key][mask] = value[mask]
+        result[key if key.startswith("_") else f"_{key}"] = mask.copy()
+    return result
+
 
 LONGEST = 10**9  # steps of an episode
 INFOS = ("always", "at end")
@@ -31,7 +60,7 @@ OWN = ("num_envs", "threads", "max_episode_steps", "autoreset_mode", "infos", "s
 EACH = ("render", "np_random", "np_random_seed")  # what has an entry for each arm already
 
 
-class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
+class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
     """Many `FlexManEnv` in one: `gym.make_vec("FlexRRR-v0", num_envs=64, vectorization_mode="vector_entry_point")`.
 
     Observations, rewards, terminations, truncations and infos are those of `gymnasium.vector.SyncVectorEnv` over the
@@ -136,7 +165,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
                     self._randoms[arm], self._seeds[arm] = seeding.np_random(seeds[arm])
             self._restart(arms, options)
         infos = {} if self._at_end else self._outcome()[1]
-        return self.episodes.sight.seen.copy(), infos if mask is None else masked(infos, mask)
+        return self.episodes.sight.seen.copy(), infos if mask is None else _masked(infos, mask)
 
     def step(self, actions: NDArray[Any]) -> tuple[Observations, Array, Flags, Flags, Infos]:
         """Applies actions (num_envs, k) for `hold` control periods, and resets as the autoreset mode says.
@@ -169,7 +198,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
             if self.autoreset_mode == AutoresetMode.SAME_STEP:
                 infos = self._finish(over.copy(), infos)
             elif self._at_end:
-                infos = masked(infos, terminations | truncations)
+                infos = _masked(infos, terminations | truncations)
         return episodes.sight.seen.copy(), rewards, terminations, truncations, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
@@ -189,7 +218,9 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
             AttributeError: for a name that the environment does not have.
         """
         if name in ("reset", "step", "close"):
-            raise refusal("call", name, "a method that an arm has alone: call the environment's own, which moves all")
+            raise value_error(
+                "call", name, "a method that an arm has alone: call the environment's own, which moves all"
+            )
         value = getattr(self, f"single_{name}" if name in ("observation_space", "action_space") else name)
         value = value(*args, **named) if callable(value) else value
         return tuple(value) if name in EACH and value is not None else (value,) * self.num_envs
@@ -205,7 +236,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
         for arm in arms:
             final[arm] = self.episodes.sight.seen[arm].copy()
         self._restart(arms, None)
-        both = masked({"final_obs": final, "final_info": masked(infos, ended)}, ended)
+        both = _masked({"final_obs": final, "final_info": _masked(infos, ended)}, ended)
         return both if self._at_end else both | self._outcome()[1]
 
     def _restart(self, arms: IntArray, options: dict[str, Any] | None) -> None:
@@ -226,7 +257,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
         view = episodes.view
         if self.num_envs == 1:  # numbers take less time than arrays of one
             reward, info = episodes.outcome(view.alone())
-            rewards, infos = np.array([reward]), arrays(info)
+            rewards, infos = np.array([reward]), _batched(info)
         else:
             rewards, infos = episodes.outcome(view)
         status, failure = self._ok.copy(), self._no_failure.copy()
@@ -240,7 +271,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
             infos["drawn"] = episodes.effects.drawn
         if estimates := getattr(episodes.base, "estimates", None):
             infos["estimates"] = {name: values.copy() for name, values in estimates.items()}
-        return rewards, with_masks(infos, self._everyone.copy())
+        return rewards, _with_masks(infos, self._everyone.copy())
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
@@ -265,7 +296,7 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
             first = whole_number("seed", seed, 0, LARGEST_SEED)
             return [first * self._stride + arm for arm in range(self.num_envs)]
         if not isinstance(seed, list | tuple | np.ndarray) or len(sequence("seed", seed)) != self.num_envs:
-            raise refusal("seed", seed, f"a whole number, or a list of {self.num_envs}")
+            raise value_error("seed", seed, f"a whole number, or a list of {self.num_envs}")
         return [
             each if each is None else whole_number(f"seed[{arm}]", each, 0, LARGEST_SEED)
             for arm, each in enumerate(seed)
@@ -274,4 +305,4 @@ class FlexManVectorEnv(Remembering, VectorEnv[Observations, Array, Any]):
     def _checked_mask(self, mask: object) -> Flags:
         if isinstance(mask, np.ndarray) and mask.shape == (self.num_envs,) and mask.dtype == bool and mask.any():
             return mask
-        raise refusal("options['reset_mask']", mask, f"an array ({self.num_envs},) of bool, not all of them False")
+        raise value_error("options['reset_mask']", mask, f"an array ({self.num_envs},) of bool, not all of them False")

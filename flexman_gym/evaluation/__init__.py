@@ -1,21 +1,20 @@
 """Evaluation: what judges controllers and policies: one loop, figures of what happened, and a table."""
 
-from flexman_gym.evaluation.entrants import BASELINES, Entrant, find_entrant
-from flexman_gym.evaluation.figures import FIGURES, Figure, evaluate
-from flexman_gym.evaluation.rollout import Record, Rollout, rollout
-from flexman_gym.evaluation.table import table
-from flexman_gym.evaluation.tuning import Tuned, tune
+from flexman_gym.evaluation.agent import BASELINES, Agent, find_agent
+from flexman_gym.evaluation.metrics import METRICS, Metric, evaluate, table
+from flexman_gym.evaluation.optimisation import TunedGains, tune
+from flexman_gym.evaluation.rollout import EpisodeRecord, Rollout, rollout
 
 __all__ = [
     "BASELINES",
-    "FIGURES",
-    "Entrant",
-    "Figure",
-    "Record",
+    "METRICS",
+    "Agent",
+    "EpisodeRecord",
+    "Metric",
     "Rollout",
-    "Tuned",
+    "TunedGains",
     "evaluate",
-    "find_entrant",
+    "find_agent",
     "rollout",
     "table",
     "tune",

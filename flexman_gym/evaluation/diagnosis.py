@@ -1,4 +1,4 @@
-"""Diagnosis: why a tip is not still on its target after arrival, in shares of what is left of its error."""
+"""Diagnosis of the tip error after arrival: shares of ringing, limit cycle, offset, transient and noise."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.arrays import Array
+from flexman_gym.common.arrays import Array
 from flexman_gym.control.controller import Controller
-from flexman_gym.control.modes import ringing_modes
-from flexman_gym.envs.description import Description
+from flexman_gym.control.input_shaping.shapers import ringing_modes
+from flexman_gym.envs.config.description import Description
 from flexman_gym.envs.episodes import Episodes
-from flexman_gym.evaluation.entrants import Entrant
+from flexman_gym.evaluation.agent import Agent
 from flexman_gym.evaluation.rollout import Rollout, find_environment, rollout
 
 WINDOW, PERIODS = (
@@ -46,7 +46,7 @@ HELP = {
 }
 
 
-class Ending(NamedTuple):
+class EpisodeEnd(NamedTuple):
     """The end of an episode, T control periods.
 
     Attributes:
@@ -95,21 +95,21 @@ class Diagnosis:
 
 
 def diagnose(
-    entrant: str | Entrant | Controller, environment: str | Description, seeds: Sequence[int]
+    entrant: str | Agent | Controller, environment: str | Description, seeds: Sequence[int]
 ) -> list[Diagnosis]:
     """Diagnose for an episode from each seed what keeps its tip from resting on its target.
 
     The noise of sensors is told from the other causes by a second run of the same episodes without it: slow noise
     looks like an offset or a sway in a record of a few seconds. Arguments and errors are those of `rollout`.
     """
-    found = [split(*each) for each in endings(entrant, environment, seeds)]
-    quiet = noiseless(find_environment(environment))
+    found = [split_error(*each) for each in episode_ends(entrant, environment, seeds)]
+    quiet = _without_noise(find_environment(environment))
     if quiet is None:
         return found
-    return [with_noise(*each) for each in zip(found, diagnose(entrant, quiet, seeds), strict=True)]
+    return [_attribute_noise(*each) for each in zip(found, diagnose(entrant, quiet, seeds), strict=True)]
 
 
-def noiseless(environment: Description) -> Description | None:
+def _without_noise(environment: Description) -> Description | None:
     """Return the environment with "sensor_noise" 0, None where it is 0 already."""
     own = environment.setup().randomisation
     drawn = dict(own.given) if own else {}
@@ -119,7 +119,7 @@ def noiseless(environment: Description) -> Description | None:
     return replace(environment, settings={**environment.whole_settings(), "randomisation": quiet})
 
 
-def with_noise(found: Diagnosis, quiet: Diagnosis) -> Diagnosis:
+def _attribute_noise(found: Diagnosis, quiet: Diagnosis) -> Diagnosis:
     """Attribute to noise what an episode has more of than the same episode without noise, and scale the other causes.
 
     Args:
@@ -136,19 +136,19 @@ def with_noise(found: Diagnosis, quiet: Diagnosis) -> Diagnosis:
     return replace(found, shares=shares, tones=tuple(sorted(tones, key=lambda tone: -tone[1])))
 
 
-def endings(
-    entrant: str | Entrant | Controller, environment: str | Description, seeds: Sequence[int]
-) -> list[tuple[Ending, dict[str, float]]]:
+def episode_ends(
+    entrant: str | Agent | Controller, environment: str | Description, seeds: Sequence[int]
+) -> list[tuple[EpisodeEnd, dict[str, float]]]:
     """Gives the end of an episode from each seed, and the frequencies (Hz) of the modes at its goal by their names.
 
     Arguments and errors are those of `rollout`.
     """
-    watched = _Watched()
+    watched = _EndRecorder()
     result = rollout(entrant, environment, seeds, watched.see)
     return [watched.ending(result, arm) for arm in range(len(result.lengths))]
 
 
-def split(ending: Ending, modes: Mapping[str, float]) -> Diagnosis:
+def split_error(ending: EpisodeEnd, modes: Mapping[str, float]) -> Diagnosis:
     """Split the mean square of an error into offset, transient, tones and noise, with the cause of each tone.
 
     The offset is the mean. A transient is an even drift, and a tone slower than any mode of which the record does not
@@ -213,7 +213,7 @@ def _sway(errors: Array, period: float) -> float:
     return frequency if long and tone_power > SWAY * (_power(errors) - level_power) else np.inf
 
 
-def _causes(ending: Ending, parts: list[Array], shares: Array) -> list[str]:
+def _causes(ending: EpisodeEnd, parts: list[Array], shares: Array) -> list[str]:
     """What keeps up each tone."""
     if not len(shares):
         return []
@@ -270,7 +270,7 @@ def _named(frequency: float, modes: Mapping[str, float]) -> str:
     return min(near, key=lambda name: abs(np.log(near[name] / frequency)), default="")
 
 
-class _Watched:
+class _EndRecorder:
     """What of an environment a Record does not have: targets, goals, torques, motors and losses, period by period."""
 
     def __init__(self) -> None:
@@ -284,7 +284,7 @@ class _Watched:
         now = (view.target, view.motor_angles, episodes.motors.torques, rows[:, -1])
         self._rows.append(tuple(each.copy() for each in now))
 
-    def ending(self, result: Rollout, arm: int) -> tuple[Ending, dict[str, float]]:
+    def ending(self, result: Rollout, arm: int) -> tuple[EpisodeEnd, dict[str, float]]:
         """The end of an arm's episode, and the frequencies of the modes at its goal."""
         modes = {
             f"mode {number + 1}, motors {'held' if held else 'free'}": float(frequency)
@@ -301,4 +301,4 @@ class _Watched:
         _, motors, torques, loss = kept
         rates, actions = np.diff(motors, axis=0) / period, result.actions[arm, first:length]
         told = (period, result.band, result.failures[arm])
-        return Ending(errors[first:], actions, torques[1:], rates, loss[1:], *told), modes
+        return EpisodeEnd(errors[first:], actions, torques[1:], rates, loss[1:], *told), modes

@@ -1,34 +1,57 @@
-"""Rollout: the only loop that runs episodes; the same ones for whoever acts in them."""
+"""Rollout: episodes of one agent side by side, recorded in every control period, and their seeds."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from flexman_gym.arrays import Array, IntArray
-from flexman_gym.checks import refusal
+from flexman_gym.common.arrays import Array, IntArray
+from flexman_gym.common.checks import value_error, whole_number
+from flexman_gym.common.progress import Progress
 from flexman_gym.control.controller import Controller
-from flexman_gym.envs.description import Description
-from flexman_gym.envs.episodes import Episodes
-from flexman_gym.envs.motors import checked_actions
-from flexman_gym.evaluation.entrants import Entrant, find_entrant, parted
-from flexman_gym.evaluation.seeds import episode_seeds
+from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.episodes import Episodes, checked_actions
+from flexman_gym.evaluation.agent import Agent, find_agent, split_interface
 from flexman_gym.metrics import BAND
-from flexman_gym.progress import Progress
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.episode import Episode, about
+from flexman_gym.simulation.episode import Episode, episode_metadata
+
+SELECTION_SEEDS = range(5000, 5100)  # episodes on which the best policy of a run is chosen
+TEST_SEEDS = range(9000, 9100)  # episodes on which nothing is chosen: those of `flexman evaluate`
+TRAINING_SEED = 1_000_000  # arm i of a run with seed s begins with the seed TRAINING (s + 1) + i
+
+
+def training_seed(seed: int) -> int:
+    """Gives the seed of the first arm of a training run."""
+    return TRAINING_SEED * (seed + 1)
+
+
+def _episode_seeds(seeds: Sequence[int] | int) -> list[int]:
+    """Return the seeds of episodes: those given, or the first of TEST where their number is given.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    given: Any = seeds
+    if isinstance(given, Integral):
+        return list(TEST_SEEDS[: whole_number("seeds", given, 1, len(TEST_SEEDS))])
+    if isinstance(given, str) or not hasattr(given, "__len__") or len(given) == 0:
+        raise value_error("seeds", given, f"a list of whole numbers, or how many of the {len(TEST_SEEDS)} test seeds")
+    return list(given)
+
 
 INSTANTS = ("tips", "errors", "states", "targets", "readings")  # what is recorded from the reset on
 PERIODS = ("actions", "torques", "rewards")  # what is recorded of each control period
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class EpisodeRecord:
     """What happened in an episode of T control periods.
 
     Attributes:
@@ -105,17 +128,18 @@ class Rollout:
         return [self.episode(i).save(Path(folder) / f"{name}-{seed}.npz") for i, seed in enumerate(self.about["seeds"])]
 
     @property
-    def records(self) -> list[Record]:
+    def records(self) -> list[EpisodeRecord]:
         """What happened in each of the episodes, to its end."""
         return [
-            Record(self.tips[i, : end + 1], self.errors[i, : end + 1], self.actions[i, :end], self.rewards[i, :end],
+            EpisodeRecord(self.tips[i, : end + 1], self.errors[i, : end + 1], self.actions[i, :end], self.rewards[i,
+            :end],
                    self.failures[i], self.period, self.band)
             for i, end in enumerate(self.lengths)
         ]  # fmt: skip
 
 
 def rollout(
-    entrant: str | Entrant | Controller,
+    entrant: str | Agent | Controller,
     environment: str | Description,
     seeds: Sequence[int] | int,
     watch: Callable[[Episodes], None] | None = None,
@@ -127,7 +151,7 @@ def rollout(
     recorded.
 
     Args:
-        entrant: a name or the folder of a run, see `find_entrant`, or a Controller.
+        entrant: a name or the folder of a run, see `find_agent`, or a Controller.
         environment: an id, an id and a condition, a file, or a Description.
         seeds: of the episodes; a number n stands for the first n test seeds, 9000 to 9000 + n - 1, n <= 100.
         watch: called after the reset and after every control period.
@@ -145,8 +169,8 @@ def rollout(
         >>> played.tips.shape, played.failures
         ((2, 501, 3), ('', ''))
     """
-    player, described = find_entrant(entrant), find_environment(environment)
-    numbers, (bare, own) = episode_seeds(seeds), parted(described)
+    player, described = find_agent(entrant), find_environment(environment)
+    numbers, (bare, own) = _episode_seeds(seeds), split_interface(described)
     _check_arm(player, described)
     keywords = bare.keywords() | deepcopy(own if player.interface is None else player.interface)  # it may act elsewhere
     venv = gym.make_vec(described.id, len(numbers), "vector_entry_point", **keywords)
@@ -166,14 +190,14 @@ def rollout(
     return recorder.rollout(told)
 
 
-def _check_arm(player: Entrant, described: Description) -> None:
+def _check_arm(player: Agent, described: Description) -> None:
     """Refuse a policy that was trained on an arm with another number of joints."""
     if player.environment is None:
         return
     own, count = player.environment.setup().arm.n_joints, described.setup().arm.n_joints
     if own != count:
         allowed = f"a policy for {described.id}, of {count} joints: it is one for {player.environment.id}, of {own}"
-        raise refusal("entrant", player.name, allowed)
+        raise value_error("entrant", player.name, allowed)
 
 
 def find_environment(environment: str | Description) -> Description:
@@ -181,11 +205,11 @@ def find_environment(environment: str | Description) -> Description:
     return environment if isinstance(environment, Description) else Description.find(environment)
 
 
-def _about(env: Any, player: Entrant, described: Description) -> dict[str, Any]:
+def _about(env: Any, player: Agent, described: Description) -> dict[str, Any]:
     """What the episodes of an entrant on an environment have in common, plain."""
     sensors = env.episodes.sensors
-    settings = {"environment": parted(described)[0].whole(), "interface": player.interface}
-    return about(
+    settings = {"environment": split_interface(described)[0].whole(), "interface": player.interface}
+    return episode_metadata(
         env.batch.model, settings, name=player.name, environment=described.id, units=dict(sensors.units),
         slices={name: [place.start, place.stop] for name, place in sensors.slices.items()},
         torque_limits=env.torque_limit.tolist(),

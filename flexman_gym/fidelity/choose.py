@@ -7,19 +7,17 @@ from functools import lru_cache
 
 import numpy as np
 
-from flexman_gym.arrays import Array
-from flexman_gym.checks import positive, refusal
-from flexman_gym.fidelity.candidates import Candidate, given_modes
+from flexman_gym.common.arrays import Array
+from flexman_gym.common.checks import positive, value_error
 from flexman_gym.fidelity.mesh import MeshSearch
-from flexman_gym.fidelity.search import Search, Trial
-from flexman_gym.model.instant import frequencies, mass_matrix, stiffness_matrix
+from flexman_gym.fidelity.search import Candidate, CandidateRun, ModelSearch, compact_modes
+from flexman_gym.model.dynamics import frequencies, mass_matrix, stiffness_matrix
 from flexman_gym.model.model import Model, build_model
-from flexman_gym.model.rounding import solvable
+from flexman_gym.model.natural_modes import check_solvable
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.scene import Scene
-from flexman_gym.simulation.amplification import amplitude_kept, explicit_limit, spectral_radii
-from flexman_gym.simulation.families import EXPLICIT, Method
-from flexman_gym.simulation.methods import METHODS
+from flexman_gym.simulation.amplification import explicit_limit, remaining_amplitude, spectral_radii
+from flexman_gym.simulation.methods import EXPLICIT, METHODS, Method
 
 SAFETY = 0.8  # part of the tolerance that the chosen run may use
 ALIKE = 1.25  # costs that a clock cannot tell apart; of such trials the smallest model is chosen
@@ -97,9 +95,11 @@ def choose_model(scene: Scene, tolerance: float, longest_step: float | None = No
         True
     """
     if not isinstance(scene, Scene):
-        raise refusal("scene", scene, "a Scene")
+        raise value_error("scene", scene, "a Scene")
     if scene.initial.state is not None:
-        raise refusal("scene.initial.state", scene.initial.state, "None: the models that are tried have other states")
+        raise value_error(
+            "scene.initial.state", scene.initial.state, "None: the models that are tried have other states"
+        )
     longest = np.inf if longest_step is None else positive("longest_step", longest_step, "s")
     return _choose(scene, positive("tolerance", tolerance, "m"), longest)
 
@@ -131,7 +131,7 @@ def assembled_modes(
     carried = np.zeros(model.n_dof)
     for pose in [np.zeros(n), *turned]:
         mass = mass_matrix(model, model.initial_state(pose))
-        with solvable("frequencies"):
+        with check_solvable("frequencies"):
             squares, shapes = eigh(stiffness, mass)
             slow = np.sqrt(np.maximum(squares, 0.0)) < 2.0 * np.pi * highest
             slow[: n + 3] = True
@@ -139,22 +139,24 @@ def assembled_modes(
             energies = shapes[:, slow] ** 2 * np.diag(stiffness)[:, None] / squares[slow]
         carried = np.maximum(carried, energies.max(axis=1, initial=0.0))
     links = [carried[model.elastic_columns(i)] > share for i in range(n)]
-    return tuple(given_modes(tuple(np.flatnonzero(kept).tolist())) for kept in links)
+    return tuple(compact_modes(tuple(np.flatnonzero(kept).tolist())) for kept in links)
 
 
 @lru_cache(maxsize=64)
 def _choose(scene: Scene, tolerance: float, longest: float) -> Choice:
     started = clock.process_time()
-    search = MeshSearch(scene, tolerance) if scene.model.elements is None else Search(scene, tolerance)
+    search = MeshSearch(scene, tolerance) if scene.model.elements is None else ModelSearch(scene, tolerance)
     if search.error > search.blurred * tolerance:
         least = 2.0 * search.error / search.blurred
-        raise refusal("tolerance", tolerance, f"at least {least:.2g} m: the reference is known no better")
+        raise value_error("tolerance", tolerance, f"at least {least:.2g} m: the reference is known no better")
     parts = search.parts()
     trials = [trial for candidate in _candidates(search, parts) for trial in _steps(search, candidate, longest)]
     good = [trial for trial in trials if trial.error + search.error <= SAFETY * tolerance]
     if not good:
         reached = min(trial.error for trial in trials) if trials else np.inf
-        raise refusal("tolerance", tolerance, f"at least {(reached + search.error) / SAFETY:.2g} m, what was reached")
+        raise value_error(
+            "tolerance", tolerance, f"at least {(reached + search.error) / SAFETY:.2g} m, what was reached"
+        )
     cheapest = min(trial.cost for trial in good)
     close = [trial for trial in good if trial.cost <= 1.5 * cheapest]
     if search.timed is not None:
@@ -172,12 +174,12 @@ def _choose(scene: Scene, tolerance: float, longest: float) -> Choice:
     return Choice(*chosen, error, dropped, report, errors, search.runs)
 
 
-def _size(search: Search, trial: Trial) -> tuple[int, bool]:
+def _size(search: ModelSearch, trial: CandidateRun) -> tuple[int, bool]:
     """Gives the number of coordinates of a trial's model, and whether it has foreshortening."""
     return search.model(trial.candidate).n_dof, trial.candidate.stiffening
 
 
-def _candidates(search: Search, parts: dict[tuple[int, int], float]) -> list[Candidate]:
+def _candidates(search: ModelSearch, parts: dict[tuple[int, int], float]) -> list[Candidate]:
     """Gives models that meet their share of the tolerance, the one with the fewest coordinates first."""
     result, stiffest = {search.full}, search.stiffest() if search.softens else []
     for springs in {search.full.springs, False}:
@@ -207,7 +209,7 @@ def _candidates(search: Search, parts: dict[tuple[int, int], float]) -> list[Can
     return smallest
 
 
-def _steps(search: Search, candidate: Candidate, longest: float) -> Iterator[Trial]:
+def _steps(search: ModelSearch, candidate: Candidate, longest: float) -> Iterator[CandidateRun]:
     """Runs a candidate by each method, with shorter steps until a run is good, or costs more than a good one."""
     modes = frequencies(search.model(candidate), search.scene.initial.joint_angles)
     aim = SAFETY * search.tolerance - search.error
@@ -240,7 +242,7 @@ def _ladder(scene: Scene) -> list[float]:
     return longer + [scene.output_step / parts for parts in PARTS]
 
 
-def _dropped(search: Search, candidate: Candidate, parts: dict[tuple[int, int], float]) -> tuple[str, ...]:
+def _dropped(search: ModelSearch, candidate: Candidate, parts: dict[tuple[int, int], float]) -> tuple[str, ...]:
     """Writes a text for everything that a candidate leaves out."""
     full, texts = search.full, []
     if full.stiffening and not candidate.stiffening:
@@ -266,7 +268,7 @@ def _dropped(search: Search, candidate: Candidate, parts: dict[tuple[int, int], 
     return tuple(texts)
 
 
-def _report(search: Search, best: Trial, trials: list[Trial], seconds: float) -> str:
+def _report(search: ModelSearch, best: CandidateRun, trials: list[CandidateRun], seconds: float) -> str:
     """Writes frequencies, step, numerical damping and cost in words."""
     scene, model, full = search.scene, search.model(best.candidate), search.model(search.full)
     own, all_ = (frequencies(each, scene.initial.joint_angles)[model.n_joints :] for each in (model, full))
@@ -281,7 +283,7 @@ def _report(search: Search, best: Trial, trials: list[Trial], seconds: float) ->
     if same:
         next_ = min(same, key=lambda each: each.step)
         lines.append(f"what limits the step: {next_.step:.4g} s leaves an error of {next_.error:.2g} m")
-    grown = [amplitude_kept(best.method, best.step, frequency) - 1.0 for frequency in own]
+    grown = [remaining_amplitude(best.method, best.step, frequency) - 1.0 for frequency in own]
     for i, (frequency, part) in enumerate(zip(own[:3], grown, strict=False), start=1):
         lines.append(
             f"numerical damping of mode {i} ({frequency:.4g} Hz) over 10 s: {100.0 * part:+.2g} % of amplitude"

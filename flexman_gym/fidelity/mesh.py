@@ -4,14 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from flexman_gym.arrays import Array
-from flexman_gym.fidelity.candidates import Candidate, whole
-from flexman_gym.fidelity.search import MIDPOINT, SHARP, Search, Trial, distance
-from flexman_gym.model.instant import frequencies
+from flexman_gym.common.arrays import Array
+from flexman_gym.fidelity.search import (
+    MIDPOINT,
+    SHARP,
+    Candidate,
+    CandidateRun,
+    ModelSearch,
+    full_candidate,
+    tip_distance,
+)
+from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model, build_model
-from flexman_gym.scene.choice import MOST_ELEMENTS
-from flexman_gym.scene.scene import Scene
-from flexman_gym.simulation.families import Method
+from flexman_gym.scene.scene import MAX_ELEMENTS, Scene
+from flexman_gym.simulation.methods import Method
 from flexman_gym.simulation.scenes import simulate
 from flexman_gym.simulation.trajectory import Trajectory
 
@@ -26,7 +32,7 @@ LONGER = 1.7  # times the last step of a method with another candidate: the long
 MOST_RUNS, TRYING, SCREENING, MESHING = 100, 80, 65, 30
 
 
-class MeshSearch(Search):
+class MeshSearch(ModelSearch):
     """The reference of a scene with an open mesh, and the mesh and the candidates that were measured against it.
 
     The reference has five elements a link and foreshortening.
@@ -48,7 +54,7 @@ class MeshSearch(Search):
     def __init__(self, scene: Scene, tolerance: float) -> None:
         self._begin(scene, tolerance)
         sections = [len(link.sections) for link in scene.arm.links]
-        finest = tuple(min(FINEST, MOST_ELEMENTS // count) for count in sections)
+        finest = tuple(min(FINEST, MAX_ELEMENTS // count) for count in sections)
         self.finest = self._whole(finest)
         self.mesh_errors: dict[tuple[int, ...], float] = {}
         self._ending = False
@@ -58,7 +64,7 @@ class MeshSearch(Search):
             self.mesh_error = LEFT * self._mesh_distance(tuple(max(1, count - 1) for count in finest))
         self.mesh = self._smallest_mesh(finest)
         self.scene = replace(scene, model=replace(scene.model, elements=self.mesh))
-        self.full = whole(self.scene)
+        self.full = full_candidate(self.scene)
         self.screen(self.full)
         self.reference = self.screens[self.full]
 
@@ -94,11 +100,11 @@ class MeshSearch(Search):
         return mesh
 
     def screen(self, candidate: Candidate) -> float:
-        """Gives the error (m) as `Search.screen`, infinity for a candidate that comes after too many runs."""
+        """Gives the error (m) as `ModelSearch.screen`, infinity for a candidate that comes after too many runs."""
         late = candidate not in self.screened and self.runs >= SCREENING and not self._ending
         return np.inf if late else super().screen(candidate)
 
-    def pace(self, trial: Trial, guessed: float) -> float:
+    def pace(self, trial: CandidateRun, guessed: float) -> float:
         """The guess again: most of a short run is what it takes to begin, which a shorter step leaves as it is."""
         return guessed
 
@@ -120,12 +126,12 @@ class MeshSearch(Search):
         parts["foreshortening"] = self._between(candidate, shortened)
         every = round(run.time[1] / self.scene.output_step)
         exact = self.screens[candidate].tip + (self.tips[-1] - self.beside.tip)
-        return parts | {"method": distance(run.tip, exact[::every]), "reference": self.error}
+        return parts | {"method": tip_distance(run.tip, exact[::every]), "reference": self.error}
 
     def _between(self, candidate: Candidate, other: Candidate) -> float:
         self.screen(candidate)
         self.screen(other)
-        return distance(self.screens[candidate].tip, self.screens[other].tip) if candidate != other else 0.0
+        return tip_distance(self.screens[candidate].tip, self.screens[other].tip) if candidate != other else 0.0
 
     def words(self) -> str:
         """What the reference is, and how far it is from an arm whose links may turn far."""

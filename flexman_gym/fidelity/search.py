@@ -1,21 +1,104 @@
-"""Search: candidates for a scene, each measured against a converged run of its finest model."""
+"""Search for a reduced model: candidates, the order in which modes are dropped, and errors against a converged run."""
 
 import time as clock
 from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.arrays import Array
-from flexman_gym.checks import refusal
-from flexman_gym.fidelity.candidates import Candidate, whole
-from flexman_gym.fidelity.ranks import stiffest, tip_parts
-from flexman_gym.model.model import Model
-from flexman_gym.progress import Progress
+from flexman_gym.common.arrays import Array, Vector
+from flexman_gym.common.checks import value_error
+from flexman_gym.common.progress import Progress
+from flexman_gym.model.dynamics import mass_matrix, stiffness_matrix, tip_jacobian
+from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.scene import Scene
-from flexman_gym.simulation.families import Explicit, LinearlyImplicit, Method, Sweeps
-from flexman_gym.simulation.methods import METHODS
+from flexman_gym.simulation.methods import METHODS, Explicit, IteratedGauss, LinearlyImplicit, Method
 from flexman_gym.simulation.scenes import simulate
 from flexman_gym.simulation.trajectory import Trajectory
+
+
+class Candidate(NamedTuple):
+    """The parts that a model keeps.
+
+    Attributes:
+        modes: numbers of the loaded modes of each link.
+        springs: whether joints have their springs.
+        stiffening: whether links have foreshortening.
+    """
+
+    modes: tuple[tuple[int, ...], ...]
+    springs: bool
+    stiffening: bool
+
+    def build(self, scene: Scene) -> Model:
+        """Builds its model for a scene."""
+        modes = tuple(compact_modes(kept) for kept in self.modes)
+        switches = vars(scene.model) | {"flexible_joints": self.springs, "stiffening": self.stiffening, "modes": modes}
+        return build_model(scene.arm, **switches)
+
+
+def full_candidate(scene: Scene) -> Candidate:
+    """Gives the candidate that keeps everything of a scene."""
+    everything = build_model(scene.arm, **(vars(scene.model) | {"modes": None}))
+    modes = tuple(tuple(range(basis.shape[1])) for basis in everything.bases)
+    return Candidate(modes, everything.n_motors > 0, any(modes))
+
+
+def compact_modes(numbers: tuple[int, ...]) -> int | tuple[int, ...]:
+    """Gives the modes of a link as `build_model` takes them: the lowest ones as their number, others as a tuple."""
+    return len(numbers) if numbers == tuple(range(len(numbers))) else numbers
+
+
+def _tip_contributions(model: Model, full: Candidate, states: Array) -> dict[tuple[int, int], float]:
+    """Gives how far (m) each mode (link, number) moves the tip in the motion of the reference, ascending.
+
+    A mode that bends turns the free joints the other way, as momentum is kept. The motion of the tip includes this
+    turn.
+
+    Args:
+        model: of the full candidate.
+        full: the candidate that keeps everything.
+        states: (T, 2 d) of the reference.
+    """
+    turns = np.eye(model.n_dof)[:, : model.n_joints]
+    turns[model.motor_columns] = np.eye(model.n_joints)
+    moves = np.zeros(model.n_dof)
+    for state in states[:: max(1, len(states) // 8)]:
+        momentum = turns.T @ mass_matrix(model, state)
+        moved = np.eye(model.n_dof) - turns @ np.linalg.solve(momentum @ turns, momentum)
+        tip = tip_jacobian(model, state[: model.n_dof]) @ moved
+        moves = np.maximum(moves, np.linalg.norm(tip, axis=0))
+    moves *= np.abs(states[:, : model.n_dof]).max(axis=0)
+    parts = {}
+    for link, kept in enumerate(full.modes):
+        for number, part in zip(kept, moves[model.elastic_columns(link)], strict=True):
+            parts[link, number] = float(part)
+    return dict(sorted(parts.items(), key=lambda item: item[1]))
+
+
+def _stiffest_modes(model: Model, full: Candidate, angles: Vector) -> list[tuple[int, int]]:
+    """Gives the modes (link, number) in an order that lowers the highest frequency of the arm fast.
+
+    Each is the mode with the largest part in the highest vibration of the arm without the modes before it.
+
+    Args:
+        model: of the full candidate.
+        full: the candidate that keeps everything.
+        angles: (n,) rad, of the joints.
+    """
+    from scipy.linalg import eigh
+
+    mass = mass_matrix(model, model.initial_state(angles))
+    stiffness, size = stiffness_matrix(model), np.sqrt(np.diag(mass))
+    modes = [(link, number) for link, kept in enumerate(full.modes) for number in kept]
+    first, order = model.n_dof - len(modes), []
+    left = list(range(model.n_dof))
+    while len(left) > first:
+        block = np.ix_(left, left)
+        shape = eigh(stiffness[block], mass[block])[1][:, -1]
+        place = first + int(np.argmax(np.abs(shape * size[left])[first:]))
+        order.append(modes[left.pop(place) - first])
+    return order
+
 
 MODEL_SHARES = (0.6, 0.25)  # parts of the tolerance that dropped coordinates may use; each gives a model
 TRIED = ("extrapolated_euler_5", "extrapolated_euler_4", "extrapolated_euler_3", "ros2", "rk4", "dopri5",
@@ -28,7 +111,7 @@ STEPS_LEFT = 0.5
 RTOLS = (1e-5, 1e-8, 1e-11)  # of "dop853", for a reference that halved steps do not make sharp
 
 
-class Trial(NamedTuple):
+class CandidateRun(NamedTuple):
     """A run of a candidate.
 
     Attributes:
@@ -48,7 +131,7 @@ class Trial(NamedTuple):
     evaluations: int
 
 
-class Search:
+class ModelSearch:
     """The reference of a scene, and the candidates that were measured against it.
 
     The tips of the reference are extrapolated from runs of the midpoint rule and halved steps to steps of no length.
@@ -94,7 +177,7 @@ class Search:
 
     def __init__(self, scene: Scene, tolerance: float) -> None:
         self._begin(scene, tolerance)
-        self.full = whole(scene)
+        self.full = full_candidate(scene)
         self.finest = self.model(self.full)
         self._converge(SHARP * tolerance)
         self._find_screening()
@@ -106,7 +189,7 @@ class Search:
         self.halved: dict[int, Trajectory] = {}
         self.last: dict[str, float] = {}
         self.models: dict[Candidate, Model] = {}
-        self.screened: dict[Candidate, Trial] = {}
+        self.screened: dict[Candidate, CandidateRun] = {}
         self.screens: dict[Candidate, Trajectory] = {}
         self._progress = Progress("runs of the scene")
         self._controlled = 0  # references of step control
@@ -125,10 +208,10 @@ class Search:
             self._controlled += 1
             run = self._reference(METHODS["dop853"], None, rtol)
             if run.status == "ok":
-                self.time_error = distance(run.tip, self.tips[-1]) if self.tips else np.inf
+                self.time_error = tip_distance(run.tip, self.tips[-1]) if self.tips else np.inf
                 self.tips.append(run.tip)
         if not np.isfinite(self.time_error):
-            raise refusal("scene", "a motion that no reference follows", "one that is slower or bends less")
+            raise value_error("scene", "a motion that no reference follows", "one that is slower or bends less")
 
     def _halve(self) -> None:
         """Halves the step of the reference."""
@@ -138,7 +221,7 @@ class Search:
         if longer is not None and run.status == longer.status == "ok":
             self.tips.append((4.0 * run.tip - longer.tip) / 3.0)
             if len(self.tips) > 1:
-                self.time_error = STEPS_LEFT * distance(self.tips[-1], self.tips[-2])
+                self.time_error = STEPS_LEFT * tip_distance(self.tips[-1], self.tips[-2])
 
     def _reference(self, method: Method, step: float | None, rtol: float = 1e-6) -> Trajectory:
         self._count()
@@ -174,30 +257,30 @@ class Search:
         self.runs += 1
         self._progress.count()
 
-    def trial(self, candidate: Candidate, method: Method, step: float | None) -> Trial:
+    def trial(self, candidate: Candidate, method: Method, step: float | None) -> CandidateRun:
         """Simulates the scene with a candidate and measures error and cost."""
         trial, run = self.timed_run(candidate, method, step)
         return trial._replace(error=self.tip_error(run))
 
-    def timed_run(self, candidate: Candidate, method: Method, step: float | None) -> tuple[Trial, Trajectory]:
+    def timed_run(self, candidate: Candidate, method: Method, step: float | None) -> tuple[CandidateRun, Trajectory]:
         """Simulates the scene with a candidate and measures its cost; the error of the trial is left open, NaN."""
         self.model(candidate)
         started = clock.process_time()
         run = self.run(candidate, method, step)
         cost = clock.process_time() - started
-        return Trial(candidate, method, step or 0.0, np.nan, cost, run.evaluations), run
+        return CandidateRun(candidate, method, step or 0.0, np.nan, cost, run.evaluations), run
 
     def tip_error(self, run: Trajectory) -> float:
         """Gives the error (m) of a run at its outputs; inf for a run that failed or goes astray between its outputs."""
         times, reference = self.scene.output_times, self.tips[-1]
         if run.status != "ok" or not np.isclose(run.time[-1], times[-1], rtol=1e-6):
             return np.inf
-        error = distance(run.tip, reference[:: (len(times) - 1) // (len(run.time) - 1)])
+        error = tip_distance(run.tip, reference[:: (len(times) - 1) // (len(run.time) - 1)])
         if len(run.time) < len(times):
             from scipy.interpolate import CubicHermiteSpline
 
             between = CubicHermiteSpline(run.time, run.tip, run.tip_velocity)(times)
-            error = error if distance(between, reference) <= self.tolerance else np.inf
+            error = error if tip_distance(between, reference) <= self.tolerance else np.inf
         return error
 
     def screen(self, candidate: Candidate) -> float:
@@ -214,7 +297,7 @@ class Search:
 
     def _beside(self, run: Trajectory) -> float:
         """How far (m) a run is from the full candidate at the same step; inf for one that failed."""
-        return distance(run.tip, self.beside.tip) if run.status == "ok" else np.inf
+        return tip_distance(run.tip, self.beside.tip) if run.status == "ok" else np.inf
 
     def guess(self, candidate: Candidate, method: Method) -> float:
         """Guesses the cost of the scene times the step of a method, on the low side."""
@@ -223,11 +306,11 @@ class Search:
         each = self.scene.duration * screened.cost / max(screened.evaluations, 1)
         if isinstance(method, Explicit):
             return 0.3 * each * len(method.b)  # it factorises no matrix
-        if isinstance(method, Sweeps):
+        if isinstance(method, IteratedGauss):
             return 0.7 * each * method.evaluations
         return 0.7 * each * len(method.b) * max(method.sequence) if isinstance(method, LinearlyImplicit) else 0.0
 
-    def pace(self, trial: Trial, guessed: float) -> float:
+    def pace(self, trial: CandidateRun, guessed: float) -> float:
         """Gives the cost of the scene times the step, after a trial and what was guessed before it."""
         return trial.cost * trial.step
 
@@ -245,11 +328,11 @@ class Search:
 
     def parts(self) -> dict[tuple[int, int], float]:
         """Gives how far (m) each mode (link, number) moves the tip in the motion of the reference, ascending."""
-        return tip_parts(self.model(self.full), self.full, self.reference.states)
+        return _tip_contributions(self.model(self.full), self.full, self.reference.states)
 
     def stiffest(self) -> list[tuple[int, int]]:
         """Gives the modes (link, number) in an order that lowers the highest frequency of the arm fast."""
-        return stiffest(self.model(self.full), self.full, self.scene.initial.joint_angles)
+        return _stiffest_modes(self.model(self.full), self.full, self.scene.initial.joint_angles)
 
     def reduced(self, start: Candidate, budget: float, order: list[tuple[int, int]]) -> Candidate:
         """Leaves out as many modes, in a given order, as a budget allows, and some of the next ones where it can.
@@ -275,6 +358,6 @@ class Search:
         return without(gone)
 
 
-def distance(tips: Array, others: Array) -> float:
+def tip_distance(tips: Array, others: Array) -> float:
     """Gives the largest distance (m) between tips (T, 3)."""
     return float(np.linalg.norm(tips - others, axis=-1).max())

@@ -1,4 +1,4 @@
-"""The compiled rooms. Their code is kept on disk, see `cache`.
+"""Compiled kernels. Their machine code is kept on disk, see `cache`.
 
 While kernels compile, lines on stderr say so; FLEXMAN_QUIET=1 silences them.
 """
@@ -9,17 +9,17 @@ from typing import Any
 import numba
 from numba.core import event
 
-from flexman_gym.kernels.cache import find_folder, quiet
+from flexman_gym.kernels.cache import find_folder, is_quiet
 
 # Seconds of a processor of 2024 from the start of each until it is done; of the first ones of an environment, until
 # this can take its first step. The others take less than two.
 SECONDS = {
     "inertial_forces": 25, "advance_one": 17, "advance_arms": 20, "sense_one": 6, "sense_arms": 6, "run_arms": 16,
-    "run_sequences": 18, "run_sweeps": 11, "run_linearly_implicit": 6, "run_explicit": 5, "run_implicit": 5,
+    "run_sequences": 18, "run_fixed_newton": 11, "run_linearly_implicit": 6, "run_explicit": 5, "run_implicit": 5,
 }  # fmt: skip
 
 
-class _Words(event.Listener):
+class _CompileMessages(event.Listener):
     """Says which kernel compiles and how long it takes; Numba tells of that, and not of those that it loads."""
 
     def __init__(self) -> None:
@@ -29,7 +29,7 @@ class _Words(event.Listener):
         """Before Numba compiles something, which need not be ours."""
         function = event.data["dispatcher"].py_func
         self._depth += 1
-        if quiet() or self._depth > 1 or not function.__module__.startswith(f"{__name__}."):
+        if is_quiet() or self._depth > 1 or not function.__module__.startswith(f"{__name__}."):
             return
         if not self._said:
             kept = f"each only once: they are kept in {FOLDER}"
@@ -49,82 +49,54 @@ if numba.config.DISABLE_JIT:
     raise ImportError("NUMBA_DISABLE_JIT: 1 is not allowed; give 0 or nothing: these kernels run compiled only")
 
 FOLDER = find_folder()
-event.register("numba:compile", _Words())
+event.register("numba:compile", _CompileMessages())
 
 # Numba reads the setting when a kernel is decorated; it is put back so that other packages keep theirs.
 _setting = numba.config.CACHE_DIR
 numba.config.CACHE_DIR = FOLDER or ""
 try:
     from flexman_gym.kernels import (
+        accelerometer,
+        arguments,
         arms,
         compile,
+        control_period,
         dynamics,
-        elastic,
-        explicit,
-        fields,
         forces,
-        gauss,
-        groups,
         implicit,
         inverse,
-        joints,
         kinematics,
         lanes,
         layout,
         linalg,
-        linearly_implicit,
-        midpoint,
         outputs,
-        pace,
-        parts,
         paths,
-        periods,
         raster,
-        readings,
-        scenery,
+        runge_kutta,
         signals,
-        stages,
-        statics,
         stiffening,
-        sweeps,
-        tip,
-        turning,
     )
 finally:
     numba.config.CACHE_DIR = _setting
 
 __all__ = [
+    "accelerometer",
+    "arguments",
     "arms",
     "compile",
+    "control_period",
     "dynamics",
-    "elastic",
-    "explicit",
-    "fields",
     "forces",
-    "gauss",
-    "groups",
     "implicit",
     "inverse",
-    "joints",
     "kinematics",
     "lanes",
     "layout",
     "linalg",
-    "linearly_implicit",
-    "midpoint",
     "outputs",
-    "pace",
-    "parts",
     "paths",
-    "periods",
     "raster",
-    "readings",
-    "scenery",
+    "runge_kutta",
     "signals",
-    "stages",
-    "statics",
     "stiffening",
-    "sweeps",
-    "tip",
-    "turning",
 ]

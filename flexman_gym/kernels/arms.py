@@ -16,10 +16,10 @@ from numba.core import types
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
+from flexman_gym.kernels.arguments import ArrayField, StructPointer, store_struct
 from flexman_gym.kernels.compile import inner, kernel, released
-from flexman_gym.kernels.fields import Field
-from flexman_gym.kernels.groups import lane_number, store_lane_number
-from flexman_gym.kernels.lanes import ARMS, NUMBER, SEQUENCES, Lanes
+from flexman_gym.kernels.implicit import fixed_newton_step
+from flexman_gym.kernels.lanes import ARMS, NUMBER, SEQUENCES, Lanes, load_lane, store_lane
 from flexman_gym.kernels.layout import (
     ARMS_ABREAST,
     DIVERGED,
@@ -32,11 +32,8 @@ from flexman_gym.kernels.layout import (
     Work,
 )
 from flexman_gym.kernels.linalg import copy
-from flexman_gym.kernels.linearly_implicit import implicit_step, run_steps
 from flexman_gym.kernels.outputs import observe
-from flexman_gym.kernels.pace import out_of_bounds, step_time
-from flexman_gym.kernels.parts import Parts, gathered
-from flexman_gym.kernels.sweeps import swept_step
+from flexman_gym.kernels.runge_kutta import linearly_implicit_step, out_of_bounds, run_w_method, step_time
 
 PER_ARM = frozenset(name for name, kind in Constants.__annotations__.items() if kind is Own)
 ALIGNMENT = 64  # bytes; of a group of eight numbers
@@ -55,7 +52,7 @@ def sequences_array(shape: tuple[int, ...]) -> Array:
     return arms_array(shape, SEQUENCES.width)
 
 
-def addresses(parts: NamedTuple, element: types.Type) -> IntArray:
+def address_table(parts: NamedTuple, element: types.Type) -> IntArray:
     """(fields, 3) address and shape of every array of a `Constants` or `Work`, whose memory must stay alive.
 
     Elements are numbers (NUMBER), or `ARMS` or `SEQUENCES`, whose arrays have one axis more.
@@ -77,15 +74,15 @@ def _address(values: Array) -> int:
 
 
 @cache
-def _kind(parts: type, name: str, element: types.Type) -> Field:
+def _kind(parts: type, name: str, element: types.Type) -> ArrayField:
     """The type of a field as the kernels see it; read-only are the constants that several arms share, see `lanes`."""
     annotation = parts.__annotations__[name]
     dimensions = 1 if annotation is Own or not hasattr(annotation, "__metadata__") else 2
     if annotation is IntArray:
-        return Field(types.int64, dimensions, readonly=True)
+        return ArrayField(types.int64, dimensions, readonly=True)
     if parts is Work or element == NUMBER or (element == ARMS and name in PER_ARM):
-        return Field(element, dimensions)
-    return Field(NUMBER, dimensions, readonly=True)
+        return ArrayField(element, dimensions)
+    return ArrayField(NUMBER, dimensions, readonly=True)
 
 
 @cache
@@ -95,7 +92,7 @@ def _columns(parts: type, name: str) -> int:
     return 0 if annotation is Own else getattr(annotation, "__metadata__", (0,))[0]
 
 
-def _view(context: Any, builder: Any, kind: Field, address: tuple[Any, int], columns: int) -> Any:
+def _view(context: Any, builder: Any, kind: ArrayField, address: tuple[Any, int], columns: int) -> Any:
     """The array whose address and shape stand in a row of a table of addresses."""
     table, row = address
 
@@ -118,7 +115,7 @@ def _reader(parts: type, element: types.Type) -> Any:
     """A function for kernels that makes a `Constants` or `Work` of its table of addresses."""
     kinds = [_kind(parts, name, element) for name in parts._fields]  # type: ignore[attr-defined]
     columns = [_columns(parts, name) for name in parts._fields]  # type: ignore[attr-defined]
-    whole = Parts(kinds, parts)
+    whole = StructPointer(kinds, parts)
 
     @intrinsic
     def read(typing_context, table):
@@ -126,7 +123,7 @@ def _reader(parts: type, element: types.Type) -> Any:
             data = context.make_array(signature.args[0])(context, builder, values[0]).data
             places = zip(kinds, columns, strict=True)
             fields = [_view(context, builder, kind, (data, row), width) for row, (kind, width) in enumerate(places)]
-            return gathered(context, builder, whole, fields)
+            return store_struct(context, builder, whole, fields)
 
         return whole(table), generate
 
@@ -139,25 +136,26 @@ constants_of_sequences, work_of_sequences = _reader(Constants, SEQUENCES), _read
 
 
 @inner
-def proceed(constants, work, tableau, sweeps, steps, state):
+def advance_steps(constants, work, tableau, sweeps, steps, state):
     """Moves state and ledger, an array of work space, under work.drive by steps, their length (s) and number.
 
-    By a linearly implicit method, or, without a tableau (None), by sweeps, see `swept_step`. Then fills work.outputs.
+    By a linearly implicit method, or, without a tableau (None), by sweeps, see `fixed_newton_step`. Then fills
+    work.outputs.
     """
     d, (step, count) = len(state) // 2 - 1, steps
     for n in range(count):
         moment = n * step, step
         if tableau is None:
-            swept_step(constants, work, sweeps, None, moment, state)
+            fixed_newton_step(constants, work, sweeps, None, moment, state)
         else:
-            implicit_step(constants, work, tableau, None, moment, state)
+            linearly_implicit_step(constants, work, tableau, None, moment, state)
         copy(work.trial, state)
     observe(constants, work, state[:d], state[d : 2 * d], work.outputs)
 
 
 @released
 def advance_arms(tables, work_table, method, drives, steps, rows, out, status, trail):
-    """Moves arms by a method, a tableau or None with sweeps as in `proceed`, through periods of constant drives.
+    """Moves arms by a method, a tableau or None with sweeps as in `advance_steps`, through periods of constant drives.
 
     `tables` (groups, fields, 3) are the addresses of the constants of each group of ARMS_ABREAST arms, drives are (b,
     T, n + 6). Overwrites rows (b, 2 d + 2) and outputs `out` (b, OUTPUTS) of the arms whose status (b,) is OK until one
@@ -167,18 +165,18 @@ def advance_arms(tables, work_table, method, drives, steps, rows, out, status, t
     state = work.row
     for group in range(len(tables)):
         first, end = group * ARMS_ABREAST, min((group + 1) * ARMS_ABREAST, len(rows))
-        if any_moving(status, first, end):
+        if _any_moving(status, first, end):
             fill_lanes(rows, first, state)
             for t in range(drives.shape[1]):
                 fill_lanes(drives[:, t], first, work.drive)
-                proceed(constants_of_arms(tables[group]), work, method[0], method[1], steps, state)
+                advance_steps(constants_of_arms(tables[group]), work, method[0], method[1], steps, state)
                 for arm in range(first, end):
-                    if status[arm] == OK and not lane_in_bounds(state, arm - first):
+                    if status[arm] == OK and not _lane_in_bounds(state, arm - first):
                         status[arm] = DIVERGED
                     if status[arm] == OK:
                         read_lane(state, arm - first, rows[arm])
                         read_lane(work.outputs, arm - first, out[arm])
-                        follow(trail, arm, t, rows, out)
+                        _record_period(trail, arm, t, rows, out)
 
 
 @released
@@ -189,16 +187,16 @@ def advance_one(table, work_table, method, drives, steps, rows, out, status, tra
     for t in range(drives.shape[1]):
         if status[0] == OK:
             copy(drives[0, t], work.drive)
-            proceed(constants_of_one(table), work, method[0], method[1], steps, work.row)
+            advance_steps(constants_of_one(table), work, method[0], method[1], steps, work.row)
             status[0] = DIVERGED if out_of_bounds(work.row) else OK
             if status[0] == OK:
                 copy(work.row, rows[0])
                 copy(work.outputs, out[0])
-                follow(trail, 0, t, rows, out)
+                _record_period(trail, 0, t, rows, out)
 
 
 @inner
-def follow(trail, arm, t, rows, out):
+def _record_period(trail, arm, t, rows, out):
     """Puts row and outputs of an arm after period t into a trail that has periods."""
     if trail[0].shape[1] > 0:
         copy(rows[arm], trail[0][arm, t])
@@ -207,7 +205,7 @@ def follow(trail, arm, t, rows, out):
 
 @released
 def run_arms(tables, work_table, tableau, sweeps, drives, clock, rows, out, counts):
-    """Runs of arms by fixed steps as in `proceed`, each under the table of its own drive (b, 7, n + 6).
+    """Runs of arms by fixed steps as in `advance_steps`, each under the table of its own drive (b, 7, n + 6).
 
     Overwrites rows (b, r + 1, 2 d + 2) behind the first one, from which an arm starts, and outputs `out` (b, r + 1,
     OUTPUTS). counts (b, 2) = how many rows are valid behind the first, and the steps that were taken.
@@ -216,20 +214,20 @@ def run_arms(tables, work_table, tableau, sweeps, drives, clock, rows, out, coun
     for group in range(len(tables)):
         constants, first = constants_of_arms(tables[group]), group * ARMS_ABREAST
         end = min(first + ARMS_ABREAST, len(rows))
-        load_arms(work, drives, rows, first)
+        _load_arms(work, drives, rows, first)
         for arm in range(first, end):
             counts[arm, 0], counts[arm, 1] = -1, 0
         for r in range(rows.shape[1]):
             for n in range(clock.substeps if r > 0 else 0):
                 moment = step_time(clock, r - 1, n), clock.step
                 if tableau is None:
-                    swept_step(constants, work, sweeps, work.table, moment, work.row)
+                    fixed_newton_step(constants, work, sweeps, work.table, moment, work.row)
                 else:
-                    implicit_step(constants, work, tableau, work.table, moment, work.row)
+                    linearly_implicit_step(constants, work, tableau, work.table, moment, work.row)
                 for arm in range(first, end):
                     if counts[arm, 0] < 0:
                         counts[arm, 1] += 1
-                        if not lane_in_bounds(work.trial, arm - first):
+                        if not _lane_in_bounds(work.trial, arm - first):
                             counts[arm, 0] = r - 1
                 copy(work.trial, work.row)
             d = len(work.row) // 2 - 1
@@ -244,15 +242,15 @@ def run_arms(tables, work_table, tableau, sweeps, drives, clock, rows, out, coun
 
 
 @inner
-def load_arms(work, drives, rows, first):
+def _load_arms(work, drives, rows, first):
     """work.row and work.table = the first rows and the drives of the arms from `first` on."""
     for k in range(ARMS_ABREAST):
         arm = min(first + k, len(rows) - 1)  # lanes without an arm repeat the last one
         for j in range(len(work.row)):
-            store_lane_number(work.row, j, k, rows[arm, 0, j])
+            store_lane(work.row, j, k, rows[arm, 0, j])
         for i in range(len(work.table)):
             for j in range(len(work.drive)):
-                store_lane_number(work.table[i], j, k, drives[arm, i, j])
+                store_lane(work.table[i], j, k, drives[arm, i, j])
 
 
 @kernel
@@ -263,7 +261,7 @@ def run_sequences(constants, work, lanes, tableau, table, clock, state, rows, ou
     `sequences_step`. The bits are those of one sequence after the other.
     """
     abreast = constants_of_sequences(lanes[0]), work_of_sequences(lanes[1]), lanes[2]
-    return run_steps(constants, work, abreast, tableau, table, clock, state, rows, outputs)
+    return run_w_method(constants, work, abreast, tableau, table, clock, state, rows, outputs)
 
 
 @inner
@@ -272,18 +270,18 @@ def fill_lanes(values, first, flat):
     for k in range(ARMS_ABREAST):
         arm = min(first + k, len(values) - 1)  # lanes without an arm repeat the last one
         for j in range(len(flat)):
-            store_lane_number(flat, j, k, values[arm, j])
+            store_lane(flat, j, k, values[arm, j])
 
 
 @inner
 def read_lane(flat, k, out):
     """out = lane k of the first numbers of a flat array of arms abreast."""
     for j in range(len(out)):
-        out[j] = lane_number(flat, j, k)
+        out[j] = load_lane(flat, j, k)
 
 
 @inner
-def any_moving(status, first, end):
+def _any_moving(status, first, end):
     """Whether an arm from `first` to `end` is to be moved."""
     for arm in range(first, end):
         if status[arm] == OK:
@@ -292,9 +290,9 @@ def any_moving(status, first, end):
 
 
 @inner
-def lane_in_bounds(state, k):
+def _lane_in_bounds(state, k):
     """Whether the state in lane k is finite and within LARGEST_STATE; the ledger is not looked at."""
     for j in range(len(state) - 2):
-        if not abs(lane_number(state, j, k)) <= LARGEST_STATE:
+        if not abs(load_lane(state, j, k)) <= LARGEST_STATE:
             return False
     return True

@@ -46,36 +46,36 @@ def find_folder() -> str | None:
         except OSError:
             continue
         if safe and os.access(folder, os.W_OK):
-            if strict and new and not quiet():
+            if strict and new and not is_quiet():
                 print(f"flexman_gym keeps compiled kernels in {folder}, as no cache can be written in the home "
                       "(NUMBA_CACHE_DIR names another folder)", file=sys.stderr)  # fmt: skip
             return str(folder)
     return None
 
 
-def quiet() -> bool:
+def is_quiet() -> bool:
     """Whether the environment variable FLEXMAN_QUIET silences lines on stderr."""
     return os.environ.get("FLEXMAN_QUIET", "0") not in ("", "0")
 
 
-def keep(make: Callable[[Any], Any], folder: str | None) -> Callable[[Any], Any]:
+def cache_kernels(make: Callable[[Any], Any], folder: str | None) -> Callable[[Any], Any]:
     """Gives a decorator that makes a kernel as `make` does and keeps its code in a folder, if there is one."""
 
     def decorate(function: Any) -> Any:
         made = make(function)
         if folder is not None and not numba.config.DISABLE_JIT:
-            made._cache = SealedCache(function, folder)
+            made._cache = _ChecksummedCache(function, folder)
         return made
 
     return decorate
 
 
-class SealedFiles(IndexDataCacheFile):
+class ChecksummedFiles(IndexDataCacheFile):
     """Numba's files of a kernel, each behind the digest of its content; a damaged one counts as missing."""
 
     def _load_index(self) -> Any:
         try:
-            version, stamp, overloads = _unsealed(self._index_path)
+            version, stamp, overloads = _read_checked(self._index_path)
         except OSError:
             return {}
         return overloads if (version, stamp) == (self._version, self._source_stamp) else {}
@@ -84,7 +84,7 @@ class SealedFiles(IndexDataCacheFile):
         self._write(self._index_path, (self._version, self._source_stamp, overloads))
 
     def _load_data(self, name: str) -> Any:
-        return _unsealed(self._data_path(name))
+        return _read_checked(self._data_path(name))
 
     def _save_data(self, name: str, data: Any) -> None:
         self._write(self._data_path(name), data)
@@ -95,7 +95,7 @@ class SealedFiles(IndexDataCacheFile):
             file.write(hashlib.sha256(content).digest() + content)
 
 
-class SealedCache(FunctionCache):
+class _ChecksummedCache(FunctionCache):
     """Numba's cache of a kernel with such files. A disk that is full costs the cache, not the call.
 
     Numba knows a kernel by the path and the time of its file. The folder is named by the sources of these kernels, so
@@ -109,19 +109,19 @@ class SealedCache(FunctionCache):
         stamp = self._impl.locator.get_source_stamp()
         if Path(function.__code__.co_filename).parent == Path(__file__).parent:
             self._cache_path, stamp = folder, None
-        self._cache_file = SealedFiles(self._cache_path, self._impl.filename_base, stamp)
+        self._cache_file = ChecksummedFiles(self._cache_path, self._impl.filename_base, stamp)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keeps the code of a kernel."""
         try:
             super().save_overload(sig, data)
         except OSError as error:
-            if not SealedCache._said:
-                SealedCache._said = True
+            if not _ChecksummedCache._said:
+                _ChecksummedCache._said = True
                 print(f"flexman_gym cannot keep compiled kernels: {error}", file=sys.stderr)
 
 
-def _unsealed(path: str) -> Any:
+def _read_checked(path: str) -> Any:
     """The content of a file; raises OSError where there is none or its digest is another."""
     content = Path(path).read_bytes()
     if hashlib.sha256(content[SEAL:]).digest() != content[:SEAL]:
@@ -155,7 +155,7 @@ def _belongs_to_us(folder: Path, strict: bool) -> bool:
             if NAME.fullmatch(kernels.name):
                 kernels.unlink() if kernels.is_symlink() else shutil.rmtree(kernels)
         folder.mkdir(mode=0o700, exist_ok=True)
-        if not quiet():
+        if not is_quiet():
             print(f"flexman_gym: others could write to {folder}; kernels there are compiled anew", file=sys.stderr)
     return True
 

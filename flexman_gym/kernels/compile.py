@@ -13,10 +13,10 @@ from numba.core.compiler import Compiler
 from numba.core.compiler_machinery import register_pass
 from numba.core.typed_passes import NativeLowering
 
-from flexman_gym.kernels.cache import keep
+from flexman_gym.kernels.cache import cache_kernels
 
 
-class Ingredient(JITCodeLibrary):
+class _InlineLibrary(JITCodeLibrary):
     """The code of an inner kernel, for the kernels that call it to link: of its own there is nothing to run."""
 
     def _optimize_final_module(self) -> None:
@@ -27,14 +27,14 @@ class Ingredient(JITCodeLibrary):
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
-class IngredientLowering(NativeLowering):
-    """Makes an `Ingredient` of a typed function."""
+class _InlineLowering(NativeLowering):
+    """Makes an `_InlineLibrary` of a typed function."""
 
     _name = "ingredient_lowering"
 
     def run_pass(self, state: Any) -> bool:
         """Numba's pass without machine code; a function without an address stands for the kernel where it is called."""
-        state.library = library = Ingredient(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library = library = _InlineLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
         state.flags.no_compile = True
         super().run_pass(state)
         lowered = state.cr
@@ -45,13 +45,13 @@ class IngredientLowering(NativeLowering):
         return True
 
 
-class InnerCompiler(Compiler):
+class _InlineCompiler(Compiler):
     """Numba's compiler, but for the last step."""
 
     def define_pipelines(self) -> list[Any]:
         """Its passes with another lowering."""
         (passes,) = super().define_pipelines()
-        passes.add_pass_after(IngredientLowering, NativeLowering)
+        passes.add_pass_after(_InlineLowering, NativeLowering)
         passes.passes = [each for each in passes.passes if each[0] is not NativeLowering]
         passes.finalize()
         return [passes]
@@ -62,8 +62,8 @@ class InnerCompiler(Compiler):
 # last digits than several abreast; what it gains most, `fused` gains too.
 FLAGS: dict[str, Any] = {"_nrt": False, "error_model": "numpy"}
 FOLDER = numba.config.CACHE_DIR or None  # set while the rooms are imported
-kernel = keep(numba.njit(**FLAGS), FOLDER)  # what Python calls
-released = keep(numba.njit(**FLAGS, nogil=True), FOLDER)  # what Python calls in several threads
+kernel = cache_kernels(numba.njit(**FLAGS), FOLDER)  # what Python calls
+released = cache_kernels(numba.njit(**FLAGS, nogil=True), FOLDER)  # what Python calls in several threads
 inner = numba.njit(  # what other kernels call; they cannot be called from Python
-    **FLAGS, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=InnerCompiler
+    **FLAGS, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=_InlineCompiler
 )

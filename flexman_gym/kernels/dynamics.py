@@ -1,27 +1,31 @@
-"""Dynamics of the chain: a recursion that is equal to Eq. 40-46 and costs the same for every link.
+"""Forward dynamics of the chain by the articulated-body algorithm, equal to Eq. 40-46 at a cost linear in the links.
 
 Going inward, each link's elastic coordinates and then its joint are eliminated, so that the link before it sees one six
 by six inertia (the articulated-body algorithm of Featherstone with elastic coordinates). With a shift (g, h) the
 eliminated blocks are M + g damping + h K instead of M, with the damping and stiffness of links and joint springs: that
-solves the linear system of an implicit step at the cost of an explicit one. No shift gives accelerations.
+solves the linear system of an implicit step at the cost of an explicit one. No shift gives accelerations. An inertia
+is a triple: force by linear, force by angular and moment by angular acceleration.
 
-An inertia is a triple: force by linear, force by angular and moment by angular acceleration.
+A rotor is accelerated by its motor alone (Eq. 23), or, where its inertia is carried, spins as a body in the frame that
+carries its joint: with the angular velocity w of that frame, along the axis a, its energy is J (a . w + rate)^2 / 2,
+and the frame feels its reaction. `total` below is the rotor with its implicit spring and friction; eliminated, it
+leaves the three numbers `joint`, `mixed` and `frame` of joint and frame.
 """
 
+import math
+
 from flexman_gym.kernels.compile import inner, kernel
-from flexman_gym.kernels.elastic import eliminate_elastic
 from flexman_gym.kernels.forces import applied_forces
-from flexman_gym.kernels.joints import eliminate_joint, free_joint, joint_acceleration, prescribed_power
 from flexman_gym.kernels.kinematics import positions, velocities
-from flexman_gym.kernels.lanes import fused
+from flexman_gym.kernels.lanes import fma, group_size, is_zero, load_lanes, select_below, store_lanes
 from flexman_gym.kernels.linalg import (
     ZERO,
     add,
     add_matrix,
     add_scaled,
     apply,
-    apply_back,
     apply_inertia,
+    apply_transposed,
     copy,
     cross,
     dot,
@@ -31,8 +35,212 @@ from flexman_gym.kernels.linalg import (
     product,
     product_skew,
     store_matrix,
+    store_pair,
+    subtract_outer,
     transposed,
 )
+from flexman_gym.kernels.stiffening import stretch_mass
+
+
+@inner
+def _eliminate_joint(constants, work, i, shift, inertia):
+    """What is left of an inertia when joint i, with its rotor and spring, is free, or moves as prescribed."""
+    force, mixed_block, moment = inertia
+    axis, rotor, carried = load(constants.axis, i), constants.rotor_inertia[i], constants.carried_inertia[i]
+    total = rotor + shift[0] * work.friction_slope[i]
+    spring, joint, mixed, frame = 0.0, total, carried, carried
+    if constants.motor[i] >= 0:
+        spring = shift[0] * constants.joint_damping[i] + shift[1] * constants.joint_stiffness[i]
+        if constants.prescribed[i]:
+            joint, mixed = spring, 0.0
+        else:
+            joint = spring * total / (total + spring)
+            total += spring
+            mixed, frame = spring * carried / total, carried * (total - carried) / total
+    work.spring[i], work.motor_inertia[i] = spring, total
+    linear, angular = apply(mixed_block, axis), apply(moment, axis)
+    pivot = joint + dot(axis, angular)
+    angular = add_scaled(angular, mixed, axis)
+    work.joint_pivot[i] = pivot
+    store_pair(work.joint_column, i, linear, angular)
+    if not is_zero(frame):
+        moment = subtract_outer(moment, add_scaled(ZERO, -frame, axis), axis)
+    if constants.prescribed[i] and constants.motor[i] < 0:
+        return force, mixed_block, moment
+    scaled, turned = add_scaled(ZERO, 1.0 / pivot, linear), add_scaled(ZERO, 1.0 / pivot, angular)
+    force, mixed_block = subtract_outer(force, scaled, linear), subtract_outer(mixed_block, scaled, angular)
+    return force, mixed_block, subtract_outer(moment, turned, angular)
+
+
+@inner
+def _joint_force(constants, work, i, total, bias):
+    """Force and moment that joint i passes on when it is free and its near side has the bias acceleration."""
+    axis, angular_bias = load(constants.axis, i), load(work.joint_bias, i)
+    torque, given, pushed = work.force[i] - dot(axis, total[1]), work.drive[i], 0.0
+    m = constants.motor[i]
+    if m >= 0:
+        push = work.force[m] / work.motor_inertia[i]
+        if constants.prescribed[i]:
+            push = given
+        torque += work.spring[i] * push
+        pushed = constants.carried_inertia[i] * push
+    work.joint_force[i] = torque
+    share = torque / work.joint_pivot[i]
+    if m < 0 and constants.prescribed[i]:
+        share = given
+    linear, angular = load_pair(work.joint_column, i)
+    blocks, j = work.articulated, 3 * i
+    inertia = load_matrix(blocks, j), load_matrix(blocks, j + 1), load_matrix(blocks, j + 2)
+    if i == 0:
+        bias = (ZERO, ZERO)  # the base does not move by itself
+    force, moment = apply_inertia(inertia, (bias[0], add(bias[1], angular_bias)))
+    moment = add(add_scaled(moment, pushed, axis), load(work.rotor_bias, i))
+    return add(add_scaled(total[0], share, linear), force), add(add_scaled(total[1], share, angular), moment)
+
+
+@inner
+def _joint_acceleration(constants, work, i, frame, out):
+    """Acceleration of joint i, returned too, and of its motor, for that of the frame without the joint's share.
+
+    work.motor_torque[i] is the torque that a prescribed motion takes, with spring and friction after the shift.
+    """
+    linear, angular = load_pair(work.joint_column, i)
+    m, torque = constants.motor[i], work.joint_force[i] - dot(linear, frame[0]) - dot(angular, frame[1])
+    value = torque / work.joint_pivot[i]
+    if m < 0:
+        if constants.prescribed[i]:
+            value = work.drive[i]
+            work.motor_torque[i] = work.joint_pivot[i] * value - torque
+        out[i] = value
+        return value
+    out[i] = value
+    carried = constants.carried_inertia[i] * dot(load(constants.axis, i), frame[1])
+    if constants.prescribed[i]:
+        out[m] = work.drive[i]
+        reaction = work.spring[i] * (out[m] - value)
+        work.motor_torque[i] = work.motor_inertia[i] * out[m] + carried - work.force[m] + reaction
+    else:
+        out[m] = (work.force[m] + work.spring[i] * value - carried) / work.motor_inertia[i]
+    return value
+
+
+@inner
+def any_prescribed(constants):
+    """Whether the motion of any motor is prescribed."""
+    for i in range(len(constants.prescribed)):
+        if constants.prescribed[i]:
+            return True
+    return False
+
+
+@inner
+def prescribed_power(constants, work, v):
+    """Power (W) of the motors whose motion is prescribed, after a solution without shift."""
+    power = 0.0
+    for i in range(len(constants.mass)):
+        if constants.prescribed[i]:
+            m = constants.motor[i]
+            power += work.motor_torque[i] * v[m if m >= 0 else i]
+    return power
+
+
+@inner
+def rotor_torque(constants, i, angular, acceleration):
+    """Change of the angular momentum of carried rotor i, for its joint frame's acceleration and those of x (d,)."""
+    m = constants.motor[i]
+    rate = acceleration[m] if m >= 0 else acceleration[i]
+    return constants.carried_inertia[i] * (rate + dot(load(constants.axis, i), angular) - acceleration[i])
+
+
+@inner
+def _eliminate_elastic(constants, work, i, shift, tip, inertia):
+    """What is left of an inertia when the elastic coordinates of link i, with what its tip carries, are free.
+
+    Fills work.factor row by row: R of the shifted M = R^T D^-1 R, its diagonal D inverted, then coupling to the frame.
+    """
+    start, width, first = constants.elastic_start[i], constants.factor_width[i], constants.factor_start[i]
+    k, factor = constants.elastic_start[i + 1] - start, work.factor
+    force, mixed, moment = inertia
+    _tip_coupling(constants, work, i, tip)
+    for a in range(k):
+        row = first + a * width
+        _elastic_row(constants, work, i, a, shift)
+        linear, angular = _frame_coupling(constants, work, i, a)
+        for c in range(a):
+            j, share = first + c * width + k, work.total[c]
+            linear = add_scaled(linear, share, (factor[j], factor[j + 1], factor[j + 2]))
+            angular = add_scaled(angular, share, (factor[j + 3], factor[j + 4], factor[j + 5]))
+        # an M that is not positive definite, of a state out of all bounds, ends as a divergence
+        pivot = select_below(factor[row + a], 0.0, math.nan, 1.0 / factor[row + a])
+        factor[row + a] = pivot
+        # last, as these columns also take what the padding of the row holds
+        for j in range(3):
+            factor[row + k + j], factor[row + k + 3 + j] = linear[j], angular[j]
+        scaled, turned = add_scaled(ZERO, pivot, linear), add_scaled(ZERO, pivot, angular)
+        force = subtract_outer(force, scaled, linear)
+        mixed = subtract_outer(mixed, scaled, angular)
+        moment = subtract_outer(moment, turned, angular)
+    return force, mixed, moment
+
+
+@inner
+def _elastic_row(constants, work, i, a, shift):
+    """Row a of the shifted M of link i, from the diagonal on, into factor, less what the rows above take from it.
+
+    work.total[c] = the share of row c that is taken.
+    """
+    start, square, width = constants.elastic_start[i], constants.square_start[i], constants.factor_width[i]
+    first, length, factor, carried = constants.factor_start[i], constants.station_width[i], work.factor, work.carried
+    k, size = constants.elastic_start[i + 1] - start, group_size(factor)
+    linear, angular = load_pair(work.tip_shape, start + a)
+    for c in range(a):
+        work.total[c] = -factor[first + c * width + a] * factor[first + c * width + c]
+    for group in range(a - a % size, k, size):
+        j = square + a * k + group
+        total = fma(shift[0], load_lanes(constants.damping, j), load_lanes(constants.elastic_mass, j))
+        total = fma(shift[1], load_lanes(constants.stiffness, j), total)
+        if start + a >= constants.turning[i]:
+            total = fma(linear[0], load_lanes(carried, group), total)
+            total = fma(linear[1], load_lanes(carried, length + group), total)
+            total = fma(linear[2], load_lanes(carried, 2 * length + group), total)
+            total = fma(angular[0], load_lanes(carried, 3 * length + group), total)
+            total = fma(angular[1], load_lanes(carried, 4 * length + group), total)
+            total = fma(angular[2], load_lanes(carried, 5 * length + group), total)
+        elif start + a >= constants.carrying[i]:
+            total = fma(linear[0], load_lanes(carried, group), total)
+        if len(constants.station_mass) > 0:
+            total = stretch_mass(constants, work, i, a, group, total)
+        for c in range(a):
+            total = fma(work.total[c], load_lanes(factor, first + c * width + group), total)
+        store_lanes(factor, first + a * width + group, total)
+
+
+@inner
+def _frame_coupling(constants, work, i, a):
+    """Force and moment that elastic coordinate a of link i, accelerated, exerts on the frame."""
+    start, length, carried = constants.elastic_start[i], constants.station_width[i], work.carried
+    force = moment = ZERO
+    if start + a >= constants.carrying[i]:
+        force = carried[a], carried[length + a], carried[2 * length + a]
+        moment = carried[3 * length + a], carried[4 * length + a], carried[5 * length + a]
+    moment = add(add(moment, cross(load(work.tip, i), force)), load(work.coupling, start + a))
+    return add(force, load(work.moment_shape, start + a)), moment
+
+
+@inner
+def _tip_coupling(constants, work, i, tip):
+    """work.carried = what the tip of link i carries, an inertia, times the motion of the tip by each coordinate."""
+    start, length = constants.elastic_start[i], constants.station_width[i]
+    carried = work.carried
+    for a in range(constants.carrying[i], constants.elastic_start[i + 1]):
+        if a < constants.turning[i]:
+            along = (work.tip_shape[a, 0], 0.0, 0.0)
+            force, moment = apply(tip[0], along), apply_transposed(tip[1], along)
+        else:
+            force, moment = apply_inertia(tip, load_pair(work.tip_shape, a))
+        for j in range(3):
+            carried[j * length + a - start] = force[j]
+            carried[(3 + j) * length + a - start] = moment[j]
 
 
 @kernel
@@ -59,17 +267,17 @@ def factorise(constants, work, shift):
 
     Overwrites the work space group `factorisation`.
     """
-    tip = payload_inertia(constants, work)
+    tip = _payload_inertia(constants, work)
     for i in range(len(constants.mass) - 1, -1, -1):
-        inertia = eliminate_elastic(constants, work, i, shift, tip, link_inertia(constants, work, i, tip))
-        inertia = eliminate_joint(constants, work, i, shift, inertia)
+        inertia = _eliminate_elastic(constants, work, i, shift, tip, _link_inertia(constants, work, i, tip))
+        inertia = _eliminate_joint(constants, work, i, shift, inertia)
         for j in range(3):
             store_matrix(work.articulated, 3 * i + j, inertia[j])
-        tip = rotate_inertia(inertia, load_matrix(work.rotation, i))
+        tip = _rotate_inertia(inertia, load_matrix(work.rotation, i))
 
 
 @inner
-def payload_inertia(constants, work):
+def _payload_inertia(constants, work):
     """Inertia of the payload about the tip of the last link."""
     m, c = constants.payload_mass[0], load(work.payload_moment, 0)
     mixed = (0.0, c[2], -c[1], -c[2], 0.0, c[0], c[1], -c[0], 0.0)
@@ -77,7 +285,7 @@ def payload_inertia(constants, work):
 
 
 @inner
-def link_inertia(constants, work, i, tip):
+def _link_inertia(constants, work, i, tip):
     """Inertia of link i and of what its tip carries, elastic coordinates and joint locked."""
     d, c, mass = load(work.tip, i), load(work.moment, i), constants.mass[i]
     force, mixed, moment = tip
@@ -92,7 +300,7 @@ def link_inertia(constants, work, i, tip):
 
 
 @inner
-def rotate_inertia(inertia, c):
+def _rotate_inertia(inertia, c):
     """An inertia in the frame before the rotation c."""
     back = transposed(c)
     force, mixed, moment = inertia
@@ -112,20 +320,20 @@ def solve(constants, work, out):
     force = add_scaled(force, -1.0, load(work.tip_force, 0))
     for i in range(n - 1, -1, -1):
         c = load_matrix(work.rotation, i)
-        force, moment = gather_forces(constants, work, i, elastic, (force, moment))
+        force, moment = _link_bias_force(constants, work, i, elastic, (force, moment))
         linear, angular = load_pair(work.tip_bias, max(i - 1, 0))
-        bias = (apply_back(c, linear), apply_back(c, angular))
-        force, moment = free_joint(constants, work, i, (force, moment), bias)
+        bias = (apply_transposed(c, linear), apply_transposed(c, angular))
+        force, moment = _joint_force(constants, work, i, (force, moment), bias)
         force, moment = apply(c, force), apply(c, moment)
     linear = add_scaled(ZERO, -1.0, load(work.field, 0))
     angular = ZERO
     for i in range(n):
         c = load_matrix(work.rotation, i)
-        linear = apply_back(c, linear)
-        angular = add(apply_back(c, angular), load(work.joint_bias, i))
-        rate = joint_acceleration(constants, work, i, (linear, angular), out)
+        linear = apply_transposed(c, linear)
+        angular = add(apply_transposed(c, angular), load(work.joint_bias, i))
+        rate = _joint_acceleration(constants, work, i, (linear, angular), out)
         angular = add_scaled(angular, rate, load(constants.axis, i))
-        elastic_accelerations(constants, work, i, (linear, angular), out)
+        _elastic_accelerations(constants, work, i, (linear, angular), out)
         linear, angular = tip_acceleration(constants, work, i, (linear, angular), out)
     return linear, angular
 
@@ -133,13 +341,13 @@ def solve(constants, work, out):
 @inner
 def payload_force(constants, work, acceleration):
     """Force and moment at the tip that the payload needs for an acceleration of the tip."""
-    force, moment = apply_inertia(payload_inertia(constants, work), acceleration)
+    force, moment = apply_inertia(_payload_inertia(constants, work), acceleration)
     bias = load_pair(work.payload_bias, 0)
     return add(force, bias[0]), add(moment, bias[1])
 
 
 @inner
-def gather_forces(constants, work, i, elastic, tip):
+def _link_bias_force(constants, work, i, elastic, tip):
     """Force and moment that link i needs without acceleration, elastic coordinates free, with those at its tip."""
     factor, demand = work.factor, work.elastic_force
     start, stop = constants.elastic_start[i], constants.elastic_start[i + 1]
@@ -150,7 +358,7 @@ def gather_forces(constants, work, i, elastic, tip):
     for a in range(start, stop):
         demand[a] = work.elastic_bias[a] - work.force[elastic + a]
     for a in range(constants.carrying[i], constants.turning[i]):
-        demand[a] = fused(work.tip_shape[a, 0], tip[0][0], demand[a])
+        demand[a] = fma(work.tip_shape[a, 0], tip[0][0], demand[a])
     for a in range(constants.turning[i], stop):
         translation, rotation = load_pair(work.tip_shape, a)
         demand[a] += dot(translation, tip[0]) + dot(rotation, tip[1])
@@ -159,7 +367,7 @@ def gather_forces(constants, work, i, elastic, tip):
         value = demand[start + c] * factor[top + c]
         demand[start + c] = value
         for b in range(c + 1, k):
-            demand[start + b] = fused(-value, factor[top + b], demand[start + b])
+            demand[start + b] = fma(-value, factor[top + b], demand[start + b])
         j = top + k
         force = add_scaled(force, -value, (factor[j], factor[j + 1], factor[j + 2]))
         moment = add_scaled(moment, -value, (factor[j + 3], factor[j + 4], factor[j + 5]))
@@ -167,7 +375,7 @@ def gather_forces(constants, work, i, elastic, tip):
 
 
 @inner
-def elastic_accelerations(constants, work, i, frame, out):
+def _elastic_accelerations(constants, work, i, frame, out):
     """Back substitution for the elastic coordinates of link i, for the acceleration of its frame."""
     start, factor = constants.elastic_start[i], work.factor
     k = constants.elastic_start[i + 1] - start
@@ -179,8 +387,8 @@ def elastic_accelerations(constants, work, i, frame, out):
         value = dot(linear, (factor[j], factor[j + 1], factor[j + 2]))
         value += dot(angular, (factor[j + 3], factor[j + 4], factor[j + 5]))
         for a in range(c + 1, k):
-            value = fused(factor[row + a], out[first + a], value)
-        out[first + c] = fused(-value, factor[row + c], -work.elastic_force[start + c])
+            value = fma(factor[row + a], out[first + a], value)
+        out[first + c] = fma(-value, factor[row + c], -work.elastic_force[start + c])
 
 
 @inner

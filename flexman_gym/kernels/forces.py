@@ -3,14 +3,14 @@
 import math
 
 from flexman_gym.kernels.compile import inner
-from flexman_gym.kernels.lanes import choose_below, fused, vanishes
+from flexman_gym.kernels.lanes import fma, is_zero, select_below
 from flexman_gym.kernels.layout import AMPLITUDE, FREQUENCY, OFFSET, PHASE, SLOPE, START, STOP
 from flexman_gym.kernels.linalg import (
     ZERO,
     add,
     add_scaled,
     apply,
-    apply_back,
+    apply_transposed,
     cross,
     dot,
     load,
@@ -25,12 +25,12 @@ def drive_at(table, time, out):
     if table is not None:
         for i in range(len(out)):
             value = table[OFFSET, i]
-            if not vanishes(table[SLOPE, i]):
+            if not is_zero(table[SLOPE, i]):
                 value += table[SLOPE, i] * time
-            if not vanishes(table[AMPLITUDE, i]):
+            if not is_zero(table[AMPLITUDE, i]):
                 angle = 2.0 * math.pi * table[FREQUENCY, i] * time + table[PHASE, i]
                 value += table[AMPLITUDE, i] * math.sin(angle)
-            out[i] = choose_below(time, table[START, i], 0.0, choose_below(time, table[STOP, i], value, 0.0))
+            out[i] = select_below(time, table[START, i], 0.0, select_below(time, table[STOP, i], value, 0.0))
 
 
 @inner
@@ -42,7 +42,7 @@ def applied_forces(constants, work, x, v):
     """
     supplied, lost = motor_forces(constants, work, v)
     lost += structural_forces(constants, work, x, v)
-    return supplied + disturb(constants, work, v), lost
+    return supplied + apply_disturbance(constants, work, v), lost
 
 
 @inner
@@ -86,15 +86,15 @@ def structural_forces(constants, work, x, v):
             restoring = 0.0
             drag = 0.0
             for b in range(k):
-                restoring = fused(constants.stiffness[row + b], x[first + b], restoring)
-                drag = fused(constants.damping[row + b], v[first + b], drag)
+                restoring = fma(constants.stiffness[row + b], x[first + b], restoring)
+                drag = fma(constants.damping[row + b], v[first + b], drag)
             work.force[first + a] -= restoring + drag
-            lost = fused(drag, v[first + a], lost)
+            lost = fma(drag, v[first + a], lost)
     return lost
 
 
 @inner
-def friction_slopes(constants, work, v):
+def secant_friction(constants, work, v):
     """work.friction_slope (n,) = friction torque over motor rate at the speeds v (d,).
 
     The tangent would vanish wherever the rate is not small, and a large step would jump over the stop and back; with
@@ -106,12 +106,12 @@ def friction_slopes(constants, work, v):
             part = v[constants.motor[i] if constants.motor[i] >= 0 else i] / constants.coulomb_rate[i]
             steepness = constants.coulomb_friction[i] / constants.coulomb_rate[i]
             # at rest tanh(part) / part is 1 to rounding
-            slope += steepness * choose_below(part * part, 1e-16, 1.0, math.tanh(part) / part)
+            slope += steepness * select_below(part * part, 1e-16, 1.0, math.tanh(part) / part)
         work.friction_slope[i] = slope
 
 
 @inner
-def friction_shift(constants, work, change):
+def shift_friction(constants, work, change):
     """Adds to work.force what friction changes by, to first order, for a change (d,) of the speeds."""
     for i in range(len(constants.mass)):
         m = constants.motor[i] if constants.motor[i] >= 0 else i
@@ -119,24 +119,24 @@ def friction_shift(constants, work, change):
 
 
 @inner
-def disturb(constants, work, v):
+def apply_disturbance(constants, work, v):
     """work.field and work.tip_force from the last six numbers of work.drive; returns the power of both (W)."""
     n = len(constants.mass)
     drive, gravity = work.drive, constants.gravity
     force, base = (drive[n], drive[n + 1], drive[n + 2]), (drive[n + 3], drive[n + 4], drive[n + 5])
     store(work.field, 0, add_scaled((gravity[0], gravity[1], gravity[2]), -1.0, base))
-    if not vanishes(dot(force, force)):
+    if not is_zero(dot(force, force)):
         for i in range(n):
-            force = apply_back(load_matrix(work.rotation, i), force)
+            force = apply_transposed(load_matrix(work.rotation, i), force)
     store(work.tip_force, 0, force)
     power = dot(force, load(work.tip_velocity, 0))
-    if not vanishes(dot(base, base)):
-        power -= dot(base, momentum(constants, work, v))
+    if not is_zero(dot(base, base)):
+        power -= dot(base, _momentum(constants, work, v))
     return power
 
 
 @inner
-def momentum(constants, work, v):
+def _momentum(constants, work, v):
     """Linear momentum of links and payload in the base frame (kg m/s). Needs `velocities`."""
     n = len(constants.mass)
     elastic = len(v) - constants.elastic_start[n]

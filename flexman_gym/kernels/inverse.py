@@ -1,15 +1,14 @@
-"""Inverse dynamics of the chain: the generalised forces that accelerations demand, M v' + h (left side of Eq. 44)."""
+"""Inverse dynamics of the chain, M v' + h (left side of Eq. 44), and the static equilibrium that follows from it."""
 
 from flexman_gym.kernels.compile import inner, kernel
-from flexman_gym.kernels.dynamics import payload_force, tip_acceleration
-from flexman_gym.kernels.joints import rotor_push
+from flexman_gym.kernels.dynamics import payload_force, rotor_torque, tip_acceleration
 from flexman_gym.kernels.kinematics import positions, velocities
 from flexman_gym.kernels.linalg import (
     ZERO,
     add,
     add_scaled,
     apply,
-    apply_back,
+    apply_transposed,
     cross,
     dot,
     load,
@@ -33,8 +32,8 @@ def inertial_forces(constants, work, x, v, acceleration, out):
     angular = ZERO
     for i in range(n):
         c = load_matrix(work.rotation, i)
-        linear = apply_back(c, linear)
-        angular = add(apply_back(c, angular), load(work.joint_bias, i))
+        linear = apply_transposed(c, linear)
+        angular = add(apply_transposed(c, angular), load(work.joint_bias, i))
         angular = add_scaled(angular, acceleration[i], load(constants.axis, i))
         store_pair(work.frame_acceleration, i, linear, angular)
         linear, angular = tip_acceleration(constants, work, i, (linear, angular), acceleration)
@@ -42,11 +41,11 @@ def inertial_forces(constants, work, x, v, acceleration, out):
     store_pair(work.reaction, n, force, moment)
     for i in range(n - 1, -1, -1):
         frame = load_pair(work.frame_acceleration, i)
-        elastic_forces(constants, work, i, frame, (force, moment), acceleration, out)
-        force, moment = link_force(constants, work, i, frame, (force, moment), acceleration)
+        _elastic_forces(constants, work, i, frame, (force, moment), acceleration, out)
+        force, moment = _link_force(constants, work, i, frame, (force, moment), acceleration)
         store_pair(work.reaction, i, force, moment)
         axis, m = load(constants.axis, i), constants.motor[i]
-        push, alone = rotor_push(constants, i, frame[1], acceleration), 0.0
+        push, alone = rotor_torque(constants, i, frame[1], acceleration), 0.0
         if constants.carried_inertia[i] == 0.0:
             alone = constants.rotor_inertia[i]
         out[i] = dot(axis, moment)
@@ -60,7 +59,7 @@ def inertial_forces(constants, work, x, v, acceleration, out):
 
 
 @inner
-def link_force(constants, work, i, frame, tip, acceleration):
+def _link_force(constants, work, i, frame, tip, acceleration):
     """Force and moment at the origin of link i for the acceleration of its frame and those at its tip."""
     elastic = len(acceleration) - len(constants.first_moment_shape)
     linear, angular = frame
@@ -77,7 +76,7 @@ def link_force(constants, work, i, frame, tip, acceleration):
 
 
 @inner
-def elastic_forces(constants, work, i, frame, tip, acceleration, out):
+def _elastic_forces(constants, work, i, frame, tip, acceleration, out):
     """The entries of out that belong to the elastic coordinates of link i, with force and moment at its tip."""
     start = constants.elastic_start[i]
     k = constants.elastic_start[i + 1] - start
@@ -92,3 +91,35 @@ def elastic_forces(constants, work, i, frame, tip, acceleration, out):
             value += constants.elastic_mass[row + b] * acceleration[first + b]
         out[first + a] = value
     stretch_forces(constants, work, i, acceleration, first - start, out)
+
+
+EQUILIBRIUM_ITERATIONS, EQUILIBRIUM_TOLERANCE = 100, 1e-12  # at most, and what is a change no more
+
+
+@kernel
+def solve_equilibrium(constants, work, stiffness, compliance, free, rest, x, force):
+    """Turns and bends the `free` coordinates (f,) of x (d,) until springs and links hold the weight.
+
+    The slope of that balance is taken to be the stiffness (d, d), whose inverse of the free part is the compliance
+    (f, f); `rest` (d,) are zeros. Overwrites x and force (d,); returns the largest change of the last of its iterations
+    as a part of the largest coordinate, at least 1.
+    """
+    largest = 1.0
+    for _ in range(EQUILIBRIUM_ITERATIONS):
+        inertial_forces(constants, work, x, rest, rest, force)
+        for i in range(len(free)):
+            for j in range(len(x)):
+                force[free[i]] += stiffness[free[i], j] * x[j]
+        largest, size = 0.0, 1.0
+        for i in range(len(free)):
+            change = 0.0
+            for j in range(len(free)):
+                change += compliance[i, j] * force[free[j]]
+            x[free[i]] -= change
+            largest = max(largest, abs(change))
+        for j in range(len(x)):
+            size = max(size, abs(x[j]))
+        largest /= size
+        if not largest > EQUILIBRIUM_TOLERANCE:
+            break
+    return largest

@@ -1,7 +1,7 @@
 """Kinematics of the chain, outward: where links are, how they move, and what their motion alone demands (Eq. 24-33)."""
 
 from flexman_gym.kernels.compile import inner
-from flexman_gym.kernels.lanes import fused, vanishes
+from flexman_gym.kernels.lanes import fma, is_zero
 from flexman_gym.kernels.linalg import (
     IDENTITY,
     ZERO,
@@ -9,7 +9,7 @@ from flexman_gym.kernels.linalg import (
     add_matrix,
     add_scaled,
     apply,
-    apply_back,
+    apply_transposed,
     cross,
     dot,
     load,
@@ -17,6 +17,7 @@ from flexman_gym.kernels.linalg import (
     load_pair,
     product,
     rotation_matrix,
+    sine_versine,
     store,
     store_matrix,
     store_pair,
@@ -24,8 +25,7 @@ from flexman_gym.kernels.linalg import (
     tangent_coefficients,
     transposed,
 )
-from flexman_gym.kernels.stiffening import shorten_forces, shorten_mass, shorten_tip
-from flexman_gym.kernels.turning import sine_versine
+from flexman_gym.kernels.stiffening import foreshorten_forces, foreshorten_mass, foreshorten_tip
 
 
 @inner
@@ -37,14 +37,14 @@ def positions(constants, work, x):
     n = len(constants.mass)
     elastic = len(x) - constants.elastic_start[n]
     for i in range(n):
-        joint_rotation(constants, work, i, x[i])
-        tip_position(constants, work, i, x, elastic)
-        mass_integrals(constants, work, i, x, elastic)
-    payload_position(constants, work, n - 1)
+        _joint_rotation(constants, work, i, x[i])
+        _tip_position(constants, work, i, x, elastic)
+        _mass_integrals(constants, work, i, x, elastic)
+    _payload_position(constants, work, n - 1)
 
 
 @inner
-def payload_position(constants, work, last):
+def _payload_position(constants, work, last):
     """First moment and inertia of the payload about the tip of the last link, in that link's frame."""
     c = load_matrix(constants.payload_mount, 0)
     if constants.elastic_start[last + 1] > constants.elastic_start[last]:
@@ -65,7 +65,7 @@ def tip_rotation(work, i):
 
 
 @inner
-def joint_rotation(constants, work, i, angle):
+def _joint_rotation(constants, work, i, angle):
     """C of link i = exp(S_r q of the previous link) mount exp(axis angle)."""
     sine, versine = sine_versine(angle)
     turned = rotation_matrix(sine, versine, load(constants.axis, i))
@@ -76,7 +76,7 @@ def joint_rotation(constants, work, i, angle):
 
 
 @inner
-def tip_position(constants, work, i, x, elastic):
+def _tip_position(constants, work, i, x, elastic):
     """Tip of link i and its change with the elastic coordinates (Eq. 26 with the tangent operator)."""
     tip = (constants.length[i], 0.0, 0.0)
     deflected = ZERO
@@ -93,18 +93,18 @@ def tip_position(constants, work, i, x, elastic):
         turned = apply(tangent, load(constants.tip_rotation, a))
         store_pair(work.tip_shape, a, load(constants.tip_translation, a), turned)
     if len(constants.station_mass) > 0:
-        shorten_tip(constants, work, i, x, elastic)
+        foreshorten_tip(constants, work, i, x, elastic)
 
 
 @inner
-def mass_integrals(constants, work, i, x, elastic):
+def _mass_integrals(constants, work, i, x, elastic):
     """First moment, J, U and the coupling of rotation and elastic coordinates of link i (the blocks of Eq. 13)."""
     start, stop = constants.elastic_start[i], constants.elastic_start[i + 1]
     shape = work.shape
     for j in range(9 * start, 9 * stop):
         value = constants.position_shape[j]
         for e in range(constants.shape_start[j], constants.shape_start[j + 1]):
-            value = fused(x[elastic + constants.shape_source[e]], constants.shape_value[e], value)
+            value = fma(x[elastic + constants.shape_source[e]], constants.shape_value[e], value)
         shape[j] = value
     moment = load(constants.first_moment, i)
     xx, xy, xz, _, yy, yz, _, _, zz = load_matrix(constants.second_moment, i)
@@ -114,15 +114,15 @@ def mass_integrals(constants, work, i, x, elastic):
         moment = add_scaled(moment, q, load(constants.first_moment_shape, a))
         # P = integral of r r^T, with r = r0 + S q; U holds r S^T, position_shape r0 S^T
         u, u0 = load_matrix(shape, a), load_matrix(constants.position_shape, a)
-        xx = fused(q, u[0] + u0[0], xx)
-        yy = fused(q, u[4] + u0[4], yy)
-        zz = fused(q, u[8] + u0[8], zz)
-        xy = fused(q, u[1] + u0[3], xy)
-        xz = fused(q, u[2] + u0[6], xz)
-        yz = fused(q, u[5] + u0[7], yz)
+        xx = fma(q, u[0] + u0[0], xx)
+        yy = fma(q, u[4] + u0[4], yy)
+        zz = fma(q, u[8] + u0[8], zz)
+        xy = fma(q, u[1] + u0[3], xy)
+        xz = fma(q, u[2] + u0[6], xz)
+        yz = fma(q, u[5] + u0[7], yz)
         store(work.coupling, a, (u[5] - u[7], u[6] - u[2], u[1] - u[3]))
     if len(constants.station_mass) > 0:
-        change = shorten_mass(constants, work, i)
+        change = foreshorten_mass(constants, work, i)
         moment = (moment[0] + change[0], moment[1], moment[2])
         xx, xy, xz = xx + change[1], xy + change[2], xz + change[3]
     store(work.moment, i, moment)
@@ -141,18 +141,18 @@ def velocities(constants, work, v):
     velocity = ZERO
     for i in range(n):
         c = load_matrix(work.rotation, i)
-        spin, velocity = apply_back(c, spin), apply_back(c, velocity)
+        spin, velocity = apply_transposed(c, spin), apply_transposed(c, velocity)
         axis = load(constants.axis, i)
         turn = add_scaled(ZERO, v[i], axis)
         store(work.joint_bias, i, cross(spin, turn))
-        if not vanishes(constants.carried_inertia[i]):
+        if not is_zero(constants.carried_inertia[i]):
             rate = dot(axis, spin) + v[constants.motor[i] if constants.motor[i] >= 0 else i]
             store(work.rotor_bias, i, add_scaled(ZERO, constants.carried_inertia[i] * rate, cross(spin, axis)))
         spin = add(spin, turn)
         store(work.spin, i, spin)
         store(work.velocity, i, velocity)
-        quadratic_forces(constants, work, i, v, elastic)
-        linear, angular = tip_motion(constants, work, i, v, elastic)
+        _quadratic_forces(constants, work, i, v, elastic)
+        linear, angular = _tip_motion(constants, work, i, v, elastic)
         velocity = add(add(velocity, cross(spin, load(work.tip, i))), linear)
         spin = add(spin, angular)
     store(work.payload_spin, 0, spin)
@@ -162,7 +162,7 @@ def velocities(constants, work, v):
 
 
 @inner
-def tip_motion(constants, work, i, v, elastic):
+def _tip_motion(constants, work, i, v, elastic):
     """Elastic velocity of the tip of link i, linear and angular; stores the tip's bias acceleration (Eq. 32, 33)."""
     linear = angular = turning = ZERO
     for a in range(constants.carrying[i], constants.turning[i]):
@@ -187,7 +187,7 @@ def tip_motion(constants, work, i, v, elastic):
 
 
 @inner
-def quadratic_forces(constants, work, i, v, elastic):
+def _quadratic_forces(constants, work, i, v, elastic):
     """Quadratic velocity force, torque and elastic forces of link i (Eq. 14), on the side of M times acceleration."""
     spin = load(work.spin, i)
     square = dot(spin, spin)
@@ -197,17 +197,17 @@ def quadratic_forces(constants, work, i, v, elastic):
         linear = add_scaled(linear, rate, load(work.moment_shape, a))
         u = load_matrix(work.shape, a)
         trace = u[0] + u[4] + u[8]
-        turned = apply_back(u, spin)
+        turned = apply_transposed(u, spin)
         relative = add_scaled(relative, rate, add_scaled(add_scaled(ZERO, trace, spin), -1.0, turned))
         bias = dot(turned, spin) - trace * square
         for j in range(3):
             turning = 0.0  # integral of q' S_b x S_a dm
             for e in range(constants.cross_start[3 * a + j], constants.cross_start[3 * a + j + 1]):
-                turning = fused(v[elastic + constants.cross_source[e]], constants.cross_value[e], turning)
-            bias = fused(2.0 * work.spin[i, j], turning, bias)
+                turning = fma(v[elastic + constants.cross_source[e]], constants.cross_value[e], turning)
+            bias = fma(2.0 * work.spin[i, j], turning, bias)
         work.elastic_bias[a] = bias
     force = add_scaled(cross(spin, cross(spin, load(work.moment, i))), 2.0, cross(spin, linear))
     moment = add_scaled(cross(spin, apply(load_matrix(work.inertia, i), spin)), 2.0, relative)
     store_pair(work.bias, i, force, moment)
     if len(constants.station_mass) > 0:
-        shorten_forces(constants, work, i, v, elastic)
+        foreshorten_forces(constants, work, i, v, elastic)

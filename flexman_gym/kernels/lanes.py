@@ -1,9 +1,9 @@
-"""Lanes: numbers that kernels add and multiply at once, each in one instruction of the processor.
+"""Lanes: SIMD vectors of float64 as a Numba type, with arithmetic, comparisons, loads and stores.
 
-Written out as a type because the compiler does not find such groups by itself: Numba keeps its search for them off.
-The lanes of `NEIGHBOURS` are neighbours in an array of one arm, those of `ARMS` the same number of several arms, and
-those of `SEQUENCES` that number in several sequences of an extrapolated step of one arm. Kernels are written once for
-all: where the arrays of work space hold `ARMS` or `SEQUENCES`, a group of neighbours is one element, and the constants
+A type of its own because the compiler does not vectorise by itself: Numba keeps that search off. The lanes of
+`NEIGHBOURS` are neighbours in an array of one arm, those of `ARMS` the same number of several arms, and those of
+`SEQUENCES` that number in several sequences of an extrapolated step of one arm. Kernels are written once for all:
+where the arrays of work space hold `ARMS` or `SEQUENCES`, a group of neighbours is one element, and the constants
 that they share are read-only arrays of plain numbers.
 """
 
@@ -45,7 +45,7 @@ SEQUENCES = Lanes(LANES, "sequences")
 
 
 @register_model(Lanes)
-class LanesModel(models.PrimitiveModel):
+class _LanesModel(models.PrimitiveModel):
     """A group is one vector register, or a few."""
 
     def __init__(self, manager: Any, kind: Any) -> None:
@@ -53,7 +53,7 @@ class LanesModel(models.PrimitiveModel):
 
 
 @lower_cast(types.Float, Lanes)
-def spread(context: Any, builder: Any, kind: Any, target: Any, value: Any) -> Any:
+def _broadcast(context: Any, builder: Any, kind: Any, target: Any, value: Any) -> Any:
     """The group that repeats a number; a group, and a number where one is wanted, stay as they are."""
     if kind == target:
         return value
@@ -62,7 +62,7 @@ def spread(context: Any, builder: Any, kind: Any, target: Any, value: Any) -> An
     return builder.shuffle_vector(one, undefined, ir.Constant(ir.VectorType(INDEX, target.width), [0] * target.width))
 
 
-def joint_kind(*kinds: Any) -> Any:
+def _common_type(*kinds: Any) -> Any:
     """The type of what is calculated from these: the one group among numbers, None for other types."""
     groups = {kind for kind in kinds if isinstance(kind, Lanes)}
     if len(groups) > 1 or any(kind not in groups and kind != NUMBER for kind in kinds):
@@ -70,16 +70,16 @@ def joint_kind(*kinds: Any) -> Any:
     return groups.pop() if groups else NUMBER
 
 
-class LanesArithmetic(AbstractTemplate):
+class _LanesArithmetic(AbstractTemplate):
     """The types of sums, differences, products, quotients and functions."""
 
     def generic(self, args: Any, kws: Any) -> Any:
         """A group, if an argument is one and the others are numbers or of the same kind."""
-        kind = joint_kind(*args)
+        kind = _common_type(*args)
         return signature(kind, *args) if isinstance(kind, Lanes) else None
 
 
-def instruction_of(builder: Any, name: str, kind: Any, operands: Any) -> Any:
+def _call_instruction(builder: Any, name: str, kind: Any, operands: Any) -> Any:
     """One of the compiler's own functions, of numbers or groups."""
     element, suffix = (kind.vector, f"v{kind.width}f64") if isinstance(kind, Lanes) else (ir.DoubleType(), "f64")
     function = ir.FunctionType(element, [element] * len(operands))
@@ -87,7 +87,7 @@ def instruction_of(builder: Any, name: str, kind: Any, operands: Any) -> Any:
 
 
 def _declare(symbol: Callable) -> None:
-    infer_global(symbol)(type("LanesArithmetic", (LanesArithmetic,), {"key": symbol}))
+    infer_global(symbol)(type("LanesArithmetic", (_LanesArithmetic,), {"key": symbol}))
 
 
 def _operator(symbol: Callable, instruction: str) -> None:
@@ -96,7 +96,7 @@ def _operator(symbol: Callable, instruction: str) -> None:
 
     def lower(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
         pairs = zip(kinds.args, values, strict=True)
-        operands = [spread(context, builder, kind, kinds.return_type, value) for kind, value in pairs]
+        operands = [_broadcast(context, builder, kind, kinds.return_type, value) for kind, value in pairs]
         return getattr(builder, instruction)(*operands)
 
     for operands in ((Lanes, Lanes), (Lanes, types.Float), (types.Float, Lanes)):
@@ -123,7 +123,7 @@ def _negative(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
 
 @lower_builtin(math.sqrt, Lanes)
 def _root(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
-    return instruction_of(builder, "sqrt", kinds.return_type, values)
+    return _call_instruction(builder, "sqrt", kinds.return_type, values)
 
 
 def _one_by_one(symbol: Callable) -> None:
@@ -144,14 +144,14 @@ for _single in (math.sin, math.cos, math.tanh):
 
 
 @intrinsic
-def fused(typing_context, a, b, c):
+def fma(typing_context, a, b, c):
     """a b + c, rounded once; written out, as the compiler would fuse differently for one arm and for several."""
-    kind = joint_kind(a, b, c)
+    kind = _common_type(a, b, c)
 
     def generate(context, builder, kinds, values):
         pairs = zip(kinds.args, values, strict=True)
-        operands = [spread(context, builder, each, kind, value) for each, value in pairs]
-        return instruction_of(builder, "fma", kind, operands)
+        operands = [_broadcast(context, builder, each, kind, value) for each, value in pairs]
+        return _call_instruction(builder, "fma", kind, operands)
 
     return kind(a, b, c), generate
 
@@ -165,36 +165,206 @@ def _all(builder: Any, kind: Any, condition: Any) -> Any:
 
 
 @intrinsic
-def vanishes(typing_context, a):
+def is_zero(typing_context, a):
     """Whether a number, or every lane of a group, is zero."""
 
     def generate(context, builder, kinds, values):
-        zero = spread(context, builder, NUMBER, kinds.args[0], ir.Constant(ir.DoubleType(), 0.0))
+        zero = _broadcast(context, builder, NUMBER, kinds.args[0], ir.Constant(ir.DoubleType(), 0.0))
         return _all(builder, kinds.args[0], builder.fcmp_ordered("==", values[0], zero))
 
     return types.boolean(a), generate
 
 
 @intrinsic
-def below(typing_context, a, limit):
+def is_below(typing_context, a, limit):
     """Whether a number, or every lane of a group, is less than a limit."""
 
     def generate(context, builder, kinds, values):
         kind = kinds.args[0]
-        bound = spread(context, builder, NUMBER, kind, values[1])
+        bound = _broadcast(context, builder, NUMBER, kind, values[1])
         return _all(builder, kind, builder.fcmp_ordered("<", values[0], bound))
 
     return types.boolean(a, NUMBER), generate
 
 
 @intrinsic
-def choose_below(typing_context, a, limit, near, far):
+def select_below(typing_context, a, limit, near, far):
     """Lane by lane, near where a is less than a limit, far where it is not."""
-    kind = joint_kind(a, limit, near, far)
+    kind = _common_type(a, limit, near, far)
 
     def generate(context, builder, kinds, values):
         pairs = zip(kinds.args, values, strict=True)
-        a, bound, near, far = (spread(context, builder, each, kind, value) for each, value in pairs)
+        a, bound, near, far = (_broadcast(context, builder, each, kind, value) for each, value in pairs)
         return builder.select(builder.fcmp_ordered("<", a, bound), near, far)
 
     return kind(a, limit, near, far), generate
+
+
+def _group(flat: Any) -> Any:
+    """What a place of a flat array of one arm's or several arms' numbers gives when groups are asked for."""
+    if isinstance(flat.dtype, Lanes) or not flat.mutable:
+        return flat.dtype
+    return NEIGHBOURS
+
+
+@intrinsic
+def group_size(typing_context, flat):
+    """How many neighbours of a flat array are one group."""
+    size = LANES if _group(flat) == NEIGHBOURS else 1
+
+    def generate(context, builder, kinds, values):
+        return context.get_constant(types.intp, size)
+
+    return types.intp(flat), generate
+
+
+def _place(context: Any, builder: Any, kinds: Any, flat: Any, i: Any) -> tuple[Any, int]:
+    """Where the group at place i is, and how it is aligned."""
+    data = builder.gep(context.make_array(kinds.args[0])(context, builder, flat).data, [i])
+    kind = _group(kinds.args[0])
+    if kind == NEIGHBOURS:
+        return builder.bitcast(data, kind.vector.as_pointer()), 8
+    return data, 8 * kind.width if isinstance(kind, Lanes) else 8
+
+
+@intrinsic
+def load_lanes(typing_context, flat, i):
+    """The group that starts at place i >= 0 of a flat array."""
+
+    def generate(context, builder, kinds, values):
+        place, alignment = _place(context, builder, kinds, *values)
+        return builder.load(place, align=alignment)
+
+    return _group(flat)(flat, types.intp), generate
+
+
+@intrinsic
+def gather_lanes(typing_context, flat, i, stride):
+    """The group of the numbers at place i >= 0 of a flat array and every stride from there on."""
+    kind = _group(flat)
+
+    def generate(context, builder, kinds, values):
+        data, place = context.make_array(kinds.args[0])(context, builder, values[0]).data, values[1]
+        if kind != NEIGHBOURS:
+            return builder.load(builder.gep(data, [place]))
+        group = ir.Constant(kind.vector, ir.Undefined)
+        for k in range(LANES):
+            group = builder.insert_element(group, builder.load(builder.gep(data, [place])), _index(k))
+            place = builder.add(place, values[2])
+        return group
+
+    return kind(flat, types.intp, types.intp), generate
+
+
+@intrinsic
+def store_lanes(typing_context, flat, i, a):
+    """The group from place i >= 0 of a flat array on = a."""
+
+    def generate(context, builder, kinds, values):
+        place, alignment = _place(context, builder, kinds, *values[:2])
+        builder.store(_broadcast(context, builder, kinds.args[2], _group(flat), values[2]), place, align=alignment)
+        return context.get_dummy_value()
+
+    return types.void(flat, types.intp, a), generate
+
+
+@intrinsic
+def scatter_lanes(typing_context, flat, i, stride, a):
+    """The numbers at place i >= 0 of a flat array and every stride from there on = those of the group a."""
+
+    def generate(context, builder, kinds, values):
+        data, place = context.make_array(kinds.args[0])(context, builder, values[0]).data, values[1]
+        group = _broadcast(context, builder, kinds.args[3], _group(flat), values[3])
+        if _group(flat) != NEIGHBOURS:
+            builder.store(group, builder.gep(data, [place]))
+            return context.get_dummy_value()
+        for k in range(LANES):
+            builder.store(builder.extract_element(group, _index(k)), builder.gep(data, [place]))
+            place = builder.add(place, values[2])
+        return context.get_dummy_value()
+
+    return types.void(flat, types.intp, types.intp, a), generate
+
+
+@intrinsic
+def add_rows(typing_context, total, factors, rows, j, stride):
+    """total + the sum of the factors, groups, times as many groups of rows, from place j on every stride.
+
+    Factors and arrays of rows are tuples: first all of them at the first number of a group, then at the next one.
+    """
+    kind = _common_type(total, *factors, *map(_group, rows))
+    size = LANES if any(_group(each) == NEIGHBOURS for each in rows) else 1
+
+    def generate(context, builder, kinds, values):
+        sum_, place = _broadcast(context, builder, kinds.args[0], kind, values[0]), values[3]
+        groups = zip(kinds.args[1], cgutils.unpack_tuple(builder, values[1]), strict=True)
+        groups = [_broadcast(context, builder, each, kind, value) for each, value in groups]
+        arrays = zip(kinds.args[2], cgutils.unpack_tuple(builder, values[2]), strict=True)
+        arrays = [(each, context.make_array(each)(context, builder, value).data) for each, value in arrays]
+        for k in range(size):
+            for factor, (flat, data) in zip(groups, arrays, strict=True):
+                pointer = builder.gep(data, [place])
+                if size == LANES:
+                    factor = _broadcast(context, builder, NUMBER, kind, builder.extract_element(factor, _index(k)))
+                    row = builder.load(builder.bitcast(pointer, kind.vector.as_pointer()), align=8)
+                else:
+                    row = _broadcast(context, builder, _group(flat), kind, builder.load(pointer))
+                sum_ = _call_instruction(builder, "fma", kind, [factor, row, sum_])
+            place = builder.add(place, values[4])
+        return sum_
+
+    return kind(total, factors, rows, types.intp, types.intp), generate
+
+
+@intrinsic
+def add_products(typing_context, total, a, b):
+    """total + a b, group times group; of neighbours the sum over the group, one after the other."""
+    kind = _common_type(a, b)
+    result = NUMBER if kind == NEIGHBOURS else _common_type(total, a, b)
+
+    def generate(context, builder, kinds, values):
+        total, kinds_, values_ = (
+            _broadcast(context, builder, kinds.args[0], result, values[0]),
+            kinds.args[1:],
+            values[1:],
+        )
+        if kind != NEIGHBOURS:
+            factors = [_broadcast(context, builder, each, result, v) for each, v in zip(kinds_, values_, strict=True)]
+            return _call_instruction(builder, "fma", result, [*factors, total])
+        factors = [_broadcast(context, builder, each, kind, v) for each, v in zip(kinds_, values_, strict=True)]
+        for k in range(LANES):
+            parts = [builder.extract_element(each, _index(k)) for each in factors]
+            total = _call_instruction(builder, "fma", NUMBER, [*parts, total])
+        return total
+
+    return result(total, a, b), generate
+
+
+@intrinsic
+def load_lane(typing_context, flat, i, k):
+    """Number k of the group at place i of a flat array of arms abreast."""
+
+    def generate(context, builder, kinds, values):
+        return builder.load(_lane(context, builder, kinds, *values))
+
+    return NUMBER(flat, types.intp, types.intp), generate
+
+
+@intrinsic
+def store_lane(typing_context, flat, i, k, value):
+    """Number k of the group at place i of a flat array of arms abreast = value."""
+
+    def generate(context, builder, kinds, values):
+        builder.store(values[3], _lane(context, builder, kinds, *values[:3]))
+        return context.get_dummy_value()
+
+    return types.void(flat, types.intp, types.intp, NUMBER), generate
+
+
+def _lane(context: Any, builder: Any, kinds: Any, flat: Any, i: Any, k: Any) -> Any:
+    place = builder.gep(context.make_array(kinds.args[0])(context, builder, flat).data, [i])
+    return builder.gep(builder.bitcast(place, ir.DoubleType().as_pointer()), [k])
+
+
+def _index(k: int) -> Any:
+    return ir.Constant(INDEX, k)

@@ -261,7 +261,7 @@ class Tableau(NamedTuple):
     sequence_error: Array  # (j,)
 
 
-class Averages(NamedTuple):
+class GeneralisedAlpha(NamedTuple):
     """Coefficients of an implicit step: generalised-alpha (Chung and Hulbert 1993), or the midpoint rule."""
 
     mass: float  # alpha_m

@@ -1,12 +1,43 @@
-"""Small linear algebra for the kernels, on tuples: vectors are three numbers, matrices nine, by rows.
+"""Small linear algebra for the kernels on tuples: vectors are three numbers, matrices nine, by rows; sine and versine.
 
-Tuples live in registers; the compiler need not assume that a store into one array changes another.
+Tuples live in registers; the compiler need not assume that a store into one array changes another. Sine and versine
+have the same bits for one arm and for several abreast: the mathematical library takes single numbers only, took half
+the time of all positions of several arms, and its last digits depend on the computer.
 """
 
 import math
 
 from flexman_gym.kernels.compile import inner
-from flexman_gym.kernels.lanes import below, choose_below, fused
+from flexman_gym.kernels.lanes import fma, is_below, select_below
+
+HALF_TURN, HALF_TURN_REST = 3.141592653589793, 1.2246467991473532e-16  # pi and what its last digit leaves
+ROUNDING = 1.5 * 2.0**52  # added and taken away again it rounds to a whole number
+
+
+@inner
+def sine_versine(angle):
+    """The sine and 1 - cosine of an angle (rad) up to 1e6, each within 4e-16; small versines keep their digits."""
+    turns = (angle * (1.0 / HALF_TURN) + ROUNDING) - ROUNDING
+    odd = turns - 2.0 * ((0.5 * turns + ROUNDING) - ROUNDING)  # -1, 0 or 1
+    odd = odd * odd
+    rest = fma(-turns, HALF_TURN_REST, fma(-turns, HALF_TURN, angle))
+    z = rest * rest
+    # Taylor's series to rounding at a quarter turn
+    sine = fma(z, 1 / 51090942171709440000, -1 / 121645100408832000)
+    sine = fma(z, fma(z, sine, 1 / 355687428096000), -1 / 1307674368000)
+    sine = fma(z, fma(z, sine, 1 / 6227020800), -1 / 39916800)
+    sine = fma(z, fma(z, sine, 1 / 362880), -1 / 5040)
+    sine = fma(z, fma(z, sine, 1 / 120), -1 / 6)
+    sine = fma(rest * z, sine, rest)
+    versine = fma(z, 1 / 1124000727777607680000, -1 / 2432902008176640000)
+    versine = fma(z, fma(z, versine, 1 / 6402373705728000), -1 / 20922789888000)
+    versine = fma(z, fma(z, versine, 1 / 87178291200), -1 / 479001600)
+    versine = fma(z, fma(z, versine, 1 / 3628800), -1 / 40320)
+    versine = fma(z, fma(z, versine, 1 / 720), -1 / 24)
+    versine = z * fma(z, versine, 0.5)
+    sign = 1.0 - 2.0 * odd
+    return sign * sine, fma(sign, versine, 2.0 * odd)
+
 
 ZERO = (0.0, 0.0, 0.0)
 ZERO_MATRIX = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -70,38 +101,38 @@ def add(a, b):
 @inner
 def add_scaled(a, factor, b):
     """a + factor b of two vectors."""
-    return fused(factor, b[0], a[0]), fused(factor, b[1], a[1]), fused(factor, b[2], a[2])
+    return fma(factor, b[0], a[0]), fma(factor, b[1], a[1]), fma(factor, b[2], a[2])
 
 
 @inner
 def dot(a, b):
     """Scalar product of two vectors."""
-    return fused(a[0], b[0], fused(a[1], b[1], a[2] * b[2]))
+    return fma(a[0], b[0], fma(a[1], b[1], a[2] * b[2]))
 
 
 @inner
 def cross(a, b):
     """Cross product of two vectors."""
-    return fused(a[1], b[2], -a[2] * b[1]), fused(a[2], b[0], -a[0] * b[2]), fused(a[0], b[1], -a[1] * b[0])
+    return fma(a[1], b[2], -a[2] * b[1]), fma(a[2], b[0], -a[0] * b[2]), fma(a[0], b[1], -a[1] * b[0])
 
 
 @inner
 def apply(matrix, a):
     """Matrix times vector."""
     return (
-        fused(matrix[0], a[0], fused(matrix[1], a[1], matrix[2] * a[2])),
-        fused(matrix[3], a[0], fused(matrix[4], a[1], matrix[5] * a[2])),
-        fused(matrix[6], a[0], fused(matrix[7], a[1], matrix[8] * a[2])),
+        fma(matrix[0], a[0], fma(matrix[1], a[1], matrix[2] * a[2])),
+        fma(matrix[3], a[0], fma(matrix[4], a[1], matrix[5] * a[2])),
+        fma(matrix[6], a[0], fma(matrix[7], a[1], matrix[8] * a[2])),
     )
 
 
 @inner
-def apply_back(matrix, a):
+def apply_transposed(matrix, a):
     """Transposed matrix times vector."""
     return (
-        fused(matrix[0], a[0], fused(matrix[3], a[1], matrix[6] * a[2])),
-        fused(matrix[1], a[0], fused(matrix[4], a[1], matrix[7] * a[2])),
-        fused(matrix[2], a[0], fused(matrix[5], a[1], matrix[8] * a[2])),
+        fma(matrix[0], a[0], fma(matrix[3], a[1], matrix[6] * a[2])),
+        fma(matrix[1], a[0], fma(matrix[4], a[1], matrix[7] * a[2])),
+        fma(matrix[2], a[0], fma(matrix[5], a[1], matrix[8] * a[2])),
     )
 
 
@@ -115,9 +146,9 @@ def transposed(a):
 def add_matrix(a, factor, b):
     """a + factor b of two matrices."""
     return (
-        fused(factor, b[0], a[0]), fused(factor, b[1], a[1]), fused(factor, b[2], a[2]),
-        fused(factor, b[3], a[3]), fused(factor, b[4], a[4]), fused(factor, b[5], a[5]),
-        fused(factor, b[6], a[6]), fused(factor, b[7], a[7]), fused(factor, b[8], a[8]),
+        fma(factor, b[0], a[0]), fma(factor, b[1], a[1]), fma(factor, b[2], a[2]),
+        fma(factor, b[3], a[3]), fma(factor, b[4], a[4]), fma(factor, b[5], a[5]),
+        fma(factor, b[6], a[6]), fma(factor, b[7], a[7]), fma(factor, b[8], a[8]),
     )  # fmt: skip
 
 
@@ -125,9 +156,9 @@ def add_matrix(a, factor, b):
 def subtract_outer(a, b, c):
     """a - b c^T of a matrix and two vectors."""
     return (
-        fused(-b[0], c[0], a[0]), fused(-b[0], c[1], a[1]), fused(-b[0], c[2], a[2]),
-        fused(-b[1], c[0], a[3]), fused(-b[1], c[1], a[4]), fused(-b[1], c[2], a[5]),
-        fused(-b[2], c[0], a[6]), fused(-b[2], c[1], a[7]), fused(-b[2], c[2], a[8]),
+        fma(-b[0], c[0], a[0]), fma(-b[0], c[1], a[1]), fma(-b[0], c[2], a[2]),
+        fma(-b[1], c[0], a[3]), fma(-b[1], c[1], a[4]), fma(-b[1], c[2], a[5]),
+        fma(-b[2], c[0], a[6]), fma(-b[2], c[1], a[7]), fma(-b[2], c[2], a[8]),
     )  # fmt: skip
 
 
@@ -135,15 +166,15 @@ def subtract_outer(a, b, c):
 def product(a, b):
     """Product of two matrices."""
     return (
-        fused(a[0], b[0], fused(a[1], b[3], a[2] * b[6])),
-        fused(a[0], b[1], fused(a[1], b[4], a[2] * b[7])),
-        fused(a[0], b[2], fused(a[1], b[5], a[2] * b[8])),
-        fused(a[3], b[0], fused(a[4], b[3], a[5] * b[6])),
-        fused(a[3], b[1], fused(a[4], b[4], a[5] * b[7])),
-        fused(a[3], b[2], fused(a[4], b[5], a[5] * b[8])),
-        fused(a[6], b[0], fused(a[7], b[3], a[8] * b[6])),
-        fused(a[6], b[1], fused(a[7], b[4], a[8] * b[7])),
-        fused(a[6], b[2], fused(a[7], b[5], a[8] * b[8])),
+        fma(a[0], b[0], fma(a[1], b[3], a[2] * b[6])),
+        fma(a[0], b[1], fma(a[1], b[4], a[2] * b[7])),
+        fma(a[0], b[2], fma(a[1], b[5], a[2] * b[8])),
+        fma(a[3], b[0], fma(a[4], b[3], a[5] * b[6])),
+        fma(a[3], b[1], fma(a[4], b[4], a[5] * b[7])),
+        fma(a[3], b[2], fma(a[4], b[5], a[5] * b[8])),
+        fma(a[6], b[0], fma(a[7], b[3], a[8] * b[6])),
+        fma(a[6], b[1], fma(a[7], b[4], a[8] * b[7])),
+        fma(a[6], b[2], fma(a[7], b[5], a[8] * b[8])),
     )
 
 
@@ -151,9 +182,9 @@ def product(a, b):
 def product_skew(a, d):
     """Matrix times the skew matrix of d: its rows crossed with d."""
     return (
-        fused(a[1], d[2], -a[2] * d[1]), fused(a[2], d[0], -a[0] * d[2]), fused(a[0], d[1], -a[1] * d[0]),
-        fused(a[4], d[2], -a[5] * d[1]), fused(a[5], d[0], -a[3] * d[2]), fused(a[3], d[1], -a[4] * d[0]),
-        fused(a[7], d[2], -a[8] * d[1]), fused(a[8], d[0], -a[6] * d[2]), fused(a[6], d[1], -a[7] * d[0]),
+        fma(a[1], d[2], -a[2] * d[1]), fma(a[2], d[0], -a[0] * d[2]), fma(a[0], d[1], -a[1] * d[0]),
+        fma(a[4], d[2], -a[5] * d[1]), fma(a[5], d[0], -a[3] * d[2]), fma(a[3], d[1], -a[4] * d[0]),
+        fma(a[7], d[2], -a[8] * d[1]), fma(a[8], d[0], -a[6] * d[2]), fma(a[6], d[1], -a[7] * d[0]),
     )  # fmt: skip
 
 
@@ -162,7 +193,9 @@ def apply_inertia(inertia, acceleration):
     """Force and moment for a linear and angular acceleration; an inertia is a triple, see `dynamics`."""
     linear, angular = acceleration
     force, mixed, moment = inertia
-    return add(apply(force, linear), apply(mixed, angular)), add(apply_back(mixed, linear), apply(moment, angular))
+    return add(apply(force, linear), apply(mixed, angular)), add(
+        apply_transposed(mixed, linear), apply(moment, angular)
+    )
 
 
 @inner
@@ -185,7 +218,7 @@ def tangent_coefficients(z):
     db = -1 / 24 + z * (1 / 360 - z * (1 / 13440 - z * (1 / 907200 - z * (1 / 95800320 - z * (1 / 14529715200)))))
     dc = 1 / 120960 - z * (1 / 9979200 - z * (1 / 1245404160 - z * (1 / 217945728000)))
     dc = -1 / 120 + z * (1 / 2520 - z * dc)
-    if below(z, 0.25):
+    if is_below(z, 0.25):
         return b, c, db, dc
     p = math.sqrt(z)
     s = math.sin(p) / p
@@ -193,6 +226,6 @@ def tangent_coefficients(z):
     far_c = (1.0 - s) / z
     far_db, far_dc = (s - 2.0 * far_b) / (2.0 * z), (far_b - 3.0 * far_c) / (2.0 * z)
     return (
-        choose_below(z, 0.25, b, far_b), choose_below(z, 0.25, c, far_c),
-        choose_below(z, 0.25, db, far_db), choose_below(z, 0.25, dc, far_dc),
+        select_below(z, 0.25, b, far_b), select_below(z, 0.25, c, far_c),
+        select_below(z, 0.25, db, far_db), select_below(z, 0.25, dc, far_dc),
     )  # fmt: skip

@@ -2,7 +2,7 @@
 
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.kinematics import positions, velocities
-from flexman_gym.kernels.lanes import fused, vanishes
+from flexman_gym.kernels.lanes import fma, is_zero
 from flexman_gym.kernels.layout import (
     DEFLECTION_AT,
     DEFLECTION_RATE_AT,
@@ -25,10 +25,10 @@ from flexman_gym.kernels.linalg import (
     load_matrix,
     product,
     rotation_matrix,
+    sine_versine,
     store,
 )
 from flexman_gym.kernels.stiffening import stretch_energy
-from flexman_gym.kernels.turning import sine_versine
 
 
 @kernel
@@ -42,7 +42,7 @@ def observe(constants, work, x, v, out):
     velocities(constants, work, v)
     n = len(constants.mass)
     elastic = len(x) - constants.elastic_start[n]
-    position, velocity, kinetic, gravitational = chain_outputs(constants, work, v, elastic)
+    position, velocity, kinetic, gravitational = _chain_outputs(constants, work, v, elastic)
     rigid, rate = rigid_tip(constants, x, v)
     for j in range(3):
         out[TIP_AT + j], out[TIP_VELOCITY_AT + j] = position[j], velocity[j]
@@ -55,12 +55,12 @@ def observe(constants, work, x, v, out):
             rotor_rate = v[m]
             twist = x[m] - x[i]
             joints += 0.5 * constants.joint_stiffness[i] * twist * twist
-        if not vanishes(constants.carried_inertia[i]):
+        if not is_zero(constants.carried_inertia[i]):
             rotor_rate += dot(load(constants.axis, i), load(work.spin, i)) - v[i]  # of the frame that carries it
         kinetic += 0.5 * constants.rotor_inertia[i] * rotor_rate * rotor_rate
     links = 0.0
     for i in range(n):
-        links += 0.5 * square_form(constants.stiffness, constants, i, x, elastic)
+        links += 0.5 * _quadratic_form(constants.stiffness, constants, i, x, elastic)
     out[KINETIC], out[LINK_ENERGY], out[JOINT_ENERGY], out[GRAVITATIONAL] = kinetic, links, joints, gravitational
 
 
@@ -82,7 +82,7 @@ def residuals(rows, outputs, start, out):
 
 
 @kernel
-def turn_over(rows, outputs, out):
+def update_energy_scale(rows, outputs, out):
     """out (b,) grows to kinetic + elastic energy, |work| and |dissipation|, where it is less than one of them, J."""
     last = rows.shape[1] - 1
     for b in range(len(rows)):
@@ -93,7 +93,7 @@ def turn_over(rows, outputs, out):
 
 
 @inner
-def square_form(matrices, constants, i, rates, elastic):
+def _quadratic_form(matrices, constants, i, rates, elastic):
     """q^T matrix q for the packed (k, k) matrix of link i and the elastic part of `rates` (d,)."""
     start, square = constants.elastic_start[i], constants.square_start[i]
     k = constants.elastic_start[i + 1] - start
@@ -105,7 +105,7 @@ def square_form(matrices, constants, i, rates, elastic):
 
 
 @inner
-def chain_outputs(constants, work, v, elastic):
+def _chain_outputs(constants, work, v, elastic):
     """Tip position and velocity in the base frame, kinetic energy without rotors, gravitational energy."""
     n = len(constants.mass)
     frame = IDENTITY
@@ -116,8 +116,8 @@ def chain_outputs(constants, work, v, elastic):
     for i in range(n):
         frame = product(frame, load_matrix(work.rotation, i))
         lifted = add(add_scaled(lifted, constants.mass[i], origin), apply(frame, load(work.moment, i)))
-        kinetic += link_energy(constants, work, i, v, elastic)
-        velocity = tip_velocity(constants, work, i, v, elastic)
+        kinetic += _link_energy(constants, work, i, v, elastic)
+        velocity = _tip_velocity(constants, work, i, v, elastic)
         origin = add(origin, apply(frame, load(work.tip, i)))
     payload, moment, spin = constants.payload_mass[0], load(work.payload_moment, 0), load(work.payload_spin, 0)
     kinetic += 0.5 * payload * dot(velocity, velocity) + dot(velocity, cross(spin, moment))
@@ -129,7 +129,7 @@ def chain_outputs(constants, work, v, elastic):
 
 
 @inner
-def tip_velocity(constants, work, i, v, elastic):
+def _tip_velocity(constants, work, i, v, elastic):
     """Velocity of the tip of link i in its beam frame."""
     velocity = add(load(work.velocity, i), cross(load(work.spin, i), load(work.tip, i)))
     for a in range(constants.carrying[i], constants.elastic_start[i + 1]):
@@ -138,15 +138,15 @@ def tip_velocity(constants, work, i, v, elastic):
 
 
 @inner
-def link_energy(constants, work, i, v, elastic):
+def _link_energy(constants, work, i, v, elastic):
     """Kinetic energy of link i, 1/2 v^T M v with the blocks of Eq. 13."""
     velocity, spin = load(work.velocity, i), load(work.spin, i)
-    value = 0.5 * square_form(constants.elastic_mass, constants, i, v, elastic) + stretch_energy(constants, work, i)
+    value = 0.5 * _quadratic_form(constants.elastic_mass, constants, i, v, elastic) + stretch_energy(constants, work, i)
     value += dot(velocity, cross(spin, load(work.moment, i))) + 0.5 * constants.mass[i] * dot(velocity, velocity)
     value += 0.5 * dot(spin, apply(load_matrix(work.inertia, i), spin))
     for a in range(constants.elastic_start[i], constants.elastic_start[i + 1]):
         momentum = dot(velocity, load(work.moment_shape, a)) + dot(spin, load(work.coupling, a))
-        value = fused(v[elastic + a], momentum, value)
+        value = fma(v[elastic + a], momentum, value)
     return value
 
 

@@ -1,8 +1,8 @@
-"""Raster: triangles and lines become pixels, with depth, light from two sides, soft shadow and smooth edges.
+"""Rasteriser: triangles, lines, shadows and the floor of a scene as pixels, with depth, two lights and antialiasing.
 
-Everything is drawn into samples, several to a pixel, which are averaged at the end. Only the box around what was drawn
-last is touched again, so that a frame costs what changes. The same numbers give the same bits: arithmetic is exact to
-the order in which it is written.
+Everything is drawn into samples, several to a pixel, which are averaged at the end. Only the box around the shapes
+drawn last is touched again, so that the cost of a frame is that of its changes. The same numbers give the same bits:
+arithmetic is exact to the order in which it is written.
 """
 
 from typing import NamedTuple
@@ -56,7 +56,7 @@ def project(points, eye, axes, lens, out):
 
 
 @inner
-def bounds(low_x, high_x, low_y, high_y, box, height, width):
+def _bounds(low_x, high_x, low_y, high_y, box, height, width):
     """First and last column and row that a shape can touch; the box grows by them."""
     left, right = max(int(np.floor(low_x)), 0), min(int(np.ceil(high_x)), width - 1)
     top, bottom = max(int(np.floor(low_y)), 0), min(int(np.ceil(high_y)), height - 1)
@@ -67,7 +67,7 @@ def bounds(low_x, high_x, low_y, high_y, box, height, width):
 
 
 @inner
-def luminance(n0, n1, n2, e0, e1, e2):
+def _luminance(n0, n1, n2, e0, e1, e2):
     """Light that a surface sends on, as a factor of its colour, and what is added to it; normal and view not unit."""
     scale = 1.0 / np.sqrt(n0 * n0 + n1 * n1 + n2 * n2 + 1e-30)
     n0, n1, n2 = n0 * scale, n1 * scale, n2 * scale
@@ -88,7 +88,7 @@ def luminance(n0, n1, n2, e0, e1, e2):
 
 
 @kernel
-def shade(canvas, screen, points, normals, colours, faces, eye):
+def draw_triangles(canvas, screen, points, normals, colours, faces, eye):
     """Draws triangles faces (f, 3) of points (p, 3) that are at screen (p, 3), where they face the eye.
 
     Normals and colours (p, 3) belong to the points and change linearly between them.
@@ -101,7 +101,7 @@ def shade(canvas, screen, points, normals, colours, faces, eye):
         if not area < 0.0:  # seen from behind: rows grow downwards
             continue
         whole = 1.0 / area
-        left, right, top, bottom = bounds(
+        left, right, top, bottom = _bounds(
             min(x0, x1, x2), max(x0, x1, x2), min(y0, y1, y2), max(y0, y1, y2), canvas.box, height, width
         )
         for row in range(top, bottom + 1):
@@ -117,7 +117,7 @@ def shade(canvas, screen, points, normals, colours, faces, eye):
                 if near <= canvas.depth[row, column]:
                     continue
                 canvas.depth[row, column] = near
-                factor, more = luminance(
+                factor, more = _luminance(
                     u * normals[i, 0] + v * normals[j, 0] + w * normals[k, 0],
                     u * normals[i, 1] + v * normals[j, 1] + w * normals[k, 1],
                     u * normals[i, 2] + v * normals[j, 2] + w * normals[k, 2],
@@ -131,7 +131,7 @@ def shade(canvas, screen, points, normals, colours, faces, eye):
 
 
 @kernel
-def cover(screen, faces, mask, depth, box):
+def mark_coverage(screen, faces, mask, depth, box):
     """Sets mask to 1 where triangles lie and nothing is drawn; with a depth of one entry, everywhere they lie."""
     height, width = mask.shape
     everywhere = depth.size == 1
@@ -142,7 +142,7 @@ def cover(screen, faces, mask, depth, box):
         if not area < 0.0:
             continue
         whole = 1.0 / area
-        left, right, top, bottom = bounds(
+        left, right, top, bottom = _bounds(
             min(x0, x1, x2), max(x0, x1, x2), min(y0, y1, y2), max(y0, y1, y2), box, height, width
         )
         for row in range(top, bottom + 1):
@@ -158,7 +158,7 @@ def cover(screen, faces, mask, depth, box):
 
 
 @kernel
-def stroke(canvas, screen, radius, faintest, colour):
+def draw_line(canvas, screen, radius, faintest, colour):
     """Draws a line along screen (p, 3) with a radius in samples, from faint and thin to full at its last point.
 
     Where it lies behind something it is not seen. Each sample takes it once, with the part of `faintest` to 1 that its
@@ -171,7 +171,7 @@ def stroke(canvas, screen, radius, faintest, colour):
         dx, dy = x1 - x0, y1 - y0
         part = faintest + (1.0 - faintest) * (t + 1.0) / last
         thick = radius * (0.4 + 0.6 * part)
-        left, right, top, bottom = bounds(
+        left, right, top, bottom = _bounds(
             min(x0, x1) - thick,
             max(x0, x1) + thick,
             min(y0, y1) - thick,
@@ -196,7 +196,7 @@ def stroke(canvas, screen, radius, faintest, colour):
 
 
 @kernel
-def soften(shadow, scratch, box, radius):
+def blur_shadow(shadow, scratch, box, radius):
     """Blurs what lies in the box (4,) of a shadow (H, W) by two means over 2 radius + 1 pixels each way."""
     height, width = shadow.shape
     box[0], box[1] = max(box[0] - 2 * radius, 0), min(box[1] + 2 * radius, width - 1)
@@ -219,7 +219,7 @@ def soften(shadow, scratch, box, radius):
 
 
 @kernel
-def darken(canvas, box, dark):
+def apply_shadow(canvas, box, dark):
     """Lays the shadow in the box (4,) of pixels over the empty scene, and takes it away again from its memory."""
     samples = len(canvas.depth) // len(canvas.shadow)
     for row in range(box[2], box[3] + 1):
@@ -258,3 +258,35 @@ def resolve(canvas, ghost, part):
                             value += part * (ghost[c] - value)
                         total += value
                 canvas.picture[row, column, c] = np.uint8(total / (samples * samples) + 0.5)
+
+
+@kernel
+def draw_floor(back, eye, axes, lens, floor, reach, step):
+    """Fills back (h, w, 3) with a bright sky and a floor at the height `floor`, m, that fades at the reach, m.
+
+    Its grid has lines every `step` m, the two through the base darker. A line gets as wide as a sample where it would
+    be thinner, and fainter in its place.
+    """
+    height, width = back.shape[0], back.shape[1]
+    for row in range(height):
+        up = (lens[2] - row - 0.5) / lens[0]
+        bright = min(max(1.0 - 1.1 * (row + 0.5) / height, 0.0), 1.0)
+        for column in range(width):
+            across = (column + 0.5 - lens[1]) / lens[0]
+            fall = across * axes[0, 2] + up * axes[1, 2] + axes[2, 2]
+            solid = line = axis = 0.0
+            if fall * (floor - eye[2]) > 0.0:
+                far = (floor - eye[2]) / fall
+                x = eye[0] + far * (across * axes[0, 0] + up * axes[1, 0] + axes[2, 0])
+                y = eye[1] + far * (across * axes[0, 1] + up * axes[1, 1] + axes[2, 1])
+                solid = min(max(1.75 - np.sqrt(x * x + y * y) / (1.25 * reach), 0.0), 1.0)
+                solid = solid * solid * (3.0 - 2.0 * solid)
+                thick = far / lens[0] * (0.9 + 0.35 / abs(fall))
+                for place in (x, y):
+                    apart = abs(place / step + 0.5 - np.floor(place / step + 0.5) - 0.5) * step
+                    line = max(line, min(max(1.4 - apart / thick, 0.0), 1.0))
+                    axis = max(axis, min(max(1.6 - abs(place) / (1.3 * thick), 0.0), 1.0))
+            for c in range(3):
+                sky = (222.0, 229.0, 238.0)[c] + bright * (255.0 - (222.0, 229.0, 238.0)[c])
+                ground = (243.0, 246.0, 249.0)[c] - line * (46.0, 40.0, 32.0)[c] - axis * 40.0
+                back[row, column, c] = np.uint8(sky + solid * (ground - sky))

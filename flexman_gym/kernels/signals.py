@@ -12,7 +12,7 @@ BYTES = 8  # of a number
 
 
 @intrinsic
-def latest(typing_context, numbers, place):
+def _load_acquire(typing_context, numbers, place):
     """numbers[place] as another thread has left it by now."""
 
     def generate(context, builder, signature, values):
@@ -22,7 +22,7 @@ def latest(typing_context, numbers, place):
 
 
 @intrinsic
-def tell(typing_context, numbers, place, value):
+def _store_release(typing_context, numbers, place, value):
     """numbers[place] = value, for another thread to see together with all that was written before."""
 
     def generate(context, builder, signature, values):
@@ -40,13 +40,13 @@ def _address(context: Any, builder: Any, signature: Any, values: Any) -> Any:
 
 
 @released
-def watch(numbers, mine, told, awaited, looks):
+def spin_wait(numbers, mine, told, awaited, looks):
     """Tells told as the number at place mine, 0 or 1, then looks until the other one is as awaited.
 
     Gives up after so many looks; returns whether it has seen that.
     """
-    tell(numbers, mine, told)
+    _store_release(numbers, mine, told)
     for _ in range(looks):
-        if latest(numbers, 1 - mine) == awaited:
+        if _load_acquire(numbers, 1 - mine) == awaited:
             return True
     return False

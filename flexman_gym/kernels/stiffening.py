@@ -9,37 +9,37 @@ The stations of a link, its tip first, fill whole groups of LANES; those that fi
 """
 
 from flexman_gym.kernels.compile import inner
-from flexman_gym.kernels.groups import (
+from flexman_gym.kernels.lanes import (
     add_products,
     add_rows,
+    fma,
+    gather_lanes,
     group_size,
     load_lanes,
-    pick_lanes,
-    spread_lanes,
+    scatter_lanes,
     store_lanes,
 )
-from flexman_gym.kernels.lanes import fused
 from flexman_gym.kernels.linalg import dot, load
 
 
 @inner
-def shorten_tip(constants, work, i, x, elastic):
+def foreshorten_tip(constants, work, i, x, elastic):
     """Puts the stations of link i in their places and adds foreshortening to the tip and its shape."""
     start, stop, first = constants.elastic_start[i], constants.elastic_start[i + 1], constants.station_start[i]
     count = constants.station_start[i + 1] - first
     width, row = constants.station_width[i], constants.station_row[i]
     for s in range(0, count, group_size(work.back)):
-        place = station_motion(constants, i, s, x, elastic)
+        place = _station_motion(constants, i, s, x, elastic)
         store_lanes(work.place, 3 * first + s, place[0])
         for c in range(1, 3):
             offset = load_lanes(constants.station_offset, 2 * first + (c - 1) * count + s)
             store_lanes(work.place, 3 * first + c * count + s, place[c] + offset)
         back = 0.0
         for a in range(start, stop):
-            bend = station_bend(constants, i, s, a, x, elastic)
-            back = fused(-0.5 * x[elastic + a], bend, back)
+            bend = _station_bend(constants, i, s, a, x, elastic)
+            back = fma(-0.5 * x[elastic + a], bend, back)
             store_lanes(work.bend_stations, row + (a - start) * count + s, bend)
-            spread_lanes(work.bend, row + s * width + a - start, width, bend)
+            scatter_lanes(work.bend, row + s * width + a - start, width, bend)
         store_lanes(work.back, first + s, back)
     for a in range(start, stop):
         work.tip_shape[a, 0] = constants.tip_translation[a, 0] - work.bend[row + a - start]
@@ -48,35 +48,33 @@ def shorten_tip(constants, work, i, x, elastic):
 
 
 @inner
-def station_motion(constants, i, s, rates, elastic):
+def _station_motion(constants, i, s, rates, elastic):
     """Motion x, y, z of a group of stations of link i, from s on, by `rates` (d,), foreshortening left out."""
     count = constants.station_start[i + 1] - constants.station_start[i]
     x = y = z = 0.0
     start, value = constants.place_start, constants.place_row[i] + s
     for e in range(start[3 * i], start[3 * i + 1]):
-        x = fused(rates[elastic + constants.place_source[e]], load_lanes(constants.place_value, value + e * count), x)
+        x = fma(rates[elastic + constants.place_source[e]], load_lanes(constants.place_value, value + e * count), x)
     for e in range(start[3 * i + 1], start[3 * i + 2]):
-        y = fused(rates[elastic + constants.place_source[e]], load_lanes(constants.place_value, value + e * count), y)
+        y = fma(rates[elastic + constants.place_source[e]], load_lanes(constants.place_value, value + e * count), y)
     for e in range(start[3 * i + 2], start[3 * i + 3]):
-        z = fused(rates[elastic + constants.place_source[e]], load_lanes(constants.place_value, value + e * count), z)
+        z = fma(rates[elastic + constants.place_source[e]], load_lanes(constants.place_value, value + e * count), z)
     return x, y, z
 
 
 @inner
-def station_bend(constants, i, s, a, rates, elastic):
+def _station_bend(constants, i, s, a, rates, elastic):
     """Row a of G times the elastic part of `rates` (d,) at a group of stations of link i, from s on."""
     count = constants.station_start[i + 1] - constants.station_start[i]
     bend, value = 0.0, constants.bend_row[i] + s
     for e in range(constants.bend_start[a], constants.bend_start[a + 1]):
-        bend = fused(
-            rates[elastic + constants.bend_source[e]], load_lanes(constants.bend_value, value + e * count), bend
-        )
+        bend = fma(rates[elastic + constants.bend_source[e]], load_lanes(constants.bend_value, value + e * count), bend)
     return bend
 
 
 @inner
-def shorten_mass(constants, work, i):
-    """Adds foreshortening to the moment shape and the coupling of link i; needs `shorten_tip`.
+def foreshorten_mass(constants, work, i):
+    """Adds foreshortening to the moment shape and the coupling of link i; needs `foreshorten_tip`.
 
     Returns the change of the first moment along x, and of the entries xx, xy, xz of P.
     """
@@ -123,14 +121,14 @@ def stretch_mass(constants, work, i, a, group, total):
     first, width, stretch = constants.station_start[i], constants.station_width[i], work.stretch
     for s in range(0, constants.station_start[i + 1] - first, group_size(work.back)):
         j = constants.station_row[i] + s * width
-        factors = load_lanes(constants.station_mass, first + s) * pick_lanes(stretch, j + a, width)
+        factors = load_lanes(constants.station_mass, first + s) * gather_lanes(stretch, j + a, width)
         total = add_rows(total, (factors,), (stretch,), j + group, width)
     return total
 
 
 @inner
-def shorten_forces(constants, work, i, v, elastic):
-    """Adds the quadratic velocity forces of foreshortening to link i; needs `shorten_mass` at the same x."""
+def foreshorten_forces(constants, work, i, v, elastic):
+    """Adds the quadratic velocity forces of foreshortening to link i; needs `foreshorten_mass` at the same x."""
     first, row, width = constants.station_start[i], constants.station_row[i], constants.station_width[i]
     count, weight, w = constants.station_start[i + 1] - first, work.weight, load(work.spin, i)
     square = dot(w, w)
@@ -139,8 +137,8 @@ def shorten_forces(constants, work, i, v, elastic):
         mass, back, j = load_lanes(constants.station_mass, first + s), load_lanes(work.back, first + s), 3 * first + s
         x = load_lanes(constants.station_position, first + s) + load_lanes(work.place, j) + back
         y, z = load_lanes(work.place, j + count), load_lanes(work.place, j + 2 * count)
-        rate = station_motion(constants, i, s, v, elastic)
-        drawn, pulled = station_rates(constants, work, i, s, v, elastic)
+        rate = _station_motion(constants, i, s, v, elastic)
+        drawn, pulled = _station_rates(constants, work, i, s, v, elastic)
         store_lanes(work.rate, first + s, rate[0] + drawn)
         store_lanes(work.pulled, first + s, pulled)
         # 2 w x velocity: what foreshortening turns, and without it
@@ -177,14 +175,14 @@ def shorten_forces(constants, work, i, v, elastic):
 
 
 @inner
-def station_rates(constants, work, i, s, v, elastic):
+def _station_rates(constants, work, i, s, v, elastic):
     """Rate of foreshortening, - q'^T G q, and - q'^T G q' at a group of stations of link i, from s on."""
     start, row = constants.elastic_start[i], constants.station_row[i] + s
     count = constants.station_start[i + 1] - constants.station_start[i]
     drawn = pulled = 0.0
     for a in range(start, constants.elastic_start[i + 1]):
-        drawn = fused(-v[elastic + a], load_lanes(work.bend_stations, row + (a - start) * count), drawn)
-        pulled = fused(-v[elastic + a], station_bend(constants, i, s, a, v, elastic), pulled)
+        drawn = fma(-v[elastic + a], load_lanes(work.bend_stations, row + (a - start) * count), drawn)
+        pulled = fma(-v[elastic + a], _station_bend(constants, i, s, a, v, elastic), pulled)
     return drawn, pulled
 
 

@@ -1,7 +1,7 @@
 """Model: an arm turned into numbers, and its dynamics at an instant."""
 
-from flexman_gym.model.curves import Curves, curves
-from flexman_gym.model.instant import (
+from flexman_gym.model.deformation import Curves, curvature, curves, strain
+from flexman_gym.model.dynamics import (
     acceleration,
     damping_matrix,
     frequencies,
@@ -10,11 +10,10 @@ from flexman_gym.model.instant import (
     stiffness_matrix,
     tip_acceleration,
 )
-from flexman_gym.model.linear import linearize
+from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import Model, build_model, scene_model
 from flexman_gym.model.state_space import LinearModel
 from flexman_gym.model.statics import holding_torques, rest_state
-from flexman_gym.model.strain import curvature, strain
 from flexman_gym.model.vibration import Modes, modes
 
 __all__ = [

@@ -1,8 +1,9 @@
-"""Beam: the finite elements of one link and the integrals that its dynamics needs.
+"""Finite-element beam of one link: mass points, lumped masses, foreshortening stations and mass integrals.
 
 A link is a straight Euler-Bernoulli beam along its own x axis, clamped to the floating frame at x = 0. Mass points
 represent its mass: an element has four Gauss points, and each Gauss point has four section points. They integrate the
-polynomials of these elements exactly, so the sums below equal the volume integrals of Eq. 13 and 14.
+polynomials of these elements exactly, so the sums below equal the volume integrals of Eq. 13 and 14. Stations are the
+points of the centreline that represent its foreshortening.
 
 Without rotary inertia the mass points lie on the centreline. The sections around them then resist rotation about the
 beam axis only. In a frame with angular velocity w they turn about this axis at the rate w_x + phi'.
@@ -13,19 +14,178 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flexman_gym.arrays import Array
-from flexman_gym.model.bodies import body_points, body_stations
+from flexman_gym.common.arrays import Array
 from flexman_gym.model.element import (
     GAUSS_POINTS,
     NODE_COORDINATES,
     Element,
     beam_elements,
     beam_shapes,
+    beam_slopes,
     beam_stiffness,
+    find_element,
     section_points,
 )
-from flexman_gym.model.stations import beam_stations
-from flexman_gym.scene.link import Link, NonUniformLink
+from flexman_gym.scene.link import Link, LumpedMass, NonUniformLink
+
+BLOCK = 2 * NODE_COORDINATES  # coordinates of an element
+GROUP = 4  # for foreshortening, the tip and the stations of a link fill groups of this size
+
+
+def beam_stations(elements: Sequence[Element], size: int) -> tuple[Array, Array, Array]:
+    """Gives G at each station, the stations and their shapes; the first station is the tip.
+
+    The other s - 1 >= elements + 1 stations stand for the polynomials nearest to the motion of the centreline. Each
+    lies at a Gauss point of the link. It is the mean of the motion with the Lagrange polynomial of this point as
+    weight. Products of such polynomials have the exact integral. The mass matrix less the part of the stations is a sum
+    of squares, so it stays positive.
+
+    G at a point is the integral of v'^T v' + w'^T w' from the base to the point. It is exact, by enough Gauss points.
+
+    Args:
+        elements: of the link, base to tip.
+        size: number of node coordinates of the link, the clamped node included.
+
+    Returns:
+        G (s, size, size), stations (s, 4) with mass (kg) and place along x, y and z (m), and shapes (s, 3, size).
+    """
+    count = GROUP * -(-(len(elements) + 2) // GROUP) - 1
+    abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
+    fine, parts = np.polynomial.legendre.leggauss((count + 7) // 2)  # exact for G, of degree 5, times the weight
+    points = np.concatenate([start + length * (1 + fine) / 2 for _, start, length, _ in elements])
+    shares = np.concatenate([parts / 2 * length * each.density * each.area for each, _, length, _ in elements])
+    places, masses = _gauss_rule(points, shares, count)
+    means = iter((shares / masses[:, None] * _lagrange(places, points)).T)
+    integral, shapes = np.zeros((size, size)), np.zeros((count + 1, 3, size))
+    # G couples the coordinates of neighbouring nodes alone: only these blocks are summed, one for each element
+    blocks, sums = _blocks(integral, len(elements)), np.zeros((count, len(elements), BLOCK, BLOCK))
+    for i, (_, _, length, nodes) in enumerate(elements):
+        before = integral[nodes, nodes].copy()
+        for end in [*(1 + fine) / 2, 1.0]:
+            shape = beam_shapes(end, length, 0.0, 0.0)
+            integral[nodes, nodes] = before
+            for xi, weight in zip(end * (1 + abscissae) / 2, end * weights / 2, strict=True):
+                slopes = beam_slopes(xi, length)
+                integral[nodes, nodes] += weight * length * slopes.T @ slopes
+            if end < 1.0:
+                mean = next(means)[:, None, None]
+                sums[:, : i + 2] += mean[:, None] * blocks[: i + 2]
+                shapes[1:, :, nodes] += mean * shape
+    integrals = np.zeros((count + 1, size, size))
+    integrals[0], shapes[0, :, nodes] = integral, shape
+    for i, element in enumerate(elements):
+        integrals[1:, element.nodes, element.nodes] = sums[:, i]
+    stations = np.zeros((count + 1, 4))
+    stations[0, 1] = elements[-1].start + elements[-1].length
+    stations[1:, 0], stations[1:, 1] = masses, places
+    return integrals, stations, shapes
+
+
+def _blocks(matrix: Array, count: int) -> Array:
+    """Gives a view (count, 12, 12) of the blocks along the diagonal of a matrix that belong to elements."""
+    row, column = matrix.strides
+    step = NODE_COORDINATES * (row + column)
+    return np.lib.stride_tricks.as_strided(matrix, (count, BLOCK, BLOCK), (step, row, column), writeable=False)
+
+
+def _gauss_rule(places: Array, masses: Array, count: int) -> tuple[Array, Array]:
+    """Gives places and masses (count,) that integrate polynomials to degree 2 count - 1 over many masses."""
+    # from the three-term recurrence of the orthogonal polynomials (Golub and Welsch, Math. Comp. 23, 1969)
+    diagonal, beside = np.zeros(count), np.zeros(count)
+    before, now = np.zeros(len(places)), np.ones(len(places)) / np.sqrt(masses.sum())
+    for i in range(count):
+        diagonal[i] = masses @ (places * now**2)
+        ahead = (places - diagonal[i]) * now - (beside[i - 1] if i else 0.0) * before
+        beside[i] = np.sqrt(masses @ ahead**2)
+        before, now = now, ahead / beside[i]
+    result, vectors = np.linalg.eigh(np.diag(diagonal) + np.diag(beside[:-1], -1))  # reads the lower triangle
+    return result, masses.sum() * vectors[0] ** 2
+
+
+def _lagrange(places: Array, points: Array) -> Array:
+    """Gives polynomials (s, p) that are one at one of the places (s,) and zero at the others, at the points (p,)."""
+    others = ~np.eye(len(places), dtype=bool)
+    return np.array(
+        [
+            np.prod((points[:, None] - places[other]) / (place - places[other]), axis=1)
+            for place, other in zip(places, others, strict=True)
+        ]
+    )
+
+
+def lumped_mass_points(
+    bodies: Sequence[LumpedMass], elements: Sequence[Element], size: int
+) -> tuple[Array, Array, Array]:
+    """Gives masses (p,), positions (p, 3) and shapes (p, 3, size) of points with the mass and inertia of the bodies.
+
+    A rigid body is six points of equal mass, two on each principal axis. A point mass is one.
+
+    Args:
+        bodies: lumped masses of the link.
+        elements: of the link, base to tip.
+        size: number of its node coordinates, the clamped node included.
+    """
+    masses, positions, shapes = [], [], []
+    for each in bodies:
+        points = _body_points(each)
+        for point in points:
+            masses.append(each.mass / len(points))
+            positions.append([each.position + point[0], point[1], point[2]])
+            shapes.append(_displacement(each, point, elements, size))
+    return np.array(masses), np.array(positions), np.array(shapes)
+
+
+def lumped_mass_stations(
+    bodies: Sequence[LumpedMass], elements: Sequence[Element], size: int
+) -> tuple[Array, Array, Array]:
+    """Gives G (b, size, size), stations (b, 4) and shapes (b, 3, size) of the centres of mass of the bodies.
+
+    Foreshortening draws a body back with its section. Arguments are those of `lumped_mass_points`, results those of
+    `Beam`.
+    """
+    centres = [np.array(each.offset or np.zeros(3)) for each in bodies]
+    stations = [[each.mass, each.position + at[0], at[1], at[2]] for each, at in zip(bodies, centres, strict=True)]
+    shapes = [_displacement(each, at, elements, size) for each, at in zip(bodies, centres, strict=True)]
+    return (
+        np.array([foreshortening_matrix(each.position, elements, size) for each in bodies]),
+        np.array(stations),
+        np.array(shapes),
+    )
+
+
+def _body_points(body: LumpedMass) -> Array:
+    """Gives the places (p, 3) of points of equal mass relative to the axis at the section of a body, m."""
+    centre = np.array(body.offset or np.zeros(3))
+    if body.inertia is None:
+        return centre[None]
+    inertia = np.array(body.inertia)
+    moments, axes = np.linalg.eigh(np.trace(inertia) / 2.0 * np.eye(3) - inertia)  # second moments of mass
+    arms = (np.sqrt(3.0 * np.maximum(moments, 0.0) / body.mass) * axes).T
+    return centre + np.vstack([arms, -arms])
+
+
+def _displacement(body: LumpedMass, point: Array, elements: Sequence[Element], size: int) -> Array:
+    """Gives the displacement (3, size) of a point of a body at (3,) from the axis: u + theta x r of its section."""
+    element, xi = find_element(elements, body.position)
+    turn = np.zeros((3, 2 * NODE_COORDINATES))
+    turn[0, [3, 9]] = 1.0 - xi, xi
+    slopes = beam_slopes(xi, element.length)
+    turn[1], turn[2] = -slopes[1], slopes[0]  # theta_y = -w', theta_z = v'
+    result = np.zeros((3, size))
+    result[:, element.nodes] = beam_shapes(xi, element.length, 0.0, 0.0) + np.cross(turn.T, point).T
+    return result
+
+
+def foreshortening_matrix(position: float, elements: Sequence[Element], size: int) -> Array:
+    """Gives the integral (size, size) of v'^T v' + w'^T w' from the base of a link to a position (m)."""
+    abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
+    result = np.zeros((size, size))
+    for element in elements:
+        end = np.clip((position - element.start) / element.length, 0.0, 1.0)
+        for xi, weight in zip(end * (1 + abscissae) / 2, end * weights / 2, strict=True):
+            slopes = beam_slopes(xi, element.length)
+            result[element.nodes, element.nodes] += weight * element.length * slopes.T @ slopes
+    return result
 
 
 @dataclass(frozen=True)
@@ -131,10 +291,10 @@ def build_beam(link: Link | NonUniformLink, elements: int, flexible: bool = True
         stiffness[piece.nodes, piece.nodes] += beam_stiffness(piece.section, piece.length)
     points, stations = mass_points(pieces, size, rotary_inertia), beam_stations(pieces, size)
     if link.masses:
-        points = _joined(points, body_points(link.masses, pieces, size))
-        stations = _joined(stations, body_stations(link.masses, pieces, size))
+        points = _joined(points, lumped_mass_points(link.masses, pieces, size))
+        stations = _joined(stations, lumped_mass_stations(link.masses, pieces, size))
     (masses, positions, shapes), (shortening, centres, station_shapes) = points, stations
-    polar, twist = spinning_sections([] if rotary_inertia else pieces, size)
+    polar, twist = polar_inertias([] if rotary_inertia else pieces, size)
     kept = slice(NODE_COORDINATES, size if flexible else NODE_COORDINATES)
     identity = np.eye(size)
     return Beam(
@@ -177,7 +337,7 @@ def mass_points(
     return np.array(masses), np.array(positions), np.array(shapes)
 
 
-def spinning_sections(elements: Sequence[Element], size: int, until: float = np.inf) -> tuple[Array, Array]:
+def polar_inertias(elements: Sequence[Element], size: int, until: float = np.inf) -> tuple[Array, Array]:
     """Gives polar inertias (t,) in kg m^2 and twists (t, size) of sections at Gauss points up to a position (m)."""
     abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
     count = len(elements) * GAUSS_POINTS

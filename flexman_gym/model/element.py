@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.arrays import Array
+from flexman_gym.common.arrays import Array
 from flexman_gym.scene.link import Link, NonUniformLink
 
 NODE_COORDINATES = 6  # u, v, w, phi_x, theta_y = -w', theta_z = v'

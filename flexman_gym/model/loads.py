@@ -5,21 +5,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.arrays import Array
+from flexman_gym.common.arrays import Array
 from flexman_gym.kernels import inverse
 from flexman_gym.kernels.layout import make_work
-from flexman_gym.model.beam import mass_points, spinning_sections
-from flexman_gym.model.bodies import body_points, body_stations, shortening
+from flexman_gym.model.beam import (
+    beam_stations,
+    foreshortening_matrix,
+    lumped_mass_points,
+    lumped_mass_stations,
+    mass_points,
+    polar_inertias,
+)
 from flexman_gym.model.element import NODE_COORDINATES, beam_shapes, find_element
 from flexman_gym.model.model import Model
-from flexman_gym.model.stations import beam_stations
 from flexman_gym.model.vibration import elastic_energies
 
 FIELDS = ("reaction", "frame_acceleration", "spin", "velocity", "tip", "rotation", "payload_spin", "payload_moment",
           "payload_rotary", "tip_velocity")  # fmt: skip
 
 
-class Frames(NamedTuple):
+class FrameMotion(NamedTuple):
     """How the links move at T instants; every vector in the frame of its link.
 
     Attributes:
@@ -43,7 +48,7 @@ class Frames(NamedTuple):
     tip_velocity: Array
 
 
-def frames(model: Model, states: Array, rates: Array, drives: Array) -> Frames:
+def frame_motion(model: Model, states: Array, rates: Array, drives: Array) -> FrameMotion:
     """Gives the motion of the links.
 
     Args:
@@ -61,7 +66,7 @@ def frames(model: Model, states: Array, rates: Array, drives: Array) -> Frames:
     shapes = {"rotation": (times, n, 3, 3), "payload_rotary": (times, 3, 3)}
     shapes |= {name: (times, 3) for name in ("payload_spin", "payload_moment", "tip_velocity")}
     stacked = {name: np.array([row[k] for row in seen]) for k, name in enumerate(FIELDS)}
-    result = Frames(**{name: each.reshape(shapes.get(name, each.shape)) for name, each in stacked.items()})
+    result = FrameMotion(**{name: each.reshape(shapes.get(name, each.shape)) for name, each in stacked.items()})
     force, arm = drives[:, n : n + 3], np.zeros((times, 3))
     turned = [np.eye(3)[None].repeat(times, axis=0)]
     for i in range(n):
@@ -74,7 +79,7 @@ def frames(model: Model, states: Array, rates: Array, drives: Array) -> Frames:
 
 
 def section_forces(
-    model: Model, motion: Frames, states: Array, rates: Array, link: int, positions: Sequence[float]
+    model: Model, motion: FrameMotion, states: Array, rates: Array, link: int, positions: Sequence[float]
 ) -> Array:
     """Gives force and moment (T, P, 6) with which the outboard part of a link acts on the inboard part.
 
@@ -82,9 +87,9 @@ def section_forces(
     At a lumped mass it is the inboard side. With foreshortening the inboard part is that of the stations.
 
     Args:
-        model: as of `frames`, whose result is `motion`.
-        states: as of `frames`, whose result is `motion`.
-        rates: as of `frames`, whose result is `motion`.
+        model: as of `frame_motion`, whose result is `motion`.
+        states: as of `frame_motion`, whose result is `motion`.
+        rates: as of `frame_motion`, whose result is `motion`.
         link: counted from 0.
         positions: (P,) along the link, m.
     """
@@ -108,12 +113,12 @@ def section_forces(
     return result
 
 
-def part_energies(model: Model, motion: Frames, states: Array) -> dict[str, Array]:
+def part_energies(model: Model, motion: FrameMotion, states: Array) -> dict[str, Array]:
     """Gives energies (T, n) of links and joints, and (T, 1) of the payload, J, by name; their sum is that of the arm.
 
     Args:
-        model: as of `frames`, whose result is `motion`.
-        states: as of `frames`, whose result is `motion`.
+        model: as of `frame_motion`, whose result is `motion`.
+        states: as of `frame_motion`, whose result is `motion`.
     """
     n, d, constants = model.n_joints, model.n_dof, model.constants
     kinetic, height = np.zeros((2, len(states), n))
@@ -175,9 +180,9 @@ def _points(model: Model, link: int, until: float = np.inf) -> _Points:
     whole, pieces = model.arm.links[link], model.elements(link)
     size = NODE_COORDINATES * (len(pieces) + 1)
     rotary, bodies = model.choice.rotary_inertia, [body for body in whole.masses if body.position < until]
-    parts = [mass_points(pieces, size, rotary, until), *([body_points(bodies, pieces, size)] if bodies else [])]
+    parts = [mass_points(pieces, size, rotary, until), *([lumped_mass_points(bodies, pieces, size)] if bodies else [])]
     masses, places, shapes = (np.concatenate(each) for each in zip(*parts, strict=True))
-    polar, twist = spinning_sections([] if rotary else pieces, size, until)
+    polar, twist = polar_inertias([] if rotary else pieces, size, until)
     drawn = np.zeros((len(masses), size, size))
     if model.choice.stiffening:
         # the motion of stations is taken out, and put back with foreshortening
@@ -185,7 +190,7 @@ def _points(model: Model, link: int, until: float = np.inf) -> _Points:
         inside = stations[:, 1] <= until
         drawing, stations, moved = drawing[inside], stations[inside], moved[inside]
         if bodies:
-            parts = [(drawing, stations, moved), body_stations(bodies, pieces, size)]
+            parts = [(drawing, stations, moved), lumped_mass_stations(bodies, pieces, size)]
             drawing, stations, moved = (np.concatenate(each) for each in zip(*parts, strict=True))
         masses = np.r_[masses, -stations[:, 0], stations[:, 0]]
         places = np.concatenate([places, stations[:, 1:], stations[:, 1:]])
@@ -201,7 +206,7 @@ def _section(model: Model, link: int, position: float) -> _Points:
     element, xi = find_element(pieces, position)
     shapes = np.zeros((1, 3, size))
     shapes[0][:, element.nodes] = beam_shapes(xi, element.length, 0.0, 0.0)
-    drawn = shortening(position, pieces, size)[None] * model.choice.stiffening
+    drawn = foreshortening_matrix(position, pieces, size)[None] * model.choice.stiffening
     at, none = np.array([[position, 0.0, 0.0]]), np.zeros((0, size))
     return _Points(np.zeros(1), at, shapes, drawn, np.zeros(0), none).reduced(_basis(model, link, size))
 

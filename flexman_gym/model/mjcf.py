@@ -18,21 +18,20 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from flexman_gym.arrays import Array
-from flexman_gym.checks import instance, whole_number
+from flexman_gym.common.arrays import Array
+from flexman_gym.common.checks import instance, whole_number
 from flexman_gym.model.beam import build_beam
-from flexman_gym.model.modes import body_inertia, outboard_inertias
+from flexman_gym.model.component_modes import outboard_inertias, spatial_inertia
 from flexman_gym.scene.arm import Arm, Payload
 from flexman_gym.scene.joint import Joint
-from flexman_gym.scene.link import Link, NonUniformLink
-from flexman_gym.scene.lumped import LumpedMass
+from flexman_gym.scene.link import Link, LumpedMass, NonUniformLink
 
 PIECES, MOST_PIECES = 8, 64  # of a section
 STEP = 1.5  # over the largest natural frequency (rad/s); "implicitfast" and "Euler" are stable up to 2
 Grow = Callable[[Any, Any, Any], tuple[Any, dict[str, str]]]
 
 
-class Piece(NamedTuple):
+class _Piece(NamedTuple):
     """A rigid piece of a link.
 
     Attributes:
@@ -50,7 +49,7 @@ class Piece(NamedTuple):
     stiffness: Array
 
 
-def link_pieces(link: Link | NonUniformLink, pieces: int) -> list[Piece]:
+def rigid_pieces(link: Link | NonUniformLink, pieces: int) -> list[_Piece]:
     """Gives the rigid pieces of a link, base to tip: one for each segment of each section and the first, 1 + k.
 
     Args:
@@ -76,7 +75,7 @@ def link_pieces(link: Link | NonUniformLink, pieces: int) -> list[Piece]:
         place, half, own = halves[first]
         springs = own.shear_modulus * own.torsion_constant, *own.youngs_modulus * _second(own)
         stiffness = np.array(springs) / (2.0 * half) if first else np.zeros(3)
-        result.append(Piece(place, float(masses.sum()), centre, inertia, stiffness))
+        result.append(_Piece(place, float(masses.sum()), centre, inertia, stiffness))
     return result
 
 
@@ -108,20 +107,24 @@ def mjcf(
     """
     instance("arm", arm, Arm, "an Arm")
     whole_number("pieces", pieces, 0, MOST_PIECES)
-    cut = [link_pieces(link, pieces) for link in arm.links]
+    cut = [rigid_pieces(link, pieces) for link in arm.links]
     sitting = [link.masses for link in arm.links]
     modes = [_modes(*each) for each in zip(cut, _tips(arm), sitting, strict=True)] if pieces else []
     fastest = max(map(_fastest, cut)) if pieces else 1.5e3
     root = ElementTree.Element("mujoco")
-    option = {"integrator": integrator, "gravity": numbers(arm.gravity)}
-    options = add(root, "option", option, timestep=repr(float(STEP / fastest if step is None else step)))
+    option = {"integrator": integrator, "gravity": format_numbers(arm.gravity)}
+    options = add_element(root, "option", option, timestep=repr(float(STEP / fastest if step is None else step)))
     flags = {"contact": "disable", "warmstart": "disable"}
-    add(options, "flag", flags if _rubs(arm) else flags | {"constraint": "disable"})
-    add(root, "compiler", angle="radian", autolimits="true")
-    parent, actuators, tendons = add(root, "worldbody"), add(root, "actuator"), add(root, "tendon")
+    add_element(options, "flag", flags if _rubs(arm) else flags | {"constraint": "disable"})
+    add_element(root, "compiler", angle="radian", autolimits="true")
+    parent, actuators, tendons = (
+        add_element(root, "worldbody"),
+        add_element(root, "actuator"),
+        add_element(root, "tendon"),
+    )
     place: dict[str, str] = {}
     for i, (link, joint) in enumerate(zip(arm.links, arm.joints, strict=True)):
-        body = add(parent, "body", place, name=f"link_{i}")
+        body = add_element(parent, "body", place, name=f"link_{i}")
         _joint(body, actuators, joint, i)
         if grow:
             parent, place = grow(root, body, link)
@@ -130,8 +133,8 @@ def mjcf(
         if modes and arm.damping_ratios[i]:
             _damp(tendons, f"link_{i}", modes[i], arm.damping_ratios[i])
     if arm.payload is not None:
-        _rigid(add(parent, "body", place, name="payload"), arm.payload)
-    add(parent, "site", name="tip", pos=place["pos"])
+        _rigid(add_element(parent, "body", place, name="payload"), arm.payload)
+    add_element(parent, "site", name="tip", pos=place["pos"])
     return ElementTree.tostring(root, encoding="unicode")
 
 
@@ -142,18 +145,18 @@ def _rubs(arm: Arm) -> bool:
 
 def _joint(body: Any, actuators: Any, joint: Joint, i: int) -> None:
     """Adds the hinges and the motor of a joint."""
-    axis = numbers(joint.axis)
+    axis = format_numbers(joint.axis)
     friction = {"damping": repr(joint.viscous_friction), "frictionloss": repr(joint.coulomb_friction)}
-    add(body, "joint", friction, name=f"motor {i}", axis=axis, armature=repr(joint.rotor_inertia))
+    add_element(body, "joint", friction, name=f"motor {i}", axis=axis, armature=repr(joint.rotor_inertia))
     limit = joint.torque_limit
-    given = {} if limit is None else {"ctrlrange": numbers((-limit, limit))}
-    add(actuators, "motor", given, joint=f"motor {i}", gear="1")
+    given = {} if limit is None else {"ctrlrange": format_numbers((-limit, limit))}
+    add_element(actuators, "motor", given, joint=f"motor {i}", gear="1")
     if joint.stiffness is not None:
         spring = {"stiffness": repr(joint.stiffness), "damping": repr(joint.damping)}
-        add(body, "joint", spring, name=f"spring {i}", axis=axis)
+        add_element(body, "joint", spring, name=f"spring {i}", axis=axis)
 
 
-def _link(body: Any, cut: list[Piece], link: Any, proportional: float) -> tuple[Any, dict[str, str]]:
+def _link(body: Any, cut: list[_Piece], link: Any, proportional: float) -> tuple[Any, dict[str, str]]:
     """Adds the pieces of a link to the body of its joint; returns the last and where in it the next joint sits."""
     turn, name = np.array(link.orientation), body.get("name")
     _inertial(body, cut[0], turn)
@@ -161,34 +164,39 @@ def _link(body: Any, cut: list[Piece], link: Any, proportional: float) -> tuple[
     for j, (before, piece) in enumerate(pairwise(cut)):
         along = piece.start - before.start
         first = (
-            {"pos": numbers(turn[:, 0] * along), "xyaxes": axes(turn)} if j == 0 else {"pos": numbers((along, 0, 0))}
+            {"pos": format_numbers(turn[:, 0] * along), "xyaxes": format_axes(turn)}
+            if j == 0
+            else {"pos": format_numbers((along, 0, 0))}
         )
-        body = add(body, "body", first, name=f"{name}_{j}")
+        body = add_element(body, "body", first, name=f"{name}_{j}")
         for letter, axis, stiffness in zip("xyz", np.eye(3), piece.stiffness, strict=True):
             spring = {"stiffness": repr(float(stiffness)), "damping": repr(float(proportional * stiffness))}
-            add(body, "joint", spring, name=f"{name}_{j}_{letter}", axis=numbers(axis))
+            add_element(body, "joint", spring, name=f"{name}_{j}_{letter}", axis=format_numbers(axis))
         _inertial(body, piece, np.eye(3))
         _masses(body, cut, link.masses, j + 1, np.eye(3))
     if len(cut) == 1:
-        return body, {"pos": numbers(turn[:, 0] * link.length)}
-    return body, {"pos": numbers((link.length - cut[-1].start, 0.0, 0.0)), "xyaxes": axes(turn.T)}
+        return body, {"pos": format_numbers(turn[:, 0] * link.length)}
+    return body, {"pos": format_numbers((link.length - cut[-1].start, 0.0, 0.0)), "xyaxes": format_axes(turn.T)}
 
 
-def _inertial(body: Any, piece: Piece, turn: Array) -> None:
+def _inertial(body: Any, piece: _Piece, turn: Array) -> None:
     """Adds mass and inertia of a piece to a body at its start, in which the beam lies along the turned x axis."""
-    where = {"pos": numbers(turn[:, 0] * (piece.centre - piece.start)), "xyaxes": axes(turn)}
-    add(body, "inertial", where, mass=repr(piece.mass), diaginertia=numbers(piece.inertia))
+    where = {"pos": format_numbers(turn[:, 0] * (piece.centre - piece.start)), "xyaxes": format_axes(turn)}
+    add_element(body, "inertial", where, mass=repr(piece.mass), diaginertia=format_numbers(piece.inertia))
 
 
-def _masses(body: Any, cut: list[Piece], masses: Sequence[LumpedMass], number: int, turn: Array) -> None:
+def _masses(body: Any, cut: list[_Piece], masses: Sequence[LumpedMass], number: int, turn: Array) -> None:
     """Adds the lumped masses that sit on a piece to its body, in which the beam lies along the turned x axis."""
     for mass in masses:
         if _piece_below(cut, mass.position) == number:
-            where = {"pos": numbers(turn[:, 0] * (mass.position - cut[number].start)), "xyaxes": axes(turn)}
-            _rigid(add(body, "body", where), mass)
+            where = {
+                "pos": format_numbers(turn[:, 0] * (mass.position - cut[number].start)),
+                "xyaxes": format_axes(turn),
+            }
+            _rigid(add_element(body, "body", where), mass)
 
 
-def _piece_below(cut: list[Piece], position: float) -> int:
+def _piece_below(cut: list[_Piece], position: float) -> int:
     """Number of the piece on which a place along a link (m) is."""
     return sum(piece.start <= position for piece in cut[1:])
 
@@ -197,14 +205,14 @@ def _rigid(body: Any, mass: Payload | LumpedMass) -> None:
     """Adds mass and inertia of a rigid body."""
     inertia = np.array(mass.inertia if mass.inertia is not None else np.zeros((3, 3)))
     packed = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    about = {"fullinertia": numbers(packed)} if packed.any() else {"diaginertia": "0 0 0"}
+    about = {"fullinertia": format_numbers(packed)} if packed.any() else {"diaginertia": "0 0 0"}
     centre = np.zeros(3) if mass.offset is None else mass.offset
-    add(body, "inertial", about, pos=numbers(centre), mass=repr(mass.mass))
+    add_element(body, "inertial", about, pos=format_numbers(centre), mass=repr(mass.mass))
 
 
 def _spatial(mass: LumpedMass) -> Array:
     """The inertia (6, 6) of a lumped mass about the axis at its section, linear part first."""
-    return body_inertia(mass.mass, np.array(mass.offset or np.zeros(3)), np.array(mass.inertia or np.zeros((3, 3))))
+    return spatial_inertia(mass.mass, np.array(mass.offset or np.zeros(3)), np.array(mass.inertia or np.zeros((3, 3))))
 
 
 def _tips(arm: Arm) -> Array:
@@ -212,7 +220,7 @@ def _tips(arm: Arm) -> Array:
     return outboard_inertias(arm, tuple(build_beam(link, 1, flexible=False) for link in arm.links))
 
 
-def _modes(cut: list[Piece], carried: Array, masses: Sequence[LumpedMass]) -> tuple[Array, Array]:
+def _modes(cut: list[_Piece], carried: Array, masses: Sequence[LumpedMass]) -> tuple[Array, Array]:
     """Frequencies (k,) in rad/s of a clamped link that carries an inertia, and momenta of its modes, columns (k, k)."""
     from scipy.linalg import eigh  # its import takes long, and not every use of the package needs it
 
@@ -221,7 +229,7 @@ def _modes(cut: list[Piece], carried: Array, masses: Sequence[LumpedMass]) -> tu
     return np.sqrt(squares), mass[6:, 6:] @ shapes
 
 
-def _fastest(cut: list[Piece]) -> float:
+def _fastest(cut: list[_Piece]) -> float:
     """The largest frequency of a free link, rad/s; no joint and no load makes it larger."""
     from scipy.linalg import eigh
 
@@ -229,7 +237,7 @@ def _fastest(cut: list[Piece]) -> float:
     return float(np.sqrt(eigh(stiffness, mass, eigvals_only=True)[-1]))
 
 
-def _matrices(cut: list[Piece], carried: Array, masses: Sequence[LumpedMass] = ()) -> tuple[Array, Array]:
+def _matrices(cut: list[_Piece], carried: Array, masses: Sequence[LumpedMass] = ()) -> tuple[Array, Array]:
     """Mass and stiffness (6 + k, 6 + k) of a free straight link in the motion of its root and the angles of hinges."""
     mass = np.zeros((6 + 3 * (len(cut) - 1),) * 2)
     end = 2.0 * cut[-1].centre - cut[-1].start  # the last piece is uniform
@@ -250,22 +258,22 @@ def _damp(tendons: Any, name: str, modes: tuple[Array, Array], ratio: float) -> 
     """Adds a damper for each mode of a link: the coordinate of a mode is its momentum times the hinges' angles."""
     for number, (frequency, momenta) in enumerate(zip(modes[0], modes[1].T, strict=True)):
         damping = repr(float(2.0 * ratio * frequency))
-        tendon = add(tendons, "fixed", name=f"{name}_mode_{number}", damping=damping)
+        tendon = add_element(tendons, "fixed", name=f"{name}_mode_{number}", damping=damping)
         for j, coefficient in enumerate(momenta):
             if abs(coefficient) > 1e-12 * np.abs(momenta).max():
-                add(tendon, "joint", joint=f"{name}_{j // 3}_{'xyz'[j % 3]}", coef=repr(float(coefficient)))
+                add_element(tendon, "joint", joint=f"{name}_{j // 3}_{'xyz'[j % 3]}", coef=repr(float(coefficient)))
 
 
-def add(parent: Any, tag: str, attributes: dict[str, str] | None = None, **more: str) -> Any:
+def add_element(parent: Any, tag: str, attributes: dict[str, str] | None = None, **more: str) -> Any:
     """Gives an element that is added to another one."""
     return ElementTree.SubElement(parent, tag, (attributes or {}) | more)
 
 
-def numbers(values: Any) -> str:
+def format_numbers(values: Any) -> str:
     """Gives values as MJCF has them."""
     return " ".join(repr(float(value)) for value in values)
 
 
-def axes(turn: Array) -> str:
+def format_axes(turn: Array) -> str:
     """Gives a rotation matrix as MJCF's "xyaxes" has it."""
-    return numbers(turn.T[:2].ravel())
+    return format_numbers(turn.T[:2].ravel())

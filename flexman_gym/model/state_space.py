@@ -6,10 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from flexman_gym.arrays import Array, Vector
-from flexman_gym.checks import non_negative, positive, refusal, sequence
-from flexman_gym.model.natural import natural_modes
-from flexman_gym.model.rounding import solvable
+from flexman_gym.common.arrays import Array, Vector
+from flexman_gym.common.checks import non_negative, positive, sequence, value_error
+from flexman_gym.model.natural_modes import check_solvable, natural_modes
 
 
 class Balance(NamedTuple):
@@ -79,7 +78,7 @@ class LinearModel:
         turns = [2.0 * np.pi * non_negative(f"frequencies[{i}]", each, "Hz") for i, each in enumerate(given)]
         model = self.scaled() if self.balance else self
         places = 1j * np.array(turns) if self.period is None else np.exp(1j * np.array(turns) * self.period)
-        with solvable("gains at these frequencies"):
+        with check_solvable("gains at these frequencies"):
             inner = [np.linalg.solve(place * np.eye(len(model.A)) - model.A, model.B) for place in places]
         return np.array([model.C @ each + model.D for each in inner]).reshape(len(turns), *self.D.shape)
 
@@ -125,7 +124,7 @@ class LinearModel:
         slow = np.flatnonzero(sizes <= 2.0 * np.pi * positive("frequency", frequency, "Hz"))
         fast = np.setdiff1d(np.arange(d), slow)
         slow, fast = np.append(slow, d + slow), np.append(fast, d + fast)
-        with solvable("static gains"):
+        with check_solvable("static gains"):
             follow = -np.linalg.solve(
                 whole.A[np.ix_(fast, fast)], np.hstack([whole.A[np.ix_(fast, slow)], whole.B[fast]])
             )
@@ -153,14 +152,14 @@ class LinearModel:
             ValueError: for a sampled model, a period that is not positive and a negative delay.
         """
         if self.period is not None:
-            raise refusal("period", period, "a continuous model")
+            raise value_error("period", period, "a continuous model")
         period, late = positive("period", period, "s"), non_negative("delay", delay, "s")
         whole = int(np.ceil(late / period - 1e-9))
         part = max(whole * period - late, 0.0)  # of a period in which the newest input that has come already acts
         size, m = self.B.shape
-        transition, newest = held(self.A, self.B, period if whole == 0 or part == 0.0 else part)
+        transition, newest = discretize(self.A, self.B, period if whole == 0 or part == 0.0 else part)
         if whole and part:
-            rest, older = held(self.A, self.B, period - part)
+            rest, older = discretize(self.A, self.B, period - part)
             older, transition = transition @ older, transition @ rest
         names = [f"{name} late by {k + 1}" for k in range(whole) for name in self.inputs]
         A, B = np.zeros((size + whole * m, size + whole * m)), np.zeros((size + whole * m, m))
@@ -195,11 +194,11 @@ class LinearModel:
 
     def _own_balance(self) -> Balance:
         if self.balance is None:
-            raise refusal("model", "one that was changed", "the model that linearize gives")
+            raise value_error("model", "one that was changed", "the model that linearize gives")
         return self.balance
 
 
-def held(A: Array, B: Array, period: float) -> tuple[Array, Array]:
+def discretize(A: Array, B: Array, period: float) -> tuple[Array, Array]:
     """Gives the transition of states (s, s) and of inputs (s, m) over a period (s) of constant inputs."""
     from scipy.linalg import expm
 

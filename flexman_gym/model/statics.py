@@ -4,11 +4,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from flexman_gym.arrays import Array, IntArray, Vector
-from flexman_gym.checks import refusal, vector
-from flexman_gym.kernels import outputs, statics
+from flexman_gym.common.arrays import Array, IntArray, Vector
+from flexman_gym.common.checks import value_error, vector
+from flexman_gym.kernels import inverse, outputs
 from flexman_gym.kernels.layout import OUTPUTS, TIP, Work, make_work
-from flexman_gym.model.instant import inertial_forces, stiffness_matrix
+from flexman_gym.model.dynamics import inertial_forces, stiffness_matrix
 from flexman_gym.model.model import Model, checked_model
 
 
@@ -24,12 +24,12 @@ def rest_states(model: Model, postures: Array) -> Array:
     states, d = model.at_rest(postures), model.n_dof
     if not model.constants.gravity.any():
         return states
-    work, free, stiffness, compliance = _structure(model)
+    work, free, stiffness, compliance = _rest_system(model)
     rest, force = np.zeros(d), np.zeros(d)
     for posture, state in zip(postures, states, strict=True):
-        change = statics.settle(model.constants, work, stiffness, compliance, free, rest, state[:d], force)
-        if not change <= statics.ROUNDING:
-            raise refusal("motor_angles", posture.tolist(), "an arm that its springs can hold under its weight")
+        change = inverse.solve_equilibrium(model.constants, work, stiffness, compliance, free, rest, state[:d], force)
+        if not change <= inverse.EQUILIBRIUM_TOLERANCE:
+            raise value_error("motor_angles", posture.tolist(), "an arm that its springs can hold under its weight")
     return states
 
 
@@ -45,7 +45,7 @@ def rest_state(model: Model, motor_angles: Vector) -> Array:
 
 
 @lru_cache(maxsize=16)
-def _structure(model: Model) -> tuple[Work, IntArray, Array, Array]:
+def _rest_system(model: Model) -> tuple[Work, IntArray, Array, Array]:
     """Work space, coordinates that the motors do not hold, stiffness (d, d), and the inverse of its part of those.
 
     Kernels fill the work space anew in each call, during which no other thread runs.
@@ -67,7 +67,7 @@ def holding_torques(model: Model, motor_angles: Vector) -> Array:
 
 def rest_tips(model: Model, postures: Array) -> Array:
     """(r, 3) m: tips, base frame, of the arm at rest with its motors at angles (r, n) rad."""
-    work, row, tips = _structure(model)[0], np.zeros(OUTPUTS), np.zeros((len(postures), 3))
+    work, row, tips = _rest_system(model)[0], np.zeros(OUTPUTS), np.zeros((len(postures), 3))
     for tip, state in zip(tips, rest_states(model, postures), strict=True):
         outputs.observe(model.constants, work, state[: model.n_dof], state[model.n_dof :], row)
         tip[:] = row[TIP]

@@ -5,13 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.arrays import Array, IntArray, Vector
-from flexman_gym.checks import one_of
-from flexman_gym.model.instant import stiffness_matrix
-from flexman_gym.model.linear import linearize
+from flexman_gym.common.arrays import Array, IntArray, Vector
+from flexman_gym.common.checks import one_of
+from flexman_gym.model.dynamics import stiffness_matrix
+from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import Model, checked_model
-from flexman_gym.model.natural import natural_modes
-from flexman_gym.model.rounding import solvable
+from flexman_gym.model.natural_modes import check_solvable, natural_modes
 from flexman_gym.model.statics import holding_torques, rest_state
 
 SLOWEST = 1e-6  # of the lowest natural frequency: what is slower only turns
@@ -20,7 +19,7 @@ ROUNDING = 1e-12  # of a damping ratio
 SHOWN = 3  # modes in the repr
 
 
-class Resting(NamedTuple):
+class EquilibriumMatrices(NamedTuple):
     """An arm at rest under its weight, mass a + damping v + stiffness q = forces, for d small departures q from there.
 
     Attributes:
@@ -41,7 +40,7 @@ class Resting(NamedTuple):
         return np.setdiff1d(np.arange(len(self.mass)), self.motors)
 
 
-class Eigen(NamedTuple):
+class Eigenpairs(NamedTuple):
     """Pairs of complex eigenvalues of a vibration: their upper half, the slowest oscillation first.
 
     Attributes:
@@ -110,9 +109,9 @@ def modes(model: Model, joint_angles: Vector | None = None, motors: str = "held"
     """
     held = one_of("motors", motors, ("held", "free")) == "held"
     n = checked_model(model).n_joints
-    resting = at_rest(model, np.zeros(n) if joint_angles is None else joint_angles)
+    resting = equilibrium_matrices(model, np.zeros(n) if joint_angles is None else joint_angles)
     kept = resting.others if held else np.arange(model.n_dof)
-    found = oscillations(resting, kept)
+    found = oscillatory_modes(resting, kept)
     shapes = np.zeros((len(found.values), model.n_dof), dtype=complex)
     shapes[:, kept] = found.shapes
     masses = np.einsum("ka,ab,kb->k", shapes.conj(), resting.mass, shapes).real
@@ -133,7 +132,7 @@ def modes(model: Model, joint_angles: Vector | None = None, motors: str = "held"
     )
 
 
-def at_rest(model: Model, motor_angles: Vector) -> Resting:
+def equilibrium_matrices(model: Model, motor_angles: Vector) -> EquilibriumMatrices:
     """Gives the arm at rest with its motors at angles (n,) rad.
 
     Raises:
@@ -144,12 +143,12 @@ def at_rest(model: Model, motor_angles: Vector) -> Resting:
     assert balance is not None
     stiffness = -balance.forces[:, :d]
     damping = -balance.forces[:, d : 2 * d]
-    return Resting(
+    return EquilibriumMatrices(
         balance.mass, (damping + damping.T) / 2.0, (stiffness + stiffness.T) / 2.0, linear.C[:, :d], model.motor_columns
     )
 
 
-def oscillations(resting: Resting, kept: IntArray) -> Eigen:
+def oscillatory_modes(resting: EquilibriumMatrices, kept: IntArray) -> Eigenpairs:
     """Gives the modes of an arm of which only the coordinates `kept` (d,) move.
 
     The eigenvalues are found in the coordinates of the natural modes, so that the slow ones are exact beside stiff
@@ -158,11 +157,11 @@ def oscillations(resting: Resting, kept: IntArray) -> Eigen:
     block = np.ix_(kept, kept)
     mass, damping = resting.mass[block], resting.damping[block]
     if not len(mass):
-        return Eigen(np.zeros(0, dtype=complex), np.zeros((0, 0), dtype=complex))
+        return Eigenpairs(np.zeros(0, dtype=complex), np.zeros((0, 0), dtype=complex))
     squares, natural = natural_modes(mass, resting.stiffness[block])
     lowest = np.sqrt(squares[squares > 0.0].min(initial=np.inf))
     sizes = np.sqrt(np.maximum(np.abs(squares), lowest**2 if np.isfinite(lowest) else 1.0))
-    with solvable("modes"):
+    with check_solvable("modes"):
         lost = natural.T @ damping @ natural
         values, vectors = np.linalg.eig(
             np.block([[np.zeros_like(lost), np.diag(sizes)], [-np.diag(squares / sizes), -lost]])
@@ -172,7 +171,7 @@ def oscillations(resting: Resting, kept: IntArray) -> Eigen:
     rows = rows[np.argsort(values[rows].imag, kind="stable")]
     values, modal = values[rows], (vectors[: len(mass), rows] / sizes[:, None]).T
     norm = 2.0 * values * (modal**2).sum(axis=1) + np.einsum("ka,ab,kb->k", modal, lost, modal)
-    return Eigen(values, (modal / np.sqrt(norm)[:, None]) @ natural.T)
+    return Eigenpairs(values, (modal / np.sqrt(norm)[:, None]) @ natural.T)
 
 
 def elastic_energies(model: Model, places: Array) -> Array:

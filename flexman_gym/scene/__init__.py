@@ -2,14 +2,10 @@
 
 from flexman_gym.scene import catalog
 from flexman_gym.scene.arm import Arm, Payload
-from flexman_gym.scene.choice import ModelChoice
-from flexman_gym.scene.drive import ConstantTorque, Signal, SineTorque
-from flexman_gym.scene.joint import Joint
-from flexman_gym.scene.link import Link, NonUniformLink
-from flexman_gym.scene.lumped import LumpedMass
-from flexman_gym.scene.motor import Motor
-from flexman_gym.scene.samples import SampledAngles, SampledSignal, SampledTorque
-from flexman_gym.scene.scene import Initial, Scene
+from flexman_gym.scene.joint import Joint, Motor
+from flexman_gym.scene.link import Link, LumpedMass, NonUniformLink
+from flexman_gym.scene.scene import Initial, ModelChoice, Scene
+from flexman_gym.scene.signals import ConstantTorque, SampledAngles, SampledSignal, SampledTorque, Signal, SineTorque
 
 __all__ = [
     "Arm",

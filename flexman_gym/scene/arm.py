@@ -3,17 +3,22 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from flexman_gym.arrays import Matrix, Vector
-from flexman_gym.checks import MOST, bounded, non_negative, physical, refusal, store, vector
-from flexman_gym.scene.guesses import answer_guesses
-from flexman_gym.scene.inertia import body
+from flexman_gym.common.arrays import Matrix, Vector
+from flexman_gym.common.checks import (
+    MAX_SIZE,
+    check_magnitudes,
+    non_negative,
+    physical,
+    set_fields,
+    value_error,
+    vector,
+)
 from flexman_gym.scene.joint import Joint
-from flexman_gym.scene.link import Link, NonUniformLink, chain
-from flexman_gym.scene.lumped import LumpedMass, total_mass
-from flexman_gym.scene.slips import warn_of_gravity, warn_of_loads, warn_of_slips
+from flexman_gym.scene.link import Link, LumpedMass, NonUniformLink, instances, rigid_body_fields, total_mass
+from flexman_gym.scene.mistakes import check_keywords, warn_of_gravity, warn_of_loads, warn_of_units
 
 
-@answer_guesses
+@check_keywords
 @dataclass(frozen=True)
 class Payload:
     """A point mass or a rigid body at the tip of the last link.
@@ -39,13 +44,13 @@ class Payload:
     offset: Vector | None = None
 
     def __post_init__(self) -> None:
-        store(self, mass=physical("Payload.mass", self.mass, "kg", zero=True))
+        set_fields(self, mass=physical("Payload.mass", self.mass, "kg", zero=True))
         if self.mass == 0.0 and (self.inertia is not None or self.offset is not None):
-            raise refusal("Payload.mass", self.mass, "a number > 0 (kg) where inertia or offset is given")
-        store(self, **body("Payload", self.inertia, self.offset))
+            raise value_error("Payload.mass", self.mass, "a number > 0 (kg) where inertia or offset is given")
+        set_fields(self, **rigid_body_fields("Payload", self.inertia, self.offset))
 
 
-@answer_guesses
+@check_keywords
 @dataclass(frozen=True)
 class Arm:
     """A serial arm on a fixed base: joint i turns link i, joint i + 1 sits on the tip of link i.
@@ -77,29 +82,29 @@ class Arm:
     modal_damping_ratio: float | Vector = 0.0
 
     def __post_init__(self) -> None:
-        store(
+        set_fields(
             self,
-            links=chain("Arm.links", self.links, Link, NonUniformLink),
-            joints=chain("Arm.joints", self.joints, Joint),
+            links=instances("Arm.links", self.links, Link, NonUniformLink),
+            joints=instances("Arm.joints", self.joints, Joint),
             gravity=vector("Arm.gravity", self.gravity, 3, "m/s^2"),
             stiffness_proportional_damping=non_negative(
                 "Arm.stiffness_proportional_damping", self.stiffness_proportional_damping, "s"
             ),
             modal_damping_ratio=self._checked_ratio(),
         )
-        bounded("Arm.gravity", self.gravity, MOST, "m/s^2")
+        check_magnitudes("Arm.gravity", self.gravity, MAX_SIZE, "m/s^2")
         if len(self.joints) != len(self.links):
             raise ValueError(
                 f"Arm.joints: {len(self.joints)} joints are not allowed; give {len(self.links)}, one for each link"
             )
         if not isinstance(self.payload, Payload | None):
-            raise refusal("Arm.payload", self.payload, "a Payload or None")
+            raise value_error("Arm.payload", self.payload, "a Payload or None")
         if self.payload == Payload(0.0):
-            store(self, payload=None)
+            set_fields(self, payload=None)
         self._warn_of_slips()
 
     def _warn_of_slips(self) -> None:
-        warn_of_slips("Arm", vars(self))
+        warn_of_units("Arm", vars(self))
         warn_of_gravity(tuple(self.gravity))
         length = sum(link.length for link in self.links)
         beams = sum(link.mass - total_mass(link.masses) for link in self.links)
@@ -119,7 +124,7 @@ class Arm:
         several = isinstance(given, list | tuple) or getattr(given, "ndim", 0) > 0
         ratios = vector(field, given, len(self.links)) if several else (non_negative(field, given),)
         if not all(0.0 <= ratio < 1.0 for ratio in ratios):
-            raise refusal(field, given, "numbers >= 0 and < 1" if several else "a number >= 0 and < 1")
+            raise value_error(field, given, "numbers >= 0 and < 1" if several else "a number >= 0 and < 1")
         return ratios if several else ratios[0]
 
     @property

@@ -5,12 +5,23 @@ stiffness of joints in N m/rad, damping in N m s/rad, rotor inertia in kg m^2, g
 are those of the model: `fm.frequencies(fm.build_model(fm.catalog.one_link()))`. `flexman list arms` prints their names.
 """
 
-from flexman_gym.checks import one_of
-from flexman_gym.scene.arms import LIGHT_TOOL, TOOL, one_joint, one_link, paper_rrr, planar_2r, vertical_2r
-from flexman_gym.scene.choice import ModelChoice
-from flexman_gym.scene.drive import ConstantTorque
-from flexman_gym.scene.machines import de_luca_siciliano, flexarm_rome, gifu_2link, nasa_beam, quanser_2dsfl
-from flexman_gym.scene.scene import Initial, Scene
+from flexman_gym.common.checks import one_of
+from flexman_gym.scene.arms import (
+    LIGHT_TOOL,
+    TOOL,
+    de_luca_siciliano,
+    flexarm_rome,
+    gifu_2link,
+    nasa_beam,
+    one_joint,
+    one_link,
+    paper_rrr,
+    planar_2r,
+    quanser_2dsfl,
+    vertical_2r,
+)
+from flexman_gym.scene.scene import Initial, ModelChoice, Scene
+from flexman_gym.scene.signals import ConstantTorque
 
 __all__ = [
     "LIGHT_TOOL",

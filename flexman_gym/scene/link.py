@@ -1,18 +1,121 @@
-"""Link: a straight beam, uniform or of several sections, as a person describes it, in SI units."""
+"""Links: uniform and stepped beams, with lumped masses clamped to them."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Self
 
-from flexman_gym.arrays import Matrix
-from flexman_gym.checks import physical, refusal, rotation, sequence, store
-from flexman_gym.scene.guesses import answer_guesses
-from flexman_gym.scene.lumped import LumpedMass, lumped_masses, total_mass
-from flexman_gym.scene.sections import Outline, check_outline, material_of, round_outline, strip_outline
-from flexman_gym.scene.slips import warn, warn_of_section, warn_of_slips
+import numpy as np
 
-MOST_SECTIONS = 64  # of a link, as a model has at most so many finite elements of it
+from flexman_gym.common.arrays import Matrix, Vector
+from flexman_gym.common.checks import (
+    MAX_SIZE,
+    check_magnitudes,
+    non_negative,
+    physical,
+    rotation,
+    sequence,
+    set_fields,
+    value_error,
+    vector,
+)
+from flexman_gym.scene.mistakes import check_keywords, warn_caller, warn_of_section, warn_of_units
+from flexman_gym.scene.section import Outline, check_outline, find_material, round_outline, strip_outline
+
+
+def rigid_body_fields(name: str, inertia: Matrix | None, offset: Vector | None) -> dict[str, Any]:
+    """Gives the inertia and the offset of a rigid body as they are stored; None stays None.
+
+    Raises:
+        ValueError: for an inertia that no rigid body has, and for an offset that is not three numbers up to 1e30.
+    """
+    if inertia is not None:
+        inertia = _inertia_matrix(f"{name}.inertia", inertia)
+    if offset is not None:
+        offset = vector(f"{name}.offset", offset, 3, "m")
+        check_magnitudes(f"{name}.offset", offset, MAX_SIZE, "m")
+    return {"inertia": inertia, "offset": offset}
+
+
+def _inertia_matrix(name: str, value: object) -> tuple[tuple[float, ...], ...]:
+    """Gives the (3, 3) inertia of a rigid body in kg m^2 as a tuple of rows.
+
+    It is symmetric, its principal moments are not negative, and none exceeds the sum of the other two.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    allowed = "a symmetric inertia (kg m^2) whose principal moments are >= 0, none above the sum of the others"
+    rows = sequence(name, value, "3 rows of 3 numbers")
+    if len(rows) != 3:
+        raise value_error(name, value, "3 rows of 3 numbers")
+    rows = tuple(vector(f"{name}[{i}]", row, 3) for i, row in enumerate(rows))
+    matrix = np.array(rows)
+    if not np.array_equal(matrix, matrix.T):
+        raise value_error(name, value, allowed)
+    moments = np.linalg.eigvalsh(matrix)
+    rounding = 1e-12 * max(abs(moments))
+    if moments[0] < -rounding or moments[2] > moments[0] + moments[1] + rounding:
+        raise value_error(name, value, allowed)
+    return rows
+
+
+MAX_MASSES = 64  # on a link
+
+
+@dataclass(frozen=True)
+class LumpedMass:
+    """A point mass or a rigid body that is clamped to one section of a link.
+
+    Inertia and offset are in the link's own frame. The body stiffens nothing.
+
+    Attributes:
+        mass: kg.
+        position: of its section along the link, from the joint, m.
+        inertia: (3, 3) about the centre of mass, kg m^2; None for a point mass.
+        offset: (3,) from the axis at its section to the centre of mass, m; None for a centre on the axis.
+
+    Raises:
+        ValueError: for a mass that is not positive, a position that is negative, and an inertia that no rigid body has.
+    """
+
+    mass: float
+    position: float
+    inertia: Matrix | None = None
+    offset: Vector | None = None
+
+    def __post_init__(self) -> None:
+        set_fields(
+            self,
+            mass=physical("LumpedMass.mass", self.mass, "kg"),
+            position=non_negative("LumpedMass.position", self.position, "m"),
+            **rigid_body_fields("LumpedMass", self.inertia, self.offset),
+        )
+
+
+def _lumped_masses(name: str, value: object, length: float) -> tuple[LumpedMass, ...]:
+    """Gives the lumped masses of a link of a length (m) as a tuple.
+
+    Raises:
+        ValueError: for something else, for more than 64 and for a position beyond the tip.
+    """
+    masses = tuple(sequence(name, value, "LumpedMass"))
+    if len(masses) > MAX_MASSES:
+        raise value_error(name, f"{len(masses)} masses", f"at most {MAX_MASSES}")
+    for i, mass in enumerate(masses):
+        if not isinstance(mass, LumpedMass):
+            raise value_error(f"{name}[{i}]", mass, "a LumpedMass")
+        if mass.position > length:
+            raise value_error(f"{name}[{i}].position", mass.position, f"at most the length {length} of the link (m)")
+    return masses
+
+
+def total_mass(masses: Sequence[LumpedMass]) -> float:
+    """Gives the mass of them all, kg."""
+    return sum(mass.mass for mass in masses)
+
+
+MAX_SECTIONS = 64  # of a link, as a model has at most so many finite elements of it
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 UP = ((0.0, 0.0, -1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))  # turns the x axis of a beam to +Z
 
@@ -28,7 +131,7 @@ _LINK_UNITS = {
 }
 
 
-@answer_guesses
+@check_keywords
 @dataclass(frozen=True)
 class Link:
     """A straight uniform beam along the x axis of its own frame, from its joint to its tip.
@@ -73,15 +176,17 @@ class Link:
     outline: Outline | None = None
 
     def __post_init__(self) -> None:
-        store(self, **{name: physical(f"Link.{name}", getattr(self, name), unit) for name, unit in _LINK_UNITS.items()})
-        store(self, orientation=rotation("Link.orientation", self.orientation))
-        store(self, masses=lumped_masses("Link.masses", self.masses, self.length))
+        set_fields(
+            self, **{name: physical(f"Link.{name}", getattr(self, name), unit) for name, unit in _LINK_UNITS.items()}
+        )
+        set_fields(self, orientation=rotation("Link.orientation", self.orientation))
+        set_fields(self, masses=_lumped_masses("Link.masses", self.masses, self.length))
         if self.outline is not None:
             check_outline(self.outline, vars(self))
-        warn_of_slips("Link", vars(self))
+        warn_of_units("Link", vars(self))
         polar, least = self.second_moment_y + self.second_moment_z, self.area * self.area / (2.0 * math.pi)
         if polar < (1.0 - 1e-9) * least:
-            warn(
+            warn_caller(
                 f"Link.second_moment_y + second_moment_z: {polar:.6g} is less than any section of the area "
                 f"{self.area:.6g} m^2 has; the least is {least:.6g} (m^4), area^2 / (2 pi) of a solid disc"
             )
@@ -108,7 +213,7 @@ class Link:
             width: larger size of the section, m.
             thickness: smaller size of the section, m.
             thin: "y" or "z", the axis of the link along which it is thin.
-            material: "aluminium", "steel" or "titanium", whose numbers `scene.sections.material_of` gives with their
+            material: "aluminium", "steel" or "titanium", whose numbers `scene.section.find_material` gives with their
                 source; or three numbers: Young's modulus (Pa), shear modulus (Pa) and density (kg/m^3).
             orientation: as of any Link.
             masses: as of any Link.
@@ -177,7 +282,7 @@ class Link:
     ) -> Self:
         names = ("area", "second_moment_y", "second_moment_z", "torsion_constant")
         numbers = {name: getattr(outline, name) for name in names}
-        whole = material_of(material)._asdict()
+        whole = find_material(material)._asdict()
         return cls(length, orientation=orientation, masses=masses, outline=outline, **numbers, **whole)
 
     def __repr__(self) -> str:
@@ -220,18 +325,18 @@ class NonUniformLink:
     masses: Sequence[LumpedMass] = ()
 
     def __post_init__(self) -> None:
-        sections = chain("NonUniformLink.sections", self.sections, Link)
-        if len(sections) > MOST_SECTIONS:
-            raise refusal("NonUniformLink.sections", f"{len(sections)} sections", f"at most {MOST_SECTIONS}")
+        sections = instances("NonUniformLink.sections", self.sections, Link)
+        if len(sections) > MAX_SECTIONS:
+            raise value_error("NonUniformLink.sections", f"{len(sections)} sections", f"at most {MAX_SECTIONS}")
         for i, section in enumerate(sections):
             if section.orientation != IDENTITY:
                 allowed = "the identity; the link as a whole has an orientation"
-                raise refusal(f"NonUniformLink.sections[{i}].orientation", section.orientation, allowed)
+                raise value_error(f"NonUniformLink.sections[{i}].orientation", section.orientation, allowed)
             if section.masses:
                 allowed = "none; the link as a whole has masses"
-                raise refusal(f"NonUniformLink.sections[{i}].masses", section.masses, allowed)
-        store(self, sections=sections, orientation=rotation("NonUniformLink.orientation", self.orientation))
-        store(self, masses=lumped_masses("NonUniformLink.masses", self.masses, self.length))
+                raise value_error(f"NonUniformLink.sections[{i}].masses", section.masses, allowed)
+        set_fields(self, sections=sections, orientation=rotation("NonUniformLink.orientation", self.orientation))
+        set_fields(self, masses=_lumped_masses("NonUniformLink.masses", self.masses, self.length))
 
     @property
     def length(self) -> float:
@@ -244,13 +349,13 @@ class NonUniformLink:
         return sum(section.mass for section in self.sections) + total_mass(self.masses)
 
 
-def chain(name: str, value: object, *kinds: type) -> tuple[Any, ...]:
+def instances(name: str, value: object, *kinds: type) -> tuple[Any, ...]:
     """Gives a list of at least one item, each of one of the `kinds`, as a tuple."""
     names = " or ".join(kind.__name__ for kind in kinds)
     items = sequence(name, value, f"at least one {names}")
     if not items:
-        raise refusal(name, value, f"at least one {names}")
+        raise value_error(name, value, f"at least one {names}")
     for i, item in enumerate(items):
         if not isinstance(item, kinds):
-            raise refusal(f"{name}[{i}]", item, f"a {names}")
+            raise value_error(f"{name}[{i}]", item, f"a {names}")
     return tuple(items)

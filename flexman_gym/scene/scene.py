@@ -1,6 +1,6 @@
 """Scene: an arm, its model choice, its torque, its initial state and a duration, kept in a JSON or YAML file."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -8,27 +8,118 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Vector
-from flexman_gym.checks import (
-    WHOLE,
+from flexman_gym.common import files as scene_file
+from flexman_gym.common.arrays import Vector
+from flexman_gym.common.checks import (
+    WHOLE_TOLERANCE,
+    flag,
     positive,
-    refusal,
     sequence,
-    shown_path,
-    store,
+    set_fields,
+    short_path,
     text,
+    value_error,
     vector,
+    whole_number,
 )
-from flexman_gym.scene import file as scene_file
 from flexman_gym.scene.arm import Arm
-from flexman_gym.scene.choice import ModelChoice
-from flexman_gym.scene.drive import ConstantTorque, Pieces, Signal, SineTorque, signals
-from flexman_gym.scene.guesses import answer_guesses
-from flexman_gym.scene.naming import find_arm
-from flexman_gym.scene.plain import beside, built, entries_of, part_of, plain, signal_of, torque_of
-from flexman_gym.scene.samples import SampledAngles, SampledSignal, SampledTorque
+from flexman_gym.scene.mistakes import check_keywords
+from flexman_gym.scene.serialization import (
+    build_part,
+    check_entries,
+    find_arm,
+    part_from_plain,
+    signal_from_plain,
+    to_plain,
+    torque_from_plain,
+    write_samples,
+)
+from flexman_gym.scene.signals import (
+    ConstantTorque,
+    PiecewiseSignals,
+    SampledAngles,
+    SampledSignal,
+    SampledTorque,
+    Signal,
+    SineTorque,
+    check_signals,
+)
 
-MOST_OUTPUT_STEPS = 10_000_000
+MAX_ELEMENTS = 64
+
+
+@dataclass(frozen=True)
+class ModelChoice:
+    """How finely the arm of a scene is modelled; one value for all links or a tuple of one value per link.
+
+    Within 2 s, spinning rotors move the tip of the paper's arm by 103 mm with everything flexible and by 78 mm with
+    rigid joints. Rotary inertia moves it by 7.2 mm with everything rigid and by 6.9 mm with everything flexible.
+
+    Attributes:
+        flexible_links: whether links bend; a rigid link has no elastic coordinate.
+        elements: finite elements of a Link, or of each section of a NonUniformLink, 1 to 64; a link as a whole has at
+            most 64. A link has 6 * elements * number of sections coordinates. None leaves them to `choose_model`.
+        modes: modes kept of a link; None keeps every coordinate. A number keeps so many of the lowest frequencies, 0 to
+            the number of coordinates (at most 384). In a tuple for all links, a tuple gives the ascending numbers of
+            the modes, the lowest being 0: (4, (0, 1, 3), 0) keeps four modes of the first link, modes 0, 1 and 3 of the
+            second and none of the third.
+        flexible_joints: False makes every joint rigid, whatever its stiffness.
+        stiffening: foreshortening (geometric stiffening) of the links.
+        spinning_rotors: a rotor spins as a body in the frame that carries its joint; only its inertia about the axis
+            counts. False neglects the rotation of that frame, as the paper does (Eq. 23).
+        rotary_inertia: the sections of a link resist rotation about their transverse axes (Rayleigh's term). False is
+            the classic Euler-Bernoulli beam: in rigid and in elastic motion its sections resist rotation about the beam
+            axis only.
+
+    Raises:
+        ValueError: for another type or a number outside its range.
+    """
+
+    flexible_links: bool | tuple[bool, ...]
+    elements: int | tuple[int, ...] | None
+    modes: int | tuple[int | tuple[int, ...], ...] | None = None
+    flexible_joints: bool = True
+    stiffening: bool = False
+    spinning_rotors: bool = False
+    rotary_inertia: bool = True
+
+    def __post_init__(self) -> None:
+        set_fields(
+            self,
+            flexible_links=_one_or_each("ModelChoice.flexible_links", self.flexible_links, flag),
+            flexible_joints=flag("ModelChoice.flexible_joints", self.flexible_joints),
+            stiffening=flag("ModelChoice.stiffening", self.stiffening),
+            spinning_rotors=flag("ModelChoice.spinning_rotors", self.spinning_rotors),
+            rotary_inertia=flag("ModelChoice.rotary_inertia", self.rotary_inertia),
+        )
+        if self.elements is not None:
+            elements = _one_or_each("ModelChoice.elements", self.elements, whole_number, 1, MAX_ELEMENTS)
+            set_fields(self, elements=elements)
+        if self.modes is not None:
+            set_fields(self, modes=_one_or_each("ModelChoice.modes", self.modes, _modes, 6 * MAX_ELEMENTS))
+
+
+def _one_or_each(name: str, value: object, check: Callable[..., Any], *limits: int) -> Any:
+    """Checks one value for all links, or a list with one for each link."""
+    if not isinstance(value, list | tuple | np.ndarray):
+        return check(name, value, *limits)
+    entries = sequence(name, value)
+    if not entries:
+        raise value_error(name, value, "one value, or one for each link")
+    return tuple(check(f"{name}[{i}]", entry, *limits) for i, entry in enumerate(entries))
+
+
+def _modes(name: str, value: object, most: int) -> int | tuple[int, ...]:
+    """Checks a number of modes, or their numbers."""
+    if not isinstance(value, list | tuple | np.ndarray):
+        return whole_number(name, value, 0, most)
+    numbers = tuple(whole_number(f"{name}[{i}]", entry, 0, most - 1) for i, entry in enumerate(sequence(name, value)))
+    if not numbers or list(numbers) != sorted({*numbers}):
+        raise value_error(name, value, "a number of modes, or mode numbers that ascend, at least one")
+    return numbers
+
+
+MAX_OUTPUT_STEPS = 10_000_000
 UNITS = {"prescribed": ("rad", "rad/s^2"), "tip_force": ("N",), "base_acceleration": ("m/s^2",)}  # of columns of a CSV
 
 
@@ -52,19 +143,19 @@ class Initial:
 
     def __post_init__(self) -> None:
         angles = vector("Initial.joint_angles", self.joint_angles, unit="rad")
-        store(self, joint_angles=angles)
-        store(self, joint_rates=vector("Initial.joint_rates", self.joint_rates, len(angles), "rad/s"))
+        set_fields(self, joint_angles=angles)
+        set_fields(self, joint_rates=vector("Initial.joint_rates", self.joint_rates, len(angles), "rad/s"))
         if self.state is not None:
-            store(self, state=vector("Initial.state", self.state))
+            set_fields(self, state=vector("Initial.state", self.state))
 
 
-@answer_guesses
+@check_keywords
 @dataclass(frozen=True)
 class Scene:
     """One run: everything that a simulation needs except its method.
 
     Attributes:
-        arm: the arm, or what `scene.naming.find_arm` takes for one.
+        arm: the arm, or what `scene.serialization.find_arm` takes for one.
         model: how finely the arm is modelled.
         torque: of the motors.
         initial: the state at t = 0.
@@ -103,38 +194,38 @@ class Scene:
     base_acceleration: Sequence[Signal | SampledSignal] | None = None
 
     def __post_init__(self) -> None:
-        store(self, arm=find_arm(self.arm))
+        set_fields(self, arm=find_arm(self.arm))
         self._check_part("model", ModelChoice)
         self._check_part("torque", ConstantTorque, SineTorque, SampledTorque)
         self._check_part("initial", Initial)
-        store(
+        set_fields(
             self,
             duration=positive("Scene.duration", self.duration, "s"),
             output_step=positive("Scene.output_step", self.output_step, "s"),
             note=text("Scene.note", self.note),
             prescribed=self._checked_motion(),
-            tip_force=signals("Scene.tip_force", self.tip_force, "N"),
-            base_acceleration=signals("Scene.base_acceleration", self.base_acceleration, "m/s^2"),
+            tip_force=check_signals("Scene.tip_force", self.tip_force, "N"),
+            base_acceleration=check_signals("Scene.base_acceleration", self.base_acceleration, "m/s^2"),
         )
         steps = self.duration / self.output_step
-        if not 0.5 < steps <= MOST_OUTPUT_STEPS or abs(steps - round(steps)) > 1e-9 * steps:
-            allowed = f"1 to {MOST_OUTPUT_STEPS} whole steps in the duration {self.duration} s"
-            raise refusal("Scene.output_step", self.output_step, allowed)
+        if not 0.5 < steps <= MAX_OUTPUT_STEPS or abs(steps - round(steps)) > 1e-9 * steps:
+            allowed = f"1 to {MAX_OUTPUT_STEPS} whole steps in the duration {self.duration} s"
+            raise value_error("Scene.output_step", self.output_step, allowed)
         self._check_samples()
         if any(isinstance(motion, SampledAngles) for motion in self.prescribed or ()):
-            store(self, initial=self._started())
+            set_fields(self, initial=self._started())
 
     def _check_part(self, part: str, *kinds: type) -> None:
         """Refuses a part of another kind, or one whose tuples do not hold one entry for each joint."""
         value = getattr(self, part)
         if not isinstance(value, kinds):
-            raise refusal(f"Scene.{part}", value, " or ".join(kind.__name__ for kind in kinds))
+            raise value_error(f"Scene.{part}", value, " or ".join(kind.__name__ for kind in kinds))
         if isinstance(value, Arm):
             return
         entries = {"values": value.values[0]} if isinstance(value, SampledTorque) else vars(value)
         for name, entry in entries.items():
             if name != "state" and isinstance(entry, tuple) and len(entry) != self.arm.n_joints:
-                raise refusal(f"Scene.{part}.{name}", entry, f"{self.arm.n_joints} values, one for each joint")
+                raise value_error(f"Scene.{part}.{name}", entry, f"{self.arm.n_joints} values, one for each joint")
 
     def _checked_motion(self) -> tuple[Signal | SampledSignal | SampledAngles | None, ...] | None:
         """Checks the prescribed motions; it refuses a motion and a torque on the same motor."""
@@ -145,11 +236,11 @@ class Scene:
         kinds = Signal | SampledSignal | SampledAngles | None
         if len(motions) != count or not all(isinstance(motion, kinds) for motion in motions):
             allowed = f"{count} of Signal or None, one for each joint, or of SampledSignal or SampledAngles"
-            raise refusal(name, self.prescribed, allowed)
+            raise value_error(name, self.prescribed, allowed)
         for i, (motion, torque) in enumerate(zip(motions, self.torque.signals(), strict=True)):
             if motion is not None and torque.largest != 0.0:
                 allowed = "0 (N m): the motion of this joint is prescribed"
-                raise refusal(f"Scene.torque of joint {i}", torque.largest, allowed)
+                raise value_error(f"Scene.torque of joint {i}", torque.largest, allowed)
         return motions if any(motions) else None
 
     def _check_samples(self) -> None:
@@ -160,9 +251,9 @@ class Scene:
                 if not isinstance(item, SampledSignal | SampledAngles):
                     continue
                 end = item.times[-1] if isinstance(item, SampledAngles) else item.end
-                if item.times[0] > 0.0 or end < self.duration * (1.0 - WHOLE):
+                if item.times[0] > 0.0 or end < self.duration * (1.0 - WHOLE_TOLERANCE):
                     said = f"samples from {item.times[0]:g} to {end:g} s"
-                    raise refusal(f"Scene.{name}[{i}]", said, f"samples from 0 to {self.duration:g} s or longer")
+                    raise value_error(f"Scene.{name}[{i}]", said, f"samples from 0 to {self.duration:g} s or longer")
 
     def _started(self) -> Initial:
         """The initial state, with angles and rates of the prescribed motions that know theirs."""
@@ -173,12 +264,12 @@ class Scene:
         return replace(self.initial, joint_angles=tuple(angles), joint_rates=tuple(rates))
 
     @property
-    def pieces(self) -> Pieces:
+    def pieces(self) -> PiecewiseSignals:
         """The drive as the kernels read it."""
         motions, none = self.prescribed or [None] * self.arm.n_joints, [None] * 3
         given = [motion.acceleration if isinstance(motion, SampledAngles) else motion for motion in motions]
         motors = [motion or torque for motion, torque in zip(given, self.torque.signals(), strict=True)]
-        return Pieces([*motors, *(self.tip_force or none), *(self.base_acceleration or none)], self.duration)
+        return PiecewiseSignals([*motors, *(self.tip_force or none), *(self.base_acceleration or none)], self.duration)
 
     @property
     def output_times(self) -> NDArray[np.float64]:
@@ -195,9 +286,9 @@ class Scene:
                 (`arm.links[1].length`), the value and what is allowed.
         """
         try:
-            return cls.from_dict(scene_file.read(Path(path)), Path(path).parent)
+            return cls.from_dict(scene_file.read_data(Path(path)), Path(path).parent)
         except ValueError as error:
-            raise ValueError(f"{shown_path(path)}: {error}") from None
+            raise ValueError(f"{short_path(path)}: {error}") from None
 
     def save(self, path: str | Path) -> None:
         """Writes the scene to a .json, .yaml or .yml file, from which `load` gives an equal one.
@@ -207,8 +298,8 @@ class Scene:
         Raises:
             ValueError: for another suffix.
         """
-        scene_file.suffix(Path(path))
-        scene_file.write(Path(path), beside(Path(path), self.to_dict()))
+        scene_file.check_suffix(Path(path))
+        scene_file.write_data(Path(path), write_samples(Path(path), self.to_dict()))
 
     @classmethod
     def from_dict(cls, data: object, folder: Path = Path()) -> Self:
@@ -221,20 +312,20 @@ class Scene:
             FileNotFoundError: where a CSV file is missing.
             ValueError: one line that names the field (`arm.links[1].length`), the value and what is allowed.
         """
-        entries = entries_of(Scene, "", data)
+        entries = check_entries(Scene, "", data)
         entries["arm"] = find_arm(entries["arm"])
-        entries["model"] = part_of(ModelChoice, "model", entries["model"])
-        entries["torque"] = torque_of(entries["torque"], folder)
-        entries["initial"] = part_of(Initial, "initial", entries["initial"])
+        entries["model"] = part_from_plain(ModelChoice, "model", entries["model"])
+        entries["torque"] = torque_from_plain(entries["torque"], folder)
+        entries["initial"] = part_from_plain(Initial, "initial", entries["initial"])
         for name in ("prescribed", "tip_force", "base_acceleration"):
             if entries.get(name) is not None:
                 items = enumerate(sequence(name, entries[name], "a list of mappings"))
-                entries[name] = [signal_of(f"{name}[{i}]", item, UNITS[name], folder) for i, item in items]
-        return built(cls, "", entries)
+                entries[name] = [signal_from_plain(f"{name}[{i}]", item, UNITS[name], folder) for i, item in items]
+        return build_part(cls, "", entries)
 
     def to_dict(self) -> dict[str, Any]:
         """Gives the scene as the mapping of a scene file, of dicts, lists, numbers and texts."""
-        data: dict[str, Any] = plain(self)
+        data: dict[str, Any] = to_plain(self)
         if self.arm.payload is None:
             data["arm"]["payload"] = {"mass": 0.0}
         return {"note": self.note} | data

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.arrays import Array
-from flexman_gym.kernels.gauss import DIAGONAL, FROZEN, LOWER, RELAXED, REST, ROOT
-from flexman_gym.simulation.families import (
+from flexman_gym.common.arrays import Array
+from flexman_gym.kernels.implicit import DIAGONAL, FROZEN_ITERATIONS, GAUSS_NODE, LOWER, RELAXATION, REMAINDER
+from flexman_gym.simulation.methods import (
     EXPLICIT,
     Explicit,
     Implicit,
+    IteratedGauss,
     LinearlyImplicit,
     Method,
-    Sweeps,
     extrapolation_weights,
 )
 
@@ -41,9 +41,9 @@ def amplification_factors(method: Method, angle: float | Array) -> NDArray[np.co
         ValueError: for a reference method, which has no fixed step.
     """
     angle = np.asarray(angle, dtype=np.float64)
-    if method.adaptive or not isinstance(method, Explicit | LinearlyImplicit | Implicit | Sweeps):
+    if method.adaptive or not isinstance(method, Explicit | LinearlyImplicit | Implicit | IteratedGauss):
         raise ValueError(f"method: {method.name} chooses its steps; give one of fixed steps")
-    if isinstance(method, Implicit | Sweeps):
+    if isinstance(method, Implicit | IteratedGauss):
         return _implicit_factors(method, angle)
     if isinstance(method, LinearlyImplicit):
         weights, matrix = extrapolation_weights(method.sequence), method.a + method.coupling
@@ -64,10 +64,10 @@ def _stability(matrix: Array, b: Array, z: np.ndarray) -> np.ndarray:
     return 1.0 + z * (stages[..., 0] @ b)
 
 
-def _implicit_factors(method: Implicit | Sweeps, angle: Array) -> NDArray[np.complex128]:
-    if isinstance(method, Sweeps) and method.stages > 1:
+def _implicit_factors(method: Implicit | IteratedGauss, angle: Array) -> NDArray[np.complex128]:
+    if isinstance(method, IteratedGauss) and method.stages > 1:
         return _pair_factors(method.sweeps, angle)
-    if isinstance(method, Sweeps) or method.radius is None:  # one sweep is exact where all is linear
+    if isinstance(method, IteratedGauss) or method.radius is None:  # one sweep is exact where all is linear
         return ((1.0 + 0.5j * angle) / (1.0 - 0.5j * angle))[..., None]
     mass, force, beta, gamma = method.averages[:4]
     square = angle**2
@@ -82,9 +82,9 @@ def _pair_factors(sweeps: int, angle: Array) -> NDArray[np.complex128]:
     square, ends = angle**2, []
     for q, speed in ((1.0, 0.0), (0.0, 1.0)):
         w = [-square * (q + 0.5 * speed) / (1.0 + 0.25 * square)] * 2
-        v = [speed + (0.5 + side * ROOT) * w[0] for side in (-1, 1)]
-        for relaxed in (RELAXED,) * FROZEN + (1.0,) * sweeps:
-            places, speeds = q + REST * (v[0] + v[1]), speed + REST * (w[0] + w[1])
+        v = [speed + (0.5 + side * GAUSS_NODE) * w[0] for side in (-1, 1)]
+        for relaxed in (RELAXATION,) * FROZEN_ITERATIONS + (1.0,) * sweeps:
+            places, speeds = q + REMAINDER * (v[0] + v[1]), speed + REMAINDER * (w[0] + w[1])
             for i in range(2):
                 before = speeds + i * LOWER * w[0]
                 place = places + i * LOWER * v[0] + DIAGONAL * before
@@ -153,7 +153,7 @@ def largest_growth(method: Method) -> tuple[float, float]:
     return float(factors.max()), float(angles[factors.argmax()])
 
 
-def amplitude_kept(method: Method, step: float, frequency: float, duration: float = 10.0) -> float:
+def remaining_amplitude(method: Method, step: float, frequency: float, duration: float = 10.0) -> float:
     """Gives the part of the amplitude of an undamped vibration that a method leaves.
 
     Args:

@@ -5,17 +5,15 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from flexman_gym.arrays import Array, Flags
-from flexman_gym.checks import bounded, positive, refusal, whole_number
+from flexman_gym.common.arrays import Array, Flags
+from flexman_gym.common.checks import check_magnitudes, positive, value_error, whole_number
 from flexman_gym.kernels import layout, outputs
-from flexman_gym.kernels.periods import close
+from flexman_gym.kernels.control_period import close_period
 from flexman_gym.model.model import Model, checked_model
-from flexman_gym.simulation.families import LinearlyImplicit, Method, Sweeps
-from flexman_gym.simulation.methods import DEFAULT
-from flexman_gym.simulation.movers import Abreast
-from flexman_gym.simulation.one_by_one import OneByOne
+from flexman_gym.simulation.batch_integrators import LaneIntegrator, SequentialIntegrator
+from flexman_gym.simulation.integrator import Integrator, find_method, find_substeps, find_tolerance, prescribed_flags
+from flexman_gym.simulation.methods import DEFAULT_METHOD, IteratedGauss, LinearlyImplicit, Method
 from flexman_gym.simulation.parameters import nominal_parameters, varied_constants
-from flexman_gym.simulation.run import Run, find_method, find_substeps, find_tolerance, prescribed_flags
 
 MOST_ARMS, MOST_THREADS = 65536, 256
 RESTING = -1  # a status that only movers see
@@ -53,7 +51,7 @@ class Batch:
     def __init__(
         self,
         model: Model,
-        method: str | Method = DEFAULT,
+        method: str | Method = DEFAULT_METHOD,
         step: float | str | None = "auto",
         control_period: float = 0.02,
         rtol: float = 1e-6,
@@ -75,11 +73,13 @@ class Batch:
         self._bound = tolerance, joints
         period = self.control_period, self.substeps
         self._mover: Any
-        if isinstance(self.method, LinearlyImplicit | Sweeps) and tolerance is None:
+        if isinstance(self.method, LinearlyImplicit | IteratedGauss) and tolerance is None:
             constants = model.constants._replace(prescribed=prescribed_flags(n, joints))
-            self._mover = Abreast(constants, self.method, period, count, threads)
+            self._mover = LaneIntegrator(constants, self.method, period, count, threads)
         else:
-            self._mover = OneByOne([Run(model, self.method, tolerance, joints) for _ in range(count)], period)
+            self._mover = SequentialIntegrator(
+                [Integrator(model, self.method, tolerance, joints) for _ in range(count)], period
+            )
         self.rows = np.zeros((count, 2 * model.n_dof + 2))
         self.state = self.rows[:, :-2]
         self.outputs = np.zeros((count, layout.OUTPUTS))
@@ -98,14 +98,14 @@ class Batch:
             ValueError: for a state beyond the bounds of `kernels.layout.LARGEST_STATE`; nothing has changed then.
         """
         if not np.abs(states).max(initial=0.0) <= layout.LARGEST_STATE:
-            bounded("states", states.ravel().tolist(), layout.LARGEST_STATE)
+            check_magnitudes("states", states.ravel().tolist(), layout.LARGEST_STATE)
         self.place(arms, states)
         self._periods[arms] = self._drive[arms] = 0.0
         self._mover.observe(arms, self.rows, self.outputs)
         energy = np.empty(len(self.rows))
         outputs.energies(self.outputs, energy)
         self.start_energy[arms], self.energy_turnover[arms] = energy[arms], 0.0
-        outputs.turn_over(self.rows, self.outputs, self.energy_turnover)
+        outputs.update_energy_scale(self.rows, self.outputs, self.energy_turnover)
 
     def place(self, arms: np.ndarray, states: Array) -> None:
         """Puts the arms with the indices (r,) at states (r, 2 d), to be moved from there on.
@@ -134,7 +134,7 @@ class Batch:
             self._mover.move(drive, self._periods, self.rows, self.outputs, status)
             self.status[moving] = status[moving]
         self._known = False
-        close(self.rows, self.outputs, status, drive, self._periods, self._drive, self.energy_turnover)
+        close_period(self.rows, self.outputs, status, drive, self._periods, self._drive, self.energy_turnover)
 
     def roll(self, drives: Array) -> tuple[Array, Array]:
         """Moves all arms that have not failed through T control periods, with Python's lock released.
@@ -159,7 +159,7 @@ class Batch:
         for period in range(periods):
             well = period < good
             turned = self.energy_turnover[well]
-            outputs.turn_over(rows[well, period], read[well, period], turned)
+            outputs.update_energy_scale(rows[well, period], read[well, period], turned)
             self.energy_turnover[well] = turned
         return rows[:, :, :-2], read
 
@@ -179,9 +179,9 @@ class Batch:
             self._known = True
         return self._felt
 
-    def run(self, arm: int) -> Run:
+    def run(self, arm: int) -> Integrator:
         """Gives a run of one arm, with the parameters that it has, beside the batch."""
-        run, own = Run(self.model, self.method, *self._bound), self._mover.constants(arm)
+        run, own = Integrator(self.model, self.method, *self._bound), self._mover.constants(arm)
         run.constants = run.constants._replace(**own)
         return run
 
@@ -238,5 +238,5 @@ def _joints(prescribed: object, count: int) -> list[int]:
     except Exception:  # nothing that has a length
         few = False
     if not few or not isinstance(prescribed, Collection):
-        raise refusal("prescribed", prescribed, f"a list of at most {count} joints, by their numbers from 0")
+        raise value_error("prescribed", prescribed, f"a list of at most {count} joints, by their numbers from 0")
     return [whole_number("prescribed", joint, 0, count - 1) for joint in prescribed]

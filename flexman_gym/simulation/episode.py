@@ -11,12 +11,12 @@ from typing import Any, Self
 
 import numpy as np
 
-from flexman_gym.arrays import Array
-from flexman_gym.checks import BROKEN, open_arrays, shown_path
+from flexman_gym.common.arrays import Array
+from flexman_gym.common.checks import READ_ERRORS, open_arrays, short_path
+from flexman_gym.common.time_series import write_columns
 from flexman_gym.model.model import Model, build_model
-from flexman_gym.scene.choice import ModelChoice
-from flexman_gym.scene.plain import arm_of, part_of, plain
-from flexman_gym.scene.record import write_columns
+from flexman_gym.scene.scene import ModelChoice
+from flexman_gym.scene.serialization import arm_from_plain, part_from_plain, to_plain
 from flexman_gym.simulation.trajectory import Trajectory
 
 FORMAT = 1
@@ -67,7 +67,7 @@ class Episode:
         failure = "" if trajectory.status == "ok" else trajectory.status
         return cls(
             trajectory.time, trajectory.states, trajectory.tip, readings=trajectory.readings,
-            about=about(trajectory.model, name=name, failure=failure),
+            about=episode_metadata(trajectory.model, name=name, failure=failure),
             **{each: np.full(shape, np.nan) for each, shape in nothing.items()},
         )  # fmt: skip
 
@@ -78,8 +78,8 @@ class Episode:
         Raises:
             ValueError: one line, for an arm or a model that is not allowed.
         """
-        choice = part_of(ModelChoice, "model", self.about["model"])
-        return build_model(arm_of(self.about["arm"]), **vars(choice))
+        choice = part_from_plain(ModelChoice, "model", self.about["model"])
+        return build_model(arm_from_plain(self.about["arm"]), **vars(choice))
 
     @property
     def name(self) -> str:
@@ -128,14 +128,14 @@ class Episode:
             result = cls(**arrays, readings=readings, about=told)
             result._check()
         except FileNotFoundError:
-            raise FileNotFoundError(f"{shown_path(path)}: no such file; give an episode that was saved") from None
-        except BROKEN as error:
+            raise FileNotFoundError(f"{short_path(path)}: no such file; give an episode that was saved") from None
+        except READ_ERRORS as error:
             said = " ".join(str(error).split())[:120] or type(error).__name__
-            raise ValueError(f"{shown_path(path)}: this is not an episode that was saved ({said})") from None
+            raise ValueError(f"{short_path(path)}: this is not an episode that was saved ({said})") from None
         return result
 
     def _check(self) -> None:
-        """Refuses arrays that do not belong together, and other plain data than `about` gives."""
+        """Refuses arrays that do not belong together, and other plain data than `episode_metadata` gives."""
         if self.about["format"] != FORMAT or not isinstance(self.about["name"], str):
             raise ValueError("it has another format")
         rows, n = len(self.time), len(self.about["arm"]["links"])
@@ -172,7 +172,7 @@ class Episode:
         write_columns(path, self.columns())
 
     def to_pandas(self) -> Any:
-        """Gives `columns` as a pandas DataFrame; its `attrs` hold `about`.
+        """Gives `columns` as a pandas DataFrame; its `attrs` hold `episode_metadata`.
 
         Raises:
             ImportError: without pandas.
@@ -184,7 +184,8 @@ class Episode:
         return result
 
     def to_xarray(self) -> Any:
-        """Gives an xarray Dataset over time, and periods for actions, torques and rewards; `attrs` hold `about`.
+        """Gives an xarray Dataset over time, and periods for actions, torques and rewards; `attrs` hold
+        `episode_metadata`.
 
         Raises:
             ImportError: without xarray.
@@ -200,7 +201,7 @@ class Episode:
         return xarray.Dataset(data, places, attrs=self.about)
 
 
-def about(model: Model, settings: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
+def episode_metadata(model: Model, settings: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
     """Gives the plain data of an episode: arm, model, versions, and the hash of settings.
 
     Args:
@@ -211,7 +212,7 @@ def about(model: Model, settings: dict[str, Any] | None = None, **more: Any) -> 
     text = json.dumps(settings or {}, sort_keys=True, default=_plainly)
     return {
         "format": FORMAT, "settings": json.loads(text), "hash": hashlib.sha256(text.encode()).hexdigest()[:16],
-        "arm": plain(model.arm), "model": plain(model.choice), "versions": _versions(), **more,
+        "arm": to_plain(model.arm), "model": to_plain(model.choice), "versions": _versions(), **more,
     }  # fmt: skip
 
 

@@ -5,14 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.arrays import Array
+from flexman_gym.common.arrays import Array
 from flexman_gym.kernels import layout
-from flexman_gym.model.instant import frequencies, stiffness_matrix
+from flexman_gym.model.dynamics import frequencies, stiffness_matrix
+from flexman_gym.model.linearization import coordinate_scales
 from flexman_gym.model.model import Model
-from flexman_gym.model.slopes import coordinate_sizes
 from flexman_gym.simulation.amplification import explicit_limit
-from flexman_gym.simulation.families import Method
-from flexman_gym.simulation.run import Run
+from flexman_gym.simulation.integrator import Integrator
+from flexman_gym.simulation.methods import Method
 
 FAST, WOUND, BENT = 100.0, 1.0, 0.25  # rad/s, rad, and parts of a link: no arm moves so
 NOTICED = 0.1  # bent by this part of its length, a link shortens visibly
@@ -31,7 +31,7 @@ class Failure(NamedTuple):
         status: "diverged", "not converged" or "ok".
     """
 
-    run: Run
+    run: Integrator
     model: Model
     drive: Array
     moment: tuple[float, float, int]
@@ -39,7 +39,7 @@ class Failure(NamedTuple):
     status: str
 
 
-class Quantity(NamedTuple):
+class _Quantity(NamedTuple):
     """A quantity of an arm over some states: name, unit, values (r,) and how large none should be."""
 
     name: str
@@ -60,10 +60,10 @@ def explain(failure: Failure) -> str:
         first, row = _first(failure.model, states[:, : 2 * failure.model.n_dof])
     size = f"{abs(first.values[row]):.4g} {first.unit} at {time + row * step:.6g} s"
     said = f"the simulation {failure.status}: {first.name} went first, {size}"
-    return f"{said}. Try {'; or '.join(advice(failure.model, run, failure.moment[1], states[: max(row, 1)]))}."
+    return f"{said}. Try {'; or '.join(_advice(failure.model, run, failure.moment[1], states[: max(row, 1)]))}."
 
 
-def explain_energy(model: Model, run: Run, step: float, time: float, states: Array) -> str:
+def explain_energy(model: Model, run: Integrator, step: float, time: float, states: Array) -> str:
     """Says which coordinate vibrates most where the energy is wrong, and what to change.
 
     Args:
@@ -73,7 +73,7 @@ def explain_energy(model: Model, run: Run, step: float, time: float, states: Arr
         time: of the alarm, s.
         states: (r, 2 d) until then.
     """
-    d, label, diagonal = model.n_dof, names(model), np.diag(stiffness_matrix(model))
+    d, label, diagonal = model.n_dof, _coordinate_names(model), np.diag(stiffness_matrix(model))
     shares = {f"the rate of {label[i]}": states[:, d + i] ** 2 for i in range(model.n_joints)}
     if diagonal.any():  # potential energies are as large as kinetic ones, and need no mass
         first = model.n_joints + model.n_motors
@@ -84,10 +84,10 @@ def explain_energy(model: Model, run: Run, step: float, time: float, states: Arr
                 shares[f"the spring of joints[{i}]"] = model.constants.joint_stiffness[i] * twist**2
     name = max(shares, key=lambda each: float(shares[each].max()))
     said = f"the energy residual is beyond 1 % of the energy turned over at {time:.6g} s"
-    return f"{said}: most of the vibration is in {name}. Try {'; or '.join(advice(model, run, step, states))}."
+    return f"{said}: most of the vibration is in {name}. Try {'; or '.join(_advice(model, run, step, states))}."
 
 
-def names(model: Model) -> list[str]:
+def _coordinate_names(model: Model) -> list[str]:
     """Gives the name of each coordinate (d,), such as "coordinate 2 of links[0]"."""
     result = [f"joints[{i}]" for i in range(model.n_joints)]
     result += [f"the motor of joints[{i}]" for i in np.flatnonzero(model.constants.motor >= 0)]
@@ -97,27 +97,27 @@ def names(model: Model) -> list[str]:
     return result
 
 
-def quantities(model: Model, states: Array) -> Iterator[Quantity]:
+def _quantities(model: Model, states: Array) -> Iterator[_Quantity]:
     """Gives rates of joints and motors, twists of springs, deflections of links and elastic coordinates."""
-    d, n, label = model.n_dof, model.n_joints, names(model)
+    d, n, label = model.n_dof, model.n_joints, _coordinate_names(model)
     for column in range(n + model.n_motors):
-        yield Quantity(f"the rate of {label[column]}", "rad/s", states[:, d + column], FAST)
+        yield _Quantity(f"the rate of {label[column]}", "rad/s", states[:, d + column], FAST)
     for i, motor in enumerate(model.constants.motor):
         if motor >= 0:
-            yield Quantity(f"the twist of joints[{i}]", "rad", states[:, motor] - states[:, i], WOUND)
-    sizes, starts = coordinate_sizes(model), model.constants.elastic_start
+            yield _Quantity(f"the twist of joints[{i}]", "rad", states[:, motor] - states[:, i], WOUND)
+    sizes, starts = coordinate_scales(model), model.constants.elastic_start
     for link in range(n):
         columns = model.elastic_columns(link)
         shapes = model.constants.tip_translation[starts[link] : starts[link + 1]]
         if len(shapes):
             deflection = np.linalg.norm(states[:, columns] @ shapes, axis=1) / model.constants.length[link]
-            yield Quantity(f"the deflection of links[{link}]", "of its length", deflection, BENT)
+            yield _Quantity(f"the deflection of links[{link}]", "of its length", deflection, BENT)
         for column in range(columns.start, columns.stop):
             bend = states[:, column] / sizes[column]
-            yield Quantity(label[column], "rad or parts of the link's length", bend, BENT)
+            yield _Quantity(label[column], "rad or parts of the link's length", bend, BENT)
 
 
-def advice(model: Model, run: Run, step: float, states: Array) -> list[str]:
+def _advice(model: Model, run: Integrator, step: float, states: Array) -> list[str]:
     """Gives what to change, the most promising first."""
     method, d, result = run.method, model.n_dof, []
     highest, limit = frequencies(model).max(initial=0.0), _limit(method)
@@ -131,7 +131,7 @@ def advice(model: Model, run: Run, step: float, states: Array) -> list[str]:
         result.append(f"a step shorter than {step:g} s")
     with np.errstate(all="ignore"):
         good = states[np.isfinite(states).all(axis=1)]
-        bent = [q for q in quantities(model, good) if q.largest == BENT and np.abs(q.values).max() > NOTICED]
+        bent = [q for q in _quantities(model, good) if q.largest == BENT and np.abs(q.values).max() > NOTICED]
         locked = frequencies(model, lock_joints=True)
         spins = np.abs(good[:, d : d + model.n_joints]).max(initial=0.0)
     if not model.choice.stiffening and (bent or (len(locked) and spins > np.pi * locked[0])):
@@ -141,9 +141,9 @@ def advice(model: Model, run: Run, step: float, states: Array) -> list[str]:
     return [*result, "smaller torques"]
 
 
-def _first(model: Model, states: Array) -> tuple[Quantity, int]:
+def _first(model: Model, states: Array) -> tuple[_Quantity, int]:
     """Gives the quantity that is first larger than it should be, and the row; the largest one where none is."""
-    result = list(quantities(model, states))
+    result = list(_quantities(model, states))
     sizes = np.array([np.abs(each.values) / each.largest for each in result])
     sizes = np.nan_to_num(sizes, nan=np.inf, posinf=np.inf)
     late = np.flatnonzero((sizes > 1.0).any(axis=0))

@@ -6,18 +6,18 @@ from typing import Any, NamedTuple
 import mujoco  # type: ignore[import-not-found, import-untyped, unused-ignore]
 import numpy as np
 
-from flexman_gym.arrays import Array, Flags, IntArray
-from flexman_gym.checks import refusal
-from flexman_gym.model.mjcf import link_pieces, mjcf
+from flexman_gym.common.arrays import Array, Flags, IntArray
+from flexman_gym.common.checks import value_error
+from flexman_gym.model.mjcf import mjcf, rigid_pieces
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.parameters import varied_arm
-from flexman_gym.simulation.replica import Moment, Stations
+from flexman_gym.simulation.resimulation import ArmShapes, Stations
 
 PIECES = 3  # of a section: natural frequencies of the named arms are then within 3 % up to the sixth
 MOMENT = 1e-5  # s, over which changes of places are taken for speeds
 
 
-class Link(NamedTuple):
+class _LinkBodies(NamedTuple):
     """Where a link of n pieces beside its first is found.
 
     Attributes:
@@ -35,7 +35,7 @@ class Link(NamedTuple):
     stations: Array
 
 
-class MuJoCo:
+class MuJoCoSimulator:
     """A Double: each arm is a model of MuJoCo of its own.
 
     Its places and speeds are those of MuJoCo's bodies, exactly: no small angles.
@@ -43,7 +43,7 @@ class MuJoCo:
 
     def __init__(self, model: Model, period: float, arms: int) -> None:
         if any(joint.coulomb_friction for joint in model.arm.joints):
-            raise refusal("plant", "mujoco", "arms without Coulomb friction: its law is another one there")
+            raise value_error("plant", "mujoco", "arms without Coulomb friction: its law is another one there")
         self._arm, self._period = model.arm, period
         self._models: list[Any] = [mujoco.MjModel.from_xml_string(mjcf(model.arm, PIECES))] * arms
         self._datas = [mujoco.MjData(each) for each in self._models]
@@ -86,7 +86,7 @@ class MuJoCo:
             well[arm] = not broken
         return well
 
-    def read(self, arms: IntArray) -> Moment:
+    def read(self, arms: IntArray) -> ArmShapes:
         """Says where arms are."""
         result = []
         for arm in arms.tolist():
@@ -101,7 +101,7 @@ class MuJoCo:
             result.append([shape[:-3], rate[:-3], np.concatenate([shape[-3:], rate[-3:]])])
         columns = zip(*result, strict=True) if result else ([], [], [])
         width = 2 * len(self._motors) + 6 * sum(map(len, self.stations))
-        return Moment(
+        return ArmShapes(
             *(np.reshape(list(each), (-1, size)) for each, size in zip(columns, (width, width, 6), strict=True))
         )
 
@@ -121,16 +121,16 @@ class MuJoCo:
         return np.concatenate(parts)
 
 
-def _find(model: Any, number: int, link: Any) -> Link:
+def _find(model: Any, number: int, link: Any) -> _LinkBodies:
     """Where a link is in MuJoCo's model of its arm."""
-    cut = link_pieces(link, PIECES)
+    cut = rigid_pieces(link, PIECES)
     starts = np.array([piece.start for piece in cut[1:]])
     ends = np.concatenate([np.arange(1, PIECES + 1) * section.length / PIECES for section in link.sections])
     lengths = np.repeat(np.cumsum([0.0, *(section.length for section in link.sections[:-1])]), PIECES)
     stations = ends + lengths
     name = f"link_{number}"
     angles = [[model.joint(f"{name}_{j}_{letter}").qposadr[0] for letter in "xyz"] for j in range(len(starts))]
-    return Link(model.body(name).id, np.array(link.orientation), np.array(angles), stations - starts, stations)
+    return _LinkBodies(model.body(name).id, np.array(link.orientation), np.array(angles), stations - starts, stations)
 
 
 def _rotation_vectors(turned: Array) -> Array:

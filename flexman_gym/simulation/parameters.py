@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.arrays import Array, Flags
-from flexman_gym.checks import MOST, number_array, one_of, refusal
+from flexman_gym.common.arrays import Array, Flags
+from flexman_gym.common.checks import MAX_SIZE, number_array, one_of, value_error
 from flexman_gym.model.model import Model
 from flexman_gym.scene.arm import Arm, Payload
 from flexman_gym.scene.link import NonUniformLink
@@ -41,7 +41,7 @@ def _everywhere(model: Model) -> Flags:
 
 
 @dataclass(frozen=True)
-class Parameter:
+class _Parameter:
     """A row of the table: one physical parameter.
 
     Attributes:
@@ -85,15 +85,15 @@ class Parameter:
         shape, nominal = (count, *self.shape(model.n_joints)), self.nominal(model)
         allowed = f"finite numbers >= 0, of shape {shape}"
         values = number_array(name, value, shape, allowed)
-        if not ((values >= 0.0) & (values <= MOST)).all():
-            raise refusal(name, value, allowed)
+        if not ((values >= 0.0) & (values <= MAX_SIZE)).all():
+            raise value_error(name, value, allowed)
         if self.of != ARM:
             fixed, needed = self.fixed(model), self.needed(model)
             if (values != nominal)[:, fixed].any():
                 joints = np.flatnonzero(fixed).tolist()
-                raise refusal(name, value, f"{nominal[fixed].tolist()} for joints {joints}: {self.lacking}")
+                raise value_error(name, value, f"{nominal[fixed].tolist()} for joints {joints}: {self.lacking}")
             if (values == 0.0)[:, needed].any():
-                raise refusal(name, value, "numbers > 0 where a link or joint is flexible")
+                raise value_error(name, value, "numbers > 0 where a link or joint is flexible")
         return values
 
 
@@ -131,30 +131,30 @@ def _of_blocks(model: Model, factors: Array) -> Array:
     return result
 
 
-PARAMETERS: dict[str, Parameter] = {
-    "payload_mass": Parameter("kg", ARM, lambda model: model.constants.payload_mass[0], _payload),
-    "joint_stiffness": Parameter(
+PARAMETERS: dict[str, _Parameter] = {
+    "payload_mass": _Parameter("kg", ARM, lambda model: model.constants.payload_mass[0], _payload),
+    "joint_stiffness": _Parameter(
         "N m/rad", JOINT, lambda model: model.constants.joint_stiffness, _same("joint_stiffness"), factor=True,
         fixed=_rigid, needed=_flexible,
     ),
-    "joint_damping": Parameter(
+    "joint_damping": _Parameter(
         "N m s/rad", JOINT, lambda model: model.constants.joint_damping, _same("joint_damping"), fixed=_rigid,
     ),
-    "rotor_inertia": Parameter(
+    "rotor_inertia": _Parameter(
         "kg m^2", JOINT, lambda model: model.constants.rotor_inertia, _rotors, factor=True, needed=_flexible,
     ),
-    "viscous_friction": Parameter(
+    "viscous_friction": _Parameter(
         "N m s/rad", JOINT, lambda model: model.constants.viscous_friction, _same("viscous_friction"), factor=True,
     ),
-    "coulomb_friction": Parameter(
+    "coulomb_friction": _Parameter(
         "N m", JOINT, lambda model: model.constants.coulomb_friction, _same("coulomb_friction"), factor=True,
         fixed=_smooth, lacking="without Coulomb friction",
     ),
-    "link_stiffness": Parameter(
+    "link_stiffness": _Parameter(
         "factor on the elastic moduli", LINK, lambda model: np.ones(model.n_joints), _links, factor=True,
         needed=_everywhere,
     ),
-    "link_damping": Parameter(
+    "link_damping": _Parameter(
         "damping ratio of every mode", LINK, lambda model: np.array(model.arm.damping_ratios), _links, factor=True,
         fixed=_undamped, lacking="of links without modal damping",
     ),

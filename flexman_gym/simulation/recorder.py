@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.arrays import Array
-from flexman_gym.checks import instance, whole_number
-from flexman_gym.scene.drive import ConstantTorque, Signal
+from flexman_gym.common.arrays import Array
+from flexman_gym.common.checks import instance, whole_number
 from flexman_gym.scene.scene import Initial, Scene
+from flexman_gym.scene.signals import ConstantTorque, Signal
 from flexman_gym.simulation.simulator import Simulator
 
 MOST = 1_000_000

@@ -4,19 +4,17 @@ from collections.abc import Collection
 
 import numpy as np
 
-from flexman_gym.arrays import Array, Vector
-from flexman_gym.checks import bounded, number_array, refusal, vector
+from flexman_gym.common.arrays import Array, Vector
+from flexman_gym.common.checks import check_magnitudes, number_array, value_error, vector
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import STATUS
 from flexman_gym.model.model import Model
-from flexman_gym.scene.drive import drive_table
+from flexman_gym.scene.signals import signal_table
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.energy import alarm
 from flexman_gym.simulation.explanation import Failure, explain, explain_energy
-from flexman_gym.simulation.families import Method
-from flexman_gym.simulation.methods import DEFAULT
-from flexman_gym.simulation.run import prescribed_flags
-from flexman_gym.simulation.trajectory import Trajectory, trajectory
+from flexman_gym.simulation.integrator import prescribed_flags
+from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
+from flexman_gym.simulation.trajectory import Trajectory, build_trajectory, energy_alarm
 
 
 class Simulator:
@@ -55,7 +53,7 @@ class Simulator:
     def __init__(
         self,
         model: Model,
-        method: str | Method = DEFAULT,
+        method: str | Method = DEFAULT_METHOD,
         step: float | str | None = "auto",
         control_period: float = 0.02,
         rtol: float = 1e-6,
@@ -89,9 +87,9 @@ class Simulator:
         """
         if state is not None:
             if joint_angles is not None or joint_rates is not None:
-                raise refusal("state", "given with joint_angles or joint_rates", "one of the two")
+                raise value_error("state", "given with joint_angles or joint_rates", "one of the two")
             start = np.array(vector("state", state, 2 * self.model.n_dof))
-            bounded("state", start.tolist(), layout.LARGEST_STATE)
+            check_magnitudes("state", start.tolist(), layout.LARGEST_STATE)
         else:
             angles = np.zeros(self.model.n_joints) if joint_angles is None else joint_angles
             start = self.model.initial_state(angles, joint_rates)
@@ -100,7 +98,7 @@ class Simulator:
             self.keep()
 
     def keep(self) -> None:
-        """Keeps the state now and after every `step` from now on, for `trajectory`; a reset begins anew.
+        """Keeps the state now and after every `step` from now on, for `build_trajectory`; a reset begins anew.
 
         What was kept before is forgotten. An environment moves its arm without `step`.
         """
@@ -124,7 +122,7 @@ class Simulator:
         states, outputs = (np.array(each) for each in zip(*self._kept, strict=True))
         states[:, -2:] -= states[0, -2:]
         outcome = self.status, 0, 0.0
-        return trajectory(self.model, self.control_period, states, outputs, outcome, lambda _: self.explanation())
+        return build_trajectory(self.model, self.control_period, states, outputs, outcome, lambda _: self.explanation())
 
     def step(
         self,
@@ -169,10 +167,10 @@ class Simulator:
         given = np.zeros(len(drive)) if acceleration is None else acceleration
         given = _numbers("acceleration", given, len(drive), "rad/s^2")
         for i in np.flatnonzero(self.prescribed & (drive != 0.0)):
-            raise refusal(f"torque[{i}]", float(drive[i]), "0 (N m): the motion of this joint is prescribed")
+            raise value_error(f"torque[{i}]", float(drive[i]), "0 (N m): the motion of this joint is prescribed")
         for i in np.flatnonzero(~self.prescribed & (given != 0.0)):
             allowed = "0 (rad/s^2): the motion of this joint is not prescribed"
-            raise refusal(f"acceleration[{i}]", float(given[i]), allowed)
+            raise value_error(f"acceleration[{i}]", float(given[i]), allowed)
         drive[self.prescribed] = given[self.prescribed]
 
     @property
@@ -188,12 +186,12 @@ class Simulator:
     def explanation(self) -> str:
         """Says what went first in a failure or an energy alarm, and what to change; "" while all is well."""
         well, model = self.status == STATUS[layout.OK], self.model
-        if well and not alarm(self.energy_residual, self.energy_turnover):
+        if well and not energy_alarm(self.energy_residual, self.energy_turnover):
             return ""
         run, step = self.batch.run(0), self.control_period / self.substeps
         if well:
             return explain_energy(model, run, step, self.time, self.state[None])
-        table = drive_table([None] * (model.n_joints + 6))
+        table = signal_table([None] * (model.n_joints + 6))
         table[layout.OFFSET] = self.drive
         moment = (self.time, step, self.substeps)
         return explain(Failure(run, model, table, moment, self.batch.rows[0], self.status))

@@ -1,25 +1,42 @@
-"""Trajectory: the solution of a scene at its output times, with the audit of its energy."""
+"""Trajectory: the solution of a scene at its output times, its energy residual and the alarm on it."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from flexman_gym.arrays import Array
-from flexman_gym.checks import positive, refusal, vector, whole_number
+from flexman_gym.common.arrays import Array
+from flexman_gym.common.checks import positive, value_error, vector, whole_number
+from flexman_gym.common.time_series import write_columns
 from flexman_gym.kernels import layout
-from flexman_gym.model.loads import Frames, frames, part_energies, section_forces
+from flexman_gym.model.linearization import UNITS, column_names
+from flexman_gym.model.loads import FrameMotion, frame_motion, part_energies, section_forces
 from flexman_gym.model.model import Model
-from flexman_gym.model.readings import UNITS, names_of
-from flexman_gym.scene.record import write_columns
-from flexman_gym.simulation.energy import ENERGY_ALARM, alarm, turnover
-from flexman_gym.simulation.readings import Readings
+from flexman_gym.simulation.readings import LinearReadings
+
+ENERGY_ALARM = 0.01  # of the energy turned over
 
 
-class Moved(NamedTuple):
+def _energy_turnover(moving_energy: Array | float, work: Array | float, dissipation: Array | float) -> Array:
+    """Gives the largest magnitude of the three energies, the scale of an error of the energy, J."""
+    return np.maximum(np.maximum(moving_energy, np.abs(work)), np.abs(dissipation))
+
+
+def energy_alarm(residual: Any, turned_over: Any, level: float = ENERGY_ALARM) -> Any:
+    """Tells whether a residual of the energy is more than a part of the energy turned over.
+
+    Args:
+        residual: number or array, J.
+        turned_over: number or array, J.
+        level: the part.
+    """
+    return abs(residual) > level * turned_over
+
+
+class Kinetics(NamedTuple):
     """A model with the constants that it was moved with, its accelerations (T, d) and the drive (T, n + 6)."""
 
     model: Model
@@ -31,8 +48,8 @@ def _nothing(result: "Trajectory") -> str:
     return ""
 
 
-def _unknown(result: "Trajectory") -> Moved:
-    raise refusal("trajectory", "one without a scene", "one of simulate or simulate_all, whose torques are known")
+def _unknown(result: "Trajectory") -> Kinetics:
+    raise value_error("trajectory", "one without a scene", "one of simulate or simulate_all, whose torques are known")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -77,7 +94,7 @@ class Trajectory:
     wall_seconds: float
     model: Model
     explained: Callable[["Trajectory"], str] = field(default=_nothing, repr=False)
-    moved: Callable[["Trajectory"], Moved] = field(default=_unknown, repr=False)
+    moved: Callable[["Trajectory"], Kinetics] = field(default=_unknown, repr=False)
 
     def __repr__(self) -> str:
         n = self.joint_angles.shape[1]
@@ -97,12 +114,12 @@ class Trajectory:
     @property
     def readings(self) -> dict[str, Array]:
         """What sensors of environments measure, (T, ...) by the names of `View`; UNITS of `simulation.readings`."""
-        return Readings(self.model).named(self.states)
+        return LinearReadings(self.model).named(self.states)
 
     @cached_property
-    def _seen(self) -> tuple[Moved, Frames]:
+    def _seen(self) -> tuple[Kinetics, FrameMotion]:
         moved = self.moved(self)
-        return moved, frames(moved.model, self.states, moved.accelerations, moved.drives)
+        return moved, frame_motion(moved.model, self.states, moved.accelerations, moved.drives)
 
     @property
     def accelerations(self) -> Array:
@@ -140,7 +157,7 @@ class Trajectory:
         length, places = self.model.arm.links[i].length, vector("positions", positions, unit="m")
         for k, place in enumerate(places):
             if not 0.0 <= place <= length:
-                raise refusal(f"positions[{k}]", place, f"a number from 0 to {length} (m), the length of link {i}")
+                raise value_error(f"positions[{k}]", place, f"a number from 0 to {length} (m), the length of link {i}")
         return section_forces(moved.model, seen, self.states, moved.accelerations, i, places)
 
     def energies(self) -> dict[str, Array]:
@@ -166,7 +183,7 @@ class Trajectory:
     @property
     def energy_turnover(self) -> Array:
         """The largest so far of kinetic + elastic energy, of work and of dissipation (T,), J."""
-        parts = turnover(self.moving_energy, self.work, self.dissipation)
+        parts = _energy_turnover(self.moving_energy, self.work, self.dissipation)
         return np.maximum.accumulate(parts)
 
     def columns(self) -> dict[str, Array]:
@@ -185,7 +202,7 @@ class Trajectory:
                 result[f"{name}_{end} ({unit})"] = column
         for name, values in self.readings.items():
             if name != "motor_angles":  # which are there
-                heads = names_of(name, UNITS[name], values.shape[1], len(joints))
+                heads = column_names(name, UNITS[name], values.shape[1], len(joints))
                 result |= dict(zip(heads, values.T, strict=True))
         for name in ("energy", "moving_energy", "work", "dissipation", "energy_residual"):
             result[f"{name} (J)"] = getattr(self, name)
@@ -210,18 +227,18 @@ class Trajectory:
         Raises:
             ValueError: for a level that is not a number > 0.
         """
-        late = np.flatnonzero(alarm(self.energy_residual, self.energy_turnover[-1], positive("level", level)))
+        late = np.flatnonzero(energy_alarm(self.energy_residual, self.energy_turnover[-1], positive("level", level)))
         return float(self.time[late[0]]) if late.size else None
 
 
-def trajectory(
+def build_trajectory(
     model: Model,
     interval: float,
     states: Array,
     outputs: Array,
     outcome: tuple[str, int, float],
     explained: Callable[[Trajectory], str] = _nothing,
-    moved: Callable[[Trajectory], Moved] = _unknown,
+    moved: Callable[[Trajectory], Kinetics] = _unknown,
 ) -> Trajectory:
     """Builds a trajectory from rows at equal intervals.
 

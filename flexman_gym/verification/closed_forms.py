@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.optimize import brentq
 
-from flexman_gym.arrays import Array
+from flexman_gym.common.arrays import Array
 
 
 def beam_eigenvalues(count: int, tip_mass_ratio: float = 0.0) -> Array:

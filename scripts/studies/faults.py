@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.envs.snapshot import parted
-from flexman_gym.evaluation.folder import NEWEST, SETTINGS, read_data
-from flexman_gym.scene import file
-from flexman_gym.verification.markdown import markdown_table
+from flexman_gym.common import files
+from flexman_gym.common.markdown import markdown_table
+from flexman_gym.common.run_folder import NEWEST, SETTINGS, read_data
+from flexman_gym.common.snapshot import split_arrays
 
 TRAIN = Path(__file__).parents[1] / "train.py"
 PART = f".{NEWEST}.part"
@@ -51,7 +51,7 @@ as a run that was never killed. These are the bits of networks, optimiser, norma
 {table}
 
 Damaged, foreign and full folders of compiled kernels, and files that try to run code, are in the tests
-(`tests/kernels/test_cached_files.py`, `tests/agents/test_folder.py`).
+(`tests/kernels/test_cache.py`, `tests/common/test_run_folder.py`).
 """
 
 
@@ -74,7 +74,7 @@ def faults(folder: Path, kills: tuple[int, int]) -> Iterator[Fault]:
     """Tries all faults in a folder; `kills` are those inside saving and those at any time, of each algorithm."""
     for algo, recipe in RECIPES.items():
         path = folder / f"{algo}.yaml"
-        file.write(path, {"environment": ENVIRONMENT, **recipe})
+        files.write_data(path, {"environment": ENVIRONMENT, **recipe})
         whole = folder / f"{algo}-whole"
         _finish(["--folder", whole], path, algo)
         yield _killed(f"kill -9 inside saving, {algo}", (path, algo, whole), kills[0], _inside_saving)
@@ -92,7 +92,7 @@ def same(first: Path, second: Path) -> bool:
         data, arrays = read_data(folder / NEWEST), dict[str, np.ndarray]()
         del data["training"]["environment"]["action_space"]  # of all arms together: nobody draws from it
         data["training"]["episodes"] = [each[:2] for each in data["training"]["episodes"]]
-        result.append((parted(data, arrays), arrays))
+        result.append((split_arrays(data, arrays), arrays))
     (plain, arrays), (other, others) = result
     alike = arrays.keys() == others.keys() and all(np.array_equal(arrays[name], others[name]) for name in arrays)
     return plain == other and alike

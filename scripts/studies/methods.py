@@ -1,13 +1,13 @@
-"""Methods: which of them a study compares, in the order of `METHODS`, where a new one is enough to take part."""
+"""Methods that a study compares, with their colours and markers."""
 
 from collections.abc import Iterable
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
-from flexman_gym.simulation.families import EXPLICIT
-from flexman_gym.simulation.methods import METHODS
+from flexman_gym.draw.style import BLUE, GREEN, ORANGE, RED, SKY
+from flexman_gym.simulation.methods import EXPLICIT, METHODS
 
 
-class MethodRow(Protocol):
+class _MethodRow(Protocol):
     """A row of a study that knows its method."""
 
     @property
@@ -30,12 +30,37 @@ def implicit_methods() -> list[str]:
     return [name for name in fixed_step_methods() if METHODS[name].kind != EXPLICIT]
 
 
-def methods_of(rows: Iterable[MethodRow]) -> list[str]:
+def methods_of(rows: Iterable[_MethodRow]) -> list[str]:
     """Those that these rows are about."""
     known = {row.method for row in rows}
     return [name for name in METHODS if name in known]
 
 
-def extrapolations_of(rows: Iterable[MethodRow]) -> list[str]:
+def extrapolations_of(rows: Iterable[_MethodRow]) -> list[str]:
     """Those of them that extrapolate another method."""
     return [name for name in methods_of(rows) if len(getattr(METHODS[name], "sequence", ())) > 1]
+
+
+TEAL, PINE, PURPLE, PINK, PLUM, BLACK = "#66C2A5", "#004D3A", "#CC79A7", "#EBBAD6", "#6E1F55", "#000000"
+COLOURS = (ORANGE, BLUE, SKY, RED, TEAL, GREEN, PINE, PURPLE, PINK, PLUM, BLACK)
+MARKERS = "voDs^<>PX*p"  # as many as colours; those who cannot tell the colours apart have them
+
+
+class _Look(NamedTuple):
+    """Colour and marker of a line."""
+
+    colour: str
+    marker: str
+
+
+def looks() -> dict[str, _Look]:
+    """The look of each method, those of fixed steps first.
+
+    When the colours are used up they start again with the markers shifted by one, so that no two methods share both.
+    """
+    names = sorted(METHODS, key=lambda name: METHODS[name].adaptive)
+    return {name: _look(*divmod(i, len(COLOURS))) for i, name in enumerate(names)}
+
+
+def _look(turn: int, place: int) -> _Look:
+    return _Look(COLOURS[place], MARKERS[(place + turn) % len(MARKERS)])

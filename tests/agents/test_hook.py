@@ -6,8 +6,8 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from flexman_agents.training import load_settings, resume, train, trained
-from flexman_gym.evaluation.folder import BEST, NEWEST, read_data
+from flexman_agents.training import load_settings, resume, train, train_or_resume
+from flexman_gym.common.run_folder import BEST, NEWEST, read_data
 
 from oracles.runs import RUNS
 
@@ -58,7 +58,7 @@ def test_a_run_that_a_hook_stops_or_that_is_killed_after_it_saved_goes_on_to_the
 def test_a_cell_of_a_grid_goes_on_with_its_hook_after_it_was_killed(tmp_path):
     train(SETTINGS, tmp_path, progress=False, hook=lambda report: report.steps >= 48)
     heard = []
-    trained((SETTINGS, str(tmp_path), {"progress": False, "hook": lambda report: heard.append(report.steps)}))
+    train_or_resume((SETTINGS, str(tmp_path), {"progress": False, "hook": lambda report: heard.append(report.steps)}))
     assert heard == [48, 72, 96, 120, 144, 168]
 
 

@@ -9,20 +9,19 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from flexman_agents.imitation import AVERAGED, SCALE, Imitation, Pupil, _strength
-from flexman_agents.interruption import Interrupted
+from flexman_agents.callbacks import Interrupted
+from flexman_agents.imitation import AVERAGED, SCALE, DAgger, Student, _strength
 from flexman_agents.settings import Settings
-from flexman_agents.training import resume, train, trained
+from flexman_agents.training import resume, train, train_or_resume
 from flexman_gym.__main__ import main
-from flexman_gym.control.actions import Current, Torque
-from flexman_gym.envs.description import Description
-from flexman_gym.evaluation.entrants import acting, find_entrant
-from flexman_gym.evaluation.folder import NEWEST, read_data
-from flexman_gym.evaluation.rollout import rollout
-from flexman_gym.evaluation.seeds import training_seed
-from flexman_gym.evaluation.shipping import ship
+from flexman_gym.common.run_folder import NEWEST, read_data
+from flexman_gym.control.actions import CurrentMode, TorqueMode
+from flexman_gym.envs.config.description import Description
+from flexman_gym.evaluation.agent import find_agent, make_policy
+from flexman_gym.evaluation.export import export_policy
+from flexman_gym.evaluation.rollout import rollout, training_seed
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 
 STIFFNESS, DAMPING = 0.05, 0.02  # N m/rad, N m s/rad, soft enough for torques within the limit
 TEACHER = {"kind": "pd", "stiffness": [STIFFNESS], "damping": [DAMPING]}
@@ -46,7 +45,7 @@ def test_a_student_without_hidden_layers_learns_the_gains_of_a_pd(base):
         hyperparameters={"teacher": TEACHER, "net_arch": [], "updates": 250, "batch_size": 64},
         schedules={"learning_rate": {"start": 0.05, "end": 0.0}},
     )  # fmt: skip
-    imitation = Imitation(settings)
+    imitation = DAgger(settings)
     assert imitation.learn(lambda steps, figures: False)
     policy = imitation.policy()
     spread = np.sqrt(policy["statistics"]["var"] + 1e-8)
@@ -60,7 +59,7 @@ def test_arms_that_the_teacher_leads_move_as_under_the_teacher_alone_and_their_n
     settings = replace(
         SHORT, environment={**ENVIRONMENT, "base": {**TEACHER, "stiffness": [0.5 * STIFFNESS]}, "hold": 2}
     )
-    imitation = Imitation(settings)
+    imitation = DAgger(settings)
     setup, pupil = settings.description.setup(), imitation._pupil
     pupil.led = np.ones(3, dtype=bool)
     heard = []
@@ -83,7 +82,7 @@ def test_arms_that_the_teacher_leads_move_as_under_the_teacher_alone_and_their_n
 @pytest.mark.parametrize("kept", [1, 2, 3])
 def test_the_last_rounds_are_kept_and_every_second_instant_of_each(kept):
     """Of rounds that are even the first instant, the third and so on, of odd ones the others."""
-    imitation, played = Imitation(replace(SHORT, hyperparameters={**SHORT.hyperparameters, "rounds_kept": kept})), []
+    imitation, played = DAgger(replace(SHORT, hyperparameters={**SHORT.hyperparameters, "rounds_kept": kept})), []
     for number in range(4):
         imitation._play(number)
         due = [(seen[begun], SCALE * wanted[begun]) for seen, wanted, begun in imitation._pupil.notes]
@@ -101,22 +100,22 @@ def test_rounds_have_episodes_of_their_own(monkeypatch):
         return rollout(entrant, environment, those, watch)
 
     monkeypatch.setattr("flexman_agents.imitation.rollout", heard)
-    assert Imitation(SHORT).learn(lambda steps, figures: False)
+    assert DAgger(SHORT).learn(lambda steps, figures: False)
     first = training_seed(SHORT.seed)
     assert seeds == list(range(first, first + 3 * SHORT.envs))
 
 
 def test_what_acts_is_a_mean_of_the_weights_in_which_older_ones_fade(monkeypatch):
     """Those before the last step count AVERAGED times as much as it left them, and those of the last one the rest."""
-    weights, learned = [], Imitation._update
+    weights, learned = [], DAgger._update
 
     def heard(imitation):
         loss = learned(imitation)
         weights.append(imitation._layers[-1].weight.detach().numpy().copy())
         return loss
 
-    monkeypatch.setattr(Imitation, "_update", heard)
-    imitation = Imitation(SHORT)
+    monkeypatch.setattr(DAgger, "_update", heard)
+    imitation = DAgger(SHORT)
     assert imitation.learn(lambda steps, figures: False) and len(weights) == 3 * 5
     expected = weights[0]
     for each in weights[1:]:
@@ -133,32 +132,32 @@ def test_the_same_seed_has_the_same_bits_and_another_has_not(tmp_path):
 
 def test_what_was_learned_acts_as_a_run_and_as_a_policy_that_is_shipped(tmp_path):
     train(SHORT, tmp_path / "run", progress=False)
-    ship(tmp_path / "run", tmp_path / "policy", "A student of a PD.", "own")
+    export_policy(tmp_path / "run", tmp_path / "policy", "A student of a PD.", "own")
     played = [rollout(str(tmp_path / name), SHORT.description, range(2)).tips for name in ("run", "policy")]
     assert played[0].tobytes() == played[1].tobytes()
     moments = read_data(tmp_path / "run" / NEWEST)["statistics"]
-    assert np.ptp(moments["var"]) > 0.0 and find_entrant(str(tmp_path / "run")).interface
+    assert np.ptp(moments["var"]) > 0.0 and find_agent(str(tmp_path / "run")).interface
 
 
 def test_one_that_was_stopped_begins_again_and_one_that_is_finished_stays(tmp_path, capsys):
     train(SHORT, tmp_path / "whole", progress=False)
     train(SHORT, tmp_path / "part", progress=False, hook=lambda report: report.steps >= 160)
     assert not (tmp_path / "part" / NEWEST).exists()
-    trained((SHORT, str(tmp_path / "part"), {"progress": False}))
+    train_or_resume((SHORT, str(tmp_path / "part"), {"progress": False}))
     assert "begins again" in capsys.readouterr().err and bits(tmp_path / "part") == bits(tmp_path / "whole")
     assert "is finished" in refusal(resume, tmp_path / "whole")
     assert refusal(resume, tmp_path / "whole", 480).startswith("steps: ")
 
 
 def test_ctrl_c_stops_it_and_says_that_nothing_is_kept(tmp_path, monkeypatch):
-    played = Imitation._play
+    played = DAgger._play
 
     def interrupted(self, number):
         if number == 0:
             os.kill(os.getpid(), signal.SIGINT)
         return played(self, number)
 
-    monkeypatch.setattr(Imitation, "_play", interrupted)
+    monkeypatch.setattr(DAgger, "_play", interrupted)
     with pytest.raises(Interrupted, match="stopped after 160 steps, of which an imitation keeps none"):
         train(SHORT, tmp_path, progress=False)
     assert not (tmp_path / NEWEST).exists()
@@ -176,7 +175,7 @@ def test_the_command_line_imitates_a_controller(tmp_path, capsys):
 
 def test_a_mode_of_torques_says_how_much_an_action_adds():
     """A current whose limit gives less than the torque limit adds less, or a student would learn a part of it."""
-    for mode in (Torque(2), Current(2, None, np.array([0.5, 0.8]))):
+    for mode in (TorqueMode(2), CurrentMode(2, None, np.array([0.5, 0.8]))):
         added = mode.act(np.full((1, 2), 0.5), {}, None, None) - mode.act(np.zeros((1, 2)), {}, None, None)
         assert added == pytest.approx(0.5 * np.broadcast_to(_strength(mode), (1, 2)))
 
@@ -184,8 +183,8 @@ def test_a_mode_of_torques_says_how_much_an_action_adds():
 def test_what_cannot_be_imitated_is_refused():
     base = {"kind": "privileged-lqr"}
     shaping = {**ENVIRONMENT, "id": "FlexRRR-v0", "base": base, "actions": "shaping"}
-    assert refusal(Imitation, replace(SHORT, environment=shaping)).startswith("actions: ")
-    assert "rounds_kept" in refusal(Imitation, replace(SHORT, hyperparameters={"gamma": 0.9}))
+    assert refusal(DAgger, replace(SHORT, environment=shaping)).startswith("actions: ")
+    assert "rounds_kept" in refusal(DAgger, replace(SHORT, hyperparameters={"gamma": 0.9}))
     for name, value in (("teacher", "nobody"), ("updates", 0), ("net_arch", "wide")):
         said = refusal(lambda name=name, value=value: replace(SHORT, hyperparameters={name: value}))
         assert said.startswith("base: " if name == "teacher" else f"hyperparameters.{name}: ")
@@ -193,5 +192,5 @@ def test_what_cannot_be_imitated_is_refused():
     quiet = {**ENVIRONMENT, "id": "FlexRRR-v0", "base": base, "sensors": [],
              "actions": {"kind": "shaping", "pace": 0.0, "offset": 0.0, "torque": 0.5, "fading": 0.0}}  # fmt: skip
     student = replace(SHORT, environment=quiet, hyperparameters={"teacher": base})
-    policy = acting(Imitation(student)._network(), student.description)
-    assert Pupil(policy, policy)._strength == 0.5
+    policy = make_policy(DAgger(student)._network(), student.description)
+    assert Student(policy, policy)._strength == 0.5

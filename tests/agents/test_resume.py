@@ -13,15 +13,14 @@ import pytest
 pytest.importorskip("stable_baselines3")
 from tensorboard.backend.event_processing import event_accumulator
 
-from flexman_agents.curves import STEPS, open_curves
-from flexman_agents.interruption import Interrupted
+from flexman_agents.callbacks import STEPS_COLUMN, Interrupted, open_logger
 from flexman_agents.training import resume, train
 from flexman_agents.vector import Arms
-from flexman_gym.evaluation.entrants import load_run
-from flexman_gym.evaluation.folder import BEST, NEWEST, SETTINGS, read_data, write_data
+from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_data, write_data
+from flexman_gym.evaluation.agent import load_run
 from studies.faults import same
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 from oracles.runs import RUNS
 
 
@@ -92,7 +91,7 @@ def test_a_run_that_was_interrupted_before_its_first_rollout_goes_on(tmp_path, m
     with monkeypatch.context() as patch:
         patch.setattr(
             "flexman_agents.training.open_curves",
-            lambda *where: (os.kill(os.getpid(), signal.SIGINT), open_curves(*where))[1],
+            lambda *where: (os.kill(os.getpid(), signal.SIGINT), open_logger(*where))[1],
         )
         with pytest.raises(Interrupted, match="stopped after 0 steps"):
             train(RUNS["ppo"], tmp_path / "run", progress=False)
@@ -147,7 +146,7 @@ def test_steps_belong_to_a_finished_run_only(tmp_path, interrupt):
 def steps_of(path):
     """The steps of each row of a file of curves."""
     with path.open(newline="") as file:
-        return [int(row[STEPS]) for row in csv.DictReader(file) if row[STEPS]]
+        return [int(row[STEPS_COLUMN]) for row in csv.DictReader(file) if row[STEPS_COLUMN]]
 
 
 def test_curves_of_a_run_whose_last_steps_were_lost_do_not_overlap(tmp_path, monkeypatch):
@@ -187,7 +186,7 @@ def test_versions_that_changed_are_said_and_kept(tmp_path, interrupt, monkeypatc
     before = json.loads((tmp_path / SETTINGS).read_text())
     assert {"numpy", "scipy", "numba", "torch", "python"} <= before["versions"].keys()
     interrupt(-1)
-    monkeypatch.setattr("flexman_agents.record.version", lambda name: "9.9" if name == "scipy" else "1.0")
+    monkeypatch.setattr("flexman_agents.settings.version", lambda name: "9.9" if name == "scipy" else "1.0")
     resume(tmp_path, progress=False)
     said, after = capsys.readouterr().err, json.loads((tmp_path / SETTINGS).read_text())
     assert f"scipy 9.9 instead of {before['versions']['scipy']}" in said and "python" not in said
@@ -202,7 +201,7 @@ def test_versions_that_changed_are_said_and_kept(tmp_path, interrupt, monkeypatc
 def test_versions_of_every_part_of_a_run_are_kept(tmp_path, monkeypatch):
     """Three parts, each with other versions."""
     for part in range(3):
-        monkeypatch.setattr("flexman_agents.record.version", lambda name, part=part: f"{part}.0")
+        monkeypatch.setattr("flexman_agents.settings.version", lambda name, part=part: f"{part}.0")
         run = replace(RUNS["ppo"], steps=24, judge_every=0)
         resume(tmp_path, 24, progress=False) if part else train(run, tmp_path, progress=False)
     record = json.loads((tmp_path / SETTINGS).read_text())
@@ -211,8 +210,10 @@ def test_versions_of_every_part_of_a_run_are_kept(tmp_path, monkeypatch):
 
 def test_a_file_whose_name_has_no_steps_is_left_alone(tmp_path):
     for name in ("progress-\N{SUPERSCRIPT TWO}.csv", f"progress-{'9' * 200}.csv", "progress-x.csv"):
-        (tmp_path / name).write_text(f"{STEPS}\n900\n")
-    open_curves(tmp_path, 0, 100).close()
+        (tmp_path / name).write_text(f"{STEPS_COLUMN}\n900\n")
+    open_logger(tmp_path, 0, 100).close()
     assert all(
-        path.read_text() == f"{STEPS}\n900\n" for path in tmp_path.glob("progress-?*.csv") if "100" not in path.name
+        path.read_text() == f"{STEPS_COLUMN}\n900\n"
+        for path in tmp_path.glob("progress-?*.csv")
+        if "100" not in path.name
     )

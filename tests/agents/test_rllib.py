@@ -13,14 +13,13 @@ pytest.importorskip("stable_baselines3")
 pytest.importorskip("ray.rllib.algorithms.ppo", reason="RLlib is not installed: requirements-rllib.txt")
 
 from flexman_agents import rllib
-from flexman_agents.array_runner import Moments
+from flexman_agents.rllib import Moments
 from flexman_agents.settings import Settings
-from flexman_gym.evaluation.entrants import find_entrant
-from flexman_gym.evaluation.folder import NEWEST, read_data
-from flexman_gym.evaluation.rollout import rollout
-from flexman_gym.evaluation.seeds import training_seed
+from flexman_gym.common.run_folder import NEWEST, read_data
+from flexman_gym.evaluation.agent import find_agent
+from flexman_gym.evaluation.rollout import rollout, training_seed
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 
 SETTINGS = Settings(
     "ppo", {"id": "FlexOne-v0", "base": "pd", "hold": 3, "horizon": 0.9}, 768, seed=3, envs=8,
@@ -55,7 +54,7 @@ def test_a_run_is_a_folder_that_evaluate_reads_and_whose_scales_saw_every_observ
     assert set(data["policy"]) == {f"{layer}.{part}" for part in ("weight", "bias") for layer in (
         "mlp_extractor.policy_net.0", "mlp_extractor.policy_net.2", "action_net")}  # fmt: skip
     assert [path.name for path in (run / rllib.CHECKPOINTS).iterdir()] == [str(LAST)]
-    entrant = find_entrant(str(run))
+    entrant = find_agent(str(run))
     assert np.isfinite(rollout(entrant, entrant.environment, [9000, 9001]).tips[:, -1]).all()
 
 

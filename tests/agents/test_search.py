@@ -11,13 +11,13 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from flexman_agents.recipes import find_recipe
-from flexman_agents.search import BEST, changed, search
+from flexman_agents.search import BEST, change_settings, search
+from flexman_agents.settings import find_recipe
 from flexman_agents.training import train
 from flexman_gym.__main__ import main
-from flexman_gym.evaluation.folder import NEWEST, read_data
+from flexman_gym.common.run_folder import NEWEST, read_data
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 from oracles.runs import RUNS
 
 RECIPE = replace(RUNS["ppo"], judge_every=48, schedules={}, environment={"id": "FlexOne-v0", "base": "pd", "hold": 5,
@@ -45,10 +45,11 @@ def trials(folder):
 
 
 def test_settings_are_changed_by_their_paths():
-    result = changed(RECIPE, {"hyperparameters.gamma": 0.7, "environment.hold": 2, "schedules.log_std.start": -1.0,
+    result = change_settings(RECIPE, {"hyperparameters.gamma": 0.7, "environment.hold": 2, "schedules.log_std.start":
+    -1.0,
                               "schedules.log_std.end": -2.0})  # fmt: skip
     assert result.hyperparameters["gamma"] == 0.7 and result.description.setup().hold == 2
-    assert result.schedule("log_std").at(1.0) == -2.0 and changed(RECIPE, {}) == RECIPE
+    assert result.schedule("log_std").at(1.0) == -2.0 and change_settings(RECIPE, {}) == RECIPE
 
 
 def test_the_command_reads_what_settings_may_be_as_a_file_has_it(tmp_path, capsys):

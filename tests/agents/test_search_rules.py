@@ -10,10 +10,10 @@ pytest.importorskip("stable_baselines3")
 
 from flexman_agents import search as module
 from flexman_agents.callbacks import Report
-from flexman_agents.recipes import find_recipe
-from flexman_agents.search import changed, flat, run_trial, search
+from flexman_agents.search import change_settings, flatten_ranges, run_trial, search
+from flexman_agents.settings import find_recipe
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 from oracles.runs import RUNS
 
 RECIPE = RUNS["ppo"]
@@ -146,7 +146,7 @@ def test_the_best_trial_becomes_a_recipe(optuna, monkeypatch, tmp_path):
     study.best_trial = SimpleNamespace(number=1, params={"hyperparameters.gamma": 0.7}, value=5.0)
     monkeypatch.setattr(module, "machine_text", lambda packages: "a machine")
     path = module._keep_best(study, RECIPE, tmp_path)
-    assert find_recipe(str(path)) == changed(RECIPE, {"hyperparameters.gamma": 0.7})
+    assert find_recipe(str(path)) == change_settings(RECIPE, {"hyperparameters.gamma": 0.7})
     assert path.read_text().startswith("# Found by flexman search: trial 1 of 2 (2 complete).\n")
 
 
@@ -177,4 +177,4 @@ def test_ends_between_which_nothing_lies_are_refused(ends, tmp_path):
 
 def test_a_setting_is_a_path_of_the_names_above_it():
     over = {"hyperparameters": {"gamma": {"low": 0.5, "high": 0.9}}, "envs": {"choices": [2, 3]}}
-    assert flat(over) == {"hyperparameters.gamma": {"low": 0.5, "high": 0.9}, "envs": {"choices": [2, 3]}}
+    assert flatten_ranges(over) == {"hyperparameters.gamma": {"low": 0.5, "high": 0.9}, "envs": {"choices": [2, 3]}}

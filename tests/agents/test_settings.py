@@ -6,13 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flexman_agents.recipes import FOLDER, NAMES, find_recipe
-from flexman_agents.settings import ENVS, MOST_ENVS, MOST_SEED, Schedule, Settings
-from flexman_gym.envs.catalog import flex_rrr
-from flexman_gym.evaluation.seeds import SELECTION, TEST, TRAINING, training_seed
-from flexman_gym.scene import file
+from flexman_agents.settings import ENVS, MOST_ENVS, MOST_SEED, RECIPE_FOLDER, RECIPES, Schedule, Settings, find_recipe
+from flexman_gym.common import files
+from flexman_gym.envs.config.named_environments import flex_rrr
+from flexman_gym.evaluation.rollout import SELECTION_SEEDS, TEST_SEEDS, TRAINING_SEED, training_seed
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 
 ENVIRONMENT = {"id": "FlexPlanar-v0", "base": "pd", "hold": 5, "sensors": ["full", "fine"], "horizon": 1.0}
 RECIPE = {
@@ -25,7 +24,7 @@ RECIPE = {
 @pytest.mark.parametrize("suffix", [".yaml", ".yml", ".json"])
 def test_settings_come_from_a_file_and_back_from_the_record_of_a_run(tmp_path, suffix):
     path = tmp_path / f"recipe{suffix}"
-    file.write(path, RECIPE)
+    files.write_data(path, RECIPE)
     settings = find_recipe(str(path))
     assert settings == Settings(**RECIPE) == Settings.recipe(path)
     kept = json.dumps(settings.plain() | {"versions": {}})
@@ -36,8 +35,10 @@ def test_settings_come_from_a_file_and_back_from_the_record_of_a_run(tmp_path, s
 
 
 def test_an_arm_in_a_file_is_found_beside_the_recipe_and_kept_without_it(tmp_path):
-    file.write(tmp_path / "arm.yaml", Settings(**RECIPE).plain()["environment"]["arm"] | {"payload": {"mass": 0.25}})
-    file.write(tmp_path / "recipe.yaml", RECIPE | {"environment": {"id": "FlexPlanar-v0", "arm": "arm.yaml"}})
+    files.write_data(
+        tmp_path / "arm.yaml", Settings(**RECIPE).plain()["environment"]["arm"] | {"payload": {"mass": 0.25}}
+    )
+    files.write_data(tmp_path / "recipe.yaml", RECIPE | {"environment": {"id": "FlexPlanar-v0", "arm": "arm.yaml"}})
     settings = Settings.recipe(tmp_path / "recipe.yaml")
     (tmp_path / "arm.yaml").unlink()
     assert settings.description.setup().arm.payload.mass == 0.25
@@ -60,10 +61,10 @@ def test_sac_may_learn_from_its_first_step():
     assert Settings("sac", hyperparameters={"learning_starts": 0}).hyperparameters == {"learning_starts": 0}
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", RECIPES)
 def test_every_recipe_can_be_read_and_trained(name):
     settings = find_recipe(name)
-    assert settings == Settings.recipe(FOLDER / f"{name}.yaml")
+    assert settings == Settings.recipe(RECIPE_FOLDER / f"{name}.yaml")
     assert settings.steps > 0 and settings.description.setup()
 
 
@@ -109,7 +110,7 @@ def test_a_bad_recipe_names_its_file_and_the_field(tmp_path):
         ({"step": 3}, "settings: 'step' is not"),
         (3, "this is no mapping"),
     ):
-        file.write(path, data)
+        files.write_data(path, data)
         assert refusal(Settings.recipe, path).startswith(f"{path}: {line}")
     with pytest.raises(FileNotFoundError, match=r"^recipe: nothing is not allowed; give a file, or one of "):
         find_recipe("nothing")
@@ -154,6 +155,6 @@ def test_bad_schedules_are_named(values, line):
 def test_seeds_of_training_selection_and_test_are_disjoint(run, other, arm):
     """Also those of the arms of two runs."""
     first = training_seed(run) + arm
-    assert first not in SELECTION and first not in TEST and set(SELECTION).isdisjoint(TEST)
+    assert first not in SELECTION_SEEDS and first not in TEST_SEEDS and set(SELECTION_SEEDS).isdisjoint(TEST_SEEDS)
     assert run == other or abs(training_seed(other) - training_seed(run)) >= MOST_ENVS
-    assert max(TEST.stop, SELECTION.stop) < TRAINING and len(TEST) == len(SELECTION) == 100
+    assert max(TEST_SEEDS.stop, SELECTION_SEEDS.stop) < TRAINING_SEED and len(TEST_SEEDS) == len(SELECTION_SEEDS) == 100

@@ -10,19 +10,22 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-pytest.importorskip("stable_baselines3")
-
 from flexman_agents import callbacks
-from flexman_agents.algorithm import hyperparameters, make_model
-from flexman_agents.callbacks import Judge
+from flexman_agents.callbacks import Evaluation
+from flexman_agents.sb3 import algorithm_arguments, make_model
 from flexman_agents.settings import Settings
 from flexman_agents.training import load_settings, resume, train
-from flexman_gym.evaluation.entrants import find_entrant
-from flexman_gym.evaluation.figures import FIGURES
-from flexman_gym.evaluation.folder import BEST, NEWEST, SETTINGS, read_data, write_data
-from flexman_gym.evaluation.seeds import training_seed
+from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_data, write_data
+from flexman_gym.evaluation import METRICS, rollout
+from flexman_gym.evaluation.agent import find_agent
+from flexman_gym.evaluation.rollout import SELECTION_SEEDS, training_seed
+from flexman_gym.league.rows import run_league
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
+from oracles.runs import RUNS
+
+pytest.importorskip("stable_baselines3")
+
 
 PD = {"id": "FlexOne-v0", "base": "pd", "hold": 5, "sensors": ["full", "fine"], "horizon": 1.0}
 SHORT = Settings(
@@ -35,7 +38,7 @@ SIZE = 18 + 14  # numbers that a FlexOne agent sees with both sensors
 def acts(folder):
     """What the policy of a run does with some observations."""
     observations = np.linspace(-0.5, 0.5, 3 * SIZE).reshape(3, SIZE).astype(np.float32)
-    return find_entrant(str(folder)).interface["base"].network(observations)
+    return find_agent(str(folder)).interface["base"].network(observations)
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +126,7 @@ def test_a_run_that_keeps_its_best_policy_goes_on_only_where_it_is_judged(traine
         == f"judge_every: 0 is not allowed; give the steps between evaluations, > 0: {folder} keeps its best policy"
     )
     rewards = iter([-1e6, 1e6, 0.0])  # the last at the end
-    monkeypatch.setattr(callbacks, "evaluate", lambda *given: dict.fromkeys(FIGURES, 1.0) | {"reward": next(rewards)})
+    monkeypatch.setattr(callbacks, "evaluate", lambda *given: dict.fromkeys(METRICS, 1.0) | {"reward": next(rewards)})
     kept = []
     monkeypatch.setattr(
         "flexman_agents.training.write_data", lambda path, data: kept.append((path.name, data.get("before")))
@@ -171,7 +174,7 @@ def test_the_best_policy_is_the_one_that_acts(trained, tmp_path):
 
 
 def test_hyperparameters_are_those_of_the_settings_before_the_defaults():
-    chosen = hyperparameters(replace(SHORT, hyperparameters={"gamma": 0.9, "activation": "relu", "n_steps": 10}))
+    chosen = algorithm_arguments(replace(SHORT, hyperparameters={"gamma": 0.9, "activation": "relu", "n_steps": 10}))
     assert chosen["gamma"] == 0.9 and chosen["gae_lambda"] == 0.99 and chosen["n_steps"] == 10
     assert chosen["batch_size"] == 20, "not more than two arms give in ten steps"
     assert chosen["policy_kwargs"]["activation_fn"].__name__ == "ReLU"
@@ -211,15 +214,15 @@ def test_a_refused_training_leaves_no_folder(tmp_path):
 
 def test_missing_and_broken_runs_give_one_line(trained, tmp_path):
     with pytest.raises(FileNotFoundError, match="is not allowed; give the folder of a training run, or one of pd, lqr"):
-        find_entrant(str(tmp_path / "nothing"))
+        find_agent(str(tmp_path / "nothing"))
     with pytest.raises(FileNotFoundError, match=f"{SETTINGS}: no such file; give a folder"):
-        find_entrant(str(tmp_path))
+        find_agent(str(tmp_path))
     (tmp_path / SETTINGS).write_text("{}")
     with pytest.raises(ValueError, match="give the settings of a training run"):
-        find_entrant(str(tmp_path))
+        find_agent(str(tmp_path))
     (tmp_path / SETTINGS).write_text((trained[0] / SETTINGS).read_text())
     with pytest.raises(FileNotFoundError, match=f"{NEWEST}: no such file"):
-        find_entrant(str(tmp_path))
+        find_agent(str(tmp_path))
     with pytest.raises(FileNotFoundError, match=f"{SETTINGS}: no such file"):
         resume(tmp_path / "nothing", 64)
 
@@ -236,10 +239,10 @@ def judge_with(monkeypatch, outcomes, rollout=50):
         assert entrant.interface.items() >= {"base": "pd", "hold": 5, "sensors": ["full", "fine"]}.items()
         assert seeds == range(5000, 5100)
         assert environment.id == "FlexOne-v0" and not {"base", "hold", "sensors"} & environment.settings.keys()
-        return dict.fromkeys(FIGURES, 0.0) | {"settled": share, "reward": reward}
+        return dict.fromkeys(METRICS, 0.0) | {"settled": share, "reward": reward}
 
     monkeypatch.setattr(callbacks, "evaluate", evaluate)
-    judge = Judge(replace(SHORT, judge_every=100), None, lambda: kept.append(judge.num_timesteps))
+    judge = Evaluation(replace(SHORT, judge_every=100), None, lambda: kept.append(judge.num_timesteps))
     judge.model = SimpleNamespace(logger=SimpleNamespace(record=lambda name, value: logged.append((name, value))))
     for step in range(rollout, 100 * len(outcomes) + 1, rollout):
         judge.num_timesteps = step
@@ -272,9 +275,9 @@ def test_two_judgements_are_never_nearer_than_asked_for(monkeypatch):
 
 def test_the_curves_show_what_the_judge_has_seen_with_its_units(monkeypatch):
     logged = {}
-    seen = dict.fromkeys(FIGURES, 0.0) | {"settling_time": 2.0, "vibration": 0.2, "error": 0.02}
+    seen = dict.fromkeys(METRICS, 0.0) | {"settling_time": 2.0, "vibration": 0.2, "error": 0.02}
     monkeypatch.setattr(callbacks, "evaluate", lambda *given: seen)
-    judge = Judge(replace(SHORT, judge_every=1), None, lambda: None)
+    judge = Evaluation(replace(SHORT, judge_every=1), None, lambda: None)
     judge.model = SimpleNamespace(logger=SimpleNamespace(record=logged.__setitem__))
     judge.num_timesteps = 1
     judge._on_rollout_end()
@@ -290,7 +293,25 @@ def test_at_first_the_value_function_learns_alone():
     policy, value = model.policy.mlp_extractor.policy_net[0], model.policy.mlp_extractor.value_net[0]
     assert not model.policy.action_net.weight.any() and not model.policy.action_net.bias.any()
     before = [each.weight.detach().clone() for each in (policy, value)]
-    model.learn(64, callback=callbacks.ValueFirst(64))
+    model.learn(64, callback=callbacks.ValueWarmup(64))
     assert (policy.weight == before[0]).all() and (value.weight != before[1]).any()
-    model.learn(64, callback=callbacks.ValueFirst(64), reset_num_timesteps=False)
+    model.learn(64, callback=callbacks.ValueWarmup(64), reset_num_timesteps=False)
     assert (model.policy.action_net.weight != 0.0).any()
+
+
+pytest.importorskip("stable_baselines3")
+
+
+def test_a_run_plays_as_by_itself_and_is_played_anew_when_it_has_learned(tmp_path):
+    folder, said = str(tmp_path / "run"), []
+    train(RUNS["ppo"], tmp_path / "run", progress=False)
+    for _ in range(2):
+        book = run_league([folder], ["FlexOne-v0"], range(9000, 9002), tmp_path, say=said.append)
+    values = [row.values[: len(METRICS)] for _, row in sorted(book.rows.items())]
+    records = rollout(folder, "FlexOne-v0", range(9000, 9002)).records
+    assert values == [tuple(figure.of(record) for figure in METRICS.values()) for record in records]
+    assert len(said) == 1, "nothing is played twice"
+    (tmp_path / "run" / "best.npz").unlink()  # the newest policy acts now
+    run_league([folder], ["FlexOne-v0"], range(9000, 9002), tmp_path, say=said.append)
+    assert len(said) == 2
+    assert "nor chosen on the seed 5000" in refusal(run_league, [folder], ["FlexOne-v0"], SELECTION_SEEDS, tmp_path)

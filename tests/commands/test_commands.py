@@ -1,23 +1,28 @@
 """Commands: each does what its help says, in few lines, and says what is wrong in one."""
 
+import json
 import subprocess
 import sys
 from argparse import Namespace
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.__main__ import GROUPS, about, main
+from flexman_gym.__main__ import GROUPS, command_summary, main
 from flexman_gym.commands import league
 from flexman_gym.commands.list import WHAT
+from flexman_gym.commands.why import diagnosis_lines as told
 from flexman_gym.control import BASES
 from flexman_gym.envs import NAMED
-from flexman_gym.envs.description import CONDITIONS
+from flexman_gym.envs.config.description import CONDITIONS, Description
 from flexman_gym.envs.sensors import NAMES
-from flexman_gym.evaluation.league import Book, Cell
-from flexman_gym.evaluation.venues import USUAL, physical_names
+from flexman_gym.evaluation.diagnosis import HELP, RINGING, Diagnosis, diagnose
+from flexman_gym.league import certificate
+from flexman_gym.league.rows import EpisodeBlock, LeagueRows
+from flexman_gym.league.scenarios import USUAL_SCENARIOS, plant_scenarios
 
 from oracles.files import REFERENCE, ROOT
 
@@ -36,7 +41,7 @@ def test_help_names_every_command_and_fits_a_screen(capsys):
         assert stop.value.code == 0 and len(said.splitlines()) <= SCREEN, given
         if given == ["--help"]:
             assert all(f"    {name} " in said or f"    {name}\n" in said for name in COMMANDS)
-    assert all(about(name).endswith(".") for name in COMMANDS)
+    assert all(command_summary(name).endswith(".") for name in COMMANDS)
 
 
 def test_help_has_every_command_in_one_group_and_a_line(capsys):
@@ -170,12 +175,12 @@ def test_the_league_is_played_and_grows(tmp_path, capsys):
 
 def test_a_league_takes_few_episodes_on_other_plants_and_those_of_others_for_one_more():
     plain = Namespace(environments=None, episodes=None, physical=False, sweep=[], add=None, seed=9000)
-    assert league._venues(plain, Book()) == {100: [*USUAL]}
-    assert league._venues(Namespace(**vars(plain) | {"physical": True}), Book()) == {10: physical_names()}
-    cells = [Cell("", "pd", *each) for each in (("a", 9000, 9025), ("a", 9025, 9050), ("b@finer", 9000, 9010))]
+    assert league._scenarios(plain, LeagueRows()) == {100: [*USUAL_SCENARIOS]}
+    assert league._scenarios(Namespace(**vars(plain) | {"physical": True}), LeagueRows()) == {10: plant_scenarios()}
+    cells = [EpisodeBlock("", "pd", *each) for each in (("a", 9000, 9025), ("a", 9025, 9050), ("b@finer", 9000, 9010))]
     more = Namespace(**vars(plain) | {"add": ["run"]})
-    assert league._venues(more, Book(cells=cells)) == {50: ["a"], 10: ["b@finer"]}
-    assert league._venues(more, Book()) == {100: [*USUAL]}
+    assert league._scenarios(more, LeagueRows(cells=cells)) == {50: ["a"], 10: ["b@finer"]}
+    assert league._scenarios(more, LeagueRows()) == {100: [*USUAL_SCENARIOS]}
 
 
 @pytest.mark.parametrize(
@@ -217,3 +222,76 @@ def test_a_command_without_its_packages_names_the_extra():
     line = "training needs stable_baselines3, torch: pip install 'flexman_gym[train]'"
     assert done.stderr.strip() == line
     assert demo.stderr.strip() == line.replace("[train]", "[train,render]"), "what else it needs is said at once"
+
+
+@pytest.mark.parametrize(("fails", "status", "words"), [
+    ([], 0, "recommended"), (["delay 3", "finer"], 1, "not recommended, it fails delay 3, finer"),
+])  # fmt: skip
+def test_the_exit_status_says_whether_a_policy_is_recommended(fails, status, words, tmp_path, monkeypatch, capsys):
+    path = tmp_path / "certificate.json"
+    path.write_text(json.dumps({"arrays_hash": "", "fails": fails}))
+    monkeypatch.setattr(certificate, "certify", lambda *_, **__: path)
+    assert main(["certify", "lab-flexrrr"]) == status
+    assert capsys.readouterr().out == f"{path}: {words}\n"
+
+
+LEAGUE = Path(__file__).parents[2] / "docs" / "league"
+
+
+def drawn(capsys, *words):
+    """Files that the command says it has written, once they are pictures."""
+    assert main(["draw", *map(str, words)]) == 0
+    files = [Path(line) for line in capsys.readouterr().out.splitlines()]
+    assert all(file.read_bytes().startswith(b"\x89PNG") for file in files)
+    return files
+
+
+@pytest.mark.parametrize("what", ["modes", "bode", "campbell"])
+def test_a_picture_of_an_environment_is_the_file_that_was_named(what, tmp_path, capsys):
+    assert drawn(capsys, what, "FlexOne-v0", "--out", tmp_path / "a.png") == [tmp_path / "a.png"]
+
+
+def test_pictures_of_a_league_go_into_the_folder_that_was_named(tmp_path, capsys):
+    before = {file: file.stat().st_mtime_ns for file in LEAGUE.iterdir()}
+    assert {file.parent for file in drawn(capsys, "robustness", LEAGUE, "--out", tmp_path / "new")} == {
+        tmp_path / "new"
+    }
+    assert {file: file.stat().st_mtime_ns for file in LEAGUE.iterdir()} == before
+    assert main(["draw", "league", str(LEAGUE), "--out", str(tmp_path / "one.png")]) == 2
+    assert "one.png is not allowed; give a folder" in capsys.readouterr().err
+
+
+GIVEN = ["--env", "FlexPlanar-v0", "--episodes", "2", "--seed", "3", "--set", "horizon=1.0"]
+
+
+def test_it_tells_of_each_entrant_the_shares_the_largest_first(capsys):
+    assert main(["why", "pd", "zero", *GIVEN]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(" on ")[0] for line in lines if not line.startswith(" ")] == ["pd", "zero"]
+    found = diagnose("pd", Description("FlexPlanar-v0", {"horizon": 1.0}), [3, 4])
+    for cause in HELP:
+        line = next(line for line in lines if line.startswith(f"  {cause} "))
+        share = 100.0 * sum(each.shares[cause] for each in found) / 2.0
+        assert abs(float(line.split("%")[0].split()[-1]) - share) < 0.051
+        assert f"the largest share of {sum(each.cause == cause for each in found)} episodes" in line
+    shares = [float(line.split("%")[0].split()[-1]) for line in lines[1:7]]
+    assert shares == sorted(shares, reverse=True)
+    worst = next(cause for cause in HELP if lines[1].startswith(f"  {cause} "))
+    assert lines[7] == f"  what would help: {HELP[worst]}"
+
+
+def test_where_nothing_is_left_nothing_has_to_help(capsys):
+    assert main(["why", "lqr-tracking", "--env", "FlexPlanar-v0", "--episodes", "1", "--seed", "9003"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "  what would help: nothing is needed, so little is left"
+
+
+def test_it_takes_what_evaluate_takes(capsys):
+    assert main(["why", "nobody", *GIVEN]) == 2
+    assert capsys.readouterr().err.startswith("entrant: nobody is not allowed; give the folder of a training run")
+
+
+def test_one_quiet_episode_does_not_hide_one_that_rings():
+    shares = dict.fromkeys(HELP, 0.0) | {RINGING: 1.0}
+    still, ringing = (Diagnosis(rms, quiet, shares, ()) for rms, quiet in ((1e-6, True), (0.05, False)))
+    assert told("pd", [still, ringing])[-1] == f"  what would help: {HELP[RINGING]}"
+    assert told("pd", [still, still])[-1].endswith("nothing is needed, so little is left")

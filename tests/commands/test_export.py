@@ -8,14 +8,14 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from flexman_gym.__main__ import main
-from flexman_gym.evaluation import evaluate, find_entrant
-from flexman_gym.evaluation.folder import SETTINGS
-from flexman_gym.evaluation.shipped import read_shipped
-from flexman_gym.evaluation.shipping import bundled
+from flexman_gym.common.run_folder import SETTINGS
+from flexman_gym.evaluation import evaluate, find_agent
+from flexman_gym.evaluation.export import package_folder
+from flexman_gym.evaluation.policy_files import read_policy
 
 from oracles import shipped as made
+from oracles.assertions import refusal
 from oracles.mutants import policy
-from oracles.refusals import refusal
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +33,8 @@ def run(tmp_path_factory):
 def test_a_run_becomes_a_policy_that_reaches_the_same(run, tmp_path, capsys):
     words = ["export", "policy", str(run), str(tmp_path / "a"), "--words", "It has not learned.", "--recipe", "none"]
     assert main(words) == 0 and "holds the policy: settled " in capsys.readouterr().out
-    about = read_shipped(tmp_path / "a").about
-    one, other = find_entrant(str(run)), find_entrant(str(tmp_path / "a"))
+    about = read_policy(tmp_path / "a").about
+    one, other = find_agent(str(run)), find_agent(str(tmp_path / "a"))
     assert one.environment.whole() == other.environment.whole()
     figures = evaluate(one, one.environment, range(9000, 9100))
     assert figures == evaluate(other, one.environment, range(9000, 9100))
@@ -54,15 +54,15 @@ def test_it_may_be_for_another_environment_with_what_acts_as_it_was(run, tmp_pat
     (tmp_path / "heavy.yaml").write_text("id: FlexOne-v0\nhorizon: 0.4\n")
     words = ["export", "policy", str(run), str(tmp_path / "a"), "--words", "W.", "--env", str(tmp_path / "heavy.yaml")]
     assert main(words) == 0
-    about = read_shipped(tmp_path / "a").about
+    about = read_policy(tmp_path / "a").about
     assert (about["environment"]["horizon"], about["environment"]["hold"]) == (0.4, 3)
     assert about["recipe"]["settings"]["environment"]["horizon"] == 0.6
 
 
 def test_a_name_is_no_path():
-    assert bundled("ppo-own").name == "ppo-own" and bundled("ppo-own").parent.name == "policies"
+    assert package_folder("ppo-own").name == "ppo-own" and package_folder("ppo-own").parent.name == "policies"
     for wrong in ("../a", "", "a b", "-", "a-", "ppo-\N{SUPERSCRIPT TWO}", "a" * 300, "a\n"):
-        assert refusal(bundled, wrong).startswith("name: ")
+        assert refusal(package_folder, wrong).startswith("name: ")
 
 
 def test_a_graph_gives_the_actions_of_numpy(tmp_path, capsys):

@@ -7,8 +7,8 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.__main__ import main
-from flexman_gym.control.modes import ringing_modes
-from flexman_gym.envs.setup import build, setup_of
+from flexman_gym.control.input_shaping.shapers import ringing_modes
+from flexman_gym.envs.config.setup import build, setup_of
 
 from oracles.files import REFERENCE
 

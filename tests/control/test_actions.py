@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from flexman_gym.control.actions import ACTIONS, Mode, Torque
+from flexman_gym.control.actions import ACTIONS, ActionModeEntry, TorqueMode
 from flexman_gym.control.network import Network
 from flexman_gym.control.policy import Policy
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 
 SETTINGS = {"name": "FlexPlanar-v0", "horizon": 0.3}
 
@@ -37,7 +37,7 @@ class Winding:
 
 @pytest.fixture
 def winding(monkeypatch):
-    monkeypatch.setitem(ACTIONS, "winding", Mode(Winding, ("rate",)))
+    monkeypatch.setitem(ACTIONS, "winding", ActionModeEntry(Winding, ("rate",)))
     return {**SETTINGS, "actions": {"kind": "winding", "rate": 0.02}, "base": "pd"}
 
 
@@ -87,7 +87,7 @@ def test_a_policy_acts_in_its_mode_wherever_it_plays(winding):
     for _ in range(10):
         alone.step(np.zeros((3, 2), dtype=np.float32))
     assert np.array_equal(asked, played) and np.abs(asked).max() > 0.01
-    said = refusal(lambda: Policy(network, beside.setup.sensors, mode=Torque(2)))
+    said = refusal(lambda: Policy(network, beside.setup.sensors, mode=TorqueMode(2)))
     assert said == "actions: ('torque_1', 'torque_2') is not allowed; give a mode of 1 numbers, which the policy gives"
 
 
@@ -103,9 +103,9 @@ def test_torques_are_added_to_a_base_up_to_the_limits():
 
     given = np.array([[0.5, -0.5], [-1.0, 0.125]])
     playing = np.ones(2, dtype=bool)
-    assert Torque(2).act(given, {}, given, playing) is given, "without a base they are what they are"
-    assert Torque(2, Half()).act(given, {}, given, playing).tolist() == [[1.0, 0.25], [-0.25, 0.875]]
-    assert Torque(2).names == ("torque_1", "torque_2")
+    assert TorqueMode(2).act(given, {}, given, playing) is given, "without a base they are what they are"
+    assert TorqueMode(2, Half()).act(given, {}, given, playing).tolist() == [[1.0, 0.25], [-0.25, 0.875]]
+    assert TorqueMode(2).names == ("torque_1", "torque_2")
 
 
 @pytest.mark.parametrize(

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from flexman_gym.control.estimator import Estimator
+from flexman_gym.control.observers.estimator import Estimator
 from flexman_gym.model.statics import rest_states
 from flexman_gym.simulation.batch import Batch
 
-from oracles.bench import Bench, drawn_parameters, pushes, small_plant
+from oracles.observed_arms import Bench, drawn_parameters, pushes, small_plant
 
 UNKNOWN = {"payload_mass": (0.0, 0.3), "joint_stiffness_factor": (0.7, 1.3), "link_stiffness_factor": (0.7, 1.3)}
 PLANAR = {"payload_mass": (0.0, 0.2), "joint_stiffness_factor": (0.7, 1.3), "link_stiffness_factor": (0.7, 1.3)}

@@ -1,20 +1,128 @@
-"""LQR: stable about its goal, exact at rest, within the limits, and the same for an arm alone and among many."""
+"""Linear-quadratic regulators: sampled model, optimal gain, control at the goal and along a slew."""
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 
 import flexman_gym as fm
-from flexman_gym.control import LQR, Controller, Episode, TrackingLQR
-from flexman_gym.control.discrete import Weights, zero_order_hold
-from flexman_gym.control.lqr import SHARE
-from flexman_gym.control.reference import plan_path, plan_slew
-from flexman_gym.control.timing import LAWS, minimum_jerk
-from flexman_gym.envs.catalog import NAMED
+from flexman_gym.control import LQR, Controller, EpisodeInfo, TrackingLQR
+from flexman_gym.control.lqr import SHARE, CostWeights, optimal_gain, zero_order_hold
+from flexman_gym.control.references.trajectories import TIMING_LAWS, minimum_jerk, plan_path, plan_slew
+from flexman_gym.envs.config.named_environments import NAMED
+from flexman_gym.envs.config.setup import build, setup_of
 from flexman_gym.envs.sensors import SENSORS
-from flexman_gym.envs.setup import build, setup_of
+from flexman_gym.model.state_space import LinearModel
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
+from oracles.chains import QUICK, samples
+
+PERIOD = 0.02
+
+
+def linear_model(A, B, C):
+    """A linear model of plain matrices."""
+    return LinearModel(np.array(A), np.array(B), np.array(C), np.zeros((len(C), len(B[0]))))
+
+
+def double_integrator(inertia, length=1.0):
+    """A rigid link on a motor: angle and rate, moved by a torque; its tip moves along y."""
+    return linear_model([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1 / inertia]], [[0, 0], [length, 0], [0, 0]])
+
+
+@given(st.floats(1e-3, 10.0), st.floats(1e-3, 1.0))
+def test_a_sampled_double_integrator_is_its_closed_form(inertia, period):
+    transition, inputs = zero_order_hold(double_integrator(inertia), period)
+    assert transition == pytest.approx(np.array([[1.0, period], [0.0, 1.0]]), rel=1e-12)
+    assert inputs == pytest.approx(np.array([[period**2 / 2], [period]]) / inertia, rel=1e-12)
+
+
+def test_the_transition_is_the_finely_integrated_solution():
+    """Of a flexible arm in a bent posture under gravity, from a random state with constant torques."""
+    model = fm.build_model(fm.catalog.vertical_2r(), 1, 2)
+    posture, rng = np.array([0.4, -0.7]), np.random.default_rng(0)
+    held = fm.holding_torques(model, posture)
+    linear = fm.linearize(model, state=fm.rest_state(model, posture), torque=held)
+    x, torque = rng.standard_normal(2 * model.n_dof), rng.standard_normal(2)
+    transition, inputs = zero_order_hold(linear, PERIOD)
+
+    def rate(time, state):
+        return linear.A @ state + linear.B @ torque
+
+    result = solve_ivp(rate, (0.0, PERIOD), x, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+    assert np.abs(transition @ x + inputs @ torque - result).max() <= 1e-8 * np.abs(result).max()
+
+
+@settings(QUICK, max_examples=10)
+@given(samples(most_links=2, flexible_joints=True), st.floats(1e-4, 1e-3))
+def test_two_half_periods_are_a_period(sample, period):
+    linear = fm.linearize(sample.model)
+    whole, half = zero_order_hold(linear, period), zero_order_hold(linear, period / 2)
+    for result, expected in zip(whole, (half[0] @ half[0], half[0] @ half[1] + half[1]), strict=True):
+        assert np.abs(result - expected).max() <= 1e-8 * np.abs(expected).max()
+
+
+@given(st.floats(0.2, 3.0), st.floats(0.1, 100.0), st.floats(0.05, 5.0))
+def test_the_gain_of_a_scalar_is_the_root_of_its_quadratic_equation(fall, limit, speed):
+    """Only the rate is moved: p = q + a^2 p - (a b p)^2 / (r + b^2 p), so k = a b p / (r + b^2 p)."""
+    linear = linear_model([[-1.0, 0.0], [0.0, -fall]], [[0.0], [2.0]], [[0, 0], [1, 0], [0, 0]])
+    weights = CostWeights(tip=1.0, tip_speed=speed, motor=1.0)
+    gain = optimal_gain(linear, np.array([0]), np.array([limit]), weights, 0.1)
+    a, b = np.exp(-0.1 * fall), 2.0 * (1 - np.exp(-0.1 * fall)) / fall
+    q, r = 1 / speed**2, 1 / limit**2
+    half = (r - a * a * r - b * b * q) / (2 * b * b)
+    p = -half + np.sqrt(half**2 + q * r / b**2)
+    assert gain == pytest.approx(np.array([[0.0, a * b * p / (r + b * b * p)]]), rel=1e-7, abs=1e-9)
+
+
+def cost(linear, gain, weights, limit, x):
+    """The cost of an episode from x, by its definition."""
+    transition, inputs = zero_order_hold(linear, PERIOD)
+    total = 0.0
+    for _ in range(3000):
+        torque = -gain @ x
+        tip, speed = linear.C[:, : len(x) // 2] @ x[: len(x) // 2], linear.C[:, : len(x) // 2] @ x[len(x) // 2 :]
+        total += tip @ tip / weights.tip**2 + speed @ speed / weights.tip_speed**2
+        total += (x[0] / weights.motor) ** 2 + (torque @ torque) / limit**2
+        x = transition @ x + inputs @ torque
+    return total
+
+
+def test_no_gain_nearby_costs_less():
+    linear, weights, limit = double_integrator(0.5, 2.0), CostWeights(0.2, 1.0, 0.5), 3.0
+    gain = optimal_gain(linear, np.array([0]), np.array([limit]), weights, PERIOD)
+    x = np.array([1.0, -0.5])
+    best = cost(linear, gain, weights, limit, x)
+    for change in ([0.03, 0.0], [-0.03, 0.0], [0.0, 0.03], [0.0, -0.03]):
+        assert cost(linear, gain * (1 + np.array(change)), weights, limit, x) > best * (1 + 1e-6)
+
+
+def test_the_angle_of_a_motor_weighs_wherever_it_stands_in_the_state():
+    """Beside a coordinate that nothing moves, which comes to rest by itself, its gain is that of the motor alone."""
+    weights, limit = CostWeights(0.2, 1.0, 0.5), np.array([3.0])
+    alone = optimal_gain(double_integrator(0.5, 0.0), np.array([0]), limit, weights, PERIOD)
+    A = [[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0], [-9.0, 0.0, -3.0, 0.0], [0.0, 0.0, 0.0, 0.0]]
+    beside = linear_model(A, [[0.0], [0.0], [0.0], [1 / 0.5]], np.zeros((3, 2)))
+    gain = optimal_gain(beside, np.array([1]), limit, weights, PERIOD)
+    assert gain[:, [1, 3]] == pytest.approx(alone, rel=1e-8) and gain[:, [0, 2]] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_units_of_torque_do_not_matter():
+    """Inertia and limits a thousand times as large ask for a thousand times the torque."""
+    weights = CostWeights(0.2, 1.0, 0.5)
+    one, many = (
+        optimal_gain(double_integrator(scale), np.array([0]), np.array([3.0 * scale]), weights, PERIOD)
+        for scale in (1.0, 1000.0)
+    )
+    assert many == pytest.approx(1000.0 * one, rel=1e-8)
+
+
+def test_a_period_that_is_none_is_refused():
+    line = refusal(zero_order_hold, double_integrator(1.0), 0.0)
+    assert line == "period: 0.0 is not allowed; give a finite number > 0 (s)"
+
 
 PERIOD, ALL = 0.02, np.arange(3)
 
@@ -47,7 +155,7 @@ def test_the_sampled_closed_loop_is_stable_at_any_posture(name):
 def test_an_arm_at_rest_on_its_goal_is_held_and_nothing_else(kind):
     controller = designed(kind)
     goals = postures(controller, 3)[1]
-    controller.reset(ALL, Episode(goals, goals, PERIOD))
+    controller.reset(ALL, EpisodeInfo(goals, goals, PERIOD))
     states = np.array([fm.rest_state(controller.model, goal) for goal in goals])
     held = np.array([fm.holding_torques(controller.model, goal) for goal in goals])
     for _ in range(3):
@@ -58,10 +166,10 @@ def test_an_arm_at_rest_on_its_goal_is_held_and_nothing_else(kind):
 def test_an_arm_among_many_gets_what_an_arm_alone_gets_to_the_bit(kind):
     many, rng = designed(kind), np.random.default_rng(3)
     starts, goals = postures(many, 3)
-    many.reset(ALL, Episode(starts, goals, PERIOD))
+    many.reset(ALL, EpisodeInfo(starts, goals, PERIOD))
     singles = [designed(kind) for _ in ALL]
     for single, start, goal in zip(singles, starts, goals, strict=True):
-        single.reset(np.array([0]), Episode(start[None], goal[None], PERIOD))
+        single.reset(np.array([0]), EpisodeInfo(start[None], goal[None], PERIOD))
     for _ in range(5):
         states = 0.1 * rng.standard_normal((3, 2 * many.model.n_dof))
         actions = many.act({"state": states})
@@ -75,15 +183,15 @@ def test_a_new_episode_of_one_arm_changes_nothing_for_the_others(kind):
     one, other = designed(kind), designed(kind)
     starts, goals = postures(one, 3)
     for each in (one, other):
-        each.reset(ALL, Episode(starts, goals, PERIOD))
+        each.reset(ALL, EpisodeInfo(starts, goals, PERIOD))
     states = np.array([fm.rest_state(one.model, start) for start in starts])
     for _ in range(4):
         assert np.array_equal(one.torques(states), other.torques(states))
-    one.reset(np.array([1]), Episode(goals[1:2], starts[1:2], PERIOD))
+    one.reset(np.array([1]), EpisodeInfo(goals[1:2], starts[1:2], PERIOD))
     again, before = one.torques(states), other.torques(states)
     assert np.array_equal(again[[0, 2]], before[[0, 2]]) and (again[1] != before[1]).any()
     fresh = designed(kind)
-    fresh.reset(np.array([0]), Episode(goals[1:2], starts[1:2], PERIOD))
+    fresh.reset(np.array([0]), EpisodeInfo(goals[1:2], starts[1:2], PERIOD))
     assert np.array_equal(fresh.torques(states[1:2])[0], again[1]), "it begins at the beginning"
 
 
@@ -96,7 +204,7 @@ def followed_gains(controller, start, goal):
     slew = plan_slew(model, start, goal, controller.limits, SHARE, controller.period)
     off = np.vstack([np.zeros(size), np.eye(size)])
     goals = np.repeat(goal[None], size + 1, 0)
-    controller.reset(np.arange(size + 1), Episode(np.repeat(start[None], size + 1, 0), goals, PERIOD))
+    controller.reset(np.arange(size + 1), EpisodeInfo(np.repeat(start[None], size + 1, 0), goals, PERIOD))
     torques = np.array([controller.torques(state + off)[:, 0] for state in slew.states])
     return torques[:, :1] - torques[:, 1:], slew.states[:, model.motor_columns[0]]
 
@@ -120,7 +228,7 @@ def test_an_arm_that_starts_at_its_goal_is_held_more_tightly():
     off = fm.rest_state(regulator.model, goal[0])[None]
     off[0, regulator.model.motor_columns] += 0.01
     for controller, start in ((regulator, goal), (holding, goal), (slewing, goal - 0.1)):
-        controller.reset(np.array([0]), Episode(start, goal, PERIOD))
+        controller.reset(np.array([0]), EpisodeInfo(start, goal, PERIOD))
     slewing._now += 10**6
     loose, tight, after = (each.torques(off)[0] - regulator._held[0] for each in (regulator, holding, slewing))
     assert (loose < 0.0).all() and (tight < 1.2 * loose).all() and after == pytest.approx(loose, rel=1e-6)
@@ -129,7 +237,7 @@ def test_an_arm_that_starts_at_its_goal_is_held_more_tightly():
 def test_feed_forward_leaves_a_part_of_the_limits_for_feedback():
     controller = designed(TrackingLQR)
     starts, goals = postures(controller, 1)
-    controller.reset(np.array([0]), Episode(starts, goals, PERIOD))
+    controller.reset(np.array([0]), EpisodeInfo(starts, goals, PERIOD))
     asked = np.array([controller.act({"state": state}) for state in controller._plans[0].states])
     assert 0.9 * SHARE < np.abs(asked).max() <= 1.01 * SHARE < 0.97
 
@@ -140,7 +248,7 @@ def test_along_a_path_gains_and_torques_are_those_of_the_moment():
     model, periods = controller.model, 48  # a design at every other period
     way = minimum_jerk(np.linspace(0.0, 1.0, periods + 1))[0]
     path, one = way[:, None] * [0.4, -0.8], np.array([0])
-    controller.reset(one, Episode(path[None, 0], path[None, 0], PERIOD, lambda: path[None]))
+    controller.reset(one, EpisodeInfo(path[None, 0], path[None, 0], PERIOD, lambda: path[None]))
     slew = plan_path(model, path, controller.period)
     on_it = np.array([controller.torques(state[None])[0] for state in slew.states])
     assert on_it[:-1] == pytest.approx(slew.torques, abs=1e-9)
@@ -157,7 +265,7 @@ def test_on_its_plan_the_tracking_one_only_feeds_forward():
     """Following the planned states to the digit it gives the planned torques, then those that hold."""
     controller = designed(TrackingLQR)
     starts, goals = postures(controller, 1)
-    controller.reset(np.array([0]), Episode(starts, goals, PERIOD))
+    controller.reset(np.array([0]), EpisodeInfo(starts, goals, PERIOD))
     states, torques, gains, _ = controller._plans[0]
     assert len(torques) == len(states) and len(gains) == 3
     for state, torque in zip(states, torques, strict=True):
@@ -201,16 +309,16 @@ def test_weights_are_parts_of_the_reach():
     model, limits = build(setup_of({})).model, (400.0,) * 3
     posture = np.array([0.1, 0.2, -0.3])
     assert np.array_equal(
-        LQR(model, limits, 0.02).gain(posture), LQR(model, limits, 0.02, Weights(0.2, 1.0, 0.5)).gain(posture)
+        LQR(model, limits, 0.02).gain(posture), LQR(model, limits, 0.02, CostWeights(0.2, 1.0, 0.5)).gain(posture)
     )
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", TIMING_LAWS)
 def test_a_slew_has_the_law_that_is_asked_for(law):
     plain = designed(TrackingLQR)
     controller = TrackingLQR(plain.model, plain.limits, PERIOD, law=law)
     starts, goals = postures(controller, 1)
-    controller.reset(np.array([0]), Episode(starts, goals, PERIOD))
+    controller.reset(np.array([0]), EpisodeInfo(starts, goals, PERIOD))
     slew = plan_slew(controller.model, starts[0], goals[0], controller.limits, SHARE, PERIOD, law)
     assert np.array_equal(controller._plans[0].states, slew.states) and (plain.law == law) == (law == "minimum-jerk")
 

@@ -14,13 +14,13 @@ from flexman_gym.control.margins import (
     sampled_loops,
     spectral_radius,
 )
-from flexman_gym.envs.catalog import NAMED
-from flexman_gym.envs.description import Description
-from flexman_gym.envs.setup import build, setup_of
-from flexman_gym.evaluation.tuning import LEAST, environment_loops
+from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.named_environments import NAMED
+from flexman_gym.envs.config.setup import build, setup_of
+from flexman_gym.evaluation.optimisation import MIN_MARGINS, environment_loops
 from flexman_gym.model import mass_matrix
 from flexman_gym.simulation.parameters import varied_model
-from studies.servos.friction import AT_REST, Case, friction_rows, remaining_vibration, smoothed_loop
+from studies.servos.measure import AT_REST, FrictionCase, friction_rows, remaining_vibration, smoothed_loop
 
 PERIOD = 0.01
 STEP, DEGREES = FACTORS[1] / FACTORS[0], PHASES[1]
@@ -119,7 +119,7 @@ def test_the_pd_of_every_environment_has_a_gain_margin_of_two_and_a_phase_margin
     environment = Description.find(name)
     gains = environment.setup().pd_gains
     reached = margins(environment_loops(environment), gains["stiffness"], gains["damping"])
-    assert reached.gain >= LEAST.gain * (1.0 - 1e-9) and reached.phase >= LEAST.phase
+    assert reached.gain >= MIN_MARGINS.gain * (1.0 - 1e-9) and reached.phase >= MIN_MARGINS.phase
 
 
 RUBBING = (1.2, 0.4)  # N m
@@ -139,7 +139,7 @@ def test_friction_makes_no_unstable_loop_stable():
     for coulomb in ((0.0, 0.0), RUBBING):
         model = two_links(coulomb)
         assert margins(sampled_loops(model, [0.0, 0.3], 0.005, 1), *gains)[:2] == (1.0, 0.0)
-    case = Case(model, 0.005, 1, *gains, np.array([0.0, 0.3]), np.array([0.1, -0.1]))
+    case = FrictionCase(model, 0.005, 1, *gains, np.array([0.0, 0.3]), np.array([0.1, -0.1]))
     assert remaining_vibration(case) > 0.5
     assert spectral_radius(smoothed_loop(case), *gains) < 1.0, "what the slope at rest would say"
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control.modes import ringing_modes
-from flexman_gym.model.instant import damping_matrix, inertial_forces, mass_matrix, stiffness_matrix
+from flexman_gym.control.input_shaping.shapers import ringing_modes
+from flexman_gym.model.dynamics import damping_matrix, inertial_forces, mass_matrix, stiffness_matrix
 from flexman_gym.model.statics import rest_tips
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 
 SPATIAL = fm.build_model(fm.catalog.paper_rrr(rotor_inertia=10.0), 2, 4)
 PLANAR = fm.build_model(fm.catalog.planar_2r(joint_stiffness=60.0, payload=fm.Payload(0.2)), 2)

@@ -9,17 +9,17 @@ from scipy.optimize import lsq_linear
 
 import flexman_gym as fm
 from flexman_gym.__main__ import main
-from flexman_gym.control import Episode, mpc
-from flexman_gym.control.discrete import Weights, optimal_gain
-from flexman_gym.envs.description import Description
-from flexman_gym.envs.setup import build, setup_of
+from flexman_gym.control import EpisodeInfo, mpc
+from flexman_gym.control.lqr import CostWeights, optimal_gain
+from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.setup import build, setup_of
 from flexman_gym.evaluation import rollout
 from flexman_gym.metrics import settling_time
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 
 daqp = pytest.importorskip("daqp")
-PERIOD, ONLY, WEIGHTS = 0.02, np.array([0]), Weights(0.1, 0.5, 0.4)
+PERIOD, ONLY, WEIGHTS = 0.02, np.array([0]), CostWeights(0.1, 0.5, 0.4)
 
 
 def posed(name="FlexPlanar-v0"):
@@ -39,7 +39,7 @@ def test_without_limits_the_first_torque_is_that_of_the_lqr(blocks):
     """Over any horizon, as the cost of its end is that of the LQR; for any torques that were planned before."""
     model, limits, posture = posed()
     linear, random = about(model, posture), np.random.default_rng(0)
-    horizon, n = mpc.design(model, posture, limits, WEIGHTS, PERIOD, blocks), len(limits)
+    horizon, n = mpc.design_horizon(model, posture, limits, WEIGHTS, PERIOD, blocks), len(limits)
     transition, inputs = mpc.zero_order_hold(linear, PERIOD)
     start, planned = 1e-2 * random.normal(size=2 * model.n_dof), random.normal(size=(len(blocks), n))
     states = [start]
@@ -48,7 +48,7 @@ def test_without_limits_the_first_torque_is_that_of_the_lqr(blocks):
     near = [np.concatenate([each / weight for each, weight in parts(linear, model, x)]) for x in states[1:-1]]
     gap = np.concatenate([*near, horizon.ending @ states[-1]])
     slope, free = horizon.slopes @ gap + planned.ravel(), np.full(planned.size, 1e6)
-    first = planned[0] + mpc.least(daqp, horizon.curvature, slope, -free, free)[:n]
+    first = planned[0] + mpc.solve_quadratic_program(daqp, horizon.curvature, slope, -free, free)[:n]
     gain = optimal_gain(linear, model.motor_columns, limits, WEIGHTS, PERIOD)
     assert first == pytest.approx(-gain @ start / limits, rel=1e-6, abs=1e-8)
 
@@ -58,7 +58,7 @@ def test_near_its_goal_the_controller_is_the_lqr(monkeypatch):
     monkeypatch.setattr(mpc, "BLOCKS", (1,) * 24)
     model, limits, posture = posed("FlexRRR-v0")
     controller = mpc.MPC(model, limits, PERIOD, ("midpoint_3_sweeps", PERIOD / 20.0))
-    controller.reset(ONLY, Episode(posture[None], posture[None], PERIOD))
+    controller.reset(ONLY, EpisodeInfo(posture[None], posture[None], PERIOD))
     rest, off = fm.rest_state(model, posture), np.zeros(2 * model.n_dof)
     off[: model.n_dof] = (fm.rest_state(model, posture + np.array([1e-6, -2e-6, 3e-6])) - rest)[: model.n_dof]
     off[model.n_dof + model.motor_columns] = [2e-6, 1e-6, -1e-6]
@@ -75,7 +75,7 @@ def test_changes_of_blocks_cost_the_least():
     """No change of a block beside them makes the sum of squares of outputs and torques less, period by period."""
     model, limits, posture = posed()
     linear, random, blocks = about(model, posture), np.random.default_rng(0), (1, 2, 4)
-    horizon, n = mpc.design(model, posture, limits, WEIGHTS, PERIOD, blocks), len(limits)
+    horizon, n = mpc.design_horizon(model, posture, limits, WEIGHTS, PERIOD, blocks), len(limits)
     transition, inputs = mpc.zero_order_hold(linear, PERIOD)
     start = 1e-2 * random.normal(size=len(transition))
 
@@ -88,7 +88,7 @@ def test_changes_of_blocks_cost_the_least():
 
     nothing, free = np.zeros(n * len(blocks)), np.full(n * len(blocks), 1e6)
     slope = horizon.slopes @ outputs(nothing)[: horizon.slopes.shape[1]]
-    best = mpc.least(daqp, horizon.curvature, slope, -free, free)
+    best = mpc.solve_quadratic_program(daqp, horizon.curvature, slope, -free, free)
     across = np.array([outputs(best + one) - outputs(best) for one in np.eye(len(best))])
     assert np.abs(across @ outputs(best)).max() < 1e-8 * np.abs(across @ outputs(nothing)).max()
 
@@ -104,7 +104,7 @@ def test_on_a_slew_that_the_arm_can_follow_nothing_is_changed():
     """A slew that the simulator has made, within the limits; the torques of each period are applied in it."""
     model, limits, posture = posed()
     controller, random = mpc.MPC(model, limits, PERIOD), np.random.default_rng(3)
-    controller.reset(ONLY, Episode(posture[None], posture[None] + 0.05, PERIOD))
+    controller.reset(ONLY, EpisodeInfo(posture[None], posture[None] + 0.05, PERIOD))
     torques = fm.holding_torques(model, posture) / limits + 0.05 * random.uniform(-1.0, 1.0, (90, 2))
     drives, batch = np.zeros((1, 90, 8)), controller._arms(1)
     drives[0, :, :2] = torques * limits
@@ -124,7 +124,7 @@ def test_planned_torques_change_by_little_in_a_period():
     model, limits, posture = posed("FlexOne-v0")
     goals = np.array([posture + 1.5, posture - 1.5])
     controller = mpc.MPC(model, limits, PERIOD)
-    controller.reset(np.arange(2), Episode(goals, goals, PERIOD))
+    controller.reset(np.arange(2), EpisodeInfo(goals, goals, PERIOD))
     actions = controller.act({"state": model.at_rest(np.array([posture, posture]))}, goals, np.ones(2, dtype=bool))
     assert actions == pytest.approx(np.array([[mpc.TRUST], [-mpc.TRUST]]))
 
@@ -132,7 +132,7 @@ def test_planned_torques_change_by_little_in_a_period():
 def test_between_two_postures_slopes_are_between_theirs():
     model, limits, posture = posed("FlexOne-v0")
     controller = mpc.MPC(model, limits, PERIOD)
-    controller.reset(ONLY, Episode(posture[None], posture[None] + 1.0, PERIOD))
+    controller.reset(ONLY, EpisodeInfo(posture[None], posture[None] + 1.0, PERIOD))
     plan = controller._plans[0]
     each = plan.horizons._replace(slopes=plan.horizons.slopes * np.arange(5.0)[:, None, None])
     for come, place in ((-0.1, 0.0), (0.3, 1.2), (1.0, 4.0), (1.2, 4.0)):
@@ -145,7 +145,7 @@ def test_between_two_postures_slopes_are_between_theirs():
 def test_changes_stay_within_their_bounds_and_cost_the_least():
     """Of a cost without coupling each bound cuts its own change off."""
     low, high = np.array([-1.0, -0.5, -0.2]), np.array([0.1, 0.5, 1.0])
-    changes = mpc.least(daqp, np.diag([1.0, 2.0, 4.0]), np.array([-3.0, 4.0, 0.4]), low, high)
+    changes = mpc.solve_quadratic_program(daqp, np.diag([1.0, 2.0, 4.0]), np.array([-3.0, 4.0, 0.4]), low, high)
     assert changes == pytest.approx([0.1, -0.5, -0.1])
 
 
@@ -153,12 +153,12 @@ def test_where_it_saturates_its_plan_costs_the_least_of_all_within_the_limits(mo
     """By another solver: torques from -1 to 1, changes up to TRUST; some end at either, some at neither."""
     model, limits, posture = posed()
     controller, n, programs = mpc.MPC(model, limits, PERIOD), 2, []
-    controller.reset(ONLY, Episode(posture[None], posture[None], PERIOD))
+    controller.reset(ONLY, EpisodeInfo(posture[None], posture[None], PERIOD))
     blocks, random = len(mpc.BLOCKS), np.random.default_rng(0)
     means = np.where(np.arange(blocks * n) % 3 == 0, 0.0, 0.98 * random.choice([-1.0, 1.0], blocks * n))
     planned = np.repeat(means.reshape(blocks, n), mpc.BLOCKS, axis=0)
-    controller._planned[0], least = planned, mpc.least
-    monkeypatch.setattr(mpc, "least", lambda *given: programs.append(given[1:3]) or least(*given))
+    controller._planned[0], least = planned, mpc.solve_quadratic_program
+    monkeypatch.setattr(mpc, "solve_quadratic_program", lambda *given: programs.append(given[1:3]) or least(*given))
     state = model.at_rest(posture[None] + np.array([[0.02, -0.02]]))
     action = controller.act({"state": state}, np.zeros((1, n)), np.array([True]))[0]
     (curvature, slope), low, high = programs[0], np.fmax(-1.0 - means, -mpc.TRUST), np.fmin(1.0 - means, mpc.TRUST)
@@ -179,7 +179,7 @@ def test_changes_act_as_about_where_the_arm_will_be(monkeypatch):
     model, limits, _ = posed()
     start, goal, now = np.array([[0.0, 0.3]]), np.array([[1.2, 2.0]]), 20
     controller, between, used = mpc.MPC(model, limits, PERIOD), mpc.MPC._between, []
-    controller.reset(ONLY, Episode(start, goal, PERIOD))
+    controller.reset(ONLY, EpisodeInfo(start, goal, PERIOD))
     monkeypatch.setattr(controller, "_between", lambda *given: used.append(between(controller, *given)) or used[-1])
     plan, ahead = controller._plans[0], sum(mpc.BLOCKS)
     planned, state = np.clip(plan.torques[now : now + ahead], -1.0, 1.0), plan.states[now]
@@ -226,18 +226,18 @@ def test_an_arm_that_does_not_play_gets_nothing_and_changes_nothing():
     model, limits, posture = posed()
     goals, starts = np.array([posture, -posture]), np.zeros((2, 2))
     both, states = mpc.MPC(model, limits, PERIOD), np.array([fm.rest_state(model, each) for each in starts])
-    both.reset(np.arange(2), Episode(starts, goals, PERIOD))
+    both.reset(np.arange(2), EpisodeInfo(starts, goals, PERIOD))
     kept = both._planned[1].copy()
     actions = both.act({"state": np.array([states[0], np.full_like(states[1], 1e9)])}, starts, np.array([True, False]))
     assert actions[0].any() and not actions[1].any() and np.array_equal(both._planned[1], kept)
     alone = mpc.MPC(model, limits, PERIOD)
-    alone.reset(ONLY, Episode(starts[:1], goals[:1], PERIOD))
+    alone.reset(ONLY, EpisodeInfo(starts[:1], goals[:1], PERIOD))
     assert np.array_equal(alone.act({"state": states[:1]}, starts[:1], np.array([True]))[0], actions[0])
 
 
 def test_a_goal_that_moves_and_a_missing_package_are_refused(monkeypatch, capsys):
     model, limits, posture = posed("FlexOne-v0")
-    moving = Episode(posture[None], posture[None], PERIOD, lambda: np.zeros((1, 4, 1)))
+    moving = EpisodeInfo(posture[None], posture[None], PERIOD, lambda: np.zeros((1, 4, 1)))
     assert refusal(mpc.MPC(model, limits, PERIOD).reset, ONLY, moving).startswith("episode: 'a goal that moves' is")
     monkeypatch.setitem(sys.modules, "daqp", None)
     with pytest.raises(ImportError, match=r"flexman_gym\[mpc\]"):

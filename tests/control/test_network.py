@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from flexman_gym.control.network import Network, layers_of
+from flexman_gym.control.network import Network, policy_parameters
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 
 SEEN = np.random.default_rng(0).normal(scale=2.0, size=(50, 6)).astype(np.float32)
 
@@ -54,9 +54,9 @@ def test_layers_follow_on_each_other_by_their_numbers():
 @pytest.mark.parametrize("activation", ["tanh", "relu"])
 def test_it_acts_as_the_policy_that_was_trained(algo, activation, tmp_path):
     pytest.importorskip("stable_baselines3")
-    from flexman_agents.algorithm import acting, make_model
-    from flexman_agents.memory import take_policy
+    from flexman_agents.sb3 import action_function, make_model
     from flexman_agents.settings import Settings
+    from flexman_agents.training import policy_state
 
     environment = {"id": "FlexOne-v0", "base": "pd"}
     settings = Settings(algo, environment, envs=1, hyperparameters={"net_arch": [7, 5], "activation": activation})
@@ -64,10 +64,10 @@ def test_it_acts_as_the_policy_that_was_trained(algo, activation, tmp_path):
     statistics = model.get_vec_normalize_env()
     size = len(statistics.obs_rms.mean)
     statistics.obs_rms.mean, statistics.obs_rms.var = np.linspace(-1, 1, size), np.linspace(0.1, 2, size)
-    data = take_policy(model)
+    data = policy_state(model)
     seen = np.random.default_rng(0).normal(size=(20, size)).astype(np.float32)
     result = Network(algo, activation, data["policy"], data["statistics"])
-    assert result(seen) == pytest.approx(acting(model, statistics)(seen, (20, 1)), abs=2e-6)
+    assert result(seen) == pytest.approx(action_function(model, statistics)(seen, (20, 1)), abs=2e-6)
 
 
 @pytest.mark.parametrize(("change", "line"), [
@@ -86,7 +86,7 @@ def test_what_has_no_number_is_no_layer(number):
     more = {f"mlp_extractor.policy_net.{number}.{part}": np.ones((4, 4)) for part in ("weight", "bias")}
     seen = np.random.default_rng(0).normal(size=(3, len(STATISTICS["mean"])))
     with_it, without = (Network("ppo", None, parameters("ppo") | each, STATISTICS) for each in (more, {}))
-    assert np.array_equal(with_it(seen), without(seen)) and layers_of("ppo", more) == {}
+    assert np.array_equal(with_it(seen), without(seen)) and policy_parameters("ppo", more) == {}
 
 
 def test_missing_parts_are_refused():

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from flexman_gym.control import PD, Policy
-from flexman_gym.control.controller import Episode
+from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.network import Network
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.sensors import Servo, find_sensors
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 
 SETTINGS = {"name": "FlexPlanar-v0", "horizon": 0.3}
 
@@ -88,7 +88,7 @@ def readings_of(*errors):
 def begun(policy, *arms):
     """The policy with new episodes of some arms."""
     goal = np.zeros((len(arms), 2))
-    policy.reset(np.array(arms), Episode(goal, goal, 0.01))
+    policy.reset(np.array(arms), EpisodeInfo(goal, goal, 0.01))
     return policy
 
 

@@ -1,4 +1,4 @@
-"""Tracking: references of the moment in which torques begin to act, gains for the arm as it is, and what both do."""
+"""Tracking law and output feedback with a Kalman filter."""
 
 import gymnasium as gym
 import numpy as np
@@ -6,16 +6,21 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import flexman_gym as fm
-from flexman_gym.control.controller import Episode
+from flexman_gym.common.snapshot import get_state, set_state
+from flexman_gym.control.base_controllers import BASES, make_base
+from flexman_gym.control.controller import EpisodeInfo, checked_controller
 from flexman_gym.control.lqr import HOLDING, LQR
-from flexman_gym.control.observer import Estimate
+from flexman_gym.control.observers.observer import Estimate
 from flexman_gym.control.tracking import Tracking
-from flexman_gym.envs.snapshot import give, take
+from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
+from flexman_gym.evaluation import rollout
+from flexman_gym.metrics import settling_time
 from flexman_gym.simulation.parameters import varied_model
 
-from oracles.bench import SMALL, small_plant
-from oracles.equality import same
+from oracles.assertions import refusal, same
+from oracles.observed_arms import POSTURES, SMALL, World, plant, small_plant
 
 UNKNOWN = {"payload_mass": (0.0, 0.2), "joint_stiffness_factor": (0.7, 1.3), "link_stiffness_factor": (0.7, 1.3)}
 LAB = {**UNKNOWN, "delay": (0, 2), "sensor_noise": (0.001, 0.001)}
@@ -33,7 +38,7 @@ def law(start=START, goal=GOAL, randomisation=UNKNOWN, path=None):
     """A law in an episode of one arm, and its plant."""
     plant = small_plant("FlexPlanar-v0", randomisation)
     own = Tracking(plant)
-    own.reset(ONE, Episode(start, goal, plant.period, path))
+    own.reset(ONE, EpisodeInfo(start, goal, plant.period, path))
     return own, plant
 
 
@@ -91,7 +96,7 @@ def test_off_its_reference_it_is_the_regulator_of_the_arm_as_it_is_estimated(pay
 def test_torques_are_within_the_limits_and_arms_that_rest_have_none():
     plant = small_plant("FlexPlanar-v0", UNKNOWN)
     own, arms = Tracking(plant), np.arange(2)
-    own.reset(arms, Episode(START.repeat(2, 0), GOAL.repeat(2, 0), plant.period))
+    own.reset(arms, EpisodeInfo(START.repeat(2, 0), GOAL.repeat(2, 0), plant.period))
     far = np.array([fm.rest_state(plant.model, START[0])] * 2)
     playing = np.array([True, False])
     own.torques(Estimate(far, np.zeros(2, dtype=int), {}), playing)
@@ -114,7 +119,7 @@ def test_a_law_made_alike_goes_on_from_what_it_kept(goal):
     other, _ = law(goal=START if goal is GOAL else GOAL)
     follow(own, plant, 4)
     follow(other, plant, 7)
-    give("law", other, take(own))
+    set_state("law", other, get_state(own))
     assert np.array_equal(follow(other, plant, 8), follow(own, plant, 8))
 
 
@@ -123,9 +128,9 @@ def test_an_episode_begins_as_the_first_did():
     first, plant = law()
     expected = follow(first, plant, 8)
     for start, goal in ((START, GOAL), (GOAL, GOAL)):
-        first.reset(ONE, Episode(start, goal, plant.period))
+        first.reset(ONE, EpisodeInfo(start, goal, plant.period))
         follow(first, plant, 3)
-        first.reset(ONE, Episode(START, GOAL, plant.period))
+        first.reset(ONE, EpisodeInfo(START, GOAL, plant.period))
         assert np.array_equal(follow(first, plant, 8), expected)
 
 
@@ -197,3 +202,116 @@ def test_what_is_said_to_be_unknown_counts_for_observer_and_law():
     env = FlexManVectorEnv(1, name="FlexPlanar-v0", base=base, **SMALL)
     assert env.episodes.base.observer.unknowns.names == ("payload_mass",)
     assert env.episodes.base.law._payloads == (0.0, 0.1, 0.2)
+
+
+SEEDS = range(70, 74)
+
+
+def planar(condition="", **settings):
+    """The planar arm, for a short while."""
+    return Description(f"FlexPlanar-v0{condition}" if condition else "FlexPlanar-v0", settings)
+
+
+def acted(base, noise, delay=0):
+    """Actions (b, T, n) and errors (b, T + 1) m of an LQR on an arm whose instruments have some noise."""
+    ranges = {"sensor_noise": (noise, noise), "delay": (delay, delay)}
+    result = rollout(base, planar(randomisation=ranges, horizon=1.2), SEEDS)
+    return result.actions, result.errors
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_it_tends_to_the_regulator_that_is_told_all_as_noise_goes_to_zero(late):
+    """In every torque of slews, in proportion to the noise; with none but for rounding."""
+    told, _ = acted("privileged-lqr", 0.0, late)
+    off = [np.abs(acted("lqg", noise, late)[0] - told).max() for noise in (1e-4, 1e-5, 1e-6, 0.0)]
+    assert off[3] < 1e-6 and off[2] < 1e-3
+    assert off[0] / off[1] == pytest.approx(10.0, rel=0.3) and off[1] / off[2] == pytest.approx(10.0, rel=0.05)
+
+
+@pytest.mark.parametrize("condition", ["", "/delay"])
+def test_it_settles_arms_by_the_sensors_of_a_laboratory(condition):
+    described = Description.find(f"FlexPlanar-v0{condition}")
+    result = rollout("lqg", Description(described.id, {**(described.settings or {}), "horizon": 4.0}), SEEDS)
+    assert all(record.failure == "" for record in result.records)
+    assert all(settling_time(each.errors, each.band, each.period) < 2.0 for each in result.records)
+
+
+def test_a_delay_that_is_not_told_is_missed():
+    """The filter that is told of one period too few is far from where the arm is."""
+    off = []
+    for told in (0, 1):
+        world, lqg = World(plant(delay=(1, 1))), make_base("lqg", plant(delay=(told, told)))
+        lqg.reset(world.arms, EpisodeInfo(POSTURES, POSTURES + 0.5, 0.01))
+        for _ in range(20):
+            world.step(lqg.act(world.readings(), world.last, np.ones(3, dtype=bool)))
+        lqg.act(world.readings(), world.last, np.ones(3, dtype=bool))
+        off.append(np.abs(lqg.observer.states - world.batch.state).max())
+    assert off[1] < 1e-6 < 1e-2 < off[0]
+
+
+def test_a_constant_torque_is_taken_away():
+    """Which nobody tells of: at the goal the arm is where it should be, and without that state it is not."""
+    off = []
+    for disturbed in (False, True):
+        given = plant()
+        world, lqg = World(given), make_base({"kind": "lqg", "disturbed": disturbed}, given)
+        world.goals, world.offset = POSTURES + 0.1, np.array([0.4, -0.1])
+        world.begin(lqg)
+        for _ in range(500):
+            world.step(lqg.act(world.readings(), world.last, np.ones(3, dtype=bool)))
+        motors = world.batch.state[:, given.model.motor_columns]
+        off.append(np.abs(motors - world.goals).max())
+    assert off[1] < 1e-3 < 0.01 < off[0]
+
+
+def test_it_starts_where_its_encoders_say_and_is_told_no_more():
+    """Its sensors do not read the state, and it does not look where an episode says that it starts."""
+    given, actions = plant(), []
+    for told in (POSTURES, POSTURES + 0.3):
+        world, lqg = World(given), make_base("lqg", given)
+        lqg.reset(world.arms, EpisodeInfo(told, POSTURES + 0.1, given.period))
+        for _ in range(3):
+            action = lqg.act(world.readings(), world.last, np.ones(3, dtype=bool))
+            world.step(action)
+        actions.append(action)
+    assert np.array_equal(*actions) and BASES["lqg"].knows == ("model",)
+    assert set(lqg.sensors) == {"motor_encoders", "joint_encoders", "strain"}
+
+
+@pytest.mark.parametrize("options", [{}, {"disturbed": True}, {"fixed": True}])
+def test_an_arm_among_many_is_moved_as_an_arm_alone_to_the_bit(options):
+    base = {"kind": "lqg", **options}
+    described = planar(randomisation={"sensor_noise": (1e-3, 1e-3), "delay": (1, 1)}, horizon=0.5)
+    many = rollout(base, described, SEEDS)
+    for row, seed in enumerate(SEEDS):
+        assert np.array_equal(rollout(base, described, [seed]).actions[0], many.actions[row])
+
+
+def test_a_name_with_arguments_makes_it():
+    made = make_base({"kind": "lqg", "sensors": ("motor_encoders",), "noise": (0.1, 0.0)}, plant())
+    assert made.sensors == ("motor_encoders",) and checked_controller("base", made) is made
+    said = refusal(lambda: FlexManEnv(base={"kind": "lqg", "sensors": ("tip",)}))
+    assert said.startswith("sensors: ('tip',) is not allowed; give motor_encoders, beside which") and "\n" not in said
+
+
+def test_a_state_holds_what_it_remembers():
+    """In the middle of a slew, with torques on their way."""
+    settings = {
+        "name": "FlexPlanar-v0",
+        "base": "lqg",
+        "randomisation": {"delay": (1, 1), "sensor_noise": (1e-3, 1e-3)},
+    }
+    one, other = FlexManEnv(**settings), FlexManEnv(**settings)
+    still, asked = np.zeros(2, dtype=np.float32), []
+    one.reset(seed=1)
+    for _ in range(23):
+        one.step(still)
+    other.reset(seed=2)
+    other.set_state(one.get_state())
+    for env in (one, other):
+        rows = []
+        for _ in range(20):
+            env.step(still)
+            rows.append(env.episodes.view.action.copy())
+        asked.append(rows)
+    assert np.array_equal(*asked) and np.abs(asked).max() > 0.1

@@ -5,8 +5,8 @@ import importlib.util
 import numpy as np
 import pytest
 
-from flexman_gym.envs.description import Description
-from flexman_gym.evaluation.entrants import find_entrant
+from flexman_gym.envs.config.description import Description
+from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.rollout import rollout
 
 from oracles.files import ROOT
@@ -49,13 +49,13 @@ def test_torchrl_collects_what_the_vector_environment_says(monkeypatch):
 def test_a_clone_acts_nearly_as_whom_it_was_cloned_from_and_is_an_entrant(tmp_path, monkeypatch):
     pytest.importorskip("stable_baselines3")
     pytest.importorskip("minari", reason="Minari is not installed")
-    from flexman_gym.evaluation.recording import record
+    from flexman_gym.evaluation.dataset import record_dataset
 
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "data"))
     environment = Description("FlexOne-v0", {"horizon": 2.0})
-    record("pd", environment, range(20), "one/pd-v0")
+    record_dataset("pd", environment, range(20), "one/pd-v0")
     error = example("clone").clone("one/pd-v0", tmp_path / "clone", 300)
     played = rollout("pd", environment, [100, 101])
     assert error < 0.1 * np.var(played.actions)
-    clone = find_entrant(str(tmp_path / "clone"))
+    clone = find_agent(str(tmp_path / "clone"))
     assert np.abs(rollout(clone, environment, [100, 101]).tips - played.tips).max() < 0.1

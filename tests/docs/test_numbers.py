@@ -5,14 +5,18 @@ import re
 import pytest
 import yaml
 
+from flexman_gym.league.page import conclusion
+from flexman_gym.league.rows import LeagueRows
+from flexman_gym.league.scenarios import LAB_SCENARIO
+from flexman_gym.league.standings import Standings
 from flexman_gym.simulation import METHODS
 from flexman_gym.simulation.amplification import largest_growth
-from flexman_gym.simulation.methods import DEFAULT
-from studies.fidelity.measure import Row as Choice
+from flexman_gym.simulation.methods import DEFAULT_METHOD
+from studies.fidelity.measure import FidelityRow as Choice
 from studies.fidelity.page import CHEAP
-from studies.learning.measure import Row as Run
-from studies.ringdown.default import Errors, methods_table
-from studies.table import read_rows
+from studies.files import read_rows
+from studies.learning.measure import LearningRow as Run
+from studies.ringdown.measure import Errors, methods_table
 
 from oracles.files import ROOT
 
@@ -43,7 +47,7 @@ def test_the_accuracy_of_the_default_is_that_of_its_rows(errors):
 
 def test_the_other_methods_are_those_of_their_rows():
     rows = read_rows(ROOT / "docs" / "accuracy.csv", Errors)
-    assert (rows[0].method, rows[0].step) == (DEFAULT, 0.00667) and len(methods_table(rows)) == 2 + 5
+    assert (rows[0].method, rows[0].step) == (DEFAULT_METHOD, 0.00667) and len(methods_table(rows)) == 2 + 5
     for line in methods_table(rows):
         assert line in ACCURACY
 
@@ -74,3 +78,19 @@ def test_the_entry_to_cite_is_that_of_the_file_beside_the_package():
     page = (ROOT / "docs" / "cite.md").read_text(encoding="utf-8")
     for name in ("title", "version", "license"):
         assert re.search(rf"{name} += {{{re.escape(str(cited[name]))}}}", page), name
+
+
+FOLDER = ROOT / "docs" / "league"
+
+
+def test_the_page_concludes_what_its_rows_say():
+    assert conclusion(Standings(LeagueRows.load(FOLDER))) in (FOLDER / "league.md").read_text(encoding="utf-8")
+
+
+def test_known_rows_come_out():
+    """As they were measured by another study, within 3 points and 0.1 s."""
+    standing = Standings(LeagueRows.load(FOLDER))
+    for entrant, venue, known in (("lqr-tracking", "FlexRRR-v0", 2.98), ("adaptive-lqr", LAB_SCENARIO, 3.62),
+                                  ("privileged-lqr", "FlexRRR-v0/unknown", 3.58)):  # fmt: skip
+        settled, time = standing.settled(entrant, venue)
+        assert settled >= 0.97 and abs(-time - known) <= 0.1, (entrant, venue)

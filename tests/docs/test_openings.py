@@ -5,15 +5,15 @@ import re
 import numpy as np
 import pytest
 
-from studies.benchmark.environments import OURS, PPO, VECTOR
-from studies.benchmark.rows import Row as Speed
-from studies.control.cases import Row as Controlled
-from studies.learning.cases import TASKS
-from studies.learning.measure import Row as Learned
-from studies.precision.measure import Row as Run
-from studies.ringdown.measure import Row as Released
-from studies.servos.measure import Row as Servo
-from studies.table import read_rows
+from studies.benchmark.measure import OURS, PPO, VECTOR
+from studies.benchmark.measure import BenchmarkRow as Speed
+from studies.control.cases import ControlRow as Controlled
+from studies.files import read_rows
+from studies.learning.measure import TASKS
+from studies.learning.measure import LearningRow as Learned
+from studies.precision.measure import PrecisionRow as Run
+from studies.ringdown.measure import RingDownRow as Released
+from studies.servos.measure import ServoRow as Servo
 
 from oracles.files import ROOT
 
@@ -48,7 +48,7 @@ def test_an_opening_is_that_of_the_script(page):
 
 
 def test_the_league_opens_as_its_text_does():
-    text = (ROOT / "flexman_gym" / "evaluation" / "league.md").read_text(encoding="utf-8")
+    text = (ROOT / "flexman_gym" / "league" / "league.md").read_text(encoding="utf-8")
     assert opening("league/league") in " ".join(text.split())
 
 

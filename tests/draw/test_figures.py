@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.draw import figures, paper_figures
+from flexman_gym.draw import paper_figures, trajectories
 
 
 @pytest.fixture(scope="module")
@@ -19,13 +19,13 @@ def cases():
 @pytest.fixture
 def drawn(monkeypatch):
     """The Matplotlib figures that are made from now on."""
-    made, new_figure = [], figures.new_figure
+    made, new_figure = [], trajectories.new_figure
 
     def kept(*given, **named):
         made.append(new_figure(*given, **named))
         return made[-1]
 
-    monkeypatch.setattr(figures, "new_figure", kept)
+    monkeypatch.setattr(trajectories, "new_figure", kept)
     return made
 
 

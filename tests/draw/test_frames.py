@@ -8,8 +8,8 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.draw.frames import GHOST, GHOST_SHARE, LOAD, TARGET, TIP, FramePainter, arm_frame, grid
-from flexman_gym.draw.mesh import cylinder, outlines, ring, sphere, tube_faces, tubes
-from flexman_gym.draw.overlay import Caption, strain_colours, words
+from flexman_gym.draw.mesh import cylinder, ring, section_outlines, sphere, tube_faces, tube_surfaces
+from flexman_gym.draw.overlay import Caption, strain_colours, text_mask
 from flexman_gym.draw.style import rgb
 
 ARM = fm.catalog.paper_rrr()
@@ -112,7 +112,7 @@ def test_all_points_are_between_the_edges_and_two_of_them_touch(size):
 
 def test_surfaces_are_closed_and_point_outwards():
     straight = fm.curves(ONE, np.zeros(2 * ONE.n_dof), 5)
-    links = (*tubes(straight, outlines(ONE, 5))[:2], tube_faces(1, 5))
+    links = (*tube_surfaces(straight, section_outlines(ONE, 5))[:2], tube_faces(1, 5))
     for points, normals, faces in (links, cylinder(), sphere(), ring()):
         a, b, c = (points[faces[:, k]] for k in range(3))
         across = np.cross(b - a, c - a)
@@ -124,15 +124,15 @@ def test_surfaces_are_closed_and_point_outwards():
 
 def test_sections_turn_with_the_twist_and_show_the_strain_of_bending():
     """-y v'' + z (-w'') at the true edge of the section, and y turns towards z under a positive moment."""
-    sections, link = outlines(ONE, 5), fm.catalog.one_link().links[0]
+    sections, link = section_outlines(ONE, 5), fm.catalog.one_link().links[0]
     state = force([0.0, 7.0, 0.0, 0.0, 0.0, 0.0])
-    points, _, strain = tubes(fm.curves(ONE, state, 5), sections)
+    points, _, strain = tube_surfaces(fm.curves(ONE, state, 5), sections)
     edge = np.abs(sections[0].gauges[..., 0]).max()
     expected = 7.0 * link.length * edge / (link.youngs_modulus * link.second_moment_z)
     root = strain.reshape(5, -1)[0]
     assert root.max() == pytest.approx(expected) and root.min() == pytest.approx(-expected)
     assert points.reshape(5, -1, 3)[0, root.argmin(), 1] > 0.0, "bent to +y, compressed there"
-    twisted, _, _ = tubes(fm.curves(ONE, force([0, 0, 0, 30.0, 0, 0]), 5, 20.0), sections)
+    twisted, _, _ = tube_surfaces(fm.curves(ONE, force([0, 0, 0, 30.0, 0, 0]), 5, 20.0), sections)
     first, last = twisted.reshape(5, -1, 3)[[0, -1], :, 1:]
     assert (first[:, 0] * last[:, 1] - first[:, 1] * last[:, 0] > 0.0).all(), "counter-clockwise about +x"
 
@@ -149,7 +149,7 @@ def test_colours_run_from_blue_over_grey_to_red_with_the_scale_at_their_ends():
 def test_the_side_that_is_stretched_is_red(sign, colour):
     """From in front the side at -y is seen: a force to +y stretches it; at the scale the colour is full."""
     painter = FramePainter(ONE, (320, 240), (-90.0, 0.0), overlays=False)
-    link, edge = fm.catalog.one_link().links[0], np.abs(outlines(ONE, 2)[0].gauges[..., 0]).max()
+    link, edge = fm.catalog.one_link().links[0], np.abs(section_outlines(ONE, 2)[0].gauges[..., 0]).max()
     load = painter.scale * link.youngs_modulus * link.second_moment_z / (edge * link.length)
     state, shot = force([0.0, sign * load, 0.0, 0.0, 0.0, 0.0]), painter.shot()
     picture = painter.paint(state, shot=shot)
@@ -206,8 +206,8 @@ def test_overlays_say_time_error_torques_and_a_gain_and_can_be_left_out():
 
 
 def test_letters_have_shapes_and_unknown_ones_are_question_marks():
-    assert words("8", 12).max() == 1.0 and words("ab", 12).shape[1] > words("a", 12).shape[1]
-    assert np.array_equal(words("\N{SNOWMAN}", 12), words("?", 12)) and words("", 12).shape[1] == 0
+    assert text_mask("8", 12).max() == 1.0 and text_mask("ab", 12).shape[1] > text_mask("a", 12).shape[1]
+    assert np.array_equal(text_mask("\N{SNOWMAN}", 12), text_mask("?", 12)) and text_mask("", 12).shape[1] == 0
 
 
 def test_a_grid_has_every_frame_in_its_place():

@@ -6,17 +6,22 @@ import re
 import shutil
 import subprocess
 import sys
+import threading
+import urllib.error
+import urllib.request
 from dataclasses import replace
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import flexman_gym as fm
 from flexman_gym.draw.frames import FramePainter
-from flexman_gym.draw.mesh import outlines
-from flexman_gym.draw.replay import packed, page_arm, replay_page
-from flexman_gym.simulation.episode import Episode, about
+from flexman_gym.draw.mesh import section_outlines
+from flexman_gym.draw.replay import arm_data, encode_array, replay_page
+from flexman_gym.draw.video import Window
+from flexman_gym.simulation.episode import Episode, episode_metadata
 
 from oracles.browser import MISSING, Browser, one_browser
 from oracles.files import ROOT
@@ -37,7 +42,7 @@ def episode(name="pd", stiffening=False, rows=ROWS, seed=0):
     tips = fm.curves(model, states, 2).positions[:, -1, -1]
     actions = random.uniform(-1.0, 1.0, (rows - 1, 3))
     targets = np.tile(tips[-1], (rows, 1))
-    told = about(model, name=name, seed=5000, environment="FlexRRR-v0", units={})
+    told = episode_metadata(model, name=name, seed=5000, environment="FlexRRR-v0", units={})
     readings = {"motor_angles": states[:, model.motor_columns], "tip": tips}
     errors = np.linalg.norm(tips - targets, axis=1)
     return Episode(time, states, tips, targets, errors, actions, 400.0 * actions, np.ones(rows - 1), readings, told)
@@ -145,7 +150,7 @@ def drawn_tip(arm, q, gain):
 def test_a_page_holds_all_that_places_the_tip(stiffening):
     """With joints that wind up, axes that lie across one another, and foreshortening; three times enlarged, too."""
     model = fm.build_model(fm.catalog.paper_rrr(joint_stiffness=5000.0), 1, modes=4, stiffening=stiffening)
-    page, random = page_arm(model), np.random.default_rng(0)
+    page, random = arm_data(model), np.random.default_rng(0)
     for gain in (1.0, 3.0):
         state = 0.1 * random.normal(size=2 * model.n_dof)
         tip = fm.curves(model, state, 2, gain).positions[-1, -1]
@@ -182,7 +187,7 @@ def test_targets_are_seen_from_where_a_picture_is_seen():
 
 def test_a_page_holds_the_outlines_of_the_links():
     model = episode().model
-    for link, section in zip(page_arm(model)["links"], outlines(model, 24), strict=True):
+    for link, section in zip(arm_data(model)["links"], section_outlines(model, 24), strict=True):
         for name, values in section._asdict().items():
             assert np.array_equal(np.frombuffer(base64.b64decode(link[name]), "<f4"), values.astype("f4").ravel()), name
 
@@ -221,7 +226,7 @@ def test_the_command_writes_a_page_and_says_what_is_wrong(tmp_path):
 
 
 def test_numbers_are_packed_little_endian():
-    assert base64.b64decode(packed(np.array([1.0]))) == b"\0\0\x80\x3f"
+    assert base64.b64decode(encode_array(np.array([1.0]))) == b"\0\0\x80\x3f"
 
 
 @pytest.mark.skipif(not (ROOT / "scripts" / "web" / "node_modules").is_dir(), reason="needs npm ci in scripts/web")
@@ -271,3 +276,91 @@ def test_without_webgl_the_page_says_so_and_has_its_curves(tmp_path):
         assert browser.run("return document.querySelectorAll('.uplot canvas').length") == 3
     finally:
         browser.close()
+
+
+@pytest.fixture
+def human(monkeypatch):
+    """An environment that shows itself where there is no display."""
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    env = gym.make("FlexOne-v0", render_mode="human", disable_env_checker=True)
+    env.reset(seed=5000)
+    yield env
+    env.close()
+
+
+def page_of(env):
+    return env.unwrapped._rendering.screen
+
+
+def test_every_step_comes_to_whoever_listens(human, capsys):
+    human.step(np.ones(1, dtype=np.float32))
+    screen, rows = page_of(human), []
+    assert screen.address.startswith("http://127.0.0.1:") and human.render() is None
+    model = human.unwrapped.simulator.model
+
+    def listen():
+        with urllib.request.urlopen(screen.address + "live", timeout=30) as stream:
+            while len(rows) < 4:
+                line = stream.readline()
+                if line.startswith(b"data: A") or len(line) > 20:
+                    rows.append(np.frombuffer(base64.b64decode(line[6:]), "<f4"))
+
+    thread = threading.Thread(target=listen)
+    thread.start()
+    states = []
+    while thread.is_alive():
+        states.append(human.unwrapped.simulator.state[: model.n_dof].copy())
+        human.step(np.ones(1, dtype=np.float32))
+    thread.join()
+    assert np.array_equal(rows[1][: model.n_dof], states[0].astype("f4")), (
+        "after the reset, the step before it listened"
+    )
+    assert rows[1][-1] == 1.0 and len(rows[0]) == model.n_dof + 3 + 1 + 1
+    with urllib.request.urlopen(screen.address) as page:
+        assert b'"live":true' in page.read()
+    with pytest.raises(urllib.error.HTTPError, match="404"):
+        urllib.request.urlopen(screen.address + "else")
+    assert 0 <= screen.late <= screen.shown
+
+
+def test_the_address_is_said_once_and_late_steps_at_the_end(human, capfd):
+    human.reset(seed=5001)
+    human.step(np.zeros(1, dtype=np.float32))
+    screen = page_of(human)
+    screen.late = 1
+    human.close()
+    said = capfd.readouterr().err
+    assert f"1 of {screen.shown} steps came late" in said and "can be seen" not in said
+    with pytest.raises(urllib.error.URLError):
+        urllib.request.urlopen(screen.address)
+
+
+def test_a_browser_follows_the_arm_through_episodes(human):
+    if MISSING:
+        pytest.skip(MISSING)
+    browser = Browser()
+    try:
+        browser.open(page_of(human).address)
+        for seed in (5000, 5001):
+            human.reset(seed=seed)
+            for _ in range(5):
+                human.step(np.ones(1, dtype=np.float32))
+            browser.wait("replay.rows()[0] === 6")
+            tip = human.unwrapped.episodes.view.tip[0]
+            assert np.abs(np.array(browser.run("return replay.tips()")[0]) - tip).max() < 1e-6
+        assert browser.said() == []
+    finally:
+        browser.close()
+
+
+def test_a_window_shows_what_it_is_given(monkeypatch):
+    pygame = pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    window, picture = Window((48, 36), "arm", 0.001), np.zeros((36, 48, 3), dtype=np.uint8)
+    picture[10, 20] = 200, 100, 50
+    window.show(picture)
+    assert tuple(pygame.display.get_surface().get_at((20, 10)))[:3] == (200, 100, 50)
+    assert tuple(pygame.display.get_surface().get_at((10, 20)))[:3] == (0, 0, 0) and window.shown == 1
+    window.close()
+    assert "pygame" in sys.modules

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control.discrete import zero_order_hold
+from flexman_gym.control.lqr import zero_order_hold
 from flexman_gym.control.pd import PD, stability_limit
 from flexman_gym.envs import NAMED
-from flexman_gym.envs.description import CONDITIONS, FILES, Description
-from flexman_gym.envs.randomisation import Randomisation
+from flexman_gym.envs.config.description import CONDITION_FOLDER, CONDITIONS, Description
+from flexman_gym.envs.config.randomisation import Randomisation
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 
 pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y")  # of the paper's printed area
 IDS = [name for name, named in NAMED.items() if named.conditions]
@@ -137,7 +137,7 @@ def test_friction_is_all_that_its_arm_has_beside_its_own(folder):
 
 def test_all_files_are_there_and_no_others():
     for folder in FOLDERS:
-        assert {path.stem for path in (FILES / folder).iterdir()} == {*CONDITIONS} - {"nominal"}
+        assert {path.stem for path in (CONDITION_FOLDER / folder).iterdir()} == {*CONDITIONS} - {"nominal"}
 
 
 @pytest.mark.parametrize(

@@ -10,16 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import flexman_gym as fm
+from flexman_gym.common import files
 from flexman_gym.control import PD
 from flexman_gym.envs import NAMED
-from flexman_gym.envs.description import Description, described
-from flexman_gym.envs.setup import Setup
-from flexman_gym.scene import file
-from flexman_gym.scene.naming import find_arm
-from flexman_gym.scene.plain import plain
+from flexman_gym.envs.config.description import Description, described
+from flexman_gym.envs.config.setup import Setup
+from flexman_gym.scene.serialization import find_arm, to_plain
 
+from oracles.assertions import refusal
 from oracles.chains import QUICK
-from oracles.refusals import refusal
 
 OWN = {
     "id": "FlexPlanar-v0", "arm": {"catalog": "vertical_2r", "payload": {"mass": 0.25}}, "horizon": 0.3, "hold": 2,
@@ -69,26 +68,28 @@ def test_the_whole_of_a_description_describes_the_same_environment(name, parts):
         assert like(again.setup()) == like(setup)
         assert again.setup().modes == setup.modes and again.setup().elements == setup.elements
         assert again.whole() == Description.from_dict(again.whole()).whole()
-    assert first.whole()["arm"] == plain(setup.arm)
+    assert first.whole()["arm"] == to_plain(setup.arm)
 
 
 @pytest.mark.parametrize("suffix", [".yaml", ".json"])
 def test_a_file_is_a_mapping_and_its_whole_needs_no_other_file(tmp_path, suffix):
     arm = fm.catalog.vertical_2r(fm.Payload(0.33))
-    file.write(tmp_path / "arm.yaml", plain(arm))
-    file.write(tmp_path / f"own{suffix}", OWN | {"arm": "arm.yaml"})
+    files.write_data(tmp_path / "arm.yaml", to_plain(arm))
+    files.write_data(tmp_path / f"own{suffix}", OWN | {"arm": "arm.yaml"})
     result = Description.load(tmp_path / f"own{suffix}")
     assert result.setup().arm == arm and result.id == "FlexPlanar-v0"
     whole = result.whole()
     (tmp_path / "arm.yaml").unlink()
-    assert like(Description.from_dict(whole).setup()) == like(Description.from_dict(OWN | {"arm": plain(arm)}).setup())
+    assert like(Description.from_dict(whole).setup()) == like(
+        Description.from_dict(OWN | {"arm": to_plain(arm)}).setup()
+    )
 
 
 def test_an_arm_is_a_name_a_mapping_a_file_of_an_arm_or_of_a_scene(tmp_path):
     arm = fm.catalog.paper_rrr()
-    file.write(tmp_path / "arm.yaml", plain(arm))
+    files.write_data(tmp_path / "arm.yaml", to_plain(arm))
     fm.catalog.paper_scene("ff").save(tmp_path / "scene.json")
-    for value in ("paper_rrr", {"catalog": "paper_rrr"}, plain(arm), "arm.yaml", "scene.json"):
+    for value in ("paper_rrr", {"catalog": "paper_rrr"}, to_plain(arm), "arm.yaml", "scene.json"):
         assert find_arm(value, tmp_path) == arm, value
     heavy = {"catalog": "paper_rrr", "payload": {"mass": 3.0}, "rotor_inertia": 10.0}
     assert find_arm(heavy) == fm.catalog.paper_rrr(payload=fm.Payload(3.0), rotor_inertia=10.0)
@@ -169,7 +170,7 @@ def test_changes_may_be_whole_only_together():
 )
 def test_what_is_wrong_is_named_in_one_line(tmp_path, data, line):
     assert refusal(Description.from_dict, data).startswith(line)
-    file.write(tmp_path / "own.json", data)
+    files.write_data(tmp_path / "own.json", data)
     said = line if isinstance(data, dict) else "this is no mapping; give names with their values"
     assert refusal(Description.load, tmp_path / "own.json").startswith(f"{tmp_path / 'own.json'}: {said}")
 
@@ -196,10 +197,10 @@ def test_objects_of_ones_own_cannot_be_described():
 def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
     """From gym.make, gym.make_vec and an evaluation, whose records are period by period."""
     pytest.importorskip("stable_baselines3")
-    from flexman_gym.evaluation.entrants import Entrant, common_environment, find_entrant
+    from flexman_gym.evaluation.agent import Agent, common_environment, find_agent
     from flexman_gym.evaluation.rollout import rollout
 
-    file.write(tmp_path / "own.yaml", OWN)
+    files.write_data(tmp_path / "own.yaml", OWN)
     result, seed = Description.load(tmp_path / "own.yaml"), 9003
     single = gym.make(result.id, **result.keywords())
     many = gym.make_vec(result.id, 2, "vector_entry_point", **result.keywords())
@@ -213,7 +214,7 @@ def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
         errors.append(info["tip_error"])
         assert np.array_equal(seen, others[1]) and infos["tip_error"][1] == errors[-1]
     assert ended
-    policy = Entrant("pd", find_entrant("zero").act, {key: OWN[key] for key in ("base", "hold", "sensors")})
+    policy = Agent("pd", find_agent("zero").act, {key: OWN[key] for key in ("base", "hold", "sensors")})
     (_, record) = rollout(policy, common_environment([policy], result), [7, seed]).records
     assert np.array_equal(record.errors[::2], errors)
 
@@ -221,11 +222,11 @@ def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
 def test_a_training_starts_with_the_episode_that_its_environment_gives():
     """The arms of a training are those of gym.make_vec with the training's seed."""
     pytest.importorskip("stable_baselines3")
-    from flexman_agents.algorithm import environments
+    from flexman_agents.sb3 import make_environments
     from flexman_agents.settings import Settings
-    from flexman_gym.evaluation.seeds import training_seed
+    from flexman_gym.evaluation.rollout import training_seed
 
-    arms = environments(Settings(environment=OWN, seed=2, envs=3))
+    arms = make_environments(Settings(environment=OWN, seed=2, envs=3))
     arms.seed(training_seed(2))
     result = Description.from_dict(OWN)
     alone = gym.make(result.id, **result.keywords())

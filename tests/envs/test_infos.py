@@ -8,8 +8,8 @@ from gymnasium.vector import AutoresetMode
 import flexman_gym as fm
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 
-from oracles.episodes import actions
-from oracles.equality import same
+from oracles.assertions import same
+from oracles.random_inputs import actions
 
 SHORT = {"max_episode_steps": 7, "limits": fm.Limits(rate=1.0)}  # episodes that end either way
 

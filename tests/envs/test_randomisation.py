@@ -11,16 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import flexman_gym as fm
+from flexman_gym.envs.config.randomisation import range_name
 from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.envs.randomisation import given_name
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.simulation.parameters import PARAMETERS
 
-from oracles.episodes import EVERYTHING, FRICTION, actions
+from oracles.random_inputs import EVERYTHING, FRICTION, actions
 
 EFFECTS = (*PARAMETERS, *SIGNALS)
-RANGES = {name: (EVERYTHING | FRICTION)[given_name(name)] for name in EFFECTS}
+RANGES = {name: (EVERYTHING | FRICTION)[range_name(name)] for name in EFFECTS}
 BARE = FlexManEnv().unwrapped.simulator.model.arm
 RUBBING = replace(BARE, joints=[replace(each, viscous_friction=5.0, coulomb_friction=9.0) for each in BARE.joints],
                   modal_damping_ratio=0.01)  # fmt: skip
@@ -31,7 +31,7 @@ PUSH = np.array([0.5, -0.3, 0.2])
 
 def env_with(*effects, **more):
     """An environment with some of the effects, within the ranges above."""
-    return FlexManEnv(arm=RUBBING, randomisation={given_name(name): RANGES[name] for name in effects} | more)
+    return FlexManEnv(arm=RUBBING, randomisation={range_name(name): RANGES[name] for name in effects} | more)
 
 
 def episodes(env, seeds):
@@ -69,7 +69,7 @@ def test_draws_do_not_depend_on_what_happened_in_episodes_before():
 
 def test_draws_lie_in_their_ranges_and_fill_them():
     env = FlexManVectorEnv(
-        400, arm=RUBBING, modes=1, randomisation={given_name(name): span for name, span in RANGES.items()}
+        400, arm=RUBBING, modes=1, randomisation={range_name(name): span for name, span in RANGES.items()}
     )
     drawn, nominal = env.reset(seed=1)[1]["drawn"], env.batch.nominal
     scale = {name: nominal[name] for name in PARAMETERS if PARAMETERS[name].factor} | {"torque_limit": 400.0}

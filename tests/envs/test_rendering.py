@@ -7,7 +7,7 @@ import pytest
 from flexman_gym.envs import NAMED
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from flexman_gym.model.curves import curves
+from flexman_gym.model.deformation import curves
 
 ARMS, SIZE = 10, (96, 72)
 

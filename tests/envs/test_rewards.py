@@ -4,12 +4,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from flexman_gym.envs.description import Description, described
+from flexman_gym.envs.config.description import Description, described
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.tasks.rewards import total
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 
 ACTIONS = np.random.default_rng(0).uniform(-0.3, 0.3, (5, 3)).astype(np.float32)
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from flexman_gym import Slew
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 
 RANGES = {"tip_error": (0.0, 0.7), "tip_vibration": (0.0, 0.2), "effort": (0.0, 0.1)}  # as the docstring of Slew says
 QUICK = settings(deadline=None, derandomize=True)

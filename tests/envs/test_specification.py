@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from flexman_gym.envs.config.setup import build, setup_of
+from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.envs.setup import build, setup_of
-from flexman_gym.envs.specification import make_plant
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from flexman_gym.simulation.run import find_method
+from flexman_gym.simulation.integrator import find_method
 
 SMALL = {"elements": 1, "modes": 1}
 RANDOM = {

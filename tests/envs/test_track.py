@@ -7,13 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import flexman_gym as fm
-from flexman_gym.control.reference import plan_path
+from flexman_gym.control.references.trajectories import plan_path
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.tasks import Track
-from flexman_gym.envs.tasks.paths import RAMP, SHAPES, on_series, phase
+from flexman_gym.envs.tasks.track import RAMP, SHAPES, evaluate_series, path_phase
 from flexman_gym.metrics import rms
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 
 NAMES = ("FlexRRR-Track-v0", "FlexPlanar-Track-v0")
 ROUND = 2.0 * np.pi * np.arange(400) / 400
@@ -33,10 +33,12 @@ def series(values, phases):
 def test_series_are_sums_of_waves(seed, harmonics):
     random = np.random.default_rng(seed)
     values, phases = random.normal(size=(3, 2, 2 * harmonics + 1)), random.uniform(-30.0, 30.0, (3, 5))
-    result = on_series(values, phases)
+    result = evaluate_series(values, phases)
     for row in range(3):
         assert result[row] == pytest.approx(series(values[row], phases[row]), abs=1e-12 * harmonics * 10)
-        assert np.array_equal(on_series(values[row : row + 1], phases[row : row + 1])[0], result[row]), "its own bits"
+        assert np.array_equal(evaluate_series(values[row : row + 1], phases[row : row + 1])[0], result[row]), (
+            "its own bits"
+        )
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -54,8 +56,8 @@ def test_shapes_are_what_they_are_called(shape):
 
 def test_a_target_starts_from_rest_and_comes_to_an_even_speed():
     time, period = np.linspace(0.0, 20.0, 20001), np.full(20001, 4.0)
-    rate = np.gradient(phase(time, period), time)
-    assert phase(np.zeros(1), np.ones(1))[0] == 0.0 and abs(rate[0]) < 1e-4
+    rate = np.gradient(path_phase(time, period), time)
+    assert path_phase(np.zeros(1), np.ones(1))[0] == 0.0 and abs(rate[0]) < 1e-4
     assert (np.diff(rate) > -1e-9).all() and rate[-1] == pytest.approx(np.pi / 2.0, rel=1e-6)
     assert rate[time > 2.0 * RAMP * 4.0].min() > 0.9 * np.pi / 2.0
 

@@ -12,8 +12,8 @@ import flexman_gym as fm
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 
-from oracles.episodes import EVERYTHING, actions
-from oracles.equality import same
+from oracles.assertions import same
+from oracles.random_inputs import EVERYTHING, actions
 
 MODES = tuple(AutoresetMode)
 SHORT = {"max_episode_steps": 30, "limits": fm.Limits(rate=2.5)}  # episodes that end either way

@@ -6,9 +6,37 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.control import PD
-from flexman_gym.envs.description import Description
-from flexman_gym.evaluation import FIGURES, Entrant, rollout
+from flexman_gym.envs.config.description import Description
+from flexman_gym.evaluation import METRICS, Agent, rollout
+from flexman_gym.evaluation.rollout import TEST_SEEDS
 from flexman_gym.metrics import BAND
+
+from oracles.assertions import refusal
+
+SHORT = Description("FlexOne-v0", {"horizon": 0.2})
+
+
+def test_a_number_of_episodes_is_that_of_the_first_test_seeds():
+    """Those of `flexman evaluate --episodes`."""
+    assert fm.rollout("pd", SHORT, 3).about["seeds"] == list(TEST_SEEDS[:3])
+    assert (
+        fm.evaluate("pd", SHORT, 3) == fm.evaluate("pd", SHORT, TEST_SEEDS[:3]) == fm.evaluate("pd", SHORT, np.int64(3))
+    )
+    assert fm.rollout("pd", SHORT, np.arange(2)).about["seeds"] == [0, 1]
+
+
+@pytest.mark.parametrize("wrong", [0, -1, True, 2.0, None, "10", []])
+def test_other_numbers_are_refused(wrong):
+    line = refusal(fm.evaluate, "pd", SHORT, wrong)
+    assert line.startswith("seeds: ") and "\n" not in line
+
+
+@pytest.mark.parametrize("name", ["ppo-flexplanar", "shaping-flexrrr", "lab-flexrrr"])
+def test_a_policy_of_another_arm_is_refused_by_its_name(name):
+    own, other = ("FlexPlanar-v0", "FlexRRR-v0") if "planar" in name else ("FlexRRR-v0", "FlexOne-v0")
+    line = refusal(fm.evaluate, name, other, 1)
+    assert line.startswith(f"entrant: '{name}' is not allowed; give ") and own in line and other in line
+
 
 ONE = Description("FlexOne-v0", {"horizon": 1.5})
 SEEDS = range(9000, 9003)
@@ -23,7 +51,7 @@ def test_a_policy_with_a_history_sees_what_it_saw_in_training():
         judged.append(observations.copy())
         return np.tanh(observations[:, -shape[1] :])
 
-    rollout(Entrant("watching", act, interface), ONE, [9001, 9002])
+    rollout(Agent("watching", act, interface), ONE, [9001, 9002])
     env = gym.make(ONE.id, **ONE.keywords(), **interface)
     observation, ended = env.reset(seed=9001)[0], False
     while not ended:
@@ -40,15 +68,15 @@ def test_an_episode_that_fails_ends_there_and_the_arms_beside_it_go_on():
         return np.array([[1.0]] + [[0.0]] * (shape[0] - 1))
 
     environment = Description("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
-    together = rollout(Entrant("push", act), environment, SEEDS)
+    together = rollout(Agent("push", act), environment, SEEDS)
     failed, *others = together.records
     assert "rate" in failed.failure and len(failed.actions) < 75
     assert len(failed.tips) == len(failed.errors) == len(failed.actions) + 1 == len(failed.rewards) + 1
-    (alone,) = rollout(Entrant("push", act), environment, [9000]).records
+    (alone,) = rollout(Agent("push", act), environment, [9000]).records
     assert np.array_equal(alone.tips, failed.tips) and alone.failure == failed.failure
     for record in others:
         assert record.failure == "" and len(record.actions) == 75 and not record.actions.any()
-    assert FIGURES["settling_time"].of(failed) == FIGURES["vibration"].of(failed) == np.inf
+    assert METRICS["settling_time"].of(failed) == METRICS["vibration"].of(failed) == np.inf
     assert np.isnan(together.tips[0, together.lengths[0] + 1 :]).all() and together.tips.shape == (3, 76, 3)
     assert together.actions.shape == (3, 75, 1) and np.isnan(together.rewards[0, together.lengths[0] :]).all()
 
@@ -76,14 +104,14 @@ def test_a_failed_episode_is_counted_to_its_last_period():
         return np.ones(shape)
 
     environment = Description("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
-    (record,) = rollout(Entrant("push", act), environment, [9000]).records
+    (record,) = rollout(Agent("push", act), environment, [9000]).records
     env, rewards, failed = gym.make(environment.id, **environment.keywords()), [], False
     errors = [env.reset(seed=9000)[1]["tip_error"]]
     while not failed:
         _, reward, failed, _, info = env.step(np.ones(1, dtype=np.float32))
         rewards.append(reward)
         errors.append(info["tip_error"])
-    result = {name: figure.of(record) for name, figure in FIGURES.items()}
+    result = {name: figure.of(record) for name, figure in METRICS.items()}
     assert record.failure == info["failure"] and len(record.rewards) == len(rewards)
     assert result["reward"] == pytest.approx(sum(rewards), rel=1e-9) and abs(rewards[-1]) > 1e-3 * abs(result["reward"])
     assert result["rms_error"] == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=1e-9)
@@ -96,7 +124,7 @@ def test_the_band_is_a_part_of_the_reach():
     result = rollout("lqr-tracking", environment, SEEDS)
     assert result.band == pytest.approx(BAND * 1.0) == pytest.approx(0.02 / 8.5), "20 mm where the reach is 8.5 m"
     for record in result.records:
-        after = round(FIGURES["settling_time"].of(record) / record.period)
+        after = round(METRICS["settling_time"].of(record) / record.period)
         assert (record.errors[after:] <= record.band).all() and record.errors[after - 1] > record.band
 
 
@@ -132,7 +160,7 @@ def test_episodes_are_kept_with_all_that_was_recorded(tmp_path):
 
 def test_an_episode_that_failed_is_kept_to_its_end():
     environment = Description("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
-    result = rollout(Entrant("push", lambda seen, shape: np.ones(shape)), environment, [9000])
+    result = rollout(Agent("push", lambda seen, shape: np.ones(shape)), environment, [9000])
     episode = result.episode(0)
     assert len(episode.time) == result.lengths[0] + 1 < 76 and "rate" in episode.about["failure"]
     assert np.isfinite(episode.states).all() and len(episode.actions) == result.lengths[0]

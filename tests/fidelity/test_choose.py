@@ -9,9 +9,9 @@ from scipy.linalg import eigh
 import flexman_gym as fm
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.fidelity.choose import _candidates, _choose, _dropped, _report, assembled_modes
-from flexman_gym.fidelity.search import Search, Trial
-from flexman_gym.model.instant import stiffness_matrix
-from flexman_gym.simulation.amplification import amplitude_kept, explicit_limit, spectral_radius
+from flexman_gym.fidelity.search import CandidateRun, ModelSearch
+from flexman_gym.model.dynamics import stiffness_matrix
+from flexman_gym.simulation.amplification import explicit_limit, remaining_amplitude, spectral_radius
 from flexman_gym.simulation.methods import METHODS
 
 from oracles.chains import random_joint, random_link
@@ -86,7 +86,7 @@ def test_a_loose_tolerance_drops_more_and_the_report_says_how():
 def test_a_loose_tolerance_allows_what_has_no_foreshortening_and_texts_say_what_is_gone():
     """Which of the models that are good is quickest is a matter of the clock; which are good is none."""
     scene = SCENES["paper ff"]()
-    search = Search(scene, 0.1)
+    search = ModelSearch(scene, 0.1)
     parts = search.parts()
     candidates = _candidates(search, parts)
     assert any(not each.stiffening for each in candidates) and any(not each.springs for each in candidates)
@@ -104,19 +104,19 @@ def test_a_loose_tolerance_allows_what_has_no_foreshortening_and_texts_say_what_
 def test_of_models_that_cost_alike_the_smallest_is_chosen(monkeypatch, dearer, coordinates):
     def cost(search, candidate, method, step):
         run = search.run(candidate, method, step)
-        return Trial(candidate, method, step or 0.0, np.nan, 1.0 if candidate.springs else dearer, 1), run
+        return CandidateRun(candidate, method, step or 0.0, np.nan, 1.0 if candidate.springs else dearer, 1), run
 
-    monkeypatch.setattr(Search, "timed_run", cost)
+    monkeypatch.setattr(ModelSearch, "timed_run", cost)
     choice = _choose.__wrapped__(SCENES["paper ff"](), 0.1, np.inf)
     assert choice.model.n_dof == coordinates
 
 
 @pytest.mark.parametrize(("method", "step"), [("extrapolated_euler_3", 0.02), ("midpoint_2_sweeps", 0.02)])
 def test_a_report_speaks_of_every_method_that_lets_a_mode_grow(method, step):
-    search = Search(SCENES["two links"](), 0.01)
-    best = Trial(search.full, METHODS[method], step, 0.0, 1.0, 1)
+    search = ModelSearch(SCENES["two links"](), 0.01)
+    best = CandidateRun(search.full, METHODS[method], step, 0.0, 1.0, 1)
     own = fm.frequencies(search.model(search.full), [0.0, 0.0])[2:]
-    grown = max(amplitude_kept(METHODS[method], step, frequency) for frequency in own) - 1.0
+    grown = max(remaining_amplitude(METHODS[method], step, frequency) for frequency in own) - 1.0
     assert ("grow by" in _report(search, best, [best], 0.0)) == (grown > 0.01) == (method != "midpoint_2_sweeps")
 
 
@@ -163,7 +163,7 @@ def test_the_amplification_is_what_a_vibration_does(name):
     for _ in range(5):
         assert simulator.step([0.0]) == "ok"
     kept = spectral_radius(METHODS[name], 2 * np.pi * frequency * step) ** 400
-    assert kept == pytest.approx(amplitude_kept(METHODS[name], step, frequency, 200 * step) ** 2)
+    assert kept == pytest.approx(remaining_amplitude(METHODS[name], step, frequency, 200 * step) ** 2)
     if name != "semi_implicit_euler":  # whose energy swings, with the amplitude of its modified one kept
         assert simulator.energy / before == pytest.approx(kept, rel=0.02)
 
@@ -196,7 +196,7 @@ def test_the_default_environment_keeps_an_undamped_vibration_for_10_s(number):
         assert simulator.step(np.zeros(3)) == "ok"
     kept = np.sqrt(simulator.energy / before)
     frequency = np.sqrt(squares[3 + number]) / (2 * np.pi)
-    assert kept == pytest.approx(amplitude_kept(simulator.method, 0.02 / simulator.substeps, frequency), abs=1e-3)
+    assert kept == pytest.approx(remaining_amplitude(simulator.method, 0.02 / simulator.substeps, frequency), abs=1e-3)
     assert kept == pytest.approx(1.0, abs=1e-6)
 
 

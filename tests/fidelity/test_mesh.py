@@ -11,8 +11,8 @@ import flexman_gym as fm
 from flexman_gym.fidelity.mesh import MOST_RUNS, MeshSearch, large_rotations
 from flexman_gym.model.model import scene_model
 
+from oracles.assertions import refusal
 from oracles.chains import random_joint, random_link
-from oracles.refusals import refusal
 
 pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")
 

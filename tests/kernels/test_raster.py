@@ -39,7 +39,7 @@ def shaded(normals, colours=(200.0, 100.0, 50.0), eye=FAR):
     drawn = canvas()
     every = np.broadcast_to(np.asarray(colours, dtype=float), (3, 3)).copy()
     given = np.broadcast_to(np.asarray(normals, dtype=float), (3, 3)).copy()
-    raster.shade(drawn, screen(), np.zeros((3, 3)), given, every, FACES, np.asarray(eye, dtype=float))
+    raster.draw_triangles(drawn, screen(), np.zeros((3, 3)), given, every, FACES, np.asarray(eye, dtype=float))
     return drawn.colour
 
 
@@ -55,9 +55,9 @@ def test_a_camera_sees_as_a_pinhole():
 def test_a_triangle_covers_the_centres_within_it_where_it_faces_the_eye():
     drawn, (parts, inside) = canvas(), shares()
     corners, up = screen(), np.tile([0.0, 0.0, 1.0], (3, 1))
-    raster.shade(drawn, corners, np.zeros((3, 3)), up, np.zeros((3, 3)), FACES[:, ::-1].copy(), FAR)
+    raster.draw_triangles(drawn, corners, np.zeros((3, 3)), up, np.zeros((3, 3)), FACES[:, ::-1].copy(), FAR)
     assert (drawn.depth == 0.0).all() and drawn.box[1] < drawn.box[0], "it is seen from behind"
-    raster.shade(drawn, corners, np.zeros((3, 3)), up, np.zeros((3, 3)), FACES, FAR)
+    raster.draw_triangles(drawn, corners, np.zeros((3, 3)), up, np.zeros((3, 3)), FACES, FAR)
     assert np.array_equal(drawn.depth > 0.0, inside) and inside.sum() > 40
     assert drawn.depth[inside] == pytest.approx(np.einsum("i,irc->rc", NEARNESS, parts)[inside], rel=1e-6)
     rows, columns = np.nonzero(inside)
@@ -67,7 +67,7 @@ def test_a_triangle_covers_the_centres_within_it_where_it_faces_the_eye():
 
 def test_what_is_larger_than_the_picture_covers_all_of_it():
     drawn, wide = canvas(), np.column_stack([[-50.0, -50.0, 100.0], [-50.0, 100.0, -50.0], NEARNESS])
-    raster.shade(drawn, wide, np.zeros((3, 3)), np.ones((3, 3)), np.zeros((3, 3)), FACES, FAR)
+    raster.draw_triangles(drawn, wide, np.zeros((3, 3)), np.ones((3, 3)), np.zeros((3, 3)), FACES, FAR)
     assert (drawn.depth > 0.0).all() and drawn.box.tolist() == [0, SHAPE[1] - 1, 0, SHAPE[0] - 1]
 
 
@@ -76,7 +76,7 @@ def test_what_is_nearer_hides_what_is_farther_in_either_order(nearest):
     drawn, up = canvas(), np.tile([0.0, 0.0, 1.0], (3, 1))
     for i, colour in enumerate(((250.0, 0.0, 0.0), (0.0, 0.0, 250.0))):
         near = 0.5 if i == nearest else 0.4
-        raster.shade(drawn, screen(near), np.zeros((3, 3)), up, np.tile(colour, (3, 1)), FACES, FAR)
+        raster.draw_triangles(drawn, screen(near), np.zeros((3, 3)), up, np.tile(colour, (3, 1)), FACES, FAR)
     pixel = drawn.colour[3, 3].astype(int)
     assert (pixel[0] > pixel[2]) == (nearest == 0) and drawn.depth[3, 3] == np.float32(0.5)
 
@@ -112,9 +112,9 @@ def test_normals_and_colours_change_linearly_between_the_corners():
 def test_a_silhouette_is_seen_where_nothing_is_drawn():
     (_, inside), drawn, box = shares(), canvas(), np.array([1 << 30, -1, 1 << 30, -1])
     drawn.depth[:4] = 0.1
-    raster.cover(screen(), FACES, drawn.mask, drawn.depth, box)
+    raster.mark_coverage(screen(), FACES, drawn.mask, drawn.depth, box)
     assert np.array_equal(drawn.mask == 1, inside & (ROWS > 4.0))
-    raster.cover(screen(), FACES, drawn.shadow, np.zeros((1, 1), dtype=np.float32), box)
+    raster.mark_coverage(screen(), FACES, drawn.shadow, np.zeros((1, 1), dtype=np.float32), box)
     assert np.array_equal(drawn.shadow == 1.0, inside), "a shadow lies under what is drawn, too"
 
 
@@ -124,7 +124,7 @@ def test_a_line_has_its_colour_and_radius_at_its_last_point_and_less_before():
     ends = 3.0, 7.0, 11.0, 17.0
     line = np.array([[column, 8.0, 0.5] for column in ends])
     drawn.depth[9, 12:14], drawn.depth[9, 14:16] = 0.6, 0.4  # nearer and farther than the line
-    raster.stroke(drawn, line, radius, faintest, colour)
+    raster.draw_line(drawn, line, radius, faintest, colour)
     expected, hidden, parts = np.full((*SHAPE, 3), 100.0), drawn.depth > 0.5, np.zeros(SHAPE)
     for first, last, share in zip(ends, ends[1:], (1 / 3, 2 / 3, 1.0), strict=False):
         part = faintest + (1.0 - faintest) * share
@@ -140,7 +140,7 @@ def test_a_line_has_its_colour_and_radius_at_its_last_point_and_less_before():
 def test_a_shadow_at_the_edge_is_not_seen_at_the_other(radius):
     drawn, box = canvas(), np.array([0, SHAPE[1] - 1, 0, SHAPE[0] - 1])
     drawn.shadow[-1, -1] = 1.0
-    raster.soften(drawn.shadow, drawn.scratch, box, radius)
+    raster.blur_shadow(drawn.shadow, drawn.scratch, box, radius)
     means = [np.tri(size, k=radius) * np.tri(size, k=radius).T / (2 * radius + 1) for size in SHAPE]
     rows, columns = (mean @ mean[:, -1] for mean in means)
     assert drawn.shadow == pytest.approx(np.outer(rows, columns), abs=1e-7)
@@ -152,7 +152,7 @@ def test_a_shadow_is_softened_by_two_means(radius):
     """A point becomes a pyramid: two means over 2 r + 1 pixels are a triangle in each direction."""
     drawn, box = canvas(), np.array([9, 9, 7, 7])
     drawn.shadow[7, 9] = 1.0
-    raster.soften(drawn.shadow, drawn.scratch, box, radius)
+    raster.blur_shadow(drawn.shadow, drawn.scratch, box, radius)
     wide = 2 * radius + 1
     rows, columns = (np.maximum(wide - np.abs(np.arange(size) - at), 0) / wide**2 for size, at in ((16, 7), (20, 9)))
     assert drawn.shadow == pytest.approx(np.outer(rows, columns), abs=1e-7)
@@ -162,7 +162,7 @@ def test_a_shadow_is_softened_by_two_means(radius):
 def test_a_shadow_darkens_the_empty_scene_once():
     drawn = canvas(2)
     drawn.shadow[3, 4], drawn.shadow[5, 6] = 1.0, 0.5
-    raster.darken(drawn, np.array([4, 6, 3, 5]), 0.3)
+    raster.apply_shadow(drawn, np.array([4, 6, 3, 5]), 0.3)
     expected = np.full(drawn.colour.shape, 100.0)
     expected[6:8, 8:10], expected[10:12, 12:14] = 70.0, 85.0
     assert np.abs(drawn.colour - expected).max() <= 1.0 and not drawn.shadow.any()

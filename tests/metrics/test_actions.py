@@ -8,7 +8,7 @@ from scipy.signal import periodogram
 
 from flexman_gym.metrics import effort, power_above
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 
 PERIOD = 0.02
 TIME = PERIOD * np.arange(501)  # 10 s

@@ -14,7 +14,7 @@ from flexman_gym.metrics import (
     settling_time,
 )
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 
 PERIOD = 0.02
 TIME = PERIOD * np.arange(501)  # 10 s

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from flexman_gym.metrics import rms, squared_acceleration
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 
 
 @given(st.floats(1e-3, 1e3), st.integers(1, 20))

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from flexman_gym.metrics import damping_ratio, energy_left, peak_to_peak, residual_vibration
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 
 PERIOD = 0.02
 TIME = PERIOD * np.arange(501)  # 10 s

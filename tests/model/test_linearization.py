@@ -9,8 +9,8 @@ from scipy.linalg import expm
 
 import flexman_gym as fm
 
+from oracles.assertions import refusal
 from oracles.chains import QUICK, pinocchio_model, samples
-from oracles.refusals import refusal
 
 ANGLES = (0.3, -0.7, 1.1)
 

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import flexman_gym as fm
-from flexman_gym.model.instant import inertial_forces
-from flexman_gym.scene.plain import arm_of, plain
+from flexman_gym.model.dynamics import inertial_forces
+from flexman_gym.scene.serialization import arm_from_plain, to_plain
 
+from oracles.assertions import refusal
 from oracles.chains import QUICK, random_link
-from oracles.refusals import refusal
 
 INERTIA = ((3e-3, 2e-4, -1e-4), (2e-4, 2e-3, 1e-4), (-1e-4, 1e-4, 4e-3))
 STRIP = fm.Link.strip(0.5, 0.04, 0.003)
@@ -146,10 +146,12 @@ def test_lumped_masses_come_back_from_a_mapping_and_refuse_what_they_are_not():
     bodies = [fm.LumpedMass(0.5, 0.1, INERTIA, (0.01, 0.03, 0.2)), fm.LumpedMass(0.2, 0.5)]
     stepped = fm.NonUniformLink([STRIP, replace(STRIP, outline=None)], masses=bodies)
     arm = fm.Arm([replace(STRIP, masses=bodies), stepped], [HUB, HUB])
-    data = plain(arm)
-    assert arm_of(data) == arm and data["links"][0]["masses"][1] == {"mass": 0.2, "position": 0.5}
+    data = to_plain(arm)
+    assert arm_from_plain(data) == arm and data["links"][0]["masses"][1] == {"mass": 0.2, "position": 0.5}
     data["links"][1]["masses"][0]["position"] = 1.2
-    assert refusal(lambda: arm_of(data)).startswith("arm.links[1].masses[0].position: 1.2 is not allowed; give at most")
+    assert refusal(lambda: arm_from_plain(data)).startswith(
+        "arm.links[1].masses[0].position: 1.2 is not allowed; give at most"
+    )
     for make, line in (
         (lambda: fm.LumpedMass(0.0, 0.1), "LumpedMass.mass: 0.0 is not allowed; give a finite number > 0"),
         (lambda: fm.LumpedMass(1.0, -0.1), "LumpedMass.position: -0.1 is not allowed; give a finite number >= 0"),

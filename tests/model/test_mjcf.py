@@ -8,10 +8,10 @@ from scipy.linalg import eig, eigh
 from scipy.spatial.transform import Rotation
 
 import flexman_gym as fm
-from flexman_gym.envs.catalog import NAMED
-from flexman_gym.model.mjcf import link_pieces, mjcf
+from flexman_gym.envs.config.named_environments import NAMED
+from flexman_gym.model.mjcf import mjcf, rigid_pieces
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 
 TURN = tuple(map(tuple, Rotation.from_rotvec((0.3, -0.8, 0.4)).as_matrix()))
 THIN = fm.Link(0.4, 1e-4, 3e-10, 5e-9, 1e-9, 7e10, 2.6e10, 2700.0)
@@ -63,7 +63,7 @@ def test_pieces_weigh_and_turn_as_the_link():
     """About its joint; a beam of sections is the sum of them."""
     for link in (THIN, STEPPED):
         for count in (0, 1, 3):
-            pieces = link_pieces(link, count)
+            pieces = rigid_pieces(link, count)
             assert len(pieces) == 1 + count * len(link.sections)
             assert sum(piece.mass for piece in pieces) == pytest.approx(link.mass, rel=1e-12)
             found = sum(piece.inertia + np.array([0.0, 1.0, 1.0]) * piece.mass * piece.centre**2 for piece in pieces)

@@ -9,9 +9,9 @@ from scipy.linalg import expm
 
 import flexman_gym as fm
 from flexman_gym.kernels import dynamics, layout
-from flexman_gym.model.readings import INPUT_UNITS, OUTPUT_UNITS
+from flexman_gym.model.linearization import INPUT_UNITS, OUTPUT_UNITS
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 
 STRIP = fm.Link.strip(0.5, 0.04, 0.003)
 ARM = fm.Arm(

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import flexman_gym as fm
-from flexman_gym.envs.setup import setup_of
+from flexman_gym.envs.config.setup import setup_of
 from flexman_gym.kernels import layout, outputs
 from flexman_gym.model.statics import rest_tips
 
+from oracles.assertions import refusal
 from oracles.chains import QUICK, Sample, random_joint, random_link, samples
-from oracles.refusals import refusal
 
 WEIGHT = 9.81
 

@@ -7,10 +7,10 @@ import pytest
 from scipy.optimize import brentq
 
 import flexman_gym as fm
-from flexman_gym.model.natural import natural_modes
+from flexman_gym.model.natural_modes import natural_modes
 from flexman_gym.simulation.parameters import varied_model
 
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 
 STRIP = fm.Link.strip(0.5, 0.04, 0.003)
 HUB = fm.Joint((0.0, 0.0, 1.0))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from oracles.beam import beam_points, element_rows, payload_points, skew
+from oracles.dense import beam_points, element_rows, payload_points, skew
 
 AGREEMENT = 1e-7
 EXACT = 10  # Gauss points of an element, for the product of a Lagrange polynomial and a quintic: to degree 19

@@ -16,8 +16,8 @@ import numpy as np
 
 import flexman_gym as fm
 
-from oracles.odd import NO_NUMBERS, fits, odd
-from oracles.targets import TARGETS
+from oracles.fuzz_targets import TARGETS
+from oracles.odd_values import NO_NUMBERS, fits, odd
 
 LONGEST = 10  # s that a call may take
 MEMORY = 6 * 2**30  # bytes that a process of calls may have
@@ -144,9 +144,9 @@ def loud(said):
 
 def described(strange):
     """The odd arguments on a line."""
-    from flexman_gym.checks import shown
+    from flexman_gym.common.checks import short_repr
 
-    return ", ".join(f"{name}={shown(value)} ({type(value).__name__})" for name, value in strange.items())
+    return ", ".join(f"{name}={short_repr(value)} ({type(value).__name__})" for name, value in strange.items())
 
 
 def run(count, first=0, name=None):

@@ -16,17 +16,17 @@ from pathlib import Path
 import numpy as np
 
 import flexman_gym as fm
-from flexman_gym.control.slew_table import SlewTable
-from flexman_gym.draw.learning import read_progress
-from flexman_gym.envs.description import Description
-from flexman_gym.envs.scales import Scales
-from flexman_gym.evaluation.entrants import find_entrant
-from flexman_gym.evaluation.folder import read_data
-from flexman_gym.evaluation.league import Book
-from flexman_gym.evaluation.shipped import ABOUT, ARRAYS, CERTIFICATE, read_shipped
-from flexman_gym.evaluation.shipped import certificate as read_certificate
-from flexman_gym.evaluation.submission import training_seconds
-from flexman_gym.scene.record import read_record
+from flexman_gym.common.run_folder import read_data
+from flexman_gym.common.time_series import read_time_series
+from flexman_gym.control.normalisation import RunningMeanStd
+from flexman_gym.control.references.optimised_slews import SlewTable
+from flexman_gym.draw.evaluation import read_progress
+from flexman_gym.envs.config.description import Description
+from flexman_gym.evaluation.agent import find_agent
+from flexman_gym.evaluation.agent_info import training_seconds
+from flexman_gym.evaluation.policy_files import ABOUT, ARRAYS, CERTIFICATE, read_policy
+from flexman_gym.evaluation.policy_files import read_certificate as read_certificate
+from flexman_gym.league.rows import LeagueRows
 from flexman_gym.simulation.episode import Episode
 
 from oracles import shipped
@@ -38,17 +38,17 @@ READERS = {  # name of the file -> what reads it, of its path
     "scene.yaml": fm.Scene.load,
     "environment.yaml": Description.load,
     "arm.json": lambda path: Description.from_dict({"arm": path.name}, path.parent),
-    "record.csv": read_record,
+    "record.csv": read_time_series,
     "episode.npz": Episode.load,
     "table.npz": SlewTable.load,
-    "scales.npz": Scales.load,
+    "scales.npz": RunningMeanStd.load,
     "newest.npz": read_data,
-    "settings.json": lambda path: find_entrant(str(path.parent)),
-    ABOUT: lambda path: read_shipped(path.parent),
-    ARRAYS: lambda path: read_shipped(with_about(path.parent)),
+    "settings.json": lambda path: find_agent(str(path.parent)),
+    ABOUT: lambda path: read_policy(path.parent),
+    ARRAYS: lambda path: read_policy(with_about(path.parent)),
     CERTIFICATE: lambda path: read_certificate(with_about(path.parent)),
-    "cells.csv": lambda path: Book.load(with_rows(path.parent)),
-    "rows.csv": lambda path: Book.load(with_cells(path.parent)),
+    "cells.csv": lambda path: LeagueRows.load(with_rows(path.parent)),
+    "rows.csv": lambda path: LeagueRows.load(with_cells(path.parent)),
     "progress.csv": lambda path: read_progress(path.parent),
     "progress-1.csv": lambda path: training_seconds(str(path.parent)),
 }

@@ -18,13 +18,13 @@ import yaml
 
 import flexman_gym as fm
 from flexman_agents.settings import Settings
-from flexman_gym.envs.description import Description
+from flexman_gym.envs.config.description import Description
 
 from oracles.files import ROOT
 from oracles.fuzz import TooLong, bounded, loud
-from oracles.odd import KEYS, odd
+from oracles.fuzz_targets import ARM, CHOICE, DESCRIBED, SCENE, TRAINING, TWO
+from oracles.odd_values import KEYS, odd
 from oracles.runs import RUNS
-from oracles.samples import ARM, CHOICE, DESCRIBED, SCENE, TRAINING, TWO
 
 LONGEST = 450  # characters of a line beside the path of the file
 TOKENS = (b"null", b"true", b"-1", b"1e999", b"1e-999", b"nan", b".inf", b"'x'", b"{", b"]", b"\t", b"\xff", b"\x00",
@@ -50,20 +50,20 @@ TEXTS = {
 @cache
 def policy():
     """The files of a policy that has not learned yet."""
-    from flexman_agents.algorithm import make_model
-    from flexman_agents.memory import take_policy
-    from flexman_gym.evaluation.folder import NEWEST, SETTINGS, write_data
+    from flexman_agents.sb3 import make_model
+    from flexman_agents.training import policy_state
+    from flexman_gym.common.run_folder import NEWEST, SETTINGS, write_data
 
     settings = RUNS["ppo"]
     with tempfile.TemporaryDirectory() as folder:
-        write_data(Path(folder) / NEWEST, take_policy(make_model(settings)) | {"settings": settings.plain()})
+        write_data(Path(folder) / NEWEST, policy_state(make_model(settings)) | {"settings": settings.plain()})
         newest = (Path(folder) / NEWEST).read_bytes()
     return {SETTINGS: json.dumps(settings.plain(), indent=1).encode(), NEWEST: newest}
 
 
 def read_policy(folder):
     """What the policy of a folder does when all it sees is zero."""
-    from flexman_gym.evaluation.entrants import load_run
+    from flexman_gym.evaluation.agent import load_run
 
     network = load_run(folder).interface["base"].network
     size = len(np.load(io.BytesIO(policy()["newest.npz"]))["/statistics/mean"])

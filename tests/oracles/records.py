@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from flexman_gym.evaluation import Record
+from flexman_gym.evaluation import EpisodeRecord
 
 PERIOD, LENGTH = 0.02, 500  # s, control periods
 
@@ -15,4 +15,4 @@ def record(reward=123.4, settled=2.5, vibration=0.0012, error=0.0034, effort=0.2
     errors = np.where(time > min(settled, 8.9) - 0.5 * PERIOD, error, 1.0)
     errors[-1] += 0.1 * (not np.isfinite(settled))  # which leaves the median of the last second
     actions, rewards = np.full((LENGTH, joints), np.sqrt(effort)), np.full(LENGTH, reward / LENGTH)
-    return Record(tips, errors, actions, rewards, failure, PERIOD, band)
+    return EpisodeRecord(tips, errors, actions, rewards, failure, PERIOD, band)

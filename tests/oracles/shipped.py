@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from flexman_gym.control.network import Network
-from flexman_gym.envs.description import Description
-from flexman_gym.evaluation.entrants import load_shipped, observed
-from flexman_gym.evaluation.shipped import ABOUT, ARRAYS, COUNT, write_shipped
+from flexman_gym.envs.config.description import Description
+from flexman_gym.evaluation.agent import load_policy, observation_layout
+from flexman_gym.evaluation.policy_files import ABOUT, ARRAYS, CHECK_ROWS, write_policy
 
 from oracles.mutants import bent, mangled
 
@@ -28,13 +28,13 @@ FIRST = "mlp_extractor.policy_net.0"
 
 def made_up(described=DESCRIBED, seed=0):
     """What is said of a policy, and its arrays: random layers that do something."""
-    random, names = np.random.default_rng(seed), observed(described)
+    random, names = np.random.default_rng(seed), observation_layout(described)
     size, joints = sum(each["size"] for each in names), described.setup().arm.n_joints
     shapes = {f"{FIRST}.weight": (7, size), f"{FIRST}.bias": (7,), "action_net.weight": (joints, 7),
               "action_net.bias": (joints,)}  # fmt: skip
     layers = {name: random.normal(0.0, 0.3, shape).astype(np.float32) for name, shape in shapes.items()}
     moments = {"mean": random.normal(0.0, 0.1, size), "var": random.uniform(0.5, 2.0, size)}
-    seen = random.normal(0.0, 1.0, (COUNT, size)).astype(np.float32)
+    seen = random.normal(0.0, 1.0, (CHECK_ROWS, size)).astype(np.float32)
     actions = Network("ppo", None, layers, moments)(seen)
     settings = {"algo": "ppo", "hyperparameters": {}, "seed": 3, "envs": 4, "judge_every": 0}
     about = {
@@ -51,14 +51,14 @@ def write_still(folder):
     for name in ("action_net.weight", "action_net.bias", "check.actions"):
         arrays[name] = np.zeros_like(arrays[name])
     about["recipe"]["settings"]["environment"] = DESCRIBED.whole()
-    write_shipped(folder, about, arrays)
+    write_policy(folder, about, arrays)
 
 
 @cache
 def files():
     """The files of the policy."""
     with tempfile.TemporaryDirectory() as folder:
-        write_shipped(Path(folder), *made_up())
+        write_policy(Path(folder), *made_up())
         return {name: (Path(folder) / name).read_bytes() for name in (ABOUT, ARRAYS)}
 
 
@@ -74,7 +74,7 @@ def acting(folder, contents):
     """The policy in a folder into which files of these contents are written."""
     for name, content in contents.items():
         (folder / name).write_bytes(content)
-    return load_shipped(folder).interface["base"]
+    return load_policy(folder).interface["base"]
 
 
 def mutant(random):

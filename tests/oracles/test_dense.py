@@ -8,9 +8,8 @@ from hypothesis import given, settings
 
 import flexman_gym as fm
 
-from oracles.beam import payload_points
 from oracles.chains import QUICK, random_payload, samples
-from oracles.dense import Chain
+from oracles.dense import Chain, payload_points
 
 
 def spinning(sample):

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.envs.snapshot import give, take
+from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import SPECIFIC_FORCE, TIP, TIP_ACCELERATION
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.batch import Batch
 
-from oracles.batches import drives, states_of
+from oracles.random_inputs import drives, states_of
 
 G = 9.81
 ARM = replace(
@@ -197,9 +197,9 @@ def test_a_batch_that_takes_over_a_snapshot_feels_the_same(asked):
     batch.step(-drive[0])
     if asked:
         batch.tip_accelerations()
-    other, snapshot = begun(3, periods=1)[0], take(batch)
+    other, snapshot = begun(3, periods=1)[0], get_state(batch)
     other.tip_accelerations()
-    give("batch", other, snapshot)
+    set_state("batch", other, snapshot)
     for each in drive:
         assert np.array_equal(other.tip_accelerations(), batch.tip_accelerations())
         batch.step(each)

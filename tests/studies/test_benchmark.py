@@ -6,11 +6,11 @@ from importlib.util import find_spec
 
 import pytest
 
-from studies.benchmark import environments, evaluations
+from studies.benchmark import measure
 from studies.benchmark import page as page_of
 from studies.benchmark.endurance import endure
-from studies.benchmark.rows import Row
-from studies.table import read_rows
+from studies.benchmark.measure import BenchmarkRow
+from studies.files import read_rows
 
 from oracles.files import command
 
@@ -22,7 +22,7 @@ def quick(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", ["benchmark.py", "--quick", "--folder", str(folder)])
         command("benchmark").main()
-    return read_rows(folder / "benchmark.csv", Row), (folder / "benchmark.md").read_text()
+    return read_rows(folder / "benchmark.csv", BenchmarkRow), (folder / "benchmark.md").read_text()
 
 
 def test_every_row_has_its_cost_and_a_finite_ratio(quick):
@@ -36,11 +36,9 @@ def test_every_row_has_its_cost_and_a_finite_ratio(quick):
 
 
 def test_arms_and_threads_are_those_of_the_grid(quick):
-    result = [(row.arms, row.threads) for row in quick[0] if row.name == environments.VECTOR]
-    assert result == [(arms, 1) for arms in environments.QUICK.arms] + [
-        (arms, 2) for arms in environments.QUICK.arms if arms > 1
-    ]
-    assert (environments.PPO in {row.name for row in quick[0]}) == bool(find_spec("stable_baselines3"))
+    result = [(row.arms, row.threads) for row in quick[0] if row.name == measure.VECTOR]
+    assert result == [(arms, 1) for arms in measure.QUICK.arms] + [(arms, 2) for arms in measure.QUICK.arms if arms > 1]
+    assert (measure.PPO in {row.name for row in quick[0]}) == bool(find_spec("stable_baselines3"))
 
 
 def test_a_row_is_its_own_peer_once(quick):
@@ -60,11 +58,11 @@ def test_the_page_has_a_line_for_every_row_and_sentences_about_them(quick):
 def test_peers_that_are_missing_are_named_and_left_out(monkeypatch, capsys):
     for name in ("mujoco", "pinocchio", "studies.benchmark.mujoco", "studies.peers.pinocchio"):
         monkeypatch.setitem(sys.modules, name, None)
-    monkeypatch.setattr(environments, "find_spec", lambda name: None)
-    rows = environments.rows(environments.Grid(arms=(1, 2), steps=2, singles=2, physics=(1, 1), rounds=1))
+    monkeypatch.setattr(measure, "find_spec", lambda name: None)
+    rows = measure.environment_rows(measure.Grid(arms=(1, 2), steps=2, singles=2, physics=(1, 1), rounds=1))
     assert {row.peer for row in rows} == {""} and {row.times_peer for row in rows} == {None}
-    timers = evaluations.timers()
-    assert evaluations.ABA not in timers and evaluations.PLAIN in timers
+    timers = measure.timers()
+    assert measure.ABA not in timers and measure.PLAIN in timers
     result = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
     assert result == ["Stable-Baselines3", "MuJoCo", "Pinocchio"]
     assert page_of.conclusions(rows)
@@ -80,7 +78,7 @@ def test_endurance_counts_its_episodes_and_fills_its_section_of_the_page(tmp_pat
     text = (tmp_path / page_of.PAGE).read_text()
     assert text.startswith("before\n") and text.count(page_of.ENDURANCE) == 1 and "old" not in text
     section = page_of.without_endurance(tmp_path / page_of.PAGE)[1]
-    rows = [Row("environments", name, 1, 1, 1.0, 1.0) for name in (environments.OURS, environments.VECTOR)]
+    rows = [BenchmarkRow("environments", name, 1, 1, 1.0, 1.0) for name in (measure.OURS, measure.VECTOR)]
     page_of.publish(rows, "a machine", tmp_path)
     assert page_of.without_endurance(tmp_path / page_of.PAGE)[1] == section
 

@@ -10,8 +10,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.envs import NAMED
 from flexman_gym.envs.tasks import TASKS
-from studies.environments.accuracy import accuracy
-from studies.environments.episode import BASES, SEEDS, draw, run
+from studies.environments.measure import BASES, SEEDS, accuracy, draw, run
 from studies.environments.page import SECTIONS, STEP, baselines, docstring_sections, page
 
 from oracles.files import ROOT

@@ -7,21 +7,20 @@ from dataclasses import fields, replace
 import pytest
 
 from studies.fidelity import measure
-from studies.fidelity.cases import open_scenes, scenes
-from studies.fidelity.measure import Row, rows
+from studies.fidelity.measure import FidelityRow, open_scenes, rows, scenes
 from studies.fidelity.page import COLUMNS, conclusion, page
-from studies.table import read_rows, write_rows
+from studies.files import read_rows, write_rows
 
 from oracles.files import ROOT, command
 
-NAMES = [field.name for field in fields(Row)]
-ROW = Row("a scene", 1e-2, 8e-3, 9e-3, 9 / 8, 20.0, "ros2", 5e-3, 1e-3, 2e-3, 0.5)
+NAMES = [field.name for field in fields(FidelityRow)]
+ROW = FidelityRow("a scene", 1e-2, 8e-3, 9e-3, 9 / 8, 20.0, "ros2", 5e-3, 1e-3, 2e-3, 0.5)
 
 
 @pytest.fixture(scope="module")
 def published():
     """The rows in docs."""
-    return read_rows(ROOT / "docs" / "fidelity.csv", Row)
+    return read_rows(ROOT / "docs" / "fidelity.csv", FidelityRow)
 
 
 def test_the_published_rows_have_the_columns_of_the_study(published):
@@ -33,7 +32,7 @@ def test_the_published_rows_have_the_columns_of_the_study(published):
 def test_rows_survive_their_file(tmp_path):
     result = [ROW, replace(ROW, grid=math.inf, dearer=0.0)]
     write_rows(result, tmp_path / "rows.csv", 9)
-    assert read_rows(tmp_path / "rows.csv", Row) == result
+    assert read_rows(tmp_path / "rows.csv", FidelityRow) == result
 
 
 def test_every_column_of_the_table_is_explained_above_it(published):

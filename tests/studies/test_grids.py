@@ -8,14 +8,14 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from flexman_agents.training import train, trained
-from flexman_gym.evaluation.folder import NEWEST, read_data
-from flexman_gym.evaluation.grid import Workers, gathered
-from flexman_gym.evaluation.league import ROWS, play_league
+from flexman_agents.training import train, train_or_resume
+from flexman_gym.common.grid import Workers, collect_cells
+from flexman_gym.common.run_folder import NEWEST, read_data
+from flexman_gym.league.rows import ROWS, run_league
 from studies.stability import rows as stability
 
 from oracles import cells
-from oracles.refusals import refusal
+from oracles.assertions import refusal
 from oracles.runs import RUNS
 
 SEEDS, RECIPE = range(5), replace(RUNS["ppo"], judge_every=0)
@@ -40,7 +40,7 @@ def policies(folder):
 
 def league(folder, workers, venues):
     """The rows of a league, as bytes."""
-    play_league(["zero", "pd", "lqr"], venues, range(9000, 9002), folder, workers, lambda said: None)
+    run_league(["zero", "pd", "lqr"], venues, range(9000, 9002), folder, workers, lambda said: None)
     return (folder / ROWS).read_bytes()
 
 
@@ -64,8 +64,8 @@ def venues(tmp_path_factory):
 def serial(tmp_path_factory, venues):
     """All three in this process alone."""
     folder = tmp_path_factory.mktemp("serial")
-    gathered(trained, seeds_of(folder))
-    return policies(folder), league(folder / "league", 1, venues), gathered(stability.rows_of, MAP)
+    collect_cells(train_or_resume, seeds_of(folder))
+    return policies(folder), league(folder / "league", 1, venues), collect_cells(stability.rows_of, MAP)
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -76,11 +76,11 @@ def test_every_way_gives_the_bits_of_a_serial_run_although_a_worker_is_killed(
     if package and not find_spec(package):
         pytest.skip(f"{package} is not installed")
     monkeypatch.chdir(tmp_path)
-    gathered(partial(cells.dying_once, str(tmp_path / "grave"), trained), seeds_of(tmp_path), workers)
+    collect_cells(partial(cells.dying_once, str(tmp_path / "grave"), train_or_resume), seeds_of(tmp_path), workers)
     assert policies(tmp_path) == serial[0] and len({str(each) for each in serial[0]}) == 5
-    if way != "processes":  # in which evaluation/test_league.py plays it
+    if way != "processes":  # in which league/test_rows.py plays it
         assert league(tmp_path / "league", workers, venues) == serial[1]
-    assert repr(gathered(stability.rows_of, MAP, workers)) == repr(serial[2])
+    assert repr(collect_cells(stability.rows_of, MAP, workers)) == repr(serial[2])
     assert (tmp_path / "grave").exists() and len(serial[2]) == len(MAP) == 2
 
 
@@ -90,11 +90,11 @@ def test_seeds_that_were_killed_go_on_and_those_that_are_done_stay(tmp_path, ser
               hook=lambda report, stop=stop: report.steps >= stop)  # fmt: skip
     (tmp_path / "seed-0" / NEWEST).unlink()  # killed before anything was kept
     before = (tmp_path / "seed-2" / NEWEST).stat().st_mtime_ns
-    assert gathered(trained, seeds_of(tmp_path)) == [str(tmp_path / f"seed-{seed}") for seed in SEEDS]
+    assert collect_cells(train_or_resume, seeds_of(tmp_path)) == [str(tmp_path / f"seed-{seed}") for seed in SEEDS]
     assert policies(tmp_path) == serial[0]
     assert (tmp_path / "seed-2" / NEWEST).stat().st_mtime_ns == before
     other = (replace(RECIPE, envs=2), str(tmp_path / "seed-0"), {"progress": False})
-    assert refusal(trained, other).startswith("folder: ")
+    assert refusal(train_or_resume, other).startswith("folder: ")
 
 
 def test_the_cells_of_the_stability_study_are_all_of_its_rows():

@@ -8,20 +8,41 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from flexman_agents.recipes import NAMES, find_recipe
-from flexman_agents.settings import Settings
-from flexman_gym.envs.description import Description
-from flexman_gym.evaluation.shipped import POLICIES
+from flexman_agents.settings import RECIPES, Settings, find_recipe
+from flexman_gym.envs.config.description import Description
+from flexman_gym.evaluation.policy_files import POLICIES
+from studies.files import read_comment, read_rows
 from studies.learning import measure
-from studies.learning.cases import ABLATED, ABLATIONS, CONTROLLERS, LAW, SEEDS, TASKS, UNKNOWN, VENUES, Case, cases
-from studies.learning.curves import POINTS, Point, adds_to_pd, environment, pictures, points
-from studies.learning.measure import AS_TRAINED, FINER, LONGER, Row, places, runs, trained
+from studies.learning.measure import (
+    ABLATED,
+    ABLATIONS,
+    AS_TRAINED,
+    CONTROLLERS,
+    FINER,
+    LAW,
+    LONGER,
+    POINTS,
+    SEEDS,
+    TASKS,
+    UNKNOWN,
+    VENUES,
+    LearningCase,
+    LearningRow,
+    Point,
+    adds_to_pd,
+    cases,
+    environment,
+    pictures,
+    places,
+    points,
+    runs,
+    trained,
+)
 from studies.learning.page import page
-from studies.table import read_comment, read_rows
 
 from oracles.files import ROOT, command
 
-ROW = Row(
+ROW = LearningRow(
     "recipe", ABLATED, 0.0, AS_TRAINED, 1e6, 80.0, 12500.0, 0.4, 0.97, 4.2, 4.1, 4.4, 5e-4, 3e-3, 370.0, 0.1, 0.0, 0.05
 )
 SHORT = Settings(
@@ -31,7 +52,7 @@ SHORT = Settings(
 
 
 def test_every_recipe_is_judged():
-    assert sorted(SEEDS) == NAMES and VENUES.keys() <= SEEDS.keys()
+    assert sorted(SEEDS) == RECIPES and VENUES.keys() <= SEEDS.keys()
     assert [case.name for case in cases() if case.kind == "recipe"] == list(SEEDS)
 
 
@@ -73,7 +94,7 @@ def test_a_finer_model_and_longer_episodes_are_what_they_say():
 
 def test_a_run_is_trained_once_and_judged_in_three_places(tmp_path, monkeypatch):
     monkeypatch.setattr(measure, "TEST", range(9000, 9002))
-    case = Case("recipe", "short", SHORT, 2)
+    case = LearningCase("recipe", "short", SHORT, 2)
     result = list(runs(case, tmp_path))
     assert [(row.seed, row.where) for row in result] == [
         (seed, where) for seed in (0, 1) for where in (AS_TRAINED, FINER, LONGER)
@@ -104,7 +125,7 @@ def test_the_page_has_the_middle_and_the_worst_of_the_seeds_of_an_ablation():
 
 def test_the_published_page_is_that_of_the_published_rows():
     file = ROOT / "docs" / "learning.csv"
-    rows = read_rows(file, Row)
+    rows = read_rows(file, LearningRow)
     for kind, counts in (("recipe", SEEDS), ("ablation", dict.fromkeys(ABLATIONS, 3))):
         assert {row.name for row in rows if row.kind == kind} == counts.keys()
         for name, count in counts.items():

@@ -4,10 +4,22 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from studies.machine.made_up import draws
-from studies.machine.measure import COUPLED, FIT, MUJOCO, ONE, SCORE, SHEET, Row
+from studies.machine.measure import (
+    COUPLED,
+    DATA,
+    FIT,
+    MUJOCO,
+    ONE,
+    SCORE,
+    SHEET,
+    STAGE_1,
+    FitRow,
+    both_stages,
+    draws,
+    driven,
+    moving,
+)
 from studies.machine.page import page
-from studies.machine.records import DATA, STAGE_1, both_stages, driven, moving
 
 
 def test_half_of_the_runs_of_a_real_arm_predicts_the_others():
@@ -41,14 +53,14 @@ def test_the_truth_of_a_made_up_arm_is_where_the_fit_says():
 
 
 def test_the_page_tells_its_rows():
-    rows = [Row(FIT, half, name, 0.9) for half in "AB" for name in ("natural frequency, Hz", "EI factor",
+    rows = [FitRow(FIT, half, name, 0.9) for half in "AB" for name in ("natural frequency, Hz", "EI factor",
             "amplitude factor, measured", "amplitude factor of the model")]  # fmt: skip
     rows += [
-        Row(SCORE, "lqg_20deg", "A", 0.951),
-        Row(SHEET, "lqg_20deg", "A", 0.8),
-        Row(MUJOCO, "lqg_20deg", "R2", 0.952),
+        FitRow(SCORE, "lqg_20deg", "A", 0.951),
+        FitRow(SHEET, "lqg_20deg", "A", 0.8),
+        FitRow(MUJOCO, "lqg_20deg", "R2", 0.952),
     ]
-    rows += [Row(COUPLED, f"link_deflection_{i}_y", "R2", 0.9) for i in (1, 2)]
+    rows += [FitRow(COUPLED, f"link_deflection_{i}_y", "R2", 0.9) for i in (1, 2)]
     text = page(rows, "nothing")
     assert "| lqg_20deg | A | 0.951 | 0.800 | 0.952 |" in text
     assert "| R2 of link_deflection_2_y, second half | 0.900 |  |" in text

@@ -6,20 +6,17 @@ import pytest
 
 from flexman_gym.scene import catalog
 from flexman_gym.simulation.methods import METHODS
-from studies.looks import COLOURS, MARKERS, looks
-from studies.methods import fixed_step_methods
+from studies.files import read_rows
+from studies.methods import COLOURS, MARKERS, fixed_step_methods, looks
 from studies.precision import charts as precision_charts
-from studies.precision.cases import grid
-from studies.precision.measure import Floor, Study, Truth
-from studies.precision.measure import Row as Run
+from studies.precision.measure import Floor, ReferenceSolution, Study, grid
+from studies.precision.measure import PrecisionRow as Run
 from studies.precision.page import cost_table, page
 from studies.stability import charts as stability_charts
-from studies.stability.conclusions import map_sections
-from studies.stability.drift import drift_rows
-from studies.stability.limits import amplification_rows, limit_rows
-from studies.stability.measure import Row
+from studies.stability.measure import StabilityRow
+from studies.stability.page import map_sections
 from studies.stability.page import page as stability_page
-from studies.table import read_rows
+from studies.stability.rows import amplification_rows, drift_rows, limit_rows
 
 from oracles.files import ROOT
 
@@ -42,7 +39,9 @@ def runs(monkeypatch):
             yield replace(RUN, model=model, method=method, **known)
 
     monkeypatch.setattr(Study, "ladder", ladder)
-    return list(grid(Study("a scene", catalog.paper_scene("ff"), {MODEL: None}, Truth(None, 0.0, ""), {}), (MODEL,)))
+    return list(
+        grid(Study("a scene", catalog.paper_scene("ff"), {MODEL: None}, ReferenceSolution(None, 0.0, ""), {}), (MODEL,))
+    )
 
 
 def lines_of(text, name):
@@ -52,7 +51,7 @@ def lines_of(text, name):
 
 def doubled(model):
     """The published rows of the study of stability, those of a method once more under the new name."""
-    rows = read_rows(ROOT / "docs" / "stability.csv", Row)
+    rows = read_rows(ROOT / "docs" / "stability.csv", StabilityRow)
     return [*rows, *(replace(row, method=NEW) for row in rows if row.method == model)]
 
 

@@ -9,14 +9,13 @@ from scipy.linalg import eigh
 
 import flexman_gym as fm
 from flexman_gym.model.mjcf import mjcf
-from studies.peers import abreast, compare, newton
-from studies.peers.decay import decay, decays
+from studies.peers import measure, newton
+from studies.peers.measure import decay, decays, with_rigid_joints
 from studies.peers.page import conclusions, page
-from studies.peers.runs import with_rigid_joints
-from studies.precision.measure import Row, cost_at
+from studies.precision.measure import PrecisionRow, cost_at
 
 ARM, SCENE = fm.catalog.paper_rrr(), fm.catalog.paper_scene("ff")
-ROW = Row("paper_ff", "2 elements a link", "ros2", 1e-3, None, 0.02, 0.02, 1e3, 2e-3, 3e-2, "ok")
+ROW = PrecisionRow("paper_ff", "2 elements a link", "ros2", 1e-3, None, 0.02, 0.02, 1e3, 2e-3, 3e-2, "ok")
 
 
 @pytest.fixture(scope="module")
@@ -128,8 +127,8 @@ def test_arms_of_mujoco_abreast_move_as_one_alone(mujoco_peer, pieces):
 
 def test_our_arms_abreast_move_as_one_alone():
     scene, model = short(ARM, 0.05), fm.build_model(ARM, 2, stiffening=True)
-    tips = abreast.ours(scene, model, "midpoint_2_sweeps")
-    alone = fm.simulate(scene, model, "midpoint_2_sweeps", step=abreast.STEP)
+    tips = measure.our_arms(scene, model, "midpoint_2_sweeps")
+    alone = fm.simulate(scene, model, "midpoint_2_sweeps", step=measure.STEP)
     assert np.allclose([next(tips) for _ in range(5)], alone.tip[1:], rtol=0.0, atol=1e-12)
 
 
@@ -222,9 +221,9 @@ def test_the_page_names_what_rigid_pieces_cost_beside_ours():
 
 
 def test_peers_that_are_missing_are_named(monkeypatch, capsys):
-    monkeypatch.setattr(compare.importlib, "import_module", lambda name: __import__("no_such_peer"))
-    assert compare.theirs(None) == []
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(compare.PEERS)
+    monkeypatch.setattr(measure.importlib, "import_module", lambda name: __import__("no_such_peer"))
+    assert measure.theirs(None) == []
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(measure.PEERS)
 
 
 def test_the_page_compares_arms_abreast_with_the_quickest_of_the_same_error():

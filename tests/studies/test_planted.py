@@ -6,11 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from studies.planted.change import Change
+from studies.files import write_rows
+from studies.planted.measure import CAUGHT, EQUIVALENT, ROOMS, SURVIVED, Change, Copy, Planted, changes, kept, misplaced
 from studies.planted.page import counts, page
-from studies.planted.planting import CAUGHT, EQUIVALENT, SURVIVED, Copy, Planted
-from studies.planted.table import ROOMS, changes, kept, misplaced
-from studies.table import write_rows
 
 ROOT = Path(__file__).parents[2]
 DOUBLE = Change("room", "halves", "double.py", "2 * x", "x / 2", ("test_double.py",))
@@ -78,7 +76,7 @@ def test_the_page_counts_every_row_once(tmp_path):
 
 
 def test_changes_of_a_file_share_its_tests(tmp_path, monkeypatch):
-    monkeypatch.setattr("studies.planted.table.ERRORS", tmp_path)
+    monkeypatch.setattr("studies.planted.measure.ERRORS", tmp_path)
     text = "- {file: a.py, tests: [test_beam.py, test_metrics.py], errors: [{error: one, old: x, new: y}, "
     (tmp_path / "room.yaml").write_text(text + "{error: two, old: u, new: v, equivalent: why}]}")
     tests = ("tests/test_beam.py", "tests/test_metrics.py")

@@ -10,22 +10,31 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import studies.precision.page as precision
 from flexman_gym.model.model import build_model
 from flexman_gym.scene import catalog
 from flexman_gym.simulation.amplification import largest_growth
 from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.scenes import simulate
-from studies.peers.compare import CUT_MESH, CUT_MODES
-from studies.precision import files
-from studies.precision.cases import RIGID_LINKS, cases, choices, whirl_scene
-from studies.precision.conclusions import conclusions
-from studies.precision.measure import Floor, Row, Truth, cheapest, pareto_front, setbacks
-from studies.precision.page import page, pictures
-from studies.table import read_rows, write_rows
+from studies.files import read_rows, write_rows
+from studies.peers.measure import CUT_MESH, CUT_MODES
+from studies.precision.measure import (
+    RIGID_LINKS,
+    Floor,
+    PrecisionRow,
+    ReferenceSolution,
+    cases,
+    cheapest,
+    choices,
+    pareto_front,
+    setbacks,
+    whirl_scene,
+)
+from studies.precision.page import conclusions, page, pictures
 
 from oracles.files import ROOT
 
-ROW = Row("a scene", "a model", "ros2", 0.01, None, 1.0, 1.0, 100.0, 1e-2, 1e-1, "ok")
+ROW = PrecisionRow("a scene", "a model", "ros2", 0.01, None, 1.0, 1.0, 100.0, 1e-2, 1e-1, "ok")
 NUMBERS = st.floats(min_value=1e-6, max_value=1e6) | st.just(math.inf)
 
 
@@ -33,19 +42,19 @@ NUMBERS = st.floats(min_value=1e-6, max_value=1e6) | st.just(math.inf)
 def folder(tmp_path_factory):
     """The quick study, computed and published."""
     result = tmp_path_factory.mktemp("study")
-    files.compute(ROOT / "flexman_gym" / "verification" / "reference", result, quick=True)
-    files.publish(result)
+    precision.compute(ROOT / "flexman_gym" / "verification" / "reference", result, quick=True)
+    precision.publish(result)
     return result
 
 
 @pytest.fixture(scope="module")
 def rows(folder):
-    return read_rows(folder / files.ROWS, Row)
+    return read_rows(folder / precision.ROWS_FILE, PrecisionRow)
 
 
 @pytest.fixture(scope="module")
 def floors(folder):
-    return read_rows(folder / files.FLOORS, Floor)
+    return read_rows(folder / precision.FLOORS_FILE, Floor)
 
 
 def test_rows_are_complete(rows, floors):
@@ -84,7 +93,7 @@ def test_the_error_of_the_model_is_what_the_methods_do_not_explain(rows):
 
 
 def test_the_page_holds_pictures_and_conclusion(folder, rows, floors):
-    text = (folder / files.PAGE).read_text(encoding="utf-8")
+    text = (folder / precision.PAGE_FILE).read_text(encoding="utf-8")
     assert text == page(rows, floors)
     assert "## Conclusion" in text and "numba" in text
     assert all(f"| {floor.scene} | {floor.model} | " in text for floor in floors if floor.model)
@@ -103,7 +112,7 @@ def test_pictures_are_written(folder, rows):
 def test_rows_survive_the_file(tmp_path):
     rows = [ROW, replace(ROW, step=None, rtol=1e-3, time_error=None, total_error=math.inf, status="diverged")]
     write_rows(rows, tmp_path / "rows.csv")
-    assert read_rows(tmp_path / "rows.csv", Row) == rows
+    assert read_rows(tmp_path / "rows.csv", PrecisionRow) == rows
 
 
 @given(st.lists(st.tuples(NUMBERS, NUMBERS), max_size=40))
@@ -162,7 +171,7 @@ def test_a_failed_run_is_infinitely_far_and_other_times_are_refused():
     model = build_model(scene.arm, **choices(scene)["rigid"])
     result = simulate(scene, model, "rk4", step=0.02)
     fine = simulate(scene, model, "rk4", step=0.01)
-    truth = Truth(fine.tip, 1e-12, "")
+    truth = ReferenceSolution(fine.tip, 1e-12, "")
     assert truth.distance(fine) == 0.0 < truth.distance(result) < 1e-6
     assert truth.distance(replace(result, status="diverged")) == math.inf
     with pytest.raises(ValueError, match="truth: 21 times"):

@@ -5,20 +5,25 @@ import pytest
 
 from flexman_gym.kernels import layout
 from studies.ringdown import measure
-from studies.ringdown.cases import (
+from studies.ringdown.measure import (
     BENT,
     DURATION,
     IMPULSE,
+    PARTS,
     PERIOD,
+    REFERENCE,
     RELEASE,
     SLEW,
     UNDAMPED,
+    RingDownRow,
     cases,
     default_model,
+    outcome,
+    percentiles,
+    row,
+    settings,
 )
-from studies.ringdown.charts import PICTURE, draw
-from studies.ringdown.measure import PARTS, REFERENCE, Row, outcome, percentiles, row, settings
-from studies.ringdown.page import page
+from studies.ringdown.page import PICTURE, draw, page
 
 DEFAULT = "midpoint_3_sweeps", PERIOD / 3
 
@@ -64,7 +69,7 @@ def test_rows_page_and_picture_name_the_default(monkeypatch, tmp_path):
     assert len(rows) == len(DURATION) * 2 * 2 and set(PARTS) >= {3, 4} and settings("rk4") == measure.FINE_PARTS
     text = page(rows, "one machine", DEFAULT)
     assert f"`{DEFAULT[0]}` at 6.67 ms" in text and "`ros2` at 5 ms" in text and "leaves 0.25 of the energy" not in text
-    foreign = Row(UNDAMPED, "MuJoCo, 4 pieces", "discrete", 0.005, 1e-4, *[0.5] * 7, kept=0.25, failed=0.0)
+    foreign = RingDownRow(UNDAMPED, "MuJoCo, 4 pieces", "discrete", 0.005, 1e-4, *[0.5] * 7, kept=0.25, failed=0.0)
     assert "leaves 0.25 of the energy" in page([*rows, foreign], "one machine", DEFAULT)
     draw([*rows, foreign], tmp_path, DEFAULT)
     assert (tmp_path / PICTURE).stat().st_size > 10_000

@@ -6,10 +6,22 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.control.margins import sampled_loop
 from flexman_gym.model import mass_matrix
-from studies.servos.friction import AT_REST, LOOPS, FrictionRow
-from studies.servos.measure import APART, CHECKED, LARGEST, PERIODS, Row, limit, limits, rounds_of, tried_by_environment
+from studies.files import read_comment, read_rows
+from studies.servos.measure import (
+    APART,
+    AT_REST,
+    CHECKED,
+    LARGEST,
+    LOOPS,
+    PERIODS,
+    FrictionRow,
+    ServoRow,
+    limit,
+    limits,
+    rounds_of,
+    tried_by_environment,
+)
 from studies.servos.page import page
-from studies.table import read_comment, read_rows
 
 from oracles.files import ROOT
 
@@ -36,7 +48,7 @@ def test_an_environment_comes_to_rest_below_a_limit_and_not_above_it():
 
 def test_the_page_is_that_of_its_rows():
     file = DOCS / "servos.csv"
-    result, rubbing = read_rows(file, Row), read_rows(DOCS / "servos_friction.csv", FrictionRow)
+    result, rubbing = read_rows(file, ServoRow), read_rows(DOCS / "servos_friction.csv", FrictionRow)
     assert (DOCS / "servos.md").read_text(encoding="utf-8") == page(read_comment(file), result, rubbing)
     tried = [row for row in result if row.below is not None]
     assert len(tried) == CHECKED and {row.period for row in result} == set(PERIODS)

@@ -10,24 +10,22 @@ import pytest
 from scipy.linalg import block_diag, eigh
 
 import flexman_gym as fm
+from flexman_gym.common.computer import computer_text
 from flexman_gym.model.beam import build_beam
-from flexman_gym.model.instant import stiffness_matrix
-from flexman_gym.model.modes import loaded_modes, outboard_inertias
+from flexman_gym.model.component_modes import loaded_modes, outboard_inertias
+from flexman_gym.model.dynamics import stiffness_matrix
 from flexman_gym.simulation.amplification import (
     amplification_factors,
     spectral_radius,
     stability_limit,
     vibration_factor,
 )
-from flexman_gym.verification.machine import machine_text
+from studies.files import read_comment, read_rows, write_rows
 from studies.methods import explicit_methods, fixed_step_methods
-from studies.stability.cases import SPIN_STIFFENED, SPRINGS, spin_case
-from studies.stability.damping import FREQUENCY, IN_PERIODS, KEPT, damping_rows
-from studies.stability.drift import drift_rows
-from studies.stability.limits import LIMIT_STUDIES, limit_rows
-from studies.stability.maps import map_rows
 from studies.stability.measure import (
-    Row,
+    SPIN_STIFFENED,
+    SPRINGS,
+    StabilityRow,
     grows,
     growth_per_step,
     measured_limit,
@@ -35,8 +33,18 @@ from studies.stability.measure import (
     predicted_limit,
     select,
     small_vibration,
+    spin_case,
 )
-from studies.table import read_comment, read_rows, write_rows
+from studies.stability.rows import (
+    FREQUENCY,
+    IN_PERIODS,
+    KEPT,
+    LIMIT_STUDIES,
+    damping_rows,
+    drift_rows,
+    limit_rows,
+    map_rows,
+)
 
 from oracles.files import ROOT, command
 
@@ -261,11 +269,11 @@ def test_a_tiny_rotor_on_a_stiff_spring_stops_an_explicit_method_and_ros2_is_rig
 
 def test_rows_survive_their_file(tmp_path):
     rows = [
-        Row("a", 1.0, "rk4", 0.5, "b, m", 0.25, None, "ok"),
-        Row("a", 2.0, "rk4", 0.5, "b, m", 1.0, 2.0, "diverged"),
+        StabilityRow("a", 1.0, "rk4", 0.5, "b, m", 0.25, None, "ok"),
+        StabilityRow("a", 2.0, "rk4", 0.5, "b, m", 1.0, 2.0, "diverged"),
     ]
-    write_rows(rows, tmp_path / "rows.csv", comment=machine_text())
-    comment, result = read_comment(tmp_path / "rows.csv"), read_rows(tmp_path / "rows.csv", Row)
+    write_rows(rows, tmp_path / "rows.csv", comment=computer_text())
+    comment, result = read_comment(tmp_path / "rows.csv"), read_rows(tmp_path / "rows.csv", StabilityRow)
     assert result == rows and "numba" in comment
 
 

@@ -14,12 +14,19 @@ from flexman_gym.verification.closed_forms import (
     joint_eigenvalues,
     rayleigh_eigenvalues,
 )
-from flexman_gym.verification.page import as_json, page, table
-from flexman_gym.verification.rows import COLUMNS, Row, exit_code, printed
+from flexman_gym.verification.table import (
+    COLUMNS,
+    VerificationRow,
+    as_json,
+    exit_code,
+    markdown_page,
+    printed_row,
+    text_table,
+)
 
 from oracles.files import REFERENCE, ROOT
 
-ROW = Row("a number, m", "a book", 2.0, 2.001, 1e-3)
+ROW = VerificationRow("a number, m", "a book", 2.0, 2.001, 1e-3)
 # The reference scenes hold the printed area of link 1 and that of `one_link`, which no section can have.
 pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")
 
@@ -79,7 +86,7 @@ def test_a_verdict_follows_from_error_and_tolerance(changes, error, verdict):
 
 def test_a_printed_value_is_met_to_half_its_last_digit():
     for value, verdict in ((4.549, "pass"), (4.451, "pass"), (4.56, "fail"), (4.44, "fail")):
-        assert printed("a frequency, Hz", "a book", "4.5", value).verdict == verdict
+        assert printed_row("a frequency, Hz", "a book", "4.5", value).verdict == verdict
 
 
 def test_nothing_computed_is_no_success():
@@ -88,10 +95,10 @@ def test_nothing_computed_is_no_success():
 
 def test_page_and_file_hold_all_rows(rows):
     shown = [*rows, replace(ROW, tolerance=None), replace(ROW, computed=np.inf)]
-    lines = [line for line in page(shown).splitlines() if line.startswith("| ")]
+    lines = [line for line in markdown_page(shown).splitlines() if line.startswith("| ")]
     assert lines[0] == "| " + " | ".join(COLUMNS) + " |"
     assert len(lines) == 2 + len(shown)
-    text = table(shown)
+    text = text_table(shown)
     for row, line in zip(shown, lines[2:], strict=True):
         assert line.startswith(f"| {row.case} | {row.source} |") and line.endswith(f"| {row.verdict} |")
         assert row.case in text

@@ -5,7 +5,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from flexman_gym.arrays import Array
+from flexman_gym.common.arrays import Array
 from flexman_gym.envs.limits import Limits
 from flexman_gym.simulation.batch import Batch
 

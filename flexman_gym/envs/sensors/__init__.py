@@ -4,17 +4,11 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-from flexman_gym.checks import mapping, one_of, refusal, text
-from flexman_gym.envs.sensors.action import Action
-from flexman_gym.envs.sensors.array import Sensors, measured_names
-from flexman_gym.envs.sensors.command import Command
-from flexman_gym.envs.sensors.fine import Fine
-from flexman_gym.envs.sensors.full import FullState
+from flexman_gym.common.checks import mapping, one_of, text, value_error
+from flexman_gym.envs.sensors.ideal import Action, Command, Fine, FullState, Quantities, Servo, State
 from flexman_gym.envs.sensors.instrument import FLAWS, Flaws, Instrument
-from flexman_gym.envs.sensors.quantities import Quantities
 from flexman_gym.envs.sensors.sensor import Entry, Sensor
-from flexman_gym.envs.sensors.servo import Servo
-from flexman_gym.envs.sensors.state import State
+from flexman_gym.envs.sensors.sensor_array import Sensors, measured_names
 from flexman_gym.simulation.readings import INSTRUMENTS
 
 SENSORS: dict[str, Callable[[], Sensor]] = {
@@ -50,7 +44,7 @@ def find_sensors(value: object) -> tuple[object, ...]:
 def _found(part: object) -> tuple[object, ...]:
     if isinstance(part, Mapping):
         if "kind" not in part:
-            raise refusal("sensors", dict(part), "a mapping with the name of a sensor at kind, and its flaws")
+            raise value_error("sensors", dict(part), "a mapping with the name of a sensor at kind, and its flaws")
         flaws = mapping("sensors", {name: value for name, value in part.items() if name != "kind"}, FLAWS)
         kind = text("sensors.kind", part["kind"])
         result = [_flawed(sensor, flaws, kind in SETS) for sensor in _named(kind)]
@@ -90,7 +84,7 @@ def _plain(part: object) -> Any:
         if isinstance(part, Instrument) and perfect == part.sensor:
             both = {each: getattr(part.flaws, each) for each in FLAWS}
             return {"kind": name, **{each: value for each, value in both.items() if value != getattr(own, each)}}
-    raise refusal("sensors", part, "something with a name: an object of one's own cannot be kept in a file")
+    raise value_error("sensors", part, "something with a name: an object of one's own cannot be kept in a file")
 
 
 __all__ = [

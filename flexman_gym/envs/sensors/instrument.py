@@ -6,13 +6,12 @@ from typing import Any, Self
 
 import numpy as np
 
-from flexman_gym.arrays import Array, IntArray
-from flexman_gym.checks import non_negative, refusal, store, whole_number
+from flexman_gym.common.arrays import Array, IntArray
+from flexman_gym.common.checks import non_negative, set_fields, value_error, whole_number
 from flexman_gym.envs.limits import Limits
-from flexman_gym.envs.sensors.measured import EVERYTHING, Measured
-from flexman_gym.envs.sensors.sensor import Entry, Sensor
-from flexman_gym.envs.streams import Noise
-from flexman_gym.simulation.view import View
+from flexman_gym.envs.random_streams import TruncatedNoise
+from flexman_gym.envs.sensors.sensor import DEFAULT_QUANTITIES, Entry, MeasuredView, Sensor
+from flexman_gym.envs.view import View
 
 FINEST = 1e-12  # quantisation, a part
 MOST_PERIODS = 1000  # of a delay or between two samples
@@ -45,14 +44,14 @@ class Flaws:
         for name in ("noise", "bias", "quantisation", "dropped"):
             part = non_negative(f"sensors.{name}", getattr(self, name))
             if part > 1.0:
-                raise refusal(f"sensors.{name}", part, "a part from 0 to 1")
-            store(self, **{name: part})
+                raise value_error(f"sensors.{name}", part, "a part from 0 to 1")
+            set_fields(self, **{name: part})
         if 0.0 < self.quantisation < FINEST:
-            raise refusal("sensors.quantisation", self.quantisation, f"0, or a part from {FINEST:g} to 1")
-        store(self, delay=whole_number("sensors.delay", self.delay, 0, MOST_PERIODS))
-        store(self, every=whole_number("sensors.every", self.every, 1, MOST_PERIODS))
+            raise value_error("sensors.quantisation", self.quantisation, f"0, or a part from {FINEST:g} to 1")
+        set_fields(self, delay=whole_number("sensors.delay", self.delay, 0, MOST_PERIODS))
+        set_fields(self, every=whole_number("sensors.every", self.every, 1, MOST_PERIODS))
         if self.dropped >= 1.0:
-            raise refusal("sensors.dropped", self.dropped, "a probability from 0 to below 1")
+            raise value_error("sensors.dropped", self.dropped, "a probability from 0 to below 1")
 
 
 FLAWS = tuple(each.name for each in fields(Flaws))
@@ -77,9 +76,11 @@ class Instrument:
 
     def __init__(self, sensor: Sensor, **flaws: Any) -> None:
         self.sensor, self.flaws = sensor, Flaws(**flaws)
-        self.measures = tuple(getattr(sensor, "measures", EVERYTHING))
+        self.measures = tuple(getattr(sensor, "measures", DEFAULT_QUANTITIES))
         if not self.measures:
-            raise refusal("sensors", sensor, "a sensor that measures: a command has no noise and does not come late")
+            raise value_error(
+                "sensors", sensor, "a sensor that measures: a command has no noise and does not come late"
+            )
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Instrument) and self.settings() == other.settings() and self.sensor == other.sensor
@@ -97,11 +98,11 @@ class Instrument:
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
         """Says what the sensor reads."""
         arms, flaws = len(view.motion), self.flaws
-        self.measured = Measured(view, limits, self.measures)
+        self.measured = MeasuredView(view, limits, self.measures)
         size = len(self.measured.bound)
         self._held, self._bias = np.zeros((arms, size)), np.zeros((arms, size))
         self._late = np.zeros((flaws.delay, arms, size))  # samples on their way, the oldest first
-        self._ages, self._noise = np.zeros(arms, dtype=np.int64), Noise(arms, size + 1)
+        self._ages, self._noise = np.zeros(arms, dtype=np.int64), TruncatedNoise(arms, size + 1)
         return self.sensor.entries(self.measured, limits)  # type: ignore[arg-type]
 
     def begin(self, arm: int, stream: np.random.Generator) -> None:

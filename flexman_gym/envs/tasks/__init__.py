@@ -3,7 +3,7 @@
 from dataclasses import fields
 from typing import Any
 
-from flexman_gym.checks import check_members, mapping, one_of, refusal, text
+from flexman_gym.common.checks import check_members, mapping, one_of, text, value_error
 from flexman_gym.envs.tasks.hold import Hold
 from flexman_gym.envs.tasks.slew import Slew
 from flexman_gym.envs.tasks.task import MEMBERS, OPTIONAL, Goal, Task
@@ -17,7 +17,7 @@ def find_task(value: object) -> Any:
     """Gives the task of a name, or of a mapping with its name at "kind" and its arguments; raises ValueError."""
     entries = {"kind": value} if isinstance(value, str) else value
     if not isinstance(entries, dict) or "kind" not in entries:
-        raise refusal("task", value, f"one of {', '.join(TASKS)}, or a mapping with that at kind")
+        raise value_error("task", value, f"one of {', '.join(TASKS)}, or a mapping with that at kind")
     kind = TASKS[one_of("task", text("task.kind", entries["kind"]), TASKS)]
     arguments = {name: each for name, each in entries.items() if name != "kind"}
     return kind(**mapping("task", arguments, [each.name for each in fields(kind)]))

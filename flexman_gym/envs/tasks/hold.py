@@ -6,12 +6,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from flexman_gym.arrays import Array, Vector
-from flexman_gym.checks import non_negative, positive, store, vector
+from flexman_gym.common.arrays import Array, Vector
+from flexman_gym.common.checks import non_negative, positive, set_fields, vector
 from flexman_gym.envs.sensors.sensor import Sensor
 from flexman_gym.envs.tasks.rewards import distance_reward
 from flexman_gym.envs.tasks.task import MOVING, Goal
-from flexman_gym.simulation.view import Number, View
+from flexman_gym.envs.view import Number, View
 
 
 @dataclass(frozen=True)
@@ -73,14 +73,14 @@ class Hold:
     figures: ClassVar[tuple[str, ...]] = MOVING
 
     def __post_init__(self) -> None:
-        store(
+        set_fields(
             self,
             start=non_negative("Hold.start", self.start, "rad"),
             gap=positive("Hold.gap", self.gap, "s"),
             failure_penalty=non_negative("Hold.failure_penalty", self.failure_penalty),
         )
         for name, unit in (("impulse", "N s"), ("load", "N"), ("sway", "m/s^2")):
-            store(self, **{name: tuple(vector(f"Hold.{name}", getattr(self, name), 2, unit))})
+            set_fields(self, **{name: tuple(vector(f"Hold.{name}", getattr(self, name), 2, unit))})
 
     @property
     def disturbances(self) -> dict[str, Any]:

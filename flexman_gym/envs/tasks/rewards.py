@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.arrays import Array, row_dots
-from flexman_gym.checks import finite, mapping, refusal, shown, text
-from flexman_gym.simulation.view import Number, View
+from flexman_gym.common.arrays import Array, row_dots
+from flexman_gym.common.checks import finite, mapping, short_repr, text, value_error
+from flexman_gym.envs.view import Number, View
 
 NEAR, FAR, LOOK_AHEAD = 1.0 / 425.0, 1.0 / 1.7, 0.1  # of the reach, and s
 
@@ -30,7 +30,7 @@ def checked_reward(value: object) -> Any:
     if isinstance(value, dict):
         return {text("a key of reward", name): finite(f"reward.{name}", each) for name, each in value.items()}
     if value is not None and not callable(value):
-        raise refusal("reward", value, "None, a mapping of weights of the task's terms, or a function of a View")
+        raise value_error("reward", value, "None, a mapping of weights of the task's terms, or a function of a View")
     return value
 
 
@@ -64,7 +64,7 @@ def _own(reward: Callable[[View], Number], view: View) -> Number:
     try:
         value = reward(view)
         fine = np.asarray(value).dtype.kind in "biuf" and np.shape(value) in ((), np.shape(view.tip_error))
-        said, cause = f"returned {shown(value)}, which is no number for each arm", None
+        said, cause = f"returned {short_repr(value)}, which is no number for each arm", None
     except Exception as error:
         fine, said, cause = False, f"raised {type(error).__name__}: {error}", error
     if fine:

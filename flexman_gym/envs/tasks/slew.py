@@ -6,12 +6,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from flexman_gym.arrays import Array
-from flexman_gym.checks import non_negative, one_of, positive, store, whole_number
+from flexman_gym.common.arrays import Array
+from flexman_gym.common.checks import non_negative, one_of, positive, set_fields, whole_number
 from flexman_gym.envs.sensors.sensor import Sensor
 from flexman_gym.envs.tasks.rewards import distance_reward
 from flexman_gym.envs.tasks.task import Goal
-from flexman_gym.simulation.view import Number, View
+from flexman_gym.envs.view import Number, View
 
 WIDTHS = (2.0 / 8.5, 0.4 / 8.5, 0.08 / 8.5)  # of the reach: three bells that reward closeness
 # weights, and lengths in reaches
@@ -86,7 +86,7 @@ class Slew:
     moves: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        store(
+        set_fields(
             self,
             start=non_negative("Slew.start", self.start, "rad"),
             slew=positive("Slew.slew", self.slew, "rad"),

@@ -5,9 +5,9 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from flexman_gym.arrays import Array
+from flexman_gym.common.arrays import Array
 from flexman_gym.envs.sensors.sensor import Sensor
-from flexman_gym.simulation.view import Number, View
+from flexman_gym.envs.view import Number, View
 
 MEMBERS = ("sensors", "moves", "draw", "goal", "reward_terms", "info")  # of a task
 OPTIONAL = ("figures", "disturbances")
@@ -32,7 +32,7 @@ class Task(Protocol):
         sensors: what of the goal is observed beside the sensors of the environment; () for nothing.
         moves: whether the goal changes during an episode; `goal` is then asked before every observation.
 
-    Two further attributes are optional, and a misspelt one is refused: `figures`, names of `evaluation.FIGURES` that
+    Two further attributes are optional, and a misspelt one is refused: `figures`, names of `evaluation.METRICS` that
     matter beside those of every task, those of a slew without it; and `disturbances`, a dict of arguments of
     `Randomisation`.
     """

@@ -1,4 +1,4 @@
-"""Endurance: random steps of many randomised arms, of which none may give a NaN or keep memory."""
+"""Endurance: millions of steps without growing memory, and equal bits of single and vector environments."""
 
 import re
 import time
@@ -9,10 +9,40 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.vector import AutoresetMode
 
-from flexman_gym.envs.description import Description
-from flexman_gym.verification.markdown import markdown_table
+from flexman_gym.common.markdown import markdown_table
+from flexman_gym.envs.config.description import Description
 from studies.benchmark.page import ENDURANCE, PAGE, without_endurance
+
+PARTS = ("observations", "rewards", "terminated", "truncated")
+HELD = 7  # actions for which random torques stay, so that limits are met
+
+
+def alike(name: str, steps: int, arms: int, mode: AutoresetMode, **settings: Any) -> int:
+    """Takes so many steps of all arms of a named environment; returns the number of failures that were seen.
+
+    Raises:
+        AssertionError: for the first number that is another, with step and part.
+    """
+    ours = gym.make_vec(name, arms, "vector_entry_point", autoreset_mode=mode, **settings)
+    single = gym.make_vec(name, arms, "sync", vector_kwargs={"autoreset_mode": mode}, **settings)
+    ours.action_space.seed(0)
+    assert np.array_equal(ours.reset(seed=0)[0], single.reset(seed=0)[0]), "reset"
+    failures = 0
+    for step in range(-(-steps // arms)):
+        if step % HELD == 0:
+            action = ours.action_space.sample()
+        result, expected = ours.step(action), single.step(action)
+        for part, one, other in zip(PARTS, result, expected, strict=False):
+            assert np.array_equal(one, other), f"{part} after {step} steps"
+        failures += int(result[2].sum())
+        over = result[2] | result[3]
+        if mode == AutoresetMode.DISABLED and over.any():
+            observations = [env.reset(options={"reset_mask": over.copy()})[0][over] for env in (ours, single)]
+            assert np.array_equal(*observations), f"reset after {step} steps"
+    return failures
+
 
 RANDOMISATION = {
     "payload_mass": (0.0, 5.0),
@@ -36,7 +66,7 @@ Neither an observation nor a reward was anything but a finite number."""
 
 
 @dataclass
-class Count:
+class _Count:
     """What a run counts.
 
     Attributes:
@@ -64,7 +94,7 @@ class Count:
         return self.memory[1] / self.memory[0] - 1.0
 
 
-def resident() -> float:
+def _resident() -> float:
     """Memory of this process that is in use, MB."""
     result = re.search(r"VmRSS:\s*(\d+) kB", Path("/proc/self/status").read_text())
     if result is None:
@@ -72,7 +102,7 @@ def resident() -> float:
     return int(result[1]) / 1024
 
 
-def actions(arms: int, joints: int, random: np.random.Generator) -> np.ndarray:
+def _actions(arms: int, joints: int, random: np.random.Generator) -> np.ndarray:
     """BLOCK actions (BLOCK, arms, joints) float32: an arm keeps each for one of HOLDS periods."""
     result = random.uniform(-1.0, 1.0, (BLOCK, arms, joints)).astype(np.float32)
     for arm in range(arms):
@@ -90,19 +120,19 @@ def all_conditions(name: str) -> dict[str, Any]:
     }
 
 
-def endure(steps: int, arms: int, settled: int = SETTLED, name: str = "FlexRRR-v0", **settings: Any) -> Count:
+def endure(steps: int, arms: int, settled: int = SETTLED, name: str = "FlexRRR-v0", **settings: Any) -> _Count:
     """Runs so many steps of all arms of a named environment, by default with every randomisation.
 
     Raises:
         AssertionError: for a number that is none, and for an observation outside its space.
     """
     env = gym.make_vec(name, arms, "vector_entry_point", **(settings or {"randomisation": RANDOMISATION}))
-    random, count, before = np.random.default_rng(0), Count(), 0.0
+    random, count, before = np.random.default_rng(0), _Count(), 0.0
     joints = env.single_action_space.shape[0]  # type: ignore[index]
     assert env.reset(seed=0)[0] in env.observation_space
     started, over = time.process_time(), np.zeros(arms, dtype=bool)
     while count.steps < steps:
-        for action in actions(arms, joints, random):
+        for action in _actions(arms, joints, random):
             observations, rewards, terminated, truncated, infos = env.step(action)
             assert observations in env.observation_space, f"after {count.steps} steps"
             assert np.isfinite(rewards).all(), f"after {count.steps} steps"
@@ -115,15 +145,15 @@ def endure(steps: int, arms: int, settled: int = SETTLED, name: str = "FlexRRR-v
                 count.failures[infos["failure"][arm].split(" ")[0]] += 1
                 count.diverged += int(infos["status"][arm] != "ok")
             if not before and count.steps >= settled:
-                before = resident()
+                before = _resident()
             if count.steps >= steps:
                 break
     count.cpu = time.process_time() - started
-    count.memory = before, resident()
+    count.memory = before, _resident()
     return count
 
 
-def section(count: Count, arms: int) -> str:
+def _section(count: _Count, arms: int) -> str:
     """The count as a section of a page."""
     rows = {
         "steps": f"{count.steps:,}",
@@ -141,8 +171,8 @@ def section(count: Count, arms: int) -> str:
     return "\n".join([ENDURANCE, "", note, "", *markdown_table(("what", "count"), rows.items())]) + "\n"
 
 
-def publish(count: Count, arms: int, folder: Path) -> str:
+def publish(count: _Count, arms: int, folder: Path) -> str:
     """Writes the section into the page of the benchmark, and returns it."""
-    page, text = folder / PAGE, section(count, arms)
+    page, text = folder / PAGE, _section(count, arms)
     page.write_text("\n".join([*without_endurance(page)[0], text]), encoding="utf-8")
     return text

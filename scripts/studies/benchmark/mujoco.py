@@ -6,16 +6,16 @@ import mujoco  # type: ignore[import-not-found, import-untyped, unused-ignore]
 import numpy as np
 from mujoco import rollout
 
-from flexman_gym.arrays import Array
-from flexman_gym.envs.setup import Setup
+from flexman_gym.common.arrays import Array
+from flexman_gym.envs.config.setup import Setup
 from flexman_gym.model.mjcf import mjcf
-from studies.benchmark.rows import Timer, timer
+from studies.benchmark.measure import Timer, timer
 from studies.peers.mujoco import SANE
 
 PIECES, FINEST, TRIAL = 4, 1024, 100  # of a link; parts of a control period and control periods of the search
 
 
-class Arms:
+class MujocoArms:
     """Arms side by side, each of rigid pieces between springs, as its environment's arm but for modal damping."""
 
     def __init__(self, setup: Setup, arms: int, parts: int) -> None:
@@ -58,7 +58,7 @@ def longest_step(setup: Setup) -> int:
     actions = _actions(TRIAL, 1, setup.arm.n_joints)
 
     def tips(parts: int) -> Array:
-        arms = Arms(setup, 1, parts)
+        arms = MujocoArms(setup, 1, parts)
         states = arms.run(actions)
         return np.full(3, np.nan) if arms.diverged(states) else arms.tips(states[:, 0])
 
@@ -74,7 +74,7 @@ def longest_step(setup: Setup) -> int:
 
 def control_periods(setup: Setup, arms: int, periods: int, parts: int) -> Timer:
     """Control periods of arms that begin at rest, under random torques."""
-    side_by_side, actions = Arms(setup, arms, parts), _actions(periods, arms, setup.arm.n_joints)
+    side_by_side, actions = MujocoArms(setup, arms, parts), _actions(periods, arms, setup.arm.n_joints)
     assert not side_by_side.diverged(side_by_side.run(actions)), "the step is too long"
     return timer(lambda: side_by_side.run(actions), arms * periods)
 

@@ -3,12 +3,26 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from flexman_gym.verification.markdown import bullets, markdown_table
-from studies.benchmark.environments import OURS, PHYSICS, PPO, REACHER, VECTOR
-from studies.benchmark.evaluations import NOTE
-from studies.benchmark.parts import NOTE as PARTS_NOTE
-from studies.benchmark.rows import ENVIRONMENTS, EVALUATIONS, PARTS, STARTS, Row
-from studies.benchmark.starts import COLD, FIRST, IMPORT, MORE, WARM
+from flexman_gym.common.markdown import bullets, markdown_table
+from studies.benchmark.measure import (
+    COLD,
+    ENVIRONMENTS,
+    EVALUATIONS,
+    EVALUATIONS_NOTE,
+    FIRST,
+    IMPORT,
+    MORE,
+    OURS,
+    PARTS,
+    PHYSICS,
+    PPO,
+    REACHER,
+    STARTS,
+    VECTOR,
+    WARM,
+    BenchmarkRow,
+)
+from studies.benchmark.measure import PARTS_NOTE as PARTS_NOTE
 
 PAGE = "benchmark.md"
 ENDURANCE = "## Endurance"  # the last section, which the room endurance writes
@@ -62,25 +76,25 @@ def _speed(seconds: float) -> str:
     return number(float(f"{1 / seconds:.3g}"))
 
 
-def _evaluation(row: Row) -> list[str]:
+def _evaluation(row: BenchmarkRow) -> list[str]:
     return [row.name, number(row.cpu * 1e6), row.peer, number(row.times_peer)]
 
 
-def _environment(row: Row) -> list[str]:
+def _environment(row: BenchmarkRow) -> list[str]:
     share = "" if row.share is None else f"{row.share:.0%}"
     speeds = [_speed(row.cpu), _speed(row.wall), number(row.times_peer), share]
     return [row.name, number(row.arms), number(row.threads), *speeds]
 
 
-def _part(row: Row) -> list[str]:
+def _part(row: BenchmarkRow) -> list[str]:
     return [row.name, number(row.arms), number(row.cpu * 1e6), number(row.wall * 1e6)]
 
 
-def _start(row: Row) -> list[str]:
+def _start(row: BenchmarkRow) -> list[str]:
     return [row.name, number(row.cpu), number(row.wall)]
 
 
-TABLES: dict[str, tuple[str, str, tuple[str, ...], Callable[[Row], list[str]]]] = {
+TABLES: dict[str, tuple[str, str, tuple[str, ...], Callable[[BenchmarkRow], list[str]]]] = {
     ENVIRONMENTS: (
         "Steps of environments",
         STEPS_NOTE,
@@ -96,29 +110,29 @@ TABLES: dict[str, tuple[str, str, tuple[str, ...], Callable[[Row], list[str]]]] 
     STARTS: ("Starts", STARTS_NOTE, ("row", "CPU, s", "clock, s"), _start),
     EVALUATIONS: (
         "Evaluations of the equations of motion",
-        NOTE,
+        EVALUATIONS_NOTE,
         ("row", "microseconds of CPU", "compared with", "times"),
         _evaluation,
     ),
 }
 
 
-def _table(name: str, rows: Sequence[Row]) -> list[str]:
+def _table(name: str, rows: Sequence[BenchmarkRow]) -> list[str]:
     title, note, heads, cells = TABLES[name]
     own = [row for row in rows if row.table == name]
     return [f"## {title}", "", note, "", *markdown_table(heads, map(cells, own)), ""]
 
 
-def conclusions(rows: Sequence[Row]) -> list[str]:
+def conclusions(rows: Sequence[BenchmarkRow]) -> list[str]:
     """Sentences about what the rows hold."""
     return [*_of_arms(rows), *_of_physics(rows), *_of_training(rows), *_of_starts(rows)]
 
 
-def _named(rows: Sequence[Row], name: str) -> list[Row]:
+def _named(rows: Sequence[BenchmarkRow], name: str) -> list[BenchmarkRow]:
     return [row for row in rows if row.name == name]
 
 
-def _of_arms(rows: Sequence[Row]) -> list[str]:
+def _of_arms(rows: Sequence[BenchmarkRow]) -> list[str]:
     vectors = _named(rows, VECTOR)
     alone = [row for row in vectors if row.threads == 1]
     best, (single,) = min(alone, key=lambda row: row.cpu), _named(rows, OURS)
@@ -133,7 +147,7 @@ def _of_arms(rows: Sequence[Row]) -> list[str]:
     return [core.format(**numbers), THREADS.format(**gain, cores=max(row.cpu / row.wall for row in vectors))]
 
 
-def _of_physics(rows: Sequence[Row]) -> list[str]:
+def _of_physics(rows: Sequence[BenchmarkRow]) -> list[str]:
     physics = [row for row in rows if row.name.endswith(PHYSICS)]
     if len(physics) < 2:
         return []
@@ -142,7 +156,7 @@ def _of_physics(rows: Sequence[Row]) -> list[str]:
     return [PHYSICS_ALONE.format(peer=peer, times=number(theirs.cpu / ours.cpu))]
 
 
-def _of_training(rows: Sequence[Row]) -> list[str]:
+def _of_training(rows: Sequence[BenchmarkRow]) -> list[str]:
     return [
         TRAINING.format(
             arms=number(row.arms),
@@ -154,7 +168,7 @@ def _of_training(rows: Sequence[Row]) -> list[str]:
     ]
 
 
-def _of_starts(rows: Sequence[Row]) -> list[str]:
+def _of_starts(rows: Sequence[BenchmarkRow]) -> list[str]:
     cpu = {row.name: row.cpu for row in rows if row.table == STARTS}
     if not cpu:
         return []
@@ -163,7 +177,7 @@ def _of_starts(rows: Sequence[Row]) -> list[str]:
     return [(START_COLD if cold else START).format(**numbers, cold=number(cold, 2))]
 
 
-def publish(rows: Sequence[Row], known: str, folder: Path) -> str:
+def publish(rows: Sequence[BenchmarkRow], known: str, folder: Path) -> str:
     """Writes the page about the rows, computed with `known`, and returns it."""
     lines = [HEAD.format(machine=known), *bullets(conclusions(rows)), ""]
     for name in TABLES:

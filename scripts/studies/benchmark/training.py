@@ -4,13 +4,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from studies.benchmark.rows import Cost, Timer
-from studies.watch import Watch
+from studies.benchmark.measure import Cost, Timer
+from studies.stopwatch import Stopwatch
 
 
 def ppo(arms: int, rollouts: int) -> Timer:
     """Steps of a new policy in so many rollouts; raises ImportError without Stable-Baselines3."""
-    from flexman_agents.algorithm import ALGORITHMS
+    from flexman_agents.sb3 import ALGORITHMS
     from flexman_agents.settings import HYPERPARAMETERS, Settings
     from flexman_agents.training import train
 
@@ -18,7 +18,7 @@ def ppo(arms: int, rollouts: int) -> Timer:
     settings = Settings(algo="ppo", envs=arms, steps=steps)
 
     def measure() -> Cost:
-        learning, stepping = Watch(ALGORITHMS["ppo"], "learn"), Watch(FlexManVectorEnv, "step")
+        learning, stepping = Stopwatch(ALGORITHMS["ppo"], "learn"), Stopwatch(FlexManVectorEnv, "step")
         with TemporaryDirectory() as folder, learning as learn, stepping as step:
             train(settings, Path(folder) / "run", progress=False)
         return Cost(learn.cpu / steps, learn.wall / steps, step.cpu / learn.cpu)

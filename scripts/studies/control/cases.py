@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.envs.description import Description
+from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.setup import build
 from flexman_gym.envs.episodes import Episodes
-from flexman_gym.envs.setup import build
-from flexman_gym.evaluation.entrants import find_entrant
-from flexman_gym.evaluation.figures import FIGURES
+from flexman_gym.evaluation.agent import find_agent
+from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.rollout import Rollout, rollout
 
 RUBBED = {name: [0.5, 1.5] for name in ("viscous_friction_factor", "coulomb_friction_factor")}
@@ -22,7 +22,7 @@ LATER = 2.0  # s, after which the error of a tip that follows counts
 
 
 @dataclass(frozen=True)
-class Case:
+class ControlCase:
     """Who acts where.
 
     Attributes:
@@ -45,7 +45,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Row:
+class ControlRow:
     """What came out: shares, times in s, lengths in m, CPU time a period and arm in s.
 
     `again` is the share settled `WITHIN` after a load has changed; `followed` the RMS error after LATER.
@@ -71,31 +71,31 @@ def _rubbing() -> dict[str, Any]:
 LAB, RRR, LEARNED = "unknown-lab", "FlexRRR-v0", "lab-flexrrr"
 BIASED = {"kind": "adaptive-lqr", "biased": True}
 CASES = (
-    *(Case(f"{who}, {where}", who, f"{RRR}/{where}" if where else RRR)
+    *(ControlCase(f"{who}, {where}", who, f"{RRR}/{where}" if where else RRR)
       for who, where in (("privileged-lqr", "unknown"), ("adaptive-lqr", LAB), ("lqg", LAB), ("pd", LAB),
                          ("lqg", "nominal"), ("lqg", "delay"), ("lqg", "payload"), ("lqg", "stiffness"))),
-    Case(f"{LEARNED}, {LAB}", LEARNED, f"{RRR}/{LAB}"),
-    *(Case(f"{who}, {what}", who, f"{RRR}/{LAB}", changes) for what, changes in (
+    ControlCase(f"{LEARNED}, {LAB}", LEARNED, f"{RRR}/{LAB}"),
+    *(ControlCase(f"{who}, {what}", who, f"{RRR}/{LAB}", changes) for what, changes in (
         ("delay of 0 to 2 periods", {"randomisation": {"delay": [0, 2]}}),
         ("friction within a half", {"arm": _rubbing(), "randomisation": RUBBED}),
     ) for who in ("adaptive-lqr", LEARNED)),
-    Case("adaptive-lqr, biased readings", BIASED, f"{RRR}/{LAB}", flaws={"bias": 0.005}),
-    Case("adaptive-lqr, a finer arm", "adaptive-lqr", f"{RRR}/{LAB}", FINER, surprise=True),
-    Case("adaptive-lqr, a load that changes", "adaptive-lqr", f"{RRR}/{LAB}", load=True),
-    *(Case(f"{who}, {task}", who, f"{task}/{LAB}")
+    ControlCase("adaptive-lqr, biased readings", BIASED, f"{RRR}/{LAB}", flaws={"bias": 0.005}),
+    ControlCase("adaptive-lqr, a finer arm", "adaptive-lqr", f"{RRR}/{LAB}", FINER, surprise=True),
+    ControlCase("adaptive-lqr, a load that changes", "adaptive-lqr", f"{RRR}/{LAB}", load=True),
+    *(ControlCase(f"{who}, {task}", who, f"{task}/{LAB}")
       for task in ("FlexPlanar-v0", "FlexRRR-Track-v0", "FlexRRR-Hold-v0", "FlexRRR-Gravity-v0")
       for who in ("privileged-lqr", "adaptive-lqr")),
-    Case("adaptive-lqr, noise three times as large", "adaptive-lqr", f"{RRR}/{LAB}",
+    ControlCase("adaptive-lqr, noise three times as large", "adaptive-lqr", f"{RRR}/{LAB}",
          {"randomisation": {"sensor_noise": [0.003, 0.003]}}),
-    Case("adaptive-lqr, friction it knows nothing of", "adaptive-lqr", f"{RRR}/{LAB}", {"arm": _rubbing()},
+    ControlCase("adaptive-lqr, friction it knows nothing of", "adaptive-lqr", f"{RRR}/{LAB}", {"arm": _rubbing()},
          surprise=True),
-    Case("adaptive-lqr, biases it knows nothing of", "adaptive-lqr", f"{RRR}/{LAB}", flaws={"bias": 0.005}),
-    Case("adaptive-lqr, a fifth of the samples lost", "adaptive-lqr", f"{RRR}/{LAB}", flaws={"dropped": 0.2}),
-    Case("adaptive-lqr, readings a period late", "adaptive-lqr", f"{RRR}/{LAB}", flaws={"delay": 1}),
+    ControlCase("adaptive-lqr, biases it knows nothing of", "adaptive-lqr", f"{RRR}/{LAB}", flaws={"bias": 0.005}),
+    ControlCase("adaptive-lqr, a fifth of the samples lost", "adaptive-lqr", f"{RRR}/{LAB}", flaws={"dropped": 0.2}),
+    ControlCase("adaptive-lqr, readings a period late", "adaptive-lqr", f"{RRR}/{LAB}", flaws={"delay": 1}),
 )  # fmt: skip
 
 
-def played(case: Case, episodes: int, seed: int) -> Row:
+def played(case: ControlCase, episodes: int, seed: int) -> ControlRow:
     """Plays the episodes of a case."""
     known = Description.find(case.environment)
     settings = deepcopy(known.whole_settings())
@@ -104,14 +104,16 @@ def played(case: Case, episodes: int, seed: int) -> Row:
     environment, setup = Description(known.id, settings), known.setup()
     base = setup.controller(case.entrant, build(setup).model) if case.surprise else case.entrant
     flawed = {"sensors": {"kind": "lab", **case.flaws}} if case.flaws else {}
-    found = find_entrant(base)
+    found = find_agent(base)
     entrant = replace(found, name=case.name, interface={**(found.interface or {}), **flawed})
     started = time.process_time()
     result = rollout(entrant, environment, range(seed, seed + episodes), _loader(setup.control_period, case.load))
     cost = (time.process_time() - started) / float(np.sum(result.lengths))
-    values = {figure.name: figure.sum_up(result.records) for figure in FIGURES.values()}
+    values = {figure.name: figure.sum_up(result.records) for figure in METRICS.values()}
     few = {name: values[name] for name in ("settled", "settling_time", "vibration", "error", "failed", "roughness")}
-    return Row(case.name, **few, followed=_followed(result), again=_again(result) if case.load else None, cost=cost)
+    return ControlRow(
+        case.name, **few, followed=_followed(result), again=_again(result) if case.load else None, cost=cost
+    )
 
 
 def _loader(period: float, load: bool) -> Callable[[Episodes], None]:

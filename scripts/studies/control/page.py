@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from flexman_gym.verification.markdown import markdown_table
-from studies.control.cases import Row
+from flexman_gym.common.markdown import markdown_table
+from studies.control.cases import ControlRow
 
 PAGE = """# Controllers on the arm that nobody knows
 
@@ -51,7 +51,7 @@ Where it can explain its readings no longer, a PD takes over: it settles nothing
 """
 
 
-def page(rows: Sequence[Row]) -> str:
+def page(rows: Sequence[ControlRow]) -> str:
     """The page of these rows."""
     heads = ["case", "settled", "settling", "p-p", "error", "failed", "RMS", "cost"]
     table = [
@@ -68,12 +68,12 @@ def _finite(value: float, how: str) -> str:
     return format(value, how) if value < float("inf") else "-"
 
 
-def _followed(row: Row) -> str:
+def _followed(row: ControlRow) -> str:
     """The RMS error where the tip has nothing to slew to."""
     return f"{1e3 * row.followed:.3g}" if "Track" in row.case or "Hold" in row.case else "-"
 
 
-def _conclusion(rows: Sequence[Row]) -> str:
+def _conclusion(rows: Sequence[ControlRow]) -> str:
     by_case = {row.case: row for row in rows}
     said = []
     known, ours = by_case.get("privileged-lqr, unknown"), by_case.get("adaptive-lqr, unknown-lab")

@@ -6,17 +6,15 @@ from collections.abc import Sequence
 import gymnasium as gym
 import numpy as np
 
-from flexman_gym.envs.catalog import NAMED
-from flexman_gym.envs.description import CONDITIONS, FILES, NOMINAL
+from flexman_gym.common.markdown import markdown_table
+from flexman_gym.envs.config.description import CONDITION_FOLDER, CONDITIONS, NOMINAL
+from flexman_gym.envs.config.named_environments import NAMED
 from flexman_gym.envs.sensors import SETS
-from flexman_gym.evaluation.figures import FIGURES, SHARE, Figure
+from flexman_gym.evaluation.metrics import METRICS, SHARE, Metric
 from flexman_gym.evaluation.rollout import Rollout
 from flexman_gym.metrics import BAND, STAY, VIBRATING
-from flexman_gym.model.instant import frequencies
-from flexman_gym.verification.markdown import markdown_table
-from studies.environments.accuracy import DURATION, FINER, MOTIONS, Accuracy, accuracy
-from studies.environments.episode import BASES, SEEDS
-from studies.environments.first import first
+from flexman_gym.model.dynamics import frequencies
+from studies.environments.measure import BASES, DURATION, FINER, MOTIONS, SEEDS, Accuracy, accuracy, first
 
 SLEW = ("settled", "settling_time", "vibration")  # figures of a task that names none
 MOVING = "The RMS error is the median over the episodes of the RMS tip error in all control periods of one."
@@ -148,7 +146,7 @@ def _arguments(name: str) -> list[str]:
 def baselines(name: str, runs: dict[str | None, Rollout]) -> list[str]:
     """Compare the baselines of an environment, in Markdown: a slew by its end, other tasks by the RMS tip error."""
     own = getattr(NAMED[name].task, "figures", SLEW)
-    shown = [FIGURES[figure] for figure in (*own, "failed")]
+    shown = [METRICS[figure] for figure in (*own, "failed")]
     rows = [(BASES[base], *(_cell(figure, each) for figure in shown)) for base, each in runs.items()]
     return [
         f"{len(SEEDS)} test episodes (seeds {SEEDS[0]} to {SEEDS[-1]}). The LQR knows the arm and its whole state; the "
@@ -168,7 +166,7 @@ def _ends(name: str) -> str:
     )
 
 
-def _cell(figure: Figure, runs: Rollout) -> str:
+def _cell(figure: Metric, runs: Rollout) -> str:
     result = figure.sum_up(runs.records)
     if figure.many == SHARE:
         return f"{result:.0%}"
@@ -198,7 +196,7 @@ def _conditions(name: str) -> list[str]:
         return ["There are none for this arm."]
     rows = [(f"`{NOMINAL}`", "The environment as it is.")]
     for each in CONDITIONS[1:]:
-        said = (FILES / folder / f"{each}.yaml").read_text(encoding="utf-8").splitlines()[0]
+        said = (CONDITION_FOLDER / folder / f"{each}.yaml").read_text(encoding="utf-8").splitlines()[0]
         rows.append((f"`{each}`", said.removeprefix("# ")))
     return [
         f'`gym.make("{name}", condition="unknown")`, and `{name}/unknown` where a command takes an environment:',

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import astuple, fields
 
-from flexman_gym.verification.markdown import bullets, markdown_table
-from studies.fidelity.measure import GRID_METHODS, GRID_PARTS, OPEN_METHODS, Row
+from flexman_gym.common.markdown import bullets, markdown_table
+from studies.fidelity.measure import GRID_METHODS, GRID_PARTS, OPEN_METHODS, FidelityRow
 
 NEAR = 5.0  # a choice knows its error when the estimate is right within this factor
 CHEAP = 2.0  # times the cost of the cheapest plain run: a choice that costs no more is cheap
@@ -65,9 +65,9 @@ COLUMNS = {
 COLUMN = "`{name}`: {meaning}"
 
 
-def page(rows: Sequence[Row], opened: Sequence[Row] = ()) -> str:
+def page(rows: Sequence[FidelityRow], opened: Sequence[FidelityRow] = ()) -> str:
     """The page as Markdown, from all rows, and those of open meshes."""
-    names = [field.name for field in fields(Row)]
+    names = [field.name for field in fields(FidelityRow)]
     columns = bullets(COLUMN.format(name=name, meaning=COLUMNS[name]) for name in names)
     known = {"methods": _listed(GRID_METHODS), "parts": len(GRID_PARTS), **_numbers(rows)}
     text = PAGE.format(conclusion=conclusion(rows), columns="\n".join(columns), table=_table(rows), **known)
@@ -76,8 +76,8 @@ def page(rows: Sequence[Row], opened: Sequence[Row] = ()) -> str:
     return text
 
 
-def _table(rows: Sequence[Row]) -> str:
-    names = [field.name for field in fields(Row)]
+def _table(rows: Sequence[FidelityRow]) -> str:
+    names = [field.name for field in fields(FidelityRow)]
     return "\n".join(markdown_table(names, ([_cell(value) for value in astuple(row)] for row in rows)))
 
 
@@ -86,12 +86,12 @@ def _listed(names: Sequence[str]) -> str:
     return f"{', '.join(some)} and {last}"
 
 
-def conclusion(rows: Sequence[Row]) -> str:
+def conclusion(rows: Sequence[FidelityRow]) -> str:
     """How many choices are right, know their error, and are cheap."""
     return CONCLUSION.format(**_numbers(rows), factor=NEAR, most=CHEAP)
 
 
-def _numbers(rows: Sequence[Row]) -> dict[str, int]:
+def _numbers(rows: Sequence[FidelityRow]) -> dict[str, int]:
     return {
         "count": len(rows),
         "met": sum(row.error <= row.tolerance for row in rows),

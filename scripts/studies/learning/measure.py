@@ -1,27 +1,170 @@
-"""Learning, measure: trains the runs of a case, unless they are there, and judges them on the test episodes."""
+"""Learning study: cases, training runs with their scores, learning curves."""
 
 import json
 import shutil
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from flexman_agents.settings import Settings
+import numpy as np
+
+from flexman_agents.settings import Settings, find_recipe
 from flexman_agents.training import train
-from flexman_gym.envs.catalog import NAMED
-from flexman_gym.envs.description import Description
+from flexman_gym.common.grid import Workers, collect_cells
+from flexman_gym.draw.evaluation import learning_curves, read_progress
+from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.named_environments import NAMED
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from flexman_gym.evaluation.entrants import Entrant, find_entrant, parted
-from flexman_gym.evaluation.figures import FIGURES
-from flexman_gym.evaluation.grid import Workers, gathered
-from flexman_gym.evaluation.rollout import rollout
-from flexman_gym.evaluation.seeds import TEST
-from flexman_gym.evaluation.shipped import POLICIES
-from flexman_gym.simulation.run import default_step
-from studies.learning.cases import CONTROLLERS, TASKS, VENUES, Case
-from studies.watch import Watch
+from flexman_gym.evaluation.agent import Agent, find_agent, split_interface
+from flexman_gym.evaluation.metrics import METRICS
+from flexman_gym.evaluation.policy_files import POLICIES
+from flexman_gym.evaluation.rollout import TEST_SEEDS, rollout
+from flexman_gym.simulation.integrator import default_step
+from studies.stopwatch import Stopwatch
+
+ABLATED = "ppo_on_pd_minute"
+SEEDS = {"ppo_on_pd_minute": 5, "ppo_on_pd": 5, "ppo_alone": 1, "sac_on_pd": 3, "planar_ppo_on_pd": 3,
+         "lab_ppo_shaping": 3, "lab_student": 3, "ppo_shaping": 3, "track_ppo_on_pd": 1, "hold_ppo_on_pd": 1,
+         "gravity_ppo_on_pd": 1, "planar_track_ppo_on_pd": 1, "planar_hold_ppo_on_pd": 1}  # fmt: skip
+UNKNOWN = "FlexRRR-v0/unknown-lab"
+# recipes that are judged elsewhere than they learn
+VENUES = {"ppo_shaping": "FlexRRR-v0", "lab_ppo_shaping": UNKNOWN, "lab_student": UNKNOWN}
+ABLATION_SEEDS = 3
+CONTROLLERS = {"FlexRRR-v0": ("pd", "lqr", "lqr-tracking"), "FlexPlanar-v0": ("pd", "lqr", "lqr-tracking")}
+LAW, ESTIMATOR, LEARNED = "lqr-tracking", "adaptive-lqr", "lab-flexrrr"
+TASKS = {
+    "FlexRRR-Track-v0": ("track_ppo_on_pd", LAW),
+    "FlexRRR-Hold-v0": ("hold_ppo_on_pd", LAW),
+    "FlexRRR-Gravity-v0": ("gravity_ppo_on_pd", LAW),
+    "FlexPlanar-v0": ("planar_ppo_on_pd", LAW),
+    "FlexPlanar-Track-v0": ("planar_track_ppo_on_pd", LAW),
+    "FlexPlanar-Hold-v0": ("planar_hold_ppo_on_pd", LAW),
+    UNKNOWN: (LEARNED, ESTIMATOR),
+    "FlexRRR-Track-v0/unknown-lab": ("", ESTIMATOR),
+    "FlexRRR-Hold-v0/unknown-lab": (LEARNED, ESTIMATOR),
+    "FlexRRR-Gravity-v0/unknown-lab": (LEARNED, ESTIMATOR),
+    "FlexPlanar-v0/unknown-lab": ("", ESTIMATOR),
+    "FlexPlanar-Track-v0/unknown-lab": ("", ESTIMATOR),
+    "FlexPlanar-Hold-v0/unknown-lab": ("", ESTIMATOR),
+}
+"""Venue -> the recipe or the shipped policy that learned for it, "" for none, and a controller that knows a model."""
+
+
+@dataclass(frozen=True)
+class _Without:
+    """PPO on PD without one of its means: what is changed of its settings, and in words.
+
+    Attributes:
+        means: what is taken away.
+        instead: what takes its place.
+        environment, hyperparameters, schedules: settings that change; a schedule of None is taken away.
+        steps: instead of the recipe's, for the same CPU time.
+    """
+
+    means: str
+    instead: str
+    environment: Mapping[str, Any] = field(default_factory=dict)
+    hyperparameters: Mapping[str, Any] = field(default_factory=dict)
+    schedules: Mapping[str, Any] = field(default_factory=dict)
+    steps: int | None = None
+
+    def settings(self, whole: Settings) -> Settings:
+        """The settings of the recipe with the changes."""
+        schedules = {**whole.schedules, **self.schedules}
+        return replace(
+            whole,
+            environment={**whole.environment, **self.environment},
+            hyperparameters={**whole.hyperparameters, **self.hyperparameters},
+            schedules={name: schedule for name, schedule in schedules.items() if schedule is not None},
+            steps=self.steps or whole.steps,
+        )
+
+
+ABLATIONS = {
+    "hold": _Without(
+        "the held action",
+        "a new action in every control period; discount and lambda the same for a second, steps for the same CPU time",
+        {"hold": 1},
+        {"n_steps": 60, "gamma": 0.99, "gae_lambda": 0.98},
+        steps=1_600_000,
+    ),
+    "rate": _Without(
+        "the schedule of the learning rate", "the rate of the start throughout",
+        schedules={"learning_rate": {"start": 0.001, "end": 0.001}},
+    ),
+    "reward": _Without("the reward with slope at every scale", "the reward of bells", {"task": {"kind": "slew"}}),
+    "discount": _Without("the short horizon", "a discount of 0.99 an action", hyperparameters={"gamma": 0.99}),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class LearningCase:
+    """Runs of one kind: "recipe" or "ablation", name, settings, and how many seeds."""
+
+    kind: str
+    name: str
+    settings: Settings
+    seeds: int
+
+
+def cases() -> list[LearningCase]:
+    """All of them, the recipes first."""
+    recipes = [LearningCase("recipe", name, find_recipe(name), count) for name, count in SEEDS.items()]
+    whole = find_recipe(ABLATED)
+    return recipes + [
+        LearningCase("ablation", name, without.settings(whole), ABLATION_SEEDS) for name, without in ABLATIONS.items()
+    ]
+
+
+COLUMN = "rollout/ep_rew_mean"  # what every run has, judged on the way or not
+POINTS = 50  # of the curve of a run, evenly over its steps
+
+
+@dataclass(frozen=True)
+class Point:
+    """Mean reward of the newest training episodes of a run after so many steps."""
+
+    name: str
+    seed: float
+    steps: float
+    reward: float
+
+
+def points(name: str, seed: int, folder: Path) -> Iterator[Point]:
+    """The curve of a run in a folder, thinned."""
+    steps, rewards, _ = read_progress(folder, COLUMN)
+    for each in np.linspace(steps[0], steps[-1], POINTS):
+        yield Point(name, seed, float(each), float(np.interp(each, steps, rewards)))
+
+
+def environment(name: str) -> str:
+    """The id of the environment in which a recipe learns."""
+    return str(find_recipe(name).environment["id"])
+
+
+def adds_to_pd(name: str) -> bool:
+    """Whether a recipe adds to a PD."""
+    return bool(find_recipe(name).environment.get("base") == "pd")
+
+
+def pictures(curves: Sequence[Point], folder: Path) -> list[Path]:
+    """Draws learning_ID.png for each environment with recipes that add to a PD, whose rewards are of one kind."""
+    names = [name for name in SEEDS if any(point.name == name for point in curves) and adds_to_pd(name)]
+    result = []
+    for id in dict.fromkeys(environment(name) for name in names):
+        runs = {name: _seeds(curves, name) for name in names if environment(name) == id}
+        result.append(learning_curves(runs, folder / f"learning_{id}.png", "reward of a training episode"))
+    return result
+
+
+def _seeds(curves: Sequence[Point], name: str) -> list[tuple[np.ndarray, np.ndarray]]:
+    own = [point for point in curves if point.name == name]
+    found = sorted({point.seed for point in own})
+    each = [[(point.steps, point.reward) for point in own if point.seed == seed] for seed in found]
+    return [(np.array(run)[:, 0], np.array(run)[:, 1]) for run in each]
+
 
 COST = "cost.json"
 TASK = {"kind": "slew", "reward": "distance"}  # of the recipes
@@ -31,7 +174,7 @@ FINER_ELEMENTS, FINER_STEPS = 3, 4  # elements a link, and steps where the defau
 
 
 @dataclass(frozen=True)
-class Row:
+class LearningRow:
     """Medians and shares of a policy over the test episodes, and what its training cost.
 
     Attributes:
@@ -66,36 +209,36 @@ class Row:
     rms: float | None = None
 
 
-def controllers() -> Iterator[Row]:
+def controllers() -> Iterator[LearningRow]:
     """Rows of the controllers that learn nothing, rewarded as the recipes are."""
     for id, names in CONTROLLERS.items():
         for name in names:
             for where, environment in places(Description(id, {"task": TASK})).items():
-                yield _row("controller", f"{name}, {id}", None, where, {}, find_entrant(name), environment)
+                yield _row("controller", f"{name}, {id}", None, where, {}, find_agent(name), environment)
 
 
-def tasks() -> Iterator[Row]:
+def tasks() -> Iterator[LearningRow]:
     """Rows of a PD, of controllers that know a model and of shipped policies in venues of other tasks."""
     for venue, (learned, law) in TASKS.items():
         for name in ("pd", law, *([learned] if learned in POLICIES else [])):
-            yield _row("task", f"{name}, {venue}", None, AS_TRAINED, {}, find_entrant(name), Description.find(venue))
+            yield _row("task", f"{name}, {venue}", None, AS_TRAINED, {}, find_agent(name), Description.find(venue))
 
 
-def runs(case: Case, folder: Path, workers: Workers | int = 1) -> Iterator[Row]:
+def runs(case: LearningCase, folder: Path, workers: Workers | int = 1) -> Iterator[LearningRow]:
     """Rows of the runs of a case, which are trained in the folder if they are not there, and by whom `grid` says."""
     seeds = range(case.seeds)
     folders = [place(case, folder, seed) for seed in seeds]
-    costs = gathered(trained, [(case.settings.with_seed(seed), folders[seed]) for seed in seeds], workers)
+    costs = collect_cells(trained, [(case.settings.with_seed(seed), folders[seed]) for seed in seeds], workers)
     for seed, each, cost in zip(seeds, folders, costs, strict=True):
-        policy = find_entrant(str(each))
+        policy = find_agent(str(each))
         assert policy.environment is not None
         played = Description.find(VENUES[case.name]) if case.name in VENUES else policy.environment
-        for where, environment in places(parted(played)[0]).items():
+        for where, environment in places(split_interface(played)[0]).items():
             if case.kind == "recipe" or where == AS_TRAINED:
                 yield _row(case.kind, case.name, seed, where, cost, policy, environment)
 
 
-def place(case: Case, folder: Path, seed: int) -> Path:
+def place(case: LearningCase, folder: Path, seed: int) -> Path:
     """The folder of a run of a case, in that of all runs."""
     return folder / case.kind / case.name / f"seed-{seed}"
 
@@ -107,7 +250,7 @@ def trained(cell: tuple[Settings, Path]) -> dict[str, float | None]:
     if not path.is_file():
         if folder.exists():
             shutil.rmtree(folder)  # of a run that was killed, whose whole cost nobody knows
-        with Watch(FlexManVectorEnv, "step") as stepping:
+        with Stopwatch(FlexManVectorEnv, "step") as stepping:
             started = time.process_time()
             train(settings, folder, progress=False)
             cpu = time.process_time() - started
@@ -134,14 +277,14 @@ def _row(
     seed: int | None,
     where: str,
     costs: dict[str, float | None],
-    who: Entrant,
+    who: Agent,
     environment: Description,
-) -> Row:
-    records = rollout(who, environment, TEST).records
-    result = {name: figure.sum_up(records) for name, figure in FIGURES.items()}
-    time, low, high = FIGURES["settling_time"].interval(records)
+) -> LearningRow:
+    records = rollout(who, environment, TEST_SEEDS).records
+    result = {name: figure.sum_up(records) for name, figure in METRICS.items()}
+    time, low, high = METRICS["settling_time"].interval(records)
     known: dict[str, Any] = {key: costs.get(key) for key in ("steps", "cpu", "rate", "share")}
-    return Row(
+    return LearningRow(
         **known,
         kind=kind,
         name=name,

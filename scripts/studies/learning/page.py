@@ -4,12 +4,25 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from statistics import median
 
-from flexman_gym.envs.description import Description
-from flexman_gym.evaluation.figures import figures_of
-from flexman_gym.evaluation.seeds import SELECTION, TEST, TRAINING
-from flexman_gym.verification.markdown import bullets, markdown_table
-from studies.learning.cases import ABLATED, ABLATION_SEEDS, ABLATIONS, SEEDS, TASKS, VENUES
-from studies.learning.measure import AS_TRAINED, FINER, FINER_ELEMENTS, FINER_STEPS, LONG, LONGER, Row
+from flexman_gym.common.markdown import bullets, markdown_table
+from flexman_gym.envs.config.description import Description
+from flexman_gym.evaluation.metrics import task_metrics
+from flexman_gym.evaluation.rollout import SELECTION_SEEDS, TEST_SEEDS, TRAINING_SEED
+from studies.learning.measure import (
+    ABLATED,
+    ABLATION_SEEDS,
+    ABLATIONS,
+    AS_TRAINED,
+    FINER,
+    FINER_ELEMENTS,
+    FINER_STEPS,
+    LONG,
+    LONGER,
+    SEEDS,
+    TASKS,
+    VENUES,
+    LearningRow,
+)
 
 PAGE = """# What the recipes reach
 
@@ -115,14 +128,14 @@ COLUMNS = {
 }
 
 
-def page(rows: Sequence[Row], machine: str) -> str:
+def page(rows: Sequence[LearningRow], machine: str) -> str:
     """The page as Markdown, from all rows."""
     return PAGE.format(
         machine=machine,
-        count=len(TEST),
-        test=f"{TEST.start} to {TEST.stop - 1}",
-        selection=f"{SELECTION.start} to {SELECTION.stop - 1}",
-        training=TRAINING,
+        count=len(TEST_SEEDS),
+        test=f"{TEST_SEEDS.start} to {TEST_SEEDS.stop - 1}",
+        selection=f"{SELECTION_SEEDS.start} to {SELECTION_SEEDS.stop - 1}",
+        training=TRAINING_SEED,
         columns="\n".join(bullets(f"{name}: {meaning}" for name, meaning in COLUMNS.items())),
         elsewhere=", ".join(f"`{name}` in `{venue}`" for name, venue in VENUES.items()),
         recipes="\n".join(_recipes(rows)),
@@ -140,24 +153,24 @@ def page(rows: Sequence[Row], machine: str) -> str:
     )
 
 
-def _of(rows: Iterable[Row], kind: str, name: str, where: str = AS_TRAINED) -> list[Row]:
+def _of(rows: Iterable[LearningRow], kind: str, name: str, where: str = AS_TRAINED) -> list[LearningRow]:
     return [row for row in rows if (row.kind, row.name, row.where) == (kind, name, where)]
 
 
-def _recipes(rows: Sequence[Row]) -> list[str]:
+def _recipes(rows: Sequence[LearningRow]) -> list[str]:
     heads = ("recipe", "seed", "actions", "CPU, s", "actions a second", "in the environment", *FIGURES)
     result = [row for name in SEEDS for row in _of(rows, "recipe", name)]
     return markdown_table(heads, ((row.name, f"{row.seed:.0f}", *_cost(row), *_figures(row)) for row in result))
 
 
-def _cost(row: Row) -> tuple[str, ...]:
+def _cost(row: LearningRow) -> tuple[str, ...]:
     return f"{row.steps:,.0f}", f"{row.cpu:.0f}", f"{row.rate:,.0f}", "-" if row.share is None else f"{row.share:.0%}"
 
 
 FIGURES = ("settled", "time, s", "vibration, mm", "error, mm", "reward", "effort", "roughness", "failed")
 
 
-def _figures(row: Row) -> tuple[str, ...]:
+def _figures(row: LearningRow) -> tuple[str, ...]:
     return (
         f"{row.settled:.0%}",
         f"{_number(row.time)} ({_number(row.time_low)} to {_number(row.time_high)})",
@@ -170,12 +183,12 @@ def _figures(row: Row) -> tuple[str, ...]:
     )
 
 
-def _controllers(rows: Sequence[Row]) -> list[str]:
+def _controllers(rows: Sequence[LearningRow]) -> list[str]:
     result = [row for row in rows if row.kind == "controller" and row.where == AS_TRAINED]
     return markdown_table(("controller", *FIGURES), ((row.name, *_figures(row)) for row in result))
 
 
-def _tasks(rows: Sequence[Row]) -> list[str]:
+def _tasks(rows: Sequence[LearningRow]) -> list[str]:
     lines = []
     for venue, (learned, law) in TASKS.items():
         own = {name: _of(rows, "task", f"{name}, {venue}") for name in ("pd", law, learned)}
@@ -191,10 +204,10 @@ def _tasks(rows: Sequence[Row]) -> list[str]:
 
 def _follows(venue: Description) -> bool:
     """Whether the tip has to follow or to stay, so that its RMS error tells more than when it settles."""
-    return any(figure.name == "rms_error" for figure in figures_of(venue.setup().task))
+    return any(figure.name == "rms_error" for figure in task_metrics(venue.setup().task))
 
 
-def _task(rows: Sequence[Row], follows: bool) -> tuple[str, float]:
+def _task(rows: Sequence[LearningRow], follows: bool) -> tuple[str, float]:
     """The figure of a task in words and as a number, of the middle of seeds."""
     if not rows:
         return "", math.nan
@@ -205,7 +218,7 @@ def _task(rows: Sequence[Row], follows: bool) -> tuple[str, float]:
     return f"{settled:.0%}, {_number(time)} s" if math.isfinite(time) else f"{settled:.0%}", time
 
 
-def _leaning(rows: Sequence[Row]) -> list[str]:
+def _leaning(rows: Sequence[LearningRow]) -> list[str]:
     cells: dict[tuple[str, str], dict[str, str]] = {}
     for row in rows:
         if row.kind in ("recipe", "controller"):
@@ -216,11 +229,11 @@ def _leaning(rows: Sequence[Row]) -> list[str]:
     return markdown_table(("policy", "seed", *places), lines)
 
 
-def _short(row: Row) -> str:
+def _short(row: LearningRow) -> str:
     return f"{row.settled:.0%} · {_number(row.time)} · {_number(1e3 * row.vibration)} · {_number(1e3 * row.error)}"
 
 
-def _ablations(rows: Sequence[Row]) -> list[str]:
+def _ablations(rows: Sequence[LearningRow]) -> list[str]:
     lines = []
     if whole := _of(rows, "recipe", ABLATED)[:ABLATION_SEEDS]:
         lines.append(_line("nothing", "the recipe as it is", whole))
@@ -231,12 +244,12 @@ def _ablations(rows: Sequence[Row]) -> list[str]:
     return markdown_table(heads, lines)
 
 
-def _line(means: str, instead: str, result: Sequence[Row]) -> tuple[str, ...]:
+def _line(means: str, instead: str, result: Sequence[LearningRow]) -> tuple[str, ...]:
     cells = [_spread(result, value, worst) for value, worst in SPREADS]
     return means, instead, f"{result[0].steps:,.0f}", f"{median(row.cpu or 0.0 for row in result):.0f}", *cells
 
 
-SPREADS: tuple[tuple[Callable[[Row], float], Callable[[Iterable[float]], float]], ...] = (
+SPREADS: tuple[tuple[Callable[[LearningRow], float], Callable[[Iterable[float]], float]], ...] = (
     (lambda row: 100.0 * row.settled, min),
     (lambda row: row.time, max),
     (lambda row: 1e3 * row.vibration, max),
@@ -244,7 +257,9 @@ SPREADS: tuple[tuple[Callable[[Row], float], Callable[[Iterable[float]], float]]
 )
 
 
-def _spread(rows: Sequence[Row], value: Callable[[Row], float], worst: Callable[[Iterable[float]], float]) -> str:
+def _spread(
+    rows: Sequence[LearningRow], value: Callable[[LearningRow], float], worst: Callable[[Iterable[float]], float]
+) -> str:
     values = [value(row) for row in rows]
     return f"{_number(median(values))} ({_number(worst(values))})"
 

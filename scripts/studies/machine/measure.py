@@ -1,4 +1,4 @@
-"""Machine, measure: what fits to some runs say of the others."""
+"""Identification of a real arm: records, fits and their scores, coverage on simulated arms."""
 
 import time
 from collections.abc import Iterator, Mapping
@@ -9,12 +9,77 @@ from typing import Any
 import numpy as np
 
 import flexman_gym as fm
-from flexman_gym.fit.fit import r_squared
-from flexman_gym.fit.response import Response
-from flexman_gym.model.instant import mass_matrix
+from flexman_gym.identification import Filter, Measurement
+from flexman_gym.identification.fit import r_squared
+from flexman_gym.identification.least_squares import FreeParameters
+from flexman_gym.identification.measurement import Response
+from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.simulation.parameters import nominal_parameters
-from studies.machine.records import DATA, LENGTHS, STAGE_1, both_stages, driven, moving
+
+DATA = Path(__file__).parent / "data"
+LOGGED = Filter.low_pass(2.0, 0.9)  # which the logged deflections passed, and the hub angles did not
+RESOLUTION = (1.534e-5, 3.068e-5)  # of the encoders at the joints, rad
+ROUNDING = {f"motor_angle_{i + 1}": each / 12.0**0.5 for i, each in enumerate(RESOLUTION)}
+LENGTHS = (0.202, 0.20185)  # of the strips, m: a deflection is an angle w(L) / L
+MOVING = 1e-3  # rad: a deflection that moves less shows the noise of the gauge
+FEWER = 5  # samples for one
+STAGE_1, STAGE_2 = "link_deflection_1_y", "link_deflection_2_y"
+
+
+def _columns(path: Path) -> dict[str, np.ndarray]:
+    """Columns of a file by name."""
+    with path.open(encoding="utf-8") as file:
+        names = file.readline().strip().split(",")
+    return dict(zip(names, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
+
+
+def _stage_1_record(path: Path) -> Measurement:
+    """A run of the first stage: hub angle in, tip deflection out."""
+    data = _columns(path)
+    return Measurement(
+        data["time_s"],
+        {"motor_angle_1": data["hub_angle_rad"]},
+        {STAGE_1: LENGTHS[0] * data["tip_deflection_rad"]},
+        {STAGE_1: LOGGED},
+        gains=(STAGE_1,),
+        deviations={"motor_angle_1": ROUNDING["motor_angle_1"]},
+    )
+
+
+def moving(folder: Path) -> dict[str, Measurement]:
+    """The runs of the first stage in a folder whose deflection moves, by name."""
+    runs = {path.stem: _stage_1_record(path) for path in sorted(folder.glob("*deg*.csv"))}
+    return {name: run for name, run in runs.items() if np.ptp(run.outputs[STAGE_1]) > MOVING * LENGTHS[0]}
+
+
+def both_stages(path: Path) -> Measurement:
+    """A run of both stages: hub angles in, tip deflections out."""
+    data = _columns(path)
+    return Measurement(
+        data["time_s"] - data["time_s"][0],
+        {f"motor_angle_{i}": data[f"hub_angle_{i}_rad"] for i in (1, 2)},
+        {f"link_deflection_{i}_y": LENGTHS[i - 1] * data[f"tip_deflection_{i}_rad"] for i in (1, 2)},
+        {STAGE_1: LOGGED, STAGE_2: LOGGED},
+        gains=(STAGE_1, STAGE_2),
+        offsets=(STAGE_1, STAGE_2),
+        deviations=ROUNDING,
+        settling=1.0,
+    )
+
+
+def driven(path: Path) -> Measurement:
+    """The same with currents in, and hub angles out as well, at 100 Hz: a simulation stops at every sample."""
+    data, record = _columns(path), both_stages(path)
+    angles = {f"motor_angle_{i}": data[f"hub_angle_{i}_rad"][::FEWER] for i in (1, 2)}
+    return replace(
+        record,
+        times=np.asarray(record.times)[::FEWER],
+        inputs={f"current_{i}": data[f"current_{i}_A"][::FEWER] for i in (1, 2)},
+        outputs=angles | {name: values[::FEWER] for name, values in record.outputs.items()},
+        deviations={},
+    )
+
 
 ONE = {"elements": 1, "modes": 4}
 TWO = {"elements": 1, "modes": (4, 3)}
@@ -23,7 +88,7 @@ HALF = 5.0  # s, of the record of both stages
 
 
 @dataclass(frozen=True)
-class Row:
+class FitRow:
     """A number: in which part of the study, of which run or fit, and what."""
 
     part: str
@@ -32,7 +97,7 @@ class Row:
     value: float
 
 
-def stage_1(folder: Path = DATA, others: bool = True) -> tuple[list[Row], dict[str, Any]]:
+def stage_1(folder: Path = DATA, others: bool = True) -> tuple[list[FitRow], dict[str, Any]]:
     """Fits half of the moving runs of the first stage and scores the rest, then the other way round.
 
     Args:
@@ -48,15 +113,15 @@ def stage_1(folder: Path = DATA, others: bool = True) -> tuple[list[Row], dict[s
         started = time.process_time()
         arm = fm.catalog.quanser_2dsfl(1)
         found = fm.fit(arm, ["link_stiffness", "link_damping"], records=[runs[name] for name in half], starts=0, **ONE)  # type: ignore[arg-type]
-        rows.append(Row(FIT, label, "CPU s", time.process_time() - started))
-        rows += [Row(FIT, label, name, value) for name, value in _told(found).items()]
+        rows.append(FitRow(FIT, label, "CPU s", time.process_time() - started))
+        rows += [FitRow(FIT, label, name, value) for name, value in _told(found).items()]
         rest = [name for name in names if name not in half]
         for name in rest:
             record = runs[name]
             shown = found.predicted(record)[STAGE_1]
-            rows.append(Row(SCORE, name, label, found.score(record)[STAGE_1]))
+            rows.append(FitRow(SCORE, name, label, found.score(record)[STAGE_1]))
             sheet = _sheet(build_model(arm, **ONE), record)  # type: ignore[arg-type]
-            rows.append(Row(SHEET, name, label, r_squared(np.asarray(record.outputs[STAGE_1]), sheet)))
+            rows.append(FitRow(SHEET, name, label, r_squared(np.asarray(record.outputs[STAGE_1]), sheet)))
             lines[name] = [
                 np.asarray(record.times),
                 np.asarray(record.outputs[STAGE_1]) / LENGTHS[0],
@@ -107,7 +172,7 @@ def _sheet(model: Model, record: fm.Measurement) -> Any:
     return Response(model.arm, record, None).signals(model, nominal)[0, 0] * at_strip / at_block
 
 
-def _by_mujoco(found: fm.Fit, runs: Mapping[str, fm.Measurement]) -> list[Row]:
+def _by_mujoco(found: fm.Fit, runs: Mapping[str, fm.Measurement]) -> list[FitRow]:
     """Scores of MuJoCo's pieces with the fitted numbers."""
     try:
         from studies.machine import mujoco
@@ -118,12 +183,12 @@ def _by_mujoco(found: fm.Fit, runs: Mapping[str, fm.Measurement]) -> list[Row]:
     for name, record in runs.items():
         started = time.process_time()
         shown = mujoco.deflection(found.arm, record) * found.gains[STAGE_1][0]
-        rows.append(Row(MUJOCO, name, "R2", r_squared(np.asarray(record.outputs[STAGE_1]), shown)))
-        rows.append(Row(MUJOCO, name, "CPU s", time.process_time() - started))
+        rows.append(FitRow(MUJOCO, name, "R2", r_squared(np.asarray(record.outputs[STAGE_1]), shown)))
+        rows.append(FitRow(MUJOCO, name, "CPU s", time.process_time() - started))
     return rows
 
 
-def stages(path: Path) -> tuple[list[Row], list[Any]]:
+def stages(path: Path) -> tuple[list[FitRow], list[Any]]:
     """Fits the first half of a record of both stages, coupled, and scores the second; then the same from currents.
 
     Returns:
@@ -132,24 +197,24 @@ def stages(path: Path) -> tuple[list[Row], list[Any]]:
     record, arm = both_stages(path), fm.catalog.quanser_2dsfl()
     found = fm.fit(arm, ["link_stiffness", "link_damping"], records=[record.part(0.0, HALF)], **TWO)  # type: ignore[arg-type]
     told = [np.asarray(record.times), dict(record.outputs), found.predicted(record)]
-    return [*_coupled(found, record, COUPLED), *currents(found, path)], told
+    return [*_coupled(found, record, COUPLED), *_currents(found, path)], told
 
 
-def _coupled(found: fm.Fit, record: fm.Measurement, part: str) -> Iterator[Row]:
+def _coupled(found: fm.Fit, record: fm.Measurement, part: str) -> Iterator[FitRow]:
     """Numbers of a fit of both stages, and its scores on the second half."""
     for name in found.values:
         for i, (value, deviation) in enumerate(zip(found.values[name], found.deviations[name], strict=True)):
-            yield Row(part, f"{name}[{i}]", "value", float(value))
-            yield Row(part, f"{name}[{i}]", "deviation", float(deviation))
+            yield FitRow(part, f"{name}[{i}]", "value", float(value))
+            yield FitRow(part, f"{name}[{i}]", "deviation", float(deviation))
     for name, (gain, deviation) in found.gains.items():
-        yield Row(part, f"gain of {name}", "value", gain)
-        yield Row(part, f"gain of {name}", "deviation", deviation)
+        yield FitRow(part, f"gain of {name}", "value", gain)
+        yield FitRow(part, f"gain of {name}", "deviation", deviation)
     late, shown = np.asarray(record.times) >= HALF, found.predicted(record)
     for name, values in shown.items():
-        yield Row(part, name, "R2", r_squared(np.asarray(record.outputs[name])[late], values[late]))
+        yield FitRow(part, name, "R2", r_squared(np.asarray(record.outputs[name])[late], values[late]))
 
 
-def currents(found: fm.Fit, path: Path) -> Iterator[Row]:
+def _currents(found: fm.Fit, path: Path) -> Iterator[FitRow]:
     """Currents in, angles out: friction fitted on the first half, with what the deflections told of the links."""
     record = driven(path)
     joints = [
@@ -159,3 +224,76 @@ def currents(found: fm.Fit, path: Path) -> Iterator[Row]:
     free = ["viscous_friction", "coulomb_friction"]
     result = fm.fit(arm, free, records=[record.part(0.0, HALF)], starts=0, check=False, **TWO)  # type: ignore[arg-type]
     yield from _coupled(result, record, CURRENT)
+
+
+PERIOD, SAMPLES, NOISE, FINER = 0.005, 241, 0.005, 4
+CHOICE: dict[str, Any] = {"elements": 1, "modes": 3}
+FREE = ("joint_stiffness", "joint_damping", "link_stiffness", "link_damping", "payload_mass")
+FAR = 0.3  # of the logarithms of a start
+AXES = ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
+
+
+def _random_arm(rng: np.random.Generator) -> fm.Arm:
+    """One to three strips on elastic joints, in a plane or in space."""
+    count, spatial = int(rng.integers(1, 4)), bool(rng.integers(2))
+    links, joints = [], []
+    for i in range(count):
+        thin = str(rng.choice(["y", "z"])) if spatial else "y"
+        links.append(fm.Link.strip(rng.uniform(0.3, 0.6), rng.uniform(0.03, 0.05), rng.uniform(0.002, 0.005), thin))
+        axis = AXES[rng.integers(3)] if spatial and i else AXES[0]
+        size = 0.5 ** (2 * i)
+        joints.append(fm.Joint(axis, 0.05 * size, rng.uniform(20.0, 80.0) * size, rng.uniform(0.02, 0.1) * size))
+    ratios = rng.uniform(0.005, 0.03, count).tolist()
+    return fm.Arm(links, joints, fm.Payload(rng.uniform(0.05, 0.2)), modal_damping_ratio=ratios)
+
+
+def _truth(arm: fm.Arm, rng: np.random.Generator) -> fm.Measurement:
+    """What the arm does under torques that jump, at a quarter of the step of the fit."""
+    count, times = arm.n_joints, PERIOD * np.arange(SAMPLES)
+    inputs = {}
+    for i in range(count):
+        levels = np.repeat(rng.uniform(-1.0, 1.0, -(-SAMPLES // 20)), 20)[:SAMPLES]
+        inputs[f"torque_{i + 1}"] = 0.5 ** (2 * i) * levels
+    names = [
+        f"{kind}_{i + 1}{end}"
+        for i in range(count)
+        for kind, end in (("motor_angle", ""), ("root_strain", "_y"), ("root_strain", "_z"))
+    ]
+    record = fm.Measurement(times, inputs, {name: times for name in names}, start=np.zeros(count))
+    response = Response(arm, record, PERIOD / FINER)
+    signals = response.signals(build_model(arm, **CHOICE), {"payload_mass": np.array([arm.payload.mass])})[0]  # type: ignore[union-attr]
+    kept = {name: values for name, values in zip(names, signals, strict=True) if np.std(values) > 1e-9}
+    return replace(record, outputs=kept)
+
+
+def draws(seed: int, count: int) -> list[tuple[str, float, bool]]:
+    """Fits of one arm to draws of noise: name of each number, its error in deviations, and whether it was told."""
+    rng = np.random.default_rng(seed)
+    arm = _random_arm(rng)
+    record, free = _truth(arm, rng), FreeParameters(arm, FREE)
+    result = []
+    for _ in range(count):
+        start = free.changed(free.start * np.exp(rng.uniform(-FAR, FAR, len(free.start))))
+        noisy = {
+            name: values + NOISE * np.std(values) * rng.standard_normal(SAMPLES)
+            for name, values in record.outputs.items()
+        }
+        found = fm.fit(start, FREE, records=[replace(record, outputs=noisy)], **CHOICE)
+        scale = np.where([number.parameter == "link_stiffness" for number in free.numbers], 1.0, free.start)
+        moduli = [
+            a.sections[0].youngs_modulus / b.sections[0].youngs_modulus
+            for a, b in zip(arm.links, start.links, strict=True)
+        ]
+        for number, true in zip(free.numbers, scale, strict=True):
+            place = number.place or 0
+            value, deviation = (np.ravel(each[number.parameter])[place] for each in (found.values, found.deviations))
+            right = moduli[place] if number.parameter == "link_stiffness" else true
+            result.append((str(number), float((value - right) / deviation), str(number) not in found.undetermined))
+    return result
+
+
+def coverage(arms: int, count: int, first: int = 0) -> tuple[float, int, int]:
+    """Gives the part of told numbers whose truth is within two deviations, how many these are, and the others."""
+    found = [each for seed in range(first, first + arms) for each in draws(seed, count)]
+    told = [abs(error) <= 2.0 for _, error, told in found if told]
+    return float(np.mean(told)), len(told), len(found) - len(told)

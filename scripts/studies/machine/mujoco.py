@@ -7,8 +7,8 @@ import numpy as np
 
 import flexman_gym as fm
 from flexman_gym.model.mjcf import mjcf
-from flexman_gym.scene.samples import SampledAngles
-from studies.machine.records import LOGGED
+from flexman_gym.scene.signals import SampledAngles
+from studies.machine.measure import LOGGED
 
 PIECES = 4
 HEAVY = 1e6  # kg m^2, of a hub that moves as it is told

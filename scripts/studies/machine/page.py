@@ -1,12 +1,45 @@
-"""Machine, page: tables and conclusions, with numbers from the rows."""
+"""Page and pictures of the identification of a real arm."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from flexman_gym.verification.markdown import markdown_table
-from studies.machine.charts import STAGE_1_PICTURE, STAGES_PICTURE
-from studies.machine.measure import COUPLED, CURRENT, FIT, MUJOCO, SCORE, SHEET, Row
+from flexman_gym.common.markdown import markdown_table
+from flexman_gym.draw.style import BLUE, LIGHT, MIDDLE, new_figure
+from studies.machine.measure import COUPLED, CURRENT, FIT, HALF, MUJOCO, SCORE, SHEET, FitRow
+
+STAGE_1_PICTURE, STAGES_PICTURE = "machine_stage_1.png", "machine_stages.png"
+MILLI = 1e3
+
+
+def draw(lines: Mapping[str, Sequence[Any]], told: Sequence[Any], folder: Path) -> None:
+    """Draws the runs of the first stage, each by the fit that did not see it, and the record of both stages."""
+    rows = (len(lines) + 2) // 3
+    figure = new_figure((13.0, 2.3 * rows), 100.0, layout="constrained")
+    grid = figure.subplots(rows, 3, squeeze=False).ravel()
+    for axes, (name, (times, measured, shown)) in zip(grid, sorted(lines.items()), strict=False):
+        _compare(axes, times, MILLI * measured, MILLI * shown)
+        axes.set(title=name, xlabel="time (s)", ylabel="deflection (mrad)")
+    for axes in grid[len(lines) :]:
+        axes.set_visible(False)
+    figure.savefig(folder / STAGE_1_PICTURE)
+    times, measured, shown = told
+    figure = new_figure((13.0, 5.0), 100.0, layout="constrained")
+    for axes, name in zip(figure.subplots(len(shown), 1), shown, strict=True):
+        _compare(axes, times, MILLI * np.asarray(measured[name]), MILLI * shown[name])
+        axes.axvline(HALF, color=LIGHT, linewidth=3.0)
+        axes.set(title=f"{name}: fitted on the left, predicted on the right", xlabel="time (s)", ylabel="mm")
+    figure.savefig(folder / STAGES_PICTURE)
+
+
+def _compare(axes: Any, times: Any, measured: Any, shown: Any) -> None:
+    axes.plot(times, measured, color=MIDDLE, linewidth=2.5, label="measured")
+    axes.plot(times, shown, color=BLUE, linewidth=1.0, label="our model")
+    axes.legend(frameon=False, fontsize=8)
+    axes.spines[["top", "right"]].set_visible(False)
+
 
 PAGE = """# Our model against a machine
 
@@ -71,7 +104,7 @@ Computed with {machine}, one core.
 """
 
 
-def page(rows: Sequence[Row], machine: str) -> str:
+def page(rows: Sequence[FitRow], machine: str) -> str:
     """Writes the page as Markdown."""
     scores = [row for row in rows if row.part == SCORE]
     sheet = {row.run: row.value for row in rows if row.part == SHEET}
@@ -102,7 +135,7 @@ def _mean(fits: dict[str, dict[str, float]], name: str) -> float:
     return float(np.mean([fit[name] for fit in fits.values()]))
 
 
-def _values(rows: Sequence[Row], part: str) -> str:
+def _values(rows: Sequence[FitRow], part: str) -> str:
     """Fitted values with their deviations, then scores."""
     own = [row for row in rows if row.part == part]
     spread = {row.run: row.value for row in own if row.what == "deviation"}

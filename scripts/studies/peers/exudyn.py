@@ -25,11 +25,11 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 import flexman_gym as fm
-from flexman_gym.arrays import Array, Vector
+from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.model.beam import Beam, build_beam
 from flexman_gym.model.element import section_points
-from studies.peers.runs import PeerRun, Timer, output_count, row
-from studies.precision.measure import Row, Study, Truth
+from studies.peers.measure import PeerRun, Timer, output_count, row
+from studies.precision.measure import PrecisionRow, ReferenceSolution, Study
 
 sys.exudynFast = True  # type: ignore[attr-defined]  # the build without range checks, which a first import chooses
 with redirect_stdout(io.StringIO()):
@@ -171,17 +171,17 @@ def run(scene: fm.Scene, step: float, method: str = QUICK, tolerance: float = LO
     return PeerRun(MODEL, method, step, tip, costs[0], costs[1], iterations)
 
 
-def converged(scene: fm.Scene) -> Truth:
+def converged(scene: fm.Scene) -> ReferenceSolution:
     """Exudyn's own solution at a short step; its error is that of a step 2.5 times as long."""
     fine, coarse = (run(scene, step, QUICK, STRICT) for step in (FINE, 2.5 * FINE))
-    return Truth(fine.tip, fine.distance(coarse.tip), f"{MODEL}, {1e3 * FINE:g} ms")
+    return ReferenceSolution(fine.tip, fine.distance(coarse.tip), f"{MODEL}, {1e3 * FINE:g} ms")
 
 
 def runs(study: Study) -> list[Timer]:
     """Its quickest and its default settings at several steps, with errors from its own converged run."""
     solution = converged(study.scene)
 
-    def timed(method: str, step: float) -> Row:
+    def timed(method: str, step: float) -> PrecisionRow:
         return row(study, run(study.scene, step, method), solution)
 
     return [lambda a=(method, step): timed(*a) for method, steps in STEPS.items() for step in steps]  # type: ignore[misc]

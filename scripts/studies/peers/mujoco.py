@@ -11,10 +11,10 @@ import numpy as np
 from mujoco import batch
 
 import flexman_gym as fm
-from flexman_gym.arrays import Array
+from flexman_gym.common.arrays import Array
 from flexman_gym.model.mjcf import mjcf
-from studies.peers.runs import PeerRun, Timer, output_count, row, with_rigid_joints
-from studies.precision.measure import OK, Row, Study
+from studies.peers.measure import PeerRun, Timer, output_count, row, with_rigid_joints
+from studies.precision.measure import OK, PrecisionRow, Study
 
 SANE = 0.5  # m, of an error that still is a simulation of a flexible arm
 RIGID_STEP, RIGID_LINKS_STEP = 1e-3, 5e-3  # of RK4, whose errors are then far below those of a rigid arm
@@ -108,7 +108,7 @@ def stable_runs(study: Study) -> list[Timer]:
     return result
 
 
-def fewest_parts(timed: Callable[[int], Row]) -> int:
+def fewest_parts(timed: Callable[[int], PrecisionRow]) -> int:
     """The fewest steps in an output step with which a run is stable, found by trying."""
     parts = DISCRETE[0]
     while timed(parts).status != OK:
@@ -121,5 +121,5 @@ def longest_step(study: Study, pieces: int, integrator: str) -> float:
     return study.scene.output_step / fewest_parts(partial(_timed, study, pieces, integrator))
 
 
-def _timed(study: Study, pieces: int, integrator: str, parts: int) -> Row:
+def _timed(study: Study, pieces: int, integrator: str, parts: int) -> PrecisionRow:
     return row(study, run(study.scene, pieces, integrator, study.scene.output_step / parts), sane=SANE)

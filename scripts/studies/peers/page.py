@@ -1,20 +1,48 @@
-"""Peers, page: what a comparison with other codes says, with numbers from its rows."""
+"""Page and chart of the comparison with other simulators."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, metadata
+from itertools import cycle
 from pathlib import Path
 
 import flexman_gym as fm
-from flexman_gym.verification.machine import machine_text
-from flexman_gym.verification.markdown import introduced_table
-from studies.peers.charts import peers_chart
-from studies.peers.compare import PEERS, ROUNDS, of_peers
-from studies.peers.decay import decays
+from flexman_gym.common.computer import computer_text
+from flexman_gym.common.markdown import introduced_table
+from flexman_gym.draw.style import BLUE, GREEN, MIDDLE, ORANGE, RED, SKY
+from studies.methods import BLACK, PINE, PINK, PURPLE
+from studies.peers.measure import PEERS, ROUNDS, decays, of_peers
 from studies.peers.newton import cables
-from studies.precision.cases import PLAIN
-from studies.precision.measure import Row, cost_at, settled
+from studies.precision.charts import TOTAL_ERROR, TRUTHS, draw_floor, draw_front, draw_runs, finish, new_panels
+from studies.precision.measure import PLAIN, PrecisionRow, cost_at, settled
+
+COLOURS = (ORANGE, RED, PURPLE, GREEN, SKY, BLACK, MIDDLE, PINK, PINE)  # of the models of other codes; ours are blue
+MARKERS = "ov^D<PX>"  # of their methods; ours are squares
+
+
+def _peers_chart(
+    rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow], floor: float, title: str, path: Path
+) -> None:
+    """Total error over cost of our runs and of those of other codes: a colour for each model, a marker for a method."""
+    figure, (axes,) = new_panels(1, title, 6.4)
+    draw_runs(axes, rows, "total_error", "flexman_gym", {"color": BLUE, "marker": "s", "linestyle": ""})
+    colours = _in_turn((row.model for row in peers), COLOURS)
+    markers = _in_turn((row.method for row in peers), MARKERS)
+    for model, method in dict.fromkeys((row.model, row.method) for row in peers):
+        result = [row for row in peers if (row.model, row.method) == (model, method)]
+        look = {"color": colours[model], "marker": markers[method], "markersize": 7.0}
+        draw_runs(axes, result, "total_error", f"{model}, {method}", look)
+    draw_front(axes, [*rows, *peers], "total_error", floor)
+    draw_floor(axes, floor, TRUTHS)
+    axes.set_ylabel(TOTAL_ERROR)
+    finish(figure, [axes], path)
+
+
+def _in_turn(names: Iterable[str], values: Sequence[str]) -> dict[str, str]:
+    """A value for each name, in turn and from the start again when there are more names."""
+    return dict(zip(dict.fromkeys(names), cycle(values), strict=False))
+
 
 MANY = " arms on "  # in the scene of a row of arms side by side
 PICTURE, TITLE = "work_precision_peers.png", "The paper's arm, everything flexible"
@@ -88,32 +116,32 @@ ABREAST_HEADS = ("model", "method", "step", "error, mm", "simulated seconds a se
 RIGID = "The cost of a rigid arm, by RK4 at {setting}. Its tip is {error:.2g} m from the truth."
 
 
-def publish(rows: Sequence[Row], floor: float, folder: Path) -> str:
+def publish(rows: Sequence[PrecisionRow], floor: float, folder: Path) -> str:
     """Draws the rows, writes the page about them and returns it; `floor` is the error of the truth, m."""
     many = [row for row in rows if MANY in row.scene]
     peers = of_peers(alone := [row for row in rows if row not in many])
     mine = [row for row in alone if row not in peers]
-    peers_chart(mine, peers, floor, TITLE, folder / PICTURE)
+    _peers_chart(mine, peers, floor, TITLE, folder / PICTURE)
     text = page(mine, peers, many)
     (folder / "peers.md").write_text(text, encoding="utf-8")
     return text
 
 
-def page(rows: Sequence[Row], peers: Sequence[Row], many: Sequence[Row]) -> str:
+def page(rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow], many: Sequence[PrecisionRow]) -> str:
     """The page as Markdown, from our rows and those of peers, and from those of many arms."""
     found = [name for name in PEERS if any(row.model.startswith(name) for row in peers)]
-    machine = machine_text(PEERS[name] for name in found)
+    machine = computer_text(PEERS[name] for name in found)
     texts = [*conclusions(rows, peers, PLAIN), *_decays(peers), *_abreast(many), *_licences(found)]
     known = {"rounds": ROUNDS, "picture": PICTURE, "cables": cables(), "machine": machine}
     return PAGE.format(**known, conclusion="\n".join(texts).rstrip())
 
 
-def conclusions(rows: Sequence[Row], peers: Sequence[Row], plain: str) -> list[str]:
+def conclusions(rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow], plain: str) -> list[str]:
     """Tables about our rows and those of peers; `plain` is the model whose time error counts."""
     return [*_pieces(rows, peers), *_alone(rows, peers), *_frames(rows, peers, plain), *_rigid(rows, peers)]
 
 
-def _pieces(rows: Sequence[Row], peers: Sequence[Row]) -> list[str]:
+def _pieces(rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow]) -> list[str]:
     """How much cheaper we are than MuJoCo's rigid pieces at their total error."""
     cells = []
     for pieces in (8, 4):
@@ -129,9 +157,9 @@ def _pieces(rows: Sequence[Row], peers: Sequence[Row]) -> list[str]:
     return introduced_table(PIECES, PIECES_HEADS, cells) if cells else []
 
 
-def _alone(rows: Sequence[Row], peers: Sequence[Row]) -> list[str]:
+def _alone(rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow]) -> list[str]:
     """The error of each model at its shortest step, so that nobody takes a lucky step for a good model."""
-    known: dict[str, Row] = {}
+    known: dict[str, PrecisionRow] = {}
     for row in sorted([*rows, *peers], key=lambda row: (row.model, -(row.step or math.inf))):
         if row.method in ("implicit_midpoint", "RK4") and "rigid" not in row.model:
             known[row.model] = row
@@ -139,7 +167,7 @@ def _alone(rows: Sequence[Row], peers: Sequence[Row]) -> list[str]:
     return introduced_table(ALONE, ("model", "error, mm", "step"), cells) if cells else []
 
 
-def _frames(rows: Sequence[Row], peers: Sequence[Row], plain: str) -> list[str]:
+def _frames(rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow], plain: str) -> list[str]:
     """How much cheaper we are than Exudyn's floating frame of the same elements at a time error."""
     mine = [row for row in rows if row.model == plain and row.time_error is not None]
     within = [row for row in mine if (row.time_error or 0.0) <= WANTED]
@@ -155,7 +183,7 @@ def _frames(rows: Sequence[Row], peers: Sequence[Row], plain: str) -> list[str]:
     return introduced_table(text, heads, cells) if best else []
 
 
-def _rigid(rows: Sequence[Row], peers: Sequence[Row]) -> list[str]:
+def _rigid(rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow]) -> list[str]:
     """What a rigid arm costs, and how far from the truth it is."""
     known = [row for row in (*rows, *peers) if row.model.split(", ")[-1] == "rigid"]
     if not known:
@@ -165,14 +193,14 @@ def _rigid(rows: Sequence[Row], peers: Sequence[Row]) -> list[str]:
     return introduced_table(RIGID.format(setting=known[0].setting, error=far), ("code", COST), cells)
 
 
-def _decays(peers: Sequence[Row]) -> list[str]:
+def _decays(peers: Sequence[PrecisionRow]) -> list[str]:
     """What integrators take from the lowest mode."""
     shares = decays(fm.catalog.paper_rrr(), peers)
     cells = [(name, f"{1e3 * step:.3g} ms", f"{100 * abs(round(share, 8)):.3g} %") for name, step, share in shares]
     return introduced_table(DECAY, ("integrator", "step", "lost in a second"), cells)
 
 
-def _abreast(many: Sequence[Row]) -> list[str]:
+def _abreast(many: Sequence[PrecisionRow]) -> list[str]:
     """How fast many arms move on all cores; each beside the quickest of the same error."""
     cells = []
     for row in sorted(many, key=lambda row: (_millimetres(row), row.wall)):
@@ -192,16 +220,16 @@ def _licences(names: Sequence[str]) -> list[str]:
     return introduced_table(LICENCES, ("package", "version", "licence", "settings"), cells) if cells else []
 
 
-def _within(rows: Sequence[Row], error: float) -> list[Row]:
+def _within(rows: Sequence[PrecisionRow], error: float) -> list[PrecisionRow]:
     return [row for row in rows if (row.total_error or 0.0) <= error]
 
 
-def _cells(name: str, runs: Sequence[Row], peer: Row) -> list[str]:
+def _cells(name: str, runs: Sequence[PrecisionRow], peer: PrecisionRow) -> list[str]:
     """The cheapest of these runs beside a peer."""
     best = min(runs, key=lambda row: row.cpu)
     run = [name, best.model, best.method, best.setting, _millimetres(best)]
     return [*run, f"{1e3 * best.cpu:.3g}", f"{peer.cpu / best.cpu:.3g}"]
 
 
-def _millimetres(row: Row) -> str:
+def _millimetres(row: PrecisionRow) -> str:
     return f"{1e3 * (row.total_error or 0.0):.2g}"

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 import flexman_gym as fm
-from flexman_gym.arrays import Array
-from studies.peers.runs import PeerRun, Timer, output_count, row
+from flexman_gym.common.arrays import Array
+from studies.peers.measure import PeerRun, Timer, output_count, row
 from studies.precision.measure import Study
 
 pin: Any = importlib.import_module("pinocchio")  # which has no types

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.model.mjcf import add, axes, mjcf, numbers
+from flexman_gym.model.mjcf import add_element, format_axes, format_numbers, mjcf
+from studies.peers.measure import Timer, row
 from studies.peers.mujoco import SANE, advance, fewest_parts
-from studies.peers.runs import Timer, row
-from studies.precision.measure import Row, Study
+from studies.precision.measure import PrecisionRow, Study
 
 LENGTHS, CLAMP = (0.5, 0.25), 1e-3  # m, of about a piece; part of a piece that is clamped at either end
 METHODS = ("Euler", "RK4")  # `implicit` and `implicitfast` take no rods, `discrete` none whose edges are springs
@@ -26,34 +26,40 @@ def rod(length: float, root: Any, body: Any, link: Any) -> tuple[Any, dict[str, 
     along, whole, second = turn[:, 0], link.length / pieces, section.second_moment_y
     mass, polar = section.density * section.area * whole, section.density * 2.0 * second * whole
     slender = pieces * polar / 4 + mass * whole**2 / 24 * (pieces - 0.75)
-    half = {"mass": repr(mass / 2), "diaginertia": numbers((polar / 2, slender, slender)), "xyaxes": axes(turn)}
+    half = {
+        "mass": repr(mass / 2),
+        "diaginertia": format_numbers((polar / 2, slender, slender)),
+        "xyaxes": format_axes(turn),
+    }
     world, ends = root.find("worldbody"), root.findall("worldbody/body[freejoint]")
     place = np.array(ends[-1].get("pos").split(), dtype=float) if ends else np.zeros(3)
-    tip = add(world, "body", name=f"{name}_tip", pos=numbers(place + link.length * along))
-    add(tip, "freejoint")
+    tip = add_element(world, "body", name=f"{name}_tip", pos=format_numbers(place + link.length * along))
+    add_element(tip, "freejoint")
     for end, side in ((body, 1.0), (tip, -1.0)):
-        add(end, "inertial", half, pos=numbers(side * along * whole / 4))
+        add_element(end, "inertial", half, pos=format_numbers(side * along * whole / 4))
     for j in range(1, pieces + 1):
-        edge = add(world, "body", name=f"{name}_twist_{j}")
-        add(edge, "joint", name=f"{name}_twist_{j}", axis=numbers(along))
-        add(edge, "inertial", pos="0 0 0", mass="1e-9", diaginertia=numbers([polar] * 3))
+        edge = add_element(world, "body", name=f"{name}_twist_{j}")
+        add_element(edge, "joint", name=f"{name}_twist_{j}", axis=format_numbers(along))
+        add_element(edge, "inertial", pos="0 0 0", mass="1e-9", diaginertia=format_numbers([polar] * 3))
     for j in range(1, pieces):
-        point = add(world, "body", name=f"{name}_{j}", pos=numbers(place + j * whole * along))
-        add(point, "inertial", pos="0 0 0", mass=repr(mass), diaginertia="1e-9 1e-9 1e-9")
+        point = add_element(world, "body", name=f"{name}_{j}", pos=format_numbers(place + j * whole * along))
+        add_element(point, "inertial", pos="0 0 0", mass=repr(mass), diaginertia="1e-9 1e-9 1e-9")
         for axis in np.eye(3):
-            add(point, "joint", type="slide", axis=numbers(axis))
+            add_element(point, "joint", type="slide", axis=format_numbers(axis))
     bodies = " ".join([name, name, *(f"{name}_{j}" for j in range(1, pieces)), f"{name}_tip", f"{name}_tip"])
-    vertices = numbers(np.concatenate([-CLAMP * whole * along, np.zeros(3 * pieces + 3), CLAMP * whole * along]))
-    flex = add(add(root, "deformable"), "flex", name=name, dim="1", radius=repr(float((4.0 * second / np.pi) ** 0.25)))
+    vertices = format_numbers(np.concatenate([-CLAMP * whole * along, np.zeros(3 * pieces + 3), CLAMP * whole * along]))
+    flex = add_element(
+        add_element(root, "deformable"), "flex", name=name, dim="1", radius=repr(float((4.0 * second / np.pi) ** 0.25))
+    )
     flex.attrib.update(body=bodies, vertex=vertices, element=" ".join(f"{j} {j + 1}" for j in range(pieces + 2)))
-    add(flex, "contact", selfcollide="none", contype="0", conaffinity="0")
-    add(flex, "edge", stiffness=repr(section.youngs_modulus * section.area / whole))
+    add_element(flex, "contact", selfcollide="none", contype="0", conaffinity="0")
+    add_element(flex, "edge", stiffness=repr(section.youngs_modulus * section.area / whole))
     shear = section.shear_modulus * section.torsion_constant / (2.0 * second)
-    add(flex, "elasticity", young=repr(section.youngs_modulus), shear=repr(shear))
+    add_element(flex, "elasticity", young=repr(section.youngs_modulus), shear=repr(shear))
     return tip, {"pos": "0 0 0"}
 
 
-def run(study: Study, length: float, integrator: str, parts: int) -> Row:
+def run(study: Study, length: float, integrator: str, parts: int) -> PrecisionRow:
     """Runs a scene of constant torques from rest at zero angles, with so many steps in an output step."""
     step = study.scene.output_step / parts
     text = mjcf(study.scene.arm, 0, integrator, step, partial(rod, length))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import flexman_gym as fm
-from studies.peers.runs import PeerRun, Timer, output_count, row
+from studies.peers.measure import PeerRun, Timer, output_count, row
 from studies.precision.measure import Study
 
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")

@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable, Sequence
 
-from flexman_gym.verification.markdown import markdown_table
-from studies.planted.planting import CAUGHT, EQUIVALENT, SURVIVED, Planted
+from flexman_gym.common.markdown import markdown_table
+from studies.planted.measure import CAUGHT, EQUIVALENT, SURVIVED, Planted
 
 PAGE = """# Which errors the tests notice
 

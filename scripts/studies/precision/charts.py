@@ -1,23 +1,79 @@
-"""Precision charts: error of the tip over cost, from rows of a study of work and precision."""
+"""Work-precision charts."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from flexman_gym.draw.style import BLUE, DARK, MIDDLE, ORANGE, RED, SKY
-from studies.looks import looks
-from studies.methods import methods_of
-from studies.precision.axes import (
-    TOTAL_ERROR,
-    TRUTHS,
-    draw_floor,
-    draw_front,
-    draw_runs,
-    finish,
-    new_panels,
-    shown_error,
-)
-from studies.precision.measure import Row
+from flexman_gym.draw.style import BLUE, DARK, LIGHT, MIDDLE, ORANGE, RED, SKY, new_figure
+from studies.methods import looks, methods_of
+from studies.precision.measure import OK, PrecisionRow, pareto_front
+
+COST = "CPU seconds per simulated second"
+TOTAL_ERROR = "total error: largest distance of the tip from the truth (m)"
+TRUTHS = "how well finest models agree"
+LARGEST_ERROR = 30.0  # m; the arm is smaller, so what is above says no more than that
+
+
+def new_panels(count: int, title: str, height: float = 5.4) -> tuple[Any, list[Any]]:
+    """A figure with panels side by side and its title; both axes are logarithmic."""
+    figure = new_figure((5.6 + 4.4 * count, height), 110.0, layout="constrained")
+    panels = list(figure.subplots(1, count, sharey=True, squeeze=False)[0])
+    figure.suptitle(title, fontsize=13)
+    for axes in panels:
+        axes.set(xscale="log", yscale="log", xlabel=COST)
+        axes.tick_params(which="minor", labelbottom=False)
+        axes.grid(color=LIGHT, linewidth=0.6)
+        axes.spines[["top", "right"]].set_visible(False)
+    return figure, panels
+
+
+def _shown_error(row: PrecisionRow, column: str) -> float:
+    """The error, or infinity where there is none to show."""
+    value = getattr(row, column)
+    return math.inf if value is None or row.status != OK or value > LARGEST_ERROR else float(value)
+
+
+def draw_runs(axes: Any, rows: Sequence[PrecisionRow], column: str, label: str, look: dict[str, Any]) -> None:
+    """Runs of one kind; those that failed are small crosses at the upper edge."""
+    good = [row for row in rows if math.isfinite(_shown_error(row, column)) and _shown_error(row, column) > 0.0]
+    if good:
+        values = [row.cpu for row in good], [_shown_error(row, column) for row in good]
+        axes.plot(*values, **{"markersize": 5.0, "linewidth": 1.1, "label": label} | look)
+    judged = [row for row in rows if getattr(row, column) is not None]
+    failed = [row.cpu for row in judged if not math.isfinite(_shown_error(row, column))]
+    if failed:
+        upper = axes.get_xaxis_transform()
+        axes.plot(failed, [0.985] * len(failed), "x", color=look["color"], markersize=6.0, transform=upper)
+
+
+def draw_front(axes: Any, rows: Sequence[PrecisionRow], column: str, floor: float = 0.0) -> list[PrecisionRow]:
+    """A broad pale line along the best runs, which it returns; errors below the floor (m) are all the same."""
+    front = [rows[i] for i in pareto_front([(row.cpu, max(floor, _shown_error(row, column))) for row in rows])]
+    values = [row.cpu for row in front], [_shown_error(row, column) for row in front]
+    look = {"color": "#b9bec7", "linewidth": 7.0, "alpha": 0.6, "zorder": 0, "solid_joinstyle": "round"}
+    axes.plot(*values, drawstyle="steps-post", label="Pareto front", **look)
+    return front
+
+
+def draw_floor(axes: Any, floor: float, label: str) -> None:
+    """A dashed line at the error (m) of what judges the runs."""
+    axes.axhline(floor, color=DARK, linewidth=1.0, linestyle="--", label=label, zorder=1)
+
+
+def finish(figure: Any, panels: Sequence[Any], path: Path) -> None:
+    """One legend for all panels, outside; a cross in it says what failed. Each axis shows at least a decade."""
+    panels[-1].plot([], [], "x", color=MIDDLE, label="failed, at the upper edge")
+    for axes in panels:
+        low, high = axes.get_xlim()
+        axes.set_xlim(10.0 ** math.floor(math.log10(low)), 10.0 ** math.ceil(math.log10(high)))
+    entries: dict[str, Any] = {}
+    for axes in panels:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
+    figure.legend(entries.values(), entries.keys(), loc="outside right center", frameon=False, fontsize=8)
+    figure.savefig(path)
+
 
 GAIN = 0.9  # a run on the front is named when its error is less than this part of that of the one named before
 MODEL_STYLES = {
@@ -29,7 +85,7 @@ MODEL_STYLES = {
 }
 
 
-def family(model: str) -> str:
+def _family(model: str) -> str:
     """The kind of model that a name belongs to, a key of `MODEL_STYLES`."""
     if model.startswith("rigid"):
         return "rigid links"
@@ -37,7 +93,7 @@ def family(model: str) -> str:
     return f"{kind}, foreshortening" if "foreshortening" in model else kind
 
 
-def time_error_chart(rows: Sequence[Row], floors: dict[str, float], title: str, path: Path) -> None:
+def time_error_chart(rows: Sequence[PrecisionRow], floors: dict[str, float], title: str, path: Path) -> None:
     """Time error over cost, a panel for each model in `floors` (its truth's own error, m), a line for each method."""
     figure, panels = new_panels(len(floors), title)
     known = looks()
@@ -57,11 +113,11 @@ def time_error_chart(rows: Sequence[Row], floors: dict[str, float], title: str, 
     finish(figure, panels, path)
 
 
-def total_error_chart(rows: Sequence[Row], floor: float, title: str, path: Path) -> None:
+def total_error_chart(rows: Sequence[PrecisionRow], floor: float, title: str, path: Path) -> None:
     """Total error over cost, one dot a run, coloured by the kind of model; the Pareto front names its models."""
     figure, (axes,) = new_panels(1, title, 7.0)
     for name, (colour, marker) in MODEL_STYLES.items():
-        line = [row for row in rows if family(row.model) == name]
+        line = [row for row in rows if _family(row.model) == name]
         draw_runs(axes, line, "total_error", name, {"color": colour, "marker": marker, "linestyle": ""})
     front = draw_front(axes, rows, "total_error", floor)
     draw_floor(axes, floor, TRUTHS)
@@ -70,11 +126,11 @@ def total_error_chart(rows: Sequence[Row], floor: float, title: str, path: Path)
     finish(figure, [axes], path)
 
 
-def _name(axes: Any, front: Sequence[Row]) -> None:
+def _name(axes: Any, front: Sequence[PrecisionRow]) -> None:
     """Numbers the runs on the front that gain much; the legend says what they are."""
-    changes: list[Row] = []
+    changes: list[PrecisionRow] = []
     for row in front:
-        if not changes or shown_error(row, "total_error") < GAIN * shown_error(changes[-1], "total_error"):
+        if not changes or _shown_error(row, "total_error") < GAIN * _shown_error(changes[-1], "total_error"):
             changes.append(row)
     for number, row in enumerate(changes, start=1):
         place = {"xytext": (-5, -5), "textcoords": "offset points", "ha": "right", "va": "top"}

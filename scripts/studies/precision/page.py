@@ -1,13 +1,132 @@
-"""Precision, page: the tables of a study of work and precision below its conclusion."""
+"""Page of the work-precision study: tables, conclusions, and the files of the study."""
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
+from functools import cache
+from pathlib import Path
+from typing import Any
 
-from flexman_gym.verification.machine import machine_text
-from flexman_gym.verification.markdown import introduced_table
-from studies.methods import methods_of
-from studies.precision.conclusions import ERRORS, conclusions
-from studies.precision.measure import Floor, Row, cheapest, pareto_front
+from flexman_gym.common.computer import computer_text
+from flexman_gym.common.grid import Workers, collect_cells
+from flexman_gym.common.markdown import introduced_table
+from flexman_gym.simulation.amplification import largest_growth
+from flexman_gym.simulation.methods import METHODS
+from studies.files import read_rows, write_rows
+from studies.methods import extrapolations_of, methods_of
+from studies.precision.charts import time_error_chart, total_error_chart
+from studies.precision.measure import (
+    Floor,
+    PrecisionRow,
+    Study,
+    cases,
+    cheapest,
+    choices,
+    grid,
+    pareto_front,
+    quick_grid,
+    quick_study,
+    setbacks,
+    study,
+)
+
+ERRORS = (1e-2, 1e-3, 1e-4, 1e-5)  # m
+COMPARED = 1e-4  # m, the time error at which extrapolations are compared with ros2
+COUNTS = (4, 7, 9)  # of modes a link, whose smallest total errors are named
+
+WINNERS = "The cheapest method within each time error, and its CPU ms per simulated second:"
+WINNER = "{method}: {cost:.3g}"
+RATIOS = (
+    "The cost of `ros2` over that of each extrapolation within a time error of {error:.0e} m. "
+    "There is no ratio where one of the two has no run within that error."
+)
+INSTABILITY = (
+    "An extrapolation amplifies an undamped vibration in a band of omega h, its angular frequency times the step. "
+    "At long steps only slow modes are in that band, and steps are few. At short steps stiff modes are in it. "
+    "So a finer step can do harm on an arm without damping: {count} combinations of scene, model and method show it. "
+    "The table has an example for each method, beside the largest growth factor of one step."
+)
+INSTABILITY_HEADS = ("method", "largest factor", "at omega h", "scene", "model", "time error", "with a finer step")
+SETBACK = "{error} at {setting}"
+MODES = (
+    "A model keeps the modes of lowest frequency of each link, found at zero joint angles. There link 3 does not load "
+    "the torsion of link 2, which it continues. So the mode of this torsion comes late. Smallest total errors, mm:"
+)
+
+
+def conclusions(rows: Sequence[PrecisionRow], floors: Sequence[Floor]) -> list[str]:
+    """Lines with numbers from the rows."""
+    pairs = [(floor.scene, floor.model) for floor in floors if floor.model]
+    return [*_winners(rows, pairs), *_ratios(rows, pairs), *_instability(rows), *_modes(rows)]
+
+
+def _winners(rows: Sequence[PrecisionRow], pairs: Sequence[tuple[str, str]]) -> list[str]:
+    """Who is cheapest at each error."""
+    cells = []
+    for scene, model in pairs:
+        mine = [row for row in rows if row.scene == scene]
+        cells.append([scene, model, *(_winner(mine, model, error) for error in ERRORS)])
+    return introduced_table(WINNERS, ("scene", "model", *(f"{error:.0e} m" for error in ERRORS)), cells)
+
+
+def _winner(rows: Sequence[PrecisionRow], model: str, error: float) -> str:
+    every = [cheapest(rows, model, method, error) for method in methods_of(rows)]
+    best = min((row for row in every if row is not None), key=lambda row: row.cpu, default=None)
+    return "none" if best is None else WINNER.format(method=best.method, cost=1e3 * best.cpu)
+
+
+def _ratios(rows: Sequence[PrecisionRow], pairs: Sequence[tuple[str, str]]) -> list[str]:
+    """How many times cheaper than ros2 each extrapolation is."""
+    names, cells = extrapolations_of(rows), []
+    for scene, model in pairs:
+        mine = [row for row in rows if row.scene == scene]
+        cells.append([scene, model, *(_ratio(mine, model, name) for name in names)])
+    return introduced_table(RATIOS.format(error=COMPARED), ("scene", "model", *names), cells)
+
+
+def _ratio(rows: Sequence[PrecisionRow], model: str, method: str) -> str:
+    ours, other = (cheapest(rows, model, name, COMPARED) for name in ("ros2", method))
+    return "-" if ours is None or other is None else f"{ours.cpu / other.cpu:.2g}"
+
+
+def _instability(rows: Sequence[PrecisionRow]) -> list[str]:
+    """That finer steps can do harm, where they do, and why."""
+    names = extrapolations_of(rows)
+    pairs = [pair for pair in setbacks(rows) if pair[1].method in names]
+    if not pairs:
+        return []
+    pairs.sort(key=lambda pair: math.isfinite(pair[1].time_error or 0.0))  # the last of a method is shown
+    examples = {fine.method: (coarse, fine) for coarse, fine in pairs}
+    cells = [_setback(*examples[name]) for name in names if name in examples]
+    return introduced_table(INSTABILITY.format(count=len(pairs)), INSTABILITY_HEADS, cells)
+
+
+def _setback(coarse: PrecisionRow, fine: PrecisionRow) -> list[str]:
+    factor, angle = largest_growth(METHODS[fine.method])
+    errors = [SETBACK.format(error=_metres(row), setting=row.setting) for row in (coarse, fine)]
+    return [fine.method, f"{factor:.4f}", f"{angle:.2g}", fine.scene, fine.model, *errors]
+
+
+def _modes(rows: Sequence[PrecisionRow]) -> list[str]:
+    """That the lowest modes can miss one that counts."""
+    cells = []
+    for scene in dict.fromkeys(row.scene for row in rows):
+        least = [_least(rows, scene, f"{count} modes a link") for count in COUNTS]
+        if all(map(math.isfinite, least)):
+            cells.append([scene, *(f"{1e3 * error:.3g}" for error in least)])
+    heads = ("scene", *(f"{count} modes a link" for count in COUNTS))
+    return introduced_table(MODES, heads, cells) if cells else []
+
+
+def _least(rows: Sequence[PrecisionRow], scene: str, model: str) -> float:
+    """The smallest total error of a model in a scene, m; infinite without one."""
+    errors = [row.total_error for row in rows if (row.scene, row.model) == (scene, model)]
+    return min((error for error in errors if error is not None), default=math.inf)
+
+
+def _metres(row: PrecisionRow) -> str:
+    return f"{row.time_error:.1e} m" if row.time_error is not None and math.isfinite(row.time_error) else row.status
+
 
 SAYS = (
     "Error against computing time, for every method and model on four scenes. No method is the cheapest "
@@ -36,9 +155,9 @@ FRONT = "The Pareto front of the total error:"
 FRONT_HEADS = ("CPU ms per simulated second", "total error, mm", "model", "method", "setting")
 
 
-def page(rows: Sequence[Row], floors: Sequence[Floor]) -> str:
+def page(rows: Sequence[PrecisionRow], floors: Sequence[Floor]) -> str:
     """A page in Markdown: the conclusion, then pictures and tables of each scene."""
-    lines = ["# Speed against accuracy", "", SAYS, "", HEAD, "", MACHINE.format(machine=machine_text()), ""]
+    lines = ["# Speed against accuracy", "", SAYS, "", HEAD, "", MACHINE.format(machine=computer_text()), ""]
     lines += [EXPLANATION, "", "## Conclusion", "", *conclusions(rows, floors)]
     for name in dict.fromkeys(floor.scene for floor in floors):
         mine = [row for row in rows if row.scene == name]
@@ -52,7 +171,7 @@ def pictures(scene: str) -> tuple[str, str]:
     return f"work_precision_{name}_time.png", f"work_precision_{name}_total.png"
 
 
-def _scene(rows: Sequence[Row], floors: Sequence[Floor]) -> list[str]:
+def _scene(rows: Sequence[PrecisionRow], floors: Sequence[Floor]) -> list[str]:
     """The section of a scene, whose own floor comes first."""
     total, *timed = floors
     lines = [f"## {total.scene}: {total.title}", ""]
@@ -62,10 +181,10 @@ def _scene(rows: Sequence[Row], floors: Sequence[Floor]) -> list[str]:
     lines += introduced_table(FLOORS, FLOOR_HEADS, cells)
     for floor in timed:
         lines += cost_table(rows, floor.model)
-    return [*lines, *front_table(rows, total.floor)]
+    return [*lines, *_front_table(rows, total.floor)]
 
 
-def cost_table(rows: Sequence[Row], model: str) -> list[str]:
+def cost_table(rows: Sequence[PrecisionRow], model: str) -> list[str]:
     """The cheapest run of each method that reaches each error, in CPU ms per simulated second."""
     heads = ["method", *(f"{error:.0e} m" for error in ERRORS)]
     cells = [
@@ -74,7 +193,7 @@ def cost_table(rows: Sequence[Row], model: str) -> list[str]:
     return introduced_table(COSTS.format(model=model), heads, cells)
 
 
-def front_table(rows: Sequence[Row], floor: float) -> list[str]:
+def _front_table(rows: Sequence[PrecisionRow], floor: float) -> list[str]:
     """The runs on the Pareto front of the total error; errors below the floor (m) are all the same."""
     points = [(row.cpu, math.inf if row.total_error is None else max(floor, row.total_error)) for row in rows]
     cells = [
@@ -84,5 +203,58 @@ def front_table(rows: Sequence[Row], floor: float) -> list[str]:
     return introduced_table(FRONT, FRONT_HEADS, cells)
 
 
-def _cost(row: Row | None) -> str:
+def _cost(row: PrecisionRow | None) -> str:
     return "-" if row is None else COST.format(cost=1e3 * row.cpu, setting=row.setting)
+
+
+ROWS_FILE, FLOORS_FILE, PAGE_FILE = "work_precision.csv", "work_precision_truths.csv", "work_precision.md"
+
+
+def compute(
+    reference: Path, folder: Path, quick: bool = False, workers: Workers | int = 1, kept: Path | None = None
+) -> None:
+    """Computes all rows, or a small grid of one short scene, and writes them and the errors of the truths.
+
+    `reference` is the folder of the reference scenes and solutions; `workers` and `kept` as of `grid.spread`.
+    """
+    cells = [("", "", "")] if quick else [(str(reference), case.name, model) for case in cases(reference)
+                                          for model in choices(case.scene)]  # fmt: skip
+    rows: list[PrecisionRow] = []
+    floors: dict[tuple[str, str], Floor] = {}
+    for done in collect_cells(_computed, cells, workers, kept):
+        rows += [PrecisionRow(**row) for row in done["rows"]]
+        floors |= {(each["scene"], each["model"]): Floor(**each) for each in done["floors"]}
+    write_rows(rows, folder / ROWS_FILE)
+    write_rows(list(floors.values()), folder / FLOORS_FILE)
+
+
+def _computed(cell: tuple[str, str, str]) -> dict[str, Any]:
+    """Rows of a model of a scene, and the errors of the scene's truths, as plain data; of no scene the quick study."""
+    reference, scene, model = cell
+    result, timed = _known_study(reference, scene)
+    rows = grid(result, timed, [model]) if scene else quick_grid(result)
+    return {"rows": [asdict(row) for row in rows], "floors": [asdict(floor) for floor in result.floors()]}
+
+
+@cache
+def _known_study(reference: str, scene: str) -> tuple[Study, tuple[str, ...]]:
+    """A study and the names of the models whose time error is studied; a process works its truths out once."""
+    if not scene:
+        return quick_study(), ()
+    case = next(case for case in cases(Path(reference)) if case.name == scene)
+    return study(case, Path(reference)), case.timed
+
+
+def publish(folder: Path) -> None:
+    """Draws what is in the files, and writes the page. Without Matplotlib there are no pictures."""
+    rows, floors = read_rows(folder / ROWS_FILE, PrecisionRow), read_rows(folder / FLOORS_FILE, Floor)
+    for scene in dict.fromkeys(row.scene for row in rows):
+        mine = [row for row in rows if row.scene == scene]
+        total, *timed = (floor for floor in floors if floor.scene == scene)
+        files = [folder / name for name in pictures(scene)]
+        try:
+            time_error_chart(mine, {each.model: each.floor for each in timed}, f"Time error: {total.title}", files[0])
+            total_error_chart(mine, total.floor, f"Total error: {total.title}", files[1])
+        except ImportError as error:
+            print(f"no pictures: {error}")
+    (folder / PAGE_FILE).write_text(page(rows, floors), encoding="utf-8")

@@ -1,21 +1,78 @@
-"""Ring-down, measure: energy and tip of methods beside those of converged runs, as rows."""
+"""Ring-down study: cases, errors of methods and steps, errors of the default."""
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.arrays import Array, Flags
+from flexman_gym.common.arrays import Array, Flags
+from flexman_gym.common.markdown import markdown_table
+from flexman_gym.envs.config.setup import Setup, build
+from flexman_gym.envs.effects.signals import static_shape
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import IntArray
-from flexman_gym.model.model import Model
+from flexman_gym.model.model import Model, build_model
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.families import EXPLICIT, LinearlyImplicit, Sweeps
-from flexman_gym.simulation.methods import METHODS
+from flexman_gym.simulation.methods import EXPLICIT, METHODS, IteratedGauss, LinearlyImplicit
 from studies.methods import fixed_step_methods
-from studies.ringdown.cases import DURATION, PERIOD, UNDAMPED, Cases, cases, default_model
+
+RELEASE, IMPULSE, SLEW, UNDAMPED, BENT = "release", "impulse", "slew", "release, undamped", "both planes"
+DURATION = {RELEASE: 3.0, IMPULSE: 3.0, SLEW: 2.4, UNDAMPED: 3.0, BENT: 3.0}  # s
+PERIOD = 0.02  # s, a control period
+LARGEST_DEFLECTION, LARGEST_IMPULSE, LARGEST_TORQUE, HOLD = 0.05, 50.0, 300.0, 20  # m, N s, N m, periods
+SPREAD, NARROW = np.array([np.pi, 1.5, 2.0]), 0.9  # rad, the range of postures; the latter of BENT
+
+
+class _Cases(NamedTuple):
+    """b arms: states (b, 2 d) that they start from, and drives (periods, b, n + 6) as `Batch.step` takes them."""
+
+    states: Array
+    drives: Array
+
+
+@cache
+def default_model(undamped: bool = False) -> Model:
+    """Builds the model of FlexRRR-v0, without any damping where that is wanted."""
+    model = build(Setup()).model
+    if not undamped:
+        return model
+    choice = vars(model.choice)
+    return build_model(replace(model.arm, modal_damping_ratio=0.0), **choice)
+
+
+def cases(kind: str, count: int, seed: int = 0) -> _Cases:
+    """Draws arms of a kind.
+
+    In a release the tips of all links are let go from 0 to 5 cm in random directions across their beams, bent as a
+    force on the tip bends them; in "both planes" up to 5 cm in each, from postures within 0.9 rad. An impulse of 0 to
+    50 N s is a force on the tip during the first control period. A slew has random torques up to 300 N m that change
+    every 0.4 s. The motors are free in all of them.
+    """
+    model = default_model(kind == UNDAMPED)
+    random, n = np.random.default_rng([seed, list(DURATION).index(kind)]), model.n_joints
+    states = model.at_rest(random.uniform(-1.0, 1.0, (count, n)) * (NARROW if kind == BENT else SPREAD))
+    drives = np.zeros((round(DURATION[kind] / PERIOD), count, n + 6))
+    if kind in (RELEASE, UNDAMPED):
+        for link in range(n):
+            size, angle = random.uniform(0.0, LARGEST_DEFLECTION, count), random.uniform(0.0, 2.0 * np.pi, count)
+            tips = size * np.array([np.cos(angle), np.sin(angle)])
+            states[:, model.elastic_columns(link)] = (static_shape(model, link) @ tips).T
+    elif kind == BENT:
+        for link in range(n):
+            tips = random.uniform(-LARGEST_DEFLECTION, LARGEST_DEFLECTION, (2, count))
+            states[:, model.elastic_columns(link)] = (static_shape(model, link) @ tips).T
+    elif kind == IMPULSE:
+        way = random.normal(size=(count, 3))
+        way *= random.uniform(0.0, LARGEST_IMPULSE, (count, 1)) / np.linalg.norm(way, axis=1, keepdims=True)
+        drives[0, :, n : n + 3] = way / PERIOD
+    else:
+        for first in range(0, len(drives), HOLD):
+            drives[first : first + HOLD, :, :n] = LARGEST_TORQUE * random.uniform(-1.0, 1.0, (count, n))
+    return _Cases(states, drives)
+
 
 PARTS, FINE_PARTS = (1, 2, 3, 4, 8, 16), (20, 40, 80)  # steps in a control period; the latter of explicit methods
 REFERENCE, RTOL = "dop853", 1e-8
@@ -23,7 +80,7 @@ FLOOR = 0.02  # of the energy at the start: what is left of less is not asked fo
 
 
 @dataclass(frozen=True)
-class Row:
+class RingDownRow:
     """Arms of one kind by one method and step.
 
     Attributes:
@@ -55,7 +112,7 @@ class Row:
     failed: float
 
 
-class Outcome(NamedTuple):
+class _Outcome(NamedTuple):
     """Tips (b, 3) m and energies (b,) J at the end, the largest energies of start and first period, status, seconds."""
 
     tip: Array
@@ -65,23 +122,23 @@ class Outcome(NamedTuple):
     seconds: float
 
 
-def moving_energy(batch: Batch) -> Array:
+def _moving_energy(batch: Batch) -> Array:
     """Gives kinetic and elastic energy (b,) J."""
     return batch.outputs[:, layout.KINETIC : layout.GRAVITATIONAL].sum(axis=1)
 
 
-def outcome(model: Model, each: Cases, method: str, step: float | None) -> Outcome:
+def outcome(model: Model, each: _Cases, method: str, step: float | None) -> _Outcome:
     """Moves arms by a method with a step (s), or by an adaptive one (None)."""
     batch = Batch(model, method, step, PERIOD, RTOL, 1e-2 * RTOL, arms=len(each.states))
     batch.reset(np.arange(len(each.states)), each.states)
-    first, started = moving_energy(batch), time.process_time()
+    first, started = _moving_energy(batch), time.process_time()
     for period, drive in enumerate(each.drives):
         batch.step(drive)
         if period == 0:
-            first = np.maximum(first, moving_energy(batch))
+            first = np.maximum(first, _moving_energy(batch))
     seconds = time.process_time() - started
     tips = batch.outputs[:, layout.TIP].copy()
-    return Outcome(tips, moving_energy(batch), first, batch.status.copy(), seconds)
+    return _Outcome(tips, _moving_energy(batch), first, batch.status.copy(), seconds)
 
 
 def settings(method: str) -> Sequence[int]:
@@ -89,30 +146,30 @@ def settings(method: str) -> Sequence[int]:
     return FINE_PARTS if METHODS[method].kind == EXPLICIT else PARTS
 
 
-def rows(kind: str, count: int, few: int) -> Iterator[Row]:
+def rows(kind: str, count: int, few: int) -> Iterator[RingDownRow]:
     """Measures every method of fixed steps: those that move arms abreast on `count` arms, the others on a `few`."""
     model, each = default_model(kind == UNDAMPED), cases(kind, count)
     truth = outcome(model, each, REFERENCE, None)
     if (truth.status != layout.OK).any():
         raise RuntimeError(f"{kind}: the reference fails")
     for method in fixed_step_methods():
-        many = count if isinstance(METHODS[method], LinearlyImplicit | Sweeps) else few
-        own = Cases(each.states[:many], each.drives[:, :many])
+        many = count if isinstance(METHODS[method], LinearlyImplicit | IteratedGauss) else few
+        own = _Cases(each.states[:many], each.drives[:, :many])
         for parts in settings(method):
             yield row(kind, method, PERIOD / parts, outcome(model, own, method, PERIOD / parts), truth)
 
 
-def row(kind: str, method: str, step: float, result: Outcome, truth: Outcome) -> Row:
+def row(kind: str, method: str, step: float, result: _Outcome, truth: _Outcome) -> RingDownRow:
     """Compares arms with the first of the converged ones."""
     b, failed = len(result.tip), result.status != layout.OK
-    energy, tip = differences(result, truth)
+    energy, tip = _differences(result, truth)
     kept = median_kept(result.energy / np.maximum(result.first, 1e-12), failed)
     cpu = result.seconds / (b * DURATION[kind])
     shares = percentiles(energy, tip)
-    return Row(kind, "flexman_gym", method, step, cpu, kept=kept, failed=float(failed.mean()), **shares)
+    return RingDownRow(kind, "flexman_gym", method, step, cpu, kept=kept, failed=float(failed.mean()), **shares)
 
 
-def differences(result: Outcome, truth: Outcome) -> tuple[Array, Array]:
+def _differences(result: _Outcome, truth: _Outcome) -> tuple[Array, Array]:
     """Gives the relative errors of energy (b,) and those of the tip (b,) m; infinite where an arm failed."""
     b, failed = len(result.tip), result.status != layout.OK
     scale = np.maximum(truth.energy[:b], FLOOR * truth.first[:b])
@@ -140,3 +197,76 @@ def percentiles(energy: Array, tip: Array) -> dict[str, float]:
         "tip_95": of(tip, 95),
         "tip_99": of(tip, 99),
     }
+
+
+# Beside the default: what takes as long, and what is truer.
+OTHERS = (("gauss_3_sweeps", PERIOD), ("midpoint_2_sweeps", PERIOD / 5), ("gauss_2_sweeps", PERIOD / 2),
+          ("gauss_3_sweeps", PERIOD / 2))  # fmt: skip
+KINDS, EARLY, WITHIN = (RELEASE, BENT, IMPULSE, SLEW), 1.0, 0.02  # s; part of the energy
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of a method and step on arms of one kind.
+
+    Attributes:
+        method, step: of integration; s.
+        kind: what the arms do; see `cases`.
+        time: after which they are compared, s.
+        arms: how many.
+        cpu: microseconds of the processor for a control period of an arm.
+        within: the part of them whose energy is off by at most 2 %.
+        energy_median, energy_90, energy_99, tip_median, tip_90, tip_95, tip_99: see `measure.Row`.
+    """
+
+    method: str
+    step: float
+    kind: str
+    time: float
+    arms: float
+    cpu: float
+    within: float
+    energy_median: float
+    energy_90: float
+    energy_99: float
+    tip_median: float
+    tip_90: float
+    tip_95: float
+    tip_99: float
+
+
+def errors_of_default(count: int) -> list[Errors]:
+    """Compares so many arms of each kind after a second and at the end, by the default and by others."""
+    chosen, result = build(Setup()), []
+    for kind in KINDS:
+        each = cases(kind, count)
+        for end in (EARLY, DURATION[kind]):
+            part = _Cases(each.states, each.drives[: round(end / PERIOD)])
+            truth = outcome(chosen.model, part, REFERENCE, None)
+            for method, step in ((str(chosen.method), float(chosen.step or 0.0)), *OTHERS):
+                ours = outcome(chosen.model, part, method, step)
+                energy, tip = _differences(ours, truth)
+                cpu = 1e6 * ours.seconds / (count * len(part.drives))
+                within = float((energy <= WITHIN).mean())
+                result.append(Errors(method, step, kind, end, float(count), cpu, within, **percentiles(energy, tip)))
+    return result
+
+
+def methods_table(rows: Sequence[Errors]) -> list[str]:
+    """The table of docs/accuracy.md that has a row for each method and step."""
+    heads = ("method", "step", "cost", "slew: tip, half", "95 %", "impulse: tip, half", "release, 1 s: energy, 90 %",
+             "release, 3 s: within 2 %", "tip, 90 %", "both planes, 3 s: within 2 %", "tip, 90 %")  # fmt: skip
+    cases = {(row.method, row.step, row.kind, row.time): row for row in rows}
+    kinds = [(kind, time) for kind in KINDS for time in (EARLY, DURATION[kind])]
+    ways = list(dict.fromkeys((row.method, row.step) for row in rows))
+    lines = []
+    for way in ways:
+        slew, impulse, released, bent = (cases[*way, kind, DURATION[kind]] for kind in (SLEW, IMPULSE, RELEASE, BENT))
+        cost = np.median([cases[*way, *case].cpu / cases[*ways[0], *case].cpu for case in kinds])
+        tips = slew.tip_median, slew.tip_95, impulse.tip_median, released.tip_90, bent.tip_90
+        half, most, hit, free, both = (f"{1e3 * tip:.3g} mm" for tip in tips)
+        early = f"{100 * cases[*way, RELEASE, EARLY].energy_90:.1f} %"
+        shares = f"{released.within:.0%}", f"{bent.within:.0%}"
+        step = f"{1e3 * way[1]:.3g} ms"
+        lines.append((f"`{way[0]}`", step, f"{cost:.2f}", half, most, hit, early, shares[0], free, shares[1], both))
+    return markdown_table(heads, lines)

@@ -7,11 +7,19 @@ from dataclasses import replace
 import mujoco  # type: ignore[import-not-found, import-untyped, unused-ignore]
 import numpy as np
 
-from flexman_gym.arrays import Array
+from flexman_gym.common.arrays import Array
 from flexman_gym.model.mjcf import mjcf
 from studies.peers.mujoco import integrators
-from studies.ringdown.cases import DURATION, LARGEST_DEFLECTION, SPREAD, UNDAMPED, default_model
-from studies.ringdown.measure import Row, median_kept, percentiles
+from studies.ringdown.measure import (
+    DURATION,
+    LARGEST_DEFLECTION,
+    SPREAD,
+    UNDAMPED,
+    RingDownRow,
+    default_model,
+    median_kept,
+    percentiles,
+)
 
 PIECES, FINEST = 4, 20e-6  # of a link; s, of RK4
 STEPS = {"Euler": (5e-3, 1e-3, 1e-4, 5e-5), "RK4": (1e-3, 1e-4, 5e-5), "implicitfast": (5e-3, 1e-3, 1e-4, 5e-5)}
@@ -46,7 +54,7 @@ def release(integrator: str, step: float, seed: int) -> tuple[Array, float, floa
     return data.site("tip").xpos.copy(), began, ended, seconds
 
 
-def rows(count: int) -> Iterator[Row]:
+def rows(count: int) -> Iterator[RingDownRow]:
     """Measures every integrator and step on so many arms."""
     truths = [release("RK4", FINEST, seed)[0] for seed in range(count)]
     for integrator in (name for name in integrators() if name in STEPS):
@@ -60,4 +68,4 @@ def rows(count: int) -> Iterator[Row]:
             name = f"MuJoCo, {PIECES} pieces"
             shares = percentiles(energy, tip)
             shares |= {"kept": median_kept(kept, failed), "failed": float(failed.mean())}
-            yield Row(UNDAMPED, name, integrator, step, cpu, **shares)
+            yield RingDownRow(UNDAMPED, name, integrator, step, cpu, **shares)

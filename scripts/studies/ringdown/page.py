@@ -1,12 +1,67 @@
-"""Ring-down, page: the table and the conclusions of the study, with numbers from its rows."""
+"""Page and picture of the ring-down study."""
 
 from collections.abc import Sequence
 from math import isclose
+from pathlib import Path
+from typing import Any
 
-from flexman_gym.verification.markdown import markdown_table
-from studies.ringdown.cases import IMPULSE, RELEASE, SLEW, UNDAMPED
-from studies.ringdown.charts import PICTURE
-from studies.ringdown.measure import Row
+import numpy as np
+
+from flexman_gym.common.markdown import markdown_table
+from flexman_gym.draw.style import DARK, LIGHT, MIDDLE, new_figure
+from studies.methods import looks, methods_of
+from studies.ringdown.measure import IMPULSE, RELEASE, SLEW, UNDAMPED, RingDownRow
+
+COST = "CPU seconds per simulated second of one arm"
+GREYS = {"Euler": "x", "RK4": "d", "implicitfast": "+", "discrete": "."}  # markers of MuJoCo's integrators
+PICTURE = "ring_down.png"
+
+
+def draw(rows: Sequence[RingDownRow], folder: Path, default: tuple[str, float]) -> None:
+    """Draws the picture of the study; `default` is method and step (s) of the environments, which gets a ring."""
+    figure = new_figure((13.0, 5.2), 110.0, layout="constrained")
+    panels = figure.subplots(1, 3)
+    released = [row for row in rows if row.kind == RELEASE]
+    _lines(panels[0], released, "energy_median", default)
+    panels[0].set(title="Energy after 3 s", ylabel="median error, as a part of what should be left")
+    _lines(panels[1], released, "tip_median", default)
+    panels[1].set(title="Tip after 3 s", ylabel="median distance from the converged one (m)")
+    undamped = [row for row in rows if row.kind == UNDAMPED]
+    _lines(panels[2], undamped, "energy_median", default)
+    panels[2].set(title="Energy of an arm without damping, after 3 s", ylabel="median error, as a part of the start")
+    figure.suptitle("Released from up to 5 cm of deflection: what is left after 3 s, for what it costs", fontsize=13)
+    entries: dict[str, Any] = {}
+    for axes in panels:
+        axes.set(xscale="log", yscale="log", xlabel=COST)
+        axes.grid(color=LIGHT, linewidth=0.6)
+        axes.spines[["top", "right"]].set_visible(False)
+        entries |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend(entries.values(), entries.keys(), loc="outside right center", frameon=False, fontsize=8)
+    figure.savefig(folder / PICTURE)
+
+
+def _lines(axes: Any, rows: Sequence[RingDownRow], column: str, default: tuple[str, float]) -> None:
+    ours = [row for row in rows if row.code == "flexman_gym"]
+    for name in methods_of(ours):
+        look = looks()[name]
+        _line(axes, [row for row in ours if row.method == name], column, name, look.colour, look.marker)
+    for row in ours:
+        if row.method == default[0] and isclose(row.step, default[1], rel_tol=1e-4):
+            ring = {"markersize": 15.0, "markerfacecolor": "none", "markeredgecolor": DARK, "markeredgewidth": 1.6}
+            axes.plot(row.cpu, getattr(row, column), "o", **ring, linestyle="", label="default of the environments")
+    for name, marker in GREYS.items():
+        theirs = [row for row in rows if row.code != "flexman_gym" and row.method == name]
+        label = f"{theirs[0].code}, {name}" if theirs else name
+        _line(axes, theirs, column, label, MIDDLE, marker)
+
+
+def _line(axes: Any, rows: Sequence[RingDownRow], column: str, label: str, colour: str, marker: str) -> None:
+    """Runs of one method over their cost; those of which most failed are left out."""
+    good = [row for row in rows if np.isfinite(getattr(row, column)) and row.failed < 0.5]
+    if good:
+        values = [row.cpu for row in good], [getattr(row, column) for row in good]
+        axes.plot(*values, marker=marker, color=colour, linewidth=1.0, markersize=6.0, label=label)
+
 
 PAGE = """# Ring-down: does a method keep the vibration that there is?
 
@@ -54,19 +109,19 @@ TITLES = {
 }  # fmt: skip
 
 
-def page(rows: Sequence[Row], machine: str, default: tuple[str, float]) -> str:
+def page(rows: Sequence[RingDownRow], machine: str, default: tuple[str, float]) -> str:
     """Writes the page as Markdown."""
     tables = [f"Computed with {machine}, one core. CPU is that of one arm for a simulated second."]
     for kind, title in TITLES.items():
         result = [_cells(row) for row in rows if row.kind == kind]
         tables += [f"## {title}", "\n".join(markdown_table(HEADS, result))]
-    return PAGE.format(picture=PICTURE, conclusion=conclusion(rows, default), tables="\n\n".join(tables))
+    return PAGE.format(picture=PICTURE, conclusion=_conclusion(rows, default), tables="\n\n".join(tables))
 
 
-def conclusion(rows: Sequence[Row], default: tuple[str, float]) -> str:
+def _conclusion(rows: Sequence[RingDownRow], default: tuple[str, float]) -> str:
     """Says what the rows hold about the default, ros2, and MuJoCo's integrators."""
 
-    def of(kind: str, method: str, step: float) -> Row:
+    def of(kind: str, method: str, step: float) -> RingDownRow:
         named = [row for row in rows if (row.kind, row.method) == (kind, method)]
         return next(row for row in named if isclose(row.step, step, rel_tol=1e-4))
 
@@ -82,11 +137,11 @@ def conclusion(rows: Sequence[Row], default: tuple[str, float]) -> str:
     )  # fmt: skip
 
 
-def _kept(row: Row) -> float:
+def _kept(row: RingDownRow) -> float:
     return row.kept
 
 
-def _cells(row: Row) -> list[str]:
+def _cells(row: RingDownRow) -> list[str]:
     name = row.method if row.code == "flexman_gym" else f"{row.code}, {row.method}"
     energies = [f"{1e2 * value:.3g}" for value in (row.energy_median, row.energy_90, row.energy_99)]
     tips = [f"{1e3 * value:.3g}" for value in (row.tip_median, row.tip_90, row.tip_95, row.tip_99)]

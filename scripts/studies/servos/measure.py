@@ -1,23 +1,33 @@
-"""Servo limits: by how much the tuned gains of a servo may be multiplied, over period, delay, drive and springs."""
+"""Gain limits of joint servos, without and with friction."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.arrays import Array
-from flexman_gym.control.margins import Loop, sampled_loop, spectral_radius
-from flexman_gym.envs.catalog import NAMED
+from flexman_gym.common.arrays import Array
+from flexman_gym.control.margins import STEADY, SampledLoop, sampled_loop, sampled_loops, spectral_radius
+from flexman_gym.control.pd import stability_limit
+from flexman_gym.envs.config.named_environments import NAMED
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.model.model import build_model
-from flexman_gym.scene.arm import Arm
+from flexman_gym.kernels.layout import OK, TIP_VELOCITY
+from flexman_gym.model.dynamics import mass_matrix
+from flexman_gym.model.linearization import linearize
+from flexman_gym.model.model import Model, build_model
+from flexman_gym.model.statics import rest_states
+from flexman_gym.model.vibration import modes
+from flexman_gym.scene.arm import Arm, Payload
+from flexman_gym.scene.joint import Joint
+from flexman_gym.scene.link import Link
+from flexman_gym.simulation.batch import Batch
 
 ENVIRONMENTS = ("FlexRRR-v0", "FlexPlanar-v0", "FlexOne-v0")
 PERIODS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.04)  # s, of the servo
 DELAYS = (0, 1, 2, 4)  # whole periods
 BANDWIDTHS = (0.0, 100.0, 30.0, 10.0)  # Hz, of the drives; 0 where these follow at once
 SPRINGS = (1.0, 10.0, 100.0)  # times as stiff joints
-LARGEST, STEADY = 1e4, 1.0 + 1e-7  # factor that is looked at; spectral radius of what does not grow
+LARGEST, STEADY_RADIUS = 1e4, 1.0 + 1e-7  # factor that is looked at; spectral radius of what does not grow
 CHECKED, APART = 24, 0.1  # limits that environments try, and by which part below and above
 LEAST, MOST, GROWN = 10.0, 10000, 1e20  # s; control periods; what the energy of the first growing vibration grows by
 SMALL = 1e-4  # rad, from which they start
@@ -25,7 +35,7 @@ METHODS = ("midpoint_3_sweeps", "gauss_3_sweeps")
 
 
 @dataclass(frozen=True)
-class Row:
+class ServoRow:
     """A limit: the factor of both gains at which the loop becomes unstable, 0 where it is so with any.
 
     Attributes:
@@ -52,18 +62,18 @@ class Row:
     step: float | None = None
 
 
-def arm_of(name: str, springs: float) -> Arm:
+def _arm_of(name: str, springs: float) -> Arm:
     """The arm of a named environment without weight, with joints that many times as stiff."""
     arm = NAMED[name].arm()
     joints = [replace(each, stiffness=each.stiffness and springs * each.stiffness) for each in arm.joints]
     return replace(arm, joints=joints, gravity=(0.0, 0.0, 0.0))
 
 
-def limit(loop: Loop, stiffness: Array, damping: Array) -> float:
+def limit(loop: SampledLoop, stiffness: Array, damping: Array) -> float:
     """The least factor of both gains with which a loop grows, to a thousandth; 0 where it does with small ones."""
 
     def grows(factor: float) -> bool:
-        return spectral_radius(loop, factor * stiffness, factor * damping) > STEADY
+        return spectral_radius(loop, factor * stiffness, factor * damping) > STEADY_RADIUS
 
     factors = np.geomspace(1e-2, LARGEST, 121)
     first = next((i for i, factor in enumerate(factors.tolist()) if grows(factor)), None)
@@ -78,7 +88,7 @@ def limit(loop: Loop, stiffness: Array, damping: Array) -> float:
     return float(low)
 
 
-def rows() -> Iterator[Row]:
+def rows() -> Iterator[ServoRow]:
     """All limits, some of which environments have tried."""
     found = [row for name in ENVIRONMENTS for row in limits(name)]
     order = np.random.default_rng(0).permutation(len(found)).tolist()
@@ -88,19 +98,19 @@ def rows() -> Iterator[Row]:
         yield tried_by_environment(row, METHODS[i % 2]) if i in chosen else row
 
 
-def limits(name: str, quick: bool = False) -> Iterator[Row]:
+def limits(name: str, quick: bool = False) -> Iterator[ServoRow]:
     """The limits of an environment, or a few of them."""
     gains = {each: np.array(values) for each, values in NAMED[name].pd.items()}
     for springs in SPRINGS[-1:] if quick else SPRINGS:
-        model = build_model(arm_of(name, springs), 2, 4)
+        model = build_model(_arm_of(name, springs), 2, 4)
         for period in PERIODS[1:6:2] if quick else PERIODS:
             for delay in DELAYS[::2] if quick else DELAYS:
                 for bandwidth in BANDWIDTHS[::3] if quick else BANDWIDTHS:
                     loop = sampled_loop(model, np.zeros(model.n_joints), period, delay, bandwidth or None)
-                    yield Row(name, springs, period, delay, bandwidth, limit(loop, **gains))
+                    yield ServoRow(name, springs, period, delay, bandwidth, limit(loop, **gains))
 
 
-def tried_by_environment(row: Row, method: str) -> Row:
+def tried_by_environment(row: ServoRow, method: str) -> ServoRow:
     """The row with the energies in environments whose gains are a little below and above the limit."""
     rounds = rounds_of(row)
     step = float(row.period / np.ceil(row.period / NAMED[row.environment].longest_step))
@@ -113,20 +123,20 @@ def tried_by_environment(row: Row, method: str) -> Row:
     return replace(row, below=ends[0], above=ends[1], method=method, step=step)
 
 
-def rounds_of(row: Row) -> int:
+def rounds_of(row: ServoRow) -> int:
     """Control periods in which a vibration shows that grows by gains a tenth above a limit."""
-    model = build_model(arm_of(row.environment, row.springs), 2, 4)
+    model = build_model(_arm_of(row.environment, row.springs), 2, 4)
     gains = [(1.0 + APART) * row.factor * np.array(each) for each in NAMED[row.environment].pd.values()]
     loop = sampled_loop(model, np.zeros(model.n_joints), row.period, int(row.delay), row.bandwidth or None)
-    growth = np.log(max(spectral_radius(loop, *gains), STEADY))
+    growth = np.log(max(spectral_radius(loop, *gains), STEADY_RADIUS))
     return int(max(LEAST / row.period, np.log(GROWN) / (2.0 * growth)))
 
 
-def _energies(row: Row, actions: object, moved: tuple[str, float], rounds: int) -> list[float]:
+def _energies(row: ServoRow, actions: object, moved: tuple[str, float], rounds: int) -> list[float]:
     """The energy after each period of a small motion under a servo that should hold zero angles."""
     delay = {"delay": (int(row.delay), int(row.delay))} if row.delay else None
     env = FlexManEnv(
-        name=row.environment, arm=arm_of(row.environment, row.springs), modes=4, method=moved[0], step=moved[1],
+        name=row.environment, arm=_arm_of(row.environment, row.springs), modes=4, method=moved[0], step=moved[1],
         control_period=row.period, horizon=2.0 * rounds * row.period, actions=actions, randomisation=delay,
         drive_bandwidth=row.bandwidth or None, torque_limit=1e6,
     )  # fmt: skip
@@ -138,3 +148,143 @@ def _energies(row: Row, actions: object, moved: tuple[str, float], rounds: int) 
         if ended:
             return [*energies, float("inf")]
     return energies
+
+
+LOOPS = 200  # stable ones that are simulated
+DURATION = 10.0  # s, of a simulation
+DECAYED = 0.01  # of an amplitude, below which the slowest mode of a stable loop has decayed in that time
+AT_REST = 0.02  # of the largest speed of the tip: what vibrates less in the last second is at rest
+RUNAWAY = 1e3  # m/s of the tip, which ends a simulation
+LONGEST_STEP = 0.0025  # s
+SPAN = 0.2  # rad, largest start
+
+
+@dataclass(frozen=True)
+class FrictionRow:
+    """A random loop with friction.
+
+    Attributes:
+        seed: of the random numbers.
+        joints: number of joints.
+        period: s.
+        delay: periods.
+        radius: largest spectral radius of the loops whose motors slide or stick.
+        sliding: spectral radius of the loop whose motors all slide.
+        smoothed: spectral radius of the loop with the slope of the smoothed friction at rest.
+        left: vibration of the tip in the last second, its largest velocity about the mean, over the largest speed;
+            infinite for a runaway. The mean is the creep of smoothed friction, of the size of its `coulomb_rate`.
+    """
+
+    seed: float
+    joints: float
+    period: float
+    delay: float
+    radius: float
+    sliding: float
+    smoothed: float
+    left: float
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether no eigenvalue is outside the unit circle, so that the loop is called stable."""
+        return self.radius < STEADY
+
+
+class FrictionCase(NamedTuple):
+    """A PD (gains (n,) in N m/rad and N m s/rad) about a posture (n,) rad, started `offset` (n,) rad away from it."""
+
+    model: Model
+    period: float
+    delay: int
+    stiffness: Array
+    damping: Array
+    posture: Array
+    offset: Array
+
+    def loops(self) -> list[SampledLoop]:
+        """Return the loops of the motors that slide or stick."""
+        return sampled_loops(self.model, self.posture, self.period, self.delay)
+
+
+def friction_rows(count: int = LOOPS) -> Iterator[FrictionRow]:
+    """Yield random loops until `count` of them are stable; stable ones that decay slowly are passed over."""
+    seed = 0
+    while count > 0:
+        row = _friction_row(seed)
+        seed += 1
+        if row is not None:
+            count -= row.is_stable
+            yield row
+
+
+def _friction_row(seed: int) -> FrictionRow | None:
+    """Return the row of a seed, None for a loop without Coulomb friction or one that is stable and decays slowly."""
+    case = _draw_case(np.random.default_rng(seed))
+    radii = [spectral_radius(loop, case.stiffness, case.damping) for loop in case.loops()]
+    held = float(modes(case.model, case.posture).eigenvalues.real.max(initial=-np.inf))  # 1/s, while all motors stick
+    left = max(min(max(radii), 1.0) ** (DURATION / case.period), np.exp(held * DURATION))
+    if (max(radii) < STEADY and left > DECAYED) or not case.model.constants.coulomb_friction.any():
+        return None
+    smoothed = spectral_radius(smoothed_loop(case), case.stiffness, case.damping)
+    vibration = remaining_vibration(case)
+    return FrictionRow(seed, case.model.n_joints, case.period, case.delay, max(radii), radii[0], smoothed, vibration)
+
+
+def _draw_case(random: np.random.Generator) -> FrictionCase:
+    """Draw an arm of one to three strips, a sampled PD about as stiff and damped as it may be, and a start.
+
+    The start asks for 2 to 20 times the Coulomb friction of each motor, which its torque limit allows.
+    """
+    n = int(random.integers(1, 4))
+
+    def spread(low: float, high: float) -> float:
+        return float(np.exp(random.uniform(np.log(low), np.log(high))))
+
+    links = [Link.strip(random.uniform(0.3, 1.0), 0.05, random.uniform(0.002, 0.008)) for _ in range(n)]
+    joints = [
+        Joint(
+            axis=((0.0, 0.0, 1.0), (0.0, 1.0, 0.0))[int(random.random() < 0.4)], rotor_inertia=spread(0.01, 0.3),
+            stiffness=None if random.random() < 0.3 else spread(30.0, 2000.0),
+            viscous_friction=max(random.uniform(-0.2, 0.2), 0.0),
+            coulomb_friction=0.0 if random.random() < 0.2 else spread(0.02, 2.0),
+            coulomb_rate=(0.01, 0.001)[int(random.random() < 0.5)],
+        )
+        for _ in range(n)
+    ]  # fmt: skip
+    damping = spread(2e-3, 3e-2)
+    arm = Arm(links, joints, Payload(random.uniform(0.05, 1.0)), stiffness_proportional_damping=damping)
+    model = build_model(arm, elements=1, modes=2)
+    period, delay = (0.002, 0.005, 0.01, 0.02)[int(random.integers(4))], int(random.integers(3))
+    inertia = 1.0 / np.diag(np.linalg.inv(mass_matrix(model, np.zeros(2 * model.n_dof))))[model.motor_columns]
+    gain = stability_limit(delay) * inertia / period * np.exp(random.uniform(np.log(0.02), np.log(1.1), n))
+    stiffness = gain * np.exp(random.uniform(np.log(1e-3), np.log(0.5), n)) / period
+    asked = np.maximum(model.constants.coulomb_friction, 0.05) * np.exp(random.uniform(np.log(2.0), np.log(20.0), n))
+    offset = np.minimum(asked / stiffness, SPAN) * random.choice([-1.0, 1.0], n)
+    posture = np.append(0.0, random.uniform(-1.2, 1.2, n - 1))
+    return FrictionCase(model, period, delay, stiffness, gain, posture, offset)
+
+
+def smoothed_loop(case: FrictionCase) -> SampledLoop:
+    """Return the loop with the slope of the smoothed friction at rest, which is no basis for a margin."""
+    linear = linearize(case.model, case.posture, friction="at rest").discrete(case.period, case.delay * case.period)
+    motors = case.model.motor_columns
+    return SampledLoop(linear.A, linear.B, motors, case.model.n_dof + motors)
+
+
+def remaining_vibration(case: FrictionCase) -> float:
+    """Simulate a case; return the vibration that is left, see `FrictionRow`."""
+    model, n, d, motors = case.model, case.model.n_joints, case.model.n_dof, case.model.motor_columns
+    batch = Batch(model, "gauss_3_sweeps", min(case.period, LONGEST_STEP), case.period)
+    batch.reset(np.arange(1), rest_states(model, (case.posture + case.offset)[None]))
+    torques, drive, velocities = np.zeros((case.delay + 1, n)), np.zeros((1, n + 6)), []
+    for _ in range(round(DURATION / case.period)):
+        state = batch.state[0]
+        torque = case.stiffness * (case.posture - state[motors]) - case.damping * state[d + motors]
+        torques = np.vstack([torques[1:], torque])
+        drive[0, :n] = torques[0]
+        batch.step(drive)
+        velocities.append(batch.outputs[0, TIP_VELOCITY].copy())
+        if batch.status[0] != OK or not np.abs(velocities[-1]).max() < RUNAWAY:
+            return float("inf")
+    last = np.array(velocities[-round(1.0 / case.period) :])
+    return float(np.abs(last - last.mean(axis=0)).max() / np.abs(velocities).max())

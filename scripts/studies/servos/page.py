@@ -2,9 +2,20 @@
 
 from collections.abc import Sequence
 
-from flexman_gym.verification.markdown import markdown_table
-from studies.servos.friction import AT_REST, DURATION, FrictionRow
-from studies.servos.measure import APART, BANDWIDTHS, DELAYS, ENVIRONMENTS, LARGEST, PERIODS, SPRINGS, Row
+from flexman_gym.common.markdown import markdown_table
+from studies.servos.measure import (
+    APART,
+    AT_REST,
+    BANDWIDTHS,
+    DELAYS,
+    DURATION,
+    ENVIRONMENTS,
+    LARGEST,
+    PERIODS,
+    SPRINGS,
+    FrictionRow,
+    ServoRow,
+)
 
 SAYS = (
     "How much the gains of a servo may be raised before its sampled loop is unstable. A longer control period and "
@@ -50,7 +61,7 @@ CONCLUSION = (
 REST = 0.5
 
 
-def page(machine: str, rows: Sequence[Row], rubbing: Sequence[FrictionRow]) -> str:
+def page(machine: str, rows: Sequence[ServoRow], rubbing: Sequence[FrictionRow]) -> str:
     """Return the page as Markdown, from all rows with and without friction; `machine` computed them."""
     lines = [
         "# Servos: how much gain they bear",
@@ -81,12 +92,12 @@ def _head(delay: int, bandwidth: float) -> str:
     return f"delay {delay}" + (f", {bandwidth:g} Hz" if bandwidth else "")
 
 
-def _line(rows: Sequence[Row], period: float, columns: Sequence[tuple[int, float]]) -> list[str]:
+def _line(rows: Sequence[ServoRow], period: float, columns: Sequence[tuple[int, float]]) -> list[str]:
     found = {(row.delay, row.bandwidth): row.factor for row in rows if row.period == period}
     return [f"{1e3 * period:g} ms", *(_cell(found[each]) for each in columns)]
 
 
-def _stiff(rows: Sequence[Row], name: str, period: float) -> list[str]:
+def _stiff(rows: Sequence[ServoRow], name: str, period: float) -> list[str]:
     own = [row for row in rows if row.environment == name and row.period == period and not row.bandwidth]
     found = {(row.springs, row.delay): row.factor for row in own}
     return [f"{name}, {1e3 * period:g} ms", *(_cell(found[springs, delay]) for springs in SPRINGS for delay in (0, 2))]
@@ -99,7 +110,7 @@ def _cell(factor: float) -> str:
     return f"**{text}**" if factor < 1.0 else text
 
 
-def _tried(rows: Sequence[Row]) -> str:
+def _tried(rows: Sequence[ServoRow]) -> str:
     tried = [row for row in rows if row.below is not None and row.above is not None]
     calm = sum(row.below < REST for row in tried)  # type: ignore[operator]
     calm_above = sum(row.above < REST for row in tried)  # type: ignore[operator]
@@ -117,7 +128,7 @@ def _friction(rows: Sequence[FrictionRow]) -> str:
     )  # fmt: skip
 
 
-def _conclusion(rows: Sequence[Row]) -> str:
+def _conclusion(rows: Sequence[ServoRow]) -> str:
     plain = [row for row in rows if row.delay == 0 and not row.bandwidth and row.springs == 1.0]
     short, long = min(PERIODS), max(PERIODS)
     bad = [row for row in rows if row.factor < 1.0]

@@ -8,14 +8,23 @@ import numpy as np
 
 from flexman_gym.draw.style import DARK, LIGHT, MIDDLE, RED, SKY, YELLOW, new_figure
 from flexman_gym.simulation.methods import METHODS
-from studies.looks import looks
-from studies.methods import methods_of
-from studies.stability.cases import CASES, FULL_MODES, MODES, PAYLOAD, SPIN, SPIN_STIFFENED, SPRINGS
-from studies.stability.damping import DAMPING, KEPT
-from studies.stability.drift import DRIFT
-from studies.stability.limits import LIMIT, LIMIT_STUDIES
-from studies.stability.maps import ERROR, THRESHOLD
-from studies.stability.measure import DIVERGED, INACCURATE, NOT_CONVERGED, OK, Row, select
+from studies.methods import looks, methods_of
+from studies.stability.measure import (
+    CASES,
+    DIVERGED,
+    FULL_MODES,
+    INACCURATE,
+    MODES,
+    NOT_CONVERGED,
+    OK,
+    PAYLOAD,
+    SPIN,
+    SPIN_STIFFENED,
+    SPRINGS,
+    StabilityRow,
+    select,
+)
+from studies.stability.rows import DAMPING, DRIFT, ERROR, KEPT, LIMIT, LIMIT_STUDIES, THRESHOLD
 
 COLUMNS = 3  # of panels of a map
 CROSS = "\u00d7"
@@ -48,7 +57,7 @@ def picture(study: str) -> str:
     return f"stability_{study.replace(' ', '_')}.png"
 
 
-def draw(rows: Sequence[Row], folder: Path) -> list[Path]:
+def draw(rows: Sequence[StabilityRow], folder: Path) -> list[Path]:
     """Draws every chart of these rows into a folder; returns the paths.
 
     Raises:
@@ -62,7 +71,7 @@ def draw(rows: Sequence[Row], folder: Path) -> list[Path]:
     return paths
 
 
-def _map(study: str, rows: Sequence[Row]) -> Any:
+def _map(study: str, rows: Sequence[StabilityRow]) -> Any:
     """A panel a method, a column a value of what the study varies, a row a step."""
     cells = select(rows, study=study, quantity=ERROR)
     parameters = sorted({row.parameter for row in cells})
@@ -120,7 +129,7 @@ def _tick(study: str, value: float) -> str:
     return f"$10^{{{np.log10(value):.3g}}}$" if study == SPRINGS else f"{value:g}"
 
 
-def _limits(_: str, rows: Sequence[Row]) -> Any:
+def _limits(_: str, rows: Sequence[StabilityRow]) -> Any:
     """Largest stable step over what each study varies: lines predicted, markers measured."""
     known = looks()
     figure = new_figure((12.0, 4.6), 110.0, layout="constrained")
@@ -144,7 +153,7 @@ def _limits(_: str, rows: Sequence[Row]) -> Any:
     return figure
 
 
-def _damping(_: str, rows: Sequence[Row]) -> Any:
+def _damping(_: str, rows: Sequence[StabilityRow]) -> Any:
     """Tables of the amplitude that is left: methods by steps, for two arms and three modes."""
     from matplotlib.colors import LinearSegmentedColormap
 
@@ -172,7 +181,7 @@ def _damping(_: str, rows: Sequence[Row]) -> Any:
     return figure
 
 
-def _share(row: Row) -> str:
+def _share(row: StabilityRow) -> str:
     if np.isnan(row.value):
         return CROSS
     percent = 100.0 * row.value
@@ -185,7 +194,7 @@ def _share(row: Row) -> str:
     return text + f" {CROSS}" * (row.verdict == DIVERGED)
 
 
-def _drift(_: str, rows: Sequence[Row]) -> Any:
+def _drift(_: str, rows: Sequence[StabilityRow]) -> Any:
     """The largest energy error over the number of steps."""
     figure = new_figure((8.5, 5.4), 110.0, layout="constrained")
     axes = figure.subplots()
@@ -206,5 +215,5 @@ def _frame(axes: Any) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-CHARTS: dict[str, Callable[[str, Sequence[Row]], Any]] = {study: _map for study in CASES}
+CHARTS: dict[str, Callable[[str, Sequence[StabilityRow]], Any]] = {study: _map for study in CASES}
 CHARTS |= {LIMIT: _limits, DAMPING: _damping, DRIFT: _drift}

@@ -1,31 +1,171 @@
-"""Stability page: the tables and conclusions under the charts, whose numbers all come from the rows."""
+"""Page of the stability study: tables and conclusions."""
 
 import math
 from collections import Counter
 from collections.abc import Sequence
 from functools import partial
 
+from flexman_gym.common.markdown import introduced_table, markdown_table
 from flexman_gym.simulation.amplification import stability_limit
 from flexman_gym.simulation.methods import METHODS
-from flexman_gym.verification.markdown import introduced_table, markdown_table
 from studies.methods import methods_of
-from studies.stability.conclusions import map_sections, percent
-from studies.stability.damping import DAMPING, DAMPING_STEPS, FREQUENCY, IN_PERIODS, KEPT, NATURAL
-from studies.stability.drift import DRIFT
-from studies.stability.limits import AMPLIFICATION, LIMIT
-from studies.stability.maps import THRESHOLD
 from studies.stability.measure import (
     DIVERGED,
     INACCURATE,
     INVENTED,
     LIMIT_TOLERANCE,
+    MODES,
     NOT_CONVERGED,
     OK,
+    PAYLOAD,
+    SPIN,
+    SPIN_STIFFENED,
+    SPRINGS,
     VERDICTS,
-    Row,
+    StabilityRow,
     growth_per_step,
     select,
 )
+from studies.stability.rows import (
+    AMPLIFICATION,
+    DAMPING,
+    DAMPING_STEPS,
+    DRIFT,
+    ERROR,
+    FREQUENCY,
+    IN_PERIODS,
+    KEPT,
+    LIMIT,
+    NATURAL,
+    SPIN_LIMIT,
+    THRESHOLD,
+)
+
+TITLES = {
+    SPRINGS: "Joint stiffness",
+    MODES: "Modes",
+    PAYLOAD: "Payload",
+    SPIN: "Spin without stiffening",
+    SPIN_STIFFENED: "Spin with stiffening",
+}
+HEADS = ("method", *VERDICTS, "largest step that is ok everywhere, ms", "steps that fail somewhere, ms")
+
+# The limits are those of `rk4`, in ms; an error is a smallest and a largest one.
+ON_SPRINGS = (
+    "**Stiff springs, not the motion, decide the step of an explicit method.** The springs have {soft:.0e} to "
+    "{stiff:.0e} N m/rad. The limit of `rk4` falls from {first:.3g} ms on the softest to {last:.3g} ms on the "
+    "stiffest. On soft springs it hardly falls, because there link 1's torsion is faster than all springs. "
+    "`ros2` at 2.5 ms is off by {short}. At 20 ms it is off by {long}."
+)
+WITH_MODES = (
+    "**The third mode of link 1, its torsion, takes the limit of `rk4` from {two:.3g} to {three:.3g} ms.** The full "
+    "model has a limit of {full:.2g} ms. So the choice of modes decides whether an explicit method is possible. "
+    "`ros2` at 2.5 ms is off by {short}, whatever is kept."
+)
+WITH_PAYLOAD = (
+    "**A payload up to {heaviest:g} kg leaves the explicit limits alone.** The limit of `rk4` stays "
+    "between {lowest:.3g} and {highest:.3g} ms. A payload slows the low modes, and the highest frequency is inside the "
+    "arm. `ros2` at 20 ms is off by {long}."
+)
+IN_SPIN = (
+    "The true tip is that of the model with stiffening. **The linear frame fails here, not the methods.** "
+    "Within 5 s its deflection grows tenfold from {limit:.2f} rad/s on; the first frequency of the clamped link is "
+    "{frequency:.2f} rad/s. The verdicts of all methods at the smallest step:"
+)
+IN_SPIN_STIFFENED = (
+    "**With stiffening {sound} of {count} runs at {step:.3g} ms are ok.** The fastest spin is {fastest:g} rad/s. "
+    "Some methods fail there at long steps: none has the stiffening in its Jacobian."
+)
+RANGE = "{least:.2g} to {most:.2g} mm"
+
+
+def map_sections(rows: Sequence[StabilityRow]) -> list[str]:
+    """Lines of Markdown: a section a map, with its picture, counts and conclusion."""
+    conclusions = {SPRINGS: _springs, MODES: _modes, PAYLOAD: _payload, SPIN: _spin, SPIN_STIFFENED: _spin_stiffened}
+    return [line for study, conclude in conclusions.items() for line in _map(study, rows, conclude(rows))]
+
+
+def _map(study: str, rows: Sequence[StabilityRow], conclusion: str) -> list[str]:
+    title = TITLES[study]
+    cells = select(rows, study=study, quantity=ERROR)
+    lines = [f"## {title}", "", f"![{title}](stability_{study.replace(' ', '_')}.png)", ""]
+    lines += markdown_table(HEADS, (_counts(name, select(cells, method=name)) for name in methods_of(cells)))
+    return [*lines, "", conclusion, ""]
+
+
+def _counts(name: str, cells: Sequence[StabilityRow]) -> list[str]:
+    """How many cells of a method have which verdict, the largest step from which down all are ok, and steps that fail.
+
+    A run fails when it diverges or does not converge.
+    """
+    count = Counter(row.verdict for row in cells)
+    best = 0.0
+    for step in sorted({row.step for row in cells}):
+        if any(row.verdict != OK for row in cells if row.step == step):
+            break
+        best = step
+    failing = [row.step for row in cells if row.verdict in (DIVERGED, NOT_CONVERGED)]
+    failed = dict.fromkeys(f"{1e3 * end(failing):.3g}" for end in (min, max)) if failing else ["none"]
+    counts = (str(count[verdict]) for verdict in VERDICTS)
+    return [name, *counts, f"{1e3 * best:.3g}" if best else "none", " to ".join(failed)]
+
+
+def _springs(rows: Sequence[StabilityRow]) -> str:
+    cells = select(rows, study=SPRINGS, quantity=ERROR)
+    limits = select(rows, study=SPRINGS, quantity=LIMIT, method="rk4")
+    soft, stiff = limits[0], limits[-1]
+    numbers = {"soft": soft.parameter, "stiff": stiff.parameter, "first": 1e3 * soft.value, "last": 1e3 * stiff.value}
+    texts = {"short": _error(cells, 0.0025), "long": _error(cells, 0.02)}
+    return ON_SPRINGS.format(**numbers, **texts)
+
+
+def _modes(rows: Sequence[StabilityRow]) -> str:
+    cells = select(rows, study=MODES, quantity=ERROR)
+    limits = {row.parameter: 1e3 * row.value for row in select(rows, study=MODES, quantity=LIMIT, method="rk4")}
+    numbers = {"two": limits[2.0], "three": limits[3.0], "full": limits[12.0]}
+    return WITH_MODES.format(**numbers, short=_error(cells, 0.0025))
+
+
+def _payload(rows: Sequence[StabilityRow]) -> str:
+    cells = select(rows, study=PAYLOAD, quantity=ERROR)
+    limits = select(rows, study=PAYLOAD, quantity=LIMIT, method="rk4")
+    values = [1e3 * row.value for row in limits]
+    numbers = {"heaviest": limits[-1].parameter, "lowest": min(values), "highest": max(values)}
+    return WITH_PAYLOAD.format(**numbers, long=_error(cells, 0.02))
+
+
+def _spin(rows: Sequence[StabilityRow]) -> str:
+    cells = select(rows, study=SPIN, quantity=ERROR)
+    fine = select(cells, step=min(row.step for row in cells))
+    limit = select(rows, quantity=SPIN_LIMIT)[0]
+    text = IN_SPIN.format(limit=limit.value, frequency=limit.expected)
+    rates = ((verdict, _rates(select(fine, verdict=verdict))) for verdict in VERDICTS)
+    return "\n".join([text, "", *markdown_table(("verdict", "spin, rad/s"), (each for each in rates if each[1]))])
+
+
+def _spin_stiffened(rows: Sequence[StabilityRow]) -> str:
+    cells = select(rows, study=SPIN_STIFFENED, quantity=ERROR)
+    smallest = min(row.step for row in cells)
+    fine = select(cells, step=smallest)
+    numbers = {"sound": len(select(fine, verdict=OK)), "count": len(fine), "step": 1e3 * smallest}
+    numbers["fastest"] = max(row.parameter for row in cells)
+    return IN_SPIN_STIFFENED.format(**numbers)
+
+
+def _error(cells: Sequence[StabilityRow], step: float, name: str = "ros2") -> str:
+    values = [1e3 * row.value for row in select(cells, method=name, step=step)]
+    return RANGE.format(least=min(values), most=max(values))
+
+
+def _rates(cells: Sequence[StabilityRow]) -> str:
+    rates = sorted({row.parameter for row in cells})
+    return ", ".join(f"{rate:g}" for rate in rates)
+
+
+def _percent(value: float) -> str:
+    """A share in percent, with more digits near 100."""
+    return f"{100.0 * value:.3g} %" if value < 0.9 or value > 1.1 else f"{100.0 * value:.2f} %"
+
 
 SAYS = (
     "Where each method stops being stable, and how much vibration it takes away. The highest frequency of the "
@@ -91,22 +231,22 @@ FINISHED = (
 LOST = "Where a method diverged, modes in its band of growth took over."
 
 
-def summary(rows: Sequence[Row]) -> str:
+def summary(rows: Sequence[StabilityRow]) -> str:
     """How many rows of each study have which verdict."""
     lines = []
     for study in dict.fromkeys(row.study for row in rows):
         count = Counter(row.verdict for row in rows if row.study == study)
         lines.append(f"{study}: " + ", ".join(f"{count[verdict]} {verdict}" for verdict in VERDICTS if count[verdict]))
     limits = select(rows, quantity=LIMIT)
-    return "\n".join([*lines, f"largest departure from a predicted limit: {percent(worst_limit(limits))}"])
+    return "\n".join([*lines, f"largest departure from a predicted limit: {_percent(_worst_limit(limits))}"])
 
 
-def worst_limit(limits: Sequence[Row]) -> float:
+def _worst_limit(limits: Sequence[StabilityRow]) -> float:
     """The largest relative departure of a measured limit from its prediction."""
     return max(abs(row.value / (row.expected or math.nan) - 1.0) for row in limits)
 
 
-def page(machine: str, rows: Sequence[Row]) -> str:
+def page(machine: str, rows: Sequence[StabilityRow]) -> str:
     """The page as Markdown, from all rows; `machine` says what computed them."""
     head = [
         "# Stability: where methods fail, and what they damp",
@@ -124,13 +264,13 @@ def page(machine: str, rows: Sequence[Row]) -> str:
     return "\n".join([*head, *reading, *sections]).rstrip() + "\n"
 
 
-def _limits(rows: Sequence[Row]) -> list[str]:
+def _limits(rows: Sequence[StabilityRow]) -> list[str]:
     result, growth = select(rows, quantity=LIMIT), growth_per_step()
     lines = ["## Limits of explicit methods", "", "![limits](stability_step_limit.png)", ""]
     lines += [PREDICTION.format(growth=growth), ""]
     lines += markdown_table(LIMIT_HEADS, (_limit(name, select(result, method=name)) for name in methods_of(result)))
     numbers = {"right": len(select(result, verdict=OK)), "count": len(result)}
-    texts = {"tolerance": percent(LIMIT_TOLERANCE), "worst": percent(worst_limit(result))}
+    texts = {"tolerance": _percent(LIMIT_TOLERANCE), "worst": _percent(_worst_limit(result))}
     lines += ["", PREDICTED.format(**numbers, **texts), ""]
     amplified = select(rows, study=AMPLIFICATION)
     lines += markdown_table(
@@ -139,14 +279,14 @@ def _limits(rows: Sequence[Row]) -> list[str]:
     return [*lines, "", GROWING, ""]
 
 
-def _limit(name: str, own: Sequence[Row]) -> list[str]:
+def _limit(name: str, own: Sequence[StabilityRow]) -> list[str]:
     """The cells of a method in the table of limits."""
     method, ratios = METHODS[name], [row.value / (row.expected or math.nan) for row in own]
     limits = [f"{stability_limit(method, growth):.4g}" for growth in (0.0, growth_per_step())]
     return [name, *limits, f"{min(ratios):.4f} to {max(ratios):.4f}"]
 
 
-def _damping(rows: Sequence[Row]) -> list[str]:
+def _damping(rows: Sequence[StabilityRow]) -> list[str]:
     lines = ["## Numerical damping", "", "![damping](stability_damping.png)", "", VIBRATION, ""]
     steps = [f"{1e3 * step:g} ms" for step in DAMPING_STEPS]
     for quantity, head in ((KEPT, "amplitude of mode 2 kept"), (FREQUENCY, "frequency of mode 2 (Hz)")):
@@ -161,7 +301,7 @@ def _damping(rows: Sequence[Row]) -> list[str]:
     return [*lines, _damping_conclusion(rows), "", *_amplitude_conclusions(rows)]
 
 
-def _damping_conclusion(rows: Sequence[Row]) -> str:
+def _damping_conclusion(rows: Sequence[StabilityRow]) -> str:
     result = select(rows, study=f"{DAMPING} 1", parameter=2.0)
     slow = select(result, method="implicit_midpoint", step=0.02, quantity=FREQUENCY)[0]
     natural = select(result, quantity=NATURAL)[0].value
@@ -169,23 +309,23 @@ def _damping_conclusion(rows: Sequence[Row]) -> str:
     return DAMPED.format(**shares, frequency=slow.value, natural=natural)
 
 
-def _amplitude_conclusions(rows: Sequence[Row]) -> list[str]:
+def _amplitude_conclusions(rows: Sequence[StabilityRow]) -> list[str]:
     kept = [row for row in rows if row.quantity == KEPT and row.verdict in (OK, INACCURATE) and row.value > 1e-3]
     euler = max(abs(row.value - 1.0) for row in kept if row.method == "semi_implicit_euler")
     others = [row for row in kept if row.method != "semi_implicit_euler"]
     worst = max(abs(row.value / (row.expected or math.nan) - 1.0) for row in others)
     share = partial(_share, rows, "generalised_alpha", 0.005)
     periods = IN_CONTROL_PERIODS.format(in_periods=share(quantity=IN_PERIODS), in_one_run=share())
-    return [AMPLITUDES.format(worst=worst, euler=percent(euler)), "", periods, ""]
+    return [AMPLITUDES.format(worst=worst, euler=_percent(euler)), "", periods, ""]
 
 
-def _share(rows: Sequence[Row], name: str, step: float, mode: float = 2.0, quantity: str = KEPT) -> str:
+def _share(rows: Sequence[StabilityRow], name: str, step: float, mode: float = 2.0, quantity: str = KEPT) -> str:
     """What a method leaves of a mode of the arm with rotors of 1 kg m^2."""
     wanted = {"study": f"{DAMPING} 1", "method": name, "step": step, "parameter": mode, "quantity": quantity}
-    return percent(select(rows, **wanted)[0].value)
+    return _percent(select(rows, **wanted)[0].value)
 
 
-def _drift(rows: Sequence[Row]) -> list[str]:
+def _drift(rows: Sequence[StabilityRow]) -> list[str]:
     result = select(rows, study=DRIFT)
     last = {name: select(result, method=name)[-1] for name in methods_of(result)}
     cells = [(name, f"{row.parameter:.3g}", f"{row.value:.1e}", row.verdict) for name, row in last.items()]
@@ -199,10 +339,10 @@ def _drift(rows: Sequence[Row]) -> list[str]:
     return [*lines, "", " ".join(sentences), ""]
 
 
-def _damped(row: Row) -> str:
+def _damped(row: StabilityRow) -> str:
     if math.isnan(row.value):
         return row.verdict
     if row.verdict == DIVERGED and (row.quantity == FREQUENCY or row.value > INVENTED):
         return DIVERGED
-    text = f"{row.value:.3f}" if row.quantity == FREQUENCY else percent(row.value)
+    text = f"{row.value:.3f}" if row.quantity == FREQUENCY else _percent(row.value)
     return f"{text} ({DIVERGED})" if row.verdict == DIVERGED else text

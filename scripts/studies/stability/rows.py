@@ -1,57 +1,286 @@
-"""Stability rows: all that the study measures, cell by cell."""
+"""Rows of the stability study: step limits, numerical damping, energy drift, stability maps."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from flexman_gym.evaluation.grid import Workers, gathered
-from studies.methods import fixed_step_methods
-from studies.stability.cases import CASES, parameters_of
-from studies.stability.damping import damping_rows
-from studies.stability.drift import DRIFT_STEPS, drift_rows
-from studies.stability.limits import LIMIT_STUDIES, amplification_rows, limit_rows
-from studies.stability.maps import map_rows, spin_limit_row
-from studies.stability.measure import Row
+import numpy as np
+
+from flexman_gym.common.arrays import Array
+from flexman_gym.common.grid import Workers, collect_cells
+from flexman_gym.model.dynamics import frequencies
+from flexman_gym.model.model import Model, build_model
+from flexman_gym.scene import catalog
+from flexman_gym.simulation.amplification import spectral_radii, vibration_factor
+from flexman_gym.simulation.methods import METHODS
+from flexman_gym.simulation.scenes import simulate, simulate_all
+from flexman_gym.simulation.simulator import Simulator
+from flexman_gym.simulation.trajectory import Trajectory
+from studies.methods import explicit_methods, fixed_step_methods, implicit_methods
+from studies.stability.measure import (
+    CASES,
+    DIVERGED,
+    INACCURATE,
+    INVENTED,
+    LIMIT_TOLERANCE,
+    MODES,
+    OK,
+    PAYLOAD,
+    PERIOD,
+    SPIN,
+    SPRINGS,
+    StabilityCase,
+    StabilityRow,
+    growth_per_step,
+    measured_limit,
+    motion,
+    natural_modes,
+    parameters_of,
+    predicted_limit,
+    small_vibration,
+    spin_case,
+    steps_of,
+)
+
+DAMPING = "damping"
+KEPT, IN_PERIODS, FREQUENCY = "amplitude kept", "amplitude kept, in control periods", "frequency, Hz"
+NATURAL = "natural frequency, Hz"
+DAMPING_STEPS = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02)
+DAMPING_TIME = 10.0  # s
+GENERALISED = "generalised_alpha"  # starts anew with the acceleration of the model, unlike one-step methods
+CUT = (2, 4, 4)  # modes of a link; without link 1's third, its torsion, the arm has nothing above 136 Hz
+
+
+def damping_rows(
+    rotor_inertia: float, names: Sequence[str] | None = None, steps: Sequence[float] = DAMPING_STEPS
+) -> Iterator[StabilityRow]:
+    """What a method leaves of a small vibration of the straight arm in its modes 1, 2 and 3 after 10 s, and how fast.
+
+    Beside the share of the amplitude and the frequency (Hz) stands what the amplification factor of the method
+    predicts. One run is not interrupted; the control periods of a Simulator start the generalised-alpha method anew,
+    which stands in rows of its own. The study is "damping 1" or "damping 10" with the rotor inertia (kg m^2), the
+    parameter the mode. The natural frequency of each mode comes first. Without `names` all methods take part.
+    """
+    model = build_model(catalog.paper_rrr(rotor_inertia=rotor_inertia), 2, CUT)
+    omegas, shapes = natural_modes(model)
+    omegas, weights = omegas[3:6], np.asarray(np.linalg.inv(shapes)[3:6], dtype=np.float64)
+    start, torque = small_vibration(model, [1, 2, 3]), np.zeros(3)
+    study = f"{DAMPING} {rotor_inertia:g}"
+    for mode, omega in enumerate(omegas, start=1):
+        yield StabilityRow(study, float(mode), "", 0.0, NATURAL, float(omega / (2.0 * np.pi)), None, OK)
+    names = fixed_step_methods() if names is None else names
+    for name in names:
+        for step in steps:
+            states, status = _free_motion(model, name, step, start)
+            yield from _damping_cells(study, name, step, omegas, _phasors(states, omegas, weights), status)
+    for step in steps if GENERALISED in names else ():
+        simulator = Simulator(model, GENERALISED, step, PERIOD)
+        simulator.reset(state=start)
+        sampled = [simulator.state.copy()]
+        for _ in range(round(DAMPING_TIME / PERIOD)):
+            simulator.step(torque)
+            sampled.append(simulator.state.copy())
+        result = _phasors(np.array(sampled), omegas, weights)
+        yield from (
+            replace(row, quantity=IN_PERIODS, expected=None)
+            for row in _damping_cells(study, GENERALISED, step, omegas, result, simulator.status)
+            if row.quantity == KEPT
+        )
+
+
+def _free_motion(model: Model, name: str, step: float, start: Array) -> tuple[Array, str]:
+    """States (t, 2 d) every 0.02 s of one undriven run of 10 s, up to the last good one, and its status."""
+    scene = motion(model, start, (0.0,) * model.n_joints, round(DAMPING_TIME / PERIOD))
+    run = simulate(scene, model, name, step)
+    grown = run.status == OK and not run.moving_energy[-1] < INVENTED * run.moving_energy[0]
+    return run.states, DIVERGED if grown else run.status
+
+
+def _phasors(states: Array, omegas: Array, weights: Array) -> Array:
+    """(t, 3) omega q - i q' of three modes, the rows of weights, at states (t, 2 d): it turns with the vibration."""
+    d = weights.shape[1]
+    return omegas * (states[:, :d] @ weights.T) - 1j * (states[:, d:] @ weights.T)
+
+
+def _damping_cells(
+    study: str, name: str, step: float, omegas: Array, result: Array, status: str
+) -> Iterator[StabilityRow]:
+    """Rows of the phasors (t, 3) of three modes at every period."""
+    turned = np.unwrap(np.angle(result), axis=0)[-1] - np.angle(result[0])
+    for i, omega in enumerate(omegas):
+        factor = vibration_factor(METHODS[name], omega * step)
+        expected = float(abs(factor) ** (DAMPING_TIME / step)), float(np.angle(factor) / (2 * np.pi * step))
+        kept, frequency = float(abs(result[-1, i] / result[0, i])), float(turned[i] / (2 * np.pi * DAMPING_TIME))
+        verdicts = [status, status]
+        if status == OK:
+            verdicts = [OK if abs(kept - 1.0) <= 0.05 else INACCURATE]
+            verdicts.append(OK if abs(frequency * 2 * np.pi / omega - 1.0) <= 0.01 else INACCURATE)
+        elif len(result) <= round(DAMPING_TIME / PERIOD):
+            kept, frequency = np.nan, np.nan
+        for quantity, value, theory, verdict in zip(
+            (KEPT, FREQUENCY), (kept, frequency), expected, verdicts, strict=True
+        ):
+            yield StabilityRow(study, float(i + 1), name, step, quantity, value, theory, verdict)
+
+
+DRIFT, ENERGY = "drift", "energy error, relative"
+DRIFT_STEP, DRIFT_STEPS, EVERY = 1e-3, 1_000_000, 100  # s; steps of a run, and from one output to the next
+
+
+def drift_rows(steps: int = DRIFT_STEPS, names: Sequence[str] | None = None) -> Iterator[StabilityRow]:
+    """The largest energy error up to 10, 100, 1000 ... steps of 1 ms of the paper's arm, cut to 2 modes a link.
+
+    It is released bent, with energy in its first modes and turning joints; nothing drives or damps it. The energy error
+    is relative to the first energy; the parameter is the number of steps.
+    """
+    model = build_model(catalog.paper_rrr(), 2, 2)
+    start = small_vibration(model, [1, 2, 3], energy=5.0)
+    start[model.n_dof : model.n_dof + 3] = start[model.n_dof + model.motor_columns] = (0.2, 0.3, -0.4)
+    counts = [10**power for power in range(2, 10) if 10**power <= steps]
+    scene = replace(
+        motion(model, start, (0.0,) * 3, 1), duration=counts[-1] * DRIFT_STEP, output_step=EVERY * DRIFT_STEP
+    )
+    for name in names or fixed_step_methods():
+        run = simulate(scene, model, name, DRIFT_STEP)
+        errors = np.maximum.accumulate(np.abs(run.energy / run.energy[0] - 1.0))
+        for done in counts:
+            if done <= EVERY * (len(errors) - 1):
+                largest = float(errors[done // EVERY])
+                verdict = OK if largest < 0.01 else INACCURATE if largest < INVENTED else DIVERGED
+                yield StabilityRow(DRIFT, float(done), name, DRIFT_STEP, ENERGY, largest, None, verdict)
+        if run.status != OK:
+            yield StabilityRow(
+                DRIFT, float(EVERY * len(errors)), name, DRIFT_STEP, ENERGY, float(errors[-1]), None, run.status
+            )
+
+
+LIMIT, RADIUS, AMPLIFICATION = "step limit, s", "spectral radius", "amplification"
+LIMIT_STUDIES = (SPRINGS, MODES, PAYLOAD)
+
+
+def limit_rows(study: str, quick: bool = False, parameters: Sequence[float] | None = None) -> Iterator[StabilityRow]:
+    """The largest stable step of every explicit method, measured and predicted by the highest natural frequency."""
+    for parameter in parameters or parameters_of(study, quick):
+        model = CASES[study](parameter).model
+        for name in explicit_methods():
+            predicted = predicted_limit(model, METHODS[name], growth_per_step())
+            measured = measured_limit(model, METHODS[name], predicted)
+            verdict = OK if abs(measured - predicted) <= LIMIT_TOLERANCE * predicted else INACCURATE
+            yield StabilityRow(study, parameter, name, predicted, LIMIT, measured, predicted, verdict)
+
+
+def amplification_rows() -> Iterator[StabilityRow]:
+    """The largest spectral radius of each other method for an undamped vibration; the parameter is its omega h."""
+    angles = np.concatenate([np.arange(1, 1000) * 1e-2, np.geomspace(10.0, 1e4, 300)])
+    for name in implicit_methods():
+        radii = spectral_radii(METHODS[name], angles)
+        largest = int(np.argmax(radii))
+        yield StabilityRow(AMPLIFICATION, float(angles[largest]), name, 0.0, RADIUS, float(radii[largest]), None, OK)
+
+
+ERROR, SPIN_LIMIT = "tip error, m", "spin limit, rad/s"
+THRESHOLD = 1e-3  # m at the tip: a run that is further off is inaccurate
+ABSURD = 2.0  # reaches of the arm from the base to the tip: the run diverged, whatever its status
+
+
+def map_rows(study: str, quick: bool = False, parameters: Sequence[float] | None = None) -> Iterator[StabilityRow]:
+    """The tip error and the verdict of every fixed-step method at every step and value of what the study varies."""
+    cases = [CASES[study](parameter) for parameter in parameters or parameters_of(study, quick)]
+    for group in [cases] if cases[0].varied is not None else [[case] for case in cases]:
+        truths = [_truth(case) for case in group]
+        for name in fixed_step_methods():
+            for step in steps_of(study, quick):
+                yield from map(_cell, group, truths, [(name, step)] * len(group), _runs(group, name, step))
+
+
+def _truth(case: StabilityCase) -> Trajectory:
+    result = simulate(case.scene, case.truth, "dop853", rtol=1e-9, atol=1e-12)
+    if result.status != OK:
+        raise RuntimeError(f"{case.study} {case.parameter:g}: the reference {result.status}")
+    return result
+
+
+def _runs(cases: list[StabilityCase], name: str, step: float) -> list[Trajectory]:
+    """The motions of cases that differ by their start and by what is varied of the first one's model."""
+    varied: dict[str, Any] = {
+        field: np.array([(case.varied or {})[field] for case in cases]) for field in cases[0].varied or {}
+    }
+    return simulate_all([case.scene for case in cases], cases[0].model, name, step, **varied)
+
+
+def _cell(case: StabilityCase, truth: Trajectory, method: tuple[str, float], result: Trajectory) -> StabilityRow:
+    status, error = result.status, np.nan
+    if status == OK:
+        error = float(np.linalg.norm(result.tip - truth.tip, axis=1).max())
+        far = np.linalg.norm(result.tip, axis=1).max() > ABSURD * case.model.constants.length.sum()
+        invented = abs(result.energy_residual[-1]) > INVENTED * truth.energy_turnover[-1]
+        status = DIVERGED if far or invented else OK if error <= THRESHOLD else INACCURATE
+    return StabilityRow(case.study, case.parameter, *method, ERROR, error, None, status)
+
+
+def _spin_limit_row() -> StabilityRow:
+    """The rate from which on the bent link of the spin maps grows tenfold within 5 s without stiffening, by `dop853`.
+
+    Beside it stands the first frequency of the clamped link. The parameter is the tolerance of the rate (rad/s).
+    """
+    clamped = 2.0 * np.pi * float(frequencies(spin_case(0.0, False).model, lock_joints=True)[0])
+    low, high, tolerance = 0.5 * clamped, 1.5 * clamped, 0.01
+    while high - low > tolerance:
+        rate = 0.5 * (low + high)
+        case = spin_case(rate, False)
+        result = simulate(replace(case.scene, duration=5.0, output_step=5.0), case.model, "dop853")
+        grown = result.status != OK or np.abs(result.deflection[-1]).max() > 0.1
+        low, high = (low, rate) if grown else (rate, high)
+    verdict = OK if abs(low - clamped) <= LIMIT_TOLERANCE * clamped else INACCURATE
+    return StabilityRow(SPIN, tolerance, "dop853", 0.0, SPIN_LIMIT, low, clamped, verdict)
+
 
 QUICK_METHODS, QUICK_STEPS = ("ros2", "implicit_midpoint"), (0.005, 0.02)
-MAKERS: dict[str, Callable[..., Iterator[Row]]] = {
+MAKERS: dict[str, Callable[..., Iterator[StabilityRow]]] = {
     "amplification": amplification_rows,
     "limits": limit_rows,
-    "spin limit": lambda: iter([spin_limit_row()]),
+    "spin limit": lambda: iter([_spin_limit_row()]),
     "map": map_rows,
     "damping": damping_rows,
     "drift": drift_rows,
 }
 
 
-class Cell(NamedTuple):
+class _StabilityCell(NamedTuple):
     """Rows that are measured together: the name of what makes them, and its arguments."""
 
     maker: str
     arguments: tuple[Any, ...] = ()
 
 
-def cells(quick: bool = False) -> list[Cell]:
+def cells(quick: bool = False) -> list[_StabilityCell]:
     """All cells, or those of a small grid."""
-    result = [Cell("amplification")]
+    result = [_StabilityCell("amplification")]
     result += [
-        Cell("limits", (study, quick, (each,))) for study in LIMIT_STUDIES for each in parameters_of(study, quick)
+        _StabilityCell("limits", (study, quick, (each,)))
+        for study in LIMIT_STUDIES
+        for each in parameters_of(study, quick)
     ]
-    result.append(Cell("spin limit"))
+    result.append(_StabilityCell("spin limit"))
     for study in CASES:
         every = tuple(parameters_of(study, quick))
         together = CASES[study](every[0]).varied is not None  # arms side by side
-        result += [Cell("map", (study, quick, part)) for part in ([every] if together else [(each,) for each in every])]
-    result += [Cell("damping", (inertia, *(QUICK_METHODS, QUICK_STEPS) * quick)) for inertia in (1.0, 10.0)]
-    return result + [Cell("drift", (10_000 if quick else DRIFT_STEPS, (name,))) for name in fixed_step_methods()]
+        result += [
+            _StabilityCell("map", (study, quick, part))
+            for part in ([every] if together else [(each,) for each in every])
+        ]
+    result += [_StabilityCell("damping", (inertia, *(QUICK_METHODS, QUICK_STEPS) * quick)) for inertia in (1.0, 10.0)]
+    return result + [
+        _StabilityCell("drift", (10_000 if quick else DRIFT_STEPS, (name,))) for name in fixed_step_methods()
+    ]
 
 
-def rows_of(cell: Cell) -> list[dict[str, Any]]:
+def rows_of(cell: _StabilityCell) -> list[dict[str, Any]]:
     """The rows of a cell as plain data."""
     return [asdict(row) for row in MAKERS[cell.maker](*cell.arguments)]
 
 
-def all_rows(quick: bool = False, workers: Workers | int = 1, kept: Path | None = None) -> list[Row]:
-    """All rows, or a small grid of them; `workers` and `kept` as of `evaluation.grid.spread`."""
-    return [Row(**row) for rows in gathered(rows_of, cells(quick), workers, kept) for row in rows]
+def all_rows(quick: bool = False, workers: Workers | int = 1, kept: Path | None = None) -> list[StabilityRow]:
+    """All rows, or a small grid of them; `workers` and `kept` as of `common.grid.run_cells`."""
+    return [StabilityRow(**row) for rows in collect_cells(rows_of, cells(quick), workers, kept) for row in rows]

@@ -1,0 +1,160 @@
+"""Stable-Baselines3: models made from settings, and policies read from its own files where these are trusted."""
+
+import pickle
+import zipfile
+from dataclasses import replace
+from inspect import signature
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import stable_baselines3 as sb3
+import torch
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from stable_baselines3 import PPO, SAC, TD3
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.save_util import load_from_zip_file
+from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+
+from flexman_agents.settings import HYPERPARAMETERS, Settings
+from flexman_agents.vector import Arms
+from flexman_gym.common.checks import one_of, value_error
+from flexman_gym.common.run_folder import SB3_MODEL, SETTINGS, existing_file, read_settings_text
+from flexman_gym.envs.config.description import Description
+from flexman_gym.evaluation.agent import ActionFunction, Agent, predictor_agent, split_interface
+from flexman_gym.evaluation.rollout import training_seed
+
+LAYERS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}  # by the names of settings.ACTIVATIONS
+ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": sb3.PPO, "sac": sb3.SAC}
+NET_ARCH, LOG_STD = [128, 128], {"ppo": -3.0, "sac": -3.0}  # louder noise shakes the arm for seconds
+
+
+def make_model(settings: Settings, device: str = "cpu") -> BaseAlgorithm:
+    """Makes a new model with its arms, all seeded.
+
+    Raises:
+        ValueError: for a hyperparameter that the algorithm does not know, and a device that there is not.
+    """
+    try:
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise value_error(
+            "device", device, f"one that PyTorch has here, such as cpu ({str(error).splitlines()[0]})"
+        ) from None
+    torch.set_num_threads(1)  # two threads on two cores are many times slower for networks of this size
+    chosen = algorithm_arguments(settings)
+    env = VecNormalize(make_environments(settings), norm_reward=settings.normalise_reward, gamma=chosen["gamma"])
+    model = ALGORITHMS[settings.algo]("MlpPolicy", env, seed=settings.seed, device=device, **chosen)
+    if chosen["policy_kwargs"].get("ortho_init") is False:  # else SB3 begins with actions next to zero
+        for values in model.policy.action_net.parameters():  # type: ignore[union-attr]
+            torch.nn.init.zeros_(values)
+    env.seed(training_seed(settings.seed))
+    return model
+
+
+def make_environments(settings: Settings) -> VecMonitor:
+    """Makes the arms of a training."""
+    described = settings.description
+    keywords = described.keywords() | {"autoreset_mode": AutoresetMode.SAME_STEP, "infos": "at end"}
+    return VecMonitor(Arms(gym.make_vec(described.id, settings.envs, "vector_entry_point", **keywords)))
+
+
+def algorithm_arguments(settings: Settings) -> dict[str, Any]:
+    """Gives the arguments of the algorithm: defaults, what the settings say, and schedules.
+
+    Raises:
+        ValueError: for a name that the algorithm does not know.
+    """
+    chosen = HYPERPARAMETERS[settings.algo] | dict(settings.hyperparameters)
+    policy = {"net_arch": chosen.pop("net_arch", NET_ARCH)}
+    policy["log_std_init"] = chosen.pop("log_std_init", LOG_STD[settings.algo])
+    if "ortho_init" in chosen:
+        policy["ortho_init"] = chosen.pop("ortho_init")
+    if "activation" in chosen:
+        policy["activation_fn"] = LAYERS[chosen.pop("activation")]
+    rate = settings.schedule("learning_rate")
+    if rate is not None:
+        chosen["learning_rate"] = rate
+    chosen.setdefault("learning_rate", 2e-4 if settings.algo == "ppo" else 3e-4)
+    known = set(signature(ALGORITHMS[settings.algo].__init__).parameters) - {"self", "policy", "env", "policy_kwargs"}
+    for name in chosen:
+        one_of("hyperparameters", name, sorted(known | {"net_arch", "log_std_init", "ortho_init", "activation"}))
+    if settings.algo == "ppo":
+        chosen["batch_size"] = min(chosen["batch_size"], chosen["n_steps"] * settings.envs)
+    return chosen | {"policy_kwargs": policy}
+
+
+def action_function(model: BaseAlgorithm, statistics: VecNormalize) -> ActionFunction:
+    """Gives the function that acts as a model does, without noise."""
+
+    def act(observations: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.floating]:
+        actions, _ = model.predict(statistics.normalize_obs(observations), deterministic=True)
+        return np.asarray(actions, dtype=np.float32).reshape(shape)
+
+    return act
+
+
+STATISTICS, BEST = "normalisation.pkl", "best"
+# by which a zip is told apart
+POLICIES: dict[str, type[BaseAlgorithm]] = {"ActorCriticPolicy": PPO, "SACPolicy": SAC, "TD3Policy": TD3}
+BROKEN = (
+    ValueError, KeyError, TypeError, AttributeError, EOFError, OSError, RuntimeError, AssertionError, ImportError,
+    pickle.UnpicklingError, zipfile.BadZipFile,
+)  # fmt: skip
+
+
+def load_sb3_run(folder: Path) -> Agent:
+    """Loads the policy of a run of an earlier version: model.zip, normalisation.pkl and settings.json.
+
+    Both files are pickles. Whoever made them decides what runs here.
+
+    Raises:
+        FileNotFoundError, ValueError: one clear line.
+    """
+    settings = Settings.from_json(folder / SETTINGS, read_settings_text(folder))
+    place = folder / BEST if (folder / BEST / SB3_MODEL).is_file() else folder
+    try:
+        model = ALGORITHMS[settings.algo].load(existing_file(place / SB3_MODEL), device="cpu")
+        arms = make_environments(replace(settings, envs=1))
+        statistics = VecNormalize.load(str(existing_file(place / STATISTICS)), arms)
+    except FileNotFoundError:
+        raise
+    except BROKEN as error:
+        said = " ".join(str(error).split())[:120] or type(error).__name__
+        raise ValueError(f"{place}: this is not a run of Stable-Baselines3 ({said})") from None
+    environment, interface = split_interface(settings.description)
+    return Agent(folder.name, action_function(model, statistics), interface, environment)
+
+
+def load_sb3_zip(path: Path, described: Description | None = None) -> Agent:
+    """Loads a policy that `save` of Stable-Baselines3 has written, with the statistics in a file .pkl beside it.
+
+    Both are pickles. Whoever made them decides what runs here.
+
+    Args:
+        path: of the zip.
+        described: the environment that it learned in, with its sensors, base and hold; None for that in which it acts.
+
+    Raises:
+        FileNotFoundError, ValueError: one clear line.
+    """
+    statistics = existing_file(path).with_suffix(".pkl")
+    try:
+        kind = load_from_zip_file(path)[0]["policy_class"].__name__  # type: ignore[index]
+        model: BaseAlgorithm = POLICIES[one_of("policy", kind, POLICIES)].load(path, device="cpu")
+        entrant = predictor_agent(model, described)
+        if statistics.is_file():
+            with statistics.open("rb") as file:
+                normaliser = pickle.load(file)
+            act = entrant.act
+            return replace(
+                entrant,
+                name=path.stem,
+                act=lambda seen, shape: act(normaliser.normalize_obs(seen), shape),
+            )
+    except BROKEN as error:
+        said = " ".join(str(error).split())[:120] or type(error).__name__
+        raise ValueError(f"{path}: this is not a policy of Stable-Baselines3 ({said})") from None
+    return replace(entrant, name=path.stem)

@@ -1,0 +1,128 @@
+"""Strict JSON and YAML files."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from flexman_gym.common.checks import one_of, regular_file, short_path, short_repr
+
+
+class _Mapping(list[tuple[Any, Any]]):
+    """The pairs of a mapping as they stand in the file, so that a key given twice is still seen."""
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML with the words and numbers of JSON and nothing else: no anchors, aliases or tags.
+
+    YAML 1.1 would read 1:30 as 90, 010 as 8 and 2e9 as a text, and aliases let a small file grow without bound.
+    """
+
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        if isinstance(event, yaml.AliasEvent) or event.anchor or event.tag:
+            raise yaml.MarkedYAMLError(None, None, "anchors, aliases and tags are not allowed", event.start_mark)
+        return super().compose_node(parent, index)
+
+
+class _Dumper(yaml.SafeDumper):
+    """YAML in which a text is quoted where `_Loader` or a reader of YAML 1.1 would take it for another type."""
+
+
+_NUMBER = r"-?(0|[1-9][0-9]*)"
+for _tag, _words, _first in (
+    ("null", r"null|~|", ["n", "~", ""]),
+    ("bool", r"true|false", ["t", "f"]),
+    ("int", _NUMBER, list("-0123456789")),
+    ("float", _NUMBER + r"(\.[0-9]+)?([eE][-+]?[0-9]+)?", list("-0123456789")),
+):
+    for _class in (_Loader, _Dumper):
+        _class.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(f"^(?:{_words})$"), _first)
+_Loader.add_constructor("tag:yaml.org,2002:map", lambda loader, node: _Mapping(loader.construct_pairs(node, deep=True)))
+
+
+def read_data(path: Path, kind: type = dict) -> Any:
+    """Read a .json, .yaml or .yml file that holds a mapping, or a list for `kind` list.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: for another suffix, for a file that is not a plain file of at most 1 MB or not UTF-8, for broken
+            text, for anything else than this kind, for a repeated key, and for a nesting without end; one line says
+            which, without the name of the file and without its text.
+    """
+    ending = check_suffix(path)
+    try:
+        text = regular_file(path).read_bytes().decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"byte {error.start} is not UTF-8; give UTF-8 text") from None
+    try:
+        result = _tree("", _parse(text, ending))
+    except RecursionError:
+        raise ValueError("lists or mappings are nested too deeply; give fewer levels") from None
+    if not isinstance(result, kind):
+        raise ValueError("this is no mapping; give names with their values" if kind is dict else "give a list")
+    return result
+
+
+def parse_yaml(text: str) -> Any:
+    """Gives what a text of YAML holds, by the same strict reading.
+
+    Raises:
+        ValueError: for broken text; one line says why.
+        RecursionError: for a nesting without end.
+    """
+    return _tree("", _parse(text, ".yaml"))
+
+
+def write_data(path: Path, data: Any) -> None:
+    """Writes dicts, lists, texts, numbers, booleans and None to a file.
+
+    Raises:
+        ValueError: for an unknown suffix.
+    """
+    if check_suffix(path) == ".json":
+        text = json.dumps(data, indent=1) + "\n"
+    else:
+        text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=120)
+    path.write_text(text, encoding="utf-8", newline="\n")
+
+
+def check_suffix(path: Path) -> str:
+    """Gives the suffix of a file that can be written; raises ValueError for another one."""
+    return one_of(f"the suffix of {short_path(path, 40)}", path.suffix, (".json", ".yaml", ".yml"))
+
+
+def _parse(text: str, ending: str) -> Any:
+    """Gives the content of the file, with `_Mapping` for every mapping."""
+    try:
+        if ending == ".json":
+            return json.loads(text, object_pairs_hook=_Mapping)
+        return yaml.load(text, Loader=_Loader)
+    except yaml.MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 0
+        raise ValueError(f"line {line}: {error.problem}; give valid YAML") from None
+    except (yaml.YAMLError, ValueError) as error:
+        raise ValueError(f"{' '.join(str(error).split())}; give valid {ending[1:].upper()}") from None
+
+
+def _tree(path: str, data: Any) -> Any:
+    """Gives `data` with dicts for its mappings; `path` is the name of the field that holds it."""
+    if isinstance(data, _Mapping):
+        tree: dict[str, Any] = {}
+        for key, value in data:
+            if not isinstance(key, str) or not key.isidentifier():
+                raise ValueError(f"{path or 'the file'}: the key {short_repr(key)} is not allowed; give a name")
+            field = f"{path}.{key}" if path else key
+            if key in tree:
+                raise ValueError(
+                    f"{field}: {short_repr(value)} is not allowed; this key was given before, give it once"
+                )
+            tree[key] = _tree(field, value)
+        return tree
+    if isinstance(data, list):
+        return [_tree(f"{path}[{i}]", entry) for i, entry in enumerate(data)]
+    return data

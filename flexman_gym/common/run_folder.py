@@ -1,0 +1,177 @@
+"""Run folder: atomic writes, settings, arrays with plain data, and a lock."""
+
+import fcntl
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from flexman_gym.common.checks import READ_ERRORS, open_arrays, regular_file, short_path
+from flexman_gym.common.snapshot import join_arrays, split_arrays
+
+SETTINGS, NEWEST, BEST, LOCK = "settings.json", "newest.npz", "best.npz", "lock"
+SB3_MODEL = "model.zip"  # of Stable-Baselines3
+FREE = ("steps", "judge_every")  # settings that may be others where a run goes on
+TEXT = "data.json"  # the name of the plain data among the arrays of a file
+
+
+def write_atomically(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
+    """Writes a file that is whole or not there: filled beside its place, flushed to the disk, then renamed.
+
+    Raises:
+        OSError: when it cannot be written; the file that was there stays.
+    """
+    beside = path.with_name(f".{path.name}.part")
+    try:
+        beside.unlink(missing_ok=True)  # of a process that was killed, or a link to somebody's file
+        with beside.open("xb") as file:
+            fill(file)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(beside, path)
+    except OSError:
+        with suppress(OSError):
+            beside.unlink(missing_ok=True)
+        raise
+    _sync(path.parent)
+
+
+def write_data(path: Path, data: dict[str, Any]) -> None:
+    """Writes dicts and lists of arrays and plain data, as arrays and JSON in one file (npz); see `write_atomically`."""
+    arrays: dict[str, np.ndarray] = {}
+    text = json.dumps(split_arrays(data, arrays)).encode()
+    named: dict[str, Any] = {TEXT: np.frombuffer(text, dtype=np.uint8), **arrays}  # paths begin with a slash
+    write_atomically(path, lambda file: np.savez(file, allow_pickle=False, **named))
+
+
+def read_data(path: Path) -> Any:
+    """Reads such a file; nothing in it is run.
+
+    Raises:
+        FileNotFoundError: when there is none.
+        ValueError: one line, for a file that is something else, broken, or larger than it looks.
+    """
+    try:
+        with open_arrays(existing_file(path)) as result:
+            text = result[TEXT].tobytes().decode("utf-8")
+            return join_arrays(json.loads(text), result)
+    except FileNotFoundError:
+        raise
+    except READ_ERRORS as error:
+        said = " ".join(str(error).split())[:120] or type(error).__name__
+        raise ValueError(f"{short_path(path)}: this is not what a training run has written ({said})") from None
+
+
+def existing_file(path: Path) -> Path:
+    """Gives the path when there is a file.
+
+    Raises:
+        FileNotFoundError: one clear line.
+    """
+    if not os.path.isfile(path):  # whatever the name is
+        raise FileNotFoundError(f"{short_path(path)}: no such file; give a folder that a training run has written")
+    return path
+
+
+def read_settings_text(folder: Path) -> str:
+    """Return the text of the settings of a training run.
+
+    Raises:
+        FileNotFoundError, ValueError: one line, where there are none, and for a file of more than 1 MB.
+    """
+    path = existing_file(folder / SETTINGS)
+    try:
+        return regular_file(path).read_bytes().decode("utf-8", errors="replace")
+    except ValueError as error:
+        raise ValueError(f"{short_path(path)}: {error}") from None
+
+
+def read_settings(folder: Path) -> dict[str, Any]:
+    """Return the settings of a training run, unchecked.
+
+    Raises:
+        FileNotFoundError, ValueError: one line, for a file that is no mapping in JSON.
+    """
+    text, place = read_settings_text(folder), short_path(folder / SETTINGS)
+    try:
+        result = json.loads(text)
+    except (ValueError, RecursionError):
+        result = None
+    if not isinstance(result, dict):
+        raise ValueError(f"{place}: this is no mapping in JSON; give the settings of a training run")
+    return result
+
+
+def is_sb3_folder(folder: Path) -> bool:
+    """Whether a folder holds a policy in files of Stable-Baselines3 and none of ours."""
+    return (folder / SB3_MODEL).is_file() and not any((folder / name).is_file() for name in (BEST, NEWEST))
+
+
+def check_settings(path: Path, data: Any, settings: Mapping[str, Any]) -> None:
+    """Refuses a file that belongs to other settings than those beside it, which somebody has changed."""
+    kept = data.get("settings") if isinstance(data, dict) else None
+    if not isinstance(kept, dict):
+        raise ValueError(f"{path}: this is not what a training run has written (it has no settings)")
+    names = kept.keys() - set(FREE)
+    changed = [name for name in names if not _alike(settings.get(name), kept.get(name))]
+    if changed:
+        allowed = f"the settings with which {path.name} was written: {', '.join(sorted(changed))} is another now"
+        raise ValueError(f"{path.parent / SETTINGS}: this was changed; give {allowed}")
+
+
+def _alike(setting: object, kept: object) -> bool:
+    """Whether a setting is what was kept of it, which may be an array where somebody wrote the file anew."""
+    try:
+        return bool(setting == kept)
+    except ValueError:
+        return False
+
+
+@contextmanager
+def lock_folder(folder: Path) -> Iterator[None]:
+    """Holds a folder for this process alone; the lock ends with the process, however that ends.
+
+    Raises:
+        ValueError: one line, when another process trains in the folder, and where the lock is a link.
+        OSError: when nothing can be written there.
+    """
+    path = folder / LOCK
+    if path.is_symlink():
+        raise ValueError(f"folder: {folder} is not allowed; give one whose file {LOCK} is not a link")
+    with os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666), "r+", encoding="utf-8") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"folder: {folder} is not allowed; process {_holder(file)} trains in it") from None
+        holder = _holder(file)
+        if holder:
+            print(f"Process {holder}, which trained in {folder}, is gone: this one takes over.", file=sys.stderr)
+        file.seek(0)
+        file.truncate()
+        file.write(str(os.getpid()))
+        file.flush()
+        try:
+            yield
+        finally:
+            file.truncate(0)
+
+
+def _holder(file: Any) -> str:
+    """The process whose number is in a lock, "" for none."""
+    file.seek(0)
+    return str(file.read(20)).strip()
+
+
+def _sync(folder: Path) -> None:
+    """Flushes the names in a folder to the disk, where the file system can."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

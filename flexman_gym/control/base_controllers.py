@@ -1,0 +1,149 @@
+"""Base controllers: controllers by name, the information that each one needs, and their construction for a plant."""
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from flexman_gym.common.checks import flag, mapping, one_of, positive, text, value_error
+from flexman_gym.control.controller import Controller, Plant
+from flexman_gym.control.input_shaping.shaped_controller import InputShapedController
+from flexman_gym.control.lqr import LQR, CostWeights, TrackingLQR
+from flexman_gym.control.observers.estimator import Estimator
+from flexman_gym.control.observers.kalman_filter import KalmanFilter
+from flexman_gym.control.observers.oracle import Oracle
+from flexman_gym.control.pd import PD
+from flexman_gym.control.references.optimised_slews import SHIPPED, OptimisedController, SlewTable
+from flexman_gym.control.tracking import OutputFeedback, Tracking
+
+
+def checked_kind(name: str, value: object, known: Mapping[str, Collection[str]]) -> tuple[str, dict[str, Any]]:
+    """Gives name and arguments of a value that is a name, or a mapping with one at "kind" and its arguments.
+
+    Args:
+        name: of the field.
+        value: what was given.
+        known: names, and the arguments that each takes.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    if isinstance(value, str):
+        return one_of(name, value, known), {}
+    if not isinstance(value, Mapping) or "kind" not in value:
+        raise value_error(name, value, "a name, or a mapping with a name at kind and its arguments")
+    chosen = one_of(f"{name}.kind", text(f"{name}.kind", value["kind"]), known)
+    given = {text(f"a key of {name}", key): each for key, each in value.items() if key != "kind"}
+    return chosen, mapping(name, given, known[chosen])
+
+
+@dataclass(frozen=True)
+class _BaseEntry:
+    """A controller with a name.
+
+    Attributes:
+        make: gives it for a Plant and its arguments.
+        knows: what it needs to know beside what motors measure.
+        takes: names of the arguments that a mapping may give.
+    """
+
+    make: Callable[..., Controller]
+    knows: tuple[str, ...]
+    takes: tuple[str, ...]
+
+
+def _pd(plant: Plant, **gains: Any) -> PD:
+    weight = plant.model if plant.model.constants.gravity.any() else None
+    tuned = gains if len(gains) == 2 else {**plant.gains(), **gains}
+    return PD(**tuned, torque_limit=plant.torque_limit, gravity_model=weight)
+
+
+def _shaped_pd(plant: Plant, **given: Any) -> InputShapedController:
+    gains = {name: given.pop(name) for name in ("stiffness", "damping") if name in given}
+    return InputShapedController(_pd(plant, **gains), plant.model, **given)
+
+
+def _regulator(law: type[LQR]) -> Callable[..., LQR]:
+    def make(plant: Plant, weights: object = None, **options: Any) -> LQR:
+        chosen = None if weights is None else _weights(weights)
+        return law(plant.model, plant.torque_limit, plant.period, chosen, **options)
+
+    return make
+
+
+def _mpc(plant: Plant) -> Controller:
+    from flexman_gym.control.mpc import MPC
+
+    return MPC(plant.model, plant.torque_limit, plant.period, plant.moved)
+
+
+def _optimised(plant: Plant, table: object = None) -> OptimisedController:
+    slews = SlewTable.load(SHIPPED if table is None else text("base.table", table))
+    return OptimisedController(slews, plant.model, plant.torque_limit, plant.period)
+
+
+def _weights(value: object) -> CostWeights:
+    given = mapping("base.weights", value, CostWeights._fields)
+    if len(given) < len(CostWeights._fields):
+        raise value_error("base.weights", given, "a mapping with tip (m), tip_speed (m/s) and motor (rad)")
+    return CostWeights(**{name: positive(f"base.weights.{name}", each) for name, each in given.items()})
+
+
+def _adaptive(plant: Plant, weights: object = None, unknown: Any = None, **options: Any) -> OutputFeedback:
+    plant = plant if unknown is None else plant._replace(unknown=unknown)
+    return OutputFeedback(Estimator(plant, **options), _tracking(plant, weights), _safe(plant))
+
+
+def _safe(plant: Plant) -> PD | None:
+    """The PD that was tuned for the arm and its delay, None for an arm for which none was."""
+    try:
+        return _pd(plant)
+    except ValueError:
+        return None
+
+
+def _lqg(plant: Plant, weights: object = None, **options: Any) -> OutputFeedback:
+    return OutputFeedback(KalmanFilter(plant, **options), _tracking(plant, weights))
+
+
+def _privileged(plant: Plant, weights: object = None, doubt: object = False, retimed: object = True) -> OutputFeedback:
+    law = _tracking(plant, weights, flag("base.retimed", retimed))
+    return OutputFeedback(Oracle(plant, flag("base.doubt", doubt)), law)
+
+
+def _tracking(plant: Plant, weights: object, retimed: bool = True) -> Tracking:
+    return Tracking(plant, None if weights is None else _weights(weights), retimed)
+
+
+BASES: dict[str, _BaseEntry] = {
+    "pd": _BaseEntry(_pd, (), ("stiffness", "damping")),
+    "lqr": _BaseEntry(_regulator(LQR), ("model", "true state"), ("weights",)),
+    "lqr-tracking": _BaseEntry(_regulator(TrackingLQR), ("model", "true state"), ("weights", "law")),
+    "lqg": _BaseEntry(_lqg, ("model",), ("weights", "sensors", "noise", "disturbed", "biased", "fixed")),
+    "mpc": _BaseEntry(_mpc, ("model", "true state"), ()),
+    "optimised": _BaseEntry(_optimised, ("model", "true state", "its episodes"), ("table",)),
+    "adaptive-lqr": _BaseEntry(_adaptive, ("structure of the model",), ("weights", "sensors", "unknown", "biased")),
+    "privileged-lqr": _BaseEntry(
+        _privileged, ("model", "true state", "true parameters"), ("weights", "doubt", "retimed")
+    ),
+    "pd-shaped": _BaseEntry(_shaped_pd, ("model",), ("stiffness", "damping", "shaper", "modes", "places", "duration")),
+}
+"""Controllers that have a name: name -> how one is made, what it knows, and the arguments that it takes."""
+
+
+def checked_base(value: object) -> tuple[str, dict[str, Any]]:
+    """Gives name and arguments of a base that is a name, or a mapping with one at "kind" and its arguments.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed.
+    """
+    return checked_kind("base", value, {name: base.takes for name, base in BASES.items()})
+
+
+def make_base(value: object, plant: Plant) -> Controller:
+    """Makes a base for a plant; see `checked_base`.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed.
+    """
+    name, arguments = checked_base(value)
+    return BASES[name].make(plant, **arguments)

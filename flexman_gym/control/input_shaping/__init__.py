@@ -1,0 +1,1 @@
+"""Input shaping: filters of a command against residual vibration."""

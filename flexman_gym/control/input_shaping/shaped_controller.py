@@ -1,0 +1,185 @@
+"""Controller whose command is filtered by an input shaper."""
+
+from functools import reduce
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexman_gym.common.arrays import Array, Flags, IntArray, Vector, pad_rows
+from flexman_gym.common.checks import non_negative, sequence, value_error, vector, whole_number
+from flexman_gym.control.controller import Controller, EpisodeInfo, Readings, checked_controller
+from flexman_gym.control.input_shaping.shapers import (
+    TOLERANCE,
+    Shaper,
+    convolve_shapers,
+    design_shaper,
+    ringing_modes,
+    sample_shaper,
+)
+from flexman_gym.control.lqr import LQR
+from flexman_gym.control.references.trajectories import minimum_jerk
+from flexman_gym.model.model import Model, checked_model
+from flexman_gym.model.statics import rest_states, rest_tips
+
+MOST_MODES = 2
+REST = 40  # control periods at the goal, with which a path ends, so that splines through it do so at rest
+ANGLES, RATES = ("angle_errors", "angle_command"), ("goal_rates", "rate_command")
+TIPS, TIP_RATES = ("target_error", "tip_command"), ("tip_velocity_command",)
+MOVED = (*ANGLES, *RATES, *TIPS, *TIP_RATES)
+HIDDEN = ("target_nearness", "fine_angle_errors", "fine_target_error", "preview")  # tell the goal as nothing here can
+
+
+class InputShapedController:
+    """A controller behind a shaper: the command of its goal is convolved with impulses that leave no vibration.
+
+    The command is a step from start to goal, a minimum-jerk motion, or the path of a goal that moves. The controller
+    inside gets it as the `reference` of its Episode, and what it reads of the goal (angle_errors, goal_rates,
+    angle_command, rate_command, target_error, tip_command, tip_velocity_command) tells the shaped command. An LQR stays
+    at the goal of the reset; it reads a state that is moved by as much instead. A TrackingLQR needs a duration, for no
+    arm follows steps.
+
+    It cancels vibration of the motors' command, not that of disturbances. The modes are those with motors held: a
+    controller so soft that its motors give way has others.
+
+    Args:
+        inner: any Controller.
+        model: of the arm, for modes and tips.
+        shaper: a name of SHAPERS.
+        modes: how many of the lowest are shaped, 1 or 2; or one or two pairs of frequency (Hz) and damping ratio.
+        places: on the way from start to goal, from 0 to 1, of whose modes the mean is taken.
+        duration: of the minimum-jerk motion before it is shaped, s; 0 for a step.
+        tolerance: residual that EI shapers allow, a part.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed.
+    """
+
+    kept = ("_now", "inner")
+
+    def __init__(
+        self,
+        inner: Controller,
+        model: Model,
+        shaper: str = "zvd",
+        modes: int | Array | list[tuple[float, float]] = 1,
+        places: Vector = (1.0,),
+        duration: float = 0.0,
+        tolerance: float = TOLERANCE,
+    ) -> None:
+        self.inner, self.model = checked_controller("Shaped.inner", inner), checked_model(model)
+        self.sensors = inner.sensors
+        self._own = _pairs(modes) if isinstance(modes, list | tuple | np.ndarray) else None
+        self._count = whole_number("Shaped.modes", modes, 1, MOST_MODES) if self._own is None else len(self._own)
+        self.places, self.duration = vector("Shaped.places", places), non_negative("Shaped.duration", duration, "s")
+        if not all(0.0 <= place <= 1.0 for place in self.places):
+            raise value_error("Shaped.places", places, "numbers from 0 to 1")
+        for frequency, ratio in [(1.0, 0.0)] if self._own is None else self._own.tolist():
+            design_shaper(shaper, frequency, ratio, tolerance)  # refuses what is wrong before an episode does
+        self.shaper, self.tolerance = shaper, tolerance
+        self._commands: list[_Command] = []
+        self._now = np.zeros(0, dtype=np.int64)
+
+    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+        """Shapes the commands of the arms (r,), one by one, and starts the controller inside."""
+        self._now = pad_rows(self._now, int(arms.max(initial=-1)) + 1)
+        self._now[arms] = 0
+        for row, arm in enumerate(arms.tolist()):
+            start, goal = episode.start[row], episode.goal[row]
+            path = None if episode.reference is None else episode.reference[row]
+            command = self._command(start, goal, episode.period, path)
+            self._commands += [command] * (arm + 1 - len(self._commands))
+            self._commands[arm] = command
+            self.inner.reset(np.array([arm]), EpisodeInfo(start[None], goal[None], episode.period, command.path))
+
+    def act(self, readings: Readings, applied: Array, playing: Flags) -> NDArray[Any]:
+        """Gives the actions (b, n) of the controller inside, which reads the shaped command.
+
+        Raises:
+            ValueError: for a reading that tells the goal and cannot be replaced.
+        """
+        seen = dict(readings)
+        for name, values in readings.items():
+            if name in HIDDEN:
+                raise value_error("Shaped.inner", f"a controller that reads {name}", f"one that reads none of {HIDDEN}")
+            if name in MOVED or (name == "state" and type(self.inner) is LQR):
+                places = zip(self._commands, self._now.tolist(), strict=True)
+                seen[name] = values + np.array([command.move(name)[min(now, command.last)] for command, now in places])
+        self._now += playing
+        return self.inner.act(seen, applied, playing)
+
+    def combined(self, postures: Array) -> Shaper:
+        """Gives the shaper of all modes that are shaped, for postures (p, n) rad of whose modes the mean is taken."""
+        modes = self._own
+        if modes is None:
+            found = [ringing_modes(self.model, posture)[: self._count, :2] for posture in postures]
+            modes = np.mean([each[: min(map(len, found))] for each in found], axis=0)
+        if not len(modes):
+            raise value_error("Shaped.modes", self._count, "those of an arm that bends: this one has none")
+        return reduce(
+            convolve_shapers,
+            [design_shaper(self.shaper, each, ratio, self.tolerance) for each, ratio in modes.tolist()],
+        )
+
+    def _command(self, start: Array, goal: Array, period: float, path: Array | None) -> "_Command":
+        """What one arm is told, period by period, in place of its goal."""
+        if path is None:
+            count = int(np.ceil(self.duration / period)) + 1
+            times = period * np.arange(count, dtype=np.float64)
+            parts = minimum_jerk(times / self.duration)[0] if self.duration else np.ones(count)
+            plain, before = start + parts[:, None] * (goal - start), start
+            way = start + np.array(self.places)[:, None] * (goal - start)
+        else:
+            plain, before = path, path[0]
+            way = path[np.rint(np.array(self.places) * (len(path) - 1)).astype(int)]
+        parts = sample_shaper(self.combined(way), period)
+        if path is None:
+            plain = np.vstack([plain, np.repeat(goal[None], len(parts) + REST, axis=0)])
+        rates = np.diff(plain, axis=0, prepend=plain[:1]) / period
+        true = np.broadcast_to(goal, plain.shape) if path is None else path
+        true_rates = np.zeros_like(rates) if path is None else rates
+        return _Command(
+            self.model, period, before + _late(parts, plain - before), _late(parts, rates), true, true_rates
+        )
+
+
+class _Command:
+    """A shaped command (K, n) beside the true goal (K, n), and how readings of the goal differ between them."""
+
+    def __init__(
+        self, model: Model, period: float, angles: Array, rates: Array, true: Array, true_rates: Array
+    ) -> None:
+        self.angles, self.last = angles, len(angles) - 1
+        self._model, self._period, self._true = model, period, true
+        moves = dict.fromkeys(ANGLES, angles - true) | dict.fromkeys(RATES, rates - true_rates)
+        self._moves: dict[str, Array] = moves
+
+    def path(self) -> Array:
+        """The shaped command of one arm, as an Episode has it."""
+        return self.angles[None]
+
+    def move(self, name: str) -> Array:
+        """What to add (K, size) to a reading; of states and tips when it is asked for."""
+        if name == "state" and name not in self._moves:
+            self._moves[name] = rest_states(self._model, self._true[:1]) - rest_states(self._model, self.angles)
+        elif name not in self._moves:
+            tips = rest_tips(self._model, self.angles) - rest_tips(self._model, self._true)
+            rates = np.diff(tips, axis=0, prepend=tips[:1]) / self._period
+            self._moves |= dict.fromkeys(TIPS, tips) | dict.fromkeys(TIP_RATES, rates)
+        return self._moves[name]
+
+
+def _late(parts: Array, values: Array) -> Array:
+    """Values (K, n), zero before, convolved with parts (m,) of them that come late."""
+    result = np.zeros_like(values)
+    for late, part in enumerate(parts[: len(values)]):
+        result[late:] += part * values[: len(values) - late]
+    return result
+
+
+def _pairs(value: object) -> Array:
+    """Frequencies (Hz) and damping ratios (k, 2) of modes that are given."""
+    pairs = sequence("Shaped.modes", value, "pairs of frequency (Hz) and damping ratio")
+    if not 1 <= len(pairs) <= MOST_MODES:
+        raise value_error("Shaped.modes", value, f"1 to {MOST_MODES} pairs of frequency (Hz) and damping ratio")
+    return np.array([vector(f"Shaped.modes[{i}]", pair, 2) for i, pair in enumerate(pairs)])

@@ -1,0 +1,1 @@
+"""Observers: Kalman filter, output-error estimator, oracle."""

@@ -1,0 +1,129 @@
+"""Innovations: Kalman gains for the correction of simulated arms, and change detection from residuals."""
+
+import numpy as np
+
+from flexman_gym.common.arrays import Array, Flags, IntArray, pad_rows
+from flexman_gym.control.observers.internal_model import DiscreteJacobians
+from flexman_gym.control.observers.kalman_filter import measurement_update, stationary_covariance, time_update
+from flexman_gym.control.observers.observer import MeasurementModel
+
+QUIETLY, SUDDENLY = (0.001, 0.002), (0.02, 0.1)  # torques and forces on the tip that push, parts of their scales
+TURNED = 0.3  # rad by which an arm has turned when its motion is linearised anew
+
+
+class InnovationGains:
+    """Kalman gains of b arms for the errors of their readings, with the linear motion about where an arm is.
+
+    Args:
+        slopes: of the arm.
+        instruments: what is read of it.
+        push: N, how large forces on the tip may be at any time.
+    """
+
+    kept = ("covariance", "_transition", "_noise", "_designed")
+
+    def __init__(self, slopes: DiscreteJacobians, instruments: MeasurementModel, push: float) -> None:
+        self._slopes, self._matrix, self._push = slopes, instruments.matrix, push
+        self._variances, size = instruments.deviations**2, instruments.matrix.shape[1]
+        self.covariance, self._transition, self._noise = (np.zeros((0, size, size)) for _ in range(3))
+        self._designed = np.zeros((0, size))
+
+    def grow(self, count: int) -> None:
+        """Makes room for so many arms."""
+        for name in self.kept:
+            setattr(self, name, pad_rows(getattr(self, name), count))
+
+    def begin(self, arms: IntArray, states: Array, torques: Array, sudden: bool) -> Flags:
+        """Begins for arms (r,) at states (r, 2 d) under torques (r, n) N m; says for which of them it can.
+
+        Args:
+            arms: (r,).
+            states: as they are estimated.
+            torques: that act.
+            sudden: whether something has just pushed them, so that the estimate is not exact.
+        """
+        inputs, well = self._linearise(arms, states, torques)
+        noise = self._noise[arms] + sudden * self._noise_of(inputs, SUDDENLY)
+        covariance = stationary_covariance(self._transition[arms], noise, self._matrix, self._variances)
+        result: Flags = well & np.isfinite(covariance).all(axis=(1, 2))
+        self.covariance[arms[result]] = covariance[result]
+        return result
+
+    def _linearise(self, arms: IntArray, states: Array, torques: Array) -> tuple[Array, Flags]:
+        """Takes the slopes of the motion of arms (r,); gives those by forces, and says where they are good."""
+        slopes, good = self._slopes(states, torques)
+        some, inputs = arms[good], slopes[..., states.shape[1] :]
+        self._transition[some] = slopes[good][..., : states.shape[1]]
+        self._noise[some] = self._noise_of(inputs[good], QUIETLY)
+        self._designed[some] = states[good]
+        return inputs, good
+
+    def _noise_of(self, inputs: Array, parts: tuple[float, float]) -> Array:
+        """The covariance (r, 2 d, 2 d) of what forces, parts of their scales, add in a period."""
+        scales = self._slopes.scales
+        forces = np.repeat(parts, (len(scales) - 3, 3)) * scales
+        forces[-3:] = np.hypot(forces[-3:], self._push)
+        result: Array = (inputs * forces**2) @ inputs.mT
+        return result
+
+    def variances(self, arms: IntArray) -> Array:
+        """Gives the variances (r, m) of the errors of readings of arms (r,)."""
+        spread = self._matrix @ self.covariance[arms] @ self._matrix.T
+        return np.diagonal(spread, axis1=1, axis2=2) + self._variances
+
+    def gains(self, arms: IntArray, states: Array, torques: Array) -> Array:
+        """Gives the gains (r, 2 d, m) of arms (r,) for the errors of readings, and moves on by a period."""
+        turned = np.abs(states - self._designed[arms])[:, : len(self._slopes.scales) - 3].max(axis=1) > TURNED
+        if turned.any():
+            self._linearise(arms[turned], states[turned], torques[turned])
+        result, covariance = measurement_update(self.covariance[arms], self._matrix, self._variances)
+        self.covariance[arms] = time_update(covariance, self._transition[arms], self._noise[arms])
+        return result
+
+
+FAST, SLOW = 0.1, 0.02  # parts of the last errors in their means
+SURPRISING, DRIFTED = 1.45, 5.5  # mean square above 1, in deviations that a period has; mean, in deviations of its own
+WRONG = 20.0  # mean square that nothing explains
+
+
+class Residuals:
+    """Means of the errors of readings of b arms, in their deviations.
+
+    A sudden change shows in the mean square, a slow one in the mean of one reading (Gustafsson, Adaptive Filtering and
+    Change Detection, 2000, chapter 3).
+
+    Args:
+        readings: m, how many there are.
+
+    Attributes:
+        misfit: (b,) mean square, 1 where all is as it was assumed.
+    """
+
+    kept = ("misfit", "_mean")
+
+    def __init__(self, readings: int) -> None:
+        self.misfit, self._mean = np.zeros(0), np.zeros((0, readings))
+
+    def reset(self, arms: IntArray) -> None:
+        """Forgets the errors of the arms (r,)."""
+        count = int(arms.max(initial=-1)) + 1
+        self.misfit, self._mean = pad_rows(self.misfit, count), pad_rows(self._mean, count)
+        self.misfit[arms], self._mean[arms] = 1.0, 0.0
+
+    def take(self, arms: IntArray, errors: Array) -> None:
+        """Takes the last errors (r, m) of arms (r,)."""
+        self.misfit[arms] += FAST * ((errors**2).mean(axis=1) - self.misfit[arms])
+        self._mean[arms] += SLOW * (errors - self._mean[arms])
+
+    def changed(self, arms: IntArray) -> Flags:
+        """Says which of the arms (r,) have errors that noise does not explain."""
+        drift = np.abs(self._mean[arms]).max(axis=1) / np.sqrt(SLOW / (2.0 - SLOW))
+        square = (self.misfit[arms] - 1.0) / np.sqrt(2.0 / self._mean.shape[1])
+        result: Flags = (square > SURPRISING) | (drift > DRIFTED)
+        return result
+
+    @property
+    def wrong(self) -> Flags:
+        """Which arms (b,) have errors, or none that are numbers, that nothing explains."""
+        result: Flags = ~(self.misfit < WRONG)
+        return result

@@ -1,0 +1,1 @@
+"""Reference trajectories: slews, paths, time-optimal motions, optimised slews."""

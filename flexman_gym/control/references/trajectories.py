@@ -1,0 +1,379 @@
+"""Reference trajectories: timing laws, paths, quasi-static deflection, and time-optimal motions within torque
+limits.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from flexman_gym.common.arrays import Array, IntArray
+from flexman_gym.common.checks import one_of, physical, value_error
+from flexman_gym.kernels import outputs
+from flexman_gym.kernels.layout import OUTPUTS, TIP, TIP_VELOCITY, make_work
+from flexman_gym.model.dynamics import inertial_forces, stiffness_matrix
+from flexman_gym.model.model import Model
+from flexman_gym.model.statics import rest_state, rest_states
+
+
+class _TimingLaw(NamedTuple):
+    """A motion from rest to rest whose place is a polynomial of time in each of k phases.
+
+    Attributes:
+        begins: (k,) s, of the phases.
+        coefficients: (k, 6), lowest power of the time since a phase began first.
+        duration: s.
+    """
+
+    begins: Array
+    coefficients: Array
+    duration: float
+
+    def at(self, times: Array) -> tuple[Array, Array, Array]:
+        """Gives place, speed (1/s) and acceleration (1/s^2) at times (T,) s; it rests before and after."""
+        inside = np.clip(times, 0.0, self.duration)
+        phases: IntArray = np.searchsorted(self.begins, inside, side="right") - 1
+        place, speed, acceleration = polynomial_values(self.coefficients[phases], inside - self.begins[phases])
+        return place, speed, np.where(inside == times, acceleration, 0.0)
+
+
+def trapezoid(way: float, speed: float, acceleration: float) -> _TimingLaw:
+    """Gives the quickest motion over a way within limits of speed (1/s) and acceleration (1/s^2).
+
+    Biagiotti and Melchiorri, Trajectory planning for automatic machines and robots, 2008, section 3.2.
+
+    Raises:
+        ValueError: for what is no number from 1e-30 to 1e30.
+    """
+    limits = physical("speed", speed, "1/s"), physical("acceleration", acceleration, "1/s^2"), np.inf
+    return _constant_jerk_law(physical("way", way), *limits)
+
+
+def double_s(way: float, speed: float, acceleration: float, jerk: float) -> _TimingLaw:
+    """Gives the double S over a way: also within a limit of jerk (1/s^3).
+
+    Biagiotti and Melchiorri, Trajectory planning for automatic machines and robots, 2008, section 3.4.
+
+    Raises:
+        ValueError: for what is no number from 1e-30 to 1e30.
+    """
+    limits = physical("speed", speed, "1/s"), physical("acceleration", acceleration, "1/s^2")
+    return _constant_jerk_law(physical("way", way), *limits, physical("jerk", jerk, "1/s^3"))
+
+
+def quintic(place: Array, speed: Array, change: Array, durations: Array) -> Array:
+    """Gives coefficients (..., 6), lowest power first, of the polynomial in time that comes to rest at place 1.
+
+    Between rests it is the minimum-jerk motion (Flash and Hogan, Journal of Neuroscience 5, 1985, 1688).
+
+    Args:
+        place: where it starts.
+        speed: how fast it starts, 1/s.
+        change: second derivative there, 1/s^2.
+        durations: s.
+    """
+    left, squared = 1.0 - place, durations**2
+    cubic = (20.0 * left - 12.0 * speed * durations - 3.0 * change * squared) / (2.0 * durations**3)
+    fourth = (-30.0 * left + 16.0 * speed * durations + 3.0 * change * squared) / (2.0 * durations**4)
+    fifth = (12.0 * left - 6.0 * speed * durations - change * squared) / (2.0 * durations**5)
+    result: Array = np.stack(np.broadcast_arrays(place, speed, 0.5 * change, cubic, fourth, fifth), axis=-1)
+    return result
+
+
+def polynomial_values(coefficients: Array, times: Array) -> tuple[Array, Array, Array]:
+    """Gives place, speed (1/s) and second derivative (1/s^2) of polynomials (..., 6) at times (...) s."""
+    a, b, c, d, e, f = np.moveaxis(coefficients, -1, 0)
+    place = a + times * (b + times * (c + times * (d + times * (e + times * f))))
+    speed = b + times * (2.0 * c + times * (3.0 * d + times * (4.0 * e + times * 5.0 * f)))
+    return place, speed, 2.0 * c + times * (6.0 * d + times * (12.0 * e + times * 20.0 * f))
+
+
+def _constant_jerk_law(way: float, speed: float, acceleration: float, jerk: float) -> _TimingLaw:
+    """Seven phases of constant jerk, less those that take no time; where jerk is infinite, acceleration jumps."""
+    most = min(acceleration, np.sqrt(speed * jerk))
+    gaining = most / jerk + speed / most  # s, of speed
+    steady = way / speed - gaining
+    if steady < 0.0:  # the speed is not reached
+        most, steady = min(acceleration, np.cbrt(0.5 * way * jerk**2)), 0.0
+        gaining = 0.5 * most / jerk + np.sqrt((0.5 * most / jerk) ** 2 + way / most)
+    ramp = most / jerk
+    full = max(gaining - 2.0 * ramp, 0.0)
+    lasting = np.array([ramp, full, ramp, steady, ramp, full, ramp])
+    first, last = most * np.array([[0, 1, 1, 0, 0, -1, -1], [1, 1, 0, 0, -1, -1, 0]])
+    first, last, lasting = (each[lasting > 0.0] for each in (first, last, lasting))
+    begins, coefficients = np.cumsum(lasting) - lasting, np.zeros((len(lasting), 6))
+    coefficients[:, 2], coefficients[:, 3] = first / 2.0, (last - first) / (6.0 * lasting)
+    for before, after, time in zip(coefficients[:-1], coefficients[1:], lasting[:-1], strict=True):
+        after[0], after[1], _ = polynomial_values(before, time)
+    return _TimingLaw(begins, coefficients, float(lasting.sum()))
+
+
+TIMING_LAWS = {  # of slews from 0 to 1 in a duration of 1; the phases of each last as long as each other
+    "minimum-jerk": _TimingLaw(np.zeros(1), quintic(*np.array([[0.0], [0.0], [0.0], [1.0]])), 1.0),
+    "trapezoid": trapezoid(1.0, 1.5, 4.5),
+    "double-s": double_s(1.0, 1.75, 6.125, 42.875),
+}
+
+
+def minimum_jerk(parts: Array) -> tuple[Array, Array, Array]:
+    """Gives position, speed and acceleration of the minimum-jerk motion from 0 to 1 at parts (T,) of its duration."""
+    return TIMING_LAWS["minimum-jerk"].at(parts)
+
+
+PASSES = 3  # of bending under the inertia of the bent arm
+SINGULAR = 0.05  # part of the largest slope of the tip; joints do not give way into directions with less
+EVERY, RESTING = 4, 6  # control periods between two places of a path that are solved for; such places before its start
+SAMPLES, LONGEST = 21, 60.0  # places whose torques time a motion; s
+HAIR = 1e-9  # of a duration, before accelerations jump
+
+
+class _ReferenceTrajectory(NamedTuple):
+    """A slew in T control periods, then rest.
+
+    states: (T + 1, 2 d) at the ends of the periods. torques: (T, n) N m, constant in each.
+    """
+
+    states: Array
+    torques: Array
+
+
+class QuasiStaticDeflection:
+    """How a model is bent, and what its motors must give, while the links' sides of its joints move.
+
+    Springs are wound up and links bend as the inertia of that motion and the weight ask, without vibrating.
+    """
+
+    def __init__(self, model: Model) -> None:
+        n = model.n_joints
+        self._model = model
+        self._forces, self._stiffness = inertial_forces(model), stiffness_matrix(model)
+        self._motors = model.motor_columns
+        self._elastic = np.arange(n + model.n_motors, model.n_dof)
+        self._inverse = np.linalg.inv(self._stiffness[np.ix_(self._elastic, self._elastic)])
+        stiffness = np.where(model.constants.motor >= 0, model.constants.joint_stiffness, np.inf)
+        self._compliance = 1.0 / stiffness
+
+    def at(self, near: Array, motion: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        """Gives the bent coordinates (d,) and the motor torques (n,) N m.
+
+        Args:
+            near: (d,) coordinates from whose bending the search starts.
+            motion: angles, rates and accelerations (n,) of the links' sides, rad, rad/s and rad/s^2.
+        """
+        n, d = self._model.n_joints, self._model.n_dof
+        x, rates, changes = near.copy(), np.zeros(d), np.zeros(d)
+        x[:n] = motion[0]
+        for columns in (np.arange(n), self._motors):
+            rates[columns], changes[columns] = motion[1], motion[2]
+        rotors = self._model.constants.rotor_inertia * changes[:n]
+        for _ in range(PASSES):
+            demand = self._forces(x, rates, changes)
+            x = x.copy()
+            x[self._elastic] = -self._inverse @ demand[self._elastic]
+            links = demand[:n] - np.where(self._motors == np.arange(n), rotors, 0.0)
+            x[self._motors] = x[:n] + self._compliance * links
+        return x, links + rotors
+
+
+class _JointPath(NamedTuple):
+    """A way of the links' sides of the joints of a model from rest to rest, for any duration.
+
+    Attributes:
+        bending: of the model.
+        ends: (2, d) coordinates at rest before and after.
+        motion: gives angles (k, n) rad, and their first and second derivatives, by parts (k,) of the duration.
+        parts: of the duration at which torques are compared with their limits.
+    """
+
+    bending: QuasiStaticDeflection
+    ends: Array
+    motion: Callable[[Array], tuple[Array, Array, Array]]
+    parts: Array
+
+    def at(self, parts: Array, duration: float) -> tuple[Array, Array]:
+        """Gives the bent coordinates (k, d) and the motor torques (k, n) N m at parts (k,) of a duration (s)."""
+        angles, rates, changes = self.motion(parts)
+        motions = zip(angles, rates / duration, changes / duration**2, strict=True)
+        places, torques = zip(*(self.bending.at(self.ends[0], each) for each in motions), strict=True)
+        return np.array(places), np.array(torques)
+
+
+def slew_path(model: Model, start: Array, goal: Array, law: str = "minimum-jerk") -> _JointPath:
+    """Gives the straight path between postures of the motors (n,) rad, by a law of `timing.LAWS`."""
+    ends, timing = rest_states(model, np.array([start, goal]))[:, : model.n_dof], TIMING_LAWS[law]
+    first, last = ends[:, : model.n_joints]
+
+    def motion(parts: Array) -> tuple[Array, Array, Array]:
+        place, speed, acceleration = (each[:, None] for each in timing.at(parts))
+        return first + place * (last - first), speed * (last - first), acceleration * (last - first)
+
+    jumps = timing.begins[1:]
+    return _JointPath(QuasiStaticDeflection(model), ends, motion, _sample_parts(jumps - HAIR, jumps))
+
+
+def via_path(model: Model, postures: Array, count: int) -> _JointPath:
+    """Gives the path through postures (m, n) rad of the motors, each at the end of one of `count` control periods.
+
+    It is a cubic spline with two knots more, so that it starts and ends without acceleration (Biagiotti and Melchiorri,
+    Trajectory planning for automatic machines and robots, 2008, section 4.4.4). Times between postures go with the
+    square roots of their distances (Lee, Computer-Aided Design 21, 1989, 363).
+    """
+    from scipy.interpolate import make_interp_spline
+
+    rests, order = rest_states(model, postures)[:, : model.n_dof], np.arange(len(postures))
+    angles, still = rests[:, : model.n_joints], np.zeros(model.n_joints)
+    apart = np.sqrt(np.linalg.norm(np.diff(angles, axis=0), axis=1))
+    rows = np.rint(count * np.append(0.0, np.cumsum(apart)) / apart.sum())
+    rows = np.minimum(np.maximum.accumulate(rows - order) + order, count - order[::-1])  # a period apart at least
+    times = rows / count
+    more = (2.0 * times[0] + times[1]) / 3.0, (times[-2] + 2.0 * times[-1]) / 3.0
+    knots = np.concatenate([np.zeros(4), more[:1], times[1:-1], more[1:], np.ones(4)])
+    rest = [(1, still), (2, still)]
+    spline = make_interp_spline(times, angles, k=3, t=knots, bc_type=(rest, rest))
+
+    def motion(parts: Array) -> tuple[Array, Array, Array]:
+        return spline(parts), spline(parts, 1), spline(parts, 2)
+
+    return _JointPath(QuasiStaticDeflection(model), rests[[0, -1]], motion, _sample_parts(knots[4:-4]))
+
+
+def _sample_parts(*places: Array) -> Array:
+    """Parts of a duration all along it, and others where accelerations may be largest."""
+    return np.sort(np.concatenate([np.linspace(0.0, 1.0, SAMPLES), *places]))
+
+
+def plan_slew(
+    model: Model, start: Array, goal: Array, limits: Array, share: float, period: float, law: str = "minimum-jerk"
+) -> _ReferenceTrajectory:
+    """Plans the quickest slew of a law whose torques stay within a share of the limits.
+
+    Args:
+        model: of the arm.
+        start: (n,) rad, motor angles at the beginning.
+        goal: (n,) rad, motor angles at the end.
+        limits: (n,) N m.
+        share: of the limits, that the slew may take; feedback has the rest.
+        period: s.
+        law: a name of `timing.LAWS`.
+
+    Raises:
+        ValueError: for a goal whose weight alone takes more than that, and another law.
+    """
+    path = slew_path(model, start, goal, one_of("law", law, TIMING_LAWS))
+    slew = _time_optimal(lambda count: path, share * limits, period, 1)
+    if slew is None:
+        raise value_error("goal", goal.tolist(), f"a posture that {share:.0%} of the torque limits can hold")
+    return slew
+
+
+def plan_via(model: Model, postures: Array, limits: Array, share: float, period: float) -> _ReferenceTrajectory:
+    """Plans the quickest motion through postures, see `via_path`, whose torques stay within a share of the limits.
+
+    Postures are at ends of periods, which bends the spline a little with each duration: a shorter one may be left out.
+
+    Args:
+        model: of the arm.
+        postures: (m, n) rad, motor angles; it rests at the first and the last.
+        limits: (n,) N m.
+        share: of the limits, that the motion may take; feedback has the rest.
+        period: s.
+
+    Raises:
+        ValueError: for fewer than two postures, one that is that before, and one whose weight alone takes too much.
+    """
+    if len(postures) < 2 or not np.diff(postures, axis=0).any(axis=1).all():
+        raise value_error("postures", postures.tolist(), "two at least, each another than that before")
+    motion = _time_optimal(lambda count: via_path(model, postures, count), share * limits, period, len(postures) - 1)
+    if motion is None:
+        raise value_error("postures", postures.tolist(), f"postures that {share:.0%} of the torque limits can hold")
+    return motion
+
+
+def _time_optimal(
+    paths: Callable[[int], _JointPath], bounds: Array, period: float, fewest: int
+) -> _ReferenceTrajectory | None:
+    """The path in the fewest control periods in which torques stay within bounds (n,) N m, None where none does.
+
+    Torques are those at rest and what inertia asks, which goes with 1 / T^2: both at one T tell the shortest. Bending
+    changes that a little, so that it is told anew there.
+    """
+    count, short = max(fewest, int(LONGEST / period)), fewest - 1
+    most, path = count, paths(count)
+    rest = path.at(path.parts, np.inf)[1]
+    if (np.abs(rest) >= bounds).any():
+        return None
+    while True:
+        asked = path.at(path.parts, count * period)[1] - rest
+        needed = np.ceil(count * np.sqrt((np.abs(asked) / (bounds - np.sign(asked) * rest)).max()))
+        if not needed <= count:  # nor is no number, of an arm that bends too far
+            if count == most:
+                return None
+            short, count = count, int(min(np.fmax(needed, count + 1), most))
+        elif needed == count or count == short + 1:
+            return _sample_path(path, count, period)
+        else:
+            count = int(max(needed, short + 1))
+        path = paths(count)
+
+
+def _sample_path(path: _JointPath, count: int, period: float) -> _ReferenceTrajectory:
+    """A path in so many control periods."""
+    places, _ = path.at(np.linspace(0.0, 1.0, count + 1), count * period)
+    places[[0, -1]] = path.ends
+    speeds = np.gradient(places, period, axis=0) if count > 1 else np.zeros_like(places)
+    speeds[[0, -1]] = 0.0
+    return _ReferenceTrajectory(
+        np.hstack([places, speeds]), path.at((np.arange(count) + 0.5) / count, count * period)[1]
+    )
+
+
+def plan_path(model: Model, postures: Array, period: float) -> _ReferenceTrajectory:
+    """Plans how a model follows postures (T + 1, n) rad of its motors, one for each control period (s).
+
+    The tip is to be where it would rest at each posture: the joints give way to the bending that the motion adds, once,
+    for what gives way twice is differentiated too often. All is solved for at every few periods, with splines between.
+
+    Args:
+        model: of the arm.
+        postures: whose second derivatives are continuous.
+        period: s.
+    """
+    from scipy.interpolate import CubicSpline
+
+    n, bending, give_way = model.n_joints, QuasiStaticDeflection(model), DeflectionCompensation(model)
+    all_times = period * np.arange(len(postures))
+    count = max(4, -(-(len(postures) - 1) // EVERY) + 1)
+    spacing = all_times[-1] / (count - 1)
+    times = spacing * np.arange(-RESTING, count)  # it has rested before
+    wanted = CubicSpline(all_times, postures)(np.maximum(times, 0.0))
+    rests = np.array([rest_state(model, posture)[: model.n_dof] for posture in wanted])
+    angles = rests[:, :n]
+    for last in (False, True):
+        motion = [CubicSpline(times, angles).derivative(order)(times) if order else angles for order in range(3)]
+        result = [bending.at(rest, each) for rest, each in zip(rests, zip(*motion, strict=True), strict=True)]
+        places, torques = (np.array(each) for each in zip(*result, strict=True))
+        if not last:
+            angles = angles + np.array([give_way.turn(*both) for both in zip(rests, places, strict=True)])
+    way, middles = CubicSpline(times, places), all_times[:-1] + 0.5 * period
+    return _ReferenceTrajectory(
+        np.hstack([way(all_times), way.derivative()(all_times)]), CubicSpline(times, torques)(middles)
+    )
+
+
+class DeflectionCompensation:
+    """How the joints of a model turn, motors with them, for the tip at bent coordinates to come to that at rest."""
+
+    def __init__(self, model: Model) -> None:
+        self._model, self._work, self._row = model, make_work(model.constants), np.zeros(OUTPUTS)
+        self._turns = model.at_rest(np.eye(model.n_joints))[:, : model.n_dof].copy()
+
+    def turn(self, rest: Array, place: Array) -> Array:
+        """Gives the turn (n,) rad, to first order, for coordinates (d,) each; none into directions that take far."""
+        wanted, now = self._seen(rest, self._turns[0])[TIP].copy(), self._seen(place, self._turns[0])[TIP].copy()
+        slopes = np.array([self._seen(place, turn)[TIP_VELOCITY].copy() for turn in self._turns]).T
+        result: Array = np.linalg.pinv(slopes, rcond=SINGULAR) @ (wanted - now)
+        return result
+
+    def _seen(self, x: Array, v: Array) -> Array:
+        outputs.observe(self._model.constants, self._work, x, v, self._row)
+        return self._row

@@ -1,0 +1,194 @@
+"""Figures of agents: an episode, learning curves, scores over scenarios."""
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from flexman_gym.common.arrays import Array
+from flexman_gym.common.checks import short_path, value_error
+from flexman_gym.common.time_series import read_csv_lines
+from flexman_gym.draw.style import BLUE, DARK, GREEN, LIGHT, LINK_COLOURS, MIDDLE, ORANGE, RED, SKY, new_figure
+
+COLOURS = (BLUE, RED, ORANGE, GREEN, SKY, MIDDLE)
+LEAST = 1e-5  # m, what the picture shows at least
+
+
+class _RecordedEpisode(Protocol):
+    """What a picture needs of an episode: a Record of `evaluation`, or an Episode."""
+
+    @property
+    def errors(self) -> Array:
+        """(T + 1,) m."""
+
+    @property
+    def actions(self) -> Array:
+        """(T, n) parts of the torque limits."""
+
+    @property
+    def period(self) -> float:
+        """Of control, s."""
+
+    @property
+    def band(self) -> float:
+        """In which a tip has settled, m."""
+
+
+def draw_episodes(records: Mapping[str, _RecordedEpisode], path: Path) -> None:
+    """Draws one episode of each policy.
+
+    Args:
+        records: name of a policy -> its episode.
+        path: of the PNG file.
+
+    Raises:
+        ImportError: without Matplotlib.
+    """
+    first = next(iter(records.values()))
+    joints, band = first.actions.shape[1], first.band
+    figure = new_figure((10.0, 3.6 + 1.3 * joints), 110.0, layout="constrained")
+    axes = figure.subplots(1 + joints, 1, sharex=True, height_ratios=[3.0, *[1.0] * joints])
+    for (name, record), colour in zip(records.items(), COLOURS, strict=False):
+        times = record.period * np.arange(len(record.errors))
+        axes[0].semilogy(times, np.maximum(record.errors, LEAST), color=colour, linewidth=1.5, label=name)
+        for joint in range(joints):
+            axes[1 + joint].step(times[1:], record.actions[:, joint], color=colour, linewidth=1.0, where="pre")
+    axes[0].axhline(band, color=DARK, linewidth=0.8, linestyle="--")
+    axes[0].text(0.1, 1.15 * band, f"{1e3 * band:.3g} mm", fontsize=8, color=DARK)
+    axes[0].set_ylim(bottom=LEAST)
+    axes[0].set_ylabel("distance of the tip from its target (m)")
+    axes[0].legend(frameon=False, ncols=6, fontsize=9, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    for joint in range(joints):
+        axes[1 + joint].set(ylabel=f"motor {joint + 1}", ylim=(-1.08, 1.08))
+    axes[-1].set_xlabel("time (s); torques as parts of their limits")
+    for each in axes:
+        each.grid(color=LIGHT, linewidth=0.6)
+        each.spines[["top", "right"]].set_visible(False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)
+
+
+STEPS = "time/total_timesteps"
+CURVES = ("selection/reward", "rollout/ep_rew_mean")  # the first of them that a run has
+
+
+def read_progress(folder: str | Path, column: str | None = None) -> tuple[Array, Array, str]:
+    """Reads steps (k,) and values (k,) of a column of a run's progress*.csv, and the name of the column.
+
+    Args:
+        folder: of the run.
+        column: None takes the reward on selection seeds, or else that of the training.
+
+    Raises:
+        FileNotFoundError: without such files.
+        ValueError: one line, for a column that there is not.
+    """
+    rows: list[dict[str, str]] = []
+    for path in sorted(Path(folder).glob("progress*.csv")) if os.path.isdir(folder) else ():
+        lines = read_csv_lines(path)
+        names = next(lines, [])
+        rows += [dict(zip(names, line, strict=False)) for line in lines]
+    if not rows:
+        raise FileNotFoundError(f"{short_path(folder)}: no progress.csv with rows; give the folder of a training run")
+    heads = [name for name in rows[0] if any(row.get(name) for row in rows)]
+    name = column or next((each for each in CURVES if each in heads), "")
+    if name not in heads:
+        raise value_error("column", name, f"one of {', '.join(sorted(heads))}")
+    try:
+        points = [(float(row[STEPS]), float(row[name])) for row in rows if row.get(name) and row.get(STEPS)]
+    except ValueError:
+        raise ValueError(f"{short_path(folder)}: {name} is not a number in each row; give another column") from None
+    steps, values = np.array(sorted(points)).reshape(-1, 2).T
+    return steps, values, name
+
+
+def learning_curves(runs: Mapping[str, Sequence[tuple[Array, Array]]], path: str | Path, label: str) -> Path:
+    """Draws the median over seeds of each recipe, and a band from the worst to the best of them.
+
+    Args:
+        runs: name -> steps (k,) and values (k,) of each seed.
+        path: of the picture.
+        label: of the values.
+
+    Raises:
+        ImportError: without Matplotlib.
+    """
+    path, figure = Path(path), new_figure((7.4, 4.6), 120.0, layout="constrained")
+    axes = figure.add_subplot()
+    for (name, seeds), colour in zip(runs.items(), LINK_COLOURS, strict=False):
+        steps = np.unique(np.concatenate([each for each, _ in seeds]))
+        inside = [np.interp(steps, *each, left=np.nan, right=np.nan) for each in seeds]
+        known = np.array(inside)[:, np.isfinite(inside).all(axis=0)]
+        common = steps[np.isfinite(inside).all(axis=0)]
+        axes.plot(common, np.median(known, axis=0), color=colour, label=f"{name} ({len(seeds)})")
+        if len(seeds) > 1:
+            axes.fill_between(common, known.min(axis=0), known.max(axis=0), color=colour, alpha=0.2, linewidth=0.0)
+    axes.set(xlabel="steps", ylabel=label)
+    axes.ticklabel_format(axis="x", scilimits=(-3, 4), useMathText=True)
+    axes.grid(color=LIGHT, linewidth=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False, title="recipe (seeds)", fontsize=9)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)
+    return path
+
+
+MARKS = "osD^vP"
+SHIFT = 0.05  # of the distance of two conditions, between entrants
+
+
+class ScoreCurve(NamedTuple):
+    """Values at some places, (k,) each, and their intervals; nan where there is none."""
+
+    places: Array
+    middle: Array
+    low: Array
+    high: Array
+
+
+def score_chart(
+    curves: Mapping[str, ScoreCurve], what: str, path: str | Path, names: Sequence[str] = (),
+    profiles: Mapping[str, tuple[Array, Array]] | None = None,
+) -> None:  # fmt: skip
+    """Draws the scores of entrants, and beside them their profiles where there are any.
+
+    Args:
+        curves: entrant -> its scores.
+        what: the places are, the label of their axis.
+        path: of the picture.
+        names: of the places 0, 1 and so on; without them the places are numbers, and lines join them.
+        profiles: entrant -> thresholds and parts of the episodes above them.
+
+    Raises:
+        ImportError: without Matplotlib.
+    """
+    figure = new_figure((11.0 if profiles else 7.5, 5.0), 120.0, layout="constrained")
+    panels = figure.subplots(1, 2, width_ratios=(2.0, 1.0)) if profiles else [figure.add_subplot()]
+    for number, (entrant, curve) in enumerate(curves.items()):
+        look, shift = _look(number), SHIFT * (number - 0.5 * (len(curves) - 1)) if names else 0.0
+        spread = [curve.middle - curve.low, curve.high - curve.middle]
+        line = {"linestyle": "none"} if names else {}
+        panels[0].errorbar(curve.places + shift, curve.middle, spread, label=entrant, capsize=2, **(look | line))
+        if profiles and entrant in profiles:
+            panels[1].plot(*profiles[entrant], **(look | {"marker": ""}))
+    panels[0].set(ylabel="score: 0 no torque, 1 told all", xlabel=what)
+    if names:
+        panels[0].set_xticks(range(len(names)), names, rotation=30, ha="right", rotation_mode="anchor")
+    if profiles:
+        panels[1].set(xlabel="score", ylabel="part of the episodes above it", ylim=(0.0, 1.02))
+    for axes in panels:
+        axes.grid(color=LIGHT, linewidth=0.6)
+        axes.spines[["top", "right"]].set_visible(False)
+    for level in (0.0, 1.0):
+        panels[0].axhline(level, color=MIDDLE, linewidth=0.8)
+    panels[0].set_ylim(bottom=max(-1.0, panels[0].get_ylim()[0]))  # who drops the arm drops out of the picture
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False)
+    figure.savefig(path)
+
+
+def _look(number: int) -> dict[str, Any]:
+    again, colour = divmod(number, len(LINK_COLOURS))
+    look = {"color": LINK_COLOURS[colour], "marker": MARKS[(colour + again) % len(MARKS)]}
+    return look | {"linestyle": ("-", "--", ":")[again % 3], "linewidth": 1.4, "markersize": 5}

@@ -1,0 +1,1 @@
+"""Configuration of environments: settings, conditions, named environments, randomisation."""

@@ -1,0 +1,97 @@
+"""Randomisation: ranges of physical parameters and disturbances, from which each episode is drawn."""
+
+from typing import Any
+
+from flexman_gym.common.checks import non_negative, positive, text, value_error, vector
+from flexman_gym.envs.effects import SIGNALS, Range
+from flexman_gym.simulation.parameters import PARAMETERS
+
+GAP = 2.0  # s, between two impulses or changes of load where nothing else is said
+
+
+class Randomisation:
+    """Ranges (low, high) from which every episode draws anew, uniformly; None switches an effect off.
+
+    Each effect has a random stream of its own, seeded by its name and the seed of the environment, so that one that is
+    switched on changes neither the draws of the others nor start and goal. What an episode drew does not depend on
+    those before it.
+
+    Args:
+        impulse_gap: mean time between two impulses, or two changes of load, s; at least a control period. None for 2.
+        ranges: of the physical parameters in `simulation.parameters.PARAMETERS`: payload_mass (kg), joint_damping
+            (N m s/rad), and, as factors > 0 on the nominal values, one of each joint or link, joint_stiffness_factor,
+            rotor_inertia_factor, viscous_friction_factor, coulomb_friction_factor and link_stiffness_factor. And of the
+            effects in `envs.effects.SIGNALS`, whose docstrings say more: torque_limit_factor, sensor_noise (parts of
+            the ranges), delay (whole control periods), initial_vibration (m), tip_impulse (N s), tip_load (N) and
+            base_sway (m/s^2).
+
+    Attributes:
+        effects: names of what differs, without "_factor", in the order of the tables.
+        ranges: name -> (low, high) of each of them; what was given is also an attribute, None for what is off.
+        given: the arguments that were given, by name.
+
+    Raises:
+        ValueError: one line with field, value and what is allowed.
+    """
+
+    def __init__(self, *, impulse_gap: float | None = None, **ranges: Any) -> None:
+        self.impulse_gap = GAP if impulse_gap is None else positive("Randomisation.impulse_gap", impulse_gap, "s")
+        for name in ranges:
+            if name not in (_range_names() | {"impulse_gap": ""}):
+                raise value_error("randomisation", name, f"one of {' '.join(_range_names())} impulse_gap")
+        self.given = ranges if impulse_gap is None else {**ranges, "impulse_gap": self.impulse_gap}
+        self.ranges = {
+            effect: _range(name, ranges[name])
+            for name, effect in _range_names().items()
+            if ranges.get(name) is not None
+        }
+        self.effects = tuple(self.ranges)
+
+    def __getattr__(self, name: str) -> Range | None:
+        if name in _range_names():
+            return self.ranges.get(_range_names()[name])
+        raise AttributeError(name)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Randomisation):
+            return False
+        return (self.ranges, self.impulse_gap) == (other.ranges, other.impulse_gap)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        on = {name: self.ranges[effect] for name, effect in _range_names().items() if effect in self.ranges}
+        given = on | {"impulse_gap": self.impulse_gap}
+        return f"Randomisation({', '.join(f'{name}={value!r}' for name, value in given.items())})"
+
+
+def _range(name: str, value: object) -> Range:
+    field, effect = f"Randomisation.{name}", _range_names()[name]
+    low, high = vector(field, value, 2)
+    if effect in SIGNALS:
+        low, high = (SIGNALS[effect].checked(field, each) for each in value)  # type: ignore[attr-defined]
+    else:
+        low, high = ((positive if PARAMETERS[effect].factor else non_negative)(field, each) for each in (low, high))
+    if low > high:
+        raise value_error(field, value, "a range (low, high) with low <= high, or None")
+    return low, high
+
+
+def _range_names() -> dict[str, str]:
+    """The effects that a randomisation has, by the names of their ranges."""
+    return {range_name(name): name for name in (*PARAMETERS, *SIGNALS)}
+
+
+def range_name(effect: str) -> str:
+    """The name of the range from which an effect draws, which says whether it is one of factors."""
+    of = PARAMETERS[effect] if effect in PARAMETERS else SIGNALS[effect]
+    return f"{effect}_factor" if getattr(of, "factor", False) else effect
+
+
+def find_randomisation(value: object) -> Randomisation | None:
+    """Gives a Randomisation, that of a dict of its arguments, or None; raises ValueError for anything else."""
+    if isinstance(value, dict):
+        return Randomisation(**{text("a key of randomisation", name): each for name, each in value.items()})
+    if value is not None and not isinstance(value, Randomisation):
+        raise value_error("randomisation", value, "a Randomisation, or a dict of its arguments")
+    return value

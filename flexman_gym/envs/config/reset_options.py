@@ -1,0 +1,138 @@
+"""Options of a reset: start and goal as joint angles or, by inverse kinematics, as tip positions, and parameters."""
+
+import numbers
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from flexman_gym.common.arrays import Array
+from flexman_gym.common.checks import one_of, sequence, value_error, vector
+from flexman_gym.envs.view import View
+from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.parameters import PARAMETERS
+
+TIPS = {"start_tip": "start", "goal_tip": "goal_angles"}  # option with a place of the tip -> the posture that it sets
+STARTS, ROUNDS = 24, 20  # of the search for postures, and of that for the place beside which a heavy arm rests
+REACHED = 1e-8  # of the reach
+
+
+def replace_tip_positions(plan: Mapping[str, Array], view: View) -> dict[str, Array]:
+    """Gives plans, name -> (r, ...), with postures (r, n) rad in place of the places (r, 3) m of TIPS.
+
+    A goal is sought from the start, and a start from zero angles; see `inverse_kinematics`.
+
+    Raises:
+        ValueError: for a place that the tip cannot reach.
+    """
+    result = dict(plan)
+    for name, posture in TIPS.items():
+        if name in plan:
+            near = result["start"] if posture != "start" else np.zeros((len(plan[name]), view.n_joints))
+            pairs = zip(result.pop(name), near, strict=True)
+            result[posture] = np.array([inverse_kinematics(f"options[{name!r}]", *pair, view) for pair in pairs])
+    return result
+
+
+def inverse_kinematics(field: str, place: Array, near: Array, view: View) -> Array:
+    """Gives the motor angles (n,) rad with which the tip rests at a place (3,) m of the base frame.
+
+    Where there are several, it is the one from which the joints are turned least (least sum of squares) away from
+    `near`, of those that Newton's method finds from `near` and from 24 postures that are always the same.
+
+    Args:
+        field: for the error.
+        place: m.
+        near: (n,) rad.
+        view: of the arm, whose nominal weight bends it.
+
+    Raises:
+        ValueError: where the tip comes there from none of them.
+    """
+    others = near + np.random.default_rng(0).uniform(-np.pi, np.pi, (STARTS, len(near)))
+    found = [angles for start in (near, *others) if (angles := _reached(place, start, view)) is not None]
+    if not found:
+        span = f"{view.reach:.4g} m of links"
+        raise value_error(field, place.tolist(), f"a place (m, base frame) that the tip can reach with {span}")
+    turned = np.array(found) - near
+    turned -= 2.0 * np.pi * np.round(turned / (2.0 * np.pi))
+    result: Array = near + turned[np.argmin((turned**2).sum(axis=1))]
+    return result
+
+
+def _reached(place: Array, start: Array, view: View) -> Array | None:
+    """The posture that is found from a start; None where it does not lead there."""
+    angles, wanted = start, place
+    for _ in range(ROUNDS):
+        (angles,), _ = view.reaching(wanted[None], angles)
+        missed = place - view.rest_tips(angles[None])[0] if np.isfinite(angles).all() else np.full(3, np.inf)
+        if not np.linalg.norm(missed) > REACHED * view.reach:
+            return angles
+        if not np.isfinite(missed).all():
+            return None
+        wanted = wanted + (missed if view.heavy else 0.0)
+    return None
+
+
+def parse_options(
+    options: Mapping[str, Any] | None, plan: Mapping[str, Array], size: tuple[int, int]
+) -> dict[str, Any]:
+    """The options with a leading axis for the arms; `size` is (b, n), how many arms and joints there are."""
+    names = [*plan, *(name for name, posture in TIPS.items() if posture in plan), "parameters"]
+    if options is not None and not isinstance(options, dict):
+        raise value_error("options", options, f"a dict with {', '.join(names[:-1])} or {names[-1]}")
+    given: dict[str, Any] = {}
+    for name, value in (options or {}).items():
+        field = f"options[{name!r}]"
+        if one_of("options", name, names) == "parameters":
+            given[name] = _parameters(field, value, size)
+        else:
+            if TIPS.get(name) in given or name in [TIPS.get(other) for other in given]:
+                raise value_error(field, value, "either a posture or a place of the tip")
+            shape = (3,) if name in TIPS else plan[name].shape[1:]
+            given[name] = _each(field, value, shape, size[0], "m" if name in TIPS else "rad" * (shape == size[1:]))
+    return given
+
+
+def check_parameters(options: object, batch: Batch) -> None:
+    """Refuses parameters that a batch could not take, before a reset has changed anything."""
+    if isinstance(options, dict) and "parameters" in options:
+        field, arms, model = "options['parameters']", len(batch.rows), batch.model
+        for name, values in _parameters(field, options["parameters"], (arms, model.n_joints)).items():
+            PARAMETERS[name].checked(f"{field}[{name!r}]", values, model, arms)
+
+
+def _each(field: str, value: object, shape: tuple[int, ...], arms: int, unit: str) -> Array:
+    """Numbers (b, ...) of all arms from those of one, shape (...), or of each."""
+    if len(shape) != 1:
+        return _numbers(field, value, (arms, *shape))
+    entries = sequence(field, value, "numbers")
+    if not entries or not isinstance(entries[0], list | tuple | np.ndarray):
+        return np.tile(vector(field, value, shape[0], unit), (arms, 1))
+    if len(entries) != arms:
+        allowed = f"{shape[0]} numbers ({unit}), or a list of {arms} such lists, one for each arm"
+        raise value_error(field, value, allowed)
+    return np.array([vector(f"{field}[{i}]", entry, shape[0], unit) for i, entry in enumerate(entries)])
+
+
+def _parameters(field: str, value: object, size: tuple[int, int]) -> dict[str, Array]:
+    if not isinstance(value, dict):
+        raise value_error(field, value, f"a dict with some of {', '.join(PARAMETERS)}")
+    given = {}
+    for name, values in value.items():
+        shape = PARAMETERS[one_of(field, name, PARAMETERS)].shape(size[1])
+        given[name] = _numbers(f"{field}[{name!r}]", values, (size[0], *shape))
+    return given
+
+
+def _numbers(field: str, value: object, shape: tuple[int, ...]) -> Array:
+    """Numbers of that shape, or of one arm, which all then have."""
+    allowed = f"numbers of the shape {shape}, or {shape[1:]}"
+    try:
+        listed = value if isinstance(value, numbers.Real | np.ndarray) else sequence(field, value)  # not too long
+        values = np.broadcast_to(np.asarray(listed), shape)
+    except Exception:  # another shape, lists of different length, an object of somebody's own
+        raise value_error(field, value, allowed) from None
+    if values.dtype.kind not in "fiu":
+        raise value_error(field, value, allowed)
+    return values

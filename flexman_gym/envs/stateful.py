@@ -1,0 +1,103 @@
+"""Base class of both environments: saving, restoring, copying and pickling of the complete state."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from copy import deepcopy
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from gymnasium import Space
+
+from flexman_gym.common.checks import value_error
+from flexman_gym.common.snapshot import get_state, set_state
+from flexman_gym.envs.episodes import Episodes
+from flexman_gym.envs.sight import Observations
+
+
+class StatefulEnv:
+    """What the single environment and the vector environment have in common: their state can be taken and given back.
+
+    Attributes:
+        kept: names of what an environment remembers beside its episodes.
+        spaces: names of the spaces whose generators belong to its state.
+    """
+
+    kept: ClassVar[tuple[str, ...]]
+    spaces: ClassVar[tuple[str, ...]]
+    episodes: Episodes
+    spec: Any
+    _made: dict[str, Any]  # arguments of the constructor
+
+    def get_state(self) -> dict[str, Any]:
+        """Gives all that the environment remembers, as dicts and lists of arrays and plain data.
+
+        That is the motion of every arm, its episode and its parameters, what effects and what acts remember, and every
+        random generator. An environment made alike goes on from it as this one would, to the last bit.
+        """
+        spaces = {name: get_state(_space(self, name)._np_random) for name in self.spaces}
+        own = {name: get_state(getattr(self, name)) for name in self.kept}
+        return {**own, **spaces, "episodes": get_state(self.episodes), "acting": get_state(self.episodes.acting)}
+
+    def set_state(self, state: dict[str, Any]) -> Observations:
+        """Puts the environment where `get_state` found one made alike; returns what is seen (b, size) of its arms.
+
+        Raises:
+            ValueError: one line, for the state of another environment; the episodes are then over.
+        """
+        names = {*self.kept, *self.spaces, "episodes", "acting"}
+        if not isinstance(state, dict) or state.keys() != names:
+            result = sorted(map(str, state)) if isinstance(state, dict) else state
+            raise value_error("state", result, f"what get_state gave: {', '.join(sorted(names))}")
+        own = {name: set_state(f"state.{name}", getattr(self, name), state[name]) for name in self.kept}
+        spaces = {name: set_state(f"state.{name}", None, state[name]) for name in self.spaces}
+        for name, random in {**own, **spaces}.items():
+            if not isinstance(random, list | int | np.random.Generator | None):
+                raise value_error(f"state.{name}", random, "what get_state gave")
+        self.episodes.give(state["episodes"], state["acting"], self._generators(own))
+        for name, value in own.items():
+            setattr(self, name, value)
+        for name, random in spaces.items():
+            _space(self, name)._np_random = random
+        return self.episodes.sight.seen.copy()
+
+    @contextmanager
+    def _undoing(self, options: object) -> Iterator[None]:
+        """Puts the environment back where it was if a reset with options is refused; its episodes are over then.
+
+        Without options it was the task that drew a bad start, and a further reset should draw another one.
+        """
+        before = None if options is None or (isinstance(options, dict) and not options) else self.get_state()
+        try:
+            yield
+        except Exception:
+            if before is not None:
+                over = self.episodes.over.copy()
+                self.set_state(before)
+                self.episodes.over[:] = over
+            raise
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        return _made_again(type(self), deepcopy(self._made, memo), self.spec, self.get_state())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _made_again, (type(self), self._made, self.spec, self.get_state())  # for pickle
+
+    def __copy__(self) -> Self:
+        return deepcopy(self)  # two environments never share arms
+
+    def _generators(self, own: dict[str, Any]) -> list[np.random.Generator | None]:
+        """The generator of each arm among what was given back."""
+        raise NotImplementedError
+
+
+def _made_again(kind: type[Any], made: dict[str, Any], spec: Any, state: dict[str, Any]) -> Any:
+    """An environment like another one, with its state."""
+    other = kind(**made)
+    other.spec = spec
+    other.set_state(state)
+    return other
+
+
+def _space(env: object, name: str) -> Space[Any]:
+    result: Space[Any] = getattr(env, name)
+    return result

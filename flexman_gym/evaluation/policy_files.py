@@ -1,0 +1,158 @@
+"""Policy files: an exported policy as safetensors and JSON, checked by hashes and stored actions."""
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexman_gym.common.checks import READ_ERRORS, regular_file, short_path, value_error
+from flexman_gym.common.run_folder import existing_file, write_atomically
+from flexman_gym.common.safetensors import MAX_BYTES, parse_json, read_tensors, write_tensors
+from flexman_gym.control.network import Network, policy_parameters
+
+FOLDER = Path(__file__).parents[1] / "policies"
+ABOUT, ARRAYS, CERTIFICATE = "policy.json", "policy.safetensors", "certificate.json"
+POLICIES = tuple(sorted(path.parent.name for path in FOLDER.glob(f"*/{ABOUT}")))
+FORMAT = "flexman_gym policy 1"
+KEYS = (
+    "format", "words", "licence", "commit", "versions", "recipe", "training_seconds", "environment",
+    "environment_hash", "settings_hash", "observation", "league", "arrays_hash",
+)  # fmt: skip
+STATISTICS, CHECKS = ("statistics.mean", "statistics.var"), ("check.observations", "check.actions")
+CERTIFIED = (("arrays_hash", str), ("fails", list), ("trials", list))  # keys of a certificate, and their types
+CHECK_ROWS, CHECK_TOLERANCE = (
+    64,
+    1e-9,
+)  # observations that are kept, and how far their actions may be from those that are kept
+
+
+class _ExportedPolicy(NamedTuple):
+    """A policy as its files hold it: what is said of it, see KEYS, and what acts."""
+
+    about: dict[str, Any]
+    network: Network
+
+
+def policy_folder(name: str) -> Path | None:
+    """Gives the folder of a shipped policy: one by its name, or a folder with one; None for anything else."""
+    if name in POLICIES:
+        return FOLDER / name
+    return Path(name) if os.path.isfile(Path(name) / ABOUT) else None
+
+
+def read_policy(folder: Path) -> _ExportedPolicy:
+    """Reads a policy; nothing in its files is run.
+
+    Raises:
+        FileNotFoundError, ValueError: one line, for files that are missing, larger than a policy, broken, or of other
+            arrays than they say, for another environment than it says, and for a network that gives other actions for
+            the observations kept beside it.
+    """
+    path = existing_file(folder / ABOUT)
+    try:
+        about = _about(_content(path))
+        path = existing_file(folder / ARRAYS)
+        content = _content(path)
+        if hashlib.sha256(content).hexdigest() != about["arrays_hash"]:
+            raise value_error("arrays_hash", about["arrays_hash"], "that of the arrays: one of them was changed")
+        return _ExportedPolicy(about, _network(about, read_tensors(content)))
+    except FileNotFoundError:
+        raise
+    except READ_ERRORS as error:
+        said = " ".join(str(error).split())[:300] or type(error).__name__
+        raise ValueError(f"{short_path(path)}: this is no policy that was exported ({said})") from None
+
+
+def write_policy(folder: Path, about: Mapping[str, Any], arrays: dict[str, NDArray[np.floating]]) -> None:
+    """Writes a policy, once reading it gives one: `about` lacks format and hashes, which are added.
+
+    Raises:
+        ValueError: one line, for what `read_policy` refuses.
+        OSError: when the folder cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    write_tensors(folder / ARRAYS, arrays)
+    own = {
+        "format": FORMAT,
+        "environment_hash": json_hash(about["environment"]),
+        "settings_hash": json_hash(about["recipe"]["settings"]),
+        "arrays_hash": hashlib.sha256((folder / ARRAYS).read_bytes()).hexdigest(),
+    }
+    whole = {name: own.get(name, about.get(name)) for name in KEYS}
+    write_atomically(folder / ABOUT, lambda file: file.write((json.dumps(whole, indent=1) + "\n").encode()))
+    read_policy(folder)
+
+
+def json_hash(data: object) -> str:
+    """Gives the SHA-256 of plain data, whatever the order of its keys."""
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
+
+
+def read_certificate(folder: Path) -> dict[str, Any] | None:
+    """Gives what the certificate beside a policy says, None where it has none, or one of other arrays.
+
+    Raises:
+        ValueError: one line, for a broken file, and for one without arrays_hash, fails and trials.
+    """
+    path = folder / CERTIFICATE
+    if not path.is_file():
+        return None
+    try:
+        result = parse_json(_content(path))
+        if not isinstance(result, dict) or not all(isinstance(result.get(name), kind) for name, kind in CERTIFIED):
+            raise ValueError(f"give a mapping with {', '.join(name for name, _ in CERTIFIED)}")
+    except ValueError as error:
+        raise ValueError(f"{short_path(path)}: this is no certificate ({error})") from None
+    return result if result["arrays_hash"] == parse_json(_content(folder / ABOUT)).get("arrays_hash") else None
+
+
+def describe_policy(name: str) -> str:
+    """Says in words what a shipped policy is, and whether its certificate recommends it."""
+    about, said = parse_json(_content(FOLDER / name / ABOUT)), read_certificate(FOLDER / name)
+    if said is None:
+        return f"{about['words']} It has no certificate."
+    fails = ", ".join(map(str, said["fails"]))
+    return f"{about['words']} {f'Not recommended: it fails {fails}.' if fails else 'Recommended.'}"
+
+
+def _content(path: Path) -> bytes:
+    return regular_file(path, MAX_BYTES).read_bytes()
+
+
+def _about(content: bytes) -> dict[str, Any]:
+    """What is said of a policy, once it is all there, and the environment is the one that it was exported with."""
+    about = parse_json(content)
+    if not isinstance(about, dict) or set(about) != set(KEYS):
+        raise value_error("keys", sorted(about) if isinstance(about, dict) else about, ", ".join(KEYS))
+    if about["format"] != FORMAT:
+        raise value_error("format", about["format"], FORMAT)
+    for name, data in (("environment", about["environment"]), ("settings", about["recipe"]["settings"])):
+        if json_hash(data) != about[f"{name}_hash"]:
+            raise value_error(name, "something with another hash", "what it was exported with")
+    return about
+
+
+def _network(about: dict[str, Any], arrays: dict[str, NDArray[np.floating]]) -> Network:
+    """The network of arrays, once it does what it did."""
+    settings = about["recipe"]["settings"]
+    algo, activation = settings["algo"], settings["hyperparameters"].get("activation")
+    layers = policy_parameters(algo, arrays)
+    if unknown := arrays.keys() ^ {*layers, *STATISTICS, *CHECKS}:
+        raise value_error("arrays", sorted(unknown), f"layers of {algo}, {', '.join((*STATISTICS, *CHECKS))}")
+    moments = {name.partition(".")[2]: arrays[name] for name in STATISTICS}
+    network = Network(algo, activation, layers, moments)
+    seen, wanted = (arrays[name] for name in CHECKS)
+    if seen.shape != (CHECK_ROWS, network.size) or wanted.shape != (CHECK_ROWS, network.joints):
+        allowed = f"arrays {(CHECK_ROWS, network.size)} and {(CHECK_ROWS, network.joints)}"
+        raise value_error("check", f"arrays {seen.shape} and {wanted.shape}", allowed)
+    apart = np.abs(network(seen) - wanted).max()
+    if not apart <= CHECK_TOLERANCE:
+        raise value_error(
+            "check", f"actions {apart:.2g} from those that were kept", f"a network that is within {CHECK_TOLERANCE}"
+        )
+    return network

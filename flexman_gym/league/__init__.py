@@ -1,0 +1,1 @@
+"""League: agents compared in the same episodes of several scenarios."""

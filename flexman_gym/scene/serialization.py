@@ -1,0 +1,340 @@
+"""Plain form of arms, signals and model choices (dicts, lists, numbers, texts), and arms by name or file."""
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
+from inspect import signature
+from pathlib import Path
+from typing import Any, TypeVar
+
+from flexman_gym.common import files
+from flexman_gym.common.checks import mapping, one_of, sequence, short_path, text, value_error
+from flexman_gym.common.time_series import read_time_series, write_time_series
+from flexman_gym.scene import arms
+from flexman_gym.scene.arm import Arm, Payload
+from flexman_gym.scene.joint import Joint, Motor
+from flexman_gym.scene.link import IDENTITY, Link, LumpedMass, NonUniformLink
+from flexman_gym.scene.mistakes import keyword_hint
+from flexman_gym.scene.section import SHAPES, Outline
+from flexman_gym.scene.signals import (
+    ConstantTorque,
+    SampledAngles,
+    SampledSignal,
+    SampledTorque,
+    Signal,
+    SineTorque,
+    sampled_signal,
+)
+
+Part = TypeVar("Part")
+MAX_INLINE_SAMPLES = 100  # samples in a scene file; more go to a CSV file beside it
+
+# Sections of arms in the catalog that no section can have; each says why there, and a file of it need not warn again.
+SECTION = ("area", "second_moment_y", "second_moment_z")
+KNOWN_SECTIONS = ((0.028, 8.33e-7, 8.33e-7), (4e-4, 1.3e-8, 4e-9))
+
+# Keys that a scene file may leave out; they are written where they differ from the default. A payload or a note may
+# be left out as well, but is always written.
+OPTIONAL: dict[str, tuple[str, ...]] = {
+    "Arm": ("modal_damping_ratio",),
+    "Link": ("masses", "outline"),
+    "NonUniformLink": ("masses",),
+    "LumpedMass": ("inertia", "offset"),
+    "Outline": ("wall",),
+    "Payload": ("inertia", "offset"),
+    "Joint": ("viscous_friction", "coulomb_friction", "coulomb_rate", "torque_limit", "motor"),
+    "Motor": ("current_limit", "speed_limit", "efficiency", "encoder_resolution"),
+    "ModelChoice": ("modes", "spinning_rotors", "rotary_inertia"),
+    "Initial": ("state",),
+    "Signal": tuple(field.name for field in fields(Signal)),
+    "SampledSignal": ("hold",),
+    "SampledTorque": ("hold",),
+    "SampledAngles": ("deviation",),
+    "Scene": ("prescribed", "tip_force", "base_acceleration"),
+}
+
+
+def arm_from_plain(data: object) -> Arm:
+    """Builds the arm that a mapping describes.
+
+    Raises:
+        ValueError: for entries that are not allowed; it names the field (`arm.links[1].length`).
+    """
+    entries = check_entries(Arm, "arm", data)
+    for name, part in (("links", _link), ("joints", _joint)):
+        items = sequence(f"arm.{name}", entries[name], "mappings")
+        entries[name] = [part(f"arm.{name}[{i}]", item) for i, item in enumerate(items)]
+    if entries.get("payload") is not None:
+        entries["payload"] = part_from_plain(Payload, "arm.payload", entries["payload"])
+    return build_part(Arm, "arm", entries)
+
+
+def _link(path: str, data: object) -> Link | NonUniformLink:
+    """Builds a Link from a mapping, or a NonUniformLink from one with `sections`, which have no orientation.
+
+    A mapping with a `shape` has the sizes and the material of `Link.strip`, `Link.tube` or `Link.rod`.
+    """
+    entries = _with_masses(path, data)
+    if "shape" in entries:
+        maker = getattr(Link, one_of(f"{path}.shape", entries.pop("shape"), SHAPES))
+        mapping(path, entries, list(signature(maker).parameters))
+        try:
+            link: Link = maker(**entries)
+            return link
+        except TypeError as error:
+            raise value_error(
+                path, entries, f"what {maker.__qualname__} takes: {str(error).split('() ')[-1]}"
+            ) from None
+        except ValueError as error:
+            raise ValueError(path + str(error).removeprefix("Link")) from None
+    if "sections" not in entries:
+        return _uniform(path, entries)
+    entries = check_entries(NonUniformLink, path, entries)
+    items = sequence(f"{path}.sections", entries["sections"], "mappings")
+    entries["sections"] = [
+        _uniform(f"{path}.sections[{i}]", _bare(item), "orientation", "masses") for i, item in enumerate(items)
+    ]
+    return build_part(NonUniformLink, path, entries)
+
+
+def _with_masses(path: str, data: object) -> dict[str, Any]:
+    """Gives a copy of the mapping of a link with its lumped masses built."""
+    entries = dict(data) if isinstance(data, dict) else check_entries(Link, path, data)
+    if "masses" in entries:
+        items = enumerate(sequence(f"{path}.masses", entries["masses"], "mappings"))
+        entries["masses"] = [part_from_plain(LumpedMass, f"{path}.masses[{i}]", item) for i, item in items]
+    return entries
+
+
+def _bare(section: object) -> object:
+    """Gives a section without the entries that it cannot have, where they say nothing, as `dataclasses.asdict` does."""
+    nothing = {"orientation": [list(row) for row in IDENTITY], "masses": []}
+    if not isinstance(section, dict):
+        return section
+    return {name: value for name, value in section.items() if name not in nothing or value != nothing[name]}
+
+
+def _uniform(path: str, data: object, *left_out: str) -> Link:
+    entries = check_entries(Link, path, data, *left_out)
+    if entries.get("outline") is not None:
+        entries["outline"] = part_from_plain(Outline, f"{path}.outline", entries["outline"])
+    return build_part(Link, path, entries)
+
+
+def _joint(path: str, data: object) -> Joint:
+    """Builds a Joint from a mapping; one with a motor has its rotor inertia from there."""
+    if not isinstance(data, dict) or data.get("motor") is None:
+        return part_from_plain(Joint, path, data)
+    entries = check_entries(Joint, path, {"rotor_inertia": 0.0} | data)
+    entries["motor"] = part_from_plain(Motor, f"{path}.motor", entries["motor"])
+    return build_part(Joint, path, entries)
+
+
+def torque_from_plain(data: object, folder: Path) -> ConstantTorque | SineTorque | SampledTorque:
+    """Builds the torque that a mapping with a `kind` describes; of a sampled one "csv" may stand for times and values.
+
+    Raises:
+        FileNotFoundError: where a CSV file is missing in the folder.
+        ValueError: for entries that are not allowed; it names the field (`torque.value`).
+    """
+    if not isinstance(data, dict):
+        raise value_error("torque", data, "a mapping with the key kind")
+    kinds: dict[str, Any] = {kind.kind: kind for kind in (ConstantTorque, SineTorque, SampledTorque)}
+    kind = kinds[one_of("torque.kind", data.get("kind"), kinds)]
+    entries = {name: value for name, value in data.items() if name != "kind"}
+    if kind is SampledTorque and "csv" in entries:
+        given = mapping("torque", entries, ("csv", "columns", "hold"))
+        name = text("torque.csv", given.pop("csv"))
+        torque = SampledTorque.from_csv(folder / name, **given)
+        _warn_outside("torque.csv", name, folder)
+        return torque
+    return part_from_plain(kind, "torque", entries)
+
+
+def signal_from_plain(
+    path: str, data: object, units: tuple[str, ...], folder: Path
+) -> Signal | SampledSignal | SampledAngles | None:
+    """Builds the signal of a mapping: None of None, samples of one with times, or with "csv" and a "column" in it.
+
+    Args:
+        path: the name of the field of the file that holds the mapping.
+        data: the mapping.
+        units: in which a column may be.
+        folder: against which the name of a CSV file is meant.
+
+    Raises:
+        FileNotFoundError: where the CSV file is missing.
+        ValueError: for entries that are not allowed; it names the field.
+    """
+    if data is None:
+        return None
+    keys = data if isinstance(data, dict) else {}
+    if "csv" in keys:
+        more = dict(mapping(path, data, ("csv", "column", "hold", "deviation")))
+        name = text(f"{path}.csv", more.pop("csv"))
+        record = read_time_series(folder / name)
+        _warn_outside(f"{path}.csv", name, folder)
+        return sampled_signal(record, text(f"{path}.column", more.pop("column", None)), units, more)
+    if "angles" in keys and "rad" in units:
+        return part_from_plain(SampledAngles, path, data)
+    return part_from_plain(SampledSignal, path, data) if "times" in keys else part_from_plain(Signal, path, data)
+
+
+def _warn_outside(field: str, name: str, folder: Path) -> None:
+    """Warn of a CSV file outside the folder of the scene file that names it, which may be somebody else's."""
+    if not (folder / name).resolve().is_relative_to(folder.resolve()):
+        said = f"{field}: {short_path(name)} is outside the folder of the scene file"
+        warnings.warn(f"{said}; the next release reads it only where this is asked for", FutureWarning, stacklevel=2)
+
+
+def write_samples(path: Path, data: dict[str, Any]) -> dict[str, Any]:
+    """Writes samples of a scene's mapping, where they are many, to CSV files beside the path; gives what is left."""
+    result = dict(data)
+    if len(data["torque"].get("times", ())) > MAX_INLINE_SAMPLES:
+        heads = [f"torque_{i} (N m)" for i in range(1, len(data["torque"]["values"][0]) + 1)]
+        columns = dict(zip(heads, zip(*data["torque"]["values"], strict=True), strict=True))
+        result["torque"] = _kept(path, "torque", data["torque"], columns)
+    for name, unit in (("prescribed", "rad/s^2"), ("tip_force", "N"), ("base_acceleration", "m/s^2")):
+        for i, item in enumerate(data.get(name) or ()):
+            if item is not None and len(item.get("times", ())) > MAX_INLINE_SAMPLES:
+                label, turned = f"{name}_{i}", "angles" in item
+                columns = {f"{label} ({'rad' if turned else unit})": item["angles" if turned else "values"]}
+                result[name] = list(result[name])
+                result[name][i] = _kept(path, label, item, columns) | {"column": label}
+    return result
+
+
+def _kept(path: Path, label: str, item: dict[str, Any], columns: dict[str, Any]) -> dict[str, Any]:
+    """Writes columns to a CSV file; gives the item with its name in their place."""
+    file = path.with_name(f"{path.stem}_{label}.csv")
+    write_time_series(file, item["times"], columns)
+    more = {name: value for name, value in item.items() if name not in ("times", "values", "angles")}
+    return more | {"csv": file.name}
+
+
+def part_from_plain(kind: type[Part], path: str, data: object) -> Part:
+    """Builds a `kind` from the mapping of its fields.
+
+    Args:
+        kind: a dataclass.
+        path: the name of the field of the file that holds the mapping.
+        data: the mapping.
+
+    Raises:
+        ValueError: for entries that are not allowed; it names the field.
+    """
+    return build_part(kind, path, check_entries(kind, path, data))
+
+
+def check_entries(kind: Any, path: str, data: object, *left_out: str) -> dict[str, Any]:
+    """Gives a copy of a mapping after a check of its keys.
+
+    Args:
+        kind: the dataclass whose fields the keys must be.
+        path: the name of the field of the file that holds the mapping.
+        data: the mapping.
+        left_out: names of fields that must not be keys.
+
+    Raises:
+        ValueError: for something else than a mapping, for other keys and for missing ones; it names the field.
+    """
+    names = [field.name for field in fields(kind) if field.name not in left_out]
+    if not isinstance(data, dict):
+        raise value_error(path or "scene", data, "a mapping with the keys " + ", ".join(names))
+    prefix = f"{path}." if path else ""
+    for name, value in data.items():
+        if name not in names:
+            allowed = keyword_hint(kind.__name__, name) or "only the keys " + ", ".join(names)
+            raise value_error(f"{prefix}{name}", value, allowed)
+    for name in names:
+        if name not in data and name not in ("payload", "note", *OPTIONAL.get(kind.__name__, ())):
+            raise ValueError(f"{prefix}{name}: missing; give the keys " + ", ".join(names))
+    return dict(data)
+
+
+def build_part(kind: type[Part], path: str, entries: dict[str, Any]) -> Part:
+    """Builds a `kind` from its entries; an error names the field as the file does.
+
+    Raises:
+        ValueError: for entries that `kind` refuses; it names arm.links[1].length, for example, in place of Link.length.
+    """
+    try:
+        with warnings.catch_warnings():
+            if tuple(entries.get(name) for name in SECTION) in KNOWN_SECTIONS:
+                warnings.simplefilter("ignore", UserWarning)
+            return kind(**entries)
+    except ValueError as error:
+        raise ValueError((path + str(error).removeprefix(kind.__name__)).removeprefix(".")) from None
+
+
+def to_plain(value: Any) -> Any:
+    """Gives dataclasses as dicts and tuples as lists, all the way down."""
+    if isinstance(value, tuple):
+        return [to_plain(entry) for entry in value]
+    if not is_dataclass(value):
+        return value
+    entries: dict[str, Any] = {"kind": value.kind} if hasattr(value, "kind") else {}
+    for field in fields(value):
+        entry = getattr(value, field.name)
+        if field.name not in OPTIONAL.get(type(value).__name__, ()) or entry != field.default:
+            entries[field.name] = to_plain(entry)
+    if isinstance(value, Joint) and value.motor:
+        del entries["rotor_inertia"]
+        if value.motor.current_limit is not None:
+            del entries["torque_limit"]
+    if isinstance(value, NonUniformLink):
+        for section in entries["sections"]:
+            del section["orientation"]
+    return entries
+
+
+ARMS: dict[str, Callable[..., Arm]] = {  # of the catalog
+    "paper_rrr": arms.paper_rrr,
+    "planar_2r": arms.planar_2r,
+    "one_link": arms.one_link,
+    "vertical_2r": arms.vertical_2r,
+    "one_joint": arms.one_joint,
+    "quanser_2dsfl": arms.quanser_2dsfl,
+    "flexarm_rome": arms.flexarm_rome,
+    "de_luca_siciliano": arms.de_luca_siciliano,
+    "gifu_2link": arms.gifu_2link,
+    "nasa_beam": arms.nasa_beam,
+}
+SUFFIXES = (".json", ".yaml", ".yml")
+ArmLike = Arm | Mapping[str, Any] | str
+
+
+def find_arm(value: object, folder: Path = Path()) -> Arm:
+    """Gives an Arm, or the arm that something else stands for.
+
+    Args:
+        value: an Arm; the name of an arm of the catalog; a mapping with that name at "catalog" and its arguments; the
+            path of a file with an arm or a scene; or a mapping as in such a file.
+        folder: against which a path is meant.
+
+    Raises:
+        FileNotFoundError: for a file that does not exist.
+        ValueError: for anything else; one line with field, value and what is allowed.
+    """
+    if isinstance(value, Arm):
+        return value
+    if not isinstance(value, str | dict):
+        raise value_error("arm", value, f"an Arm, a mapping, a file, or a name in the catalog: {', '.join(ARMS)}")
+    if isinstance(value, str) and value.endswith(SUFFIXES):
+        try:
+            data = files.read_data(folder / value)
+        except ValueError as error:
+            raise ValueError(f"{short_path(value)}: {error}") from None
+        return arm_from_plain(data if "links" in data else data.get("arm", data))
+    if isinstance(value, dict) and "catalog" not in value:
+        return arm_from_plain(value)
+    given = {"catalog": value} if isinstance(value, str) else value
+    arguments = {text("a key of arm", name): each for name, each in given.items() if name != "catalog"}
+    name = one_of("arm", given["catalog"], ARMS)
+    if isinstance(arguments.get("payload"), dict):
+        arguments["payload"] = part_from_plain(Payload, "arm.payload", arguments["payload"])
+    try:
+        arm = ARMS[name](**arguments)
+    except TypeError as error:
+        raise value_error("arm", arguments, f"what {name} takes: {str(error).split('() ')[-1]}") from None
+    return arm

@@ -1,0 +1,410 @@
+"""Integrators of the arms of a batch: one after the other by any method, or several in lanes by linearly implicit
+methods.
+
+A batch integrator has seven methods. `vary(arms, constants)` sets constants (r, ...) of the arms (r,), and
+`constants(arm)` returns those of one arm. `observe(arms, rows, outputs)` computes the outputs of some arms from their
+rows, and drops the memory of their method from step to step, as `forget(arms)` does alone. `move(drives, periods, rows,
+outputs, status)` integrates the arms whose status is OK over one control period, `periods` (b,) after their start, and
+sets the status of arms that fail. `roll` does so over several periods, and records rows and outputs after each in a
+trail. `sense(drives, rows, out)` computes the tip accelerations (b, TIP_ACCELERATIONS) of all arms.
+"""
+
+import os
+import weakref
+from _thread import allocate_lock
+from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import pairwise
+from threading import Thread
+from typing import Any
+
+import numpy as np
+
+from flexman_gym.common.arrays import Array
+from flexman_gym.kernels import accelerometer, layout
+from flexman_gym.kernels import arms as kernels
+from flexman_gym.kernels.arms import PER_ARM, address_table, arms_array
+from flexman_gym.kernels.lanes import ARMS, NUMBER
+from flexman_gym.kernels.layout import ARMS_ABREAST, Clock, Constants, IntArray, Tableau, make_work
+from flexman_gym.kernels.signals import spin_wait
+from flexman_gym.scene.signals import signal_table
+from flexman_gym.simulation.integrator import ABREAST, Integrator, chunks, evaluations_of_a_call, row_chunks
+from flexman_gym.simulation.methods import IteratedGauss, LinearlyImplicit
+
+LOOKS = 600_000  # of who waits before he falls asleep: 0.2 ms, in which a short control period comes after the last
+GIVEN, DONE = 0, 1
+
+
+class WorkerThread:
+    """A thread that waits until it is given something to do, and ends with its owner.
+
+    Two locks hand the work over and back. To wake a thread that sleeps at one takes as long as to move a few dozen
+    arms, so that both sides look out for the other for a while before they sleep.
+    """
+
+    def __init__(self) -> None:
+        self._desk, self._busy = _TaskSlot(), False
+        Thread(target=_serve, args=(self._desk,), daemon=True).start()
+        weakref.finalize(self, self._desk.give, None)
+
+    def begin(self, task: Callable[[], object]) -> None:
+        """Lets the thread call the task, and comes back at once."""
+        self.finish()  # the last one, if an interrupt kept the owner from waiting for it
+        self._busy = True
+        self._desk.give(task)
+
+    def finish(self) -> None:
+        """Waits until the task is done, and raises what it raised; at once where there is none."""
+        if not self._busy:
+            return
+        given = self._desk.counts[GIVEN]
+        spin_wait(self._desk.counts, GIVEN, given, given, LOOKS)
+        self._desk.done.acquire()
+        error, self._desk.error, self._busy = self._desk.error, None, False
+        if error is not None:
+            raise error
+
+
+class _TaskSlot:
+    """What the thread and its owner share, so that the thread does not keep its owner alive."""
+
+    def __init__(self) -> None:
+        self.task: Callable[[], object] | None = None
+        self.error: BaseException | None = None
+        self.counts = np.zeros(2, dtype=np.int64)  # of tasks given and done
+        self.given, self.done = allocate_lock(), allocate_lock()
+        self.given.acquire()
+        self.done.acquire()
+
+    def give(self, task: Callable[[], object] | None) -> None:
+        """Puts down a task, None for the end."""
+        self.task = task
+        self.counts[GIVEN] += 1
+        self.given.release()
+
+
+def _serve(desk: _TaskSlot) -> None:
+    """Does what is given, until there is nothing more to come."""
+    done = 0
+    while True:
+        spin_wait(desk.counts, DONE, done, done + 1, LOOKS)
+        desk.given.acquire()
+        if desk.task is None:
+            return
+        try:
+            desk.task()
+        except BaseException as error:  # the owner raises it
+            desk.error = error
+        desk.task, done = None, done + 1
+        desk.done.release()
+
+
+Trail = tuple[Array, Array]  # rows (b, T, 2 d + 2) and outputs (b, T, OUTPUTS) after each of T periods
+
+
+class SequentialIntegrator:
+    """A mover with one `Integrator` for each arm."""
+
+    kept = ("own",)
+
+    def __init__(self, runs: list[Integrator], period: tuple[float, int]) -> None:
+        self._runs = runs
+        for run in runs:
+            run.constants = run.constants._replace(**_own_constants(run.constants))
+        self._step, self._substeps = period[0] / period[1], period[1]
+        self._period = period[0]
+        self._drive = signal_table([None] * (len(runs[0].constants.mass) + 6))
+
+    def vary(self, arms: IntArray, constants: dict[str, Array]) -> None:
+        """Gives arms constants of their own."""
+        for i, arm in enumerate(arms):
+            own = {name: values[i] for name, values in constants.items()}
+            self._runs[arm].constants = self._runs[arm].constants._replace(**own)
+
+    def constants(self, arm: int) -> dict[str, Any]:
+        """Gives copies of the constants that an arm has of its own."""
+        return _own_constants(self._runs[arm].constants)
+
+    @property
+    def own(self) -> list[dict[str, Array]]:
+        """What each arm has of its own: constants, and what its method remembers from step to step."""
+        return [
+            {name: getattr(run.constants, name) for name in sorted(PER_ARM)}
+            | {"pace": run.work.pace, "stages": run.work.stages}
+            for run in self._runs
+        ]
+
+    def observe(self, arms: IntArray, rows: Array, outputs: Array) -> None:
+        """Reads the outputs of some arms."""
+        for arm in arms:
+            self._runs[arm].start(rows[arm], rows[arm].copy(), outputs[arm])
+
+    def forget(self, arms: IntArray) -> None:
+        """Forgets what methods remember from step to step of some arms."""
+        for arm in arms:
+            self._runs[arm].forget()
+
+    def move(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
+        """Moves the arms whose status is OK."""
+        row, result = np.zeros((1, rows.shape[1])), np.zeros((1, layout.OUTPUTS))
+        for arm in np.flatnonzero(status == layout.OK):
+            self._drive[layout.OFFSET] = drives[arm]
+            moment, state = (periods[arm] * self._period, self._step, self._substeps), rows[arm].copy()
+            status[arm] = self._runs[arm](self._drive, moment, state, row, result)[0]
+            if status[arm] == layout.OK:
+                rows[arm], outputs[arm] = state, result[0]
+
+    def roll(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray, trail: Trail) -> None:
+        """Moves the arms whose status is OK through periods of drives (b, T, n + 6)."""
+        roll_by_periods(self, drives, periods, (rows, outputs, status), trail)
+
+    def sense(self, drives: Array, rows: Array, result: Array) -> None:
+        """Finds the tip accelerations of all arms."""
+        d = rows.shape[1] // 2 - 1
+        for run, drive, row, out in zip(self._runs, drives, rows, result, strict=True):
+            accelerometer.tip_accelerations(run.constants, run.work, row[:d], row[d : 2 * d], drive, out)
+
+
+def _own_constants(constants: Constants) -> dict[str, Any]:
+    """Gives copies of the constants that arms may differ in."""
+    return {name: getattr(constants, name).copy() for name in PER_ARM}
+
+
+def roll_by_periods(
+    mover: Any, drives: Array, periods: Array, moved: tuple[Array, Array, IntArray], trail: Trail
+) -> None:
+    """Lets a mover move rows, outputs and status of its arms period by period, and keeps the trail."""
+    rows, outputs, status = moved
+    for period in range(drives.shape[1]):
+        mover.move(drives[:, period], periods + period, rows, outputs, status)
+        well = status == layout.OK
+        trail[0][well, period], trail[1][well, period] = rows[well], outputs[well]
+
+
+SHARE = 4  # groups that are worth a thread: to hand them over takes as long as to move one or two
+
+
+class LaneIntegrator:
+    """A mover by fixed steps of a linearly implicit method, ARMS_ABREAST arms in one pass of the kernels.
+
+    A single arm without foreshortening is moved alone, which takes less time and gives the same bits.
+    """
+
+    kept = ("own",)
+
+    def __init__(
+        self,
+        constants: Constants,
+        method: LinearlyImplicit | IteratedGauss,
+        period: tuple[float, int],
+        arms: int,
+        threads: int,
+    ) -> None:
+        self._method: tuple[Tableau | None, tuple[int, int | None]]  # tableau, or sweeps without one
+        self._method = (None, method.counts) if isinstance(method, IteratedGauss) else (method.tableau, (0, None))
+        self._step, self._substeps = period[0] / period[1], period[1]
+        self._alone = arms == 1 and len(constants.station_mass) == 0
+        groups = -(-arms // ARMS_ABREAST)
+        if self._alone:
+            self._constants = [constants._replace(**_own_constants(constants))]
+            self._works = [make_work(constants)]
+        else:
+            self._constants = [_for_arms(constants) for _ in range(groups)]
+            self._works = [make_work(constants, arms_array) for _ in range(min(threads, -(-groups // SHARE)))]
+        stages = method.evaluations
+        self._most = max(1, evaluations_of_a_call(constants) // (ABREAST * stages))  # steps of a group in a call
+        kind = NUMBER if self._alone else ARMS
+        self._tables = np.array([address_table(each, kind) for each in self._constants])
+        self._work_tables = [address_table(each, kind) for each in self._works]
+        bounds = np.linspace(0, groups, len(self._works) + 1).round().astype(int)
+        self._shares = [slice(int(first), int(end)) for first, end in pairwise(bounds)]
+        self._observed = np.zeros(arms, dtype=np.int64)
+        self._no_trail: Trail = np.zeros((arms, 0, 1)), np.zeros((arms, 0, 1))
+        self._helpers: list[WorkerThread] = []
+        self._process = 0
+
+    @property
+    def own(self) -> list[dict[str, Array]]:
+        """The constants that arms may differ in, of each group."""
+        return [{name: getattr(each, name) for name in sorted(PER_ARM)} for each in self._constants]
+
+    def constants(self, arm: int) -> dict[str, Any]:
+        """Gives copies of the constants that an arm has of its own."""
+        own = self.own[arm // ARMS_ABREAST]
+        lane = () if self._alone else (..., arm % ARMS_ABREAST)
+        return {name: values[lane].copy() for name, values in own.items()}
+
+    def vary(self, arms: IntArray, constants: dict[str, Array]) -> None:
+        """Gives arms constants of their own."""
+        groups, lanes = np.divmod(arms, ARMS_ABREAST)
+        for group in np.unique(groups).tolist():
+            some = groups == group
+            for name, values in constants.items():
+                target = getattr(self._constants[group], name)
+                if self._alone:
+                    target[...] = values[-1]
+                else:
+                    target[..., lanes[some]] = np.moveaxis(values[some], 0, -1)
+
+    def observe(self, arms: IntArray, rows: Array, outputs: Array) -> None:
+        """Reads the outputs of some arms, by a run of no steps."""
+        self._observed[:] = layout.NOT_CONVERGED
+        self._observed[arms] = layout.OK
+        drives = np.zeros((len(rows), len(self._constants[0].mass) + 6))
+        self._advance(drives, 0, rows, outputs, self._observed)
+
+    def forget(self, arms: IntArray) -> None:
+        """Does nothing: these methods remember nothing from step to step."""
+
+    def move(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
+        """Moves the arms whose status is OK."""
+        self._advance(drives, self._substeps, rows, outputs, status)
+
+    def roll(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray, trail: Trail) -> None:
+        """Moves the arms whose status is OK through periods of drives (b, T, n + 6), in calls that are not too long."""
+        if self._substeps > self._most:
+            roll_by_periods(self, drives, periods, (rows, outputs, status), trail)
+            return
+        for first, count in chunks(drives.shape[1], self._most // self._substeps):
+            some = slice(first, first + count)
+            part: Trail = tuple(np.ascontiguousarray(each[:, some]) for each in trail)  # type: ignore[assignment]
+            given = np.ascontiguousarray(drives[:, some])
+            self._move(given, [self._substeps], (rows, outputs, status), max(1, self._most // count), part)
+            trail[0][:, some], trail[1][:, some] = part
+
+    def sense(self, drives: Array, rows: Array, result: Array) -> None:
+        """Finds the tip accelerations of all arms."""
+        if self._alone:
+            accelerometer.sense_one(self._tables[0], self._work_tables[0], drives, rows, result)
+            return
+
+        def share(groups: slice, work: IntArray) -> Iterator[None]:
+            arms = _arms(groups)
+            accelerometer.sense_arms(self._tables[groups], work, drives[arms], rows[arms], result[arms])
+            yield
+
+        self._share(share)
+
+    def run(
+        self, drives: Array, rows: Array, outputs: Array, counts: IntArray, moment: tuple[float, float, int]
+    ) -> None:
+        """Moves all arms from row to row, a period apart, each by its drive (b, 7, n + 6); as `kernels.arms.run_arms`.
+
+        The moment is the time of the first row (s), the step (s) and the steps in a period. Not for an arm that is
+        moved alone.
+        """
+        clock = Clock(*moment, 0.0, 0.0)
+
+        def share(groups: slice, work: IntArray) -> Iterator[None]:
+            for group in range(groups.start, groups.stop):
+                arms = _arms(slice(group, group + 1))
+                given = self._tables[group : group + 1], work, *self._method, drives[arms]
+                yield from self._run_group(given, clock, rows[arms], outputs[arms], counts[arms])
+
+        self._share(share)
+
+    def _run_group(
+        self, given: tuple[Any, ...], whole: Clock, rows: Array, outputs: Array, counts: IntArray
+    ) -> Iterator[None]:
+        """Moves a group of arms from row to row in calls that are not too long."""
+        last, well = rows[:, 0].copy(), np.ones(len(rows), dtype=bool)
+        for row, many, steps, first in row_chunks(rows.shape[1] - 1, whole.substeps, self._most):
+            part, read = (np.zeros((len(rows), many + 1, each.shape[2])) for each in (rows, outputs))
+            part[:, 0], now = last, np.zeros_like(counts)
+            clock = whole._replace(substeps=steps, first=first)
+            kernels.run_arms(*given, clock, part, read, now)
+            rows[:, row + 1 : row + many + 1], outputs[:, row + 1 : row + many + 1] = part[:, 1:], read[:, 1:]
+            if first == 0:
+                outputs[:, 0] = read[:, 0]
+            counts[well, 0], counts[:, 1] = row + now[well, 0], counts[:, 1] + well * now[:, 1]
+            last, well = part[:, -1], well & (now[:, 0] == many)
+            yield
+
+    def _advance(self, drives: Array, substeps: int, rows: Array, outputs: Array, status: IntArray) -> None:
+        """Moves the arms whose status is OK; a long way in several calls, or else not at all."""
+        together = max(1, self._most // max(1, substeps))  # groups in a call
+        if together >= len(self._tables) and substeps <= self._most:
+            self._move(drives[:, None], [substeps], (rows, outputs, status), together)
+            return
+        new, read, after = rows.copy(), outputs.copy(), status.copy()
+        parts = [steps for _, steps in chunks(substeps, self._most)]
+        self._move(drives[:, None], parts or [0], (new, read, after), together)
+        moved = (after == layout.OK)[:, None]
+        np.copyto(rows, new, where=moved)
+        np.copyto(outputs, read, where=moved)
+        status[:] = after
+
+    def _move(
+        self,
+        drives: Array,
+        parts: list[int],
+        moved: tuple[Array, Array, IntArray],
+        together: int,
+        trail: Trail | None = None,
+    ) -> None:
+        """Moves rows, outputs and status of the arms, so many groups in a call, by some steps after others.
+
+        Drives (b, T, n + 6) are those of T periods, of which a trail keeps rows and outputs.
+        """
+        rows, outputs, status = moved
+        kept = trail or self._no_trail
+        if self._alone:
+            given = self._tables[0], self._work_tables[0], self._method, drives
+            for part in parts:
+                if status[0] == layout.OK:
+                    kernels.advance_one(*given, (self._step, part), *moved, kept)
+            return
+
+        def share(groups: slice, work: IntArray) -> Iterator[None]:
+            for first, count in chunks(groups.stop - groups.start, together):
+                some = slice(groups.start + first, groups.start + first + count)
+                arms = _arms(some)
+                for part in parts:
+                    kernels.advance_arms(
+                        self._tables[some], work, self._method, drives[arms], (self._step, part),
+                        rows[arms], outputs[arms], status[arms], (kept[0][arms], kept[1][arms]),
+                    )  # fmt: skip
+                    yield
+
+        self._share(share)
+
+    def _share(self, share: Callable[[slice, IntArray], Iterator[None]]) -> None:
+        """Goes through what a function does with the groups of each thread and its work space, call by call."""
+        ended: list[bool] = []
+
+        def part(thread: int) -> None:
+            for _ in share(self._shares[thread], self._work_tables[thread]):
+                if ended:
+                    return
+
+        helpers = self._threads()
+        for thread, helper in enumerate(helpers, 1):
+            helper.begin(partial(part, thread))
+        try:
+            part(0)
+            for helper in helpers:
+                helper.finish()
+        except BaseException:  # Ctrl-C, which the calling thread alone hears: nobody may go on with shared work space
+            ended.append(True)
+            for helper in helpers:
+                helper.finish()
+            raise
+
+    def _threads(self) -> list[WorkerThread]:
+        """Gives the threads beside the calling one; a forked process has none of its parent's."""
+        if self._process != os.getpid():
+            self._helpers, self._process = [WorkerThread() for _ in self._shares[1:]], os.getpid()
+        return self._helpers
+
+
+def _arms(groups: slice) -> slice:
+    """The arms of groups."""
+    return slice(groups.start * ARMS_ABREAST, groups.stop * ARMS_ABREAST)
+
+
+def _for_arms(constants: Constants) -> Constants:
+    """Gives the constants of ARMS_ABREAST arms, all alike."""
+    own: dict[str, Any] = {name: arms_array(getattr(constants, name).shape) for name in PER_ARM}
+    for name, values in own.items():
+        values[:] = getattr(constants, name)[..., None]
+    return constants._replace(**own)

@@ -1,0 +1,204 @@
+"""Re-simulation: arms of a batch integrated by another simulation, read in the coordinates of the batch's own model.
+
+Readers and controllers of the batch see state, outputs and parameters of its model. Both simulations exchange shapes:
+angles of joints and motors, and of each link the translation and rotation vector of its sections at some stations, in
+its beam frame. Shapes become coordinates of the model by least squares, weighted by the mass at the stations and by all
+mass outboard of the link, so that loaded modes are recovered without a separate fit.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from flexman_gym.common.arrays import Array, Flags, IntArray
+from flexman_gym.kernels import layout
+from flexman_gym.model.beam import build_beam
+from flexman_gym.model.component_modes import outboard_inertias
+from flexman_gym.model.element import NODE_COORDINATES, beam_shapes, beam_slopes, find_element
+from flexman_gym.model.model import Model, build_model
+from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.batch_integrators import Trail, roll_by_periods
+from flexman_gym.simulation.parameters import LINK, PARAMETERS
+
+Stations = Sequence[Array]  # places (s_i,) along each link, m, the last at its tip
+ROTARY = 1e-4  # m^2, of the length of a station squared, as radius of gyration where rotations are weighted
+
+
+class ArmShapes(NamedTuple):
+    """Where r arms are.
+
+    Attributes:
+        shapes, rates: (r, 2 n + 6 s) angles of joints and motors, and the stations of each link, and how fast they
+            change.
+        tips: (r, 6) place and velocity of the tip in the base frame, m and m/s.
+    """
+
+    shapes: Array
+    rates: Array
+    tips: Array
+
+
+class ExternalSimulator(Protocol):
+    """What moves arms in place of a batch."""
+
+    @property
+    def stations(self) -> Stations:
+        """Of its shapes."""
+        ...
+
+    def start(self, arm: int, shape: Array, rate: Array, parameters: Mapping[str, Array]) -> None:
+        """Puts an arm with these physical parameters, by their name in PARAMETERS, into a shape."""
+        ...
+
+    def move(self, drives: Array, moving: Flags) -> Flags:
+        """Moves arms by a control period under drives (b, n + 6); says which of all arms are well."""
+        ...
+
+    def read(self, arms: IntArray) -> ArmShapes:
+        """Says where arms are."""
+        ...
+
+
+class ExternalIntegrator:
+    """A mover, see `movers`, that lets a Double move the arms of a batch; `Batch.hand_over` takes it."""
+
+    kept = ()
+
+    def __init__(self, model: Model, mover: Any, double: ExternalSimulator) -> None:
+        self._model, self._mover, self._double = model, mover, double
+        self.into, self.back = shape_matrices(model, double.stations)
+
+    def vary(self, arms: IntArray, constants: dict[str, Array]) -> None:
+        """Gives arms constants of their own; the double takes them at their next start."""
+        self._mover.vary(arms, constants)
+
+    def constants(self, arm: int) -> dict[str, Any]:
+        """Gives copies of the constants that an arm has of its own."""
+        result: dict[str, Any] = self._mover.constants(arm)
+        return result
+
+    def observe(self, arms: IntArray, rows: Array, outputs: Array) -> None:
+        """Starts the double where the rows of some arms are, and reads their outputs."""
+        d = self._model.n_dof
+        for arm in arms.tolist():
+            own = parameters_from_constants(self._model, self._mover.constants(arm))
+            shape, rate = (rows[arm, part] @ self.into for part in (slice(d), slice(d, 2 * d)))
+            self._double.start(arm, shape, rate, own)
+        self._read(arms, rows, outputs)
+
+    def forget(self, arms: IntArray) -> None:
+        """Does nothing: a double begins where it is started."""
+
+    def move(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
+        """Moves the arms whose status is OK."""
+        moving = status == layout.OK
+        well = self._double.move(drives, moving)
+        status[moving & ~well] = layout.DIVERGED
+        self._read(np.flatnonzero(moving & well), rows, outputs)
+
+    def _read(self, arms: IntArray, rows: Array, outputs: Array) -> None:
+        d, now = self._model.n_dof, self._double.read(arms)
+        rows[arms, :d], rows[arms, d : 2 * d] = now.shapes @ self.back, now.rates @ self.back
+        self._mover.observe(arms, rows, outputs)
+        tips = now.tips - outputs[arms, : layout.DEFLECTION_AT]  # the model's tip is no more than near the true one
+        outputs[arms, : layout.DEFLECTION_AT] += tips
+        outputs[arms, layout.DEFLECTION_AT : layout.KINETIC] += tips
+
+    def roll(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray, trail: Trail) -> None:
+        """Moves the arms whose status is OK through periods of drives (b, T, n + 6)."""
+        roll_by_periods(self, drives, periods, (rows, outputs, status), trail)
+
+    def sense(self, drives: Array, rows: Array, result: Array) -> None:
+        """Finds the tip accelerations of all arms, as the model has them in this state."""
+        self._mover.sense(drives, rows, result)
+
+
+class RefinedSimulator:
+    """A Double: all coordinates of so many elements a section, foreshortening, and parts of the steps of a batch."""
+
+    def __init__(self, batch: Batch, elements: int, parts: int) -> None:
+        choice, steps = batch.model.choice, parts * batch.substeps
+        switches = {"spinning_rotors": choice.spinning_rotors, "rotary_inertia": choice.rotary_inertia}
+        model = build_model(batch.model.arm, elements, stiffening=True, **switches)
+        period = batch.control_period
+        self._batch = Batch(model, batch.method, period / steps, period, arms=len(batch.rows))
+        self.stations: Stations = [
+            np.array([each.start + each.length for each in model.elements(i)]) for i in range(model.n_joints)
+        ]
+        self._into, self._back = shape_matrices(model, self.stations)
+
+    def start(self, arm: int, shape: Array, rate: Array, parameters: Mapping[str, Array]) -> None:
+        """Puts an arm into a shape."""
+        one = np.array([arm])
+        self._batch.vary(one, **{name: np.asarray(values)[None] for name, values in parameters.items()})
+        self._batch.reset(one, np.concatenate([shape @ self._back, rate @ self._back])[None])
+
+    def move(self, drives: Array, moving: Flags) -> Flags:
+        """Moves arms by a control period."""
+        self._batch.step(drives, moving)
+        return self._batch.status == layout.OK
+
+    def read(self, arms: IntArray) -> ArmShapes:
+        """Says where arms are."""
+        places, speeds = np.split(self._batch.state[arms], 2, axis=1)
+        return ArmShapes(places @ self._into, speeds @ self._into, self._batch.outputs[arms, : layout.DEFLECTION_AT])
+
+
+def shape_matrices(model: Model, stations: Stations) -> tuple[Array, Array]:
+    """Gives what turns coordinates of a model into shapes, (d, p), and what turns shapes into coordinates, (p, d)."""
+    n, d = model.n_joints, model.n_dof
+    into = np.zeros((d, 2 * n + NODE_COORDINATES * sum(map(len, stations))))
+    back = np.zeros(into.T.shape)
+    into[np.arange(n), np.arange(n)] = into[model.motor_columns, np.arange(n, 2 * n)] = 1.0
+    back[np.arange(n), np.arange(n)] = 1.0
+    back[np.arange(n, 2 * n), model.motor_columns] = 1.0  # of a rigid joint it is the joint angle again
+    back[np.flatnonzero(model.constants.motor < 0)] = 0.0
+    beams = tuple(build_beam(link, 1, flexible=False) for link in model.arm.links)
+    first = 2 * n
+    for i, (places, carried) in enumerate(zip(stations, outboard_inertias(model.arm, beams), strict=True)):
+        columns, rows = model.elastic_columns(i), slice(first, first + NODE_COORDINATES * len(places))
+        first = rows.stop
+        if model.bases[i].shape[1]:
+            shapes = _shapes(model, i, places)
+            into[columns, rows] = shapes.T
+            back[rows, columns] = _fit(shapes, places, carried, model.arm.links[i].mass).T
+    return into, back
+
+
+def _shapes(model: Model, link: int, places: Array) -> Array:
+    """Translations and rotations (6 s, k) of the sections of a link at places per unit of its coordinates."""
+    elements, basis = model.elements(link), model.bases[link]
+    nodes = np.vstack([np.zeros((NODE_COORDINATES, basis.shape[1])), basis])
+    result = []
+    for place in places:
+        element, xi = find_element(elements, place)
+        slopes, twist = beam_slopes(xi, element.length), np.zeros(2 * NODE_COORDINATES)
+        twist[[3, 3 + NODE_COORDINATES]] = 1.0 - xi, xi
+        rows = np.vstack([beam_shapes(xi, element.length, 0.0, 0.0), twist, -slopes[1], slopes[0]])
+        result.append(rows @ nodes[element.nodes])
+    return np.vstack(result)
+
+
+def _fit(shapes: Array, places: Array, carried: Array, mass: float) -> Array:
+    """The coordinates (k, 6 s) of a link that come nearest to what its stations do."""
+    shares = np.repeat(mass / len(places), len(places))
+    shares[-1] /= 2.0  # the trapezoidal rule; the root does not move
+    gyration = ROTARY * (places[-1] / len(places)) ** 2
+    weights = np.diag(np.repeat(shares, NODE_COORDINATES) * np.tile([1.0] * 3 + [gyration] * 3, len(places)))
+    weights[-NODE_COORDINATES:, -NODE_COORDINATES:] += carried
+    weighted = shapes.T @ weights
+    return np.asarray(np.linalg.lstsq(weighted @ shapes, weighted, rcond=1e-12)[0])
+
+
+def parameters_from_constants(model: Model, constants: Mapping[str, Any]) -> dict[str, Array]:
+    """Gives the physical parameters that make a model's constants those of one of its arms, by name."""
+    nominal = model.constants
+    changed = replace(model, constants=nominal._replace(**constants))
+    result = {name: np.array(row.nominal(changed)) for name, row in PARAMETERS.items() if row.of != LINK}
+    first = nominal.square_start[:-1]
+    flexible = np.diff(nominal.elastic_start) > 0
+    factors = np.ones(model.n_joints)
+    factors[flexible] = (constants["stiffness"][first] / nominal.stiffness[first])[flexible]
+    return result | {"link_stiffness": factors}

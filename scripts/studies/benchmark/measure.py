@@ -1,0 +1,408 @@
+"""Benchmark rows: environments, parts of a step, evaluations of the dynamics, and start-up times."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+import gymnasium as gym
+import numpy as np
+
+import flexman_gym as fm
+from flexman_gym.common.arrays import Array
+from flexman_gym.envs.config.setup import Setup, build
+from flexman_gym.envs.env import FlexManEnv
+from flexman_gym.envs.vector_env import FlexManVectorEnv
+from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.batch_integrators import WorkerThread
+
+EVALUATIONS, ENVIRONMENTS, PARTS, STARTS = "evaluations", "environments", "parts", "starts"
+
+
+class Cost(NamedTuple):
+    """What one step, evaluation or start costs: seconds of the processor and of a clock; part that is simulation."""
+
+    cpu: float
+    wall: float
+    share: float = float("nan")
+
+
+Timer = Callable[[], Cost]
+
+
+@dataclass(frozen=True)
+class BenchmarkRow:
+    """A row of the benchmark.
+
+    Attributes:
+        table: to which it belongs.
+        name: what is timed.
+        arms, threads: numbers of them, None where that says nothing.
+        cpu, wall: seconds, medians over the rounds; wall of environments that of the quickest round.
+        peer: name of the row that it is compared with, "" for none.
+        times_peer: of evaluations the cost, of environments the speed, as a multiple of the peer's: median over the
+            rounds by CPU time; for a row of several threads by the clock.
+        share: part of the CPU time that is spent in the environment's steps.
+    """
+
+    table: str
+    name: str
+    arms: float | None
+    threads: float | None
+    cpu: float
+    wall: float
+    peer: str = ""
+    times_peer: float | None = None
+    share: float | None = None
+
+
+def _clock(call: Callable[[], object]) -> tuple[float, float]:
+    """CPU time of the whole process and time of the clock of one call, s."""
+    started = time.process_time(), time.perf_counter()
+    call()
+    return time.process_time() - started[0], time.perf_counter() - started[1]
+
+
+def timer(call: Callable[[], object], count: int, batches: int = 1) -> Timer:
+    """The cost of one of the `count` things that a call does, the cheapest of so many calls."""
+
+    def measure() -> Cost:
+        cpu, wall = min(_clock(call) for _ in range(batches))
+        return Cost(cpu / count, wall / count)
+
+    return measure
+
+
+def _in_turns(timers: Mapping[str, Timer], rounds: int) -> dict[str, Array]:
+    """Costs (rounds, 3) of each; they take turns, so that a slow moment of the machine hits all of them."""
+    costs: dict[str, list[Cost]] = {name: [] for name in timers}
+    for _ in range(rounds):
+        for name, measure in timers.items():
+            costs[name].append(measure())
+    return {name: np.array(result) for name, result in costs.items()}
+
+
+REACHER, PENDULUM, OURS = "Reacher-v5", "Pendulum-v1", "FlexRRR-v0"
+VECTOR, PHYSICS = f"{OURS}, vector environment", "control period, physics only"
+ALONE, PPO = f"Simulator.step of {OURS}", f"{OURS}, PPO, learning included"
+ROLLOUT = "MuJoCo's rollout, 4 rigid pieces a link, {} steps of Euler"
+
+
+class _BenchmarkEntry(NamedTuple):
+    """A row in the making."""
+
+    name: str
+    arms: int
+    threads: int
+    timer: Timer
+
+
+@dataclass(frozen=True)
+class Grid:
+    """What is timed.
+
+    Attributes:
+        arms: numbers of them in a vector environment.
+        steps: of a vector environment in a round; 500 hold one end of each episode.
+        singles: steps of a single environment in a round.
+        training: arms and rollouts of PPO in a round.
+        physics: arms and control periods in a round where only the physics is timed.
+        parts: of a control period that are one step of MuJoCo; None looks for the fewest that are stable.
+        rounds: of all rows in turns.
+    """
+
+    arms: tuple[int, ...] = (1, 16, 64, 256, 1024)
+    steps: int = 500
+    singles: int = 2000
+    training: tuple[int, int] = (64, 4)
+    physics: tuple[int, int] = (64, 5)
+    parts: int | None = None
+    rounds: int = 7
+
+
+QUICK = Grid(arms=(1, 9), steps=20, singles=20, training=(2, 1), physics=(2, 1), parts=400, rounds=2)
+
+
+def _single(name: str, steps: int) -> Timer:
+    """Steps of an environment from gym.make under random actions; episodes that end start anew."""
+    env = gym.make(name)
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    actions = [env.action_space.sample() for _ in range(steps)]
+    return timer(lambda: [env.reset() for action in actions if any(env.step(action)[2:4])], steps)
+
+
+def _vector(arms: int, threads: int, steps: int) -> Timer:
+    """Steps of a vector environment under random actions, with its resets."""
+    env = gym.make_vec(OURS, arms, "vector_entry_point", threads=threads)
+    env.reset(seed=0)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (steps, *(env.action_space.shape or ()))).astype(np.float32)
+    return timer(lambda: [env.step(action) for action in actions], arms * steps)
+
+
+def _physics(setup: Setup, arms: int, periods: int) -> Timer:
+    """Control periods of arms that begin at rest, under random torques."""
+    model, method, step, _ = build(setup)
+    batch = Batch(model, method, step, setup.control_period, arms=arms)
+    drives = np.zeros((periods, arms, setup.arm.n_joints + 6))
+    torques = drives[..., : setup.arm.n_joints]
+    torques[:] = np.array(setup.torque_limit) * np.random.default_rng(0).uniform(-1.0, 1.0, torques.shape)
+    rest = batch.state.copy()
+
+    def run() -> None:
+        batch.reset(np.arange(arms), rest)
+        for drive in drives:
+            batch.step(drive)
+
+    return timer(run, arms * periods)
+
+
+def _alone(steps: int) -> Timer:
+    """Control periods of the environment's simulator, called from Python."""
+    simulator, torque = FlexManEnv().simulator, np.ones(3)
+    return timer(lambda: [simulator.step(torque) for _ in range(steps)], steps)
+
+
+def _entries(grid: Grid) -> list[_BenchmarkEntry]:
+    """All that is timed but for what needs a package that is missing."""
+    result = [_BenchmarkEntry(name, 1, 1, _single(name, grid.singles)) for name in (OURS, PENDULUM)]
+    for threads in (1, 2):  # an arm alone has no work for a second thread
+        result += [
+            _BenchmarkEntry(VECTOR, n, threads, _vector(n, threads, grid.steps)) for n in grid.arms if n >= threads
+        ]
+    setup, (arms, periods) = Setup(), grid.physics
+    result.append(_BenchmarkEntry(ALONE, 1, 1, _alone(grid.singles)))
+    result.append(_BenchmarkEntry(f"{OURS}, {PHYSICS}", arms, 1, _physics(setup, arms, 20 * periods)))
+    return [*result, *_training(grid), *_of_mujoco(grid, setup)]
+
+
+def _training(grid: Grid) -> list[_BenchmarkEntry]:
+    if not find_spec("stable_baselines3"):
+        print("Stable-Baselines3 is missing, so training is left out: pip install 'flexman_gym[train]'")
+        return []
+    from studies.benchmark.training import ppo
+
+    return [_BenchmarkEntry(PPO, grid.training[0], 1, ppo(*grid.training))]
+
+
+def _of_mujoco(grid: Grid, setup: Setup) -> list[_BenchmarkEntry]:
+    """Reacher-v5, and the rollout of rigid pieces; the former also needs imageio."""
+    (arms, periods), result = grid.physics, []
+    try:
+        from studies.benchmark.mujoco import control_periods, longest_step
+
+        result.append(_BenchmarkEntry(REACHER, 1, 1, _single(REACHER, grid.singles)))
+    except (ImportError, gym.error.DependencyNotInstalled) as error:
+        print(f"MuJoCo or a part of it is missing, so its rows are left out: pip install 'gymnasium[mujoco]' ({error})")
+        return []
+    parts = grid.parts or longest_step(setup)
+    name = f"{ROLLOUT.format(parts)}, {PHYSICS}"
+    return [*result, _BenchmarkEntry(name, arms, 1, control_periods(setup, arms, periods, parts))]
+
+
+def environment_rows(grid: Grid) -> list[BenchmarkRow]:
+    """A row of each, its speed compared with that of Reacher-v5 in the same rounds."""
+    timed = _entries(grid)
+    costs = list(_in_turns({str(i): entry.timer for i, entry in enumerate(timed)}, grid.rounds).values())
+    peer = next((cost for entry, cost in zip(timed, costs, strict=True) if entry.name == REACHER), None)
+    return [_row(entry, cost, peer) for entry, cost in zip(timed, costs, strict=True)]
+
+
+def _row(entry: _BenchmarkEntry, cost: Array, peer: Array | None) -> BenchmarkRow:
+    cpu, share = (float(each) for each in np.median(cost[:, ::2], axis=0))
+    wall, name, times = float(cost[:, 1].min()), "", None
+    if peer is not None:
+        name, times = REACHER, float(np.median(peer[:, 0] / cost[:, 0]))
+        if entry.threads > 1:
+            times = float(peer[:, 1].min() / wall)
+    part = None if np.isnan(share) else share
+    return BenchmarkRow(ENVIRONMENTS, entry.name, entry.arms, entry.threads, cpu, wall, name, times, share=part)
+
+
+BATCHES, STEPS = 3, 250
+ABA, PLAIN = "Pinocchio aba, rigid arm, from Python", "evaluation, 12 coordinates a link"
+EVALUATIONS_NOTE = f"""Medians over rounds, of each the cheapest of {BATCHES} batches. An evaluation is a quarter of an
+RK4 step,
+{4 * STEPS} of them in one compiled call. The `aba` of Pinocchio pays for a call from Python. A row that begins with
+"with" is compared with 12 coordinates a link without its choice, any other with `aba`."""
+I3 = tuple(map(tuple, np.eye(3)))
+
+
+def _evaluation(model: fm.Model, **drive: tuple[float, ...]) -> Timer:
+    """Accelerations as simulations pay for them, at a random state that steps so short do not leave."""
+    held = [0] if "acceleration" in drive else []
+    simulator = fm.Simulator(model, "rk4", step=1e-8, control_period=STEPS * 1e-8, prescribed=held)
+    simulator.reset(state=np.random.default_rng(0).normal(0.0, 0.02, 2 * model.n_dof))
+    torque = np.where(np.isin(np.arange(model.n_joints), held), 0.0, 100.0)
+    return timer(lambda: simulator.step(torque, **drive), 4 * STEPS, BATCHES)
+
+
+def _switches(arm: fm.Arm) -> dict[str, Timer]:
+    """Evaluations with 12 coordinates a link and one modelling choice that the paper's scene does without."""
+    halves = []
+    for link in arm.links:
+        (whole,) = link.sections
+        halves.append(fm.NonUniformLink([replace(whole, length=link.length / 2, orientation=I3)] * 2, link.orientation))
+    joints = [replace(joint, viscous_friction=5.0, coulomb_friction=20.0) for joint in arm.joints]
+    body = fm.Payload(5.0, inertia=I3, offset=(0.1, 0.0, 0.0))
+    models = {
+        "with foreshortening": fm.build_model(arm, stiffening=True),
+        "without rotary inertia": fm.build_model(arm, rotary_inertia=False),
+        "with spinning rotors": fm.build_model(arm, spinning_rotors=True),
+        "with joint friction": fm.build_model(replace(arm, joints=joints)),
+        "with a payload of inertia and offset": fm.build_model(replace(arm, payload=body)),
+        "with links of two sections": fm.build_model(replace(arm, links=halves), elements=1),
+    }
+    plain, pushed = fm.build_model(arm), (1.0, 2.0, 3.0)
+    timers = {name: _evaluation(model) for name, model in models.items()}
+    timers["with a force on the tip"] = _evaluation(plain, tip_force=pushed)
+    timers["with an accelerated base"] = _evaluation(plain, base_acceleration=pushed)
+    timers["with a prescribed joint"] = _evaluation(plain, acceleration=(1.0, 0.0, 0.0))
+    return {f"  {name}": each for name, each in timers.items()}
+
+
+def _pinocchio_aba(arm: fm.Arm, rigid: fm.Model, count: int = 500) -> Timer:
+    """ABA of the rigid arm with its rotors, checked to give the same accelerations."""
+    from studies.peers.pinocchio import pin, rigid_model
+
+    model = rigid_model(arm)
+    q, v, torque = np.random.default_rng(0).uniform(-1.0, 1.0, (3, arm.n_joints))
+    data, ours = model.createData(), fm.acceleration(rigid, rigid.initial_state(q, v), torque)
+    assert np.allclose(pin.aba(model, data, q, v, torque), ours, rtol=1e-9), "the rigid arms accelerate differently"
+    return timer(lambda: [pin.aba(model, data, q, v, torque) for _ in range(count)], count, BATCHES)
+
+
+def timers() -> dict[str, Timer]:
+    """Everything that is timed; building it warms it up."""
+    arm, result = fm.catalog.paper_rrr(link1_area="corrected"), {}
+    rigid, modal = fm.build_model(arm, flexible_links=False, flexible_joints=False), fm.build_model(arm, modes=5)
+    try:
+        result[ABA] = _pinocchio_aba(arm, rigid)
+    except ImportError:
+        print("Pinocchio is missing, so evaluations have no peer: pip install pin")
+    models = {"rigid links": rigid, "5 modes a link": modal, "12 coordinates a link": fm.build_model(arm)}
+    result |= {f"evaluation, {name}": _evaluation(model) for name, model in models.items()}
+    result |= _switches(arm)
+    state, torque = modal.initial_state((0.1, 0.2, 0.3)), np.ones(3)
+    result["fm.acceleration, 5 modes, from Python"] = timer(lambda: fm.acceleration(modal, state, torque), 1, BATCHES)
+    return result
+
+
+def evaluation_rows(rounds: int) -> list[BenchmarkRow]:
+    """A row of each."""
+    costs, result = _in_turns(timers(), rounds), []
+    for name, cost in costs.items():
+        cpu, wall, _ = np.median(cost, axis=0)
+        peer = PLAIN if name.startswith(" ") else ABA
+        times = float(np.median(cost[:, 0] / costs[peer][:, 0])) if peer in costs else None
+        compared = peer if times else "", times
+        result.append(BenchmarkRow(EVALUATIONS, name.strip(), None, None, float(cpu), float(wall), *compared))
+    return result
+
+
+ARMS, CALLS = (1, 64), 400
+WHOLE, HANDED = "a step of the vector environment", "an empty task for another thread, and back"
+PARTS_NOTE = """A step of the vector environment of `FlexRRR-v0`, and some of the calls in it, repeated alone. The
+other calls
+check actions and limits, and copy results for whoever calls. The last row is the cost of a second thread before it has
+done anything; there the time of the clock counts."""
+
+
+def part_rows(rounds: int, arms: Sequence[int] = ARMS, calls: int = CALLS) -> list[BenchmarkRow]:
+    """A row for each part and number of arms."""
+    parts = {(name, count): call for count in arms for name, call in _calls(count).items()}
+    helper = WorkerThread()
+
+    def handed() -> None:
+        helper.begin(_nothing)
+        helper.finish()
+
+    timers = {f"{name} {count}": timer(_repeated(call, calls), calls) for (name, count), call in parts.items()}
+    timers[HANDED] = timer(_repeated(handed, calls), calls)
+    costs = [np.median(cost, axis=0) for cost in _in_turns(timers, rounds).values()]
+    heads = [*((name, float(count), 1.0) for name, count in parts), (HANDED, None, 2.0)]
+    return [BenchmarkRow(PARTS, *head, float(cost[0]), float(cost[1])) for head, cost in zip(heads, costs, strict=True)]
+
+
+def _calls(arms: int) -> dict[str, Callable[[], object]]:
+    """Calls that belong to a step of so many arms, which rest."""
+    env = FlexManVectorEnv(arms)
+    env.reset(seed=0)
+    episodes, view = env.episodes, env.episodes.view
+    action, drive = np.zeros(env.action_space.shape or ()), np.zeros((arms, episodes.batch.model.n_joints + 6))
+    shown = view.alone() if arms == 1 else view
+    return {
+        WHOLE: lambda: env.step(action),
+        "moving the arms": lambda: episodes.batch.step(drive),
+        "reading the motion": view.read,
+        "sensors": episodes.sight.sensors.read,
+        "rewards and info": lambda: episodes.outcome(shown),
+    }
+
+
+def _repeated(call: Callable[[], object], times: int) -> Callable[[], None]:
+    def repeat() -> None:
+        for _ in range(times):
+            call()
+
+    return repeat
+
+
+def _nothing() -> None:
+    pass
+
+
+ROOT = Path(__file__).parents[3]
+IMPORT, FIRST, MORE = "import flexman_gym", "gym.make and first reset", "then gym.make_vec of 64 arms and first reset"
+COLD, WARM = "nothing compiled yet", "compiled kernels on disk"
+SCRIPT = f"""
+import json, time
+marks = [(time.process_time(), time.perf_counter())]
+def mark():
+    marks.append((time.process_time(), time.perf_counter()))
+import flexman_gym
+mark()
+import gymnasium as gym
+gym.make("FlexRRR-v0").reset(seed=0)
+mark()
+gym.make_vec("FlexRRR-v0", 64, "vector_entry_point").reset(seed=0)
+mark()
+names = {[IMPORT, FIRST, MORE]}
+print(json.dumps({{n: [b - a for a, b in zip(*p)] for n, p in zip(names, zip(marks, marks[1:]))}}))
+"""
+
+
+def _start(cache: str | None = None) -> dict[str, list[float]]:
+    """CPU time and time of the clock (s) of each part of the start of a new process; cache is a folder for kernels."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *_paths()])}
+    if cache is not None:
+        environment["NUMBA_CACHE_DIR"] = cache
+    done = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, env=environment, check=True)
+    result: dict[str, list[float]] = json.loads(done.stdout)
+    return result
+
+
+def _paths() -> list[str]:
+    return [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
+
+
+def start_rows(rounds: int, cold: bool) -> list[BenchmarkRow]:
+    """Rows of warm starts, medians over the rounds, and of a cold one, which takes more than a minute."""
+    result: list[BenchmarkRow] = []
+    if cold:
+        with TemporaryDirectory() as cache:
+            for name, (cpu, wall) in _start(cache).items():
+                result.append(BenchmarkRow(STARTS, f"{name}, {COLD}", None, None, cpu, wall))
+    _start()  # compiles what is not on disk
+    starts = [_start() for _ in range(rounds)]
+    for name in starts[0]:
+        cpu, wall = np.median([each[name] for each in starts], axis=0)
+        result.append(BenchmarkRow(STARTS, f"{name}, {WARM}", None, None, float(cpu), float(wall)))
+    return result

@@ -1,0 +1,162 @@
+"""Measurements of the named environments: accuracy of the default model, base controllers, first training."""
+
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+
+from flexman_gym.common import files
+from flexman_gym.common.arrays import Array
+from flexman_gym.common.markdown import markdown_table
+from flexman_gym.draw.style import BLUE, LIGHT, MIDDLE, ORANGE, RED, new_figure
+from flexman_gym.draw.video import side_by_side, write_video
+from flexman_gym.envs.config.named_environments import NAMED
+from flexman_gym.envs.tasks import Slew
+from flexman_gym.evaluation.rollout import TEST_SEEDS, Rollout, rollout
+from flexman_gym.kernels import layout
+from flexman_gym.model.model import Model, build_model
+from flexman_gym.simulation.batch import Batch
+
+MOTIONS, DURATION, HELD, SPREAD, PART = 8, 1.0, 0.2, 0.5, 0.5  # s, s, rad, of the torque limits
+FINER = 8  # times as many steps
+
+
+class Accuracy(NamedTuple):
+    """Largest distances (m) of the tip in each motion (MOTIONS,) from finer steps and from a finer model, and its cost.
+
+    The finer model has all coordinates of the elements and foreshortening, and the finer steps. Its cost is that of the
+    default's step on it, in times that on the default's model.
+    """
+
+    steps: Array
+    model: Array
+    cost: float
+
+
+def accuracy(name: str, **arguments: Any) -> Accuracy:
+    """Moves the arm of a named environment, made with these arguments, by random torques from rest."""
+    env = gym.make(name, **arguments).unwrapped
+    setup, model, period = env.setup, env.simulator.model, env.simulator.control_period  # type: ignore[attr-defined]
+    method, substeps = env.simulator.method, env.simulator.substeps  # type: ignore[attr-defined]
+    finest = build_model(setup.arm, **(vars(model.choice) | {"modes": None, "stiffening": True}))
+    random, periods = np.random.default_rng(0), round(DURATION / period)
+    postures = random.uniform(-SPREAD, SPREAD, (MOTIONS, model.n_joints))
+    levels = random.uniform(-PART, PART, (round(DURATION / HELD), MOTIONS, model.n_joints)) * setup.torque_limit
+    drives = np.zeros((MOTIONS, periods, model.n_joints + 6))
+    drives[:, :, : model.n_joints] = np.repeat(levels, round(HELD / period), axis=0)[:periods].swapaxes(0, 1)
+
+    def tips(of: Model, parts: int) -> tuple[Array, float]:
+        batch = Batch(of, method, period / parts, period, arms=MOTIONS)
+        batch.reset(np.arange(MOTIONS), of.at_rest(postures))
+        batch.roll(drives[:, :1])  # loads what is compiled
+        batch.reset(np.arange(MOTIONS), of.at_rest(postures))
+        started = time.process_time()
+        outputs = batch.roll(drives)[1]
+        return outputs[:, :, layout.TIP], time.process_time() - started
+
+    ours, (finer, quick), (finest_tips, slow) = (
+        tips(model, substeps)[0], tips(model, FINER * substeps), tips(finest, FINER * substeps),
+    )  # fmt: skip
+    by_steps, by_model = (np.linalg.norm(each - ours, axis=-1).max(axis=1) for each in (finer, finest_tips))
+    return Accuracy(by_steps, by_model, slow / quick)
+
+
+BASES = {None: "no torque", "pd": "PD", "lqr-tracking": "tracking LQR"}  # the latter knows the arm and its state
+SEEDS = TEST_SEEDS[:20]
+SIZE, BROADER, LEAST = (280, 210), 1.5, 1e-5
+
+
+def run(name: str, base: str | None) -> Rollout:
+    """Run an episode of a baseline from each of the seeds."""
+    return rollout(base or "zero", name, SEEDS)
+
+
+def draw(runs: dict[str | None, Rollout], path: Path) -> None:
+    """Draws tip error and torques of an episode under each baseline, and films it under the tracking LQR (GIF)."""
+    frames, rate = side_by_side([runs["lqr-tracking"].episode(0)], small=True, size=SIZE)
+    write_video(frames, path.with_suffix(".gif"), rate)
+    figure = new_figure((11.0, 2.9), 110.0, layout="constrained")
+    left, right = figure.subplots(1, 2)
+    looks = {None: (MIDDLE, "-"), "pd": (BLUE, "-"), "lqr-tracking": (RED, "-")}
+    for base, each in runs.items():
+        colour, style = looks[base]
+        episode = each.episode(0)
+        times, errors = episode.time, 1e3 * np.maximum(episode.errors, LEAST)
+        left.semilogy(times, errors, style, color=colour, label=BASES[base])
+        if base is not None:
+            torques = np.abs(episode.actions).max(axis=1)
+            right.plot(times[1:], torques, style, color=colour, linewidth=BROADER, label=BASES[base])
+    left.set(xlabel="time (s)", ylabel="tip error (mm)")
+    right.set(xlabel="time (s)", ylabel="largest torque / its limit", ylim=(0.0, 1.05))
+    right.axhline(1.0, color=ORANGE, linewidth=0.8)
+    for axes in (left, right):
+        axes.grid(color=LIGHT, linewidth=0.6)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.legend(frameon=False, fontsize=9, ncols=3, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+    figure.savefig(path)
+
+
+ROOT = Path(__file__).parents[3]
+RECIPES, DOCS = ROOT / "agents" / "recipes", ROOT / "docs"
+RECIPE = {
+    "FlexRRR-v0": "ppo_on_pd", "FlexRRR-Track-v0": "track_ppo_on_pd", "FlexRRR-Hold-v0": "hold_ppo_on_pd",
+    "FlexRRR-Gravity-v0": "gravity_ppo_on_pd", "FlexPlanar-v0": "planar_ppo_on_pd",
+    "FlexPlanar-Track-v0": "planar_track_ppo_on_pd", "FlexPlanar-Hold-v0": "planar_hold_ppo_on_pd",
+}  # fmt: skip
+"""Environment -> its recipe."""
+LASTS, GAMMA, ARMS = 0.1, 0.95, 256  # s, of an action, where no recipe says so; discount and arms of all recipes
+
+
+def first(name: str) -> list[str]:
+    """Lines in Markdown: what to set, why, and the environment that has it."""
+    named = NAMED[name]
+    recipe = RECIPE.get(name)
+    given = files.read_data(RECIPES / f"{recipe}.yaml")["environment"] if recipe else {}
+    hold = given.get("hold", round(LASTS / named.control_period))
+    seconds = hold * named.control_period
+    settings = {"base": "pd", "hold": hold, "sensors": ("full", "fine")}
+    rows = [
+        ("`base`", '`"pd"`', "the agent adds to a controller that brings the arm near its goal"),
+        ("`hold`", f"`{hold}`", f"an action lasts {seconds:g} s, so that exploration shakes the arm less"),
+        ("`sensors`", '`("full", "fine")`', "the state, and again on a scale that tells millimetres"),
+    ]
+    if isinstance(named.task, Slew):
+        settings["task"] = {"kind": "slew", "reward": "distance", **_drawn(named.task)}
+        rows.append(("`task`", '`"reward": "distance"`', "a slope at every scale, from metres to millimetres"))
+    horizon = seconds / (1.0 - GAMMA)
+    rows += [
+        ("discount of PPO or SAC", f"`{GAMMA}`", f"looks {horizon:g} s ahead, about as long as a motion lasts"),
+        (
+            "`log_std_init`",
+            "`-1.6`, or `-1.3` that falls to `-3.5`",
+            "quiet exploration: an arm that shakes learns nothing",
+        ),
+        ("arms side by side", f"`{ARMS}`", "they cost little more than one"),
+    ]
+    known = "No recipe has been measured here; those of [learning.md](../learning.md) have these settings."
+    if recipe:
+        known = f"The recipe `{recipe}` has these settings, and "
+        known += "[learning.md](../learning.md) what it reaches."
+    words = "".join(f"    {key}={value!r},\n" for key, value in settings.items()).replace("'", '"').splitlines()
+    made = [f'arms = gym.make_vec("{name}", {ARMS}, "vector_entry_point", autoreset_mode="SameStep",', *words, ")"]
+    return [
+        *markdown_table(("setting", "value", "why"), rows), "", "```python", *made, "```", "",
+        f"{known} The README trains on such arms in a few lines of Stable-Baselines3.",
+        *(["", *_curve(name)] if (DOCS / f"learning_{name}.png").is_file() else []),
+    ]  # fmt: skip
+
+
+def _curve(name: str) -> list[str]:
+    """How the recipes of an environment learn, see `studies.learning.measure`."""
+    return [
+        f"![Reward while the recipes of {name} train](../learning_{name}.png)", "",
+        "A line is the middle of the seeds, and where there are several its band goes from the worst to the best.",
+    ]  # fmt: skip
+
+
+def _drawn(task: Slew) -> dict[str, float]:
+    """What a task draws otherwise than a plain slew."""
+    plain = Slew()
+    return {name: getattr(task, name) for name in ("start", "slew") if getattr(task, name) != getattr(plain, name)}

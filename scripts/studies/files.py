@@ -1,0 +1,62 @@
+"""Files of a study: the output folder, and tables of rows in CSV."""
+
+import argparse
+import csv
+import os
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+
+def folder(text: str) -> Path:
+    """Gives a folder that can be written, made where there is none, for `type` of an argument.
+
+    Raises:
+        argparse.ArgumentTypeError: one line with what is wrong.
+    """
+    path = Path(text)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    if not os.access(path, os.W_OK):
+        raise argparse.ArgumentTypeError(f"{path} cannot be written; give a folder of yours")
+    return path
+
+
+Kind = TypeVar("Kind")
+COMMENT = "# "
+
+
+def write_rows(rows: Sequence[Any], path: Path, digits: int = 6, comment: str = "") -> None:
+    """Rows of one kind, at least one, as a CSV file below a comment, if any; nothing where a number is None."""
+    names = [field.name for field in fields(rows[0])]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        if comment:
+            file.write(f"{COMMENT}{comment}\n")
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(names)
+        for row in rows:
+            values = (getattr(row, name) for name in names)
+            writer.writerow([f"{value:.{digits}g}" if isinstance(value, float) else value for value in values])
+
+
+def read_rows(path: Path, kind: type[Kind]) -> list[Kind]:
+    """Rows of such a file, each of a dataclass whose fields are texts, or numbers that may be None."""
+    texts = {field.name for field in fields(kind) if field.type is str}  # type: ignore[arg-type]
+    with path.open(newline="", encoding="utf-8") as file:
+        lines = csv.DictReader(line for line in file if not line.startswith(COMMENT))
+        return [kind(**{name: _value(text, name in texts) for name, text in line.items()}) for line in lines]
+
+
+def read_comment(path: Path) -> str:
+    """The comment above the rows of such a file."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return file.readline().removeprefix(COMMENT).strip()
+
+
+def _value(text: str, is_text: bool) -> Any:
+    if is_text:
+        return text
+    return float(text) if text else None

@@ -1,0 +1,54 @@
+"""Foreign: a model of Stable-Baselines3 is an entrant as it stands in memory, and as a zip that is trusted."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from flexman_agents.sb3 import action_function, load_sb3_zip, make_model
+from flexman_gym.__main__ import main
+from flexman_gym.envs.config.description import Description
+from flexman_gym.evaluation import Agent, find_agent, rollout
+from flexman_gym.evaluation.agent import split_interface
+
+from oracles.assertions import refusal
+from oracles.runs import RUNS
+
+
+@pytest.fixture(scope="module", params=RUNS)
+def model(request):
+    """A model whose statistics are not those of nothing."""
+    result = make_model(RUNS[request.param])
+    random, statistics = np.random.default_rng(0), result.get_vec_normalize_env().obs_rms
+    statistics.mean[:] = random.normal(0.0, 0.1, statistics.mean.shape)
+    statistics.var[:] = random.uniform(0.5, 2.0, statistics.var.shape)
+    return result
+
+
+def torques(entrant, environment):
+    """What it asks of the motors in two episodes."""
+    return rollout(entrant, environment, [0, 1]).actions
+
+
+def test_a_model_brings_environment_interface_and_statistics(model, tmp_path, capsys):
+    settings = RUNS["ppo"]
+    environment, interface = split_interface(settings.description)
+    entrant = find_agent(model)
+    both = entrant.environment.setup(), environment.setup()
+    assert both[0].disturbed == both[1].disturbed and both[0].horizon == 0.6 and both[0].hold == 1
+    expected = torques(Agent("own", action_function(model, model.get_vec_normalize_env()), interface), environment)
+    assert np.array_equal(torques(model, environment), expected) and np.abs(expected).max() > 0.01
+
+    path = tmp_path / "own.zip"
+    model.save(path)
+    model.get_vec_normalize_env().save(str(path.with_suffix(".pkl")))
+    assert "--trust" in refusal(find_agent, str(path))
+    loaded = load_sb3_zip(path, settings.description)
+    assert loaded.name == "own" and np.array_equal(torques(loaded, environment), expected)
+    here = Description(environment.id, {**environment.settings, **interface})
+    assert np.array_equal(torques(load_sb3_zip(path), here), expected), "it sees and holds as it is told there"
+    path.with_suffix(".pkl").write_bytes(b"noise")
+    assert "this is not a policy of Stable-Baselines3" in refusal(load_sb3_zip, path)
+    path.write_bytes(b"noise")
+    assert "this is not a policy of Stable-Baselines3" in refusal(load_sb3_zip, path)
+    assert main(["evaluate", str(path), "--trust"]) == 2 and "own.zip" in capsys.readouterr().err

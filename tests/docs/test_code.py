@@ -1,0 +1,219 @@
+"""Pages: what they and the README show runs and prints what they say."""
+
+import argparse
+import contextlib
+import doctest
+import importlib
+import io
+import json
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from itertools import pairwise
+
+import gymnasium as gym
+import pytest
+
+import flexman_gym as fm
+from flexman_gym.__main__ import main
+from flexman_gym.envs import FlexManEnv
+from flexman_gym.envs.config.description import Description
+
+from oracles.files import ROOT
+
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+DOCS, README = ROOT / "docs", (ROOT / "README.md").read_text(encoding="utf-8")
+TEXTS = {str(path.relative_to(DOCS))[:-3]: path.read_text(encoding="utf-8") for path in sorted(DOCS.rglob("*.md"))}
+PAGES = [page for page, text in TEXTS.items() if "python" in [language for language, _ in BLOCK.findall(text)]]
+# What a command or a training of a page takes here, in place of what it says.
+LESS = {"--steps": "512", "--episodes": "2", "--judge-every": "256"}
+LESS_IN_PYTHON = (
+    (r"STEPS = [\d_]+", "STEPS = 256"), (r"circles\(\d+\)", "circles(4)"), (r'-v0", 256', '-v0", 4'),
+    (r"horizon=2.0", "horizon=0.4"),
+)  # fmt: skip
+
+
+@pytest.fixture
+def checkout(tmp_path, monkeypatch):
+    """A folder with what a page uses of the repository."""
+    (tmp_path / "docs").mkdir()
+    shutil.copytree(ROOT / "docs" / "examples", tmp_path / "docs" / "examples")
+    (tmp_path / "scripts").symlink_to(ROOT / "scripts")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    return tmp_path
+
+
+def blocks(page):
+    """Languages and texts of the blocks of a page."""
+    return BLOCK.findall(TEXTS[page])
+
+
+def run(code, page, names):
+    """Runs a block of Python; gives what it printed."""
+    for pattern, less in LESS_IN_PYTHON:
+        code = re.sub(pattern, less, code)
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        exec(compile(code, f"docs/{page}.md", "exec"), names)
+    return printed.getvalue()
+
+
+def run_commands(lines):
+    """Runs the commands of a block that are scripts of ours, on two arms; films are shorter as GIFs."""
+    for words in map(shlex.split, lines.replace(".mp4", ".gif").splitlines()):
+        assert words[0] == "flexman", words
+        for option in LESS.keys() & set(words):
+            words[words.index(option) + 1] = LESS[option]
+        if words[1] == "train":
+            words += ["--quiet", *([] if "--resume" in words else ["--envs", "2"])]
+            words += [] if {"--steps", "--resume"} & set(words) else ["--steps", LESS["--steps"]]
+        with contextlib.redirect_stdout(io.StringIO()):
+            assert main(words[1:]) == 0, words
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_a_page_runs_and_prints_what_it_says(page, checkout):
+    if any(
+        words in text for _, text in blocks(page) for words in ("stable_baselines3", "flexman_agents", "flexman train")
+    ):
+        pytest.importorskip("stable_baselines3")
+    if any("matplotlib" in text or "flexman draw" in text for _, text in blocks(page)):
+        pytest.importorskip("matplotlib").use("Agg")
+    names, result = {"__name__": "page"}, blocks(page)
+    for (language, text), (following, said) in pairwise([*result, ("", "")]):
+        if language == "sh":
+            run_commands(text)
+        if language == "python":
+            printed = run(text, page, names)
+            assert following != "text" or printed == said
+    assert all(path.name in ("docs", "scripts", "runs") or path.stem.startswith("my_") for path in checkout.iterdir())
+
+
+def test_an_arm_from_a_data_sheet_takes_at_most_forty_lines_of_the_readers_own():
+    code = [
+        line for language, text in blocks("tutorials/data_sheet") if language == "python" for line in text.splitlines()
+    ]
+    assert len([line for line in code if line.strip()]) <= 40
+
+
+def test_the_readme_runs(checkout):
+    pytest.importorskip("moviepy")
+    names = {"__name__": "page"}
+    for language, code in BLOCK.findall(README):
+        if language == "python" and "PPO(" not in code:
+            run(code, "README", names)
+    assert {path.name for path in checkout.iterdir()} >= {"videos", "scene.yaml", "paper_ff.csv"}
+
+
+def test_the_first_training_of_the_readme_trains():
+    pytest.importorskip("stable_baselines3")
+    (code,) = (text for _, text in BLOCK.findall(README) if "PPO(" in text)
+    for much, less in (("1_000_000", "96"), ('-v0", 256', '-v0", 4'), ("range(9000, 9100)", "[9000, 9001]")):
+        assert much in code
+        code = code.replace(much, less)
+    names = {"__name__": "page"}
+    printed = run(code, "README", names)
+    assert printed.startswith("{'reward': ") and "'settled'" in printed and names["model"].num_timesteps == 96
+
+
+COMMANDS = [line.partition("#")[0] for _, text in BLOCK.findall(README) for line in text.splitlines()
+            if line.startswith("flexman ")]  # fmt: skip
+
+
+@pytest.mark.parametrize("line", COMMANDS)
+def test_commands_of_the_readme_take_these_arguments(line):
+    pytest.importorskip("stable_baselines3")
+    _, command, *words = shlex.split(line)
+    parser = argparse.ArgumentParser()
+    importlib.import_module(f"flexman_gym.commands.{command}").arguments(parser)
+    parser.parse_args(words)
+
+
+def test_targets_of_make_are_there():
+    targets = re.findall(r"^make (\w+)", README, re.MULTILINE)
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    assert targets and all(f"\n{target}:" in makefile for target in targets)
+
+
+def test_the_examples_are_those_of_the_pages():
+    described = Description.load(ROOT / "docs" / "examples" / "four_link_arm.yaml")
+    assert described.setup().arm.n_joints == 4
+    shown = {page: [text for _, text in blocks(page)] for page in PAGES}
+    assert (ROOT / "docs" / "examples" / "planar_payload.yaml").read_text(encoding="utf-8") in shown["training"]
+    _, _, circle = (ROOT / "docs" / "examples" / "circle.py").read_text(encoding="utf-8").partition("TURN")
+    assert shown["own_task"][0].endswith(circle)
+
+
+def test_every_file_among_the_examples_is_shown_somewhere():
+    pages = "".join(TEXTS.values()) + README
+    for path in (ROOT / "docs" / "examples").iterdir():
+        assert path.name in pages, path
+
+
+# What people type most; every other name may have an example.
+USUAL = {
+    "Arm", "FlexManEnv", "Joint", "Link", "Motor", "Payload", "SampledTorque", "Scene", "Simulator", "acceleration",
+    "Fit", "Model", "choose_model", "curves", "evaluate", "frequencies", "linearize", "mass_matrix", "modes",
+    "paper_rrr", "rollout", "simulate",
+}  # fmt: skip
+PUBLIC = {name: getattr(fm, name) for name in fm.__all__} | vars(fm.catalog) | {"FlexManEnv": FlexManEnv}
+FOUND = {
+    name: [each for each in doctest.DocTestFinder(exclude_empty=True).find(value, name) if each.examples]
+    for name, value in PUBLIC.items()
+    if callable(value)
+}
+
+
+def test_the_usual_names_have_examples():
+    assert {name for name, examples in FOUND.items() if examples} >= USUAL
+
+
+@pytest.mark.parametrize("name", sorted(name for name, examples in FOUND.items() if examples))
+def test_examples_run_and_give_what_they_say(name):
+    for each in FOUND[name]:
+        each.globs = {"fm": fm, "gym": gym}
+        said = []
+        result = doctest.DocTestRunner(optionflags=doctest.FAIL_FAST).run(each, out=said.append)
+        assert result.attempted and not result.failed, "".join(said)
+
+
+TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
+
+
+@pytest.fixture(scope="module")
+def notebooks(tmp_path_factory):
+    """The notebooks by name, as the script writes them."""
+    folder = tmp_path_factory.mktemp("notebooks")
+    subprocess.run([sys.executable, ROOT / "scripts" / "notebooks.py", "--folder", folder], check=True)
+    return {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in folder.glob("*.ipynb")}
+
+
+def test_there_is_one_for_each_tutorial(notebooks):
+    assert notebooks.keys() == {page.stem for page in TUTORIALS} and len(notebooks) >= 7
+
+
+@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+def test_a_notebook_is_its_page(page, notebooks):
+    """Put together again, the cells are the page but for what its blocks print."""
+    written, pieces, prints = [], page.read_text(encoding="utf-8").split("```"), False
+    for fence, piece in enumerate(pieces):  # every other piece is a block
+        prints = fence % 2 == 1 and piece.startswith("text\n")
+        if piece.startswith("sh\n") and fence % 2:
+            piece = "".join(f"!{line}\n" for line in piece.splitlines()[1:])
+        written += [] if prints else piece.removeprefix("python").split()
+    cells = [("".join(cell["source"]), cell["cell_type"]) for cell in notebooks[page.stem]["cells"]]
+    assert " ".join(text for text, _ in cells).replace("```", " ").split() == written
+    code = [text for text, kind in cells if kind == "code"]
+    assert len(code) == len([piece for piece in pieces[1::2] if piece.startswith(("python\n", "sh\n"))])
+    for text in code:
+        if not text.startswith("!"):
+            compile(text, page.name, "exec")
+
+
+def test_a_notebook_is_valid(notebooks):
+    validate = pytest.importorskip("nbformat").validate
+    for each in notebooks.values():
+        validate(each)

@@ -1,0 +1,465 @@
+"""League: rows are those of a rollout, to the bit the same however they are played, and a killed league goes on."""
+
+import csv
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import flexman_gym.league.rows as league
+from flexman_gym.control.references.optimised_slews import SHIPPED, SlewTable
+from flexman_gym.envs.config.description import Description
+from flexman_gym.evaluation import METRICS, agent_info, rollout
+from flexman_gym.evaluation.agent import BASELINES
+from flexman_gym.evaluation.agent_info import (
+    check_unseen,
+    describe_agent,
+    is_realisable,
+    required_information,
+    training_seconds,
+)
+from flexman_gym.evaluation.rollout import SELECTION_SEEDS, EpisodeRecord, training_seed
+from flexman_gym.league.rows import (
+    MULTIPLE,
+    ROWS,
+    VALUES,
+    EpisodeBlock,
+    LeagueRows,
+    equivalent_damping,
+    optimised_times,
+    run_block,
+    run_league,
+)
+from flexman_gym.league.scenarios import SWEEPS, USUAL_SCENARIOS, Scenario, find_scenario, sweep_scenarios
+
+from oracles.assertions import refusal
+
+ENTRANTS, SEEDS = ["zero", "random", "pd", "lqr-tracking"], range(9000, 9005)
+
+
+@pytest.fixture
+def venue(tmp_path):
+    """An environment that takes little time, as a file."""
+    path = tmp_path / "one.yaml"
+    path.write_text("id: FlexOne-v0\nhorizon: 1.5\nrandomisation: {sensor_noise: [0.001, 0.001]}\n")
+    return str(path)
+
+
+@pytest.fixture
+def small_blocks(monkeypatch):
+    """Two episodes a cell."""
+    monkeypatch.setattr(league, "BLOCK", 2)
+
+
+def played(venue, folder, entrants=ENTRANTS, jobs=1, seeds=SEEDS):
+    """What a league said, and its rows as bytes."""
+    said = []
+    run_league(entrants, [venue], seeds, folder, jobs, said.append)
+    return said, (folder / ROWS).read_bytes()
+
+
+def test_rows_hold_the_figures_of_a_rollout_to_the_bit(venue, tmp_path):
+    played(venue, tmp_path, ["pd", "privileged-lqr"])
+    with (tmp_path / ROWS).open(newline="") as file:
+        rows = [*csv.DictReader(file)]
+    assert len(rows) == 10
+    for entrant in ("pd", "privileged-lqr"):
+        ours = [row for row in rows if row["entrant"] == entrant]
+        assert [int(row["seed"]) for row in ours] == [*SEEDS]
+        records = rollout(entrant, venue, SEEDS).records
+        for name, figure in METRICS.items():
+            assert [float(row[name]) for row in ours] == figure.each(records).tolist(), name
+    assert all(row[MULTIPLE] == "nan" for row in rows), "no table has slews of this one"
+
+
+def test_rows_are_the_same_in_repeats_and_over_two_processes(venue, tmp_path, small_blocks):
+    said, rows = played(venue, tmp_path / "a")
+    assert len(said) == 4 * 3, "cells of two, two and one episode"
+    assert played(venue, tmp_path / "b")[1] == rows
+    assert played(venue, tmp_path / "c", jobs=2)[1] == rows
+    assert played(venue, tmp_path / "a") == ([], rows), "nothing is left"
+
+
+def test_a_killed_league_goes_on(venue, tmp_path, small_blocks):
+    def kill(said):
+        if said.startswith("5 of"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_league(ENTRANTS, [venue], SEEDS, tmp_path / "a", 1, kill)
+    said, rows = played(venue, tmp_path / "a")
+    assert len(said) == 12 - 5 and rows == played(venue, tmp_path / "b")[1]
+
+
+def test_a_new_entrant_plays_alone_and_more_episodes_are_those_that_miss(venue, tmp_path, small_blocks):
+    played(venue, tmp_path, ["zero"], seeds=range(9000, 9004))
+    said, _ = played(venue, tmp_path, ["zero", "pd"], seeds=range(9000, 9006))
+    assert [each.split(": ")[1].partition(" on")[0] for each in said] == ["zero", "pd", "pd", "pd"]
+    assert len(LeagueRows.load(tmp_path).rows) == 12
+
+
+def test_a_block_that_was_short_is_played_whole(venue, tmp_path):
+    played(venue, tmp_path, ["pd"], seeds=range(9000, 9002))
+    said, rows = played(venue, tmp_path, ["pd"])
+    assert len(said) == 1 and len(LeagueRows.load(tmp_path).rows) == 5
+    assert played(venue, tmp_path, ["pd"], seeds=range(9000, 9002)) == ([], rows), "fewer are there already"
+
+
+def test_another_environment_by_the_same_name_is_played_anew(venue, tmp_path):
+    before = played(venue, tmp_path / "a", ["zero", "pd"])[1]
+    (tmp_path / "one.yaml").write_text("id: FlexOne-v0\nhorizon: 1.0\n")
+    said, after = played(venue, tmp_path / "a", ["pd"], seeds=range(9000, 9002))
+    assert len(said) == 1 and after != before
+    kept = {(row.entrant, row.seed) for row in LeagueRows.load(tmp_path / "a").rows.values()}
+    assert kept == {("zero", seed) for seed in SEEDS} | {("pd", 9000), ("pd", 9001)}, "no row of the old one"
+
+
+def test_a_league_that_is_killed_between_its_files_misses_no_row(venue, tmp_path, monkeypatch):
+    """Rows come first: a cell that is told to be played has them."""
+
+    def write(path, fill):
+        if path.name == league.CELLS:
+            raise KeyboardInterrupt
+        true_write(path, fill)
+
+    true_write = league.write_atomically
+    monkeypatch.setattr(league, "write_atomically", write)
+    with pytest.raises(KeyboardInterrupt):
+        played(venue, tmp_path / "a", ["pd"])
+    monkeypatch.undo()
+    assert played(venue, tmp_path / "a", ["pd"])[1] == played(venue, tmp_path / "b", ["pd"])[1]
+
+
+def test_another_version_of_a_package_plays_anew(venue, tmp_path, monkeypatch):
+    played(venue, tmp_path, ["zero"])
+    assert played(venue, tmp_path, ["zero"])[0] == []
+    monkeypatch.setattr(league, "computer_info", lambda *_: {"numpy": "0.1"})
+    assert len(played(venue, tmp_path, ["zero"])[0]) == 1
+
+
+def test_other_code_plays_anew(venue, tmp_path, monkeypatch):
+    played(venue, tmp_path, ["zero"])
+    monkeypatch.setattr(league, "code_hash", lambda: "another")
+    assert len(played(venue, tmp_path, ["zero"])[0]) == 1
+
+
+def test_the_hash_of_the_code_is_that_of_what_plays(tmp_path, monkeypatch):
+    for name in ("kernels/a.py", "envs/conditions/b.yaml", "evaluation/rollout.py", "league/page.py"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("a = 1\n")
+    monkeypatch.setattr(league, "PACKAGE", tmp_path)
+    monkeypatch.setattr(league, "SOURCES", ("kernels", "envs", "evaluation/rollout.py"))
+
+    def digest():
+        league.code_hash.cache_clear()
+        return league.code_hash()
+
+    known = digest()
+    (tmp_path / "league/page.py").write_text("another page")
+    (tmp_path / "kernels/a.py").write_text('"""Other words."""\n\na = 1  # and a reason\n"""Of a number."""\n')
+    assert digest() == known, "words alone are other ones"
+    for name in ("kernels/a.py", "envs/conditions/b.yaml", "evaluation/rollout.py"):
+        (tmp_path / name).write_text("a = 2\n")
+        assert digest() != known, name
+        (tmp_path / name).write_text("a = 1\n")
+    (tmp_path / "kernels/a.py").rename(tmp_path / "kernels/c.py")
+    assert digest() != known
+    monkeypatch.undo()
+    digest()
+    assert all((league.PACKAGE / name).exists() for name in league.SOURCES)
+
+
+def test_the_equivalent_damping_is_that_of_the_swings_after_the_arrival():
+    """A slew of 1 s that crosses the target, then a decay of one mode along y; the target is at its place of rest."""
+    time, ratio = np.arange(0.0, 8.0, 0.02), 0.06
+    after = 0.3 * np.exp(-ratio * 6.0 * time) * np.sin(np.sqrt(1.0 - ratio**2) * 6.0 * time)
+    along = np.concatenate([np.linspace(2.0, 0.0, 50)[:-1], after])
+    tips = np.stack([0.1 * along, along, np.zeros_like(along)], axis=1)
+
+    def damping(tips, failure=""):
+        errors = np.linalg.norm(tips, axis=1)
+        return equivalent_damping(EpisodeRecord(tips, errors, tips[1:], errors[1:], failure, 0.02, 0.02))
+
+    assert damping(tips) == pytest.approx(ratio, rel=0.01)
+    assert damping(tips, "joint 1") == 0.0 and damping(tips + np.array([0.0, 0.0, 1.0])) == 0.0
+    assert damping(np.vstack([tips[:50], np.zeros((50, 3))])) == np.inf, "it stops without a swing"
+
+
+def test_a_book_reads_what_it_wrote(tmp_path):
+    values = (np.inf, np.nan, 0.1 + 0.2, *map(float, range(3, len(VALUES))))
+    rows = [league.EpisodeRow("k", "pd", "a, b", seed, values) for seed in (3, 2)]
+    cells = [EpisodeBlock("k", "pd", "a, b", 2, 4, 1.5, 0.0), EpisodeBlock("k", "lqr", "a, b", 2, 4, why='it, "that"')]
+    book = LeagueRows(rows, cells)
+    book.save(tmp_path)
+    again = LeagueRows.load(tmp_path)
+    assert repr(sorted(again.rows.items())) == repr(sorted(book.rows.items())), "infinite ones and nan, too"
+    assert repr(sorted(again.cells.items())) == repr(sorted(book.cells.items()))
+    assert LeagueRows.load(tmp_path / "nowhere").rows == {}
+
+
+ROW, CELL = "key,entrant,venue,seed", "key,entrant,venue,first,end,action,design,why"
+
+
+def book_of(folder, rows=ROW, cells=CELL):
+    """Write the two files of a league, and read them."""
+    for name, text in ((ROWS, rows), (league.CELLS, cells)):
+        (folder / name).write_text(text + "\n")
+    return LeagueRows.load(folder)
+
+
+def test_values_of_old_rows_stay_right_whatever_metrics_a_league_has_now(tmp_path, monkeypatch):
+    """A metric that came later is nan in them, one that is gone is skipped, and their order is free."""
+    written = {name: 0.5 + i for i, name in enumerate(VALUES)}
+    LeagueRows(
+        [league.EpisodeRow("k", "pd", "a", 7, tuple(written.values()))], [EpisodeBlock("k", "pd", "a", 7, 8)]
+    ).save(tmp_path)
+    now = ("new", *reversed(VALUES[2:]), "newer", VALUES[0])
+    monkeypatch.setattr(league, "VALUES", now)
+    with pytest.raises(ValueError, match=r"rows\.csv: its heads are not those of a league"):
+        LeagueRows.load(tmp_path)
+    monkeypatch.setattr(league, "FORMER", (VALUES[1],))
+    book = LeagueRows.load(tmp_path)
+    for _ in range(2):
+        (row,) = book.rows.values()
+        assert repr(row.values) == repr(tuple(written.get(name, float("nan")) for name in now))
+        book.save(tmp_path)
+        book = LeagueRows.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("rows", "cells", "said"),
+    [
+        ("", CELL, "rows.csv: its heads are not those of a league; give key, entrant, venue, seed and the metrics"),
+        (ROW, "", "cells.csv: its heads are not those of a league; give key, entrant, venue, first, end"),
+        ("key,entrant,venue", CELL, "rows.csv: its heads"),
+        (f"{ROW},seed", CELL, "rows.csv: its heads"),
+        (f"{ROW},root:x:0", CELL, "rows.csv: its heads"),
+        (ROW, CELL.removesuffix(",why"), "cells.csv: its heads"),
+        (ROW, f"{CELL},more", "cells.csv: its heads"),
+        (f"{ROW},reward\nk,pd,a,1", CELL, "rows.csv: line 2 is not one of a league; give 5 entries"),
+        (f"{ROW}\nk,pd,a,1\nk,pd,a,1,2", CELL, "rows.csv: line 3 is not one of a league; give 4 entries"),
+        (f"{ROW}\nk,pd,a,\N{SUPERSCRIPT TWO}", CELL, "rows.csv: line 2"),
+        (f"{ROW},reward\nk,pd,a,1,much", CELL, "rows.csv: line 2"),
+        (ROW, f"{CELL}\nk,pd,a,0,b,0,0,", "cells.csv: line 2 is not one of a league; give 8 entries"),
+    ],
+)
+def test_files_that_are_no_league_are_refused_in_one_line(tmp_path, rows, cells, said):
+    line = refusal(book_of, tmp_path, rows, cells)
+    assert line.startswith(f"{tmp_path}/{said}") and "root" not in line.removeprefix(str(tmp_path))
+    assert book_of(tmp_path).rows == book_of(tmp_path).cells == {}
+
+
+def test_an_entrant_without_words_is_refused_before_anything_is_played(venue, tmp_path, monkeypatch):
+    monkeypatch.delitem(agent_info.DESCRIPTIONS, "pd")
+    monkeypatch.setattr(league, "spread", lambda *given: pytest.fail("a cell was played"))
+    line = refusal(run_league, ["zero", "pd"], [venue], SEEDS, tmp_path / "league")
+    assert line.startswith("entrant: 'pd' is not allowed; give one that ABOUT describes: zero, random, ")
+
+
+def test_who_cannot_play_says_why(venue):
+    cell, rows = run_block(EpisodeBlock("", "optimised", venue, 9000, 9001))
+    assert rows == [] and cell.why.startswith("table: only one of this arm") and np.isnan(cell.action)
+    for entrant, words in (("lqr", "it needs more than a laboratory can tell it"), ("optimised", "it needs more")):
+        assert run_block(EpisodeBlock("", entrant, "FlexPlanar-v0/unknown-lab", 9000, 9001))[0].why.startswith(words)
+
+
+def test_times_of_a_cell_are_of_a_start_and_of_an_action_of_one_arm(venue, monkeypatch):
+    """Ten milliseconds of starts in five episodes, and a second of actions in all of their periods."""
+    watch = SimpleNamespace(designing=0.01, acting=1.0)
+    monkeypatch.setattr(league, "_timed", lambda entrant, told: (entrant, watch))
+    cell, _ = run_block(EpisodeBlock("", "zero", venue, 9000, 9005))
+    assert cell.design == pytest.approx(1e6 * 0.01 / 5)
+    assert cell.action == pytest.approx(1e6 * 1.0 / rollout("zero", venue, SEEDS).lengths.sum())
+
+
+def test_the_multiple_is_the_settling_time_in_those_of_the_slew(venue, monkeypatch):
+    """A tip that arrives after 1 s, where the slew takes 0.5 s, and in an episode of which there is no slew."""
+    errors = np.where(np.arange(301) < 100, 1.0, 0.0)
+    record = EpisodeRecord(np.zeros((301, 3)), errors, np.zeros((300, 1)), np.zeros(300), "", 0.01, 0.01)
+    monkeypatch.setattr(league, "rollout", lambda *_, **__: SimpleNamespace(records=[record] * 2, lengths=[300] * 2))
+    monkeypatch.setattr(league, "optimised_times", lambda environment: {9000: 0.5})
+    _, rows = run_block(EpisodeBlock("", "zero", venue, 9000, 9002))
+    multiples = [row.values[VALUES.index(MULTIPLE)] for row in rows]
+    assert multiples == pytest.approx([2.0, np.nan], nan_ok=True)
+
+
+def test_both_ends_of_the_score_are_played_in_a_laboratory(monkeypatch):
+    """Rewards are scaled between them; who else needs the true state is left out."""
+
+    def refuse(entrant, told):
+        raise ValueError("it is made")
+
+    monkeypatch.setattr(league, "_timed", refuse)
+    why = {
+        who: run_block(EpisodeBlock("", who, "FlexPlanar-v0/unknown-lab", 9000, 9001))[0].why
+        for who in (*league.SCALE, "lqr")
+    }
+    assert why == dict.fromkeys(league.SCALE, "it is made") | {"lqr": "it needs more than a laboratory can tell it"}
+
+
+def test_arms_of_a_venue_are_moved_by_its_plant(monkeypatch):
+    moved = []
+    monkeypatch.setattr(league, "find_plant", lambda name: name)
+
+    def rollout(*_, **named):
+        moved.append(named["moved"])
+        raise ValueError("that is enough")
+
+    monkeypatch.setattr(league, "rollout", rollout)
+    for venue in ("FlexRRR-v0", "FlexRRR-v0@finer"):
+        run_block(EpisodeBlock("", "zero", venue, 9000, 9001))
+    assert moved == ["usual", "finer"]
+
+
+def test_rows_follow_from_what_is_played_and_from_what_controllers_are_told(monkeypatch):
+    one, other = Description("FlexOne-v0"), Description("FlexOne-v0", {"control_period": 0.02})
+    monkeypatch.setattr(league, "code_hash", lambda: "")
+    keys = set()
+    for venue in (Scenario(one, one), Scenario(one, other), Scenario(other, one), Scenario(one, one, "finer")):
+        monkeypatch.setattr(league, "find_venue", lambda name: venue)  # noqa: B023
+        keys.add(league.row_key("pd", "FlexOne-v0"))
+    assert len(keys) == 4
+
+
+def test_rows_follow_from_every_file_of_a_run(venue, tmp_path, monkeypatch):
+    monkeypatch.setattr(league, "code_hash", lambda: "")
+    keys = [league.row_key(str(tmp_path), venue)]
+    for name in (league.SETTINGS, league.BEST, league.NEWEST):
+        for content in (b"one", b"two"):
+            (tmp_path / name).write_bytes(content)
+            keys.append(league.row_key(str(tmp_path), venue))
+    assert len(set(keys)) == 7
+
+
+def test_rows_of_another_processor_count(venue, monkeypatch):
+    """Versions of packages change rows, the processor does not."""
+    monkeypatch.setattr(league, "code_hash", lambda: "")
+    keys = set()
+    for processor, version in (("one", "1"), ("two", "1"), ("one", "2")):
+        monkeypatch.setattr(league, "computer_info", lambda *_: {"processor": processor, "numpy": version})  # noqa: B023
+        keys.add(league.row_key("pd", venue))
+    assert len(keys) == 2
+
+
+def test_a_watch_keeps_starts_and_actions_apart(monkeypatch):
+    """By a clock that goes on by one second in a start and by a thousandth in an action."""
+    clock = [0.0]
+
+    def passing(seconds):
+        clock[0] += seconds
+        return np.zeros((1, 1))
+
+    slow = SimpleNamespace(sensors=(), reset=lambda *_: passing(1.0), act=lambda *_: passing(1e-3))
+    monkeypatch.setattr(league, "process_time", lambda: clock[0])
+    watch = league._TimedController(slow)
+    for _ in range(2):
+        watch.reset(None, None)
+        passing(100.0)
+        for _ in range(3):
+            watch.act({}, None, None)
+    assert (watch.designing, watch.acting) == pytest.approx((2.0, 6e-3))
+
+
+def test_times_of_slews_belong_to_the_environment_of_their_table():
+    table = SlewTable.load(SHIPPED)
+    assert optimised_times(Description("FlexRRR-v0")) == {seed: table.settling_time(seed) for seed in range(9000, 9100)}
+    assert all(optimised_times(find_scenario(each).environment) == {} for each in USUAL_SCENARIOS[1:])
+
+
+def test_the_multiple_is_that_of_the_optimised_slew():
+    """Whose own is 1."""
+    at = VALUES.index(MULTIPLE)
+    for entrant in ("optimised", "lqr-tracking"):
+        rows = run_block(EpisodeBlock("", entrant, "FlexRRR-v0", 9000, 9003))[1]
+        multiples = np.array([row.values[at] for row in rows])
+        assert (multiples == 1.0 if entrant == "optimised" else multiples > 1.2).all()
+
+
+def test_every_baseline_says_what_it_is_and_a_run_who_trained_it(tmp_path):
+    assert {name for name in BASELINES if all(describe_agent(name))} == set(BASELINES)
+    settings = {"algo": "sac", "environment": {"id": "FlexOne-v0", "base": {"kind": "pd"}}}
+    (tmp_path / "settings.json").write_text(json.dumps(settings))
+    assert describe_agent(str(tmp_path)) == (
+        "a policy that SAC has trained, beside the base pd",
+        "for a time that its curves do not tell",
+    )
+    (tmp_path / "progress.csv").write_text("time/time_elapsed\n90\n")
+    assert describe_agent(str(tmp_path))[1] == "for 1.5 minutes"
+
+
+def test_only_who_is_not_told_the_truth_could_be_built():
+    known = {each for each in BASELINES if is_realisable(each)}
+    assert known >= {"pd", "pd-shaped", "lqg", "adaptive-lqr"}
+    assert not known & {"lqr", "lqr-tracking", "privileged-lqr", "optimised"}
+
+
+@pytest.mark.parametrize("truth", ["true state", "true parameters", "its episodes"])
+def test_one_truth_is_enough_not_to_be_buildable(truth, monkeypatch):
+    monkeypatch.setattr(agent_info, "required_information", lambda entrant: ("model", truth))
+    assert not is_realisable("mine")
+    monkeypatch.setattr(
+        agent_info, "required_information", lambda entrant: ("model", "training", "structure of the model")
+    )
+    assert is_realisable("mine")
+
+
+def test_in_a_sweep_controllers_are_told_the_range_and_arms_have_the_value():
+    played, told = (each.setup() for each in find_scenario("FlexRRR-v0/payload=25")[:2])
+    assert played.disturbed.payload_mass == (25.0, 25.0) and told.disturbed.payload_mass == (0.0, 20.0)
+    played, told = (each.setup() for each in find_scenario("FlexRRR-v0/delay=3")[:2])
+    assert (played.latest_delay, told.latest_delay) == (3, 2)
+    assert told.gains == Description.find("FlexRRR-v0/random-delay").setup().gains
+    played, told = (each.setup() for each in find_scenario("FlexRRR-v0/noise=0")[:2])
+    assert played.disturbed.sensor_noise == (0.0, 0.0) and told.disturbed.sensor_noise == (0.001, 0.001)
+    played, told = (each.setup() for each in find_scenario("FlexRRR-v0/period=0.04")[:2])
+    assert played.control_period == told.control_period == 0.04
+    played, told = (each.setup() for each in find_scenario("FlexRRR-v0/stiffness=0.5")[:2])
+    assert played.disturbed.link_stiffness_factor == played.disturbed.joint_stiffness_factor == (0.5, 0.5)
+    assert told.disturbed.link_stiffness_factor == (0.7, 1.3)
+
+
+def test_who_plays_a_sweep_is_made_for_what_it_is_told(tmp_path, monkeypatch):
+    """No observer is made for one payload: its range has a width."""
+    made = []
+    monkeypatch.setattr(league, "_timed", lambda entrant, told: made.append(told) or (entrant, None))
+    run_block(EpisodeBlock("", "zero", "FlexRRR-v0/payload=25", 9000, 9001))
+    assert [each.setup().disturbed.payload_mass for each in made] == [(0.0, 20.0)]
+
+
+def test_every_venue_has_an_environment():
+    for name in [*USUAL_SCENARIOS, *(each for sweep in SWEEPS for each in sweep_scenarios("FlexRRR-v0", sweep))]:
+        assert find_scenario(name).environment.setup().base is None, "what acts is the entrant's"
+    assert refusal(find_scenario, "FlexRRR-v0/mass=3").startswith("sweep: 'mass' is not allowed; give one of payload")
+    assert "a number after payload=" in refusal(find_scenario, "FlexRRR-v0/payload=much")
+
+
+def test_a_run_that_has_seen_a_seed_of_the_test_is_refused(tmp_path):
+    def run(**changes):
+        settings = {"seed": 3, "envs": 4, "judge_every": 100, "environment": {"id": "FlexOne-v0"}} | changes
+        (tmp_path / "settings.json").write_text(json.dumps(settings))
+        return str(tmp_path)
+
+    first = training_seed(3)
+    check_unseen(run(), range(9000, 9100))
+    check_unseen(run(), [first - 1, first + 4, SELECTION_SEEDS.start - 1, SELECTION_SEEDS.stop])
+    check_unseen(run(judge_every=0), SELECTION_SEEDS)
+    for seen in ([first], [first + 3], [*range(9000, 9100), SELECTION_SEEDS.start], [SELECTION_SEEDS.stop - 1]):
+        line = refusal(check_unseen, run(), seen)
+        assert f"neither trained nor chosen on the seed {seen[-1]}, which is one of the test" in line
+    assert "a run whose settings.json say seed" in refusal(check_unseen, run(seed=None), range(9000, 9100))
+    assert "neither trained nor chosen" in refusal(
+        run_league, [run()], ["FlexOne-v0"], SELECTION_SEEDS, tmp_path / "league"
+    )
+
+
+def test_a_run_tells_what_it_sees_and_how_long_it_took(tmp_path):
+    for sensors, known in (("full", ("training", "true state")), ("lab", ("training",)), ("servo", ("training",)),
+                           ({"kind": "full", "noise": 0.01}, ("training", "true state"))):  # fmt: skip
+        settings = {"environment": {"id": "FlexOne-v0", "sensors": sensors}}
+        (tmp_path / "settings.json").write_text(json.dumps(settings))
+        assert required_information(str(tmp_path)) == known
+    assert training_seconds(str(tmp_path)) is None and training_seconds("pd") is None
+    (tmp_path / "progress.csv").write_text("time/time_elapsed,time/fps\n10,1\n25,1\n")
+    (tmp_path / "progress-400.csv").write_text("time/fps,time/time_elapsed\n1,\n1,7\n")
+    assert training_seconds(str(tmp_path)) == 32.0

@@ -1,0 +1,64 @@
+"""Equality: the same keys, types, shapes and bits of what environments return."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from flexman_gym.common.checks import short_repr
+
+
+def same(result, expected, name=""):
+    """Asserts the same keys, types, shapes and bits."""
+    assert type(result) is type(expected), name
+    if isinstance(result, dict):
+        assert result.keys() == expected.keys(), name
+        for key in result:
+            same(result[key], expected[key], f"{name} {key}")
+        return
+    assert result.dtype == expected.dtype and result.shape == expected.shape, name
+    if result.dtype == object:
+        for one, other in zip(result, expected, strict=True):
+            assert type(one) is type(other) and np.array_equal(one, other), name
+    else:
+        assert np.array_equal(result, expected), name
+
+
+def same_alone_and_among_others(name, steps=60, **settings):
+    """Asserts that three arms of our vector environment are three single ones, from their spaces to their last bits."""
+    ours, theirs = (gym.make_vec(name, 3, mode, **settings) for mode in ("vector_entry_point", "sync"))
+    assert ours.observation_space == theirs.observation_space and ours.action_space == theirs.action_space
+    for result, expected in zip(ours.reset(seed=1), theirs.reset(seed=1), strict=True):
+        same(result, expected, "reset")
+    ours.action_space.seed(0)
+    for step in range(steps):
+        action = ours.action_space.sample()
+        for result, expected in zip(ours.step(action), theirs.step(action), strict=True):
+            same(result, expected, f"step {step}")
+
+
+def refusal(action, *arguments) -> str:
+    """Return the one line with which `action` refuses."""
+    with pytest.raises(ValueError) as error:
+        action(*arguments)
+    assert "\n" not in str(error.value) and len(str(error.value)) < 420
+    return str(error.value)
+
+
+def offenders(action, values, good) -> list[str]:
+    """Those of many values that an action takes or refuses as it should not, each with its line.
+
+    `good` judges the line of a refusal, which is "" for a value that is taken; another error is never good.
+    """
+    result = []
+    for value in values:
+        try:
+            action(value)
+            line = ""
+        except ValueError as error:
+            line = str(error) or repr(error)
+        except Exception as error:
+            result.append(f"{short_repr(value)} gives {type(error).__name__}: {error}")
+            continue
+        if not good(line):
+            result.append(f"{short_repr(value)} is refused with {line}" if line else f"{short_repr(value)} is taken")
+    return result

@@ -1,0 +1,149 @@
+"""Bench: arms that a test knows all about, moved and read as an environment would, beside an observer."""
+
+import numpy as np
+
+from flexman_gym.control.controller import EpisodeInfo
+from flexman_gym.control.observers.observer import make_measurement_model
+from flexman_gym.envs.config.setup import build, setup_of
+from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.model.statics import rest_states
+from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.parameters import PARAMETERS
+from flexman_gym.simulation.readings import INSTRUMENTS, LinearReadings
+
+SMALL = {"elements": 1, "modes": 1}
+
+
+def small_plant(name="FlexOne-v0", randomisation=None, **settings):
+    """The plant of a named environment with few coordinates."""
+    setup = setup_of({"name": name, **SMALL, "randomisation": randomisation, **settings})
+    return make_plant(setup, build(setup).model)
+
+
+def drawn_parameters(plant, arms, random):
+    """Parameters (b, ...) of arms, evenly from the ranges of the plant."""
+    result = {}
+    for name, span in plant.unknown.items():
+        row, nominal = PARAMETERS[name], np.asarray(PARAMETERS[name].nominal(plant.model))
+        result[name] = random.uniform(*span, (arms, *nominal.shape)) * (nominal if row.factor else 1.0)
+    return result
+
+
+class Bench:
+    """b arms at rest with parameters (b, ...), torques that come late by delays (b,), and readings with noise.
+
+    Noise is a part of the deviations of the plant; biases (m,) are added to the readings by name.
+    """
+
+    def __init__(self, plant, start, parameters=None, delays=0, noise=0.0, seed=0, biases=None):
+        self.plant, self.start, self.noise = plant, np.array(start), noise
+        arms, n = self.start.shape
+        self.delays, self.biases = np.broadcast_to(delays, arms), biases or {}
+        self.batch = Batch(plant.model, *plant.moved, plant.period, arms=arms)
+        if parameters:
+            self.batch.vary(np.arange(arms), **parameters)
+        self.batch.reset(np.arange(arms), rest_states(plant.model, self.start))
+        self.past, self.applied = np.zeros((1 + np.max(delays), arms, n)), np.zeros((arms, n))
+        self.randoms = [np.random.default_rng([seed, arm]) for arm in range(arms)]
+        self.read, self.force = LinearReadings(plant.model), np.zeros(3)
+
+    def readings(self):
+        """What instruments read now; the noise of each arm is its own."""
+        result = self.read.named(self.batch.state)
+        for name, values in result.items():
+            deviation = self.plant.measured()[name][1]
+            own = np.array([random.standard_normal(values.shape[1]) for random in self.randoms])
+            result[name] = values + self.noise * deviation * own + self.biases.get(name, 0.0)
+        return result | {"state": self.batch.state.copy()}
+
+    def step(self, actions):
+        """Moves all arms by a period under actions (b, n), parts of the limits."""
+        self.applied = np.array(actions, dtype=float)
+        self.past = np.concatenate([self.applied[None], self.past[:-1]])
+        n = self.applied.shape[1]
+        drive = np.zeros((len(self.applied), n + 6))
+        drive[:, :n] = self.past[self.delays, np.arange(len(drive))] * self.plant.torque_limit
+        drive[:, n : n + 3] = self.force
+        self.batch.step(drive)
+
+    def episode(self):
+        """What an observer is told at the start."""
+        drawn = {"delay": np.array(self.delays)}
+        return EpisodeInfo(self.start, self.start, self.plant.period, drawn=drawn)
+
+    def follow(self, observer, actions, begin=True):
+        """Estimates of an observer after each of the actions (T, b, n), and before the first where it begins."""
+        playing, result = np.ones(len(self.start), dtype=bool), []
+        if begin:
+            observer.reset(np.arange(len(playing)), self.episode())
+            result.append(observer.estimate(self.readings(), self.applied, playing))
+        for action in actions:
+            self.step(action)
+            result.append(observer.estimate(self.readings(), self.applied, playing))
+        return result
+
+
+def pushes(random, periods, arms, n, held=8):
+    """Actions (T, b, n) that are kept for some periods."""
+    return random.uniform(-0.7, 0.7, (periods // held + 1, arms, n)).repeat(held, axis=0)[:periods]
+
+
+ALL = tuple(INSTRUMENTS)
+POSTURES = np.array([[0.4, -0.7], [-1.2, 0.5], [0.9, 1.3]])
+
+
+def plant(name="FlexPlanar-v0", **changes):
+    """What is told of a named environment, with changes."""
+    setup = setup_of({"name": name})
+    return make_plant(setup, build(setup).model)._replace(**changes)
+
+
+class World:
+    """True arms of two joints at rest at postures: what they are asked for moves them when it comes, instruments read.
+
+    What nobody is told of: `offset`, torques on the motors, `force` on the tip; `bias` and `noise` (b, m) of readings.
+    """
+
+    def __init__(self, given, postures=POSTURES):
+        self.plant, self.count = given, len(postures)
+        self.batch, self.goals = Batch(given.model, *given.moved, given.period, arms=self.count), postures
+        self.batch.place(np.arange(self.count), rest_states(given.model, postures))
+        self.instruments, self.arms = make_measurement_model(given, ALL), np.arange(self.count)
+        self.last, self.asked = np.zeros((self.count, 2)), [np.zeros((self.count, 2))] * (given.delay[0] + 1)
+        self.offset, self.force, self.bias, self.noise = (0.0,) * 4
+
+    def begin(self, told):
+        """Starts an observer or a controller, which is not told where the arms are."""
+        told.reset(self.arms, EpisodeInfo(np.full_like(self.goals, 9.0), self.goals, self.plant.period))
+
+    @property
+    def numbers(self):
+        """What instruments read (b, m)."""
+        return self.batch.state @ self.instruments.matrix.T + self.bias + self.noise
+
+    def readings(self):
+        """The same by name."""
+        numbers = self.numbers
+        return {name: numbers[:, place] for name, place in self.instruments.places.items()}
+
+    def step(self, actions):
+        """Asks the motors for parts (b, 2) of their limits."""
+        self.last, self.asked = actions, [*self.asked[1:], actions * np.array(self.plant.torque_limit)]
+        drive = np.zeros((self.count, 8))
+        drive[:, :2], drive[:, 2:5] = self.asked[0] + self.offset, self.force
+        self.batch.step(drive)
+
+    def play(self, observer, actions, watch=lambda estimate: None):
+        """Takes actions (T, b, 2), the observer is asked before each of them; gives what it said, and true states."""
+        said, true = [], []
+        for each in actions:
+            said.append(observer.estimate(self.readings(), self.last, np.ones(self.count, dtype=bool)))
+            true.append(self.batch.state.copy())
+            watch(said[-1])
+            self.step(each)
+        return said, true
+
+
+def random_actions(periods, count=3, seed=0, size=0.3):
+    """Actions (T, b, 2) that change in every period."""
+    return size * np.random.default_rng(seed).uniform(-1.0, 1.0, (periods, count, 2))

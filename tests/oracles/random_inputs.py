@@ -1,0 +1,40 @@
+"""Batches: states and drives of many arms, for tests of what moves them side by side."""
+
+import numpy as np
+
+
+def states_of(model, arms, seed=0):
+    """Arms that turn, bend a little and vibrate, the rotors with them."""
+    random = np.random.default_rng(seed)
+    states = 1e-3 * random.normal(size=(arms, 2 * model.n_dof))
+    turned = random.uniform(-1.0, 1.0, (arms, model.n_joints))
+    states[:, : model.n_joints] += turned
+    states[:, model.motor_columns] += turned
+    return states
+
+
+def drives(arms, steps, seed=1):
+    """Torques, tip forces and accelerations of the base, (steps, b, n + 6)."""
+    return np.random.default_rng(seed).uniform(-1.0, 1.0, (steps, arms, 9)) * ([400.0] * 3 + [20.0] * 3 + [1.0] * 3)
+
+
+EVERYTHING = {
+    "payload_mass": (0.0, 5.0), "joint_stiffness_factor": (0.8, 1.2), "link_stiffness_factor": (0.8, 1.2),
+    "rotor_inertia_factor": (0.9, 1.1), "joint_damping": (0.0, 20.0), "torque_limit_factor": (0.9, 1.1),
+    "sensor_noise": (0.0, 0.01), "delay": (0, 3), "initial_vibration": (0.0, 0.01), "tip_impulse": (0.0, 5.0),
+    "tip_load": (0.0, 10.0),
+    "base_sway": (0.0, 0.2), "impulse_gap": 0.2,
+}  # fmt: skip
+FRICTION = {  # and damping of links, of an arm that has some
+    "viscous_friction_factor": (0.5, 1.5), "coulomb_friction_factor": (0.5, 1.5), "link_damping_factor": (0.5, 1.5),
+}  # fmt: skip
+ALL_PARTS = ("motor_encoders", "joint_encoders", "strain", "accelerometer", "tip", "command")
+FLAWED = {"kind": "lab", "noise": 0.002, "bias": 0.001, "quantisation": 1e-4, "delay": 1, "every": 2, "dropped": 0.2}
+
+
+def actions(arms, steps, seed=0):
+    """Gentle torques, and now and then all that the motors have."""
+    random = np.random.default_rng(seed)
+    for step in range(steps):
+        action = random.uniform(-1.0, 1.0, (arms, 3)).astype(np.float32)
+        yield np.sign(action) if step % 40 > 20 else 0.2 * action
