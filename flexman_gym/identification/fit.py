@@ -315,10 +315,8 @@ def fit(
     Raises:
         ValueError: one line with field, value and what is allowed; where there are fewer data than free numbers.
     """
-    free_numbers, ringing = (
-        FreeParameters(instance("arm", arm, Arm, "an Arm"), free),
-        parse_ringings(frequencies, damping),
-    )
+    free_numbers = FreeParameters(instance("arm", arm, Arm, "an Arm"), free)
+    ringing = parse_ringings(frequencies, damping)
     whole_number("starts", starts, 0, 10**4)
     records = tuple(instance(f"records[{i}]", each, Measurement, "a Measurement") for i, each in enumerate(records))
     step = None if step is None else positive("step", step, "s")

@@ -26,7 +26,7 @@ from oracles.runs import RUNS
 
 @pytest.fixture(autouse=True)
 def few_episodes(monkeypatch):
-    monkeypatch.setattr("flexman_agents.callbacks.SELECTION", range(5000, 5002))
+    monkeypatch.setattr("flexman_agents.callbacks.SELECTION_SEEDS", range(5000, 5002))
 
 
 @pytest.fixture

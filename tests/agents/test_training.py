@@ -46,7 +46,7 @@ def trained(tmp_path_factory):
     """A PPO run of two rollouts on the PD controller, judged once on three episodes: its folder and its model."""
     folder = tmp_path_factory.mktemp("runs") / "ppo"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(callbacks, "SELECTION", range(5000, 5003))
+        patch.setattr(callbacks, "SELECTION_SEEDS", range(5000, 5003))
         return folder, train(replace(SHORT, judge_every=512), folder, progress=False)
 
 

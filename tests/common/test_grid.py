@@ -95,7 +95,7 @@ def test_a_killed_grid_leaves_no_process_and_goes_on_where_it_was(tmp_path):
 
 def test_what_other_sources_gave_is_not_kept(tmp_path, monkeypatch):
     [*run_cells(cells.counted, [(str(tmp_path), 1, False)], 1, tmp_path / "kept")]
-    monkeypatch.setattr(grid, "machine_text", lambda: "another machine")
+    monkeypatch.setattr(grid, "computer_text", lambda: "another machine")
     [*run_cells(cells.counted, [(str(tmp_path), 1, False)], 1, tmp_path / "kept")]
     assert (tmp_path / "done").read_text().split() == ["1", "1"]
 

@@ -32,8 +32,8 @@ from oracles.runs import RUNS
 
 def test_a_folder_is_trained_in_by_one_process(tmp_path, capsys):
     train(replace(RUNS["ppo"], judge_every=0), tmp_path, progress=False)
-    held = "import sys; from pathlib import Path; from flexman_gym.common.run_folder import FOREIGN, locked\n" \
-           f"with locked(Path({str(tmp_path)!r})): print('held', flush=True); sys.stdin.read()"  # fmt: skip
+    held = "import sys; from pathlib import Path; from flexman_gym.common.run_folder import lock_folder\n" \
+           f"with lock_folder(Path({str(tmp_path)!r})): print('held', flush=True); sys.stdin.read()"  # fmt: skip
     with subprocess.Popen([sys.executable, "-c", held], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
         assert other.stdout.readline() == b"held\n"
         assert refusal(resume, tmp_path, 10) == f"folder: {tmp_path} is not allowed; process {other.pid} trains in it"

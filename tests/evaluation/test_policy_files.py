@@ -195,7 +195,7 @@ def test_what_cannot_be_read_is_not_written_as_a_policy(tmp_path):
 
 def test_a_policy_needs_no_training_library(folder):
     script = "import sys; sys.modules['torch'] = sys.modules['stable_baselines3'] = None; "
-    script += "from flexman_gym.evaluation import find_entrant; print(find_entrant(sys.argv[1]).name)"
+    script += "from flexman_gym.evaluation import find_agent; print(find_agent(sys.argv[1]).name)"
     done = subprocess.run([sys.executable, "-c", script, folder], capture_output=True, text=True)
     assert done.stdout.strip() == folder.name, done.stderr
 

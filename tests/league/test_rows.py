@@ -252,7 +252,7 @@ def test_files_that_are_no_league_are_refused_in_one_line(tmp_path, rows, cells,
 
 def test_an_entrant_without_words_is_refused_before_anything_is_played(venue, tmp_path, monkeypatch):
     monkeypatch.delitem(agent_info.DESCRIPTIONS, "pd")
-    monkeypatch.setattr(league, "spread", lambda *given: pytest.fail("a cell was played"))
+    monkeypatch.setattr(league, "run_cells", lambda *given: pytest.fail("a cell was played"))
     line = refusal(run_league, ["zero", "pd"], [venue], SEEDS, tmp_path / "league")
     assert line.startswith("entrant: 'pd' is not allowed; give one that ABOUT describes: zero, random, ")
 
@@ -317,7 +317,7 @@ def test_rows_follow_from_what_is_played_and_from_what_controllers_are_told(monk
     monkeypatch.setattr(league, "code_hash", lambda: "")
     keys = set()
     for venue in (Scenario(one, one), Scenario(one, other), Scenario(other, one), Scenario(one, one, "finer")):
-        monkeypatch.setattr(league, "find_venue", lambda name: venue)  # noqa: B023
+        monkeypatch.setattr(league, "find_scenario", lambda name: venue)  # noqa: B023
         keys.add(league.row_key("pd", "FlexOne-v0"))
     assert len(keys) == 4
 

@@ -93,7 +93,7 @@ def test_a_finer_model_and_longer_episodes_are_what_they_say():
 
 
 def test_a_run_is_trained_once_and_judged_in_three_places(tmp_path, monkeypatch):
-    monkeypatch.setattr(measure, "TEST", range(9000, 9002))
+    monkeypatch.setattr(measure, "TEST_SEEDS", range(9000, 9002))
     case = LearningCase("recipe", "short", SHORT, 2)
     result = list(runs(case, tmp_path))
     assert [(row.seed, row.where) for row in result] == [
