@@ -275,7 +275,6 @@ class Fit:
 
     def report(self, folder: str | Path) -> None:
         """Writes fit.md, fit.png and arm.yaml into a folder; the picture needs Matplotlib."""
-
         _write_report(self, Path(folder))
 
 

@@ -177,6 +177,7 @@ class Integrator:
     def __call__(
         self, drive: Array, moment: tuple[float, float, int], state: Array, rows: Array, result: Array
     ) -> tuple[int, int, int]:
+        """Integrate the state by the method; return the status, the valid rows and the evaluations."""
         clock = Clock(*moment, *self.tolerance)
         if isinstance(self.method, ScipyMethod):
             return self._by_scipy(drive, clock, state, rows, result)

@@ -4,7 +4,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from studies.benchmark.measure import Cost, Timer
+from studies.stopwatch import Cost, Timer
 from studies.stopwatch import Stopwatch
 
 
