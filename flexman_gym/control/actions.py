@@ -218,7 +218,7 @@ class _ReferenceShapingMode:
         ones = np.ones((len(arms), self.joints))
         payload = known["payload_mass"][arms] if "payload_mass" in known else constants.payload_mass[0] * ones[:, 0]
         joints = known["joint_stiffness"][arms] / stiffness if "joint_stiffness" in known else ones
-        links = known["link_stiffness"][arms] if "link_stiffness" in known else ones
+        links = known["link_stiffness_factor"][arms] if "link_stiffness_factor" in known else ones
         return np.concatenate([payload[:, None], joints, links], axis=1)
 
     def _deviations(self, arms: IntArray) -> Array:
@@ -231,8 +231,8 @@ class _ReferenceShapingMode:
             flexible = constants.motor >= 0
             part = said["joint_stiffness_deviation"][arms] / constants.joint_stiffness[flexible]
             result[:, 1 : 1 + n][:, flexible] = part
-        if "link_stiffness_deviation" in said:
-            result[:, 1 + n :] = said["link_stiffness_deviation"][arms]
+        if "link_stiffness_factor_deviation" in said:
+            result[:, 1 + n :] = said["link_stiffness_factor_deviation"][arms]
         return result
 
 

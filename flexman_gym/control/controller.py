@@ -24,8 +24,8 @@ class Plant(NamedTuple):
         torque_limit: (n,) N m.
         period: of control, s.
         gains: makes "stiffness" (N m/rad) and "damping" (N m s/rad) that were tuned for the arm, (n,) each.
-        unknown: name -> (low, high) of the physical parameters that differ from arm to arm, see
-            `simulation.parameters.PARAMETERS`; parts of the nominal value where the table there says factor.
+        unknown: ranges (low, high) of the uncertain parameters, with the names and units of a randomisation, see
+            `simulation.parameters.UNCERTAIN`: "payload_mass" (kg), "joint_stiffness_factor" (1), and so on.
         delay: fewest and most whole control periods by which torques come late.
         moved: method and step (s) by which the arm is simulated.
         push: N, how large forces on the tip may be that nobody tells.

@@ -203,7 +203,8 @@ class Fit:
     Attributes:
         arm: with the fitted numbers.
         values: name as it was given to `fit` -> a number, or (n,) one for each joint or link; in the units of
-            `simulation.parameters.PARAMETERS`, link_stiffness as a factor on the moduli of the arm that was given.
+            `simulation.parameters.PARAMETERS`, link_stiffness_factor as a factor on the moduli of the arm that was
+            given.
         deviations: name -> their standard deviations, 0 of what was not free. Residuals that are not white count as so
             many fewer samples.
         undetermined: the numbers that the data cannot tell, such as "joint_stiffness[1]".

@@ -201,4 +201,4 @@ def parameters_from_constants(model: Model, constants: Mapping[str, Any]) -> dic
     flexible = np.diff(nominal.elastic_start) > 0
     factors = np.ones(model.n_joints)
     factors[flexible] = (constants["stiffness"][first] / nominal.stiffness[first])[flexible]
-    return result | {"link_stiffness": factors}
+    return result | {"link_stiffness_factor": factors}

@@ -8,7 +8,7 @@ from flexman_gym.envs.config.setup import build, setup_of
 from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.model.statics import rest_states
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.parameters import PARAMETERS
+from flexman_gym.simulation.parameters import PARAMETERS, UNCERTAIN
 from flexman_gym.simulation.readings import INSTRUMENTS, LinearReadings
 
 SMALL = {"elements": 1, "modes": 1}
@@ -23,7 +23,8 @@ def small_plant(name="FlexOne-v0", randomisation=None, **settings):
 def drawn_parameters(plant, arms, random):
     """Parameters (b, ...) of arms, evenly from the ranges of the plant."""
     result = {}
-    for name, span in plant.unknown.items():
+    for key, span in plant.unknown.items():
+        name = UNCERTAIN[key]
         row, nominal = PARAMETERS[name], np.asarray(PARAMETERS[name].nominal(plant.model))
         result[name] = random.uniform(*span, (arms, *nominal.shape)) * (nominal if row.factor else 1.0)
     return result

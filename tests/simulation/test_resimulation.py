@@ -21,7 +21,7 @@ FULL = fm.build_model(ARM, 2, stiffening=True)
 USUAL = fm.build_model(ARM, 2, (4, 4, 5))
 OWN = {
     "payload_mass": np.array([4.0, 0.0, 11.0]), "joint_stiffness": np.full((ARMS, 3), 4e3),
-    "link_stiffness": np.array([[0.8, 1.1, 1.3], [1.0, 1.0, 1.0], [1.2, 0.7, 0.9]]),
+    "link_stiffness_factor": np.array([[0.8, 1.1, 1.3], [1.0, 1.0, 1.0], [1.2, 0.7, 0.9]]),
 }  # fmt: skip
 
 

@@ -21,7 +21,9 @@ def test_half_of_the_runs_of_a_real_arm_predicts_the_others():
     names = sorted(runs)
     assert len(names) == 11
     half = [runs[name] for name in names[::2]]
-    found = fm.fit(fm.catalog.quanser_2dsfl(1), ["link_stiffness", "link_damping"], records=half, starts=0, **ONE)
+    found = fm.fit(
+        fm.catalog.quanser_2dsfl(1), ["link_stiffness_factor", "link_damping"], records=half, starts=0, **ONE
+    )
     modes = fm.modes(fm.build_model(found.arm, **ONE))
     assert 1.80 < modes.frequencies[0] < 1.97 and 0.09 < modes.damping_ratios[0] < 0.16
     scores = {name: found.score(runs[name])[STAGE_1] for name in names[1::2]}

@@ -7,6 +7,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.control.controller import Plant
 from flexman_gym.envs.config.named_environments import NAMED
+from flexman_gym.envs.config.randomisation import range_name
 from flexman_gym.envs.sensors.instrument import Instrument
 from flexman_gym.envs.sensors.sensor import measurement_ranges
 from flexman_gym.envs.sensors.sensor_array import measured_names
@@ -28,7 +29,7 @@ def make_plant(setup: Any, model: Model) -> Plant:
         setup.torque_limit,
         setup.control_period,
         lambda: setup.pd_gains,
-        {name: span for name, span in drawn.items() if name in PARAMETERS},
+        {range_name(name): span for name, span in drawn.items() if name in PARAMETERS},
         (int(fewest), int(most)),
         (setup.method, setup.step or default_step(setup.control_period, NAMED[setup.name].longest_step)),
         float(drawn.get("tip_load", (0.0, 0.0))[1]),
