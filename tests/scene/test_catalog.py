@@ -10,7 +10,6 @@ import flexman_gym as fm
 from flexman_gym.scene.arm import Payload
 from flexman_gym.scene.catalog import one_link, paper_rrr, paper_scene, planar_2r
 from flexman_gym.scene.scene import Scene
-from flexman_gym.verification.beams import published_rows
 
 from oracles.assertions import refusal
 from oracles.files import REFERENCE, ROOT
@@ -123,11 +122,3 @@ def test_one_stage_is_both_with_the_second_locked():
     result = fm.frequencies(fm.build_model(one, 1), lock_joints=True)
     assert result[0] == pytest.approx(expected[0], rel=1e-6)  # in the plane; across it the strip has other inertia
     assert "1 to 2" in refusal(fm.catalog.quanser_2dsfl, 3)
-
-
-def test_published_frequencies_are_those_of_the_catalog():
-    rows = list(published_rows())
-    assert len(rows) == 12
-    assert [row.case for row in rows if row.verdict == "fail"] == []
-    shown = [row for row in rows if row.tolerance is None]
-    assert len(shown) == 1 and shown[0].error < 0.03
