@@ -12,10 +12,9 @@ from flexman_gym.kernels import paths as kernels
 from flexman_gym.kernels.control_period import fill_views, linear_readings
 from flexman_gym.model.deformation import gauge_radii
 from flexman_gym.model.dynamics import frequencies
-from flexman_gym.model.linearization import UNITS
+from flexman_gym.model.linearization import UNITS, LinearReadings
 from flexman_gym.model.statics import rest_states, rest_tips
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.readings import LinearReadings
 
 REACHED, SLOPE = 1e-9, 1e-4  # of the reach: a place that is reached; slopes of the tip that turn no joint
 Number = Any  # (b,), or a number of a single arm; only arithmetic and NumPy's functions are used on it

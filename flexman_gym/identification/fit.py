@@ -143,7 +143,7 @@ The arm is in `arm.yaml`.
 MEASURED, COMPUTED = "#8a8f98", "#0072B2"
 
 
-def _write_report(found: Any, folder: Path) -> None:
+def _write_report(found: "Fit", folder: Path) -> None:
     """Writes fit.md, fit.png and arm.yaml of a Fit into a folder.
 
     Raises:
@@ -168,7 +168,7 @@ def _write_report(found: Any, folder: Path) -> None:
     (folder / "fit.md").write_text(text, encoding="utf-8")
 
 
-def _draw(found: Any, file: Path) -> None:
+def _draw(found: "Fit", file: Path) -> None:
     """Each output of each record, measured and computed."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg

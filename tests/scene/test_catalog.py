@@ -15,7 +15,6 @@ from flexman_gym.scene.arm import Payload
 from flexman_gym.scene.catalog import one_link, paper_rrr, paper_scene, planar_2r
 from flexman_gym.scene.scene import Scene
 from flexman_gym.scene.serialization import ARM_FOLDER, ARMS, find_arm
-from flexman_gym.verification.beams import published_rows
 
 from oracles.assertions import refusal
 from oracles.files import REFERENCE, ROOT
@@ -215,11 +214,3 @@ def test_named_arms_are_those_of_their_files():
         defaults = {key: each.default for key, each in inspect.signature(make).parameters.items()}
         assert make(**defaults) == make() == find_arm(name) == find_arm(f"{name}.yaml", ARM_FOLDER)
         assert pickle.loads(pickle.dumps(make)) is make
-
-
-def test_published_frequencies_are_those_of_the_catalog():
-    rows = list(published_rows())
-    assert len(rows) == 12
-    assert [row.case for row in rows if row.verdict == "fail"] == []
-    shown = [row for row in rows if row.tolerance is None]
-    assert len(shown) == 1 and shown[0].error < 0.03
