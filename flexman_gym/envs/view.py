@@ -8,8 +8,8 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.kernels import layout
-from flexman_gym.kernels import paths as kernels
 from flexman_gym.kernels.control_period import fill_views, linear_readings
+from flexman_gym.kernels.rigid_arm import inverse_kinematics
 from flexman_gym.model.deformation import gauge_radii
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.linearization import UNITS, LinearReadings
@@ -170,9 +170,7 @@ class View:
         constants, n = self._batch.model.constants, self.n_joints
         result, x = np.repeat(near[None], len(tips), axis=0), np.zeros(self._batch.model.n_dof)
         accuracy, damping = REACHED * self.reach, SLOPE * self.reach
-        left = kernels.inverse_kinematics(
-            constants, np.ascontiguousarray(tips), x, np.zeros((n, 3)), accuracy, damping, result
-        )
+        left = inverse_kinematics(constants, np.ascontiguousarray(tips), x, np.zeros((n, 3)), accuracy, damping, result)
         return result, left
 
     def rest_tips(self, postures: Array) -> Array:

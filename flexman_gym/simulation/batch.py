@@ -9,6 +9,7 @@ from flexman_gym.common.arrays import Array, Flags
 from flexman_gym.common.checks import check_magnitudes, positive, value_error, whole_number
 from flexman_gym.kernels import layout, outputs
 from flexman_gym.kernels.control_period import close_period
+from flexman_gym.kernels.rigid_arm import rigid_tips
 from flexman_gym.model.model import Model, checked_model
 from flexman_gym.simulation.batch_integrators import BatchIntegrator, LaneIntegrator, SequentialIntegrator
 from flexman_gym.simulation.integrator import Integrator, find_method, find_substeps, find_tolerance, prescribed_flags
@@ -188,7 +189,7 @@ class Batch:
     def rigid_tips(self, states: Array) -> Array:
         """Gives the tips (r, 3) in the base frame, m, of the rigid arm at the motor angles of states (r, 2 d)."""
         tips = np.empty((len(states), 3))
-        outputs.rigid_tips(self.model.constants, states, tips)
+        rigid_tips(self.model.constants, states, tips)
         return tips
 
     def __reduce__(self) -> NoReturn:

@@ -14,11 +14,12 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.kernels import accelerometer, layout
 from flexman_gym.kernels import arms as kernels
-from flexman_gym.kernels.arms import PER_ARM, address_table, arms_array
+from flexman_gym.kernels import layout
+from flexman_gym.kernels.arguments import PER_ARM, address_table, arms_array
 from flexman_gym.kernels.lanes import ARMS, NUMBER
 from flexman_gym.kernels.layout import ARMS_ABREAST, Clock, Constants, IntArray, Tableau, make_work
+from flexman_gym.kernels.outputs import tip_accelerations
 from flexman_gym.kernels.signals import spin_wait
 from flexman_gym.scene.signals import signal_table
 from flexman_gym.simulation.integrator import ABREAST, Integrator, chunks, evaluations_of_a_call, row_chunks
@@ -194,7 +195,7 @@ class SequentialIntegrator:
         """Compute the tip accelerations of all arms."""
         d = rows.shape[1] // 2 - 1
         for run, drive, row, out in zip(self._runs, drives, rows, result, strict=True):
-            accelerometer.tip_accelerations(run.constants, run.work, row[:d], row[d : 2 * d], drive, out)
+            tip_accelerations(run.constants, run.work, row[:d], row[d : 2 * d], drive, out)
 
 
 def _own_constants(constants: Constants) -> dict[str, Any]:
@@ -307,12 +308,12 @@ class LaneIntegrator:
     def sense(self, drives: Array, rows: Array, result: Array) -> None:
         """Compute the tip accelerations of all arms."""
         if self._alone:
-            accelerometer.sense_one(self._tables[0], self._work_tables[0], drives, rows, result)
+            kernels.sense_one(self._tables[0], self._work_tables[0], drives, rows, result)
             return
 
         def share(groups: slice, work: IntArray) -> Iterator[None]:
             arms = _arms(groups)
-            accelerometer.sense_arms(self._tables[groups], work, drives[arms], rows[arms], result[arms])
+            kernels.sense_arms(self._tables[groups], work, drives[arms], rows[arms], result[arms])
             yield
 
         self._share(share)
