@@ -130,7 +130,7 @@ class Episodes:
         self._energy_alarm, self._told = setup.energy_alarm, setup.tell
         for name in setup.tell:
             one_of("tell", name, (*self.view.units, "action"))
-        self.longest = setup.longest
+        self.longest = self._path = setup.longest
         self.watch: Callable[[], None] | None = None
         self.failures: dict[int, str] = {}
         self.over, self.truncated = np.ones(arms, dtype=bool), np.zeros(arms, dtype=bool)
@@ -253,7 +253,7 @@ class Episodes:
     def _begin_agent(self, arms: IntArray, plan: Mapping[str, Array], posture: Array) -> None:
         """Start new episodes of the arms (r,) of the agent, with plans (r, ...) and first goals (r, n) rad."""
         task, view = self.task, self.view
-        path = partial(goal_path, task, plan, self._longest, view) if task.moves else None
+        path = partial(goal_path, task, plan, self._path, view) if task.moves else None
         drawn = {name: values[arms] for name, values in self.effects.drawn.items()} if self.effects else {}
         self.agent.reset(arms, EpisodeInfo(plan["start"], posture, view.control_period, path, drawn), len(self.over))
 
