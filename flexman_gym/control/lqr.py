@@ -246,10 +246,10 @@ class LQR:
         linear = linearize(self.model, state=state, torque=held)
         return optimal_gain(linear, self.model.motor_columns, self.limits, weights or self.weights, self.period)
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Designs for new episodes of the arms (r,)."""
         self._gains, self._rest, self._held = (
-            pad_rows(values, int(arms.max(initial=-1)) + 1) for values in (self._gains, self._rest, self._held)
+            pad_rows(values, count) for values in (self._gains, self._rest, self._held)
         )
         for arm, angles in zip(arms, episode.goal, strict=True):
             self._gains[arm] = self.gain(angles)
@@ -312,7 +312,7 @@ class TrackingLQR(LQR):
         self._plans: list[_GainSchedule] = []
         self._now = np.zeros(0, dtype=np.int64)
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Plans how the arms (r,) slew to their goals, or follow those that move."""
         if episode.reference is not None:
             self._follow(arms, episode.reference)

@@ -66,7 +66,7 @@ class _Renderer:
         from flexman_gym.draw.video import Window, has_display
 
         view, model = self._episodes.view, self._episodes.batch.model
-        period = self._episodes.hold * view.control_period
+        period = self._episodes.agent.action_repeat * view.control_period
         if self.screen is None:
             shown = self._painter
             self.screen = (

@@ -8,7 +8,7 @@ from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.control.controller import Controller
 from flexman_gym.envs.config.description import NOMINAL, Description
 from flexman_gym.envs.config.named_environments import DEFAULT
-from flexman_gym.evaluation.agent import Agent, split_interface
+from flexman_gym.evaluation.agent import AgentSpec, split_interface
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.simulation.batch import Batch
@@ -60,7 +60,7 @@ def find_plant(name: str) -> Callable[[Batch], None]:
 
 
 def evaluate_on_plants(
-    entrant: str | Agent | Controller,
+    entrant: str | AgentSpec | Controller,
     environment: str | Description,
     seeds: Sequence[int],
     plants: Sequence[str] = tuple(PLANTS),

@@ -68,7 +68,7 @@ def test_a_run_that_was_interrupted_twice_is_the_run_that_was_not(algo, tmp_path
     assert read_data(whole / NEWEST)["training"]["counts"]["num_timesteps"] >= RUNS[algo].steps
     assert (whole / BEST).read_bytes() != b"" and sorted(read_data(whole / BEST)) == sorted(read_data(parts / BEST))
     seen = np.linspace(-1.0, 1.0, 3 * 32).reshape(3, 32).astype(np.float32)
-    one, other = (load_run(folder).interface["base"].network(seen) for folder in (whole, parts))
+    one, other = (load_run(folder).law(seen) for folder in (whole, parts))
     assert np.array_equal(one, other)
 
 

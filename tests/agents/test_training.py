@@ -38,7 +38,7 @@ SIZE = 18 + 14  # numbers that a FlexOne agent sees with both sensors
 def acts(folder):
     """What the policy of a run does with some observations."""
     observations = np.linspace(-0.5, 0.5, 3 * SIZE).reshape(3, SIZE).astype(np.float32)
-    return find_agent(str(folder)).interface["base"].network(observations)
+    return find_agent(str(folder)).law(observations)
 
 
 @pytest.fixture(scope="module")

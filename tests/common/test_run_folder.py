@@ -173,7 +173,7 @@ def test_files_of_stable_baselines3_need_trust(run, tmp_path):
     line = refusal(find_agent, str(tmp_path))
     assert "--trust" in line and "run any code" in line
     seen = np.zeros((2, 32), dtype=np.float32)
-    assert load_sb3_run(tmp_path).act(seen, (2, 1)).shape == (2, 1)
+    assert load_sb3_run(tmp_path).law(seen).shape == (2, 1)
     (tmp_path / SB3_MODEL).write_bytes(b"noise")
     assert "this is not a run of Stable-Baselines3" in refusal(load_sb3_run, tmp_path)
 
@@ -224,11 +224,11 @@ def test_mutated_runs_give_one_line_or_act_as_they_did(run, tmp_path, seed):
         (tmp_path / name).write_bytes(content)
     seen = np.linspace(-1.0, 1.0, 3 * 32).reshape(3, 32).astype(np.float32)
     try:
-        network = find_agent(str(tmp_path)).interface["base"].network
+        network = find_agent(str(tmp_path)).law
     except (ValueError, FileNotFoundError) as error:
         assert "\n" not in str(error) and str(tmp_path) in str(error)
     else:
-        assert np.array_equal(network(seen), find_agent(str(run)).interface["base"].network(seen))
+        assert np.array_equal(network(seen), find_agent(str(run)).law(seen))
 
 
 def test_broken_files_give_one_line(run, tmp_path):

@@ -235,7 +235,7 @@ def test_arms_that_begin_at_different_times_do_not_touch_each_other():
             if period == 0 or len(fresh):
                 arms = np.arange(len(seeds)) if period == 0 else fresh
                 start = np.concatenate([benches[arm][0].start for arm in arms])
-                observer.reset(arms, benches[0][0].episode().__class__(start, start, plant.period))
+                observer.reset(arms, benches[0][0].episode().__class__(start, start, plant.period), len(arms))
             playing = np.array(begins) <= period
             each = [bench.readings() for bench, *_ in benches]
             readings = {name: np.concatenate([one[name] for one in each]) for name in each[0]}

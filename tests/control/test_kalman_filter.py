@@ -410,10 +410,10 @@ def test_an_arm_among_many_gets_what_an_arm_alone_gets_to_the_bit(options):
         if period in begin:
             arms = np.array(begin[period])
             last[arms] = 0.0
-            many.reset(arms, EpisodeInfo(POSTURES[arms], POSTURES[arms], given.period))
+            many.reset(arms, EpisodeInfo(POSTURES[arms], POSTURES[arms], given.period), len(arms))
             for arm in begin[period]:
                 singles[arm] = KalmanFilter(given, **options)
-                singles[arm].reset(np.array([0]), EpisodeInfo(POSTURES[[arm]], POSTURES[[arm]], given.period))
+                singles[arm].reset(np.array([0]), EpisodeInfo(POSTURES[[arm]], POSTURES[[arm]], given.period), 1)
         values = 0.05 * random.normal(size=(3, m))
         read = {name: values[:, place] for name, place in many._instruments.places.items()}
         playing = np.array([rest.get(period) != arm for arm in range(3)])

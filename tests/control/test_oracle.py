@@ -20,8 +20,8 @@ class Asking:
     def __init__(self, observer, asked):
         self.observer, self.sensors, self.asked, self.said = observer, observer.sensors, asked, []
 
-    def reset(self, arms, episode):
-        self.observer.reset(arms, episode)
+    def reset(self, arms, episode, count):
+        self.observer.reset(arms, episode, count)
 
     def act(self, readings, applied, playing):
         estimate = self.observer.estimate(readings, applied, playing)

@@ -197,7 +197,7 @@ def test_objects_of_ones_own_cannot_be_described():
 def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
     """From gym.make, gym.make_vec and an evaluation, whose records are period by period."""
     pytest.importorskip("stable_baselines3")
-    from flexman_gym.evaluation.agent import Agent, common_environment, find_agent
+    from flexman_gym.evaluation.agent import AgentSpec, common_environment, find_agent
     from flexman_gym.evaluation.rollout import rollout
 
     files.write_data(tmp_path / "own.yaml", OWN)
@@ -214,7 +214,7 @@ def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
         errors.append(info["tip_error"])
         assert np.array_equal(seen, others[1]) and infos["tip_error"][1] == errors[-1]
     assert ended
-    policy = Agent("pd", find_agent("zero").act, {key: OWN[key] for key in ("base", "hold", "sensors")})
+    policy = AgentSpec("pd", find_agent("zero").law, {key: OWN[key] for key in ("base", "hold", "sensors")})
     (_, record) = rollout(policy, common_environment([policy], result), [7, seed]).records
     assert np.array_equal(record.errors[::2], errors)
 

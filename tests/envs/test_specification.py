@@ -55,7 +55,7 @@ def deviations(settings, names, arms=400):
     class Reading:
         sensors, heard = ("motor_encoders", "joint_encoders", "strain"), None
 
-        def reset(self, arms, episode):
+        def reset(self, arms, episode, count):
             pass
 
         def act(self, readings, applied, playing):

@@ -351,14 +351,14 @@ def test_a_watch_keeps_starts_and_actions_apart(monkeypatch):
         clock[0] += seconds
         return np.zeros((1, 1))
 
-    slow = SimpleNamespace(sensors=(), reset=lambda *_: passing(1.0), act=lambda *_: passing(1e-3))
+    slow = SimpleNamespace(sensors=(), joints=1, names=(), reset=lambda *_: passing(1.0), act=lambda *_: passing(1e-3))
     monkeypatch.setattr(league, "process_time", lambda: clock[0])
-    watch = league._TimedController(slow)
+    watch = league._TimedMode(slow)
     for _ in range(2):
-        watch.reset(None, None)
+        watch.reset(None, None, 1)
         passing(100.0)
         for _ in range(3):
-            watch.act({}, None, None)
+            watch.act(None, {}, None, None)
     assert (watch.designing, watch.acting) == pytest.approx((2.0, 6e-3))
 
 

@@ -76,7 +76,7 @@ class Bench:
         """Estimates of an observer after each of the actions (T, b, n), and before the first where it begins."""
         playing, result = np.ones(len(self.start), dtype=bool), []
         if begin:
-            observer.reset(np.arange(len(playing)), self.episode())
+            observer.reset(np.arange(len(playing)), self.episode(), len(playing))
             result.append(observer.estimate(self.readings(), self.applied, playing))
         for action in actions:
             self.step(action)
@@ -115,7 +115,7 @@ class World:
 
     def begin(self, told):
         """Starts an observer or a controller, which is not told where the arms are."""
-        told.reset(self.arms, EpisodeInfo(np.full_like(self.goals, 9.0), self.goals, self.plant.period))
+        told.reset(self.arms, EpisodeInfo(np.full_like(self.goals, 9.0), self.goals, self.plant.period), len(self.arms))
 
     @property
     def numbers(self):

@@ -144,16 +144,15 @@ class KalmanFilter:
         self.covariance, self._transition, self._noise = (np.zeros((0, s, s)) for _ in range(3))
         self._ages, self._gain = np.zeros(0, dtype=np.int64), np.zeros((0, s, m))
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Starts new episodes of the arms (r,).
 
         Raises:
             ValueError: for sensors that do not tell the state, where the gain is fixed.
         """
-        count = int(arms.max(initial=-1)) + 1
         for name in ("states", "covariance", "_transition", "_noise", "_ages", "_gain"):
             setattr(self, name, pad_rows(getattr(self, name), count))
-        self._prediction.reset(arms)
+        self._prediction.reset(arms, count)
         self._ages[arms], self.states[arms] = 0, 0.0
         if self._fixed:
             covariance = self._settled(*self._system(*self._rest(episode.goal))[:2], slice(None))

@@ -43,7 +43,7 @@ class Observer(Protocol):
         """Names of the sensors that it reads."""
         ...
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Starts new episodes of the arms (r,)."""
         ...
 

@@ -36,11 +36,10 @@ class Oracle:
         self._unknowns = make_uncertain_parameters(plant.model, ranges) if doubt and ranges else None
         self._numbers = np.zeros((0, 2, len(self._unknowns.names) if self._unknowns else 0))  # true ones, and errors
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Takes parameters and delays of new episodes of the arms (r,)."""
-        self._prediction.reset(arms, episode.drawn.get("torque_limit"))
+        self._prediction.reset(arms, count, episode.drawn.get("torque_limit"))
         self._prediction.remember(int(np.max(episode.drawn.get("delay", 0), initial=0)))
-        count = len(self._prediction.past)
         drawn = {name: values.astype(float) for name, values in episode.drawn.items() if name in PARAMETERS}
         for name, values in drawn.items():
             self._parameters[name] = pad_rows(self._parameters.get(name, values[:0]), count)

@@ -18,12 +18,12 @@ from flexman_gym.common.checks import (
     vector,
     whole_number,
 )
-from flexman_gym.control.actions import checked_action_mode
+from flexman_gym.control.actions import ActionMode, checked_action_mode
+from flexman_gym.control.agent import checked_history
 from flexman_gym.control.base_controllers import BASES, checked_base, make_base
 from flexman_gym.control.controller import Controller, checked_controller
 from flexman_gym.control.margins import first_order_lag
 from flexman_gym.control.pd import PD, torque_limits
-from flexman_gym.control.policy import PolicyFactory, checked_history
 from flexman_gym.envs.config.fidelity import choose_fidelity
 from flexman_gym.envs.config.hints import HINTS
 from flexman_gym.envs.config.named_environments import DEFAULT, NAMED
@@ -76,7 +76,8 @@ class Setup:
             has.
         actions: what an action of the agent means: a name in `control.actions.ACTIONS`, "torque" for torques as parts
             of their limits, "current" of motors, "position" or "velocity" of their servos, or "shaping" for the
-            reference that the base tracks; or a mapping with a name at "kind" and its arguments. A servo acts in every
+            reference that the base tracks; a mapping with a name at "kind" and its arguments; or an ActionMode that is
+            made already, with its base. A servo acts in every
             control period: with control_period=0.002 and hold=10 it runs at 500 Hz under an agent at 50 Hz.
         drive_bandwidth: Hz, with which the torque of a motor follows what it is asked for, as a first-order lag; None
             for at once.
@@ -110,7 +111,7 @@ class Setup:
     torque_limit: Any = None
     control_period: float = None  # type: ignore[assignment]
     horizon: float = None  # type: ignore[assignment]
-    base: Controller | PolicyFactory | Mapping[str, Any] | str | None = None
+    base: Controller | Mapping[str, Any] | str | None = None
     gains: Any = None
     actions: Any = "torque"
     drive_bandwidth: float | None = None
@@ -165,9 +166,10 @@ class Setup:
         check_task(self.task)
         if isinstance(self.base, str | dict):
             checked_base(self.base)
-        elif self.base is not None and not isinstance(self.base, PolicyFactory):
-            checked_controller("base", self.base, f"None, one of {', '.join(BASES)}, or ")
-        checked_action_mode(self.actions)
+        elif self.base is not None:
+            set_fields(self, base=checked_controller("base", self.base, f"None, one of {', '.join(BASES)}, or "))
+        if not isinstance(self.actions, ActionMode):
+            checked_action_mode(self.actions)
         if self.drive_bandwidth is not None:
             set_fields(self, drive_bandwidth=physical("drive_bandwidth", self.drive_bandwidth, "Hz"))
         if self.base == "pd":
@@ -250,8 +252,6 @@ class Setup:
 
         It warns (UserWarning) where sampling and delay make a PD unstable.
         """
-        if isinstance(self.base, PolicyFactory):
-            return self.base.made_for(make_plant(self, model))  # type: ignore[return-value]
         if not isinstance(self.base, str | dict):
             return self.base  # type: ignore[return-value]
         result = self.controller(self.base, model)
