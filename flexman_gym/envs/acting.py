@@ -9,8 +9,8 @@ from flexman_gym.common.arrays import Array, Flags, IntArray
 from flexman_gym.control.actions import make_action_mode
 from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.envs.active_effects import ActiveEffects
-from flexman_gym.envs.config.setup import Setup
-from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.specification import make_base_controller, make_plant
 from flexman_gym.envs.sight import Sight
 from flexman_gym.envs.tasks.task import goal_path
 from flexman_gym.envs.view import View
@@ -28,9 +28,9 @@ class Acting:
 
     kept = ("base", "mode")
 
-    def __init__(self, setup: Setup, model: Model) -> None:
+    def __init__(self, setup: Configuration, model: Model) -> None:
         self._task, self._longest = setup.task, setup.longest
-        self.base = setup.base_controller(model)
+        self.base = make_base_controller(setup, model)
         self.plant = make_plant(setup, model)
         self.mode = make_action_mode(setup.actions, self.plant, self.base)
 

@@ -13,8 +13,8 @@ from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.control.controller import Controller
 from flexman_gym.envs.acting import Acting
 from flexman_gym.envs.active_effects import ActiveEffects
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.reset_options import parse_options, replace_tip_positions
-from flexman_gym.envs.config.setup import Setup
 from flexman_gym.envs.effects import Stage
 from flexman_gym.envs.limits import limit_violation
 from flexman_gym.envs.sensors import Sensors, measured_names
@@ -102,7 +102,7 @@ class Episodes:
 
     kept = ("batch", "motors", "effects", "view", "sight", "over", "truncated", "_ages", "_failed")
 
-    def __init__(self, setup: Setup, batch: Batch) -> None:
+    def __init__(self, setup: Configuration, batch: Batch) -> None:
         self.batch, self.task, self.view = batch, setup.task, View(batch)
         self._terms = reward_terms(setup.task, setup.reward)
         arms = len(batch.rows)
@@ -114,7 +114,7 @@ class Episodes:
         self._energy_alarm, self._told = setup.energy_alarm, setup.tell
         for name in setup.tell:
             one_of("tell", name, (*self.view.units, "action"))
-        self.hold, self.longest = setup.hold, setup.longest
+        self.hold, self.longest = setup.action_repeat, setup.longest
         self.watch: Callable[[], None] | None = None
         self.failures: dict[int, str] = {}
         self.over, self.truncated = np.ones(arms, dtype=bool), np.zeros(arms, dtype=bool)
@@ -122,7 +122,7 @@ class Episodes:
         self._ages, self._beyond = np.zeros(arms, dtype=np.int64), np.zeros(arms, dtype=bool)
         self._all = np.ones(arms, dtype=bool)
 
-    def _effects(self, setup: Setup) -> ActiveEffects | None:
+    def _effects(self, setup: Configuration) -> ActiveEffects | None:
         """What disturbs the arms, of the randomisation and of the task."""
         randomisation = setup.disturbed
         if randomisation is None:

@@ -9,7 +9,7 @@ from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.control.actions import LARGEST, ActionMode, mode_observation_size
 from flexman_gym.control.policy import History
 from flexman_gym.envs.active_effects import ActiveEffects
-from flexman_gym.envs.config.setup import Setup
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.sensors import Sensors, find_sensors, measured_names
 from flexman_gym.envs.sensors.sensor import MeasuredView
 from flexman_gym.envs.view import View
@@ -29,7 +29,7 @@ class Sight:
 
     kept = ("_measured", "sensors", "_base_sensors", "_history", "seen")
 
-    def __init__(self, setup: Setup, view: View, acting: ActionMode, effects: ActiveEffects | None) -> None:
+    def __init__(self, setup: Configuration, view: View, acting: ActionMode, effects: ActiveEffects | None) -> None:
         self._effects, arms = effects, len(view.motion)
         parts, own = sight_parts(setup, acting)
         self._measured = None
@@ -43,7 +43,7 @@ class Sight:
         bound = np.concatenate([self.sensors.bound, np.full(self._shown.shape[1], LARGEST)])
         size, parts_of_history = len(bound), 1
         if setup.history != 1:
-            self._history = History(setup.history, setup.hold * setup.control_period, arms, size)
+            self._history = History(setup.history, setup.action_repeat * setup.control_period, arms, size)
             parts_of_history = self._history.parts
         self.bound = np.tile(bound, parts_of_history).astype(np.float32)
         self.seen: Observations = np.zeros((arms, len(self.bound)), dtype=np.float32)
@@ -110,6 +110,6 @@ class Sight:
         self._base_sensors.renew(randoms)
 
 
-def sight_parts(setup: Setup, acting: ActionMode) -> tuple[list[object], tuple[object, ...]]:
+def sight_parts(setup: Configuration, acting: ActionMode) -> tuple[list[object], tuple[object, ...]]:
     """The sensors of the agent, with those of the task, and those of what acts beside it."""
     return [*setup.sensors, *setup.task.sensors], find_sensors(acting.sensors)

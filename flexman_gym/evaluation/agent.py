@@ -27,14 +27,13 @@ from flexman_gym.control.base_controllers import BASES, checked_base
 from flexman_gym.control.controller import Controller
 from flexman_gym.control.network import Network
 from flexman_gym.control.policy import Policy, PolicyFactory
-from flexman_gym.envs.config.description import Description
-from flexman_gym.envs.config.description import described as described_setup
-from flexman_gym.envs.config.setup import build, setup_of
-from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.config.configuration import Configuration, current_name
+from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.specification import make_base_controller, make_controller, make_plant
 from flexman_gym.evaluation.policy_files import ABOUT, POLICIES, policy_folder, read_policy
 
 ActionFunction = Callable[[NDArray[np.float32], tuple[int, ...]], NDArray[np.floating]]
-INTERFACE = ("base", "hold", "sensors", "history", "actions")  # settings of what acts, not of what is moved
+INTERFACE = ("base", "action_repeat", "sensors", "history", "actions")  # settings of what acts, not of what is moved
 BASELINES = (*BASES, "zero", "random")
 """Entrants that need no training, by name."""
 AGENTS = (*BASELINES, *POLICIES)  # all that have a name
@@ -47,14 +46,14 @@ class Agent:
     Attributes:
         name: as in a table.
         act: actions for observations (b, size) and the shape (b, n) that they have.
-        interface: base, its gains, hold, sensors and history; None for those of the environment in which it acts.
+        interface: base, its gains, action_repeat, sensors and history; None for those of the environment where it acts.
         environment: the environment that it was trained on; None for a baseline, which suits any.
     """
 
     name: str
     act: ActionFunction
     interface: dict[str, Any] | None = field(default_factory=dict)
-    environment: Description | None = None
+    environment: Configuration | None = None
 
 
 def find_agent(entrant: object) -> Agent:
@@ -100,7 +99,7 @@ def load_policy(folder: Path) -> Agent:
     """
     about, network = read_policy(folder)
     try:
-        described = Description.from_dict(about["environment"])
+        described = Configuration.from_plain(about["environment"])
         if observation_layout(described) != about["observation"]:
             raise value_error(
                 "observation", about["observation"], "the names, units and sizes that its sensors read here"
@@ -111,7 +110,7 @@ def load_policy(folder: Path) -> Agent:
     return Agent(folder.name, zero_action, {"base": policy}, split_interface(described)[0])
 
 
-def observation_layout(described: Description) -> list[dict[str, Any]]:
+def observation_layout(described: Configuration) -> list[dict[str, Any]]:
     """Gives what the agent of an environment observes, in order: name, unit and how many numbers, without history."""
     venv = gym.make_vec(described.id, 1, "vector_entry_point", **described.keywords())
     episodes: Any = venv.unwrapped.episodes  # type: ignore[attr-defined]
@@ -122,7 +121,7 @@ def observation_layout(described: Description) -> list[dict[str, Any]]:
     return [{"name": name, "unit": unit, "size": size} for name, unit, size in seen]
 
 
-def predictor_agent(model: Any, described: Description | None = None) -> Agent:
+def predictor_agent(model: Any, described: Configuration | None = None) -> Agent:
     """Gives the entrant of an object with `predict`, which gives actions (b, n) for observations (b, size).
 
     A model of Stable-Baselines3 brings the environment that it learned in, and the statistics of a `VecNormalize`
@@ -135,7 +134,7 @@ def predictor_agent(model: Any, described: Description | None = None) -> Agent:
     beside = getattr(model, "get_vec_normalize_env", lambda: None)()
     arms = getattr(model, "get_env", lambda: None)()
     if described is None and arms is not None:
-        described = Description.from_dict(described_setup(arms.get_attr("setup")[0]))
+        described = arms.get_attr("setup")[0]
     environment, interface = (None, None) if described is None else split_interface(described)
 
     told = {"deterministic": True}
@@ -162,7 +161,7 @@ def load_run(folder: Path) -> Agent:
         raise _untrusted(folder)
     settings = read_settings(folder)
     try:
-        described = Description.from_dict(settings["environment"])
+        described = Configuration.from_plain(settings["environment"])
         algo, activation = settings["algo"], settings["hyperparameters"].get("activation")
         in_use = settings.get("base_in_use")
     except (KeyError, TypeError, AttributeError, ValueError, RecursionError) as error:
@@ -185,31 +184,30 @@ def _untrusted(place: object) -> ValueError:
     return ValueError(f"entrant: the files of Stable-Baselines3 in {place} are not read; give {allowed}")
 
 
-def make_policy(network: Network, described: Description, in_use: object = None) -> Policy | PolicyFactory:
+def make_policy(network: Network, described: Configuration, in_use: object = None) -> Policy | PolicyFactory:
     """Gives what a network is with all that it learned with, or with a base in use made where it acts."""
-    setup = described.setup()
-    own = network, (*setup.sensors, *setup.task.sensors), setup.history, setup.hold
+    own = network, (*described.sensors, *described.task.sensors), described.history, described.action_repeat
     if in_use is not None:
         checked_base(in_use)
-        return PolicyFactory(*own, base=in_use, actions=setup.actions)
-    model = build(setup).model
-    base = setup.controller(setup.base, model) if isinstance(setup.base, str | dict) else setup.base
-    return Policy(*own, base, make_action_mode(setup.actions, make_plant(setup, model), base))  # type: ignore[arg-type]
+        return PolicyFactory(*own, base=in_use, actions=described.actions)
+    model, base = build(described).model, described.base
+    if isinstance(base, str | dict):
+        base = make_controller(described, base, model)
+    return Policy(*own, base, make_action_mode(described.actions, make_plant(described, model), base))  # type: ignore[arg-type]
 
 
-def split_interface(described: Description) -> tuple[Description, dict[str, Any]]:
+def split_interface(described: Configuration) -> tuple[Configuration, dict[str, Any]]:
     """Parts a description into what is moved and the settings of what acts on it.
 
     The gains of a PD are in both: those with which a policy learned are its own, and the environment has a PD too.
     """
-    moved = described.whole_settings()
-    interface = {name: moved.pop(name) for name in INTERFACE if name in moved}
-    if interface.get("base") == "pd":
-        interface["gains"] = described.whole()["gains"]
-    return Description(described.id, moved, described.folder), interface
+    interface = {name: value for name, value in described.settings.items() if name in INTERFACE}
+    if described.base == "pd":
+        interface["gains"] = described.to_plain(strict=False)["gains"]
+    return described.without(INTERFACE), interface
 
 
-def design_for(entrant: Agent, environment: Description) -> Agent:
+def design_for(entrant: Agent, environment: Configuration) -> Agent:
     """Return an entrant whose controller is built for an environment, whatever the one in which it acts.
 
     Without this, a controller that is given by its name is built for the environment in which it acts: it is told its
@@ -217,12 +215,12 @@ def design_for(entrant: Agent, environment: Description) -> Agent:
     """
     if entrant.interface is None or "base" not in entrant.interface:
         return entrant
-    setup = setup_of({"name": environment.id, **environment.keywords(), **entrant.interface})
-    base = setup.base_controller(build(setup).model)
+    whole = environment.replace(**entrant.interface)
+    base = make_base_controller(whole, build(whole).model)
     return replace(entrant, interface={**entrant.interface, "base": base})
 
 
-def common_environment(entrants: Sequence[Agent], named: Description | None) -> Description:
+def common_environment(entrants: Sequence[Agent], named: Configuration | None) -> Configuration:
     """Gives the environment on which all entrants are evaluated: the named one, or that of the trained ones.
 
     Its PD, which is a baseline, has the gains of the first of them that has any.
@@ -232,23 +230,23 @@ def common_environment(entrants: Sequence[Agent], named: Description | None) -> 
     """
     if named is not None:
         return split_interface(named)[0]
-    trained = [(each.name, each.environment, each.environment.whole()) for each in entrants if each.environment]
+    trained = [(each.name, each.environment, each.environment.to_plain()) for each in entrants if each.environment]
     for name, _, whole in trained:
         if {**whole, "gains": None} != {**trained[0][2], "gains": None}:
             allowed = f"policies of one environment, or name one with --env: {trained[0][0]} knows another"
             raise value_error("entrant", name, allowed)
     with_gains = [environment for _, environment, whole in trained if whole.get("gains")]
-    return next(iter([*with_gains, *(environment for _, environment, _ in trained)]), Description())
+    return next(iter([*with_gains, *(environment for _, environment, _ in trained)]), Configuration())
 
 
-def change_environment(environment: Description, changes: Sequence[str]) -> Description:
+def change_environment(environment: Configuration, changes: Sequence[str]) -> Configuration:
     """Gives an environment with settings of "name=value" changed.
 
     Raises:
-        ValueError: for those that belong to what acts, and what `Description.changed` refuses.
+        ValueError: for those that belong to what acts, and what `Configuration.changed` refuses.
     """
     for change in changes:
-        if change.split("=")[0].split(".")[0] in INTERFACE:
+        if current_name(change.split("=")[0].split(".")[0], warn=False) in INTERFACE:
             allowed = f"a setting of what is moved: {', '.join(INTERFACE)} are those that a policy was trained with"
             raise value_error("--set", change, allowed)
     return split_interface(environment.changed(changes))[0]

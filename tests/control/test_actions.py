@@ -6,6 +6,7 @@ import pytest
 from flexman_gym.control.actions import ACTIONS, ActionModeEntry, TorqueMode
 from flexman_gym.control.network import Network
 from flexman_gym.control.policy import Policy
+from flexman_gym.envs.config.specification import make_controller
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 
@@ -42,7 +43,7 @@ def winding(monkeypatch):
 
 
 def test_a_mode_says_how_many_numbers_an_action_has_and_acts_in_every_period(winding):
-    env = FlexManVectorEnv(2, **winding, hold=4)
+    env = FlexManVectorEnv(2, **winding, action_repeat=4)
     assert env.single_action_space.shape == (1,) and env.action_space.shape == (2, 1)
     env.reset(seed=0)
     for step in range(1, 4):
@@ -70,11 +71,11 @@ def test_a_state_holds_what_a_mode_remembers(winding):
 
 def test_a_policy_acts_in_its_mode_wherever_it_plays(winding):
     """As an agent in its own environment, and as the base of one where actions are torques."""
-    beside = FlexManVectorEnv(3, **winding, hold=2, sensors="servo")
+    beside = FlexManVectorEnv(3, **winding, action_repeat=2, sensors="servo")
     random = np.random.default_rng(0)
     layers = {"action_net.weight": random.normal(size=(1, 6)), "action_net.bias": np.ones(1)}
     network = Network("ppo", None, layers, {"mean": np.zeros(6), "var": np.ones(6)})
-    base = beside.setup.controller("pd", beside.batch.model)
+    base = make_controller(beside.setup, "pd", beside.batch.model)
     mode = Winding(beside.episodes.acting.plant, base, 0.02)
     alone = FlexManVectorEnv(3, **SETTINGS, base=Policy(network, beside.setup.sensors, 1, 2, base, mode))
     asked, played = [], []

@@ -6,6 +6,7 @@ import pytest
 from flexman_gym.control import PD, Policy
 from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.network import Network
+from flexman_gym.envs.config.specification import make_controller
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.sensors import Servo, find_sensors
 from flexman_gym.envs.vector_env import FlexManVectorEnv
@@ -29,10 +30,10 @@ def network(size, joints=2, seed=0):
 @pytest.mark.parametrize("base", [None, "pd"])
 def test_it_acts_as_an_agent_that_sees_and_holds_as_it_does(sensors, history, base):
     """The agent in an environment with hold, history and base; the policy as the base of a plain environment."""
-    beside = FlexManVectorEnv(3, **SETTINGS, sensors=sensors, history=history, hold=4, base=base)
+    beside = FlexManVectorEnv(3, **SETTINGS, sensors=sensors, history=history, action_repeat=4, base=base)
     size = beside.single_observation_space.shape[0]
     acting = network(size)
-    controller = beside.setup.controller(base, beside.batch.model) if base else None
+    controller = make_controller(beside.setup, base, beside.batch.model) if base else None
     policy = Policy(acting, find_sensors(sensors), beside.setup.history, 4, controller)
     alone = FlexManVectorEnv(3, **SETTINGS, base=policy)
     seen, asked, played = beside.reset(seed=3)[0], [], []

@@ -12,7 +12,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.common.safetensors import MAX_BYTES, read_tensors, write_tensors
 from flexman_gym.control.base_controllers import BASES
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import find_agent, policy_files, rollout
 from flexman_gym.evaluation.agent import load_policy
 from flexman_gym.evaluation.agent_info import check_unseen, required_information, training_seconds
@@ -68,8 +68,8 @@ def test_it_acts_as_the_network_from_which_it_was_made(folder):
     acting = policy.interface["base"]
     seen = arrays["check.observations"]
     assert np.array_equal(acting.network(seen), arrays["check.actions"])
-    assert acting.base.stiffness.tolist() == [39.0, 5.56] and policy.environment.setup().horizon == 1.0
-    assert policy.environment.setup().base is None, "which is a part of the policy"
+    assert acting.base.stiffness.tolist() == [39.0, 5.56] and policy.environment.horizon == 1.0
+    assert policy.environment.base is None, "which is a part of the policy"
     result = rollout(policy, policy.environment, [0, 1])
     assert result.lengths.tolist() == [100, 100] and np.abs(result.actions).max() > 0.01
     assert about["observation"][0] == {"name": "motor_angles", "unit": "rad", "size": 2}
@@ -82,7 +82,7 @@ def test_the_league_is_told_of_it_what_it_is_told_of_a_run(folder):
 
 
 def test_what_its_base_knows_it_needs_too(tmp_path):
-    told = Description.from_dict({"id": "FlexPlanar-v0", "base": "privileged-lqr", "sensors": "lab", "horizon": 1.0})
+    told = Configuration.from_plain({"id": "FlexPlanar-v0", "base": "privileged-lqr", "sensors": "lab", "horizon": 1.0})
     write_policy(tmp_path, *made.made_up(told))
     assert required_information(str(tmp_path)) == ("training", *BASES["privileged-lqr"].knows)
     about, arrays = made.made_up(told)
