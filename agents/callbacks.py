@@ -194,7 +194,7 @@ class Evaluation(BaseCallback):
 
     def __init__(self, settings: Settings, law: Law, keep: Callable[[], None]) -> None:
         super().__init__()
-        self._environment, interface = split_interface(settings.description)
+        self._environment, interface = split_interface(settings.environment)
         self._entrant = AgentSpec("training", law, interface)
         self._every, self._last, self._keep = settings.judge_every, settings.steps, keep
         self._best = [-math.inf, 0.0]  # reward, and share that settled

@@ -22,7 +22,8 @@ from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.agent import history_length
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
 from flexman_gym.control.network import LARGEST, LEAST, Network
-from flexman_gym.envs.config.setup import build
+from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.specification import make_controller
 from flexman_gym.envs.episodes import design_mode
 from flexman_gym.evaluation.agent import AgentSpec, observation_layout, split_interface
 from flexman_gym.evaluation.agent_info import TIME_COLUMN
@@ -126,26 +127,26 @@ class DAgger:
             one_of("hyperparameters", name, sorted(HYPERPARAMETERS["dagger"]))
         torch.set_num_threads(1)
         torch.manual_seed(settings.seed)
-        self._settings, self._chosen, self._described = settings, chosen, settings.description
+        self._settings, self._chosen, self._described = settings, chosen, settings.environment
         self._random = np.random.default_rng(settings.seed)
-        setup = self._described.setup()
+        described = self._described
         widths = [
-            history_length(setup.history) * sum(each["size"] for each in observation_layout(self._described)),
+            history_length(described.history) * sum(each["size"] for each in observation_layout(described)),
             *chosen["net_arch"],
         ]
         pairs, between = pairwise(widths), LAYERS[chosen["activation"]]
         inner = [layer for k, m in pairs for layer in (torch.nn.Linear(k, m), between())]
-        self._layers = torch.nn.Sequential(*inner, torch.nn.Linear(widths[-1], len(setup.torque_limit)))
+        self._layers = torch.nn.Sequential(*inner, torch.nn.Linear(widths[-1], len(described.torque_limit)))
         for values in self._layers[-1].parameters():
             torch.nn.init.zeros_(values)
         self._moments = {"mean": np.zeros(widths[0]), "var": np.ones(widths[0])}
         self._optimizer = torch.optim.Adam(self._layers.parameters(), fused=True)
         averaged = get_ema_multi_avg_fn(AVERAGED)  # type: ignore[no-untyped-call]
         self._mean = AveragedModel(self._layers, multi_avg_fn=averaged)
-        model = build(setup).model
-        teacher = setup.controller(chosen["teacher"], model)
-        self._student = Student(self._network(), design_mode(setup, model)[1], teacher)
-        self._per_round = settings.envs * -(-setup.longest // setup.hold)
+        model = build(described).model
+        teacher = make_controller(described, chosen["teacher"], model)
+        self._student = Student(self._network(), design_mode(described, model)[1], teacher)
+        self._per_round = settings.envs * -(-described.longest // described.action_repeat)
         self.steps = self._per_round * -(-settings.steps // self._per_round)
         self._rounds: list[list[NDArray[np.float32]]] = []  # what was seen, what is wanted, and how much it counts
 

@@ -26,7 +26,7 @@ def zoo_hyperparameters(settings: Settings) -> dict[str, Any]:
     policy = chosen.pop("policy_kwargs")
     words = [f"{name}={_word(value)}" for name, value in policy.items()]
     chosen["learning_rate"] = _rate(chosen["learning_rate"])
-    described = settings.description
+    described = settings.environment
     result = {
         "n_envs": settings.envs,
         "n_timesteps": settings.steps,
@@ -34,7 +34,7 @@ def zoo_hyperparameters(settings: Settings) -> dict[str, Any]:
         "normalize": {"norm_obs": True, "norm_reward": settings.normalise_reward},
         **chosen,
         "policy_kwargs": f"dict({', '.join(words)})",
-        "env_kwargs": _difference(dict(described.settings or {}), type(described)(described.id).whole()),
+        "env_kwargs": _difference(described.to_plain(), type(described)(described.id).to_plain()),
     }
     for name in EXPLORATION:
         if name in settings.schedules:

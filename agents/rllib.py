@@ -23,7 +23,7 @@ from flexman_gym.common.checks import value_error, whole_number
 from flexman_gym.common.grid import python_path, ray_cluster
 from flexman_gym.common.run_folder import NEWEST, lock_folder, write_data
 from flexman_gym.control.normalisation import RunningMeanStd
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.rollout import training_seed
 
 MOST = 10.0  # magnitude of what is normalised
@@ -173,7 +173,7 @@ def _buffer(values: Any) -> Any:
 def _make_environment(context: Any) -> Any:
     """The vector environment of a runner."""
     torch.set_num_threads(1)
-    described = Description.from_dict(dict(context["environment"]))
+    described = Configuration.from_plain(context["environment"])
     return gym.make_vec(described.id, context.get("num_envs", 1), "vector_entry_point", autoreset_mode="SameStep",
                         infos="at end", **described.keywords())  # fmt: skip
 
@@ -209,7 +209,7 @@ def configure(settings: Settings, runners: int) -> PPOConfig:
     rows = chosen["n_steps"] * settings.envs
     chosen["batch_size"] = min(chosen["batch_size"], rows)
     register_env("flexman", _make_environment)
-    context = {"environment": dict(settings.environment), "first_seed": training_seed(settings.seed),
+    context = {"environment": settings.environment.to_plain(), "first_seed": training_seed(settings.seed),
                "normalise_reward": settings.normalise_reward}  # fmt: skip
     model = DefaultModelConfig(
         fcnet_hiddens=chosen.get("net_arch", [128, 128]), fcnet_activation=chosen.get("activation", "tanh"),

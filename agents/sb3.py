@@ -23,7 +23,7 @@ from flexman_agents.vector import Arms
 from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.common.run_folder import SB3_MODEL, SETTINGS, existing_file, read_settings_text
 from flexman_gym.control.agent import Law
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import AgentSpec, predictor_agent, split_interface
 from flexman_gym.evaluation.rollout import training_seed
 
@@ -57,7 +57,7 @@ def make_model(settings: Settings, device: str = "cpu") -> BaseAlgorithm:
 
 def make_environments(settings: Settings) -> VecMonitor:
     """Makes the arms of a training."""
-    described = settings.description
+    described = settings.environment
     keywords = described.keywords() | {"autoreset_mode": AutoresetMode.SAME_STEP, "infos": "at end"}
     return VecMonitor(Arms(gym.make_vec(described.id, settings.envs, "vector_entry_point", **keywords)))
 
@@ -125,18 +125,18 @@ def load_sb3_run(folder: Path) -> AgentSpec:
     except BROKEN as error:
         said = " ".join(str(error).split())[:120] or type(error).__name__
         raise ValueError(f"{place}: this is not a run of Stable-Baselines3 ({said})") from None
-    environment, interface = split_interface(settings.description)
+    environment, interface = split_interface(settings.environment)
     return AgentSpec(folder.name, action_function(model, statistics), interface, environment)
 
 
-def load_sb3_zip(path: Path, described: Description | None = None) -> AgentSpec:
+def load_sb3_zip(path: Path, described: Configuration | None = None) -> AgentSpec:
     """Loads a policy that `save` of Stable-Baselines3 has written, with the statistics in a file .pkl beside it.
 
     Both are pickles. Whoever made them decides what runs here.
 
     Args:
         path: of the zip.
-        described: the environment that it learned in, with its sensors, base and hold; None for that in which it acts.
+        described: the environment that it learned in, with the settings of the agent; None for that in which it acts.
 
     Raises:
         FileNotFoundError, ValueError: one clear line.

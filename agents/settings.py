@@ -5,7 +5,8 @@ import os
 import platform
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from copy import deepcopy
+from dataclasses import dataclass, field, fields, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self
@@ -25,7 +26,7 @@ from flexman_gym.common.checks import (
 )
 from flexman_gym.common.run_folder import SETTINGS, read_settings, write_atomically
 from flexman_gym.control.base_controllers import checked_base
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 
 ALGORITHMS = ("ppo", "sac", "dagger")
 ENVS = {"ppo": 64, "sac": 16, "dagger": 128}
@@ -89,9 +90,8 @@ class Settings:
 
     Attributes:
         algo: "ppo", "sac", or "dagger" for imitation, see `Imitation`.
-        environment: a mapping as `Description` reads it; with base and hold, what the agent adds to and for how long
-            its actions are kept.
-        steps: actions of all arms together; with hold=5 each takes five control periods.
+        environment: a Configuration, or the mapping of one; base and action_repeat belong to the agent.
+        steps: actions of all arms together; with action_repeat=5 each takes five control periods.
         seed: of environments, exploration and weights; see `seeds`.
         envs: arms side by side; None takes 64 for PPO and 16 for SAC.
         hyperparameters: of the algorithm, as Stable-Baselines3 names them; net_arch and log_std_init go to the policy.
@@ -110,7 +110,7 @@ class Settings:
     """
 
     algo: str = "ppo"
-    environment: Mapping[str, Any] = field(default_factory=dict)
+    environment: Configuration = field(default_factory=Configuration)
     steps: int = 1_000_000
     seed: int = 0
     envs: int = None  # type: ignore[assignment]
@@ -123,7 +123,9 @@ class Settings:
 
     def __post_init__(self) -> None:
         set_fields(self, algo=one_of("algo", self.algo, ALGORITHMS))
-        for name in ("environment", "hyperparameters", "schedules"):
+        if not isinstance(self.environment, Configuration | dict):
+            raise value_error("environment", self.environment, "a mapping")
+        for name in ("hyperparameters", "schedules"):
             if not isinstance(getattr(self, name), dict):
                 raise value_error(name, getattr(self, name), "a mapping")
         for name in self.schedules:
@@ -134,9 +136,12 @@ class Settings:
             checked_base(self.base_in_use)
         for name, value in self.hyperparameters.items():
             _check(f"hyperparameters.{name}", name, value)
+        environment = self.environment
+        if isinstance(environment, dict):
+            environment = Configuration.from_plain(environment)
         set_fields(
             self,
-            environment=self.description.whole(),
+            environment=environment,
             steps=whole_number("steps", self.steps, 1, MOST_STEPS),
             seed=whole_number("seed", self.seed, 0, MOST_SEED),
             envs=whole_number("envs", ENVS[self.algo] if self.envs is None else self.envs, 1, MOST_ENVS),
@@ -144,11 +149,6 @@ class Settings:
             judge_every=whole_number("judge_every", self.judge_every, 0, MOST_STEPS if self.algo != "dagger" else 0),
             value_first=whole_number("value_first", self.value_first, 0, MOST_STEPS if self.algo == "ppo" else 0),
         )
-
-    @property
-    def description(self) -> Description:
-        """The environment."""
-        return Description.from_dict(dict(self.environment))
 
     def schedule(self, name: str) -> Schedule | None:
         """Gives a schedule, None where there is none."""
@@ -176,8 +176,7 @@ class Settings:
         try:
             data = files.read_data(Path(path))
             if isinstance(data, dict) and isinstance(data.get("environment"), dict):
-                described = Description.from_dict(data["environment"], Path(path).parent)
-                data["environment"] = described.whole()
+                data["environment"] = Configuration.from_plain(data["environment"], Path(path).parent, warn=True)
             return cls.from_dict(data)
         except ValueError as error:
             raise ValueError(f"{short_path(path)}: {error}") from None
@@ -198,8 +197,9 @@ class Settings:
             raise ValueError(f"{short_path(path)}: {said}; give the settings of a training run") from None
 
     def plain(self) -> dict[str, Any]:
-        """Gives all of them as a mapping for JSON."""
-        return asdict(self)
+        """Return all settings as a mapping for JSON."""
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        return deepcopy(values | {"environment": self.environment.to_plain()})
 
     def with_seed(self, seed: int) -> Self:
         """Gives the same with another seed."""

@@ -6,7 +6,7 @@ from gymnasium.envs.registration import register
 
 from flexman_gym import control, draw, metrics
 from flexman_gym.envs import NAMED, Limits, Randomisation, Slew
-from flexman_gym.envs.config.description import CONDITIONS
+from flexman_gym.envs.config.conditions import CONDITIONS
 from flexman_gym.evaluation import evaluate, rollout, tune
 from flexman_gym.fidelity import Choice, choose_model
 from flexman_gym.identification import Filter, Fit, Measurement, Ringing, fit
@@ -124,7 +124,7 @@ for _name in NAMED:
     for _condition in CONDITIONS if NAMED[_name].conditions else ():
         register(
             id=f"{_name}/{_condition}",
-            entry_point="flexman_gym.envs.config.description:refuse_condition",
-            vector_entry_point="flexman_gym.envs.config.description:refuse_condition",
+            entry_point="flexman_gym.envs.config.conditions:refuse_condition",
+            vector_entry_point="flexman_gym.envs.config.conditions:refuse_condition",
             kwargs={"name": _name, "condition": _condition},
         )

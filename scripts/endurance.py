@@ -35,7 +35,7 @@ def every(steps: int, arms: int) -> None:
 
 def compare(steps: int) -> None:
     """Prints a line for each autoreset mode: arms alone and at once, with history, hold and all conditions."""
-    settings = all_conditions("FlexRRR-v0") | {"history": 4, "hold": 3, "limits": TIGHT}
+    settings = all_conditions("FlexRRR-v0") | {"history": 4, "action_repeat": 3, "limits": TIGHT}
     for mode in AutoresetMode:
         count = steps // len(AutoresetMode)
         failures = alike("FlexRRR-v0", count, FEW, mode, **settings)

@@ -18,7 +18,7 @@ from flexman_gym.common.grid import Workers, collect_cells
 ARMS, PERIODS, UPDATES = 256, 12, 20
 RECIPE = "ppo_on_pd_minute"
 SETTINGS: dict[str, Any] = {
-    "base": "pd", "hold": 5, "sensors": ("full", "fine"), "task": {"kind": "slew", "reward": "distance"},
+    "base": "pd", "action_repeat": 5, "sensors": ("full", "fine"), "task": {"kind": "slew", "reward": "distance"},
 }  # fmt: skip
 
 

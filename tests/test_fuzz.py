@@ -9,7 +9,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym import metrics
 from flexman_gym.control import LQR, PD
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.fidelity.choose import assembled_modes
 from flexman_gym.fidelity.mesh import MeshSearch
 from flexman_gym.fidelity.search import TRIED
@@ -71,15 +71,15 @@ FOUND = [  # by the fuzz, once
     (assembled_modes, (WIDE,), "arm"),
     (PD, ([1.0], [1.0], 3e206), "PD.torque_limit"),
     (lambda step: fm.simulate(SCENE, method="ros2", step=step), (1.7e308,), "step"),
-    (Description.find, (["a"],), "environment"),
-    (Description().changed, (3,), "--set"),
-    (Description().changed, ([3.0],), "--set"),
-    (Description.from_dict, ({None: 1.0},), "a key of environment"),
-    (Description.from_dict, ({"randomisation": {3: (0, 1)}},), "a key of randomisation"),
-    (Description.from_dict, ({"arm": {"catalog": "one_link", 3: 1.0}},), "a key of arm"),
-    (Description.from_dict, ({"arm": {"catalog": "one_link", "x": 1.0}},), "arm"),
-    (Description.from_dict, ({"history": b"12"},), "history"),
-    (Description.from_dict, ({"history": np.array(1)},), "history"),
+    (Configuration.find, (["a"],), "environment"),
+    (Configuration().changed, (3,), "--set"),
+    (Configuration().changed, ([3.0],), "--set"),
+    (Configuration.from_plain, ({None: 1.0},), "a key of environment"),
+    (Configuration.from_plain, ({"randomisation": {3: (0, 1)}},), "a key of randomisation"),
+    (Configuration.from_plain, ({"arm": {"catalog": "one_link", 3: 1.0}},), "a key of arm"),
+    (Configuration.from_plain, ({"arm": {"catalog": "one_link", "x": 1.0}},), "arm"),
+    (Configuration.from_plain, ({"history": b"12"},), "history"),
+    (Configuration.from_plain, ({"history": np.array(1)},), "history"),
     (fm.Scene.from_dict, ({"\n": 1.0},), "'\\n'"),
     (fm.Scene.from_dict, ({"x" * 1000: 1.0},), "x" * 60),
     (ONE.set_state, ({**ONE.get_state(), "episodes": {("a",): 1}},), "state.episodes"),

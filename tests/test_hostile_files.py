@@ -8,7 +8,7 @@ from flexman_gym.common.time_series import read_time_series
 from flexman_gym.control.normalisation import RunningMeanStd
 from flexman_gym.control.references.optimised_slews import SlewTable
 from flexman_gym.draw.evaluation import read_progress
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.league.rows import LeagueRows
 from flexman_gym.league.scenarios import find_scenario
@@ -33,7 +33,7 @@ def test_a_hostile_file_is_refused_at_once_in_one_line(name, what, make, tmp_pat
 BY_NAME = [
     find_agent,
     find_scenario,
-    Description.find,
+    Configuration.find,
     Scene.load,
     read_time_series,
     Episode.load,

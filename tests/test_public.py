@@ -8,7 +8,7 @@ import gymnasium as gym
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.envs.config.description import Description, described
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.tasks import Slew
 
 from oracles.assertions import refusal
@@ -58,22 +58,34 @@ def test_methods_are_a_mapping_as_before():
 @pytest.mark.parametrize(
     "given",
     [
-        Description("FlexOne-v0", {"randomisation": {"delay": (1, 1)}, "base": "pd", "hold": 2}),
-        Description("FlexRRR-v0", {"arm": {"catalog": "paper_rrr", "torque_limit": 300.0}, "task": {"kind": "slew"}}),
-        Description("FlexRRR-v0", {"condition": "unknown-lab", "limits": {"angle": 2.0}, "reward": {"effort": 0.0}}),
-        Description(),
-        Description("FlexOne-v0", {"history": (0.1, 0.5), "modes": (2,), "sensors": ("full", "fine"), "tell": ["tip"]}),
+        Configuration("FlexOne-v0", {"randomisation": {"delay": (1, 1)}, "base": "pd", "action_repeat": 2}),
+        Configuration("FlexRRR-v0", {"arm": {"catalog": "paper_rrr", "torque_limit": 300.0}, "task": {"kind": "slew"}}),
+        Configuration("FlexRRR-v0", {"condition": "unknown-lab", "limits": {"angle": 2.0}, "reward": {"effort": 0.0}}),
+        Configuration(),
+        Configuration(
+            "FlexOne-v0", {"history": (0.1, 0.5), "modes": (2,), "sensors": ("full", "fine"), "tell": ["tip"]}
+        ),
     ],
 )
 def test_a_description_is_saved_and_loaded(given, suffix, tmp_path):
     """The file holds the whole environment: arm, condition and gains."""
     path = tmp_path / f"env.{suffix}"
     given.save(path)
-    same = Description.load(path)
+    same = Configuration.load(path)
     (one, _), (other, _) = ((gym.make(each.id, **each.keywords()).reset(seed=1), 0) for each in (given, same))
     assert (one[0] == other[0]).all()
-    own, read = given.setup(), same.setup()
-    for name in ("arm", "task", "limits", "horizon", "hold", "gains", "reward", "control_period", "torque_limit"):
+    own, read = given, same
+    for name in (
+        "arm",
+        "task",
+        "limits",
+        "horizon",
+        "action_repeat",
+        "gains",
+        "reward",
+        "control_period",
+        "torque_limit",
+    ):
         assert getattr(own, name) == getattr(read, name), name
     assert fm.rollout("zero", str(path), 1).lengths[0] > 0
 
@@ -82,16 +94,16 @@ def test_an_environment_made_of_objects_is_saved(tmp_path):
     arm = fm.catalog.paper_rrr(rotor_inertia=9.0, torque_limit=300.0)
     parts = {"arm": arm, "task": Slew(slew=0.3), "limits": fm.Limits(angle=2.0), "torque_limit": (1.0, 2.0, 3.0)}
     env = gym.make("FlexRRR-v0", **parts)
-    Description.from_dict(described(env.unwrapped.setup)).save(tmp_path / "env.yaml")
-    setup = Description.load(tmp_path / "env.yaml").setup()
+    env.unwrapped.setup.save(tmp_path / "env.yaml")
+    setup = Configuration.load(tmp_path / "env.yaml")
     assert (setup.arm, setup.task, setup.limits.angle) == (arm, Slew(slew=0.3), 2.0)
     assert setup.torque_limit == (1.0, 2.0, 3.0)
 
 
 def test_a_description_with_an_object_of_ones_own_or_another_suffix_is_not_saved(tmp_path):
-    own = Description("FlexOne-v0", {"reward": lambda view: 0.0})
+    own = Configuration("FlexOne-v0", {"reward": lambda view: 0.0})
     assert refusal(own.save, tmp_path / "env.yaml").startswith("reward: ")
-    assert "suffix" in refusal(Description("FlexOne-v0").save, tmp_path / "env.txt")
+    assert "suffix" in refusal(Configuration("FlexOne-v0").save, tmp_path / "env.txt")
 
 
 def test_gains_are_tuned_from_python_and_used():

@@ -17,7 +17,12 @@ ARMS, PERIODS, BATCHES = 256, 12, 20
 
 def make() -> GymWrapper:
     """The vector environment as TorchRL takes it, which resets the arms that have ended by itself."""
-    settings = {"base": "pd", "hold": 5, "sensors": ("full", "fine"), "task": {"kind": "slew", "reward": "distance"}}
+    settings = {
+        "base": "pd",
+        "action_repeat": 5,
+        "sensors": ("full", "fine"),
+        "task": {"kind": "slew", "reward": "distance"},
+    }
     return GymWrapper(gym.make_vec("FlexRRR-v0", ARMS, "vector_entry_point", autoreset_mode="Disabled", **settings))
 
 

@@ -33,15 +33,15 @@ def run(options: argparse.Namespace) -> int:
 def _find_model(name: str, stiffening: bool = False) -> "Model":
     """Gives the model of an environment, an arm or a file."""
     from flexman_gym.common import files
-    from flexman_gym.envs.config.description import Description
-    from flexman_gym.envs.config.setup import build
+    from flexman_gym.envs.config.configuration import Configuration
+    from flexman_gym.envs.config.fidelity import build
     from flexman_gym.model.model import build_model
     from flexman_gym.scene.serialization import ARMS, SUFFIXES, find_arm
 
     data = files.read_data(Path(name)) if name.endswith(SUFFIXES) else {}
     if name in ARMS or "arm" in data or "links" in data:
         return build_model(find_arm(name), stiffening=stiffening)
-    model = build(Description.find(name).setup()).model
+    model = build(Configuration.find(name)).model
     return build_model(model.arm, **vars(model.choice) | {"stiffening": stiffening}) if stiffening else model
 
 
@@ -76,10 +76,10 @@ def _bode(options: argparse.Namespace, out: Path) -> list[Path]:
 
     from flexman_gym.control.margins import describe_stuck_motors, margins, open_loop_responses, sampled_loops
     from flexman_gym.draw.frequency_diagrams import bode_diagram
-    from flexman_gym.envs.config.description import Description
-    from flexman_gym.envs.config.setup import build
+    from flexman_gym.envs.config.configuration import Configuration
+    from flexman_gym.envs.config.fidelity import build
 
-    setup = Description.find(options.subject[0]).setup()
+    setup = Configuration.find(options.subject[0])
     model, period, gains = build(setup).model, setup.control_period, setup.pd_gains
     angles = options.angles or [0.0] * model.n_joints
     places = np.geomspace(0.01, 0.5 / period, 1200)

@@ -21,12 +21,12 @@ def run(options: argparse.Namespace) -> int:
     """Plays; returns the exit code."""
     from flexman_gym.commands.evaluate import load_agent
     from flexman_gym.draw.evaluation import draw_episodes
-    from flexman_gym.envs.config.description import Description
+    from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation import rollout
     from flexman_gym.evaluation.agent import common_environment
     from flexman_gym.evaluation.metrics import task_metrics
 
-    named = Description.find(options.env) if options.env else None
+    named = Configuration.find(options.env) if options.env else None
     player = load_agent(options.entrant, options.trust, named)
     environment = common_environment([player], named)
     (record,) = rollout(player, environment, [options.seed]).records
@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
     print(
         f"{options.entrant} on {environment.id}, seed {options.seed}: {record.failure or f'played for {seconds:g} s'}"
     )
-    for figure in task_metrics(environment.setup().task):
+    for figure in task_metrics(environment.task):
         print(f"  {figure.head:<14}{figure.scale * figure.of(record):.3g}")
     if find_spec("matplotlib"):
         draw_episodes({options.entrant: record}, options.picture)

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from flexman_gym.envs.config.description import Description
-    from flexman_gym.evaluation.agent import Agent
+    from flexman_gym.envs.config.configuration import Configuration
+    from flexman_gym.evaluation.agent import AgentSpec
 
 
 def arguments(result: argparse.ArgumentParser) -> None:
@@ -32,13 +32,13 @@ def add_episode_arguments(result: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Prints one table; returns the exit code."""
-    from flexman_gym.envs.config.description import Description
+    from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation import rollout, table
     from flexman_gym.evaluation.agent import change_environment, common_environment
 
     if options.episodes < 1:
         options.parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
-    named = Description.find(options.env) if options.env else None
+    named = Configuration.find(options.env) if options.env else None
     entrants = {name: load_agent(name, options.trust, named) for name in options.entrant}
     environment = change_environment(common_environment(list(entrants.values()), named), options.set)
     seeds = range(options.seed, options.seed + options.episodes)
@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def load_agent(name: str, trust: bool, named: "Description | None" = None) -> "Agent":
+def load_agent(name: str, trust: bool, named: "Configuration | None" = None) -> "AgentSpec":
     """Gives an entrant; files of Stable-Baselines3 only where they are trusted, as reading them runs code.
 
     A zip sees and holds as the named environment says.

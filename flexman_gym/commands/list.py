@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
 def _entries(what: str) -> Iterable[tuple[str, str]]:
     """Names of a kind, each with a few words."""
     from flexman_gym.control.base_controllers import BASES
-    from flexman_gym.envs.config.description import CONDITION_FOLDER, CONDITIONS
+    from flexman_gym.envs.config.conditions import CONDITION_FOLDER, CONDITIONS
     from flexman_gym.envs.config.named_environments import NAMED
     from flexman_gym.envs.sensors import SENSORS, SETS
     from flexman_gym.scene import catalog

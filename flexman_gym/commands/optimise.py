@@ -16,10 +16,10 @@ def arguments(result: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Prints a line an episode; the table is written after each."""
     from flexman_gym.control.references.optimised_slews import SlewTable
-    from flexman_gym.envs.config.description import Description
+    from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation.optimisation import empty_slew_table, optimise_slews
 
-    environment, (first, count) = Description.find(options.environment), options.seeds
+    environment, (first, count) = Configuration.find(options.environment), options.seeds
     if first < 0 or count < 1:
         options.parser.error(f"--seeds: {first} {count} is not allowed; give a first seed and how many, at least one")
     table = SlewTable.load(options.out) if options.out.exists() else empty_slew_table(environment)

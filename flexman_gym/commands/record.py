@@ -22,10 +22,10 @@ def run(options: argparse.Namespace) -> int:
     """Writes the datasets; returns the exit code."""
     from flexman_gym.common.checks import whole_number
     from flexman_gym.common.grid import Workers
-    from flexman_gym.envs.config.description import Description
+    from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation.dataset import record_dataset
 
-    environment = Description.find(options.env).changed(options.set)
+    environment = Configuration.find(options.env).changed(options.set)
     first = whole_number("--seed", options.seed, 0, 10**9)
     seeds = range(first, first + whole_number("--episodes", options.episodes, 1, 10**6))
     for entrant in options.entrants:

@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
 def _find_model(name: str, count: int) -> "tuple[Model, np.ndarray, list[float]]":
     """Gives the model of an arm, postures (count, n) rad and payloads (kg)."""
     from flexman_gym.common import files
-    from flexman_gym.envs.config.description import Description
+    from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.fidelity.choose import assembled_modes
     from flexman_gym.model.model import build_model
     from flexman_gym.scene.serialization import ARMS, SUFFIXES, find_arm
@@ -67,7 +67,7 @@ def _find_model(name: str, count: int) -> "tuple[Model, np.ndarray, list[float]]
         postures = np.random.default_rng(0).uniform(-ANGLE, ANGLE, (count, arm.n_joints))
         drawn = None
     else:
-        model, postures, drawn = _environment_model(Description.find(name), count)
+        model, postures, drawn = _environment_model(Configuration.find(name), count)
     nominal = float(model.constants.payload_mass[0])
     low, high = drawn or (0.0, 2.0 * nominal)
     return model, postures, sorted({low, 0.5 * (low + high), high})
@@ -77,12 +77,12 @@ def _environment_model(environment: object, count: int) -> "tuple[Model, np.ndar
     """Gives the model of an environment, goals of its first episodes, and the payloads that it draws from."""
     import gymnasium as gym
 
-    from flexman_gym.envs.config.description import Description
+    from flexman_gym.envs.config.configuration import Configuration
 
-    assert isinstance(environment, Description)
+    assert isinstance(environment, Configuration)
     venv = gym.make_vec(environment.id, count, "vector_entry_point", **environment.keywords())
     venv.reset(seed=list(range(count)))  # type: ignore[arg-type]
-    episodes, disturbed = venv.unwrapped.episodes, environment.setup().disturbed  # type: ignore[attr-defined]
+    episodes, disturbed = venv.unwrapped.episodes, environment.disturbed  # type: ignore[attr-defined]
     result = episodes.batch.model, episodes.view.goal_angles.copy(), disturbed.payload_mass if disturbed else None
     venv.close()
     return result

@@ -12,7 +12,7 @@ from flexman_gym.common.checks import value_error
 if TYPE_CHECKING:
     from flexman_agents.settings import Settings
 
-LEARNED_WITH = ("base", "hold", "sensors")  # settings of an environment without which a recipe learns little
+LEARNED_WITH = ("base", "action_repeat", "sensors")  # settings of an environment without which a recipe learns little
 INTERRUPTED = 130  # what a shell says of a process that Ctrl-C has ended
 
 
@@ -74,12 +74,11 @@ def _refuse_settings(options: argparse.Namespace) -> None:
             raise value_error(name, getattr(options, name), "nothing with --resume: the run keeps its settings")
 
 
-def _warn_of_missing_settings(recipe: Mapping[str, Any], own: Mapping[str, Any], options: argparse.Namespace) -> None:
-    """Says which settings a recipe learned with that an environment in its place does not have."""
-    named = {change.partition("=")[0].partition(".")[0] for change in options.set}
-    lost = [f"{name}: {recipe[name]}" for name in LEARNED_WITH if name in recipe and name not in {*own, *named}]
+def _warn_of_missing_settings(recipe: Mapping[str, Any], own: Mapping[str, Any], env: str) -> None:
+    """Print the settings of a recipe for the agent that an environment in its place does not have."""
+    lost = [f"{name}: {recipe[name]}" for name in LEARNED_WITH if name in recipe and name not in own]
     if lost:
-        print(f"{options.env} does not have what the recipe learned with: {', '.join(lost)}", file=sys.stderr)
+        print(f"{env} does not have what the recipe learned with: {', '.join(lost)}", file=sys.stderr)
 
 
 def _train_with_rllib(options: argparse.Namespace) -> Path:
@@ -106,21 +105,22 @@ def _training_options(options: argparse.Namespace) -> dict[str, Any]:
 def _make_settings(options: argparse.Namespace) -> "Settings":
     """The settings that the command line asks for."""
     from flexman_agents.settings import Settings, find_recipe
-    from flexman_gym.envs.config.description import Description
+    from flexman_gym.envs.config.configuration import Configuration
 
     settings = find_recipe(options.recipe) if options.recipe else Settings()
     named = {name: getattr(options, name) for name in ("algo", "steps", "seed", "envs", "judge_every")}
     named = {name: value for name, value in named.items() if value is not None}
     if options.algo and options.algo != settings.algo:
-        settings = Settings(algo=options.algo, environment=dict(settings.environment), seed=settings.seed)
+        settings = Settings(algo=options.algo, environment=settings.environment, seed=settings.seed)
     if teacher := getattr(options, "teacher", None):
         named["hyperparameters"] = {**settings.hyperparameters, "teacher": teacher}
-    described = settings.description
     if options.env:
-        described = Description.find(options.env)
-        _warn_of_missing_settings(settings.environment if options.recipe else {}, described.settings or {}, options)
-    described = described.changed(options.set)
-    return replace(settings, environment=described.whole(), **named)
+        environment = Configuration.find(options.env, options.set)
+        if options.recipe:
+            _warn_of_missing_settings(settings.environment.settings, environment.settings, options.env)
+    else:
+        environment = settings.environment.changed(options.set)
+    return replace(settings, environment=environment, **named)
 
 
 def _train_runs(options: argparse.Namespace) -> list[Path]:

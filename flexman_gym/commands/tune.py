@@ -18,11 +18,11 @@ def run(options: argparse.Namespace) -> int:
     """Prints gains; returns the exit code."""
     from flexman_gym.common.grid import Workers
     from flexman_gym.control.margins import describe_stuck_motors
-    from flexman_gym.envs.config.description import Description
+    from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation.optimisation import tune
 
     try:
-        environment = Description.find(options.env)
+        environment = Configuration.find(options.env)
     except (ValueError, OSError) as error:
         options.parser.error(str(error))
     try:

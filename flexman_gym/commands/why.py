@@ -21,14 +21,14 @@ def arguments(result: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Prints for each entrant the share of each cause and what would help against the largest."""
-    from flexman_gym.envs.config.description import Description
+    from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation.agent import change_environment, common_environment
     from flexman_gym.evaluation.diagnosis import diagnose
 
     if options.episodes < 1:
         options.parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
     entrants = {name: evaluate.load_agent(name, options.trust) for name in options.entrant}
-    named = Description.find(options.env) if options.env else None
+    named = Configuration.find(options.env) if options.env else None
     environment = change_environment(common_environment(list(entrants.values()), named), options.set)
     seeds = range(options.seed, options.seed + options.episodes)
     for name, each in entrants.items():

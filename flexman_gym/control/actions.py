@@ -106,7 +106,7 @@ def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) 
             f"actions: a servo with stiffness {gains.stiffness.tolist()} and damping {gains.damping.tolist()} is not "
             f"stable with a period of {plant.period:g} s{describe_stuck_motors(stuck)} (spectral radius "
             f"{radius:.4g}); give "
-            "smaller gains, or a shorter control_period with a larger hold",
+            "smaller gains, or a shorter control_period with a larger action_repeat",
             stacklevel=2,
         )
     return _ServoMode(kind, gains, spans, plant.period)

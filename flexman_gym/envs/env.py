@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Vector
 from flexman_gym.common.checks import whole_number
-from flexman_gym.envs.config.description import find_setup
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import build
 from flexman_gym.envs.config.reset_options import check_parameters
-from flexman_gym.envs.config.setup import build
 from flexman_gym.envs.episodes import Episodes, action_space, checked_actions
 from flexman_gym.envs.rendering import MODES, RENDER, make_rendering
 from flexman_gym.envs.stateful import StatefulEnv
@@ -106,14 +106,14 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
             picture always holds the arm at start and goal, and the target.
         render_gain: by which the deflection is multiplied in a frame, which says so.
         render_overlays: whether time, tip error, reward, torques and scales are written over a frame.
-        settings: the attributes of `Setup`: arm, task, limits, fidelity and so on; and "condition", one of
-            `envs.config.description.CONDITIONS`, which changes some of those that are not given.
+        settings: the attributes of `Configuration`: arm, task, limits, fidelity and so on; and "condition", one of
+            `envs.config.conditions.CONDITIONS`, which changes some of those that are not given.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
 
     Examples:
-        >>> env = gym.make("FlexOne-v0", base="pd", hold=5)
+        >>> env = gym.make("FlexOne-v0", base="pd", action_repeat=5)
         >>> observation, info = env.reset(seed=0)
         >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
         >>> sorted(info["reward_terms"])
@@ -136,7 +136,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
     ) -> None:
         self.render_mode, given = render_mode, (render_size, render_camera, render_gain, render_overlays)
         self._made = dict(zip(RENDER, (render_mode, *given), strict=True)) | settings
-        setup = find_setup(settings, RENDER)
+        setup = Configuration.from_keywords(settings, RENDER)
         model, method, step, self.choice = build(setup)
         self.simulator = Simulator(model, method, step, setup.control_period)
         self.setup, self.task, self.torque_limit = setup, setup.task, np.array(setup.torque_limit)
@@ -148,7 +148,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         self.metadata = FlexManEnv.metadata | {"render_fps": round(1 / self.simulator.control_period)}
         self._shape = (size,)
         self._allowed = f"{size} numbers from -1 to 1"
-        self._rendering = make_rendering(render_mode, self.episodes, setup.name, given)
+        self._rendering = make_rendering(render_mode, self.episodes, setup.id, given)
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -157,7 +157,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
 
     @spec.setter
     def spec(self, given: EnvSpec | None) -> None:
-        steps = math.ceil(self.setup.longest / self.setup.hold)
+        steps = math.ceil(self.setup.longest / self.setup.action_repeat)
         self._spec = None if given is None else replace(given, max_episode_steps=steps)
 
     def reset(
@@ -178,7 +178,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         return self.episodes.agent.observations[0].copy(), self._info()
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Applies motor torques for one control period, or for as many as `hold` says.
+        """Applies motor torques for one control period, or for as many as `action_repeat` says.
 
         Raises:
             ValueError: for an action of another shape or outside the action space.

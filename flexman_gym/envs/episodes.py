@@ -15,9 +15,9 @@ from flexman_gym.control.actions import ActionMode, make_action_mode
 from flexman_gym.control.agent import Agent
 from flexman_gym.control.controller import Controller, EpisodeInfo
 from flexman_gym.envs.active_effects import ActiveEffects
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.reset_options import parse_options, replace_tip_positions
-from flexman_gym.envs.config.setup import Setup
-from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.config.specification import make_base_controller, make_plant
 from flexman_gym.envs.effects import Stage
 from flexman_gym.envs.limits import limit_violation
 from flexman_gym.envs.measurements import Measurements
@@ -40,9 +40,9 @@ def action_space(size: int) -> spaces.Space[Any]:
     return spaces.Box(-1.0, 1.0, (size,), dtype=np.float32)
 
 
-def design_mode(setup: Setup, model: Model) -> tuple[Controller | None, ActionMode]:
+def design_mode(setup: Configuration, model: Model) -> tuple[Controller | None, ActionMode]:
     """Return base controller and action mode of the agent of an environment, designed for a model of its arm."""
-    base = setup.base_controller(model)
+    base = make_base_controller(setup, model)
     return base, make_action_mode(setup.actions, make_plant(setup, model), base)
 
 
@@ -113,7 +113,7 @@ class Episodes:
 
     kept = ("batch", "motors", "effects", "view", "measurements", "over", "truncated", "_ages", "_failed")
 
-    def __init__(self, setup: Setup, batch: Batch) -> None:
+    def __init__(self, setup: Configuration, batch: Batch) -> None:
         self.batch, self.task, self.view = batch, setup.task, View(batch)
         self._reward_terms = reward_terms(setup.task, setup.reward)
         self.terms: dict[str, Number] | None = None
@@ -125,7 +125,7 @@ class Episodes:
         self.effects = self._effects(setup, [*observed, *inner])
         self.measurements = Measurements(self.view, setup.limits, observed, inner, self.effects)
         size = len(self.measurements.sensors.bound)
-        self.agent = Agent(observed, size, mode, base, setup.history, setup.hold)
+        self.agent = Agent(observed, size, mode, base, setup.history, setup.action_repeat)
         self.agent.allocate(arms, setup.control_period)
         self._energy_alarm, self._told = setup.energy_alarm, setup.tell
         for name in setup.tell:
@@ -138,7 +138,7 @@ class Episodes:
         self._ages, self._beyond = np.zeros(arms, dtype=np.int64), np.zeros(arms, dtype=bool)
         self._all = np.ones(arms, dtype=bool)
 
-    def _effects(self, setup: Setup, sensors: Sequence[object]) -> ActiveEffects | None:
+    def _effects(self, setup: Configuration, sensors: Sequence[object]) -> ActiveEffects | None:
         """What disturbs the arms, of the randomisation and of the task."""
         randomisation = setup.disturbed
         if randomisation is None:

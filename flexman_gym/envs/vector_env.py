@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, Flags, IntArray, Vector
 from flexman_gym.common.checks import one_of, sequence, value_error, whole_number
-from flexman_gym.envs.config.description import find_setup
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import build
 from flexman_gym.envs.config.reset_options import check_parameters
-from flexman_gym.envs.config.setup import build
 from flexman_gym.envs.env import LARGEST_SEED, FlexManEnv, observation_space
 from flexman_gym.envs.episodes import Episodes, action_space, checked_actions
 from flexman_gym.envs.rendering import RENDER, make_rendering
@@ -84,7 +84,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         render_camera: see `FlexManEnv`.
         render_gain: see `FlexManEnv`.
         render_overlays: see `FlexManEnv`.
-        settings: the attributes of `Setup`, and "condition"; see `FlexManEnv`.
+        settings: the attributes of `Configuration`, and "condition"; see `FlexManEnv`.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
@@ -118,16 +118,18 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         self.render_mode, look = render_mode, (render_size, render_camera, render_gain, render_overlays)
         given = num_envs, threads, max_episode_steps, autoreset_mode, infos, seed_stride, render_mode, *look
         self._made = dict(zip(OWN, given, strict=True)) | settings
-        setup = find_setup(settings, OWN)
+        setup = Configuration.from_keywords(settings, OWN)
         model, method, step, self.choice = build(setup)
         period = setup.control_period
         self.batch = Batch(model, method, step, period, arms=num_envs, threads=threads)
         self.setup, self.task, self.torque_limit = setup, setup.task, np.array(setup.torque_limit)
         self.episodes = Episodes(setup, self.batch)
-        self._rendering = make_rendering(render_mode, self.episodes, setup.name, look, ("rgb_array",))
+        self._rendering = make_rendering(render_mode, self.episodes, setup.id, look, ("rgb_array",))
         if max_episode_steps is not None:
-            self.episodes.longest = setup.hold * whole_number("max_episode_steps", max_episode_steps, 1, LONGEST)
-        self.max_episode_steps = -(-self.episodes.longest // setup.hold)
+            self.episodes.longest = setup.action_repeat * whole_number(
+                "max_episode_steps", max_episode_steps, 1, LONGEST
+            )
+        self.max_episode_steps = -(-self.episodes.longest // setup.action_repeat)
         self.sensors = self.episodes.sensors
         self.single_observation_space = observation_space(self.episodes)
         size = len(self.episodes.agent.mode.names)
@@ -167,7 +169,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         return self.episodes.agent.observations.copy(), infos if mask is None else _masked(infos, mask)
 
     def step(self, actions: NDArray[Any]) -> tuple[Observations, Array, Flags, Flags, Infos]:
-        """Applies actions (num_envs, k) for `hold` control periods, and resets as the autoreset mode says.
+        """Applies actions (num_envs, k) for `action_repeat` control periods, and resets as the autoreset mode says.
 
         Raises:
             ValueError: for actions of another shape or outside the action space.

@@ -27,13 +27,12 @@ from flexman_gym.control.agent import Law
 from flexman_gym.control.base_controllers import BASES, checked_base
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
 from flexman_gym.control.network import Network
-from flexman_gym.envs.config.description import Description
-from flexman_gym.envs.config.description import described as described_setup
-from flexman_gym.envs.config.setup import build, setup_of
+from flexman_gym.envs.config.configuration import Configuration, current_name
+from flexman_gym.envs.config.fidelity import build
 from flexman_gym.envs.episodes import design_mode
 from flexman_gym.evaluation.policy_files import ABOUT, POLICIES, policy_folder, read_policy
 
-INTERFACE = ("base", "hold", "sensors", "history", "actions")  # settings of what acts, not of what is moved
+INTERFACE = ("base", "action_repeat", "sensors", "history", "actions")  # settings of what acts, not of what is moved
 IDLE = {"zero": "no torque at all", "random": "random torques"}  # agents without a controller: name -> description
 BASELINES = (*BASES, *IDLE)
 """Agents that need no training, by name."""
@@ -47,15 +46,15 @@ class AgentSpec:
     Attributes:
         name: as in a table.
         law: commands (b, k) for observations (b, size); None for zeros, so that the base controller acts alone.
-        interface: base, its gains, hold, sensors, history and actions; None for those of the environment in which it
-            acts.
+        interface: base, its gains, action_repeat, sensors, history and actions; None for those of the environment in
+            which it acts.
         environment: the environment that it was trained on; None for a baseline, which suits any.
     """
 
     name: str
     law: Law | None = None
     interface: dict[str, Any] | None = field(default_factory=dict)
-    environment: Description | None = None
+    environment: Configuration | None = None
 
 
 def find_agent(entrant: object) -> AgentSpec:
@@ -100,7 +99,7 @@ def load_policy(folder: Path) -> AgentSpec:
     """
     about, network = read_policy(folder)
     try:
-        described = Description.from_dict(about["environment"])
+        described = Configuration.from_plain(about["environment"])
         if observation_layout(described) != about["observation"]:
             raise value_error(
                 "observation", about["observation"], "the names, units and sizes that its sensors read here"
@@ -110,7 +109,7 @@ def load_policy(folder: Path) -> AgentSpec:
         raise ValueError(f"{short_path(folder / ABOUT)}: {error}") from None
 
 
-def observation_layout(described: Description) -> list[dict[str, Any]]:
+def observation_layout(described: Configuration) -> list[dict[str, Any]]:
     """Gives what the agent of an environment observes, in order: name, unit and how many numbers, without history."""
     venv = gym.make_vec(described.id, 1, "vector_entry_point", **described.keywords())
     episodes: Any = venv.unwrapped.episodes  # type: ignore[attr-defined]
@@ -121,7 +120,7 @@ def observation_layout(described: Description) -> list[dict[str, Any]]:
     return [{"name": name, "unit": unit, "size": size} for name, unit, size in seen]
 
 
-def predictor_agent(model: Any, described: Description | None = None) -> AgentSpec:
+def predictor_agent(model: Any, described: Configuration | None = None) -> AgentSpec:
     """Gives the entrant of an object with `predict`, which gives actions (b, n) for observations (b, size).
 
     A model of Stable-Baselines3 brings the environment that it learned in, and the statistics of a `VecNormalize`
@@ -134,7 +133,7 @@ def predictor_agent(model: Any, described: Description | None = None) -> AgentSp
     beside = getattr(model, "get_vec_normalize_env", lambda: None)()
     arms = getattr(model, "get_env", lambda: None)()
     if described is None and arms is not None:
-        described = Description.from_dict(described_setup(arms.get_attr("setup")[0]))
+        described = arms.get_attr("setup")[0]
     environment, interface = (None, None) if described is None else split_interface(described)
 
     told = {"deterministic": True}
@@ -162,7 +161,7 @@ def load_run(folder: Path) -> AgentSpec:
         raise _untrusted(folder)
     settings = read_settings(folder)
     try:
-        described = Description.from_dict(settings["environment"])
+        described = Configuration.from_plain(settings["environment"])
         algo, activation = settings["algo"], settings["hyperparameters"].get("activation")
         in_use = settings.get("base_in_use")
     except (KeyError, TypeError, AttributeError, ValueError, RecursionError) as error:
@@ -183,7 +182,7 @@ def _untrusted(place: object) -> ValueError:
     return ValueError(f"entrant: the files of Stable-Baselines3 in {place} are not read; give {allowed}")
 
 
-def learned_agent(name: str, network: Law, described: Description, in_use: object = None) -> AgentSpec:
+def learned_agent(name: str, network: Law, described: Configuration, in_use: object = None) -> AgentSpec:
     """Return the specification of a network with the environment of its training.
 
     Its base controller and action mode are those of that environment wherever it acts; a base in use is made for the
@@ -198,19 +197,18 @@ def learned_agent(name: str, network: Law, described: Description, in_use: objec
     return replace(agent, interface={**interface, "base": in_use})
 
 
-def split_interface(described: Description) -> tuple[Description, dict[str, Any]]:
+def split_interface(described: Configuration) -> tuple[Configuration, dict[str, Any]]:
     """Parts a description into what is moved and the settings of what acts on it.
 
     The gains of a PD are in both: those with which a policy learned are its own, and the environment has a PD too.
     """
-    moved = described.whole_settings()
-    interface = {name: moved.pop(name) for name in INTERFACE if name in moved}
-    if interface.get("base") == "pd":
-        interface["gains"] = described.whole()["gains"]
-    return Description(described.id, moved, described.folder), interface
+    interface = {name: value for name, value in described.settings.items() if name in INTERFACE}
+    if described.base == "pd":
+        interface["gains"] = described.to_plain(strict=False)["gains"]
+    return described.without(INTERFACE), interface
 
 
-def design_for(agent: AgentSpec, environment: Description) -> AgentSpec:
+def design_for(agent: AgentSpec, environment: Configuration) -> AgentSpec:
     """Return an agent whose base controller and action mode are made for an environment, whatever the one it acts in.
 
     Without this, a controller that is given by its name is made for the environment in which it acts, with the delay,
@@ -218,13 +216,13 @@ def design_for(agent: AgentSpec, environment: Description) -> AgentSpec:
     """
     if agent.interface is None:
         return agent
-    setup = setup_of({"name": environment.id, **environment.keywords(), **agent.interface})
-    base, mode = design_mode(setup, build(setup).model)
+    whole = environment.replace(**agent.interface)
+    base, mode = design_mode(whole, build(whole).model)
     others = {name: value for name, value in agent.interface.items() if name != "gains"}
     return replace(agent, interface={**others, "base": base, "actions": mode})
 
 
-def common_environment(entrants: Sequence[AgentSpec], named: Description | None) -> Description:
+def common_environment(entrants: Sequence[AgentSpec], named: Configuration | None) -> Configuration:
     """Gives the environment on which all entrants are evaluated: the named one, or that of the trained ones.
 
     Its PD, which is a baseline, has the gains of the first of them that has any.
@@ -234,23 +232,23 @@ def common_environment(entrants: Sequence[AgentSpec], named: Description | None)
     """
     if named is not None:
         return split_interface(named)[0]
-    trained = [(each.name, each.environment, each.environment.whole()) for each in entrants if each.environment]
+    trained = [(each.name, each.environment, each.environment.to_plain()) for each in entrants if each.environment]
     for name, _, whole in trained:
         if {**whole, "gains": None} != {**trained[0][2], "gains": None}:
             allowed = f"policies of one environment, or name one with --env: {trained[0][0]} knows another"
             raise value_error("entrant", name, allowed)
     with_gains = [environment for _, environment, whole in trained if whole.get("gains")]
-    return next(iter([*with_gains, *(environment for _, environment, _ in trained)]), Description())
+    return next(iter([*with_gains, *(environment for _, environment, _ in trained)]), Configuration())
 
 
-def change_environment(environment: Description, changes: Sequence[str]) -> Description:
+def change_environment(environment: Configuration, changes: Sequence[str]) -> Configuration:
     """Gives an environment with settings of "name=value" changed.
 
     Raises:
-        ValueError: for those that belong to what acts, and what `Description.changed` refuses.
+        ValueError: for those that belong to what acts, and what `Configuration.changed` refuses.
     """
     for change in changes:
-        if change.split("=")[0].split(".")[0] in INTERFACE:
+        if current_name(change.split("=")[0].split(".")[0], warn=False) in INTERFACE:
             allowed = f"a setting of what is moved: {', '.join(INTERFACE)} are those that a policy was trained with"
             raise value_error("--set", change, allowed)
     return split_interface(environment.changed(changes))[0]

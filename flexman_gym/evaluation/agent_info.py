@@ -8,7 +8,7 @@ from flexman_gym.common.checks import short_path, value_error
 from flexman_gym.common.run_folder import SETTINGS, read_settings
 from flexman_gym.common.time_series import read_csv_lines
 from flexman_gym.control.base_controllers import BASES
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.sensors import plain_sensors
 from flexman_gym.evaluation.agent import BASELINES, IDLE
 from flexman_gym.evaluation.policy_files import policy_folder, read_policy
@@ -45,7 +45,7 @@ def required_information(agent: str) -> tuple[str, ...]:
     if agent in BASELINES:
         return BASES[agent].information if agent in BASES else ()
     settings = _settings(agent)
-    setup = Description.from_dict(settings.get("environment")).setup()
+    setup = Configuration.from_plain(settings.get("environment"))
     kinds = {each["kind"] if isinstance(each, dict) else each for each in plain_sensors(setup.sensors)}
     beside = settings.get("base_in_use") or setup.base  # a base in use takes the place of the one it learned with
     base = beside.get("kind") if isinstance(beside, dict) else beside

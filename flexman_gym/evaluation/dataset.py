@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 
 from flexman_gym.common.grid import Workers, collect_cells
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.rollout import find_environment, rollout
 
 BLOCK = 50  # episodes side by side
@@ -16,7 +16,7 @@ SEEN = ("sensors", "history")  # settings of an agent that the environment of a 
 
 
 def record_dataset(
-    entrant: str, environment: str | Description, seeds: Sequence[int], name: str, form: str = "hdf5",
+    entrant: str, environment: str | Configuration, seeds: Sequence[int], name: str, form: str = "hdf5",
     workers: Workers | int = 1,
 ) -> Any:  # fmt: skip
     """Writes episodes of an entrant into a new dataset where Minari keeps its own; returns the MinariDataset.
@@ -43,7 +43,7 @@ def record_dataset(
     except ImportError:
         raise ImportError("datasets need Minari: pip install 'flexman_gym[scale]'") from None
     bare = bare_environment(find_environment(environment))
-    single = gym.make(bare.id, **dict(bare.settings or {}))
+    single = gym.make(bare.id, **bare.settings)
     cells = [(entrant, bare, tuple(seeds[i : i + BLOCK])) for i in range(0, len(seeds), BLOCK)]
     episodes = [each for block in collect_cells(record_episodes, cells, workers) for each in block]
     buffers = [EpisodeBuffer(id=number, **episode) for number, episode in enumerate(episodes)]
@@ -55,17 +55,17 @@ def record_dataset(
         )  # fmt: skip
 
 
-def bare_environment(described: Description) -> Description:
+def bare_environment(described: Configuration) -> Configuration:
     """Gives an environment without base, held actions and other meanings of these, as plain data without files."""
-    whole = described.whole()
-    names = (name for name in described.whole_settings() if name not in ("base", "gains", "hold", "actions"))
-    return Description(described.id, {name: whole[name] for name in names})
+    whole = described.to_plain()
+    names = (name for name in described.settings if name not in ("base", "gains", "action_repeat", "actions"))
+    return Configuration(described.id, {name: whole[name] for name in names})
 
 
-def record_episodes(cell: tuple[str, Description, tuple[int, ...]]) -> list[dict[str, Any]]:
+def record_episodes(cell: tuple[str, Configuration, tuple[int, ...]]) -> list[dict[str, Any]]:
     """Plays episodes side by side, then their actions alone; gives what Minari keeps of each."""
     entrant, bare, seeds = cell
-    moved = Description(bare.id, {name: value for name, value in (bare.settings or {}).items() if name not in SEEN})
+    moved = Configuration(bare.id, {name: value for name, value in bare.settings.items() if name not in SEEN})
     actions = np.nan_to_num(rollout(entrant, moved, seeds).actions).astype(np.float32)
     venv = gym.make_vec(bare.id, len(seeds), "vector_entry_point", autoreset_mode="Disabled", infos="at end",
                         **bare.keywords())  # fmt: skip

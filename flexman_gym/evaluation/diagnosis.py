@@ -9,7 +9,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.control.controller import Controller
 from flexman_gym.control.input_shaping.shapers import ringing_modes
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.evaluation.agent import AgentSpec
 from flexman_gym.evaluation.rollout import Rollout, find_environment, rollout
@@ -95,7 +95,7 @@ class Diagnosis:
 
 
 def diagnose(
-    entrant: str | AgentSpec | Controller, environment: str | Description, seeds: Sequence[int]
+    entrant: str | AgentSpec | Controller, environment: str | Configuration, seeds: Sequence[int]
 ) -> list[Diagnosis]:
     """Diagnose for an episode from each seed what keeps its tip from resting on its target.
 
@@ -109,14 +109,14 @@ def diagnose(
     return [_attribute_noise(*each) for each in zip(found, diagnose(entrant, quiet, seeds), strict=True)]
 
 
-def _without_noise(environment: Description) -> Description | None:
+def _without_noise(environment: Configuration) -> Configuration | None:
     """Return the environment with "sensor_noise" 0, None where it is 0 already."""
-    own = environment.setup().randomisation
+    own = environment.randomisation
     drawn = dict(own.given) if own else {}
     if not np.any(drawn.get("sensor_noise", 0.0)):
         return None
     quiet = {**drawn, "sensor_noise": [0.0, 0.0]}
-    return replace(environment, settings={**environment.whole_settings(), "randomisation": quiet})
+    return environment.replace(randomisation=quiet)
 
 
 def _attribute_noise(found: Diagnosis, quiet: Diagnosis) -> Diagnosis:
@@ -137,7 +137,7 @@ def _attribute_noise(found: Diagnosis, quiet: Diagnosis) -> Diagnosis:
 
 
 def episode_ends(
-    entrant: str | AgentSpec | Controller, environment: str | Description, seeds: Sequence[int]
+    entrant: str | AgentSpec | Controller, environment: str | Configuration, seeds: Sequence[int]
 ) -> list[tuple[EpisodeEnd, dict[str, float]]]:
     """Gives the end of an episode from each seed, and the frequencies (Hz) of the modes at its goal by their names.
 

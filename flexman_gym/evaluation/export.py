@@ -12,7 +12,7 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.run_folder import BEST, NEWEST, check_settings, existing_file, read_data, read_settings
 from flexman_gym.control.network import LARGEST, Network, policy_parameters
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import find_agent, learned_agent, load_policy, observation_layout, split_interface
 from flexman_gym.evaluation.agent_info import training_seconds
 from flexman_gym.evaluation.metrics import evaluate
@@ -46,7 +46,7 @@ def export_policy(
     path = run / BEST if (run / BEST).is_file() else existing_file(run / NEWEST)
     data = read_data(path)
     check_settings(path, data, settings)
-    described = _for(Description.from_dict(settings["environment"]), venue)
+    described = _for(Configuration.from_plain(settings["environment"]), venue)
     layers = policy_parameters(settings["algo"], data["policy"])
     arrays = layers | {f"statistics.{name}": np.asarray(data["statistics"][name]) for name in ("mean", "var")}
     network = Network(settings["algo"], settings["hyperparameters"].get("activation"), layers, data["statistics"])
@@ -58,7 +58,7 @@ def export_policy(
         "versions": settings["versions"],
         "recipe": {"name": recipe, "settings": {name: each for name, each in settings.items() if name != "versions"}},
         "training_seconds": training_seconds(str(run)) or 0.0,
-        "environment": described.whole(),
+        "environment": described.to_plain(),
         "observation": observation_layout(described),
         "league": {},
     }
@@ -84,11 +84,11 @@ def package_folder(name: str) -> Path:
     return FOLDER / name
 
 
-def _for(trained: Description, venue: str) -> Description:
+def _for(trained: Configuration, venue: str) -> Configuration:
     """The environment for which a policy is, with what acts as it was trained."""
     if not venue:
         return trained
-    return Description.from_dict({**split_interface(Description.find(venue))[0].whole(), **split_interface(trained)[1]})
+    return split_interface(Configuration.find(venue))[0].replace(**split_interface(trained)[1])
 
 
 class _RecordedNetwork:
@@ -103,7 +103,7 @@ class _RecordedNetwork:
         return self.network(observations)
 
 
-def _seen(network: Network, described: Description, in_use: object) -> NDArray[np.float32]:
+def _seen(network: Network, described: Configuration, in_use: object) -> NDArray[np.float32]:
     """Observations (COUNT, size) of episodes that the policy plays, evenly from their first to their last."""
     watching = _RecordedNetwork(network)
     policy = learned_agent("", watching, described, in_use)

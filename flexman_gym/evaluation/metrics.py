@@ -9,7 +9,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of
 from flexman_gym.control.controller import Controller
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import AgentSpec
 from flexman_gym.evaluation.rollout import EpisodeRecord, rollout
 from flexman_gym.metrics import (
@@ -96,7 +96,7 @@ def task_metrics(task: Any) -> tuple[Metric, ...]:
 
 
 def evaluate(
-    entrant: str | AgentSpec | Controller, environment: str | Description, seeds: Sequence[int] | int
+    entrant: str | AgentSpec | Controller, environment: str | Configuration, seeds: Sequence[int] | int
 ) -> dict[str, float]:
     """Gives every figure of FIGURES, summed up over an episode from each seed.
 
@@ -128,17 +128,17 @@ LONGEST_NAME = 100  # letters in a line of the table
 CAPTION = "medians with 95 % bootstrap intervals; shares, reward, roughness and effort are means"
 
 
-def table(results: Mapping[str, Sequence[EpisodeRecord]], environment: Description) -> str:
+def table(results: Mapping[str, Sequence[EpisodeRecord]], environment: Configuration) -> str:
     """Gives a table with a row for each entrant; its head says on which environment all of them were run.
 
     Args:
         results: name -> what happened in its episodes.
         environment: on which they were run.
     """
-    setup = environment.setup()
+    setup = environment
     columns = task_metrics(setup.task)
     first = next(iter(results.values()))
-    changes = ", ".join(sorted(environment.settings or {})) or "as it is"
+    changes = ", ".join(sorted(environment.settings)) or "as it is"
     title = f"{len(first)} episodes of {environment.id} ({changes}), the same for all"
     heads = ["entrant", *(_head(figure, first[0].band) for figure in columns)]
     rows = [[_short(name), *(_cell(figure, records) for figure in columns)] for name, records in results.items()]

@@ -16,8 +16,9 @@ from flexman_gym.control.lqr import LQR
 from flexman_gym.control.margins import Margins, SampledLoop, has_margins, margins, sampled_loops
 from flexman_gym.control.pd import PD, stability_limit
 from flexman_gym.control.references.optimised_slews import OptimisedController, Shooting, SlewTable, arm_parameters
-from flexman_gym.envs.config.description import Description
-from flexman_gym.envs.config.setup import build
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.specification import make_controller
 from flexman_gym.evaluation.agent import split_interface
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.rollout import find_environment, rollout
@@ -54,7 +55,7 @@ class TunedGains:
 
 
 def tune(
-    environment: str | Description, first: int = 60, around: int = 30, episodes: int = 8, seed: int = 0,
+    environment: str | Configuration, first: int = 60, around: int = 30, episodes: int = 8, seed: int = 0,
     margin: bool = True, workers: Workers | int = 1,
 ) -> TunedGains:  # fmt: skip
     """Tune the PD controller of an environment: the best of random gains, then rounds of gains around the best so far.
@@ -64,7 +65,7 @@ def tune(
     damped as the sampled loop bears with the largest delay of the environment.
 
     Args:
-        environment: whose PD is tuned: an id, an id and a condition, a file, or a Description.
+        environment: whose PD is tuned: an id, an id and a condition, a file, or a Configuration.
         first: how many gains the first round draws.
         around: how many gains each further round draws.
         episodes: for which they are judged.
@@ -86,7 +87,7 @@ def tune(
         >>> env = gym.make("FlexOne-v0", base="pd", gains=found.gains)
     """
     environment = find_environment(environment)
-    random, setup, loops = np.random.default_rng(seed), environment.setup(), environment_loops(environment)
+    random, setup, loops = np.random.default_rng(seed), environment, environment_loops(environment)
     limits = np.array(setup.torque_limit)
     rotors = np.array([joint.rotor_inertia for joint in setup.arm.joints])
     most = stability_limit(setup.latest_delay) * rotors / (MIN_MARGINS.gain * setup.control_period)
@@ -109,7 +110,7 @@ def _near(random: np.random.Generator, best: Array, deviation: float, low: Array
     return np.clip(best + deviation * random.standard_normal(len(best)), low, high)
 
 
-def environment_loops(environment: Description) -> list[SampledLoop]:
+def environment_loops(environment: Configuration) -> list[SampledLoop]:
     """Return the loops of the motors of an environment, with its largest delay, at goals of its first episodes.
 
     Motors with Coulomb friction slide or stick, see `control.margins`: a posture has a loop for each set of these.
@@ -117,7 +118,7 @@ def environment_loops(environment: Description) -> list[SampledLoop]:
     moved = split_interface(environment)[0]  # without what acts, which may need the gains that are looked for
     venv = gym.make_vec(environment.id, POSTURES, "vector_entry_point", **moved.keywords())
     venv.reset(seed=list(range(POSTURES)))  # type: ignore[arg-type]
-    episodes, setup = venv.unwrapped.episodes, environment.setup()  # type: ignore[attr-defined]
+    episodes, setup = venv.unwrapped.episodes, environment  # type: ignore[attr-defined]
     postures, model = episodes.view.goal_angles.copy(), episodes.batch.model
     venv.close()
     drive = setup.control_period, setup.latest_delay, setup.drive_bandwidth
@@ -138,19 +139,19 @@ def _drawn(loops: Sequence[SampledLoop], count: int, draw: Callable[[], Array]) 
     raise value_error("gains", f"{len(result)} of {DRAWS * count} drawn", allowed)
 
 
-def _rewards(environment: Description, gains: Array, episodes: int, workers: Workers | int = 1) -> Array:
+def _rewards(environment: Configuration, gains: Array, episodes: int, workers: Workers | int = 1) -> Array:
     """Mean reward (c,) of the first episodes with each of the gains (c, 2 n)."""
     parts = [(environment, gains[i : i + CELL], episodes) for i in range(0, len(gains), CELL)]
     return np.concatenate(collect_cells(_cell_rewards, parts, workers))
 
 
-def _cell_rewards(cell: tuple[Description, Array, int]) -> Array:
+def _cell_rewards(cell: tuple[Configuration, Array, int]) -> Array:
     """The same of some of the gains, which act side by side."""
     environment, gains, episodes = cell
     n = gains.shape[1] // 2
     stiffness, damping = np.split(np.repeat(gains, episodes, axis=0), 2, axis=1)
-    setup, still = environment.setup(), [0.0] * n
-    base = setup.controller({"kind": "pd", "stiffness": still, "damping": still}, build(setup).model)
+    setup, still = environment, [0.0] * n
+    base = make_controller(setup, {"kind": "pd", "stiffness": still, "damping": still}, build(setup).model)
     assert isinstance(base, PD)
     base.stiffness, base.damping = stiffness, damping  # of each candidate its own, which no list of gains has
     rewards = rollout(base, environment, np.tile(np.arange(episodes), len(gains)).tolist()).rewards
@@ -169,18 +170,18 @@ class _SlewResult(NamedTuple):
     seconds: float
 
 
-def empty_slew_table(environment: Description) -> SlewTable:
+def empty_slew_table(environment: Configuration) -> SlewTable:
     """Gives a table without slews, which says what it is for."""
-    setup = environment.setup()
+    setup = environment
     model, method, step, _ = build(setup)
     about = {
-        "environment": environment.whole(),
+        "environment": environment.to_plain(),
         "model": f"{model.n_dof} coordinates, method {getattr(method, 'name', method)}, step {step:.9g} s",
     }
     return SlewTable(about, arm_parameters(model, np.array(setup.torque_limit), setup.control_period))
 
 
-def optimise_slews(environment: Description, seeds: Sequence[int], table: SlewTable) -> Iterator[_SlewResult]:
+def optimise_slews(environment: Configuration, seeds: Sequence[int], table: SlewTable) -> Iterator[_SlewResult]:
     """Puts the slews of the episodes that a table does not have yet into it, and tells of each.
 
     A slew counts with the settling time of its replay in the environment.
@@ -193,12 +194,12 @@ def optimise_slews(environment: Description, seeds: Sequence[int], table: SlewTa
     Raises:
         ValueError: one line, for an environment that disturbs its arms or moves its goals, and for a table of another.
     """
-    setup, left = environment.setup(), [seed for seed in seeds if seed not in table.found]
+    setup, left = environment, [seed for seed in seeds if seed not in table.found]
     if setup.task.moves or setup.disturbed is not None:
         raise value_error(
             "environment", environment.id, "one whose goals stay, with no randomisation and no disturbance"
         )
-    if table.about.get("environment") != environment.whole():
+    if table.about.get("environment") != environment.to_plain():
         raise value_error("table", table.about.get("environment"), "a table of this environment, or a new file")
     model, method, step, _ = build(setup)
     regulator = LQR(model, setup.torque_limit, setup.control_period)

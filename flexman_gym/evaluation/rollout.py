@@ -15,7 +15,7 @@ from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.common.checks import value_error, whole_number
 from flexman_gym.common.progress import Progress
 from flexman_gym.control.controller import Controller
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes, checked_actions
 from flexman_gym.evaluation.agent import AgentSpec, find_agent, split_interface
 from flexman_gym.metrics import BAND
@@ -140,7 +140,7 @@ class Rollout:
 
 def rollout(
     entrant: str | AgentSpec | Controller,
-    environment: str | Description,
+    environment: str | Configuration,
     seeds: Sequence[int] | int,
     watch: Callable[[Episodes], None] | None = None,
     moved: Callable[[Batch], None] | None = None,
@@ -152,7 +152,7 @@ def rollout(
 
     Args:
         entrant: a name or the folder of a run, see `find_agent`, or a Controller.
-        environment: an id, an id and a condition, a file, or a Description.
+        environment: an id, an id and a condition, a file, or a Configuration.
         seeds: of the episodes; a number n stands for the first n test seeds, 9000 to 9000 + n - 1, n <= 100.
         watch: called after the reset and after every control period.
         moved: lets something else move the arms, see `physical`.
@@ -192,25 +192,25 @@ def rollout(
     return recorder.rollout(told)
 
 
-def _check_arm(player: AgentSpec, described: Description) -> None:
+def _check_arm(player: AgentSpec, described: Configuration) -> None:
     """Refuse a policy that was trained on an arm with another number of joints."""
     if player.environment is None:
         return
-    own, count = player.environment.setup().arm.n_joints, described.setup().arm.n_joints
+    own, count = player.environment.arm.n_joints, described.arm.n_joints
     if own != count:
         allowed = f"a policy for {described.id}, of {count} joints: it is one for {player.environment.id}, of {own}"
         raise value_error("entrant", player.name, allowed)
 
 
-def find_environment(environment: str | Description) -> Description:
+def find_environment(environment: str | Configuration) -> Configuration:
     """Gives the description of an id, an id and a condition, or a file, or the description itself."""
-    return environment if isinstance(environment, Description) else Description.find(environment)
+    return environment if isinstance(environment, Configuration) else Configuration.find(environment)
 
 
-def _about(env: Any, player: AgentSpec, described: Description) -> dict[str, Any]:
+def _about(env: Any, player: AgentSpec, described: Configuration) -> dict[str, Any]:
     """What the episodes of an entrant on an environment have in common, plain."""
     sensors = env.episodes.sensors
-    settings = {"environment": split_interface(described)[0].whole(), "interface": player.interface}
+    settings = {"environment": split_interface(described)[0].to_plain(strict=False), "interface": player.interface}
     return episode_metadata(
         env.batch.model, settings, name=player.name, environment=described.id, units=dict(sensors.units),
         slices={name: [place.start, place.stop] for name, place in sensors.slices.items()},

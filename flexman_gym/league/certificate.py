@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +10,7 @@ import numpy as np
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import computer_info
 from flexman_gym.common.run_folder import write_atomically
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED
 from flexman_gym.evaluation.agent import AgentSpec, design_for, find_agent
 from flexman_gym.evaluation.metrics import METRICS
@@ -70,12 +69,13 @@ def certify(
         raise value_error("name", name, "an exported policy, by its name or folder")
     entrant, about = find_agent(name), read_policy(folder).about
     assert entrant.environment is not None
-    if "settling_time" not in getattr(entrant.environment.setup().task, "figures", SHOWN):
+    if "settling_time" not in getattr(entrant.environment.task, "figures", SHOWN):
         raise value_error("name", name, "a policy for a task in which the arm settles")
     rows: list[dict[str, Any]] = []
     usual: list[EpisodeRecord] = []
     played: list[EpisodeRecord] = []
-    for trial in policy_trials(entrant.environment, Description.from_dict(about["recipe"]["settings"]["environment"])):
+    trained = Configuration.from_plain(about["recipe"]["settings"]["environment"])
+    for trial in policy_trials(entrant.environment, trained):
         if trial.told or isinstance((entrant.interface or {}).get("base"), str | dict):  # else the trial before, again
             played = _run_trial(entrant, trial, seeds[: FEW.get(trial.plant)])
         usual = usual or played
@@ -95,10 +95,10 @@ def certify(
     return folder / CERTIFICATE
 
 
-def policy_trials(environment: Description, trained: Description) -> list[CertificateTrial]:
+def policy_trials(environment: Configuration, trained: Configuration) -> list[CertificateTrial]:
     """Gives the trials of a policy for an environment, which was trained in another or the same."""
-    setup = environment.setup()
-    step = (setup.step or default_step(setup.control_period, NAMED[setup.name].longest_step)) / 4.0
+    setup = environment
+    step = (setup.step or default_step(setup.control_period, NAMED[setup.id].longest_step)) / 4.0
     result = [
         CertificateTrial("as trained", "nothing is other", "usual", {}),
         *(CertificateTrial(plant, PLANTS[plant][0], "physics", {}, plant) for plant in ("finer",
@@ -109,8 +109,8 @@ def policy_trials(environment: Description, trained: Description) -> list[Certif
     for what, drawn in _unseen(environment, trained).items():
         ends = "; ".join(f"{name} {low:.3g} to {high:.3g}" for name, (low, high) in drawn.items())
         far.append((what, ends, _with(environment, drawn)))
-    if NAMED[environment.id].conditions and environment.whole()["arm"] == Description(environment.id).whole()["arm"]:
-        arm = Description.under(environment.id, "friction").whole_settings()["arm"]
+    if NAMED[environment.id].conditions and environment.arm == NAMED[environment.id].arm():
+        arm = Configuration.under(environment.id, "friction").settings["arm"]
         far.append(("friction", "friction of the motors, as of the condition", {"arm": arm}))
     for delay in DELAYS:
         changes = _with(environment, {"delay": (delay, delay)})
@@ -133,13 +133,13 @@ def _row_text(row: Mapping[str, Any]) -> str:
     return f"{row['name']:<22}{said}: {values}"
 
 
-def _unseen(environment: Description, trained: Description) -> dict[str, dict[str, tuple[float, float]]]:
+def _unseen(environment: Configuration, trained: Configuration) -> dict[str, dict[str, tuple[float, float]]]:
     """Payload and stiffness that no training drew: the range of the condition, or beyond that of the training."""
     conditions = ("payload", "stiffness") if NAMED[environment.id].conditions else ()
     seen = _drawn(trained)
     result = {}
     for condition in conditions:
-        spans = _drawn(Description.under(environment.id, condition))
+        spans = _drawn(Configuration.under(environment.id, condition))
         for name in spans.keys() & seen.keys():
             low, high = seen[name]
             wide = BEYOND * (high - low)
@@ -148,14 +148,14 @@ def _unseen(environment: Description, trained: Description) -> dict[str, dict[st
     return result
 
 
-def _with(environment: Description, drawn: Mapping[str, tuple[float, float]]) -> dict[str, Any]:
+def _with(environment: Configuration, drawn: Mapping[str, tuple[float, float]]) -> dict[str, Any]:
     """The randomisation of an environment with other ranges of what is drawn."""
     return {"randomisation": {**_drawn(environment), **{name: list(span) for name, span in drawn.items()}}}
 
 
-def _drawn(environment: Description) -> dict[str, Any]:
+def _drawn(environment: Configuration) -> dict[str, Any]:
     """The ranges of what the episodes of an environment draw."""
-    own = environment.setup().randomisation
+    own = environment.randomisation
     return dict(own.given) if own else {}
 
 
@@ -163,7 +163,7 @@ def _run_trial(entrant: AgentSpec, trial: CertificateTrial, seeds: Sequence[int]
     """Return the episodes of a trial."""
     environment = entrant.environment
     assert environment is not None
-    changed = replace(environment, settings={**environment.whole_settings(), **trial.changes})
+    changed = environment.replace(**trial.changes)
     player = entrant if trial.told else design_for(entrant, environment)
     return rollout(player, changed, seeds, moved=find_plant(trial.plant)).records
 

@@ -201,7 +201,7 @@ def _notes(standing: Standings, venue: str, times: bool) -> list[str]:
         said.append("There is no score: the ends of the scale are too close, or were not played.")
     if not times:
         said.append("There is no multiple of the optimised slew: no table holds slews of this venue.")
-    drawn = find_scenario(venue).environment.setup().disturbed
+    drawn = find_scenario(venue).environment.disturbed
     if drawn is not None and set(drawn.effects) & set(PARAMETERS):
         there = [each for each in standing.entrants if not standing.why(each, venue)]
         wrong = [
@@ -259,7 +259,7 @@ def _curve(standing: Standings, entrant: str, venues: list[str], places: np.ndar
 
 
 def _figures(venue: str) -> tuple[Metric, ...]:
-    figures = task_metrics(find_scenario(venue).environment.setup().task)
+    figures = task_metrics(find_scenario(venue).environment.task)
     return tuple(each for each in figures if each.name != "reward")  # which the score shows
 
 

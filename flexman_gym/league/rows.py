@@ -25,7 +25,7 @@ from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.agent import Law
 from flexman_gym.control.controller import EpisodeInfo, Readings
 from flexman_gym.control.references.optimised_slews import SHIPPED, SlewTable
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import BASELINES, AgentSpec, design_for, find_agent
 from flexman_gym.evaluation.agent_info import check_unseen, describe_agent, is_realisable
 from flexman_gym.evaluation.metrics import METRICS
@@ -179,10 +179,10 @@ def run_block(cell: EpisodeBlock) -> tuple[EpisodeBlock, list[EpisodeRow]]:
     return cell._replace(action=1e6 * action / float(np.sum(result.lengths)), design=1e6 * design / len(seeds)), rows
 
 
-def optimised_times(environment: Description) -> dict[int, float]:
+def optimised_times(environment: Configuration) -> dict[int, float]:
     """Settling times (s) of the optimised slews of an environment by seed, where the table that is shipped is its."""
     table = SlewTable.load(SHIPPED)
-    same = table.about.get("environment") == environment.whole()
+    same = table.about.get("environment") == environment.to_plain()
     return {seed: table.settling_time(seed) for seed in table.found} if same else {}
 
 
@@ -227,7 +227,7 @@ def _is_text(statement: ast.stmt) -> bool:
 def row_key(entrant: str, venue: str) -> str:
     """Hash of all that rows follow from: settings of venue and entrant, files of a run, the code, and versions."""
     *both, plant = find_scenario(venue)
-    parts: list[Any] = [*(each.whole() for each in both), plant, code_hash()]
+    parts: list[Any] = [*(each.to_plain() for each in both), plant, code_hash()]
     parts += [computer_info(("mujoco",) if plant == "mujoco" else ()) | {"processor": ""}, _is_lab(venue)]
     folder = policy_folder(entrant) or Path(entrant)
     files = [] if entrant in BASELINES else [folder / name for name in (SETTINGS, BEST, NEWEST, ABOUT, ARRAYS)]
@@ -269,7 +269,7 @@ class _TimedMode:
         return call
 
 
-def _timed(entrant: AgentSpec, told: Description) -> tuple[AgentSpec, _TimedMode | None]:
+def _timed(entrant: AgentSpec, told: Configuration) -> tuple[AgentSpec, _TimedMode | None]:
     """Return an agent designed for what is told of the environment, and its clock; "zero" takes no time."""
     if entrant.interface is None or (entrant.law is None and "base" not in entrant.interface):
         return entrant, None
@@ -282,7 +282,7 @@ def _timed(entrant: AgentSpec, told: Description) -> tuple[AgentSpec, _TimedMode
 
 def _is_lab(venue: str) -> bool:
     """Whether only what a laboratory measures may be known there."""
-    return "=" not in venue and Description.find(venue.partition("@")[0]).whole_settings().get("sensors") == "lab"
+    return "=" not in venue and Configuration.find(venue.partition("@")[0]).settings.get("sensors") == "lab"
 
 
 def _read(

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.control.controller import Controller
-from flexman_gym.envs.config.description import NOMINAL, Description
+from flexman_gym.envs.config.conditions import NOMINAL
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import DEFAULT
 from flexman_gym.evaluation.agent import AgentSpec, split_interface
 from flexman_gym.evaluation.metrics import METRICS
@@ -61,7 +62,7 @@ def find_plant(name: str) -> Callable[[Batch], None]:
 
 def evaluate_on_plants(
     entrant: str | AgentSpec | Controller,
-    environment: str | Description,
+    environment: str | Configuration,
     seeds: Sequence[int],
     plants: Sequence[str] = tuple(PLANTS),
 ) -> dict[str, dict[str, float]]:
@@ -130,8 +131,8 @@ SWEEPS = {
 class Scenario(NamedTuple):
     """Where episodes are played, the environment that controllers are made for, and the plant that moves its arms."""
 
-    environment: Description
-    told: Description
+    environment: Configuration
+    told: Configuration
     plant: str = "usual"
 
 
@@ -147,16 +148,16 @@ def find_scenario(name: str) -> Scenario:
     id, _, tail = name.rpartition("/")
     sweep, equals, value = tail.partition("=")
     if not equals:
-        described = split_interface(Description.find(name))[0]
+        described = split_interface(Configuration.find(name))[0]
         return Scenario(described, described)
     swept = SWEEPS[one_of("sweep", sweep, SWEEPS)]
     try:
         played = swept.setting(int(value) if value.isdecimal() else float(value))
     except ValueError:
         raise value_error("sweep", name, f"a number after {sweep}=") from None
-    told = split_interface(Description.under(id, swept.condition))[0].whole_settings()
+    told = split_interface(Configuration.under(id, swept.condition))[0].settings
     heard = played if swept.told is None else swept.told
-    environment, known = (Description.from_dict({"id": id, **told, **each}) for each in (played, heard))
+    environment, known = (Configuration.from_plain({"id": id, **told, **each}) for each in (played, heard))
     return Scenario(environment, known)
 
 

@@ -63,7 +63,7 @@ class Standings:
         result: dict[str, str] = {}
         for venue in self.venues:
             if self.scale(venue):
-                result.setdefault(str(find_scenario(venue).environment.whole()), venue)
+                result.setdefault(str(find_scenario(venue).environment.to_plain()), venue)
         return list(result.values())
 
     @cached_property
@@ -164,7 +164,7 @@ class Standings:
 @cache
 def _longest(venue: str) -> float:
     """The largest reward of an episode: that of a control period is at most 1."""
-    return float(find_scenario(venue).environment.setup().longest)
+    return float(find_scenario(venue).environment.longest)
 
 
 def sweep_value(venue: str) -> float:

@@ -25,7 +25,7 @@ from flexman_gym.common.snapshot import split_arrays
 TRAIN = Path(__file__).parents[1] / "train.py"
 PART = f".{NEWEST}.part"
 ENVIRONMENT = {
-    "id": "FlexOne-v0", "base": "pd", "hold": 5, "sensors": ["full", "fine"], "horizon": 2.0,
+    "id": "FlexOne-v0", "base": "pd", "action_repeat": 5, "sensors": ["full", "fine"], "horizon": 2.0,
     "randomisation": {"payload_mass": [0.0, 0.1], "delay": [0, 2], "sensor_noise": [0.0, 0.01]},
 }  # fmt: skip
 RECIPES: dict[str, dict[str, Any]] = {

@@ -13,10 +13,10 @@ from flexman_agents.callbacks import Interrupted
 from flexman_agents.imitation import AVERAGED, SCALE, DAgger, _strength
 from flexman_agents.settings import Settings
 from flexman_agents.training import resume, train, train_or_resume
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.__main__ import main
 from flexman_gym.common.run_folder import NEWEST, read_data
 from flexman_gym.control.actions import CurrentMode, TorqueMode
-from flexman_gym.envs.config.description import Description
 from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.export import export_policy
 from flexman_gym.evaluation.rollout import rollout, training_seed
@@ -49,7 +49,7 @@ def test_a_student_without_hidden_layers_learns_the_gains_of_a_pd(base):
     assert imitation.learn(lambda steps, figures: False)
     policy = imitation.policy()
     spread = np.sqrt(policy["statistics"]["var"] + 1e-8)
-    setup = settings.description.setup()
+    setup = settings.environment
     learned = (policy["policy"]["action_net.weight"][0] / spread)[:2] * setup.torque_limit[0]
     wanted = np.array([STIFFNESS, -DAMPING]) * (0.5 if base else 1.0)
     assert learned == pytest.approx(wanted, rel=0.01)
@@ -57,13 +57,13 @@ def test_a_student_without_hidden_layers_learns_the_gains_of_a_pd(base):
 
 def test_arms_that_the_teacher_leads_move_as_under_the_teacher_alone_and_their_notes_say_its_actions():
     settings = replace(
-        SHORT, environment={**ENVIRONMENT, "base": {**TEACHER, "stiffness": [0.5 * STIFFNESS]}, "hold": 2}
+        SHORT, environment={**ENVIRONMENT, "base": {**TEACHER, "stiffness": [0.5 * STIFFNESS]}, "action_repeat": 2}
     )
     imitation = DAgger(settings)
     setup, student = settings.description.setup(), imitation._student
     student.led = np.ones(3, dtype=bool)
-    led = rollout(imitation._agent(), Description("FlexOne-v0", {"horizon": 0.8}), range(3))
-    alone = rollout(TEACHER, Description("FlexOne-v0", {"horizon": 0.8}), range(3))
+    led = rollout(imitation._agent(), Configuration("FlexOne-v0", {"horizon": 0.8}), range(3))
+    alone = rollout(TEACHER, Configuration("FlexOne-v0", {"horizon": 0.8}), range(3))
     for name in ("tips", "actions", "torques"):
         assert getattr(led, name).tobytes() == getattr(alone, name).tobytes()
     notes = student.notes
@@ -128,7 +128,7 @@ def test_the_same_seed_has_the_same_bits_and_another_has_not(tmp_path):
 def test_what_was_learned_acts_as_a_run_and_as_a_policy_that_is_shipped(tmp_path):
     train(SHORT, tmp_path / "run", progress=False)
     export_policy(tmp_path / "run", tmp_path / "policy", "A student of a PD.", "own")
-    played = [rollout(str(tmp_path / name), SHORT.description, range(2)).tips for name in ("run", "policy")]
+    played = [rollout(str(tmp_path / name), SHORT.environment, range(2)).tips for name in ("run", "policy")]
     assert played[0].tobytes() == played[1].tobytes()
     moments = read_data(tmp_path / "run" / NEWEST)["statistics"]
     assert np.ptp(moments["var"]) > 0.0 and find_agent(str(tmp_path / "run")).interface

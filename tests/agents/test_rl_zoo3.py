@@ -33,7 +33,7 @@ def test_an_entry_makes_the_same_environment_and_the_same_algorithm(name):
     settings = find_recipe(name)
     ((id, entry),) = yaml.safe_load((ZOO / f"{name}.yml").read_text()).items()
     env = gym.make(id, **entry.pop("env_kwargs"))
-    ours = gym.make(settings.description.id, **settings.description.keywords())
+    ours = gym.make(settings.environment.id, **settings.environment.keywords())
     result, expected = (each.unwrapped.episodes for each in (env, ours))
     assert result.hold == expected.hold and type(result.base) is type(expected.base) and result.task == expected.task
     assert env.observation_space == ours.observation_space

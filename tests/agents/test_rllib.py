@@ -22,7 +22,7 @@ from flexman_gym.evaluation.rollout import rollout, training_seed
 from oracles.assertions import refusal
 
 SETTINGS = Settings(
-    "ppo", {"id": "FlexOne-v0", "base": "pd", "hold": 3, "horizon": 0.9}, 768, seed=3, envs=8,
+    "ppo", {"id": "FlexOne-v0", "base": "pd", "action_repeat": 3, "horizon": 0.9}, 768, seed=3, envs=8,
     hyperparameters={"n_steps": 24, "batch_size": 64, "n_epochs": 2, "net_arch": [16, 16], "gamma": 0.95},
     schedules={"learning_rate": {"start": 1e-3, "end": 0.0}, "log_std": {"start": -1.0, "end": -3.0}},
 )  # fmt: skip

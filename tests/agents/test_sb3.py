@@ -7,7 +7,7 @@ pytest.importorskip("stable_baselines3")
 
 from flexman_agents.sb3 import action_function, load_sb3_zip, make_model
 from flexman_gym.__main__ import main
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import AgentSpec, find_agent, rollout
 from flexman_gym.evaluation.agent import split_interface
 
@@ -32,7 +32,7 @@ def torques(entrant, environment):
 
 def test_a_model_brings_environment_interface_and_statistics(model, tmp_path, capsys):
     settings = RUNS["ppo"]
-    environment, interface = split_interface(settings.description)
+    environment, interface = split_interface(settings.environment)
     entrant = find_agent(model)
     both = entrant.environment.setup(), environment.setup()
     assert both[0].disturbed == both[1].disturbed and both[0].horizon == 0.6 and both[0].hold == 1
@@ -43,9 +43,9 @@ def test_a_model_brings_environment_interface_and_statistics(model, tmp_path, ca
     model.save(path)
     model.get_vec_normalize_env().save(str(path.with_suffix(".pkl")))
     assert "--trust" in refusal(find_agent, str(path))
-    loaded = load_sb3_zip(path, settings.description)
+    loaded = load_sb3_zip(path, settings.environment)
     assert loaded.name == "own" and np.array_equal(torques(loaded, environment), expected)
-    here = Description(environment.id, {**environment.settings, **interface})
+    here = Configuration(environment.id, {**environment.settings, **interface})
     assert np.array_equal(torques(load_sb3_zip(path), here), expected), "it sees and holds as it is told there"
     path.with_suffix(".pkl").write_bytes(b"noise")
     assert "this is not a policy of Stable-Baselines3" in refusal(load_sb3_zip, path)

@@ -20,8 +20,8 @@ from flexman_gym.common.run_folder import NEWEST, read_data
 from oracles.assertions import refusal
 from oracles.runs import RUNS
 
-RECIPE = replace(RUNS["ppo"], judge_every=48, schedules={}, environment={"id": "FlexOne-v0", "base": "pd", "hold": 5,
-                                                                         "horizon": 0.3})  # fmt: skip
+RECIPE = replace(RUNS["ppo"], judge_every=48, schedules={}, environment={
+    "id": "FlexOne-v0", "base": "pd", "action_repeat": 5, "horizon": 0.3})  # fmt: skip
 OVER = {
     "hyperparameters.gamma": {"low": 0.5, "high": 0.99},
     "hyperparameters.learning_rate": {"low": 1e-5, "high": 1.0, "log": True},
@@ -45,10 +45,9 @@ def trials(folder):
 
 
 def test_settings_are_changed_by_their_paths():
-    result = change_settings(RECIPE, {"hyperparameters.gamma": 0.7, "environment.hold": 2, "schedules.log_std.start":
-    -1.0,
-                              "schedules.log_std.end": -2.0})  # fmt: skip
-    assert result.hyperparameters["gamma"] == 0.7 and result.description.setup().hold == 2
+    result = change_settings(RECIPE, {"hyperparameters.gamma": 0.7, "environment.action_repeat": 2,
+                                      "schedules.log_std.start": -1.0, "schedules.log_std.end": -2.0})  # fmt: skip
+    assert result.hyperparameters["gamma"] == 0.7 and result.environment.action_repeat == 2
     assert result.schedule("log_std").at(1.0) == -2.0 and change_settings(RECIPE, {}) == RECIPE
 
 

@@ -13,7 +13,7 @@ from flexman_gym.evaluation.rollout import SELECTION_SEEDS, TEST_SEEDS, TRAINING
 
 from oracles.assertions import refusal
 
-ENVIRONMENT = {"id": "FlexPlanar-v0", "base": "pd", "hold": 5, "sensors": ["full", "fine"], "horizon": 1.0}
+ENVIRONMENT = {"id": "FlexPlanar-v0", "base": "pd", "action_repeat": 5, "sensors": ["full", "fine"], "horizon": 1.0}
 RECIPE = {
     "algo": "sac", "environment": ENVIRONMENT, "steps": 64, "seed": 7, "envs": 2,
     "hyperparameters": {"gamma": 0.98}, "schedules": {"learning_rate": {"start": 1e-3, "end": 0.0}},
@@ -29,9 +29,9 @@ def test_settings_come_from_a_file_and_back_from_the_record_of_a_run(tmp_path, s
     assert settings == Settings(**RECIPE) == Settings.recipe(path)
     kept = json.dumps(settings.plain() | {"versions": {}})
     assert Settings.from_json(path, kept) == settings
-    assert settings.environment["arm"]["payload"]["mass"] == 0.1, "the whole arm is kept"
-    setup = settings.description.setup()
-    assert (setup.hold, setup.base, len(setup.sensors), setup.horizon) == (5, "pd", 2, 1.0)
+    assert settings.plain()["environment"]["arm"]["payload"]["mass"] == 0.1, "the whole arm is kept"
+    setup = settings.environment
+    assert (setup.action_repeat, setup.base, len(setup.sensors), setup.horizon) == (5, "pd", 2, 1.0)
 
 
 def test_an_arm_in_a_file_is_found_beside_the_recipe_and_kept_without_it(tmp_path):
@@ -41,14 +41,14 @@ def test_an_arm_in_a_file_is_found_beside_the_recipe_and_kept_without_it(tmp_pat
     files.write_data(tmp_path / "recipe.yaml", RECIPE | {"environment": {"id": "FlexPlanar-v0", "arm": "arm.yaml"}})
     settings = Settings.recipe(tmp_path / "recipe.yaml")
     (tmp_path / "arm.yaml").unlink()
-    assert settings.description.setup().arm.payload.mass == 0.25
+    assert settings.environment.arm.payload.mass == 0.25
 
 
 def test_what_is_left_out_is_the_default():
     settings = Settings()
     assert (settings.algo, settings.steps, settings.seed, settings.normalise_reward) == ("ppo", 1_000_000, 0, True)
     assert settings.envs == ENVS["ppo"] and Settings(algo="sac").envs == ENVS["sac"]
-    assert settings.description.id == "FlexRRR-v0" and settings.description.setup().arm == flex_rrr()
+    assert settings.environment.id == "FlexRRR-v0" and settings.environment.arm == flex_rrr()
 
 
 def test_another_seed_changes_nothing_else():
@@ -65,7 +65,7 @@ def test_sac_may_learn_from_its_first_step():
 def test_every_recipe_can_be_read_and_trained(name):
     settings = find_recipe(name)
     assert settings == Settings.recipe(RECIPE_FOLDER / f"{name}.yaml")
-    assert settings.steps > 0 and settings.description.setup()
+    assert settings.steps > 0 and settings.environment
 
 
 # What is wrong
@@ -77,8 +77,8 @@ def test_every_recipe_can_be_read_and_trained(name):
         ({"algo": "dqn"}, "algo: 'dqn' is not allowed; give one of ppo, sac"),
         ({"environment": {"id": "CartPole-v1"}}, "id: 'CartPole-v1' is not allowed; give one of FlexRRR-v0, Flex"),
         ({"environment": "FlexRRR-v0"}, "environment: 'FlexRRR-v0' is not allowed; give a mapping"),
-        ({"environment": {"holds": 5}}, "holds: 5 is not allowed; give a known setting: the nearest is hold;"),
-        ({"environment": {"hold": 0}}, "hold: 0 is not allowed; give a whole number from 1 to 1000"),
+        ({"environment": {"holds": 5}}, "holds: 5 is not allowed; give a known setting: the nearest is action_repeat;"),
+        ({"environment": {"action_repeat": 0}}, "action_repeat: 0 is not allowed; give a whole number from 1 to 1000"),
         ({"steps": 0}, "steps: 0 is not allowed; give a whole number from 1"),
         ({"seed": -1}, "seed: -1 is not allowed; give a whole number from 0"),
         ({"envs": 2.5}, "envs: 2.5 is not allowed; give a whole number from 1"),

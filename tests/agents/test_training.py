@@ -27,7 +27,7 @@ from oracles.runs import RUNS
 pytest.importorskip("stable_baselines3")
 
 
-PD = {"id": "FlexOne-v0", "base": "pd", "hold": 5, "sensors": ["full", "fine"], "horizon": 1.0}
+PD = {"id": "FlexOne-v0", "base": "pd", "action_repeat": 5, "sensors": ["full", "fine"], "horizon": 1.0}
 SHORT = Settings(
     environment=PD, steps=512, envs=2, seed=3, hyperparameters={"net_arch": [16]},
     schedules={"learning_rate": {"start": 1e-3, "end": 0.0}, "log_std": {"start": -1.0, "end": -4.0, "until": 0.8}},
@@ -190,7 +190,7 @@ def test_rewards_are_normalised_where_they_should_be_and_by_returns_of_the_same_
 
 def test_a_training_begins_with_seeds_of_its_own(trained):
     """Those that no judge and no table sees, one after the other for the arms."""
-    model, env = make_model(SHORT), gym.make(PD["id"], **SHORT.description.keywords())
+    model, env = make_model(SHORT), gym.make(PD["id"], **SHORT.environment.keywords())
     model.get_env().reset()
     for arm, seen in enumerate(model.get_vec_normalize_env().get_original_obs()):
         assert np.array_equal(seen, env.reset(seed=training_seed(SHORT.seed) + arm)[0])
@@ -236,9 +236,9 @@ def judge_with(monkeypatch, outcomes, rollout=50):
 
     def evaluate(entrant, environment, seeds):
         share, reward = next(results)
-        assert entrant.interface.items() >= {"base": "pd", "hold": 5, "sensors": ["full", "fine"]}.items()
+        assert entrant.interface.items() >= {"base": "pd", "action_repeat": 5, "sensors": ["full", "fine"]}.items()
         assert seeds == range(5000, 5100)
-        assert environment.id == "FlexOne-v0" and not {"base", "hold", "sensors"} & environment.settings.keys()
+        assert environment.id == "FlexOne-v0" and not {"base", "action_repeat", "sensors"} & environment.settings.keys()
         return dict.fromkeys(METRICS, 0.0) | {"settled": share, "reward": reward}
 
     monkeypatch.setattr(callbacks, "evaluate", evaluate)

@@ -17,7 +17,8 @@ from flexman_gym.commands.list import WHAT
 from flexman_gym.commands.why import diagnosis_lines as told
 from flexman_gym.control import BASES
 from flexman_gym.envs import NAMED
-from flexman_gym.envs.config.description import CONDITIONS, Description
+from flexman_gym.envs.config.conditions import CONDITIONS
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.sensors import NAMES
 from flexman_gym.evaluation.diagnosis import HELP, RINGING, Diagnosis, diagnose
 from flexman_gym.league import certificate
@@ -268,7 +269,7 @@ def test_it_tells_of_each_entrant_the_shares_the_largest_first(capsys):
     assert main(["why", "pd", "zero", *GIVEN]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split(" on ")[0] for line in lines if not line.startswith(" ")] == ["pd", "zero"]
-    found = diagnose("pd", Description("FlexPlanar-v0", {"horizon": 1.0}), [3, 4])
+    found = diagnose("pd", Configuration("FlexPlanar-v0", {"horizon": 1.0}), [3, 4])
     for cause in HELP:
         line = next(line for line in lines if line.startswith(f"  {cause} "))
         share = 100.0 * sum(each.shares[cause] for each in found) / 2.0

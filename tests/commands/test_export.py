@@ -35,7 +35,7 @@ def test_a_run_becomes_a_policy_that_reaches_the_same(run, tmp_path, capsys):
     assert main(words) == 0 and "holds the policy: settled " in capsys.readouterr().out
     about = read_policy(tmp_path / "a").about
     one, other = find_agent(str(run)), find_agent(str(tmp_path / "a"))
-    assert one.environment.whole() == other.environment.whole()
+    assert one.environment.to_plain() == other.environment.to_plain()
     figures = evaluate(one, one.environment, range(9000, 9100))
     assert figures == evaluate(other, one.environment, range(9000, 9100))
     row = {name: each for name, each in about["league"].items() if name in figures}
@@ -55,7 +55,7 @@ def test_it_may_be_for_another_environment_with_what_acts_as_it_was(run, tmp_pat
     words = ["export", "policy", str(run), str(tmp_path / "a"), "--words", "W.", "--env", str(tmp_path / "heavy.yaml")]
     assert main(words) == 0
     about = read_policy(tmp_path / "a").about
-    assert (about["environment"]["horizon"], about["environment"]["hold"]) == (0.4, 3)
+    assert (about["environment"]["horizon"], about["environment"]["action_repeat"]) == (0.4, 3)
     assert about["recipe"]["settings"]["environment"]["horizon"] == 0.6
 
 

@@ -13,7 +13,7 @@ from flexman_gym.common import files
 from flexman_gym.common.run_folder import SETTINGS
 from flexman_gym.control.margins import has_margins
 from flexman_gym.envs import NAMED
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import optimisation
 
 SMALL = ["--steps", "256", "--envs", "2", "--quiet"]
@@ -33,15 +33,15 @@ def run(monkeypatch, capsys):
 
 def test_an_environment_file_and_changes_reach_the_run_and_its_evaluation(run, tmp_path):
     """Train on a file with a change, evaluate beside baselines; another change on the command line goes further."""
-    files.write_data(tmp_path / "own.yaml", {"id": "FlexOne-v0", "horizon": 1.5, "base": "pd", "hold": 5})
+    files.write_data(tmp_path / "own.yaml", {"id": "FlexOne-v0", "horizon": 1.5, "base": "pd", "action_repeat": 5})
     folder = tmp_path / "run"
     code, out, _ = run("train", "--env", tmp_path / "own.yaml", "--set", "arm.payload.mass=0.2", "--seed", 4, *SMALL,
                        "--folder", folder)  # fmt: skip
     settings = load_settings(folder)
-    setup = settings.description.setup()
+    setup = settings.environment
     assert code == 0 and f"The run is in {folder}" in out
     assert (settings.seed, settings.steps, settings.envs, settings.algo) == (4, 256, 2, "ppo")
-    assert (setup.arm.payload.mass, setup.base, setup.hold, setup.name) == (0.2, "pd", 5, "FlexOne-v0")
+    assert (setup.arm.payload.mass, setup.base, setup.action_repeat, setup.id) == (0.2, "pd", 5, "FlexOne-v0")
     code, out, err = run("evaluate", folder, "pd", "zero", "--episodes", 2)
     assert code == 0 and err == ""
     assert out.startswith("2 episodes of FlexOne-v0 (arm, gains, horizon), the same for all")
@@ -52,7 +52,7 @@ def test_an_environment_file_and_changes_reach_the_run_and_its_evaluation(run, t
 
 def test_an_environment_without_what_its_recipe_learned_with_is_told(run, tmp_path):
     """A base that the file lacks is named; what the file or a change has is not."""
-    files.write_data(tmp_path / "own.yaml", {"id": "FlexOne-v0", "hold": 5})
+    files.write_data(tmp_path / "own.yaml", {"id": "FlexOne-v0", "action_repeat": 5})
     recipe = "train", "planar_ppo_on_pd", "--env", tmp_path / "own.yaml", "--set", "sensors=full", *SMALL
     _, _, said = run(*recipe, "--folder", tmp_path / "bare")
     assert said.startswith(f"{tmp_path / 'own.yaml'} does not have what the recipe learned with: base: pd\n")
@@ -73,7 +73,7 @@ def test_a_recipe_is_a_start_and_options_go_before_it(run, tmp_path):
     )
     run("train", tmp_path / "own.json", *SMALL, "--folder", tmp_path / "run")
     settings = load_settings(tmp_path / "run")
-    assert (settings.steps, settings.seed, settings.description.setup().horizon) == (256, 8, 1.0)
+    assert (settings.steps, settings.seed, settings.environment.horizon) == (256, 8, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_a_recipe_is_a_start_and_options_go_before_it(run, tmp_path):
         ("evaluate", ["pd", "--set", "base=lqr"], "--set: 'base=lqr' is not allowed; give a setting of what is moved"),
         ("train", ["--steps", "0"], "steps: 0 is not allowed; give a whole number from 1"),
         ("train", ["no_recipe"], "recipe: no_recipe is not allowed; give a file, or one of"),
-        ("train", ["--set", "hold=0"], "hold: 0 is not allowed; give a whole number from 1 to 1000"),
+        ("train", ["--set", "action_repeat=0"], "action_repeat: 0 is not allowed; give a whole number from 1 to 1000"),
         ("train", ["--set", "base=pid"], "base: 'pid' is not allowed; give one of pd, lqr, lqr-tracking"),
         ("train", ["--device", "gpu"], "device: 'gpu' is not allowed; give one that PyTorch has here, such as cpu"),
         ("train", ["--checkpoint-every", "-1"], "checkpoint_every: -1 is not allowed; give a whole number from 0"),
@@ -116,7 +116,7 @@ def test_tuning_finds_gains_that_beat_most_and_finds_them_again(monkeypatch):
 
     monkeypatch.setattr(optimisation, "_rewards", watched)
     first, again = (
-        optimisation.tune(Description("FlexOne-v0"), first=6, around=4, episodes=2, seed=1) for _ in range(2)
+        optimisation.tune(Configuration("FlexOne-v0"), first=6, around=4, episodes=2, seed=1) for _ in range(2)
     )
     assert first == again
     half = len(seen) // 2
@@ -132,13 +132,13 @@ def test_tune_prints_the_line_for_a_file(run, monkeypatch):
     monkeypatch.setattr(optimisation, "tune", lambda *_, **__: found)
     _, out, _ = run("tune", "FlexPlanar-v0")
     (line,) = (line for line in out.splitlines() if "file" in line)
-    own = Description("FlexPlanar-v0", files.parse_yaml(line.partition(": ")[2]))
-    assert own.setup().pd_gains == {"stiffness": (31.3, 0.123), "damping": (7.0, 2.0)}
+    own = Configuration("FlexPlanar-v0", files.parse_yaml(line.partition(": ")[2]))
+    assert own.pd_gains == {"stiffness": (31.3, 0.123), "damping": (7.0, 2.0)}
 
 
 def test_the_gains_in_the_catalog_are_better_than_gains_nearby_at_random():
     """Mean reward of 8 episodes, of all candidates with margins at once, as the search measures it."""
-    pd, environment = NAMED["FlexOne-v0"].pd, Description("FlexOne-v0")
+    pd, environment = NAMED["FlexOne-v0"].pd, Configuration("FlexOne-v0")
     own = np.array([[*pd["stiffness"], *pd["damping"]]])
     others = own * np.random.default_rng(0).uniform(0.4, 1.6, (24, 2))
     loops = optimisation.environment_loops(environment)

@@ -7,14 +7,14 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.common import progress
 from flexman_gym.common.progress import Progress
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import policy_files
 from flexman_gym.league import certificate
 from flexman_gym.league.rows import run_league
 
 from oracles.shipped import write_still
 
-SHORT = Description("FlexOne-v0", {"horizon": 0.2})
+SHORT = Configuration("FlexOne-v0", {"horizon": 0.2})
 
 
 @pytest.fixture

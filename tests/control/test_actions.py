@@ -44,7 +44,7 @@ def winding(monkeypatch):
 
 
 def test_a_mode_says_how_many_numbers_an_action_has_and_acts_in_every_period(winding):
-    env = FlexManVectorEnv(2, **winding, hold=4)
+    env = FlexManVectorEnv(2, **winding, action_repeat=4)
     assert env.single_action_space.shape == (1,) and env.action_space.shape == (2, 1)
     env.reset(seed=0)
     for step in range(1, 4):
@@ -72,7 +72,7 @@ def test_a_state_holds_what_a_mode_remembers(winding):
 
 def test_a_policy_acts_in_its_mode_wherever_it_plays(winding):
     """As an agent in its own environment, and as the base of one where actions are torques."""
-    beside = FlexManVectorEnv(3, **winding, hold=2, sensors="servo")
+    beside = FlexManVectorEnv(3, **winding, action_repeat=2, sensors="servo")
     random = np.random.default_rng(0)
     layers = {"action_net.weight": random.normal(size=(1, 6)), "action_net.bias": np.ones(1)}
     network = Network("ppo", None, layers, {"mean": np.zeros(6), "var": np.ones(6)})

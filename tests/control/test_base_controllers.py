@@ -7,21 +7,21 @@ from flexman_gym.control import BASES, LQR, PD, InputShapedController, TrackingL
 from flexman_gym.control.base_controllers import make_base
 from flexman_gym.control.lqr import CostWeights
 from flexman_gym.control.tracking import OutputFeedback
-from flexman_gym.envs.config.description import Description
-from flexman_gym.envs.config.setup import build, setup_of
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import build
 from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.evaluation import evaluate, rollout
 
 from oracles.assertions import refusal
 
-ONE = Description("FlexOne-v0", {"horizon": 0.4})
+ONE = Configuration("FlexOne-v0", {"horizon": 0.4})
 GAINS = {"stiffness": (2.0,), "damping": (0.3,)}
 WEIGHTS = {"tip": 0.1, "tip_speed": 0.5, "motor": 0.2}
 
 
 def plant(name="FlexOne-v0"):
-    setup = setup_of({"name": name})
+    setup = Configuration.from_keywords({"name": name})
     return make_plant(setup, build(setup).model)._replace(gains=lambda: GAINS)
 
 
@@ -83,8 +83,8 @@ def test_what_is_no_base_is_refused_in_one_line(base, line):
 def test_an_environment_and_an_evaluation_build_the_same_base():
     """The mapping beside an agent that does nothing, in a file, and as an entrant."""
     base = {"kind": "lqr", "weights": WEIGHTS}
-    described = Description.from_dict({"id": "FlexOne-v0", "horizon": 0.4, "base": base})
-    assert described.whole()["base"] == base
+    described = Configuration.from_plain({"id": "FlexOne-v0", "horizon": 0.4, "base": base})
+    assert described.to_plain()["base"] == base
     entrant, plain = rollout(base, ONE, [1, 2]), rollout("lqr", ONE, [1, 2])
     env = FlexManEnv(name="FlexOne-v0", horizon=0.4, base=base)
     env.reset(seed=1)

@@ -8,7 +8,8 @@ import pytest
 
 from flexman_gym.control import lqr
 from flexman_gym.control.lqr import LQR, SPACING, CostWeights, GainTable
-from flexman_gym.envs.config.setup import build, setup_of
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import build
 from flexman_gym.model.model import build_model
 from flexman_gym.simulation.parameters import varied_model
 
@@ -24,7 +25,7 @@ def folder(tmp_path, monkeypatch):
 
 def small(name):
     """Model, limits and period of a named environment with few coordinates."""
-    setup = setup_of({"name": name, "elements": 1, "modes": 1})
+    setup = Configuration.from_keywords({"name": name, "elements": 1, "modes": 1})
     return build(setup).model, np.array(setup.torque_limit), setup.control_period
 
 

@@ -24,7 +24,8 @@ from flexman_gym.control.observers.kalman_filter import (
     time_update,
 )
 from flexman_gym.control.observers.observer import BIAS, make_measurement_model
-from flexman_gym.envs.config.setup import build, setup_of
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.setup import build
 from flexman_gym.model.linearization import LinearReadings
 from flexman_gym.simulation.batch import Batch
 
@@ -44,7 +45,7 @@ def system(seed, size=6, read=2, growth=1.02):
 
 def arm_system(delay=2, part=0.01):
     """A flexible arm about a posture, torques that come late, its encoders and gauges; transition, inputs and so on."""
-    setup = setup_of({"name": "FlexPlanar-v0"})
+    setup = Configuration.from_keywords({"name": "FlexPlanar-v0"})
     model = build(setup).model
     loop = sampled_loop(model, [0.4, -0.7], setup.control_period, delay)
     unit = LinearReadings(model).named(np.eye(2 * model.n_dof))

@@ -11,8 +11,9 @@ import flexman_gym as fm
 from flexman_gym.control import LQR, Controller, EpisodeInfo, TrackingLQR
 from flexman_gym.control.lqr import SHARE, CostWeights, optimal_gain, zero_order_hold
 from flexman_gym.control.references.trajectories import TIMING_LAWS, minimum_jerk, plan_path, plan_slew
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import build
 from flexman_gym.envs.config.named_environments import NAMED
-from flexman_gym.envs.config.setup import build, setup_of
 from flexman_gym.envs.sensors import SENSORS
 from flexman_gym.model.state_space import LinearModel
 
@@ -129,7 +130,7 @@ PERIOD, ALL = 0.02, np.arange(3)
 
 def designed(kind, name="FlexPlanar-v0"):
     """A controller of the arm of a named environment."""
-    setup = setup_of({"name": name})
+    setup = Configuration.from_keywords({"name": name})
     return kind(build(setup).model, setup.torque_limit, setup.control_period)
 
 
@@ -306,7 +307,7 @@ def test_they_are_controllers_that_read_the_state():
 
 def test_weights_are_parts_of_the_reach():
     """The same weights in metres, given by hand."""
-    model, limits = build(setup_of({})).model, (400.0,) * 3
+    model, limits = build(Configuration.from_keywords({})).model, (400.0,) * 3
     posture = np.array([0.1, 0.2, -0.3])
     assert np.array_equal(
         LQR(model, limits, 0.02).gain(posture), LQR(model, limits, 0.02, CostWeights(0.2, 1.0, 0.5)).gain(posture)
@@ -324,7 +325,7 @@ def test_a_slew_has_the_law_that_is_asked_for(law):
 
 
 def test_bad_arguments_are_refused_in_one_line():
-    model = build(setup_of({"name": "FlexOne-v0"})).model
+    model = build(Configuration.from_keywords({"name": "FlexOne-v0"})).model
     assert refusal(LQR, "arm", 1.0, 0.02) == "model: 'arm' is not allowed; give a Model, from build_model"
     assert refusal(LQR, model, -1.0, 0.02).startswith("torque_limit: -1.0 is not allowed; give a finite number > 0")
     assert refusal(TrackingLQR, model, (1.0, 2.0), 0.02).startswith("torque_limit: (1.0, 2.0) is not allowed; give 1")

@@ -14,9 +14,9 @@ from flexman_gym.control.margins import (
     sampled_loops,
     spectral_radius,
 )
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import build
 from flexman_gym.envs.config.named_environments import NAMED
-from flexman_gym.envs.config.setup import build, setup_of
 from flexman_gym.evaluation.optimisation import MIN_MARGINS, environment_loops
 from flexman_gym.model import mass_matrix
 from flexman_gym.simulation.parameters import varied_model
@@ -78,7 +78,7 @@ def test_margins_are_those_of_the_loop_that_has_the_least():
 @pytest.mark.parametrize("late", [0, 1])
 def test_margins_are_those_of_the_frequency_response(late):
     """Of one motor's loop while the other stays closed, and of the eigenvalues of both loops together."""
-    setup = setup_of({"name": "FlexPlanar-v0"})
+    setup = Configuration.from_keywords({"name": "FlexPlanar-v0"})
     loop = sampled_loop(build(setup).model, [0.4, -0.7], setup.control_period, late)
     stiffness, damping = np.array([20.0, 6.0]), np.array([3.0, 0.5])
     gain = np.zeros(loop.inputs.T.shape)
@@ -98,7 +98,7 @@ def test_margins_are_those_of_the_frequency_response(late):
 
 
 def test_torques_on_their_way_arrive_in_their_turn():
-    model = build(setup_of({"name": "FlexPlanar-v0"})).model
+    model = build(Configuration.from_keywords({"name": "FlexPlanar-v0"})).model
     now, late = (sampled_loop(model, [0.2, 0.1], 0.01, delay) for delay in (0, 3))
     random, size = np.random.default_rng(0), len(now.transition)
     state, longer = np.zeros(size), np.zeros(len(late.transition))
@@ -116,8 +116,8 @@ DELAYED = [f"{name}/{each}" for name in ("FlexRRR-v0", "FlexPlanar-v0", "FlexRRR
 @pytest.mark.parametrize("name", [*NAMED, *DELAYED])
 def test_the_pd_of_every_environment_has_a_gain_margin_of_two_and_a_phase_margin_of_thirty_degrees(name):
     """At goals of its first episodes, with its delay; of random delays up to two periods no gains have it."""
-    environment = Description.find(name)
-    gains = environment.setup().pd_gains
+    environment = Configuration.find(name)
+    gains = environment.pd_gains
     reached = margins(environment_loops(environment), gains["stiffness"], gains["damping"])
     assert reached.gain >= MIN_MARGINS.gain * (1.0 - 1e-9) and reached.phase >= MIN_MARGINS.phase
 

@@ -11,8 +11,8 @@ import flexman_gym as fm
 from flexman_gym.__main__ import main
 from flexman_gym.control import EpisodeInfo, mpc
 from flexman_gym.control.lqr import CostWeights, optimal_gain
-from flexman_gym.envs.config.description import Description
-from flexman_gym.envs.config.setup import build, setup_of
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import build
 from flexman_gym.evaluation import rollout
 from flexman_gym.metrics import settling_time
 
@@ -24,7 +24,7 @@ PERIOD, ONLY, WEIGHTS = 0.02, np.array([0]), CostWeights(0.1, 0.5, 0.4)
 
 def posed(name="FlexPlanar-v0"):
     """The model of a named environment, its limits, and a posture."""
-    setup = setup_of({"name": name})
+    setup = Configuration.from_keywords({"name": name})
     return build(setup).model, np.array(setup.torque_limit), np.array([0.4, -0.3, 0.2])[: setup.arm.n_joints]
 
 
@@ -200,7 +200,7 @@ def test_changes_act_as_about_where_the_arm_will_be(monkeypatch):
 
 @pytest.mark.parametrize("name", ["FlexOne-v0", "FlexPlanar-v0", "FlexRRR-v0"])
 def test_it_is_quicker_than_the_tracking_lqr_within_the_limits(name):
-    environment = Description(name, {"horizon": 5.0})
+    environment = Configuration(name, {"horizon": 5.0})
     results = [rollout(each, environment, [9000, 9001]).records for each in ("mpc", "lqr-tracking")]
     times = [[settling_time(each.errors, each.band, each.period) for each in records] for records in results]
     assert (np.array(times[0]) < np.array(times[1])).all()

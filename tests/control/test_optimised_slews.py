@@ -21,8 +21,8 @@ from flexman_gym.control.references.optimised_slews import (
     broyden_update,
     interpolate_torques,
 )
-from flexman_gym.envs.config.description import Description
-from flexman_gym.envs.config.setup import build, setup_of
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import build
 from flexman_gym.evaluation import evaluate, rollout
 from flexman_gym.evaluation.optimisation import empty_slew_table, optimise_slews
 from flexman_gym.metrics import settling_time
@@ -139,21 +139,21 @@ def test_errors_in_the_inner_band_weigh_nothing_and_others_what_is_beyond_it():
 @pytest.mark.parametrize("name", ["FlexOne-v0", "FlexPlanar-v0"])
 def test_an_arm_is_quicker_than_with_the_tracking_lqr(name):
     """Replayed in the environment, where it settles, also under its weight; and within the limits."""
-    environment = Description(name, {"horizon": 3.0})
+    environment = Configuration(name, {"horizon": 3.0})
     table = empty_slew_table(environment)
     (found,) = optimise_slews(environment, [5000], table)
     slew = table.found[5000][1]
-    assert found.time == pytest.approx(slew.arrival * environment.setup().control_period) == table.settling_time(5000)
+    assert found.time == pytest.approx(slew.arrival * environment.control_period) == table.settling_time(5000)
     assert found.time < 0.8 * found.tracking < np.inf
-    assert (np.abs(slew.knots) <= np.array(environment.setup().torque_limit)).all()
+    assert (np.abs(slew.knots) <= np.array(environment.torque_limit)).all()
 
 
 def test_a_replay_is_the_search_s_own_simulation_to_the_bit():
     """Open loop and regulator, in the single environment and among three arms."""
-    setup = setup_of({"name": "FlexPlanar-v0"})
+    setup = Configuration.from_keywords({"name": "FlexPlanar-v0"})
     model, method, step, _ = build(setup)
     random, period = np.random.default_rng(1), setup.control_period
-    environment = Description("FlexPlanar-v0", {"horizon": 2.0})
+    environment = Configuration("FlexPlanar-v0", {"horizon": 2.0})
     table, ends = empty_slew_table(environment), random.uniform(-0.2, 0.2, (3, 2, 2))
     search = [
         shooting(model, setup.torque_limit, 0.01, *pair, method=method, step=step, control_period=period)
@@ -180,7 +180,7 @@ def test_a_replay_is_the_search_s_own_simulation_to_the_bit():
         assert np.array_equal(env.episodes.view.tip[0], view.tip[2])
 
 
-ONE, ONLY = Description("FlexOne-v0", {"horizon": 3.0}), np.array([0])
+ONE, ONLY = Configuration("FlexOne-v0", {"horizon": 3.0}), np.array([0])
 
 
 @pytest.fixture
@@ -195,7 +195,7 @@ def table():
 
 def player(table, **changes):
     """What replays a table."""
-    setup = setup_of({"name": "FlexOne-v0"})
+    setup = Configuration.from_keywords({"name": "FlexOne-v0"})
     given = {"torque_limit": setup.torque_limit, "period": setup.control_period} | changes
     return OptimisedController(table, build(setup).model, **given)
 
@@ -252,9 +252,9 @@ def test_a_table_of_another_arm_is_refused(table, changes):
 
 
 def test_an_arm_is_known_however_finely_it_is_modelled(table):
-    setup = setup_of({"name": "FlexOne-v0", "elements": 3, "modes": None})
+    setup = Configuration.from_keywords({"name": "FlexOne-v0", "elements": 3, "modes": None})
     OptimisedController(table, build(setup).model, setup.torque_limit, setup.control_period)
-    heavy = Description("FlexOne-v0").changed(["arm.payload.mass=0.07"]).setup()
+    heavy = Configuration("FlexOne-v0").changed(["arm.payload.mass=0.07"])
     assert refusal(OptimisedController, table, build(heavy).model, heavy.torque_limit, 0.02).startswith("table: ")
 
 
@@ -288,8 +288,8 @@ def test_the_command_makes_a_table_and_goes_on_with_it(tmp_path, capsys):
 
 
 def test_an_environment_that_draws_more_than_slews_is_refused():
-    for environment in (Description("FlexOne-v0", {"randomisation": {"payload_mass": (0.0, 0.1)}}),
-                        Description("FlexPlanar-Track-v0"), Description("FlexPlanar-Hold-v0")):  # fmt: skip
+    for environment in (Configuration("FlexOne-v0", {"randomisation": {"payload_mass": (0.0, 0.1)}}),
+                        Configuration("FlexPlanar-Track-v0"), Configuration("FlexPlanar-Hold-v0")):  # fmt: skip
         assert refusal(lambda each=environment: next(optimise_slews(each, [1], empty_slew_table(each)))).startswith(
             "environment: "
         )
@@ -297,7 +297,7 @@ def test_an_environment_that_draws_more_than_slews_is_refused():
 
 def test_the_shipped_table_is_that_of_the_test_episodes():
     shipped = SlewTable.load(SHIPPED)
-    limits = np.array(setup_of({}).torque_limit)
+    limits = np.array(Configuration.from_keywords({}).torque_limit)
     times = np.array([shipped.settling_time(seed) for seed in range(9000, 9100)])
     assert np.median(times) <= 2.1 and np.isfinite(times).mean() >= 0.95
     assert all((np.abs(slew.knots) <= limits).all() for _, slew, _ in shipped.found.values())

@@ -24,7 +24,7 @@ from oracles.observed_arms import SMALL
 HEAVY = 0.05  # kg
 UNKNOWN = {"payload_mass": (0.0, HEAVY), "joint_stiffness_factor": (0.8, 1.2), "delay": (1, 1)}
 ONE = {"name": "FlexOne-v0", "randomisation": UNKNOWN, "horizon": 1.0}
-SHAPED = {**ONE, "sensors": (), "actions": "shaping", "hold": 5}
+SHAPED = {**ONE, "sensors": (), "actions": "shaping", "action_repeat": 5}
 BASES = ({"kind": "privileged-lqr", "doubt": True}, "adaptive-lqr")
 
 

@@ -6,8 +6,8 @@ import pytest
 
 from flexman_gym.control import LQR, PD, Controller, InputShapedController
 from flexman_gym.control.input_shaping.shapers import design_shaper, ringing_modes, sample_shaper, shaper_residual
-from flexman_gym.envs.config.description import Description
-from flexman_gym.envs.config.setup import build, setup_of
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import build
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.evaluation import evaluate, rollout
 from flexman_gym.model.model import build_model
@@ -16,9 +16,9 @@ from flexman_gym.scene import catalog
 
 from oracles.assertions import refusal
 
-ONE = setup_of({"name": "FlexOne-v0"})
+ONE = Configuration.from_keywords({"name": "FlexOne-v0"})
 MODEL = build(ONE).model
-PLANAR = build(setup_of({"name": "FlexPlanar-v0"})).model
+PLANAR = build(Configuration.from_keywords({"name": "FlexPlanar-v0"})).model
 SOFT = {"stiffness": (0.4,), "damping": (0.2,)}
 
 
@@ -39,7 +39,7 @@ class Listener:
 def heard(name, periods, sensors, **shaping):
     """What a Listener behind a shaper hears in an environment, and the environment."""
     listener = Listener(*sensors)
-    model = build(setup_of({"name": name})).model
+    model = build(Configuration.from_keywords({"name": name})).model
     env = FlexManEnv(name=name, base=InputShapedController(listener, model, **shaping))
     env.reset(seed=3)
     truth = []
@@ -142,7 +142,7 @@ def test_stiff_motors_behind_a_shaper_leave_little_of_the_vibration():
     """A rotor that is heavy and held stiffly: the tip vibrates a tenth as far as without a shaper."""
     gains = {"stiffness": [300.0], "damping": [60.0]}
     settings = {"arm": {"catalog": "one_joint"}, "torque_limit": 500.0, "horizon": 5.0, "control_period": 0.005}
-    heavy = Description("FlexOne-v0", settings).changed(
+    heavy = Configuration("FlexOne-v0", settings).changed(
         ["arm.joints=[{axis: [0, 0, 1], rotor_inertia: 3.0, stiffness: 20.0, damping: 0.005}]"]
     )
     seen = [
@@ -153,15 +153,15 @@ def test_stiff_motors_behind_a_shaper_leave_little_of_the_vibration():
 
 
 def test_arms_side_by_side_are_shaped_as_each_alone():
-    many = rollout("pd-shaped", Description("FlexPlanar-v0", {"horizon": 1.5}), [4, 5, 6])
+    many = rollout("pd-shaped", Configuration("FlexPlanar-v0", {"horizon": 1.5}), [4, 5, 6])
     for row, seed in enumerate([4, 5, 6]):
-        one = rollout("pd-shaped", Description("FlexPlanar-v0", {"horizon": 1.5}), [seed])
+        one = rollout("pd-shaped", Configuration("FlexPlanar-v0", {"horizon": 1.5}), [seed])
         assert np.array_equal(many.actions[row], one.actions[0]) and np.array_equal(many.tips[row], one.tips[0])
 
 
 def test_a_tracking_lqr_follows_a_shaped_motion():
     settled = evaluate(
-        InputShapedController(gym_lqr(), PLANAR, "zv", duration=0.6), Description("FlexPlanar-v0"), [0, 1, 2]
+        InputShapedController(gym_lqr(), PLANAR, "zv", duration=0.6), Configuration("FlexPlanar-v0"), [0, 1, 2]
     )
     assert settled["settled"] == 1.0 and settled["vibration"] < 1e-4
 

@@ -12,7 +12,7 @@ from flexman_gym.control.controller import EpisodeInfo, checked_controller
 from flexman_gym.control.lqr import HOLDING, LQR
 from flexman_gym.control.observers.observer import Estimate
 from flexman_gym.control.tracking import Tracking
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.evaluation import rollout
@@ -209,7 +209,7 @@ SEEDS = range(70, 74)
 
 def planar(condition="", **settings):
     """The planar arm, for a short while."""
-    return Description(f"FlexPlanar-v0{condition}" if condition else "FlexPlanar-v0", settings)
+    return Configuration(f"FlexPlanar-v0{condition}" if condition else "FlexPlanar-v0", settings)
 
 
 def acted(base, noise, delay=0):
@@ -230,8 +230,8 @@ def test_it_tends_to_the_regulator_that_is_told_all_as_noise_goes_to_zero(late):
 
 @pytest.mark.parametrize("condition", ["", "/delay"])
 def test_it_settles_arms_by_the_sensors_of_a_laboratory(condition):
-    described = Description.find(f"FlexPlanar-v0{condition}")
-    result = rollout("lqg", Description(described.id, {**(described.settings or {}), "horizon": 4.0}), SEEDS)
+    described = Configuration.find(f"FlexPlanar-v0{condition}")
+    result = rollout("lqg", Configuration(described.id, {**described.settings, "horizon": 4.0}), SEEDS)
     assert all(record.failure == "" for record in result.records)
     assert all(settling_time(each.errors, each.band, each.period) < 2.0 for each in result.records)
 

@@ -19,7 +19,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.__main__ import main
 from flexman_gym.envs import FlexManEnv
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 
 from oracles.files import ROOT
 
@@ -139,8 +139,8 @@ def test_targets_of_make_are_there():
 
 
 def test_the_examples_are_those_of_the_pages():
-    described = Description.load(ROOT / "docs" / "examples" / "four_link_arm.yaml")
-    assert described.setup().arm.n_joints == 4
+    described = Configuration.load(ROOT / "docs" / "examples" / "four_link_arm.yaml")
+    assert described.arm.n_joints == 4
     shown = {page: [text for _, text in blocks(page)] for page in PAGES}
     assert (ROOT / "docs" / "examples" / "planar_payload.yaml").read_text(encoding="utf-8") in shown["training"]
     _, _, circle = (ROOT / "docs" / "examples" / "circle.py").read_text(encoding="utf-8").partition("TURN")

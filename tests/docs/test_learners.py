@@ -5,7 +5,7 @@ import importlib.util
 import numpy as np
 import pytest
 
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.rollout import rollout
 
@@ -52,7 +52,7 @@ def test_a_clone_acts_nearly_as_whom_it_was_cloned_from_and_is_an_entrant(tmp_pa
     from flexman_gym.evaluation.dataset import record_dataset
 
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "data"))
-    environment = Description("FlexOne-v0", {"horizon": 2.0})
+    environment = Configuration("FlexOne-v0", {"horizon": 2.0})
     record_dataset("pd", environment, range(20), "one/pd-v0")
     error = example("clone").clone("one/pd-v0", tmp_path / "clone", 300)
     played = rollout("pd", environment, [100, 101])

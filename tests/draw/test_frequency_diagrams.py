@@ -18,7 +18,8 @@ from flexman_gym.draw.frequency_diagrams import (
     spin_frequencies,
 )
 from flexman_gym.draw.video import side_by_side, write_picture
-from flexman_gym.envs.config.setup import build, setup_of
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import build
 from flexman_gym.simulation.episode import Episode
 
 from oracles.chains import slender_link
@@ -98,7 +99,7 @@ def test_an_opened_loop_has_the_determinants_and_margins_of_the_closed_one():
 
 def test_the_margins_of_the_diagram_are_at_least_those_of_the_pd_that_was_tuned():
     """Those take the least of one motor and of all of them."""
-    setup = setup_of({"name": "FlexRRR-v0"})
+    setup = Configuration.from_keywords({"name": "FlexRRR-v0"})
     model, gains, period = build(setup).model, setup.pd_gains, setup.control_period
     loop, fine = sampled_loop(model, (0.0, 0.3, -0.5), period), np.geomspace(0.01, 0.5 / period, 1500)
     chosen = gains["stiffness"], gains["damping"]

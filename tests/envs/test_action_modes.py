@@ -11,8 +11,9 @@ from gymnasium.utils.env_checker import check_env
 
 import flexman_gym as fm
 from flexman_gym.control.margins import first_order_lag, sampled_loop, spectral_radius
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import build
 from flexman_gym.envs.config.named_environments import NAMED
-from flexman_gym.envs.config.setup import build, setup_of
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 
@@ -20,7 +21,7 @@ from oracles.assertions import refusal, same
 
 RRR = NAMED["FlexRRR-v0"].arm()
 GEARED = replace(RRR, joints=[replace(joint, motor=fm.Motor(100.0, 1.0, 1e-3, 4.0)) for joint in RRR.joints])
-FAST = {"control_period": 0.005, "hold": 4}  # a servo at 200 Hz under an agent at 50 Hz
+FAST = {"control_period": 0.005, "action_repeat": 4}  # a servo at 200 Hz under an agent at 50 Hz
 SETTINGS = {
     "velocity": {"actions": "velocity", **FAST},
     "position": {"actions": {"kind": "position", "range": [2.0, 1.5, 1.0]}, "drive_bandwidth": 30.0, **FAST},
@@ -124,7 +125,7 @@ def test_a_lag_is_that_of_a_first_order_filter():
 @pytest.mark.parametrize("name", NAMED)
 def test_servos_of_all_environments_are_stable_under_delay_and_lag_and_cease_to_be(name):
     """With tuned gains: at the control period, and at a fifth of it with up to four of these periods of delay."""
-    setup = setup_of({"name": name})
+    setup = Configuration.from_keywords({"name": name})
     model, gains = build(setup).model, NAMED[name].pd
     stiffness, damping = np.array(gains["stiffness"]), np.array(gains["damping"])
     n, period = len(stiffness), setup.control_period

@@ -7,6 +7,7 @@ from gymnasium.vector import AutoresetMode
 
 import flexman_gym as fm
 from flexman_gym.control import PD
+from flexman_gym.envs.config.specification import make_controller
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.sensors import FullState
 from flexman_gym.envs.vector_env import FlexManVectorEnv
@@ -64,7 +65,7 @@ def test_a_held_action_is_the_same_action_so_many_times(hold, base, randomisatio
     What is seen after a failure is what was seen last, before the action. Noise is drawn once an action.
     """
     settings = {"limits": TIGHT, "base": base, "gains": HARD, "randomisation": randomisation, "horizon": 0.6}
-    held, each = FlexManEnv(hold=hold, **settings), FlexManEnv(**settings)
+    held, each = FlexManEnv(action_repeat=hold, **settings), FlexManEnv(**settings)
     equal(before := held.reset(seed=7), each.reset(seed=7))
     ends = {"failed": 0, "failed on the way": 0, "truncated": 0}
     for action in actions(1, 750 // hold):
@@ -99,7 +100,7 @@ def test_a_held_action_is_the_same_action_so_many_times(hold, base, randomisatio
     ids=lambda value: "-".join(value) if isinstance(value, dict) else str(value),
 )
 def test_it_is_many_single_environments_bit_for_bit(hold, mode, settings):
-    settings = {"hold": hold, "limits": TIGHT, "horizon": 0.5, **settings}
+    settings = {"action_repeat": hold, "limits": TIGHT, "horizon": 0.5, **settings}
     ours = gym.make_vec("FlexRRR-v0", 3, "vector_entry_point", autoreset_mode=mode, **settings)
     theirs = gym.make_vec("FlexRRR-v0", 3, "sync", vector_kwargs={"autoreset_mode": mode}, **settings)
     for actual, expected in zip(ours.reset(seed=5), theirs.reset(seed=5), strict=True):
@@ -120,7 +121,7 @@ def test_it_is_many_single_environments_bit_for_bit(hold, mode, settings):
 
 def test_what_the_motors_of_an_arm_that_is_over_were_asked_for_stays():
     """Of three arms that end within an action, in different periods of it, each tells what an arm alone tells."""
-    settings = {"hold": 5, **STIFF, "limits": TIGHT, "horizon": 0.5, "task": Asking()}
+    settings = {"action_repeat": 5, **STIFF, "limits": TIGHT, "horizon": 0.5, "task": Asking()}
     ours = gym.make_vec("FlexRRR-v0", 3, "vector_entry_point", autoreset_mode="Disabled", **settings)
     singles = {"autoreset_mode": AutoresetMode.DISABLED}
     theirs = gym.make_vec("FlexRRR-v0", 3, "sync", vector_kwargs=singles, **settings)
@@ -138,7 +139,7 @@ def test_what_the_motors_of_an_arm_that_is_over_were_asked_for_stays():
 @pytest.mark.parametrize("name", ["FlexRRR-v0", "FlexPlanar-v0", "FlexOne-v0"])
 @pytest.mark.parametrize("base", ["pd", "lqr", "lqr-tracking"])
 def test_every_base_gives_the_same_bits_to_one_arm_and_to_many(base, name):
-    settings = {"base": base, "hold": 2, "horizon": 0.08 if name == "FlexPlanar-v0" else 0.16}  # 4 steps
+    settings = {"base": base, "action_repeat": 2, "horizon": 0.08 if name == "FlexPlanar-v0" else 0.16}  # 4 steps
     arms = gym.make_vec(name, 2, "vector_entry_point", autoreset_mode="SameStep", **settings)
     singles = gym.make_vec(name, 2, "sync", vector_kwargs={"autoreset_mode": AutoresetMode.SAME_STEP}, **settings)
     for actual, expected in zip(arms.reset(seed=2), singles.reset(seed=2), strict=True):
@@ -157,7 +158,13 @@ def test_every_base_gives_the_same_bits_to_one_arm_and_to_many(base, name):
 def test_a_held_action_never_reaches_the_next_episode(mode):
     """Episodes of 0.1 s, steps of three periods: the second step has two; then the arm is as reset and at rest."""
     env = gym.make_vec(
-        "FlexRRR-v0", 2, "vector_entry_point", hold=3, horizon=0.1, autoreset_mode=mode, base=(base := Recorder())
+        "FlexRRR-v0",
+        2,
+        "vector_entry_point",
+        action_repeat=3,
+        horizon=0.1,
+        autoreset_mode=mode,
+        base=(base := Recorder()),
     ).unwrapped
     rates = env.sensors.slices["motor_rates"]
     env.reset(seed=0)
@@ -179,11 +186,11 @@ def test_a_held_action_never_reaches_the_next_episode(mode):
 
 
 def test_a_horizon_that_is_no_multiple_of_the_hold_ends_the_episode_when_it_is_over():
-    env = FlexManEnv(hold=4, horizon=0.2)
+    env = FlexManEnv(action_repeat=4, horizon=0.2)
     env.reset(seed=0)
     ends = [env.step(np.zeros(3))[3] for _ in range(3)]
     assert ends == [False, False, True] and env.simulator.time == pytest.approx(0.2)
-    arms = gym.make_vec("FlexRRR-v0", 1, "vector_entry_point", hold=4, horizon=0.2)
+    arms = gym.make_vec("FlexRRR-v0", 1, "vector_entry_point", action_repeat=4, horizon=0.2)
     assert arms.unwrapped.max_episode_steps == 3
 
 
@@ -205,7 +212,7 @@ def test_a_base_gets_the_sensors_that_it_names_whatever_the_agent_sees(sensors):
 
 def test_a_base_sees_the_moment_and_learns_of_every_episode():
     base = Recorder()
-    env = FlexManEnv(base=base, hold=2)
+    env = FlexManEnv(base=base, action_repeat=2)
     _, info = env.reset(seed=1)
     ((arms, start, posture),) = base.resets
     assert arms.tolist() == [0] and np.array_equal(posture[0], info["goal_angles"])
@@ -240,7 +247,7 @@ def test_base_and_action_add_up_and_saturate(asked, given, sum_):
 def test_a_base_by_name_is_the_controller_itself():
     """With a zero action, the same bits as its own object as a base; the effort is what both ask for."""
     named, own = FlexManEnv(base="pd"), FlexManEnv()
-    pd = own.setup.controller("pd", own.simulator.model)
+    pd = make_controller(own.setup, "pd", own.simulator.model)
     own = FlexManEnv(base=pd)
     assert isinstance(named.episodes.base, PD)
     for env in (named, own):
@@ -255,8 +262,8 @@ def test_a_base_by_name_is_the_controller_itself():
 @pytest.mark.parametrize(
     ("settings", "line"),
     [
-        ({"hold": 0}, "hold: 0 is not allowed; give a whole number from 1 to 1000"),
-        ({"hold": 2.5}, "hold: 2.5 is not allowed; give a whole number from 1 to 1000"),
+        ({"action_repeat": 0}, "action_repeat: 0 is not allowed; give a whole number from 1 to 1000"),
+        ({"action_repeat": 2.5}, "action_repeat: 2.5 is not allowed; give a whole number from 1 to 1000"),
         ({"base": "pid"}, "base: 'pid' is not allowed; give one of pd, lqr, lqr-tracking"),
         ({"base": PD}, "base: <class 'flexman_gym.control.pd.PD'> is not allowed; give None, one of pd, lqr, lqr-trac"),
         ({"base": 3}, "base: 3 is not allowed; give None, one of pd, lqr, lqr-tracking, "),
@@ -286,8 +293,8 @@ def test_averages_fade_with_their_times(hold):
     An action that is held for longer leaves more time to fade between two observations.
     """
     times, interval = (0.1, 0.4), 0.02 * hold
-    env = FlexManEnv(sensors="motor_encoders", history=times, hold=hold)
-    plain = FlexManEnv(sensors="motor_encoders", hold=hold)
+    env = FlexManEnv(sensors="motor_encoders", history=times, action_repeat=hold)
+    plain = FlexManEnv(sensors="motor_encoders", action_repeat=hold)
     seen, now = env.reset(seed=2)[0], plain.reset(seed=2)[0].astype(float)
     expected = [now, now]
     for _ in range(40 // hold):
@@ -302,7 +309,7 @@ def test_averages_fade_with_their_times(hold):
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
 def test_an_episode_that_fails_ends_with_what_was_seen_last(mode, hold):
     """All arms of an environment fail in one step: nothing new is seen then."""
-    settings = {"history": 4, "hold": hold, "limits": fm.Limits(rate=0.5)}
+    settings = {"history": 4, "action_repeat": hold, "limits": fm.Limits(rate=0.5)}
     env, many = FlexManEnv(**settings), FlexManVectorEnv(1, autoreset_mode=mode, **settings)
     before, _ = env.reset(seed=3)
     many.reset(seed=3)

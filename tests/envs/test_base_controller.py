@@ -8,8 +8,9 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.control import PD
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import build
 from flexman_gym.envs.config.named_environments import NAMED, flex_rrr
-from flexman_gym.envs.config.setup import build, setup_of
 from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.effects.signals import TipLoad
 from flexman_gym.envs.env import FlexManEnv
@@ -54,7 +55,7 @@ def test_a_controller_is_told_the_sum_that_was_asked_for_cut_off_and_before_what
 def test_a_controller_is_told_whose_episode_goes_on():
     """Also within an action that is kept: an arm that fails then plays no more."""
     base, over = Listener(), []
-    env = FlexManVectorEnv(8, base=base, hold=4, limits=fm.Limits(rate=1.5))
+    env = FlexManVectorEnv(8, base=base, action_repeat=4, limits=fm.Limits(rate=1.5))
     env.reset(seed=1)
     env.episodes.watch = lambda: over.append(env.episodes.over.copy())
     for _ in range(30):
@@ -241,7 +242,7 @@ def test_there_is_one_default_wherever_steps_are_fixed(period):
 @pytest.mark.parametrize(("name", "period"), [("FlexOne-v0", 0.02), ("FlexOne-v0", 0.005), ("FlexPlanar-v0", 0.01)])
 def test_an_arm_has_the_modes_of_vibrations_below_half_the_control_frequency(name, period):
     """And not those of vibrations below all of it, which are more."""
-    setup = setup_of({"name": name, "control_period": period})
+    setup = Configuration.from_keywords({"name": name, "control_period": period})
     half, all_of_it = (assembled_modes(setup.arm, 2, part / period) for part in (0.5, 1.0))
     result, expected = build(setup).model, fm.build_model(setup.arm, 2, half)
     assert half != all_of_it and result.n_dof == expected.n_dof
@@ -267,7 +268,7 @@ def test_environments_that_are_made_by_name_keep_their_spec_in_copies():
     import copy
     import pickle
 
-    env = gym.make("FlexOne-v0", hold=2)
+    env = gym.make("FlexOne-v0", action_repeat=2)
     env.reset(seed=0)
     for other in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
         assert other.unwrapped.spec == env.unwrapped.spec and other.unwrapped.spec.id == "FlexOne-v0"

@@ -12,8 +12,10 @@ import flexman_gym as fm
 from flexman_gym.control.lqr import zero_order_hold
 from flexman_gym.control.pd import PD, stability_limit
 from flexman_gym.envs import NAMED
-from flexman_gym.envs.config.description import CONDITION_FOLDER, CONDITIONS, Description
+from flexman_gym.envs.config.conditions import CONDITION_FOLDER, CONDITIONS
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.randomisation import Randomisation
+from flexman_gym.envs.config.specification import make_controller
 
 from oracles.assertions import refusal
 
@@ -62,10 +64,10 @@ def arms(setup):
 @pytest.mark.parametrize("name", IDS)
 def test_the_pd_is_stable_wherever_a_condition_leads(name, condition):
     """All eigenvalues of the sampled, linear loop are within the unit circle, at postures all over the task's range."""
-    description = Description.find(f"{name}/{condition}")
-    setup = description.setup()
+    description = Configuration.find(f"{name}/{condition}")
+    setup = description
     model = gym.make(description.id, **description.keywords()).unwrapped.simulator.model
-    controller, drawn = setup.controller("pd", model), setup.disturbed
+    controller, drawn = make_controller(setup, "pd", model), setup.disturbed
     delays = range(int(drawn.delay[0]), int(drawn.delay[1]) + 1) if drawn and drawn.delay else (0,)
     random = np.random.default_rng(0)
     reach = sum(getattr(setup.task, part, 0.0) for part in ("start", "slew", "middle"))
@@ -81,7 +83,7 @@ def test_the_pd_is_stable_wherever_a_condition_leads(name, condition):
 @pytest.mark.parametrize("name", IDS)
 def test_a_condition_suits_every_task_of_its_arm(name, condition):
     """The PD beside an agent that does nothing holds out for two seconds, without a warning."""
-    description = Description.find(f"{name}/{condition}")
+    description = Configuration.find(f"{name}/{condition}")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         env = gym.make_vec(
@@ -96,8 +98,8 @@ def test_a_condition_suits_every_task_of_its_arm(name, condition):
 
 
 def test_what_a_condition_draws_is_in_its_file():
-    lab = Description.find("FlexRRR-v0/unknown-lab").setup()
-    full = Description.find("FlexRRR-v0/unknown").setup()
+    lab = Configuration.find("FlexRRR-v0/unknown-lab")
+    full = Configuration.find("FlexRRR-v0/unknown")
     assert lab.randomisation == full.randomisation and lab.gains == full.gains
     assert set(full.randomisation.effects) == {
         "payload_mass", "joint_stiffness", "link_stiffness_factor", "delay", "sensor_noise",
@@ -112,7 +114,7 @@ def test_what_a_condition_draws_is_in_its_file():
 
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_unknown_is_payload_stiffness_and_delay_and_noise_of_a_thousandth_of_the_ranges(folder):
-    own, drawn = {}, {name: Description.find(f"{FOLDERS[folder]}/{name}").setup().randomisation for name in CONDITIONS}
+    own, drawn = {}, {name: Configuration.find(f"{FOLDERS[folder]}/{name}").randomisation for name in CONDITIONS}
     for name in ("payload", "stiffness", "delay"):
         own |= {field: getattr(drawn[name], field) for field in drawn[name].given}
     assert own.keys() == {"payload_mass", "joint_stiffness_factor", "link_stiffness_factor", "delay"}
@@ -123,7 +125,7 @@ def test_unknown_is_payload_stiffness_and_delay_and_noise_of_a_thousandth_of_the
 def test_friction_is_all_that_its_arm_has_beside_its_own(folder):
     """In parts of the torque limits that of the PUMA 560, see the file."""
     name = FOLDERS[folder]
-    arm, own = Description.find(f"{name}/friction").setup().arm, NAMED[name].arm()
+    arm, own = Configuration.find(f"{name}/friction").arm, NAMED[name].arm()
     bare = [replace(joint, viscous_friction=0.0, coulomb_friction=0.0, coulomb_rate=0.01) for joint in arm.joints]
     assert replace(arm, joints=bare) == own
     gears, most = np.array([62.6111, 107.815, 53.7063]), np.array([97.6, 186.4, 89.4])
@@ -148,29 +150,31 @@ def test_all_files_are_there_and_no_others():
     ],
 )
 def test_what_there_is_not_is_refused_in_one_line(name, line):
-    assert refusal(Description.find, name).startswith(line)
+    assert refusal(Configuration.find, name).startswith(line)
 
 
 @pytest.mark.parametrize("condition", CONDITIONS)
 def test_a_condition_is_a_keyword_too_and_what_is_given_beside_it_goes_before(condition):
-    expected = Description.find(f"FlexPlanar-v0/{condition}").setup()
+    expected = Configuration.find(f"FlexPlanar-v0/{condition}")
     for made in (
-        gym.make("FlexPlanar-v0", condition=condition, hold=2),
-        gym.make_vec("FlexPlanar-v0", 2, "vector_entry_point", condition=condition, hold=2),
+        gym.make("FlexPlanar-v0", condition=condition, action_repeat=2),
+        gym.make_vec("FlexPlanar-v0", 2, "vector_entry_point", condition=condition, action_repeat=2),
     ):
         setup = made.unwrapped.setup
         assert (setup.arm, setup.randomisation, setup.gains) == (expected.arm, expected.randomisation, expected.gains)
-        assert setup.sensors == expected.sensors and setup.hold == 2
+        assert setup.sensors == expected.sensors and setup.action_repeat == 2
     own = gym.make("FlexPlanar-v0", condition=condition, randomisation={"delay": (3, 3)}).unwrapped.setup
     assert own.randomisation == Randomisation(delay=(3, 3)) and own.arm == expected.arm
-    described = Description("FlexPlanar-v0", {"condition": condition, "horizon": 1.0})
-    assert described.setup().arm == expected.arm and "condition" not in described.whole()
+    described = Configuration("FlexPlanar-v0", {"condition": condition, "horizon": 1.0})
+    assert described.arm == expected.arm and "condition" not in described.to_plain()
 
 
 def test_a_condition_that_is_set_later_takes_the_place_of_what_was_drawn_before():
-    described = Description("FlexPlanar-v0", {"condition": "payload", "hold": 2}).changed(["condition=delay"])
-    assert described.setup().randomisation == Randomisation(delay=(1, 1)) and described.setup().hold == 2
-    assert described.setup().gains == Description.find("FlexPlanar-v0/delay").setup().gains
+    described = Configuration("FlexPlanar-v0", {"condition": "payload", "action_repeat": 2}).changed(
+        ["condition=delay"]
+    )
+    assert described.randomisation == Randomisation(delay=(1, 1)) and described.action_repeat == 2
+    assert described.gains == Configuration.find("FlexPlanar-v0/delay").gains
 
 
 # A PD that says when it is unstable

@@ -1,7 +1,6 @@
-"""Description: an environment as plain data, from files, mappings and changes, and the same episode everywhere."""
+"""Configuration: an environment as plain data, from files, mappings and changes, and the same episode everywhere."""
 
 import json
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -13,16 +12,16 @@ import flexman_gym as fm
 from flexman_gym.common import files
 from flexman_gym.control import PD
 from flexman_gym.envs import NAMED
-from flexman_gym.envs.config.description import Description, described
-from flexman_gym.envs.config.setup import Setup
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.scene.serialization import find_arm, to_plain
 
 from oracles.assertions import refusal
 from oracles.chains import QUICK
 
 OWN = {
-    "id": "FlexPlanar-v0", "arm": {"catalog": "vertical_2r", "payload": {"mass": 0.25}}, "horizon": 0.3, "hold": 2,
-    "base": "pd", "sensors": ["full", "fine"], "task": {"kind": "slew", "reward": "distance", "start": 0.4},
+    "id": "FlexPlanar-v0", "arm": {"catalog": "vertical_2r", "payload": {"mass": 0.25}}, "horizon": 0.3,
+    "action_repeat": 2, "base": "pd", "sensors": ["full", "fine"],
+    "task": {"kind": "slew", "reward": "distance", "start": 0.4},
     "limits": {"rate": 15.0}, "randomisation": {"delay": [0, 2], "sensor_noise": [0.0, 0.01]}, "modes": [2, 1],
 }  # fmt: skip
 ranges = st.tuples(st.floats(0.1, 1.0), st.floats(1.0, 2.0)).map(list)
@@ -37,7 +36,7 @@ PARTS = {
     "control_period": st.sampled_from([0.01, 0.02, 0.05]),
     "horizon": st.floats(0.1, 20.0),
     "base": st.sampled_from(["pd", "lqr", "lqr-tracking"]),
-    "hold": st.integers(1, 9),
+    "action_repeat": st.integers(1, 9),
     "elements": st.integers(1, 3),
     "modes": st.integers(0, 3) | st.none() | st.just("assembled"),
     "method": st.sampled_from(["ros2", "rk4"]),
@@ -50,7 +49,8 @@ PARTS = {
 
 def like(setup):
     """What two setups have in common where they mean the same: sensors by their kind, all else by its value."""
-    values = {name: value for name, value in vars(setup).items() if name not in ("sensors", "modes", "elements")}
+    hidden = ("sensors", "modes", "elements", "_given")
+    values = {name: value for name, value in vars(setup).items() if name not in hidden}
     return values, [type(sensor) for sensor in setup.sensors]
 
 
@@ -61,14 +61,14 @@ def like(setup):
 @given(st.sampled_from(sorted(NAMED)), st.fixed_dictionaries({}, optional=PARTS))
 def test_the_whole_of_a_description_describes_the_same_environment(name, parts):
     """Through JSON, too; and so does the mapping that is made from the setup itself."""
-    first = Description.from_dict({"id": name, **parts})
-    setup = first.setup()
-    for whole in (first.whole(), described(setup)):
-        again = Description.from_dict(json.loads(json.dumps(whole)))
-        assert like(again.setup()) == like(setup)
-        assert again.setup().modes == setup.modes and again.setup().elements == setup.elements
-        assert again.whole() == Description.from_dict(again.whole()).whole()
-    assert first.whole()["arm"] == to_plain(setup.arm)
+    first = Configuration.from_plain({"id": name, **parts})
+    setup = first
+    for whole in (first.to_plain(), gym.make(name, **first.keywords()).unwrapped.setup.to_plain()):
+        again = Configuration.from_plain(json.loads(json.dumps(whole)))
+        assert like(again) == like(setup)
+        assert again.modes == setup.modes and again.elements == setup.elements
+        assert again.to_plain() == Configuration.from_plain(again.to_plain()).to_plain()
+    assert first.to_plain()["arm"] == to_plain(setup.arm)
 
 
 @pytest.mark.parametrize("suffix", [".yaml", ".json"])
@@ -76,13 +76,11 @@ def test_a_file_is_a_mapping_and_its_whole_needs_no_other_file(tmp_path, suffix)
     arm = fm.catalog.vertical_2r(fm.Payload(0.33))
     files.write_data(tmp_path / "arm.yaml", to_plain(arm))
     files.write_data(tmp_path / f"own{suffix}", OWN | {"arm": "arm.yaml"})
-    result = Description.load(tmp_path / f"own{suffix}")
-    assert result.setup().arm == arm and result.id == "FlexPlanar-v0"
-    whole = result.whole()
+    result = Configuration.load(tmp_path / f"own{suffix}")
+    assert result.arm == arm and result.id == "FlexPlanar-v0"
+    whole = result.to_plain()
     (tmp_path / "arm.yaml").unlink()
-    assert like(Description.from_dict(whole).setup()) == like(
-        Description.from_dict(OWN | {"arm": to_plain(arm)}).setup()
-    )
+    assert like(Configuration.from_plain(whole)) == like(Configuration.from_plain(OWN | {"arm": to_plain(arm)}))
 
 
 def test_an_arm_is_a_name_a_mapping_a_file_of_an_arm_or_of_a_scene(tmp_path):
@@ -100,17 +98,17 @@ def test_an_arm_is_a_name_a_mapping_a_file_of_an_arm_or_of_a_scene(tmp_path):
 
 def test_changes_lead_into_mappings_and_into_the_arm_and_change_nothing_else():
     kept = json.dumps(OWN)
-    before = Description.from_dict(OWN)
+    before = Configuration.from_plain(OWN)
     after = before.changed(
         ["control_period=0.02", "arm.payload.mass=0.5", "task.start=0.1", "randomisation.delay=[1, 1]"]
     )
-    one, other = before.setup(), after.setup()
+    one, other = before, after
     assert (other.control_period, other.arm.payload.mass, other.task.start) == (0.02, 0.5, 0.1)
     assert other.randomisation.delay == (1, 1) and other.randomisation.sensor_noise == (0.0, 0.01)
     assert other.arm.links == one.arm.links and other.task.reward == "distance" and other.limits == one.limits
     assert before.settings == {name: value for name, value in OWN.items() if name != "id"}, "the first one stays"
     assert json.dumps(OWN) == kept, "and so do the mappings that it was made from"
-    assert like(before.changed([]).setup()) == like(one)
+    assert like(before.changed([])) == like(one)
 
 
 @pytest.mark.parametrize(
@@ -123,7 +121,7 @@ def test_changes_lead_into_mappings_and_into_the_arm_and_change_nothing_else():
         ("modes=[1, 2]", lambda setup: setup.modes, (1, 2)),
         ("modes=[[0, 2], 1]", lambda setup: setup.modes, ((0, 2), 1)),
         ("modes=null", lambda setup: setup.modes, None),
-        ("id=FlexOne-v0", lambda setup: setup.name, "FlexOne-v0"),
+        ("id=FlexOne-v0", lambda setup: setup.id, "FlexOne-v0"),
         ("arm.gravity=[0, 0, -1.62]", lambda setup: setup.arm.gravity, (0.0, 0.0, -1.62)),
         ("arm.payload=null", lambda setup: setup.arm.payload, None),
         ("task.reward=bells", lambda setup: setup.task, fm.Slew(reward="bells")),
@@ -131,14 +129,14 @@ def test_changes_lead_into_mappings_and_into_the_arm_and_change_nothing_else():
     ],
 )
 def test_values_are_those_of_a_file_and_what_the_named_environment_has_stays(change, read, value):
-    assert read(Description("FlexPlanar-v0").changed([change]).setup()) == value
+    assert read(Configuration("FlexPlanar-v0").changed([change])) == value
 
 
 def test_changes_may_be_whole_only_together():
     """An arm without torque limits, a part of it, and limits."""
-    setup = Description().changed(["arm=planar_2r", "arm.payload={mass: 0.1}", "torque_limit=3"]).setup()
+    setup = Configuration().changed(["arm=planar_2r", "arm.payload={mass: 0.1}", "torque_limit=3"])
     assert (setup.arm.payload, setup.torque_limit) == (fm.Payload(0.1), (3.0, 3.0))
-    other = Description().changed(["id=FlexOne-v0", "arm.payload.mass=0.2", "limits.angle=3"]).setup()
+    other = Configuration().changed(["id=FlexOne-v0", "arm.payload.mass=0.2", "limits.angle=3"])
     assert other.arm == fm.catalog.one_joint(fm.Payload(0.2)) and other.limits.twist == 0.5
 
 
@@ -165,19 +163,19 @@ def test_changes_may_be_whole_only_together():
         ({"arm": {"catalog": "paper_rrr", "payload": {"mas": 1}}}, "arm.payload.mas: 1 is not allowed; give only the"),
         ({"arm": {"catalog": "vertical_2r", "color": 1}}, "arm: "),
         ({"sensors": ["nose"]}, "sensors: 'nose' is not allowed; give one of full, fine, servo, state"),
-        ({"hold": "5"}, "hold: '5' is not allowed; give a whole number from 1 to 1000"),
+        ({"action_repeat": "5"}, "action_repeat: '5' is not allowed; give a whole number from 1 to 1000"),
     ],
 )
 def test_what_is_wrong_is_named_in_one_line(tmp_path, data, line):
-    assert refusal(Description.from_dict, data).startswith(line)
+    assert refusal(Configuration.from_plain, data).startswith(line)
     files.write_data(tmp_path / "own.json", data)
     said = line if isinstance(data, dict) else "this is no mapping; give names with their values"
-    assert refusal(Description.load, tmp_path / "own.json").startswith(f"{tmp_path / 'own.json'}: {said}")
+    assert refusal(Configuration.load, tmp_path / "own.json").startswith(f"{tmp_path / 'own.json'}: {said}")
 
 
 @pytest.mark.parametrize("change", ["horizon", "=3", "a.=3", "a b=3", "arm.links.0.length=3", "step={", "step=&a 3"])
 def test_a_change_that_is_none_is_shown(change):
-    assert refusal(Description().changed, [change]).startswith(f"--set: {change!r} is not allowed; give ")
+    assert refusal(Configuration().changed, [change]).startswith(f"--set: {change!r} is not allowed; give ")
 
 
 def test_objects_of_ones_own_cannot_be_described():
@@ -185,8 +183,8 @@ def test_objects_of_ones_own_cannot_be_described():
         sensors, moves = (), False
         draw = goal = reward_terms = info = lambda *arguments: {}
 
-    assert refusal(described, Setup(task=Nothing())).startswith("task: <")
-    assert refusal(described, Setup(base=PD([1.0] * 3, [1.0] * 3, 400.0))).startswith(
+    assert refusal(Configuration(settings={"task": Nothing()}).to_plain).startswith("task: <")
+    assert refusal(Configuration(settings={"base": PD([1.0] * 3, [1.0] * 3, 400.0)}).to_plain).startswith(
         "base: <flexman_gym.control.pd.PD"
     )
 
@@ -201,7 +199,7 @@ def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
     from flexman_gym.evaluation.rollout import rollout
 
     files.write_data(tmp_path / "own.yaml", OWN)
-    result, seed = Description.load(tmp_path / "own.yaml"), 9003
+    result, seed = Configuration.load(tmp_path / "own.yaml"), 9003
     single = gym.make(result.id, **result.keywords())
     many = gym.make_vec(result.id, 2, "vector_entry_point", **result.keywords())
     seen, info = single.reset(seed=seed)
@@ -228,10 +226,9 @@ def test_a_training_starts_with_the_episode_that_its_environment_gives():
 
     arms = make_environments(Settings(environment=OWN, seed=2, envs=3))
     arms.seed(training_seed(2))
-    result = Description.from_dict(OWN)
+    result = Configuration.from_plain(OWN)
     alone = gym.make(result.id, **result.keywords())
     assert np.array_equal(arms.reset()[1], alone.reset(seed=training_seed(2) + 1)[0])
-    assert result.folder == Path()
 
 
 def test_the_limit_of_deflection_is_a_part_of_each_links_length():

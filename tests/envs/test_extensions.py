@@ -9,6 +9,7 @@ import flexman_gym as fm
 from flexman_gym.control import Controller
 from flexman_gym.envs import FlexManEnv, FlexManVectorEnv
 from flexman_gym.envs.config.named_environments import NAMED, NamedEnvironment
+from flexman_gym.envs.config.specification import make_controller
 from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.sensors import Entry
 from flexman_gym.envs.tasks import Goal
@@ -205,7 +206,7 @@ def test_a_named_environment_is_one_entry(monkeypatch):
     observation, _ = env.reset(seed=0)
     assert env.torque_limit.tolist() == [3.0, 1.0] and env.simulator.control_period == 0.01
     readings = {name: observation[place] for name, place in env.sensors.slices.items()}
-    assert env.setup.controller("pd", env.simulator.model).act(readings).shape == (2,)
+    assert make_controller(env.setup, "pd", env.simulator.model).act(readings).shape == (2,)
 
 
 def test_a_controller_is_known_by_what_it_can_do():

@@ -24,7 +24,7 @@ def pair(arms, mode, **settings):
 @pytest.mark.parametrize("arms", [1, 3])
 @pytest.mark.parametrize("mode", tuple(AutoresetMode))
 def test_infos_at_the_end_are_those_of_the_arms_that_ended(mode, arms, hold):
-    always, at_end = pair(arms, mode, hold=hold)
+    always, at_end = pair(arms, mode, action_repeat=hold)
     first, infos = at_end.reset(seed=1)
     assert np.array_equal(first, always.reset(seed=1)[0]) and infos == {}
     spoken = silent = 0
@@ -58,7 +58,7 @@ def test_environments_with_neighbouring_seeds_share_no_episode():
 
 def test_the_action_that_is_told_and_seen_is_the_sum_of_agent_and_base():
     env = FlexManVectorEnv(
-        2, base="pd", sensors=["servo", "action"], tell=["action"], hold=3, autoreset_mode="SameStep"
+        2, base="pd", sensors=["servo", "action"], tell=["action"], action_repeat=3, autoreset_mode="SameStep"
     )
     seen, infos = env.reset(seed=0)
     place = env.sensors.slices["action"]

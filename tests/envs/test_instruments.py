@@ -317,7 +317,7 @@ def test_every_set_keeps_the_contracts_of_both_libraries(name, kind):
 @pytest.mark.parametrize("name", ["FlexRRR-Track-v0", "FlexPlanar-Hold-v0", "FlexRRR-Gravity-v0"])
 def test_one_arm_and_many_have_the_same_bits(name, kind, history):
     settings = {
-        "horizon": 0.5, "sensors": SETS[kind], "hold": 2, "history": history,
+        "horizon": 0.5, "sensors": SETS[kind], "action_repeat": 2, "history": history,
         "randomisation": {"sensor_noise": (0.0, 0.01), "delay": (0, 2), "payload_mass": (0.0, 0.2)},
     }  # fmt: skip
     same_alone_and_among_others(name, **settings)

@@ -2,7 +2,6 @@
 
 import inspect
 import warnings
-from dataclasses import fields
 
 import gymnasium as gym
 import numpy as np
@@ -11,7 +10,8 @@ from gymnasium.utils.env_checker import check_env
 
 import flexman_gym as fm
 from flexman_gym.envs import NAMED
-from flexman_gym.envs.config.setup import Setup, setup_of
+from flexman_gym.envs.config.configuration import SETTINGS as DECLARED
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.rendering import RENDER
 from flexman_gym.envs.vector_env import OWN, FlexManVectorEnv
@@ -54,12 +54,12 @@ def test_both_libraries_find_nothing_to_complain_about(name):
         warnings.simplefilter("error")
         check_env(gym.make(name).unwrapped)
         checker.check_env(gym.make(name))
-        checker.check_env(gym.make(name, sensors=("full", "fine"), hold=5, base="pd"))
+        checker.check_env(gym.make(name, sensors=("full", "fine"), action_repeat=5, base="pd"))
 
 
 @pytest.mark.parametrize("name", IDS)
 def test_the_vector_environment_is_many_single_ones_bit_for_bit(name):
-    same_alone_and_among_others(name, horizon=1.0, sensors=("full", "fine"), hold=2)
+    same_alone_and_among_others(name, horizon=1.0, sensors=("full", "fine"), action_repeat=2)
 
 
 @pytest.mark.parametrize("name", IDS)
@@ -80,7 +80,7 @@ def test_without_keywords_an_environment_is_its_entry(name):
     assert (setup.control_period, setup.horizon) == (named.control_period, named.horizon)
     assert setup.torque_limit == tuple(joint.torque_limit for joint in named.arm().joints)
     assert setup.longest == named.horizon / named.control_period
-    assert (setup.hold, setup.base) == (1, None)
+    assert (setup.action_repeat, setup.base) == (1, None)
 
 
 # Keywords
@@ -90,7 +90,7 @@ def test_without_keywords_an_environment_is_its_entry(name):
 @pytest.mark.parametrize("switch", SWITCHES)
 def test_every_switch_of_the_model_reaches_it(name, switch):
     """As `build_model` with the same keyword gives it, and not as without."""
-    changed = {switch: not Setup.__dataclass_fields__[switch].default}
+    changed = {switch: not DECLARED[switch].default}
     models = {}
     for kind in ("single", "vector"):
         make = gym.make if kind == "single" else lambda *a, **k: gym.make_vec(*a, 1, "vector_entry_point", **k)
@@ -109,13 +109,13 @@ def test_every_switch_of_the_model_reaches_it(name, switch):
 def test_the_switches_are_all_that_build_model_has():
     own = set(inspect.signature(fm.build_model).parameters) - {"arm", "flexible_links", "flexible_joints"}
     assert own - {"elements", "modes"} == set(SWITCHES)
-    assert own <= {each.name for each in fields(Setup)}
+    assert own <= DECLARED.keys()
 
 
 SETTINGS = {
     "arm": fm.catalog.vertical_2r(), "task": fm.Slew(), "sensors": "fine", "limits": fm.Limits(rate=9.0),
     "history": 2, "gains": {"stiffness": (9.0, 3.0), "damping": (2.0, 1.0)}, "tell": ("motor_angles",),
-    "torque_limit": (9.0, 3.0), "control_period": 0.02, "horizon": 0.1, "base": "pd", "hold": 3,
+    "torque_limit": (9.0, 3.0), "control_period": 0.02, "horizon": 0.1, "base": "pd", "action_repeat": 3,
     "fidelity": "default", "actions": {"kind": "torque"}, "drive_bandwidth": 30.0, "reward": {"effort": 2.0},
     "tolerance": None, "elements": 1, "modes": 2, "method": "implicit_midpoint", "step": 0.01, "stiffening": True,
     "spinning_rotors": True, "rotary_inertia": False, "energy_alarm": 0.2, "randomisation": {"delay": (0, 2)},
@@ -126,7 +126,7 @@ SETTINGS = {
 
 def test_gym_make_and_gym_make_vec_take_the_same_keywords():
     """All of them at once, none of them the default; both give the same episode."""
-    assert {each.name for each in fields(Setup)} - {"name"} == SETTINGS.keys() - {*RENDER}
+    assert DECLARED.keys() == SETTINGS.keys() - {*RENDER}
     assert set(OWN) - {"num_envs", "threads", "max_episode_steps", "autoreset_mode", "infos", "seed_stride"} == {
         *RENDER
     }
@@ -150,11 +150,11 @@ def test_an_unknown_keyword_is_refused_with_the_nearest_known_one(make, wrong, n
         make(**{wrong: 1})
     line = str(error.value)
     assert line.startswith(f"{wrong}: 1 is not allowed; give a known setting: the nearest is {near}")
-    assert "\n" not in line and all(each.name in line for each in fields(Setup))
+    assert "\n" not in line and all(name in line for name in DECLARED)
 
 
 def test_a_name_that_there_is_not_is_refused_in_one_line():
-    line = refusal(lambda: setup_of({"name": "FlexTwo-v0"}))
+    line = refusal(lambda: Configuration.from_keywords({"name": "FlexTwo-v0"}))
     assert line == f"name: 'FlexTwo-v0' is not allowed; give one of {', '.join(NAMED)}"
 
 
@@ -170,7 +170,7 @@ def test_a_name_that_there_is_not_is_refused_in_one_line():
     ],
 )
 def test_bad_settings_are_refused_in_one_line(settings, line):
-    assert refusal(lambda: setup_of(settings)).startswith(line)
+    assert refusal(lambda: Configuration.from_keywords(settings)).startswith(line)
 
 
 # Neither easy nor fragile

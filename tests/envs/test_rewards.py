@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from flexman_gym.envs.config.description import Description, described
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.tasks.rewards import total
 from flexman_gym.envs.vector_env import FlexManVectorEnv
@@ -44,9 +44,9 @@ def test_a_function_takes_their_place_for_one_arm_and_for_many():
 
 def test_a_file_holds_weights_and_no_function():
     weights = {"distance": 0.5}
-    whole = Description.from_dict({"id": "FlexOne-v0", "reward": weights}).whole()
-    assert whole["reward"] == weights == described(Description.from_dict(whole).setup())["reward"]
-    assert refusal(described, FlexManEnv(reward=len).setup).startswith("reward: ")
+    whole = Configuration.from_plain({"id": "FlexOne-v0", "reward": weights}).to_plain()
+    assert whole["reward"] == weights == Configuration.from_plain(whole).to_plain()["reward"]
+    assert refusal(FlexManEnv(reward=len).setup.to_plain).startswith("reward: ")
 
 
 def test_the_sum_of_terms_rounds_for_one_arm_as_for_many():
@@ -67,10 +67,11 @@ def test_a_weight_of_no_term_is_refused_at_the_first_step():
 
 
 def test_the_spec_has_the_steps_of_an_episode():
-    for settings, steps in (({}, 500), ({"hold": 5}, 100), ({"horizon": 0.3, "hold": 2}, 8), ({"horizon": 20.0}, 1000)):
+    for settings, steps in (({}, 500), ({"action_repeat": 5}, 100), ({"horizon": 0.3, "action_repeat": 2}, 8),
+                            ({"horizon": 20.0}, 1000)):  # fmt: skip
         env = gym.make("FlexRRR-v0", **settings)
         assert env.spec.max_episode_steps == steps
-    env = gym.make("FlexRRR-v0", horizon=0.1, hold=2)
+    env = gym.make("FlexRRR-v0", horizon=0.1, action_repeat=2)
     env.reset(seed=0)
     ends = [env.step(np.zeros(3, dtype=np.float32))[3] for _ in range(env.spec.max_episode_steps)]
     assert ends == [False, False, True]

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from flexman_gym.envs.config.setup import build, setup_of
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import build
 from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
@@ -17,7 +18,7 @@ RANDOM = {
 
 
 def plant_of(name="FlexPlanar-v0", **settings):
-    setup = setup_of({"name": name, **SMALL, **settings})
+    setup = Configuration.from_keywords({"name": name, **SMALL, **settings})
     model = build(setup).model
     return make_plant(setup, model), setup, model
 
@@ -78,7 +79,7 @@ def test_deviations_are_those_of_what_a_base_reads():
     for name, seen in deviations(noise, names).items():
         assert measured[name][1] == pytest.approx(0.002 * measured[name][0])
         assert seen == pytest.approx(measured[name][1], rel=0.15), name
-    limits = setup_of({"name": "FlexPlanar-v0"}).limits
+    limits = Configuration.from_keywords({"name": "FlexPlanar-v0"}).limits
     assert measured["motor_angles"][0].tolist() == [limits.angle] * 2
     assert measured["motor_rates"][0].tolist() == [limits.rate] * 2
 

@@ -22,7 +22,7 @@ EVERYTHING = {
 SETTINGS = [
     {},
     {"randomisation": EVERYTHING, "horizon": 0.9},
-    {"randomisation": EVERYTHING, "base": "pd", "hold": 3, "stiffening": True},
+    {"randomisation": EVERYTHING, "base": "pd", "action_repeat": 3, "stiffening": True},
     {"base": "lqr-tracking"},
     {"base": {"kind": "pd-shaped", "duration": 2.0}},
     {"base": "lqr", "randomisation": {"payload_mass": (0.0, 5.0)}},

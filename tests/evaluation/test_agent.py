@@ -9,7 +9,7 @@ from flexman_gym.control import LQR, PD, TrackingLQR
 from flexman_gym.control.actions import TorqueMode
 from flexman_gym.control.network import Network
 from flexman_gym.envs import NAMED
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import BASELINES, AgentSpec, evaluate, find_agent, rollout
 from flexman_gym.evaluation.agent import (
     change_environment,
@@ -24,8 +24,15 @@ from oracles.assertions import refusal
 from oracles.shipped import made_up
 
 ARM = {"catalog": "vertical_2r", "payload": {"mass": 0.3}}
-TRAINED = {"id": "FlexPlanar-v0", "arm": ARM, "horizon": 1.5, "base": "pd", "hold": 5, "sensors": ["full", "fine"]}
-ONE = Description("FlexOne-v0", {"horizon": 1.5})
+TRAINED = {
+    "id": "FlexPlanar-v0",
+    "arm": ARM,
+    "horizon": 1.5,
+    "base": "pd",
+    "action_repeat": 5,
+    "sensors": ["full", "fine"],
+}
+ONE = Configuration("FlexOne-v0", {"horizon": 1.5})
 SEEDS = range(9000, 9003)
 
 
@@ -45,14 +52,14 @@ def run(tmp_path_factory):
 def test_a_policy_is_evaluated_on_the_environment_that_it_was_trained_on(run):
     policy = find_agent(str(run))
     environment = common_environment([policy, find_agent("pd")], None)
-    setup = environment.setup()
+    setup = environment
     assert (environment.id, setup.arm.payload.mass, setup.horizon) == ("FlexPlanar-v0", 0.3, 1.5)
     interface = policy.interface
     assert isinstance(policy.law, Network) and isinstance(interface["actions"], TorqueMode)
     assert (interface["sensors"], interface["hold"]) == (["full", "fine"], 5), "which go with the policy"
     gains = {name: getattr(interface["base"], name).tolist() for name in ("stiffness", "damping")}
     assert gains == {name: list(each) for name, each in NAMED["FlexPlanar-v0"].pd.items()}
-    assert setup.base is None and setup.hold == 1
+    assert setup.base is None and setup.action_repeat == 1
     result = rollout(policy, environment, SEEDS)
     assert result.period == 0.01 and result.lengths.tolist() == [150] * 3
     for record, held in zip(result.records, rollout("pd", environment, SEEDS).records, strict=True):
@@ -64,7 +71,7 @@ def test_a_policy_acts_as_in_an_environment_with_its_own_hold_and_base(run):
     """What is recorded period by period is what happens in the environment of the training."""
     policy = find_agent(str(run))
     (record,) = rollout(policy, common_environment([policy], None), [9001]).records
-    described = Description.from_dict(TRAINED)
+    described = Configuration.from_plain(TRAINED)
     env = gym.make(described.id, **described.keywords())
     seen, info = env.reset(seed=9001)
     errors, rewards = [info["tip_error"]], []
@@ -79,9 +86,9 @@ def test_a_policy_acts_as_in_an_environment_with_its_own_hold_and_base(run):
 def test_a_policy_keeps_the_gains_that_it_learned_on(run):
     """Under a condition with another PD, which is the baseline beside it."""
     learned = NAMED["FlexPlanar-v0"].pd
-    delayed = Description.find("FlexPlanar-v0/delay")
-    assert delayed.setup().gains != learned
-    environments = delayed, Description("FlexPlanar-v0", {**delayed.settings, "gains": learned})
+    delayed = Configuration.find("FlexPlanar-v0/delay")
+    assert delayed.gains != learned
+    environments = delayed, Configuration("FlexPlanar-v0", {**delayed.settings, "gains": learned})
     for name in (str(run), "pd"):
         policy = find_agent(name)
         both = [rollout(policy, common_environment([policy], each), [9001]) for each in environments]
@@ -89,7 +96,9 @@ def test_a_policy_keeps_the_gains_that_it_learned_on(run):
 
 
 def test_baselines_run_on_the_environment_that_is_named():
-    described = Description("FlexPlanar-v0", {"arm": ARM, "horizon": 1.5, "base": "lqr", "hold": 3, "sensors": "fine"})
+    described = Configuration(
+        "FlexPlanar-v0", {"arm": ARM, "horizon": 1.5, "base": "lqr", "action_repeat": 3, "sensors": "fine"}
+    )
     environment = common_environment([find_agent("pd"), find_agent("zero")], described)
     assert environment.settings == {"arm": ARM, "horizon": 1.5}, "base, hold and sensors belong to what acts"
     elsewhere = {"optimised", "mpc"}  # the one has a table of one arm, the other needs a package
@@ -98,12 +107,12 @@ def test_baselines_run_on_the_environment_that_is_named():
     rewards = {name: result["reward"] for name, result in results.items()}
     assert rewards["lqr-tracking"] > rewards["pd"] > max(rewards["zero"], rewards["random"])
     assert evaluate("zero", environment, SEEDS) == results["zero"]
-    assert common_environment([find_agent("pd")], None) == Description()
+    assert common_environment([find_agent("pd")], None) == Configuration()
 
 
 def test_rows_on_different_environments_are_refused_and_a_named_one_settles_it(run):
     one = find_agent(str(run))
-    other = AgentSpec("other", one.law, one.interface, Description("FlexPlanar-v0"))
+    other = AgentSpec("other", one.law, one.interface, Configuration("FlexPlanar-v0"))
     line = refusal(common_environment, [one, find_agent("pd"), other], None)
     assert line.startswith("entrant: 'other' is not allowed; give policies of one environment")
     assert line.endswith("or name one with --env: planar knows another")
@@ -117,30 +126,30 @@ def test_the_pd_beside_policies_has_the_gains_of_the_first_that_learned_on_one()
 
     def learned(name, damping):
         gains = {"stiffness": [2.0], "damping": [damping]}
-        environment, interface = split_interface(Description(ONE.id, {**ONE.settings, "base": "pd", "gains": gains}))
-        return Agent(name, find_agent("zero").law, interface, environment)
+        environment, interface = split_interface(Configuration(ONE.id, {**ONE.settings, "base": "pd", "gains": gains}))
+        return AgentSpec(name, find_agent("zero").law, interface, environment)
 
     alone = AgentSpec("alone", find_agent("zero").law, {}, ONE)
     result = common_environment([alone, learned("soft", 0.1), learned("hard", 0.2), find_agent("pd")], None)
-    assert result.setup().pd_gains == {"stiffness": (2.0,), "damping": (0.1,)}
-    assert result.setup().horizon == 1.5
+    assert result.pd_gains == {"stiffness": (2.0,), "damping": (0.1,)}
+    assert result.horizon == 1.5
 
 
 def test_what_a_policy_was_trained_with_is_not_changed_in_part_either():
-    assert change_environment(ONE, ["arm.payload.mass=0.1"]).setup().arm.payload.mass == 0.1
-    for change in ("sensors.kind=fine", "hold=2", "base=pd"):
+    assert change_environment(ONE, ["arm.payload.mass=0.1"]).arm.payload.mass == 0.1
+    for change in ("sensors.kind=fine", "action_repeat=2", "base=pd"):
         line = refusal(change_environment, ONE, [change])
         assert line.startswith(f"--set: '{change}' is not allowed; give a setting of what is moved: base, hold, ")
 
 
 def test_random_torques_go_both_ways():
-    result = rollout("random", Description("FlexPlanar-v0", {"horizon": 1.0}), [0, 1]).actions.reshape(-1, 2)
+    result = rollout("random", Configuration("FlexPlanar-v0", {"horizon": 1.0}), [0, 1]).actions.reshape(-1, 2)
     assert result.shape == (200, 2) and -1.0 <= result.min() < -0.9 and 0.9 < result.max() <= 1.0
     assert np.abs(result.mean(axis=0)).max() < 0.2, "five deviations of the mean of so many"
 
 
 def test_a_controller_of_ones_own_is_an_entrant_like_any_other():
-    setup = ONE.setup()
+    setup = ONE
     own = PD(**NAMED[ONE.id].pd, torque_limit=setup.torque_limit)
     assert fm.evaluate(own, ONE, SEEDS) == fm.evaluate("pd", ONE, SEEDS)
     assert find_agent(own).name == "PD" and find_agent(own).environment is None
@@ -148,18 +157,18 @@ def test_a_controller_of_ones_own_is_an_entrant_like_any_other():
 
 def test_who_acts_brings_everything_that_it_wants_of_an_environment(run):
     """Neither base nor hold, sensors or history of a description reach an entrant that has none."""
-    own = {"base": "pd", "hold": 3, "history": 2, "sensors": "lab"}
+    own = {"base": "pd", "action_repeat": 3, "history": 2, "sensors": "lab"}
     for name in ("zero", "pd", str(run)):
-        expected = evaluate(name, Description("FlexPlanar-v0", {"horizon": 1.5}), SEEDS)
-        assert evaluate(name, Description("FlexPlanar-v0", {"horizon": 1.5, **own}), SEEDS) == expected
-    environment, interface = split_interface(Description("FlexPlanar-v0", {"condition": "unknown-lab"}))
-    assert interface == {"sensors": "lab"} and environment.setup().randomisation is not None
-    bare = change_environment(ONE, []), change_environment(Description("FlexPlanar-v0"), ["condition=unknown-lab"])
-    assert bare[0] == ONE and "sensors" not in bare[1].settings and bare[1].setup().disturbed.delay == (1, 1)
+        expected = evaluate(name, Configuration("FlexPlanar-v0", {"horizon": 1.5}), SEEDS)
+        assert evaluate(name, Configuration("FlexPlanar-v0", {"horizon": 1.5, **own}), SEEDS) == expected
+    environment, interface = split_interface(Configuration("FlexPlanar-v0", {"condition": "unknown-lab"}))
+    assert interface == {"sensors": "lab"} and environment.randomisation is not None
+    bare = change_environment(ONE, []), change_environment(Configuration("FlexPlanar-v0"), ["condition=unknown-lab"])
+    assert bare[0] == ONE and "sensors" not in bare[1].settings and bare[1].disturbed.delay == (1, 1)
 
 
 def test_runs_of_one_name_on_different_environments_are_refused():
-    both = [AgentSpec("seed-0", None, {}, Description(name)) for name in ("FlexOne-v0", "FlexRRR-v0")]
+    both = [AgentSpec("seed-0", None, {}, Configuration(name)) for name in ("FlexOne-v0", "FlexRRR-v0")]
     assert refusal(common_environment, both, None).startswith("entrant: 'seed-0' is not allowed")
 
 
@@ -181,10 +190,10 @@ def test_a_policy_refuses_what_it_was_not_trained_for(run):
     policy = find_agent(str(run))
     allowed = "a policy for FlexOne-v0, of 1 joints: it is one for FlexPlanar-v0, of 2"
     assert refusal(rollout, policy, ONE, [0]) == f"entrant: {policy.name!r} is not allowed; give {allowed}"
-    path = Description("FlexPlanar-Track-v0")
+    path = Configuration("FlexPlanar-Track-v0")
     assert rollout(policy, path, [0]).lengths.tolist() == [1000], "a task that it did not learn, seen as its own"
     other = AgentSpec("other", policy.law, {"sensors": "servo"})
-    line = refusal(rollout, other, Description("FlexPlanar-v0"), [0])
+    line = refusal(rollout, other, Configuration("FlexPlanar-v0"), [0])
     assert line == "base: 'a policy of 49 observed numbers' is not allowed; give one of 6, which its sensors read here"
 
 
@@ -206,7 +215,7 @@ def test_a_policy_is_used_with_the_base_that_its_run_says(tmp_path):
     shaped = {
         "id": "FlexOne-v0",
         "horizon": 0.5,
-        "hold": 5,
+        "action_repeat": 5,
         "sensors": [],
         "actions": "shaping",
         "randomisation": heavy,
@@ -217,7 +226,7 @@ def test_a_policy_is_used_with_the_base_that_its_run_says(tmp_path):
         base_in_use="adaptive-lqr",
     )  # fmt: skip
     train(settings, tmp_path / "run", progress=False)
-    late = Description("FlexOne-v0", {"horizon": 0.5, "randomisation": {**heavy, "delay": [1, 1]}})
+    late = Configuration("FlexOne-v0", {"horizon": 0.5, "randomisation": {**heavy, "delay": [1, 1]}})
     player = find_agent(str(tmp_path / "run"))
     result, controller = (rollout(each, late, SEEDS) for each in (player, "adaptive-lqr"))
     assert result.failures == ("",) * 3
@@ -227,9 +236,9 @@ def test_a_policy_is_used_with_the_base_that_its_run_says(tmp_path):
     assert refusal(find_agent, str(tmp_path / "run")).endswith("base_in_use is another now")
 
 
-AGENT = {"base": "pd", "hold": 3, "history": 2, "sensors": ["full", "fine"]}
-BARE = Description("FlexOne-v0", {"horizon": 0.6})
-WHOLE = Description("FlexOne-v0", {"horizon": 0.6, **AGENT})
+AGENT = {"base": "pd", "action_repeat": 3, "history": 2, "sensors": ["full", "fine"]}
+BARE = Configuration("FlexOne-v0", {"horizon": 0.6})
+WHOLE = Configuration("FlexOne-v0", {"horizon": 0.6, **AGENT})
 
 
 class Own:
@@ -271,8 +280,8 @@ def test_a_policy_acts_alike_in_training_live_and_loaded_from_its_files(conditio
     """The same weights, seeds and sensors: the same noise, bias and lost samples, hence the same actions."""
     flaws = {"kind": "lab", "noise": 0.01, "bias": 0.01, "dropped": 0.2}
     agent = {"base": "pd", "hold": 2, "history": 3, "sensors": flaws, "horizon": 0.4}
-    described = Description.from_dict(
-        {"id": "FlexPlanar-v0", **Description.under("FlexPlanar-v0", condition).whole_settings(), **agent}
+    described = Configuration.from_plain(
+        {"id": "FlexPlanar-v0", **Configuration.under("FlexPlanar-v0", condition).whole_settings(), **agent}
     )
     write_policy(tmp_path, *made_up(described))
     network = read_policy(tmp_path)[1]

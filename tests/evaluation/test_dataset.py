@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from flexman_gym.__main__ import main
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.dataset import bare_environment, record_dataset, record_episodes
 from flexman_gym.evaluation.rollout import rollout
 
 ENTRANTS = ("pd", "random", "ppo-flexrrr", "zero")
 SEEDS = range(40, 43)
-NOISY = Description("FlexRRR-v0", {
-    "sensors": ["full", {"kind": "tip", "noise": 0.01}], "history": 2, "horizon": 0.6, "base": "pd", "hold": 5,
+NOISY = Configuration("FlexRRR-v0", {
+    "sensors": ["full", {"kind": "tip", "noise": 0.01}], "history": 2, "horizon": 0.6, "base": "pd", "action_repeat": 5,
     "randomisation": {"sensor_noise": [0.01, 0.01], "delay": [0, 2], "payload_mass": [0.0, 10.0]},
     "limits": {"rate": 3.0},
 })  # fmt: skip
@@ -39,7 +39,7 @@ def test_episodes_replay_to_the_bit_in_the_single_environment_although_everythin
     import gymnasium as gym
 
     bare = bare_environment(NOISY)
-    assert not {"base", "hold"} & set(bare.settings)
+    assert not {"base", "action_repeat"} & set(bare.settings)
     env = gym.make(bare.id, **bare.settings)
     for seed, episode in zip(SEEDS, record_episodes((entrant, bare, tuple(SEEDS))), strict=True):
         seen, rewards, terminated, truncated = replayed(env, seed, episode["actions"])
@@ -49,7 +49,7 @@ def test_episodes_replay_to_the_bit_in_the_single_environment_although_everythin
 
 
 def test_actions_are_those_of_the_rollout_as_float32():
-    bare = bare_environment(Description("FlexRRR-v0", {"horizon": 0.5}))
+    bare = bare_environment(Configuration("FlexRRR-v0", {"horizon": 0.5}))
     played = rollout("lqr", bare, list(SEEDS))
     for number, episode in enumerate(record_episodes(("lqr", bare, tuple(SEEDS)))):
         assert np.array_equal(episode["actions"], played.actions[number].astype(np.float32))

@@ -5,8 +5,8 @@ import pytest
 
 from flexman_gym.control.input_shaping.shapers import ringing_modes
 from flexman_gym.control.margins import margins, sampled_loop
-from flexman_gym.envs.config.description import Description
-from flexman_gym.envs.config.setup import build
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import build
 from flexman_gym.evaluation import rollout
 from flexman_gym.evaluation.diagnosis import (
     CYCLE,
@@ -95,7 +95,7 @@ def test_torques_that_stay_are_no_noise():
 
 def test_what_is_watched_is_what_happened():
     """Errors to the target, the work of the motors by torques and rates, losses, and the modes at the goal."""
-    ledger, environment = [], Description("FlexPlanar-v0", {"horizon": 3.4, "randomisation": {"delay": [0, 2]}})
+    ledger, environment = [], Configuration("FlexPlanar-v0", {"horizon": 3.4, "randomisation": {"delay": [0, 2]}})
     soft = {"kind": "pd", "stiffness": [20.0, 8.0], "damping": [2.0, 0.5]}
     result = rollout(soft, environment, [7, 8], lambda episodes: ledger.append(
         (episodes.batch.rows[:, -2:].copy(), episodes.view.goal_angles.copy(), episodes.batch.model)))  # fmt: skip
@@ -113,7 +113,7 @@ def test_what_is_watched_is_what_happened():
 
 def unstable(scale, stiffness, damping):
     """A PD with its torques beyond the gain that the arm bears with a delay of one period."""
-    setup = Description("FlexPlanar-v0", {"arm": FLAT}).setup()
+    setup = Configuration("FlexPlanar-v0", {"arm": FLAT})
     loops = [sampled_loop(build(setup).model, [0.2, each], setup.control_period, 1) for each in (-0.5, 0.0, 0.5)]
     gain = scale * margins(loops, stiffness, damping).gain
     assert gain > scale
@@ -155,7 +155,7 @@ def test_a_failed_episode_is_one():
 def test_noise_of_one_percent_is_no_offset(name, acts):
     """An arm that starts at its goal stays there without noise, so that noise is the whole cause."""
     noisy = {"task": {**STAY, "start": 0.0}, "randomisation": {"sensor_noise": [0.01, 0.01]}, "horizon": 6.0}
-    for found in diagnose(acts, Description(name, noisy), [400, 401]):
+    for found in diagnose(acts, Configuration(name, noisy), [400, 401]):
         assert found.cause == NOISE and found.shares[NOISE] > 0.9
 
 
@@ -165,14 +165,14 @@ def test_an_offset_stays_one_beside_noise():
         "horizon": 8.0,
         "randomisation": {"payload_mass": [0.2, 0.2], "sensor_noise": [5e-4, 5e-4]},
     }
-    for found in diagnose(STIFF, Description("FlexPlanar-v0", changes), [300, 301]):
+    for found in diagnose(STIFF, Configuration("FlexPlanar-v0", changes), [300, 301]):
         assert found.cause == OFFSET and sum(found.shares.values()) == pytest.approx(1.0)
 
 
 def test_a_slow_sway_is_no_offset():
     """A motor that is held by a soft spring and hardly damped sways far slower than the link bends."""
     soft = {"kind": "pd", "stiffness": [0.05], "damping": [0.02]}
-    environment = Description("FlexOne-v0", {"horizon": 40.0})
+    environment = Configuration("FlexOne-v0", {"horizon": 40.0})
     ((end, modes),) = episode_ends(soft, environment, [9001])
     found = split_error(end, modes)
     frequency = found.tones[0][0]
@@ -184,7 +184,7 @@ def test_a_slow_sway_is_no_offset():
 def test_of_fifty_planted_causes_at_least_45_are_named():
     right = total = 0
     for cause, acts, changes, seeds in planted():
-        environment = Description("FlexPlanar-v0", {"task": STAY, "horizon": 5.0, **changes})
+        environment = Configuration("FlexPlanar-v0", {"task": STAY, "horizon": 5.0, **changes})
         found = [each.cause for each in diagnose(acts, environment, seeds)]
         right, total = right + found.count(cause), total + len(found)
     assert total == 50 and right >= 45, right
@@ -192,7 +192,7 @@ def test_of_fifty_planted_causes_at_least_45_are_named():
 
 def test_ringing_is_named_after_the_mode_that_was_bent():
     """Motors held stiffly, without gravity: the tone is the first mode of the arm at its goal."""
-    environment = Description(
+    environment = Configuration(
         "FlexPlanar-v0",
         {"arm": FLAT, "task": {**STAY, "start": 0.0}, "horizon": 4.0, "control_period": 0.002,
          "randomisation": {"initial_vibration": [0.01, 0.01]}},
@@ -200,7 +200,7 @@ def test_ringing_is_named_after_the_mode_that_was_bent():
     stiff = {"kind": "pd", "stiffness": [3000.0, 1500.0], "damping": [40.0, 15.0]}
     (found,) = diagnose(stiff, environment, [5])
     frequency, _, cause, name = found.tones[0]
-    held = ringing_modes(build(environment.setup()).model, [0.0, 0.0])[0, 0]
+    held = ringing_modes(build(environment).model, [0.0, 0.0])[0, 0]
     assert (cause, name) == (RINGING, "mode 1, motors held") and frequency == pytest.approx(held, rel=0.05)
 
 

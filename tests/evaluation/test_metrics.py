@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import METRICS, EpisodeRecord, evaluate, rollout, table
 
 from oracles.records import record
@@ -76,7 +76,7 @@ def test_every_figure_says_what_is_better(name):
     assert one > other if METRICS[name].better == "high" else one < other
 
 
-ONE = Description("FlexOne-v0", {"horizon": 1.5})
+ONE = Configuration("FlexOne-v0", {"horizon": 1.5})
 BAND = 0.02 * 0.8 / 8.5  # m, of FlexOne-v0
 
 
@@ -99,7 +99,7 @@ def test_the_head_says_on_which_environment_all_rows_were_run():
     title, head, *_ = rows(["pd"])
     assert title == "3 episodes of FlexOne-v0 (horizon), the same for all"
     assert f"in {1e3 * BAND:.3g} mm" in head, "the band is a part of the reach"
-    assert "(as it is)" in table({"pd": [record()]}, Description())
+    assert "(as it is)" in table({"pd": [record()]}, Configuration())
 
 
 def test_what_has_not_settled_is_a_dash():
@@ -107,7 +107,7 @@ def test_what_has_not_settled_is_a_dash():
 
 
 def test_a_task_that_does_not_settle_is_judged_by_its_rms_error():
-    text = table({"pd": [record()]}, Description("FlexRRR-Track-v0"))
+    text = table({"pd": [record()]}, Configuration("FlexRRR-Track-v0"))
     assert "RMS error, mm" in text and "settling, s" not in text
 
 

@@ -7,7 +7,7 @@ import pytest
 import flexman_gym  # noqa: F401  registers the environments
 from flexman_gym.control import PD
 from flexman_gym.control.margins import Margins, has_margins, margins, sampled_loop, spectral_radius
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import optimisation
 
 from oracles.assertions import refusal
@@ -16,9 +16,9 @@ from oracles.assertions import refusal
 def test_loops_of_a_servo_for_which_gains_are_looked_for_have_its_drive_in_them():
     """Of an arm of one's own, for which nothing is tuned yet; an agent that holds its actions changes nothing."""
     given = {"id": "FlexPlanar-v0", "arm": {"catalog": "planar_2r"}, "torque_limit": 2.0, "control_period": 0.005}
-    plain = optimisation.environment_loops(Description.from_dict(given))
-    servo = {"actions": "position", "hold": 4, "drive_bandwidth": 20.0}
-    lagging = optimisation.environment_loops(Description.from_dict(given | servo))
+    plain = optimisation.environment_loops(Configuration.from_plain(given))
+    servo = {"actions": "position", "action_repeat": 4, "drive_bandwidth": 20.0}
+    lagging = optimisation.environment_loops(Configuration.from_plain(given | servo))
     for loop, late in zip(plain, lagging, strict=True):
         assert len(late.transition) == len(loop.transition) + 2
         radii = [spectral_radius(each, [5.0, 2.0], [1.0, 0.4]) for each in (loop, late)]
@@ -27,9 +27,9 @@ def test_loops_of_a_servo_for_which_gains_are_looked_for_have_its_drive_in_them(
 
 def test_gains_are_drawn_up_to_half_of_what_a_late_motor_bears(monkeypatch):
     """Where more damping is always better, and margins are not asked for, the result comes close to that bound."""
-    environment = Description("FlexOne-v0", {"randomisation": {"delay": [0, 3]}})
+    environment = Configuration("FlexOne-v0", {"randomisation": {"delay": [0, 3]}})
     monkeypatch.setattr(optimisation, "_rewards", lambda environment, gains, episodes, workers: gains[:, -1])
-    result, setup = optimisation.tune(environment, margin=False), environment.setup()
+    result, setup = optimisation.tune(environment, margin=False), environment
     model = gym.make(environment.id).unwrapped.simulator.model
     half, beyond = (PD(result.stiffness, [part * result.damping[0]], setup.torque_limit) for part in (1.99, 2.1))
     assert half.unstable(model, setup.control_period, 3) == ""
@@ -38,13 +38,13 @@ def test_gains_are_drawn_up_to_half_of_what_a_late_motor_bears(monkeypatch):
 
 @pytest.mark.parametrize("delay", [0, 1])
 def test_all_gains_that_are_tried_have_margins_with_the_largest_delay(delay, monkeypatch):
-    environment = Description("FlexPlanar-v0", {"randomisation": {"delay": [0, delay]}})
+    environment = Configuration("FlexPlanar-v0", {"randomisation": {"delay": [0, delay]}})
     tried = []
     monkeypatch.setattr(
         optimisation, "_rewards", lambda environment, gains, episodes, workers: tried.append(gains) or gains[:, 0]
     )
     result = optimisation.tune(environment, first=8, around=3)
-    model, setup = gym.make(environment.id).unwrapped.simulator.model, environment.setup()
+    model, setup = gym.make(environment.id).unwrapped.simulator.model, environment
     loops = [sampled_loop(model, angles, setup.control_period, delay) for angles in goals(environment)]
     assert len(np.vstack(tried)) == 8 + 8 * 3
     for gains in np.vstack(tried):
@@ -61,7 +61,7 @@ def goals(environment):
 def test_an_arm_for_which_no_gains_have_margins_is_refused_in_one_line(monkeypatch):
     """Two periods of delay turn the torques on the planar arm's joint springs by too much."""
     monkeypatch.setattr(optimisation, "DRAWS", 5)
-    said = refusal(lambda: optimisation.tune(Description.find("FlexPlanar-v0/random-delay"), first=4))
+    said = refusal(lambda: optimisation.tune(Configuration.find("FlexPlanar-v0/random-delay"), first=4))
     assert said == (
         "gains: '0 of 20 drawn' is not allowed; give 4 with a gain margin of 2 and a phase margin of 30 degrees"
     )
@@ -69,7 +69,7 @@ def test_an_arm_for_which_no_gains_have_margins_is_refused_in_one_line(monkeypat
 
 def test_the_reward_is_that_of_whole_episodes_and_of_no_others():
     """Limits so tight that episodes end at different times: played one by one, they have that mean reward."""
-    environment = Description("FlexOne-v0", {"horizon": 1.0, "limits": {"rate": 1.3}})
+    environment = Configuration("FlexOne-v0", {"horizon": 1.0, "limits": {"rate": 1.3}})
     episodes = 3
     (mean,) = optimisation._rewards(environment, np.array([[0.3, 0.1]]), episodes)
     gains = {"stiffness": (0.3,), "damping": (0.1,)}
@@ -97,7 +97,7 @@ def test_every_round_is_around_the_best_so_far(monkeypatch):
         return -((tried[-1] - peak) ** 2).sum(axis=1)
 
     monkeypatch.setattr(optimisation, "_rewards", rewards)
-    result = optimisation.tune(Description("FlexOne-v0"))
+    result = optimisation.tune(Configuration("FlexOne-v0"))
     so_far = tried[0]
     assert len(so_far) == 60 and len(tried) == 9
     for near, deviation in zip(tried[1:], np.geomspace(0.5, 0.1, 8), strict=True):
@@ -108,7 +108,7 @@ def test_every_round_is_around_the_best_so_far(monkeypatch):
 
 
 def test_gains_that_are_judged_in_parts_have_the_same_rewards_to_the_bit(monkeypatch):
-    gains, environment = np.geomspace(0.1, 2.0, 14).reshape(7, 2), Description("FlexOne-v0", {"horizon": 0.5})
+    gains, environment = np.geomspace(0.1, 2.0, 14).reshape(7, 2), Configuration("FlexOne-v0", {"horizon": 0.5})
     whole = optimisation._rewards(environment, gains, 2)
     monkeypatch.setattr(optimisation, "CELL", 3)
     assert optimisation._rewards(environment, gains, 2).tobytes() == whole.tobytes() and len(set(whole)) == 7

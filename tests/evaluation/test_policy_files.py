@@ -12,7 +12,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.common.safetensors import MAX_BYTES, read_tensors, write_tensors
 from flexman_gym.control.base_controllers import BASES
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import find_agent, policy_files, rollout
 from flexman_gym.evaluation.agent import load_policy
 from flexman_gym.evaluation.agent_info import check_unseen, required_information, training_seconds
@@ -81,7 +81,7 @@ def test_the_league_is_told_of_it_what_it_is_told_of_a_run(folder):
 
 
 def test_what_its_base_knows_it_needs_too(tmp_path):
-    told = Description.from_dict({"id": "FlexPlanar-v0", "base": "privileged-lqr", "sensors": "lab", "horizon": 1.0})
+    told = Configuration.from_plain({"id": "FlexPlanar-v0", "base": "privileged-lqr", "sensors": "lab", "horizon": 1.0})
     write_policy(tmp_path, *made.made_up(told))
     assert required_information(str(tmp_path)) == ("training", *BASES["privileged-lqr"].information)
     about, arrays = made.made_up(told)

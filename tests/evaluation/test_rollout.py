@@ -6,14 +6,14 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.control import PD
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import METRICS, AgentSpec, rollout
 from flexman_gym.evaluation.rollout import TEST_SEEDS
 from flexman_gym.metrics import BAND
 
 from oracles.assertions import refusal
 
-SHORT = Description("FlexOne-v0", {"horizon": 0.2})
+SHORT = Configuration("FlexOne-v0", {"horizon": 0.2})
 
 
 def test_a_number_of_episodes_is_that_of_the_first_test_seeds():
@@ -38,13 +38,13 @@ def test_a_policy_of_another_arm_is_refused_by_its_name(name):
     assert line.startswith(f"entrant: '{name}' is not allowed; give ") and own in line and other in line
 
 
-ONE = Description("FlexOne-v0", {"horizon": 1.5})
+ONE = Configuration("FlexOne-v0", {"horizon": 1.5})
 SEEDS = range(9000, 9003)
 
 
 def test_a_policy_with_a_history_sees_what_it_saw_in_training():
     """Readings a hold apart, also where all episodes are judged side by side."""
-    interface = {"base": "pd", "hold": 3, "history": 4, "sensors": ["full"]}
+    interface = {"base": "pd", "action_repeat": 3, "history": 4, "sensors": ["full"]}
     judged, seen = [], []
 
     def act(observations):
@@ -67,7 +67,7 @@ def test_an_episode_that_fails_ends_there_and_the_arms_beside_it_go_on():
     def act(observations):
         return np.array([[1.0]] + [[0.0]] * (len(observations) - 1))
 
-    environment = Description("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
+    environment = Configuration("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
     together = rollout(AgentSpec("push", act), environment, SEEDS)
     failed, *others = together.records
     assert "rate" in failed.failure and len(failed.actions) < 75
@@ -92,7 +92,7 @@ def test_nothing_begins_anew_where_an_episode_has_ended():
         def act(self, readings, applied=None, playing=None):
             return np.array([[1.0], [0.0], [0.0]])
 
-    environment = Description("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
+    environment = Configuration("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
     lengths = rollout(Told([1.0], [0.1], 1.0), environment, SEEDS).lengths
     assert lengths[0] < 70 and lengths[1:].tolist() == [75, 75] and told == [0, 1, 2]
 
@@ -103,7 +103,7 @@ def test_a_failed_episode_is_counted_to_its_last_period():
     def act(observations):
         return np.ones((len(observations), 1))
 
-    environment = Description("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
+    environment = Configuration("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
     (record,) = rollout(AgentSpec("push", act), environment, [9000]).records
     env, rewards, failed = gym.make(environment.id, **environment.keywords()), [], False
     errors = [env.reset(seed=9000)[1]["tip_error"]]
@@ -120,7 +120,7 @@ def test_a_failed_episode_is_counted_to_its_last_period():
 
 def test_the_band_is_a_part_of_the_reach():
     """Of two links of half a metre: an episode settles in the band that the head of the table names, in mm."""
-    environment = Description("FlexPlanar-v0", {"horizon": 3.0})
+    environment = Configuration("FlexPlanar-v0", {"horizon": 3.0})
     result = rollout("lqr-tracking", environment, SEEDS)
     assert result.band == pytest.approx(BAND * 1.0) == pytest.approx(0.02 / 8.5), "20 mm where the reach is 8.5 m"
     for record in result.records:
@@ -142,7 +142,7 @@ def test_who_watches_sees_the_reset_and_every_period():
 
 
 def test_episodes_are_kept_with_all_that_was_recorded(tmp_path):
-    environment = Description("FlexOne-v0", {"horizon": 0.2, "randomisation": {"delay": [1, 1]}})
+    environment = Configuration("FlexOne-v0", {"horizon": 0.2, "randomisation": {"delay": [1, 1]}})
     result = rollout("pd", environment, [9001, 9002])
     first, second = map(fm.Episode.load, result.save(tmp_path))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["pd-9001.npz", "pd-9002.npz"]
@@ -159,7 +159,7 @@ def test_episodes_are_kept_with_all_that_was_recorded(tmp_path):
 
 
 def test_an_episode_that_failed_is_kept_to_its_end():
-    environment = Description("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
+    environment = Configuration("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
     result = rollout(AgentSpec("push", lambda seen: np.ones((len(seen), 1))), environment, [9000])
     episode = result.episode(0)
     assert len(episode.time) == result.lengths[0] + 1 < 76 and "rate" in episode.about["failure"]

@@ -8,7 +8,7 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.envs import episodes
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import policy_files
 from flexman_gym.evaluation.agent import design_for, find_agent
 from flexman_gym.evaluation.policy_files import ABOUT, write_policy
@@ -47,9 +47,9 @@ def test_trials_are_played_where_they_say_and_kept_beside_the_policy(folder):
         ("as trained", {}),
         ("payload (told)", {"randomisation": {"payload_mass": [0.0, 0.2]}}),
         ("delay 1 (not told)", {"randomisation": {"delay": [1, 1]}}),
-        ("friction (told)", Description.find("FlexPlanar-v0/friction").whole_settings()),
+        ("friction (told)", Configuration.find("FlexPlanar-v0/friction").settings),
     ):
-        expected = fm.evaluate("pd", Description("FlexPlanar-v0", {**DESCRIBED.settings, **changes}), SEEDS)
+        expected = fm.evaluate("pd", Configuration("FlexPlanar-v0", {**DESCRIBED.settings, **changes}), SEEDS)
         shown = {each: expected[each] if np.isfinite(expected[each]) else None for each in SHOWN}
         assert {each: rows[name][each] for each in SHOWN} == shown, name
     search = range(certificate.FIRST_DRAW, certificate.FIRST_DRAW + 6)
@@ -103,8 +103,8 @@ def test_small_vibration_may_grow_by_a_tenth_of_a_millimetre():
 
 def test_what_the_training_drew_is_left(monkeypatch):
     """A policy that learned with payloads and stiffness is tried beyond them."""
-    trained = Description.find("FlexRRR-v0/unknown")
-    changes = {each.name: each.changes for each in policy_trials(Description(), trained)}
+    trained = Configuration.find("FlexRRR-v0/unknown")
+    changes = {each.name: each.changes for each in policy_trials(Configuration(), trained)}
     assert changes["payload (told)"] == {"randomisation": {"payload_mass": [20.0, 25.0]}}
     assert changes["payload (not told)"] == changes["payload (told)"]
     both = changes["stiffness (told)"]["randomisation"]
@@ -114,8 +114,8 @@ def test_what_the_training_drew_is_left(monkeypatch):
 
 
 def test_friction_is_that_of_the_named_arm_and_no_other_arm_is_tried_with_it():
-    own = Description("FlexRRR-v0", {"arm": {**dict(Description().whole()["arm"]), "payload": {"mass": 5.0}}})
-    tried = [[each.name for each in policy_trials(what, what)] for what in (Description(), own)]
+    own = Configuration("FlexRRR-v0", {"arm": {**dict(Configuration().to_plain()["arm"]), "payload": {"mass": 5.0}}})
+    tried = [[each.name for each in policy_trials(what, what)] for what in (Configuration(), own)]
     assert ["friction (told)" in names for names in tried] == [True, False]
 
 
@@ -129,7 +129,7 @@ def test_a_controller_is_designed_for_the_delay_that_it_is_told_and_else_for_its
     )
 
     def rollout(player, environment, seeds, **_):
-        assert environment.setup().randomisation.given["delay"] == [3, 3]
+        assert environment.randomisation.given["delay"] == [3, 3]
         design_for(player, environment)  # as the environment does with a controller that is not built yet
         return SimpleNamespace(records=[])
 
@@ -141,6 +141,6 @@ def test_a_controller_is_designed_for_the_delay_that_it_is_told_and_else_for_its
 
 def test_only_policies_of_tasks_in_which_something_settles(tmp_path):
     assert refusal(certify, "pd") == "name: 'pd' is not allowed; give an exported policy, by its name or folder"
-    path = Description.from_dict({"id": "FlexPlanar-Track-v0", "base": "pd", "sensors": "full", "horizon": 1.0})
+    path = Configuration.from_plain({"id": "FlexPlanar-Track-v0", "base": "pd", "sensors": "full", "horizon": 1.0})
     write_policy(tmp_path, *made_up(path))
     assert "a policy for a task in which the arm settles" in refusal(certify, str(tmp_path))

@@ -21,7 +21,7 @@ QUIET, LOUD = 1e-3, 3e-3  # vibration, m peak to peak
 def policy(tmp_path):
     """The folder of an exported policy."""
     about, arrays = made_up()
-    about["recipe"]["settings"]["environment"] = DESCRIBED.whole()
+    about["recipe"]["settings"]["environment"] = DESCRIBED.to_plain()
     write_policy(tmp_path, about, arrays)
     return str(tmp_path)
 
@@ -63,7 +63,7 @@ def test_vibration_as_trained_fails_nowhere(policy, monkeypatch):
 def test_another_method_takes_a_quarter_of_the_step(policy, monkeypatch):
     rows = tried(monkeypatch, policy, lambda trial: QUIET)
     (_, trained), (row, other) = rows["as trained"], rows["method"]
-    assert other.setup().method == certificate.METHOD != trained.setup().method
+    assert other.method == certificate.METHOD != trained.method
     batch = FlexManEnv(name=DESCRIBED.id).episodes.batch
-    assert 4.0 * batch.substeps * other.setup().step == pytest.approx(batch.control_period)
+    assert 4.0 * batch.substeps * other.step == pytest.approx(batch.control_period)
     assert row["what"].endswith("at a quarter of the step")

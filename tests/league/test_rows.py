@@ -10,7 +10,7 @@ import pytest
 import flexman_gym.league.rows as league
 from flexman_gym.control.base_controllers import BASES
 from flexman_gym.control.references.optimised_slews import SHIPPED, SlewTable
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import METRICS, agent_info, rollout
 from flexman_gym.evaluation.agent import BASELINES
 from flexman_gym.evaluation.agent_info import (
@@ -314,7 +314,7 @@ def test_arms_of_a_venue_are_moved_by_its_plant(monkeypatch):
 
 
 def test_rows_follow_from_what_is_played_and_from_what_controllers_are_told(monkeypatch):
-    one, other = Description("FlexOne-v0"), Description("FlexOne-v0", {"control_period": 0.02})
+    one, other = Configuration("FlexOne-v0"), Configuration("FlexOne-v0", {"control_period": 0.02})
     monkeypatch.setattr(league, "code_hash", lambda: "")
     keys = set()
     for venue in (Scenario(one, one), Scenario(one, other), Scenario(other, one), Scenario(one, one, "finer")):
@@ -364,7 +364,9 @@ def test_a_watch_keeps_starts_and_actions_apart(monkeypatch):
 
 def test_times_of_slews_belong_to_the_environment_of_their_table():
     table = SlewTable.load(SHIPPED)
-    assert optimised_times(Description("FlexRRR-v0")) == {seed: table.settling_time(seed) for seed in range(9000, 9100)}
+    assert optimised_times(Configuration("FlexRRR-v0")) == {
+        seed: table.settling_time(seed) for seed in range(9000, 9100)
+    }
     assert all(optimised_times(find_scenario(each).environment) == {} for each in USUAL_SCENARIOS[1:])
 
 
@@ -406,16 +408,16 @@ def test_one_truth_is_enough_not_to_be_buildable(truth, monkeypatch):
 
 
 def test_in_a_sweep_controllers_are_told_the_range_and_arms_have_the_value():
-    played, told = (each.setup() for each in find_scenario("FlexRRR-v0/payload=25")[:2])
+    played, told = (each for each in find_scenario("FlexRRR-v0/payload=25")[:2])
     assert played.disturbed.payload_mass == (25.0, 25.0) and told.disturbed.payload_mass == (0.0, 20.0)
-    played, told = (each.setup() for each in find_scenario("FlexRRR-v0/delay=3")[:2])
+    played, told = (each for each in find_scenario("FlexRRR-v0/delay=3")[:2])
     assert (played.latest_delay, told.latest_delay) == (3, 2)
-    assert told.gains == Description.find("FlexRRR-v0/random-delay").setup().gains
-    played, told = (each.setup() for each in find_scenario("FlexRRR-v0/noise=0")[:2])
+    assert told.gains == Configuration.find("FlexRRR-v0/random-delay").gains
+    played, told = (each for each in find_scenario("FlexRRR-v0/noise=0")[:2])
     assert played.disturbed.sensor_noise == (0.0, 0.0) and told.disturbed.sensor_noise == (0.001, 0.001)
-    played, told = (each.setup() for each in find_scenario("FlexRRR-v0/period=0.04")[:2])
+    played, told = (each for each in find_scenario("FlexRRR-v0/period=0.04")[:2])
     assert played.control_period == told.control_period == 0.04
-    played, told = (each.setup() for each in find_scenario("FlexRRR-v0/stiffness=0.5")[:2])
+    played, told = (each for each in find_scenario("FlexRRR-v0/stiffness=0.5")[:2])
     assert played.disturbed.link_stiffness_factor == played.disturbed.joint_stiffness_factor == (0.5, 0.5)
     assert told.disturbed.link_stiffness_factor == (0.7, 1.3)
 
@@ -425,12 +427,12 @@ def test_who_plays_a_sweep_is_made_for_what_it_is_told(tmp_path, monkeypatch):
     made = []
     monkeypatch.setattr(league, "_timed", lambda entrant, told: made.append(told) or (entrant, None))
     run_block(EpisodeBlock("", "zero", "FlexRRR-v0/payload=25", 9000, 9001))
-    assert [each.setup().disturbed.payload_mass for each in made] == [(0.0, 20.0)]
+    assert [each.disturbed.payload_mass for each in made] == [(0.0, 20.0)]
 
 
 def test_every_venue_has_an_environment():
     for name in [*USUAL_SCENARIOS, *(each for sweep in SWEEPS for each in sweep_scenarios("FlexRRR-v0", sweep))]:
-        assert find_scenario(name).environment.setup().base is None, "what acts is the entrant's"
+        assert find_scenario(name).environment.base is None, "what acts is the entrant's"
     assert refusal(find_scenario, "FlexRRR-v0/mass=3").startswith("sweep: 'mass' is not allowed; give one of payload")
     assert "a number after payload=" in refusal(find_scenario, "FlexRRR-v0/payload=much")
 

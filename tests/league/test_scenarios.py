@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.league import scenarios
@@ -11,7 +11,7 @@ from flexman_gym.league.scenarios import PLANTS, evaluate_on_plants, find_plant,
 
 from oracles.assertions import refusal
 
-ONE = Description("FlexOne-v0", {"horizon": 1.5, "randomisation": {"link_stiffness_factor": [0.8, 1.2]}})
+ONE = Configuration("FlexOne-v0", {"horizon": 1.5, "randomisation": {"link_stiffness_factor": [0.8, 1.2]}})
 SEEDS = range(9000, 9002)
 
 
@@ -32,8 +32,8 @@ def test_other_plants_move_the_tip_about_alike(plant):
 
 def test_each_arm_is_its_own_there():
     """Whose stiffness is another one moves otherwise, as far as it does on the usual plant."""
-    soft = Description("FlexOne-v0", {"horizon": 0.6, "randomisation": {"link_stiffness_factor": [0.85, 0.85]}})
-    hard = Description("FlexOne-v0", {"horizon": 0.6, "randomisation": {"link_stiffness_factor": [1.15, 1.15]}})
+    soft = Configuration("FlexOne-v0", {"horizon": 0.6, "randomisation": {"link_stiffness_factor": [0.85, 0.85]}})
+    hard = Configuration("FlexOne-v0", {"horizon": 0.6, "randomisation": {"link_stiffness_factor": [1.15, 1.15]}})
     for plant in ("method", "finer"):
         usual, other = (
             np.abs(rollout("lqr", hard, SEEDS, moved=moved).tips - rollout("lqr", soft, SEEDS, moved=moved).tips).max()

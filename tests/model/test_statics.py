@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import flexman_gym as fm
-from flexman_gym.envs.config.setup import setup_of
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.kernels import layout, outputs
 from flexman_gym.model.statics import rest_tips
 
@@ -115,7 +115,7 @@ def test_the_vertical_arm_sags_by_some_seven_centimetres():
     """As its docstring says."""
     model = fm.build_model(fm.catalog.vertical_2r())
     assert rest_tips(model, np.zeros((1, 2)))[0][2] == pytest.approx(-0.07, abs=0.015)
-    limits = setup_of({"name": "FlexPlanar-v0"}).torque_limit
+    limits = Configuration.from_keywords({"name": "FlexPlanar-v0"}).torque_limit
     assert (np.abs(fm.holding_torques(model, [0.0, 0.0])) < 0.7 * np.array(limits)).all()
 
 

@@ -11,7 +11,7 @@ import flexman_gym as fm
 from flexman_agents.settings import Settings
 from flexman_gym import metrics
 from flexman_gym.control import LQR, PD, TrackingLQR
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.tasks import Hold, Track
 from flexman_gym.simulation.batch import Batch
 
@@ -133,8 +133,9 @@ def fields_of(made_of):
 SETTINGS = {
     "arm": fm.catalog.one_link(rotor_inertia=0.5), "task": "slew", "sensors": "full", "history": 2,
     "limits": fm.Limits(), "torque_limit": 1.0, "control_period": 0.02, "horizon": 1.0, "base": None,
-    "gains": {"stiffness": [5.0], "damping": [2.0]}, "hold": 2, "elements": 2, "modes": "assembled", "step": None,
-    "method": "midpoint_3_sweeps", "stiffening": False, "spinning_rotors": False, "rotary_inertia": True,
+    "gains": {"stiffness": [5.0], "damping": [2.0]}, "action_repeat": 2, "elements": 2, "modes": "assembled",
+    "step": None, "method": "midpoint_3_sweeps", "stiffening": False, "spinning_rotors": False,
+    "rotary_inertia": True,
     "tell": ("joint_angles",), "energy_alarm": 0.01, "tolerance": None, "fidelity": "default",
     "randomisation": {"payload_mass": (0.0, 0.1), "delay": (0, 2), "sensor_noise": (0.0, 0.01), "impulse_gap": 1.0},
 }  # fmt: skip
@@ -284,7 +285,7 @@ TARGETS = {
     "LQR": Target(LQR, {"model": MODEL, "torque_limit": 1.0, "period": 0.01}, ("torque_limit", "period")),
     "TrackingLQR": Target(TrackingLQR, {"model": MODEL, "torque_limit": 1.0, "period": 0.01}, ("torque_limit",)),
     "gym.make": Target(
-        made, SETTINGS, ("control_period", "horizon", "hold", "energy_alarm", "torque_limit"), weight=6.0,
+        made, SETTINGS, ("control_period", "horizon", "action_repeat", "energy_alarm", "torque_limit"), weight=6.0,
         cost={"elements": LARGEST, "control_period": 1.0},
     ),
     "gym.make_vec": Target(
@@ -297,10 +298,10 @@ TARGETS = {
     "env.set_state": Target(ONE.set_state, {"state": ONE.get_state()}, weight=2.0),
     "venv.reset": Target(MANY.reset, {"seed": [3, 4], "options": OPTIONS}, weight=5.0),
     "venv.step": Target(played_many, {"actions": np.zeros((2, 1), np.float32)}, ("actions",), weight=3.0),
-    "Description": Target(Description.from_dict, {"data": DESCRIBED}, weight=4.0),
-    "Description.find": Target(lambda name: Description.find(name).setup(), {"name": "FlexRRR-v0/unknown"}),
-    "Description.changed": Target(
-        lambda changes: Description.from_dict(DESCRIBED).changed(changes),
+    "Configuration": Target(Configuration.from_plain, {"data": DESCRIBED}, weight=4.0),
+    "Configuration.find": Target(lambda name: Configuration.find(name), {"name": "FlexRRR-v0/unknown"}),
+    "Configuration.changed": Target(
+        lambda changes: Configuration.from_plain(DESCRIBED).changed(changes),
         {"changes": ["horizon=2.0", "arm.payload.mass=0.1"]}, weight=2.0,
     ),
     "settling_time": Target(

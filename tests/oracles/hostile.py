@@ -21,7 +21,7 @@ from flexman_gym.common.time_series import read_time_series
 from flexman_gym.control.normalisation import RunningMeanStd
 from flexman_gym.control.references.optimised_slews import SlewTable
 from flexman_gym.draw.evaluation import read_progress
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.agent_info import training_seconds
 from flexman_gym.evaluation.policy_files import ABOUT, ARRAYS, CERTIFICATE, read_policy
@@ -36,8 +36,8 @@ SECONDS = 5.0  # of CPU time until a file is refused; before, some took minutes 
 SECRET = "root:x:0:0:root:/root:/bin/bash"  # the first line of a file that somebody else must not see
 READERS = {  # name of the file -> what reads it, of its path
     "scene.yaml": fm.Scene.load,
-    "environment.yaml": Description.load,
-    "arm.json": lambda path: Description.from_dict({"arm": path.name}, path.parent),
+    "environment.yaml": Configuration.load,
+    "arm.json": lambda path: Configuration.from_plain({"arm": path.name}, path.parent),
     "record.csv": read_time_series,
     "episode.npz": Episode.load,
     "table.npz": SlewTable.load,

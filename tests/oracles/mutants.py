@@ -18,7 +18,7 @@ import yaml
 
 import flexman_gym as fm
 from flexman_agents.settings import Settings
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 
 from oracles.files import ROOT
 from oracles.fuzz import TooLong, bounded, loud
@@ -70,7 +70,7 @@ def read_policy(folder):
     return network(np.zeros((1, size), np.float32))
 
 
-READERS = {"scene": fm.Scene.load, "environment": Description.load, "recipe": Settings.recipe}
+READERS = {"scene": fm.Scene.load, "environment": Configuration.load, "recipe": Settings.recipe}
 
 
 def mangled(random, content):

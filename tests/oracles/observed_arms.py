@@ -4,7 +4,8 @@ import numpy as np
 
 from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.observers.observer import make_measurement_model
-from flexman_gym.envs.config.setup import build, setup_of
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import build
 from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.model.linearization import INSTRUMENTS, LinearReadings
 from flexman_gym.model.statics import rest_states
@@ -16,7 +17,7 @@ SMALL = {"elements": 1, "modes": 1}
 
 def small_plant(name="FlexOne-v0", randomisation=None, **settings):
     """The plant of a named environment with few coordinates."""
-    setup = setup_of({"name": name, **SMALL, "randomisation": randomisation, **settings})
+    setup = Configuration.from_keywords({"name": name, **SMALL, "randomisation": randomisation, **settings})
     return make_plant(setup, build(setup).model)
 
 
@@ -95,7 +96,7 @@ POSTURES = np.array([[0.4, -0.7], [-1.2, 0.5], [0.9, 1.3]])
 
 def plant(name="FlexPlanar-v0", **changes):
     """What is told of a named environment, with changes."""
-    setup = setup_of({"name": name})
+    setup = Configuration.from_keywords({"name": name})
     return make_plant(setup, build(setup).model)._replace(**changes)
 
 

@@ -3,7 +3,7 @@
 from flexman_agents.settings import Settings
 
 ENVIRONMENT = {
-    "id": "FlexOne-v0", "base": "pd", "hold": 3, "sensors": ["full", "fine"], "horizon": 0.6,
+    "id": "FlexOne-v0", "base": "pd", "action_repeat": 3, "sensors": ["full", "fine"], "horizon": 0.6,
     "randomisation": {
         "payload_mass": [0.0, 0.1], "delay": [0, 2], "sensor_noise": [0.0, 0.01], "tip_impulse": [0.0, 0.01],
         "torque_limit_factor": [0.9, 1.1],

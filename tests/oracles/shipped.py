@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from flexman_gym.control.network import Network
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import load_policy, observation_layout
 from flexman_gym.evaluation.policy_files import ABOUT, ARRAYS, CHECK_ROWS, write_policy
 
 from oracles.mutants import bent, mangled
 
-DESCRIBED = Description.from_dict({
-    "id": "FlexPlanar-v0", "base": "pd", "hold": 5, "sensors": ["full", "fine"], "horizon": 1.0,
+DESCRIBED = Configuration.from_plain({
+    "id": "FlexPlanar-v0", "base": "pd", "action_repeat": 5, "sensors": ["full", "fine"], "horizon": 1.0,
     "gains": {"stiffness": [39.0, 5.56], "damping": [9.35, 1.33]},
 })  # fmt: skip
 FIRST = "mlp_extractor.policy_net.0"
@@ -29,7 +29,7 @@ FIRST = "mlp_extractor.policy_net.0"
 def made_up(described=DESCRIBED, seed=0):
     """What is said of a policy, and its arrays: random layers that do something."""
     random, names = np.random.default_rng(seed), observation_layout(described)
-    size, joints = sum(each["size"] for each in names), described.setup().arm.n_joints
+    size, joints = sum(each["size"] for each in names), described.arm.n_joints
     shapes = {f"{FIRST}.weight": (7, size), f"{FIRST}.bias": (7,), "action_net.weight": (joints, 7),
               "action_net.bias": (joints,)}  # fmt: skip
     layers = {name: random.normal(0.0, 0.3, shape).astype(np.float32) for name, shape in shapes.items()}
@@ -39,7 +39,7 @@ def made_up(described=DESCRIBED, seed=0):
     settings = {"algo": "ppo", "hyperparameters": {}, "seed": 3, "envs": 4, "judge_every": 0}
     about = {
         "words": "Made up.", "licence": "MIT", "commit": "", "versions": {}, "training_seconds": 2.0, "league": {},
-        "recipe": {"name": "", "settings": settings}, "environment": described.whole(), "observation": names,
+        "recipe": {"name": "", "settings": settings}, "environment": described.to_plain(), "observation": names,
     }  # fmt: skip
     arrays = layers | {f"statistics.{name}": each for name, each in moments.items()}
     return about, arrays | {"check.observations": seen, "check.actions": actions}
@@ -50,7 +50,7 @@ def write_still(folder):
     about, arrays = made_up()
     for name in ("action_net.weight", "action_net.bias", "check.actions"):
         arrays[name] = np.zeros_like(arrays[name])
-    about["recipe"]["settings"]["environment"] = DESCRIBED.whole()
+    about["recipe"]["settings"]["environment"] = DESCRIBED.to_plain()
     write_policy(folder, about, arrays)
 
 

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from flexman_agents.settings import RECIPES, Settings, find_recipe
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.policy_files import POLICIES
 from studies.files import read_comment, read_rows
 from studies.learning import measure
@@ -39,7 +39,7 @@ from studies.learning.page import page
 from oracles.files import ROOT, command
 
 SHORT = Settings(
-    environment={"id": "FlexOne-v0", "base": "pd", "hold": 5, "horizon": 1.0},
+    environment={"id": "FlexOne-v0", "base": "pd", "action_repeat": 5, "horizon": 1.0},
     steps=16, envs=2, hyperparameters={"n_steps": 8, "net_arch": [8]},
 )  # fmt: skip
 
@@ -64,7 +64,7 @@ def differences(first, second):
 @pytest.mark.parametrize(
     ("name", "changed"),
     [
-        ("hold", {"hold", "gamma", "gae_lambda", "n_steps", "steps"}),
+        ("hold", {"action_repeat", "gamma", "gae_lambda", "n_steps", "steps"}),
         ("rate", {"learning_rate"}),
         ("reward", {"task"}), ("discount", {"gamma"}),
     ],
@@ -79,10 +79,10 @@ def test_every_ablation_is_among_the_cases():
 
 
 def test_a_finer_model_and_longer_episodes_are_what_they_say():
-    result = places(Description("FlexPlanar-v0"))
-    finer = result[FINER].setup()
+    result = places(Configuration("FlexPlanar-v0"))
+    finer = result[FINER]
     assert (finer.elements, finer.modes, finer.stiffening, finer.step) == (3, None, True, 2.5e-3 / 4)
-    assert result[AS_TRAINED].setup().stiffening is False and result[LONGER].setup().horizon == 30.0
+    assert result[AS_TRAINED].stiffening is False and result[LONGER].horizon == 30.0
 
 
 def test_a_run_is_trained_once_and_judged_in_three_places(tmp_path, monkeypatch):

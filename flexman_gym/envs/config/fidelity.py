@@ -1,27 +1,56 @@
-"""Fidelity of an environment: model, method and step chosen for a tolerance."""
+"""Fidelity of an environment: model, method and step, as configured or chosen for a tolerance."""
 
-from typing import Any
+from typing import NamedTuple
 
 from flexman_gym.common.checks import positive
-from flexman_gym.fidelity.choose import Choice, choose_model
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.named_environments import NAMED
+from flexman_gym.fidelity.choose import Choice, assembled_modes, choose_model
+from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.scene import Initial, ModelChoice, Scene
 from flexman_gym.scene.signals import SineTorque
+from flexman_gym.simulation.integrator import default_step
+from flexman_gym.simulation.methods import Method
 
-SLEW, SLEW_START = 3.0, 0.4  # s and rad, of the motion for which it chooses
+SLEW, SLEW_START = 3.0, 0.4  # s and rad; duration and start of the motion for which the model is chosen
 
 
-def choose_fidelity(setup: Any) -> Choice:
-    """Chooses for a slew: sine torques of the limits from a posture in the middle of the range of the named task."""
-    n = setup.arm.n_joints
-    start = [SLEW_START * (-1.0) ** i for i in range(n)]
-    steps = max(1, round(SLEW / setup.control_period))
+class Fidelity(NamedTuple):
+    """Model of an environment, integration method, step (s), and the Choice of fidelity="auto", else None."""
+
+    model: Model
+    method: str | Method
+    step: float
+    choice: Choice | None
+
+
+def build(configuration: Configuration) -> Fidelity:
+    """Build the model of a configuration, or choose it by `choose_model`."""
+    if configuration.fidelity == "auto":
+        choice = choose_fidelity(configuration)
+        return Fidelity(choice.model, choice.method, choice.step, choice)
+    modes = configuration.modes
+    if isinstance(modes, str):
+        modes = assembled_modes(configuration.arm, configuration.elements, 0.5 / configuration.control_period)
+    switches = {name: getattr(configuration, name) for name in ("stiffening", "spinning_rotors", "rotary_inertia")}
+    model = build_model(configuration.arm, configuration.elements, modes, **switches)
+    step = configuration.step
+    if step is None:
+        step = default_step(configuration.control_period, NAMED[configuration.id].longest_step)
+    return Fidelity(model, configuration.method, step, None)
+
+
+def choose_fidelity(configuration: Configuration) -> Choice:
+    """Choose a model for a slew: sine torques with the limits as amplitudes, from the middle of the range of motion."""
+    n, period = configuration.arm.n_joints, configuration.control_period
     scene = Scene(
-        setup.arm,
-        ModelChoice(True, 2, spinning_rotors=setup.spinning_rotors, rotary_inertia=setup.rotary_inertia),
-        SineTorque(setup.torque_limit, [0.5] * n, [0.0] * n),
-        Initial(start, [0.0] * n),
-        duration=steps * setup.control_period,
-        output_step=setup.control_period,
+        configuration.arm,
+        ModelChoice(
+            True, 2, spinning_rotors=configuration.spinning_rotors, rotary_inertia=configuration.rotary_inertia
+        ),
+        SineTorque(configuration.torque_limit, [0.5] * n, [0.0] * n),
+        Initial([SLEW_START * (-1.0) ** i for i in range(n)], [0.0] * n),
+        duration=max(1, round(SLEW / period)) * period,
+        output_step=period,
     )
-    tolerance = positive("tolerance", setup.tolerance, "m")
-    return choose_model(scene, tolerance, longest_step=setup.control_period)
+    return choose_model(scene, positive("tolerance", configuration.tolerance, "m"), longest_step=period)

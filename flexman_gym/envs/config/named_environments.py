@@ -1,13 +1,14 @@
 """Named environments: default settings of each environment id."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from flexman_gym.envs.limits import Limits
-from flexman_gym.envs.tasks import Hold, Slew, Task, Track
+from flexman_gym.envs.tasks import Hold, Slew, Task, Track, plain_task
 from flexman_gym.scene.arm import Arm, Payload
 from flexman_gym.scene.catalog import one_joint, paper_rrr, quanser_2dsfl, vertical_2r
+from flexman_gym.scene.serialization import to_plain
 
 Gains = dict[str, tuple[float, ...]]
 
@@ -20,9 +21,9 @@ class NamedEnvironment:
         arm: makes the arm; its joints say the torque limits.
         pd: gains of the PD controller that was tuned for it: stiffness (N m/rad) and damping (N m s/rad), one for each
             joint.
-        task: see `Setup`.
-        sensors: see `Setup`.
-        limits: see `Setup`.
+        task: see `Configuration`.
+        sensors: see `Configuration`.
+        limits: see `Configuration`.
         control_period: s.
         horizon: s, after which an episode is truncated.
         conditions: the folder of its environment files under conditions; "" for none.
@@ -38,6 +39,15 @@ class NamedEnvironment:
     horizon: float = 10.0
     longest_step: float = 0.02 / 3.0
     conditions: str = ""
+
+    def value(self, name: str) -> Any:
+        """Return the value of a setting."""
+        return self.arm() if name == "arm" else getattr(self, name)
+
+    def plain(self, name: str) -> Any:
+        """Return the plain form of arm, task or limits; {} for another setting."""
+        forms = {"arm": to_plain, "task": plain_task, "limits": asdict}
+        return forms[name](self.value(name)) if name in forms else {}
 
 
 def flex_rrr() -> Arm:
@@ -113,5 +123,5 @@ NAMED: dict[str, NamedEnvironment] = {
         longest_step=0.01 / 3.0,
     ),
 }
-"""Named environments: id -> what a `Setup` takes where nothing else is said."""
+"""Named environments: id -> values of settings that are not given."""
 DEFAULT = "FlexRRR-v0"

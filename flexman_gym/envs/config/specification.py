@@ -1,11 +1,14 @@
 """Specification for controller design: plant model, limits, delays, uncertainty and sensor noise of an environment."""
 
-from typing import Any
+import warnings
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.control.controller import Plant
+from flexman_gym.control.base_controllers import make_base
+from flexman_gym.control.controller import Controller, Plant
+from flexman_gym.control.pd import PD
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED
 from flexman_gym.envs.config.randomisation import range_name
 from flexman_gym.envs.sensors.instrument import Instrument
@@ -20,29 +23,51 @@ from flexman_gym.simulation.parameters import PARAMETERS
 ROUNDING = 12.0**-0.5  # standard deviation of the error of a number that is rounded, as a part of the step
 
 
-def make_plant(setup: Any, model: Model) -> Plant:
-    """Says of a Setup what an engineer who builds its controller may know; the model is that of the controller."""
-    drawn = setup.disturbed.ranges if setup.disturbed else {}
+def make_plant(configuration: Configuration, model: Model) -> Plant:
+    """Return the specification for controller design of an environment; the model is that of the design."""
+    drawn = configuration.disturbed.ranges if configuration.disturbed else {}
     fewest, most = drawn.get("delay", (0, 0))
+    longest_step = NAMED[configuration.id].longest_step
     return Plant(
         model,
-        setup.torque_limit,
-        setup.control_period,
-        lambda: setup.pd_gains,
+        configuration.torque_limit,
+        configuration.control_period,
+        lambda: configuration.pd_gains,
         {range_name(name): span for name, span in drawn.items() if name in PARAMETERS},
         (int(fewest), int(most)),
-        (setup.method, setup.step or default_step(setup.control_period, NAMED[setup.name].longest_step)),
+        (configuration.method, configuration.step or default_step(configuration.control_period, longest_step)),
         float(drawn.get("tip_load", (0.0, 0.0))[1]),
-        lambda: _measured(setup, model, drawn.get("sensor_noise", (0.0, 0.0))[1]),
-        setup.drive_bandwidth,
+        lambda: _measured(configuration, model, drawn.get("sensor_noise", (0.0, 0.0))[1]),
+        configuration.drive_bandwidth,
     )
 
 
-def _measured(setup: Any, model: Model, noise: float) -> dict[str, Array]:
+def make_controller(configuration: Configuration, base: object, model: Model) -> Controller:
+    """Make the controller of a name in BASES, or of a mapping with arguments, for a model of the arm."""
+    return make_base(base, make_plant(configuration, model))
+
+
+def make_base_controller(configuration: Configuration, model: Model) -> Controller | None:
+    """Make the base controller of an environment for its model; None without one.
+
+    It warns (UserWarning) where sampling and delay make a PD unstable.
+    """
+    base = configuration.base
+    if not isinstance(base, str | dict):
+        return base
+    result = make_controller(configuration, base, model)
+    period, delay = configuration.control_period, configuration.latest_delay
+    message = result.unstable(model, period, delay) if isinstance(result, PD) else ""
+    if message:
+        warnings.warn(message, stacklevel=2)
+    return result
+
+
+def _measured(configuration: Configuration, model: Model, noise: float) -> dict[str, Array]:
     """Range and standard deviation (2, size) of each measured quantity, of the worst instrument that measures it."""
-    ranges = measurement_ranges(View(Batch(model)), setup.limits)
+    ranges = measurement_ranges(View(Batch(model)), configuration.limits)
     parts = dict.fromkeys(ranges, noise)
-    for part in setup.sensors:
+    for part in configuration.sensors:
         if isinstance(part, Instrument):
             own = np.hypot(part.flaws.noise, ROUNDING * part.flaws.quantisation)
             for name in measured_names([part]):

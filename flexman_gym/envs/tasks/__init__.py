@@ -1,6 +1,6 @@
 """Tasks: where episodes start, what their goals are and what a step is worth."""
 
-from dataclasses import fields
+from dataclasses import asdict, fields
 from typing import Any
 
 from flexman_gym.common.checks import check_members, mapping, one_of, text, value_error
@@ -23,9 +23,17 @@ def find_task(value: object) -> Any:
     return kind(**mapping("task", arguments, [each.name for each in fields(kind)]))
 
 
+def plain_task(task: Any) -> dict[str, Any]:
+    """Return the mapping of a task, from which `find_task` makes an equal one; raise ValueError for an unnamed one."""
+    for name, kind in TASKS.items():
+        if type(task) is kind:
+            return {"kind": name, **asdict(task)}
+    raise value_error("task", task, "something with a name: an object of one's own cannot be kept in a file")
+
+
 def check_task(task: Task) -> None:
     """Refuses a task one of whose members is nearly named as an optional one."""
     check_members("task", task, OPTIONAL, MEMBERS)
 
 
-__all__ = ["TASKS", "Goal", "Hold", "Slew", "Task", "Track", "check_task", "find_task"]
+__all__ = ["TASKS", "Goal", "Hold", "Slew", "Task", "Track", "check_task", "find_task", "plain_task"]

@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from studies.benchmark.page import ENDURANCE, PAGE, without_endurance
 
 PARTS = ("observations", "rewards", "terminated", "truncated")
@@ -113,10 +113,10 @@ def _actions(arms: int, joints: int, random: np.random.Generator) -> np.ndarray:
 
 def all_conditions(name: str) -> dict[str, Any]:
     """Keywords of a named environment with all of its conditions at once."""
-    friction, general = (Description.find(f"{name}/{condition}") for condition in ("friction", "unknown"))
+    friction, general = (Configuration.find(f"{name}/{condition}") for condition in ("friction", "unknown"))
     return {
-        "arm": friction.setup().arm,
-        "randomisation": {**general.whole_settings()["randomisation"], "delay": (0, 2)},
+        "arm": friction.arm,
+        "randomisation": {**general.settings["randomisation"], "delay": (0, 2)},
     }
 
 

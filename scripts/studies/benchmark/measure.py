@@ -16,7 +16,8 @@ import numpy as np
 
 import flexman_gym as fm
 from flexman_gym.common.arrays import Array
-from flexman_gym.envs.config.setup import Setup, build
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import build
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.simulation.batch import Batch
@@ -119,7 +120,7 @@ def _vector(arms: int, threads: int, steps: int) -> Timer:
     return timer(lambda: [env.step(action) for action in actions], arms * steps)
 
 
-def _physics(setup: Setup, arms: int, periods: int) -> Timer:
+def _physics(setup: Configuration, arms: int, periods: int) -> Timer:
     """Control periods of arms that begin at rest, under random torques."""
     model, method, step, _ = build(setup)
     batch = Batch(model, method, step, setup.control_period, arms=arms)
@@ -149,7 +150,7 @@ def _entries(grid: Grid) -> list[_BenchmarkEntry]:
         result += [
             _BenchmarkEntry(VECTOR, n, threads, _vector(n, threads, grid.steps)) for n in grid.arms if n >= threads
         ]
-    setup, (arms, periods) = Setup(), grid.physics
+    setup, (arms, periods) = Configuration(), grid.physics
     result.append(_BenchmarkEntry(ALONE, 1, 1, _alone(grid.singles)))
     result.append(_BenchmarkEntry(f"{OURS}, {PHYSICS}", arms, 1, _physics(setup, arms, 20 * periods)))
     return [*result, *_training(grid), *_of_mujoco(grid, setup)]
@@ -164,7 +165,7 @@ def _training(grid: Grid) -> list[_BenchmarkEntry]:
     return [_BenchmarkEntry(PPO, grid.training[0], 1, ppo(*grid.training))]
 
 
-def _of_mujoco(grid: Grid, setup: Setup) -> list[_BenchmarkEntry]:
+def _of_mujoco(grid: Grid, setup: Configuration) -> list[_BenchmarkEntry]:
     """Reacher-v5, and the rollout of rigid pieces; the former also needs imageio."""
     (arms, periods), result = grid.physics, []
     try:

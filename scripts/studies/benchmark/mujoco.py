@@ -7,7 +7,7 @@ import numpy as np
 from mujoco import rollout
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.envs.config.setup import Setup
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.model.mjcf import mjcf
 from studies.peers.mujoco import SANE
 from studies.stopwatch import Timer, timer
@@ -18,7 +18,7 @@ PIECES, FINEST, TRIAL = 4, 1024, 100  # of a link; parts of a control period and
 class MujocoArms:
     """Arms side by side, each of rigid pieces between springs, as its environment's arm but for modal damping."""
 
-    def __init__(self, setup: Setup, arms: int, parts: int) -> None:
+    def __init__(self, setup: Configuration, arms: int, parts: int) -> None:
         arm = replace(setup.arm, modal_damping_ratio=0.0)
         text = mjcf(arm, PIECES, "Euler", setup.control_period / parts)
         self.model = mujoco.MjModel.from_xml_string(text)
@@ -53,7 +53,7 @@ class MujocoArms:
         return np.array(result)
 
 
-def longest_step(setup: Setup) -> int:
+def longest_step(setup: Configuration) -> int:
     """Parts of a control period, the fewest with which random torques move the tip as with many."""
     actions = _actions(TRIAL, 1, setup.arm.n_joints)
 
@@ -72,7 +72,7 @@ def longest_step(setup: Setup) -> int:
     return stable
 
 
-def control_periods(setup: Setup, arms: int, periods: int, parts: int) -> Timer:
+def control_periods(setup: Configuration, arms: int, periods: int, parts: int) -> Timer:
     """Control periods of arms that begin at rest, under random torques."""
     side_by_side, actions = MujocoArms(setup, arms, parts), _actions(periods, arms, setup.arm.n_joints)
     assert not side_by_side.diverged(side_by_side.run(actions)), "the step is too long"

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.envs.config.description import Description
-from flexman_gym.envs.config.setup import build
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.specification import make_controller
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.metrics import METRICS
@@ -64,7 +65,7 @@ class ControlRow:
 
 
 def _rubbing() -> dict[str, Any]:
-    arm: dict[str, Any] = Description.find("FlexRRR-v0/friction").whole_settings()["arm"]
+    arm: dict[str, Any] = Configuration.find("FlexRRR-v0/friction").settings["arm"]
     return arm
 
 
@@ -97,12 +98,12 @@ CASES = (
 
 def played(case: ControlCase, episodes: int, seed: int) -> ControlRow:
     """Plays the episodes of a case."""
-    known = Description.find(case.environment)
-    settings = deepcopy(known.whole_settings())
+    known = Configuration.find(case.environment)
+    settings = deepcopy(known.settings)
     for name, change in case.changes.items():
         settings[name] = settings[name] | change if name == "randomisation" else change
-    environment, setup = Description(known.id, settings), known.setup()
-    base = setup.controller(case.entrant, build(setup).model) if case.surprise else case.entrant
+    environment, setup = Configuration(known.id, settings), known
+    base = make_controller(setup, case.entrant, build(setup).model) if case.surprise else case.entrant
     flawed = {"sensors": {"kind": "lab", **case.flaws}} if case.flaws else {}
     found = find_agent(base)
     entrant = replace(found, name=case.name, interface={**(found.interface or {}), **flawed})

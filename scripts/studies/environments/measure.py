@@ -114,12 +114,12 @@ def first(name: str) -> list[str]:
     named = NAMED[name]
     recipe = RECIPE.get(name)
     given = files.read_data(RECIPES / f"{recipe}.yaml")["environment"] if recipe else {}
-    hold = given.get("hold", round(LASTS / named.control_period))
+    hold = given.get("action_repeat", round(LASTS / named.control_period))
     seconds = hold * named.control_period
-    settings = {"base": "pd", "hold": hold, "sensors": ("full", "fine")}
+    settings = {"base": "pd", "action_repeat": hold, "sensors": ("full", "fine")}
     rows = [
         ("`base`", '`"pd"`', "the agent adds to a controller that brings the arm near its goal"),
-        ("`hold`", f"`{hold}`", f"an action lasts {seconds:g} s, so that exploration shakes the arm less"),
+        ("`action_repeat`", f"`{hold}`", f"an action lasts {seconds:g} s, so that exploration shakes the arm less"),
         ("`sensors`", '`("full", "fine")`', "the state, and again on a scale that tells millimetres"),
     ]
     if isinstance(named.task, Slew):

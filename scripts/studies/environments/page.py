@@ -7,7 +7,7 @@ import gymnasium as gym
 import numpy as np
 
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.envs.config.description import CONDITION_FOLDER, CONDITIONS, NOMINAL
+from flexman_gym.envs.config.conditions import CONDITION_FOLDER, CONDITIONS, NOMINAL
 from flexman_gym.envs.config.named_environments import NAMED
 from flexman_gym.envs.sensors import SETS
 from flexman_gym.evaluation.metrics import METRICS, SHARE, Metric

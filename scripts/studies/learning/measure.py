@@ -14,7 +14,7 @@ from flexman_agents.settings import Settings, find_recipe
 from flexman_agents.training import train
 from flexman_gym.common.grid import Workers, collect_cells
 from flexman_gym.draw.evaluation import learning_curves, read_progress
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.evaluation.agent import AgentSpec, find_agent, split_interface
@@ -75,7 +75,7 @@ class _Without:
         schedules = {**whole.schedules, **self.schedules}
         return replace(
             whole,
-            environment={**whole.environment, **self.environment},
+            environment=whole.environment.replace(**self.environment),
             hyperparameters={**whole.hyperparameters, **self.hyperparameters},
             schedules={name: schedule for name, schedule in schedules.items() if schedule is not None},
             steps=self.steps or whole.steps,
@@ -86,7 +86,7 @@ ABLATIONS = {
     "hold": _Without(
         "the held action",
         "a new action in every control period; discount and lambda the same for a second, steps for the same CPU time",
-        {"hold": 1},
+        {"action_repeat": 1},
         {"n_steps": 60, "gamma": 0.99, "gae_lambda": 0.98},
         steps=1_600_000,
     ),
@@ -141,12 +141,12 @@ def points(name: str, seed: int, folder: Path) -> Iterator[Point]:
 
 def environment(name: str) -> str:
     """The id of the environment in which a recipe learns."""
-    return str(find_recipe(name).environment["id"])
+    return str(find_recipe(name).environment.id)
 
 
 def adds_to_pd(name: str) -> bool:
     """Whether a recipe adds to a PD."""
-    return bool(find_recipe(name).environment.get("base") == "pd")
+    return bool(find_recipe(name).environment.base == "pd")
 
 
 def pictures(curves: Sequence[Point], folder: Path) -> list[Path]:
@@ -213,7 +213,7 @@ def controllers() -> Iterator[LearningRow]:
     """Rows of the controllers that learn nothing, rewarded as the recipes are."""
     for id, names in CONTROLLERS.items():
         for name in names:
-            for where, environment in places(Description(id, {"task": TASK})).items():
+            for where, environment in places(Configuration(id, {"task": TASK})).items():
                 yield _row("controller", f"{name}, {id}", None, where, {}, find_agent(name), environment)
 
 
@@ -221,7 +221,7 @@ def tasks() -> Iterator[LearningRow]:
     """Rows of a PD, of controllers that know a model and of shipped policies in venues of other tasks."""
     for venue, (learned, law) in TASKS.items():
         for name in ("pd", law, *([learned] if learned in POLICIES else [])):
-            yield _row("task", f"{name}, {venue}", None, AS_TRAINED, {}, find_agent(name), Description.find(venue))
+            yield _row("task", f"{name}, {venue}", None, AS_TRAINED, {}, find_agent(name), Configuration.find(venue))
 
 
 def runs(case: LearningCase, folder: Path, workers: Workers | int = 1) -> Iterator[LearningRow]:
@@ -232,7 +232,7 @@ def runs(case: LearningCase, folder: Path, workers: Workers | int = 1) -> Iterat
     for seed, each, cost in zip(seeds, folders, costs, strict=True):
         policy = find_agent(str(each))
         assert policy.environment is not None
-        played = Description.find(VENUES[case.name]) if case.name in VENUES else policy.environment
+        played = Configuration.find(VENUES[case.name]) if case.name in VENUES else policy.environment
         for where, environment in places(split_interface(played)[0]).items():
             if case.kind == "recipe" or where == AS_TRAINED:
                 yield _row(case.kind, case.name, seed, where, cost, policy, environment)
@@ -259,10 +259,10 @@ def trained(cell: tuple[Settings, Path]) -> dict[str, float | None]:
     return dict(json.loads(path.read_text(encoding="utf-8")))
 
 
-def places(environment: Description) -> dict[str, Description]:
+def places(environment: Configuration) -> dict[str, Configuration]:
     """The environment as it is, with a finer model, and with longer episodes."""
     named = NAMED[environment.id]
-    step = default_step(environment.setup().control_period, named.longest_step) / FINER_STEPS
+    step = default_step(environment.control_period, named.longest_step) / FINER_STEPS
     finer = [f"elements={FINER_ELEMENTS}", "modes=null", "stiffening=true", f"step={step!r}"]
     return {
         AS_TRAINED: environment,
@@ -278,7 +278,7 @@ def _row(
     where: str,
     costs: dict[str, float | None],
     who: AgentSpec,
-    environment: Description,
+    environment: Configuration,
 ) -> LearningRow:
     records = rollout(who, environment, TEST_SEEDS).records
     result = {name: figure.sum_up(records) for name, figure in METRICS.items()}

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from statistics import median
 
 from flexman_gym.common.markdown import bullets, markdown_table
-from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.metrics import task_metrics
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, TEST_SEEDS, TRAINING_SEED
 from studies.learning.measure import (
@@ -194,7 +194,7 @@ def _tasks(rows: Sequence[LearningRow]) -> list[str]:
         own = {name: _of(rows, "task", f"{name}, {venue}") for name in ("pd", law, learned)}
         own[learned] = own[learned] or _of(rows, "recipe", learned)
         if own["pd"] and own[law]:
-            follows = _follows(Description.find(venue))
+            follows = _follows(Configuration.find(venue))
             pd, best, reached = (_task(own[name], follows) for name in ("pd", law, learned))
             part = f"{reached[1] / pd[1]:.2f}" if own[learned] and math.isfinite(pd[1]) else "-"
             name = f"`{learned}`: {reached[0]}" if own[learned] else "-"
@@ -202,9 +202,9 @@ def _tasks(rows: Sequence[LearningRow]) -> list[str]:
     return markdown_table(("venue", "PD", "learned", "of the PD's", "knows a model"), lines)
 
 
-def _follows(venue: Description) -> bool:
+def _follows(venue: Configuration) -> bool:
     """Whether the tip has to follow or to stay, so that its RMS error tells more than when it settles."""
-    return any(figure.name == "rms_error" for figure in task_metrics(venue.setup().task))
+    return any(figure.name == "rms_error" for figure in task_metrics(venue.task))
 
 
 def _task(rows: Sequence[LearningRow], follows: bool) -> tuple[str, float]:

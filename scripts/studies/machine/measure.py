@@ -82,6 +82,7 @@ def driven(path: Path) -> Measurement:
 
 
 ONE = {"elements": 1, "modes": 4}
+FACTORS = ["link_stiffness_factor", "link_damping"]  # free parameters of the fits
 TWO = {"elements": 1, "modes": (4, 3)}
 FIT, SCORE, SHEET, MUJOCO, COUPLED, CURRENT = "fit", "score", "data sheet", "MuJoCo", "both stages", "currents"
 HALF = 5.0  # s, of the record of both stages
@@ -112,9 +113,8 @@ def stage_1(folder: Path = DATA, others: bool = True) -> tuple[list[FitRow], dic
     for half, label in ((names[::2], "A"), (names[1::2], "B")):
         started = time.process_time()
         arm = fm.catalog.quanser_2dsfl(1)
-        found = fm.fit(
-            arm, ["link_stiffness_factor", "link_damping"], records=[runs[name] for name in half], starts=0, **ONE
-        )  # type: ignore[arg-type]
+        records = [runs[name] for name in half]
+        found = fm.fit(arm, FACTORS, records=records, starts=0, **ONE)  # type: ignore[arg-type]
         rows.append(FitRow(FIT, label, "CPU s", time.process_time() - started))
         rows += [FitRow(FIT, label, name, value) for name, value in _told(found).items()]
         rest = [name for name in names if name not in half]
@@ -198,7 +198,7 @@ def stages(path: Path) -> tuple[list[FitRow], list[Any]]:
         Rows, and times, measured and predicted deflections.
     """
     record, arm = both_stages(path), fm.catalog.quanser_2dsfl()
-    found = fm.fit(arm, ["link_stiffness_factor", "link_damping"], records=[record.part(0.0, HALF)], **TWO)  # type: ignore[arg-type]
+    found = fm.fit(arm, FACTORS, records=[record.part(0.0, HALF)], **TWO)  # type: ignore[arg-type]
     told = [np.asarray(record.times), dict(record.outputs), found.predicted(record)]
     return [*_coupled(found, record, COUPLED), *_currents(found, path)], told
 

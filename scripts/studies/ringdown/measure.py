@@ -10,7 +10,8 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, Flags
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.envs.config.setup import Setup, build
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import build
 from flexman_gym.envs.effects.signals import static_shape
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import IntArray
@@ -36,7 +37,7 @@ class _Cases(NamedTuple):
 @cache
 def default_model(undamped: bool = False) -> Model:
     """Builds the model of FlexRRR-v0, without any damping where that is wanted."""
-    model = build(Setup()).model
+    model = build(Configuration()).model
     if not undamped:
         return model
     choice = vars(model.choice)
@@ -237,7 +238,7 @@ class Errors:
 
 def errors_of_default(count: int) -> list[Errors]:
     """Compares so many arms of each kind after a second and at the end, by the default and by others."""
-    chosen, result = build(Setup()), []
+    chosen, result = build(Configuration()), []
     for kind in KINDS:
         each = cases(kind, count)
         for end in (EARLY, DURATION[kind]):

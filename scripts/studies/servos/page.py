@@ -24,9 +24,9 @@ SAYS = (
 )
 HEAD = (
     "`python scripts/servos.py --folder docs` writes this page and its rows ([servos.csv](servos.csv)) anew. A servo "
-    'acts in every control period (`actions="position"` or `"velocity"`), and an agent holds its action for `hold` of '
-    "them. Both modes have the same loop: a PD of each motor, a delay of whole periods, and a drive whose torque lags "
-    "as a first-order filter (`drive_bandwidth`)."
+    'acts in every control period (`actions="position"` or `"velocity"`), and an agent keeps its action for '
+    "`action_repeat` of them. Both modes have the same loop: a PD of each motor, a delay of whole periods, and a "
+    "drive whose torque lags as a first-order filter (`drive_bandwidth`)."
 )
 READING = (
     "A number is the factor by which both tuned gains of an environment may be multiplied before an eigenvalue of the "
@@ -56,7 +56,7 @@ FRICTION = (
 CONCLUSION = (
     "Without delay and lag the tuned gains may be multiplied by {least:.3g} or more at {short:g} ms. At {long:g} ms "
     "the most is {most:.3g}. Of all {all} combinations {unstable} make the tuned gains unstable. Most of these, "
-    "{delayed}, have a delay. A shorter `control_period` with a larger `hold` helps."
+    "{delayed}, have a delay. A shorter `control_period` with a larger `action_repeat` helps."
 )
 REST = 0.5
 

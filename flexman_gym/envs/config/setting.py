@@ -1,0 +1,140 @@
+"""Setting: declaration of one setting of an environment, and the checks of settings."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from flexman_gym.common.checks import one_of, physical, positive, sequence, text, value_error, whole_number
+from flexman_gym.control.actions import ActionMode, checked_action_mode
+from flexman_gym.control.base_controllers import BASES, checked_base
+from flexman_gym.control.controller import checked_controller
+from flexman_gym.envs.limits import Limits, find_limits
+from flexman_gym.envs.tasks import Task, check_task, find_task
+from flexman_gym.scene.mistakes import warn_of_units
+
+SHORTEST_PERIOD, LONGEST_PERIOD = 1e-9, 100.0  # s; control period
+MOST_REPEATS = 1000  # control periods of an action
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Declaration of one setting.
+
+    Attributes:
+        help: meaning; the first sentence stands in tables.
+        check: function of the value; returns the stored value or raises a ValueError of one line.
+        default: value of a setting that is not given; None in place of one that the named environment has.
+        unit: SI unit; "" for none.
+        named: whether the named environment has a value for None.
+        plain: plain form of a stored object; None where the stored value is plain.
+        formerly: deprecated names.
+        elsewhere: name in other libraries -> what to give in its place.
+    """
+
+    help: str
+    check: Callable[[Any], Any]
+    default: Any = None
+    unit: str = ""
+    named: bool = False
+    plain: Callable[[Any], Any] | None = None
+    formerly: tuple[str, ...] = ()
+    elsewhere: Mapping[str, str] = field(default_factory=dict)
+
+
+def is_plain(value: object) -> bool:
+    """Return whether a value consists of texts, numbers, booleans, None, lists and mappings."""
+    if isinstance(value, dict):
+        return all(map(is_plain, value.values()))
+    if isinstance(value, list | tuple):
+        return all(map(is_plain, value))
+    return value is None or isinstance(value, bool | int | float | str)
+
+
+def checked_task(value: object) -> Task:
+    """Return a task, or that of a name or a mapping."""
+    result = find_task(value) if is_plain(value) else value
+    if not isinstance(result, Task) or isinstance(result, type):
+        allowed = "a task: an object with sensors, moves, draw, goal, reward_terms and info, such as Slew()"
+        raise value_error("task", value, allowed)
+    check_task(result)
+    return result
+
+
+def checked_limits(value: object) -> Limits:
+    """Return Limits, or those of a mapping."""
+    result = find_limits(value) if is_plain(value) else value
+    if not isinstance(result, Limits):
+        raise value_error("limits", value, "Limits")
+    return result
+
+
+def checked_period(value: object) -> float:
+    """Return a control period, s."""
+    period = positive("control_period", value, "s")
+    if not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
+        raise value_error("control_period", value, f"a number from {SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} (s)")
+    warn_of_units("", {"control_period": period})
+    return period
+
+
+def checked_horizon(value: object) -> float:
+    """Return a duration of episodes, s."""
+    return positive("horizon", value, "s")
+
+
+def checked_base_setting(value: Any) -> Any:
+    """Return None, a name or a mapping of BASES as it is, or a Controller that takes the number of arms."""
+    if isinstance(value, str | dict):
+        checked_base(value)
+    elif value is not None:
+        return checked_controller("base", value, f"None, one of {', '.join(BASES)}, or ")
+    return value
+
+
+def checked_actions(value: Any) -> Any:
+    """Return the name or the mapping of an action mode, or an ActionMode, as it is."""
+    if not isinstance(value, ActionMode):
+        checked_action_mode(value)
+    return value
+
+
+def checked_alarm(value: object) -> float:
+    """Return a part of the energy turnover."""
+    return positive("energy_alarm", value)
+
+
+def checked_bandwidth(value: object) -> float | None:
+    """Return a bandwidth, Hz, or None."""
+    return None if value is None else physical("drive_bandwidth", value, "Hz")
+
+
+def checked_repeat(value: object) -> int:
+    """Return a number of control periods."""
+    return whole_number("action_repeat", value, 1, MOST_REPEATS)
+
+
+def checked_fidelity(value: object) -> str:
+    """Return the name of a fidelity."""
+    return one_of("fidelity", value, ("default", "auto"))
+
+
+def checked_names(value: object) -> tuple[str, ...]:
+    """Return the names of quantities of a view."""
+    return tuple(text(f"tell[{i}]", each) for i, each in enumerate(sequence("tell", value, "names")))
+
+
+def tuples(value: Any) -> Any:
+    """Return lists as tuples, all the way down."""
+    return tuple(map(tuples, value)) if isinstance(value, list) else value
+
+
+def lists(value: Any) -> Any:
+    """Return tuples as lists, all the way down."""
+    if isinstance(value, dict):
+        return {name: lists(each) for name, each in value.items()}
+    return [lists(each) for each in value] if isinstance(value, list | tuple) else value
+
+
+def keep(value: Any) -> Any:
+    """Return a value as it is; its check depends on other settings."""
+    return value
