@@ -13,10 +13,10 @@ from flexman_agents.callbacks import Interrupted
 from flexman_agents.imitation import AVERAGED, SCALE, DAgger, _strength
 from flexman_agents.settings import Settings
 from flexman_agents.training import resume, train, train_or_resume
-from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.__main__ import main
 from flexman_gym.common.run_folder import NEWEST, read_data
 from flexman_gym.control.actions import CurrentMode, TorqueMode
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.export import export_policy
 from flexman_gym.evaluation.rollout import rollout, training_seed
