@@ -193,7 +193,7 @@ def make_policy(network: Network, described: Configuration, in_use: object = Non
     model, base = build(described).model, described.base
     if isinstance(base, str | dict):
         base = make_controller(described, base, model)
-    return Policy(*own, base, make_action_mode(described.actions, make_plant(described, model), base))  # type: ignore[arg-type]
+    return Policy(*own, base, make_action_mode(described.actions, make_plant(described, model), base))
 
 
 def split_interface(described: Configuration) -> tuple[Configuration, dict[str, Any]]:

@@ -55,6 +55,7 @@ class Configuration:
     """
 
     id: str
+    _given: dict[str, Any]
     # fmt: off
     arm: Arm = _setting(
         "Arm. An Arm, the name of a function of the catalog, a mapping with that name at 'catalog' and its arguments, "
@@ -202,7 +203,9 @@ class Configuration:
         """Check the settings that depend on others, and store what follows from them."""
         vars(self)["torque_limit"] = self._torque_limits()
         if not 0.5 <= self.horizon / self.control_period <= MOST_PERIODS:
-            raise value_error("horizon", self.horizon, f"1 to {MOST_PERIODS} control periods of {self.control_period} s")
+            raise value_error(
+                "horizon", self.horizon, f"1 to {MOST_PERIODS} control periods of {self.control_period} s"
+            )
         warn_of_units("", {"horizon": self.horizon})
         if self.base == "pd":
             vars(self)["gains"] = self.pd_gains
@@ -220,8 +223,8 @@ class Configuration:
     def _torque_limits(self) -> tuple[float, ...]:
         """Return the torque limits that were given, else those of the joints, N m."""
         arm, own = self.arm, [joint.torque_limit for joint in self.arm.joints]
-        if self.torque_limit is not None:
-            return torque_limits("torque_limit", self.torque_limit, arm.n_joints)
+        if (given := self._given.get("torque_limit")) is not None:
+            return torque_limits("torque_limit", given, arm.n_joints)
         if None in own:
             allowed = "one number (N m), or one for each joint: the joints of this arm have no torque_limit"
             raise value_error("torque_limit", None, allowed)
@@ -244,7 +247,7 @@ class Configuration:
         if whole is not None and not isinstance(whole, Configuration):
             raise value_error("configuration", whole, "a Configuration")
         id = one_of("name", given.pop("name", whole.id if whole else DEFAULT), NAMED)
-        _refuse_unknown(given, others)
+        _refuse_unknown(given, ("condition", *others))
         if whole is None:
             return cls(id, given)
         if whole.id != id:
@@ -398,7 +401,7 @@ class Configuration:
             if rest and first in PARTS:
                 named, form = NAMED[one_of("id", data["id"], NAMED)], SETTINGS[first]
                 given = find_arm(data["arm"], folder) if first == "arm" and first in data else data.get(first)
-                data[first] = form.plain(form.check(given)) if first in data else named.plain(first)
+                data[first] = form.plain(form.check(given)) if first in data and form.plain else named.plain(first)
             _put(data, [first, *rest], value)
         return cls.from_plain(data, folder)
 
@@ -447,7 +450,15 @@ class Configuration:
 
 SETTINGS: dict[str, Setting] = {name: each for name, each in vars(Configuration).items() if isinstance(each, Setting)}
 """Declared settings of an environment: name -> Setting."""
+Configuration.__doc__ = "\n".join(
+    [
+        f"{Configuration.__doc__}\n    Attributes:",
+        "        id: of the named environment.",
+        *(f"        {name}: {each.help}" + f" ({each.unit})" * bool(each.unit) for name, each in SETTINGS.items()),
+    ]
+)
 RENAMED = {old: name for name, setting in SETTINGS.items() for old in setting.formerly}
+SET_HELP = f"a setting of the environment: {', '.join(SETTINGS)}; arm.payload.mass=0.5 changes a part"
 HINTS = {foreign: hint for setting in SETTINGS.values() for foreign, hint in setting.elsewhere.items()}
 
 
@@ -472,11 +483,11 @@ def _present(data: object, warn: bool) -> dict[str, Any]:
 
 def _refuse_unknown(settings: Mapping[str, Any], others: Collection[str] = ()) -> None:
     """Refuse an unknown setting, with its name here, or the nearest one."""
-    known = [*SETTINGS, "condition", *others]
+    known = {*SETTINGS, *RENAMED, "condition", *others}
     for name, value in settings.items():
-        if name not in known and name not in RENAMED:
-            near = current_name(get_close_matches(name, [*known, *RENAMED], 1, 0.0)[0], False)
-            allowed = f"a known setting: the nearest is {near}; all: {' '.join(sorted(known))}"
+        if name not in known:
+            near = current_name(get_close_matches(name, sorted(known), 1, 0.0)[0], False)
+            allowed = f"a known setting: the nearest is {near}; all: {' '.join(sorted([*SETTINGS, *others]))}"
             raise value_error(name, value, HINTS.get(name, allowed))
 
 

@@ -54,7 +54,7 @@ def make_base_controller(configuration: Configuration, model: Model) -> Controll
     """
     base = configuration.base
     if isinstance(base, PolicyFactory):
-        return base.made_for(make_plant(configuration, model))  # type: ignore[return-value]
+        return base.made_for(make_plant(configuration, model))
     if not isinstance(base, str | dict):
         return base  # type: ignore[no-any-return]
     result = make_controller(configuration, base, model)
