@@ -25,7 +25,7 @@ site: .venv/installed
 	timeout 600 $(RUN) zensical build --strict --clean
 
 verify: .venv/installed
-	.venv/bin/flexman verify --markdown docs/verification.md
+	.venv/bin/python scripts/verification.py --folder docs
 
 # What a new user does, without the checkout: builds the wheel and installs it, checks, trains and evaluates.
 wheel:
@@ -53,6 +53,7 @@ benchmark: .venv/installed
 lint: .venv/installed
 	$(RUN) ruff check $(CODE) tests
 	@mkdir -p build/names && ln -sfn ../../agents build/names/flexman_agents
+	PYTHONPATH=.:build/names:scripts .venv/bin/lint-imports --no-logo --no-cache
 	$(RUN) mypy flexman_gym scripts build/names/flexman_agents tests/oracles/given.py
 
 # torch comes first, as a CPU build where one is provided, so that the training extra does not pull CUDA packages.

@@ -19,7 +19,8 @@ from torch.utils.tensorboard import SummaryWriter
 from flexman_agents.settings import Schedule, Settings
 from flexman_gym.common.checks import is_count
 from flexman_gym.common.time_series import read_csv_lines
-from flexman_gym.evaluation.agent import ActionFunction, Agent, split_interface
+from flexman_gym.control.agent import Law
+from flexman_gym.evaluation.agent import AgentSpec, split_interface
 from flexman_gym.evaluation.metrics import METRICS, evaluate
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS
 
@@ -191,10 +192,10 @@ class Evaluation(BaseCallback):
 
     kept = ("_best", "_next", "_warned")
 
-    def __init__(self, settings: Settings, act: ActionFunction, keep: Callable[[], None]) -> None:
+    def __init__(self, settings: Settings, law: Law, keep: Callable[[], None]) -> None:
         super().__init__()
         self._environment, interface = split_interface(settings.environment)
-        self._entrant = Agent("training", act, interface)
+        self._entrant = AgentSpec("training", law, interface)
         self._every, self._last, self._keep = settings.judge_every, settings.steps, keep
         self._best = [-math.inf, 0.0]  # reward, and share that settled
         self.latest: Mapping[str, float] = {}

@@ -19,12 +19,13 @@ from flexman_gym.common.arrays import Array, Flags, IntArray
 from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.common.run_folder import NEWEST, write_data
 from flexman_gym.control.actions import ActionMode
+from flexman_gym.control.agent import history_length
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
 from flexman_gym.control.network import LARGEST, LEAST, Network
-from flexman_gym.control.policy import Policy, history_length
 from flexman_gym.envs.config.fidelity import build
 from flexman_gym.envs.config.specification import make_controller
-from flexman_gym.evaluation.agent import make_policy, observation_layout, split_interface
+from flexman_gym.envs.episodes import design_mode
+from flexman_gym.evaluation.agent import AgentSpec, observation_layout, split_interface
 from flexman_gym.evaluation.agent_info import TIME_COLUMN
 from flexman_gym.evaluation.rollout import Rollout, rollout, training_seed
 
@@ -36,41 +37,59 @@ STEEPEST = 5.0  # norm of a gradient
 
 
 class Student:
-    """A policy that leads arms, and the controller that says beside it what it would do.
+    """Action mode of a student, with a teacher that labels the states that it visits.
+
+    The environment's agent observes, keeps a history and repeats actions; the law of the student gives its commands.
 
     Args:
-        policy: whose actions are torques.
-        teacher: made for the same arm.
+        network: of the student.
+        mode: action mode of torques, made with its base.
+        teacher: controller made for the same arm.
 
     Attributes:
         led: (b,) arms that the teacher leads.
-        notes: of each instant at which actions begin: what the policy saw (b, size), the actions (b, n) by which the
-            motors would be asked for what the teacher asks for, and which arms (b,) begin one.
+        notes: of each instant at which a command begins: the observations (b, size), the commands (b, n) with which the
+            motors would get the torques of the teacher, and which arms (b,) are playing.
 
     Raises:
-        ValueError: for a policy whose actions are something else than torques.
+        ValueError: for a mode whose commands are something else than torques.
     """
 
-    def __init__(self, policy: Policy, teacher: Controller) -> None:
-        self.policy, self._teacher = policy, teacher
-        self.sensors: Any = (*policy.sensors, *teacher.sensors)
-        self._strength = _strength(policy.mode)
+    def __init__(self, network: Network, mode: ActionMode, teacher: Controller) -> None:
+        self.network, self._mode, self._teacher = network, mode, teacher
+        self.joints, self.names, self.sensors = mode.joints, mode.names, (*mode.sensors, *teacher.sensors)
+        self.shown: Mapping[str, int] = getattr(mode, "shown", {})
+        self._strength = _strength(mode)
         self.led: Flags = np.zeros(0, dtype=bool)
-        self.notes: list[tuple[Array, Array, Flags]] = []
+        self._observations: NDArray[np.float32] | None = None
+        self.notes: list[tuple[NDArray[np.float32], Array, Flags]] = []
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
-        """Starts new episodes of the arms (r,)."""
-        self._teacher.reset(arms, episode)
-        self.policy.reset(arms, episode)
+    def __deepcopy__(self, memo: object) -> "Student":
+        return self  # a rollout copies what acts; this one keeps its notes, and the teacher its designs
 
-    def act(self, readings: Readings, applied: Array, playing: Flags) -> Array:
-        """Gives the actions (b, n) of whoever leads."""
-        due = self.policy.due(playing)
+    def law(self, observations: NDArray[np.float32]) -> Array:
+        """Return the commands (b, n) of the student for observations (b, size)."""
+        self._observations = observations
+        return self.network(observations)
+
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
+        """Start new episodes of the arms (r,)."""
+        self._teacher.reset(arms, episode, count)
+        self._mode.reset(arms, episode, count)
+
+    def look(self, readings: Readings, applied: Array, playing: Flags) -> Array:
+        """Return what the mode shows the student, (b, size)."""
+        shown: Array = self._mode.look(readings, applied, playing)  # type: ignore[attr-defined]
+        return shown
+
+    def act(self, actions: Array, readings: Readings, applied: Array, playing: Flags) -> Array:
+        """Return the torques (b, n) of the teacher where it leads, of the student elsewhere, parts of the limits."""
         wanted = np.clip(self._teacher.act(readings, applied, playing), -1.0, 1.0)
-        asked = self.policy.act(readings, applied, playing)
-        if due.any():
-            better = self.policy.actions + (wanted - asked) / self._strength
-            self.notes.append((self.policy.seen(), np.clip(better, -1.0, 1.0), due))
+        asked = self._mode.act(actions, readings, applied, playing)
+        if self._observations is not None:
+            better = actions + (wanted - asked) / self._strength
+            self.notes.append((self._observations, np.clip(better, -1.0, 1.0), playing.copy()))
+            self._observations = None
         result: Array = np.where(self.led[:, None], wanted, asked)
         return result
 
@@ -124,8 +143,9 @@ class DAgger:
         self._optimizer = torch.optim.Adam(self._layers.parameters(), fused=True)
         averaged = get_ema_multi_avg_fn(AVERAGED)  # type: ignore[no-untyped-call]
         self._mean = AveragedModel(self._layers, multi_avg_fn=averaged)
-        policy: Any = make_policy(self._network(), described)
-        self._pupil = Student(policy, make_controller(described, chosen["teacher"], build(described).model))
+        model = build(described).model
+        teacher = make_controller(described, chosen["teacher"], model)
+        self._student = Student(self._network(), design_mode(described, model)[1], teacher)
         self._per_round = settings.envs * -(-described.longest // described.action_repeat)
         self.steps = self._per_round * -(-settings.steps // self._per_round)
         self._rounds: list[list[NDArray[np.float32]]] = []  # what was seen, what is wanted, and how much it counts
@@ -162,23 +182,23 @@ class DAgger:
             arrays[f"action_net.{part}"] /= SCALE
         return {"policy": arrays, "statistics": dict(self._moments)}
 
+    def _agent(self) -> AgentSpec:
+        """Return the student as an agent."""
+        interface = split_interface(self._described)[1]
+        own = {name: value for name, value in interface.items() if name not in ("base", "gains")}
+        return AgentSpec("Student", self._student.law, {**own, "actions": self._student})
+
     def _network(self) -> "_Quick":
         return _Quick("dagger", self._chosen["activation"], *self.policy().values())
 
     def _play(self, number: int) -> dict[str, float]:
         """Plays a round, and remembers what it teaches."""
         arms, kept = self._settings.envs, self._chosen["rounds_kept"]
-        self._pupil.policy.network, self._pupil.notes = self._network(), []
-        self._pupil.led = self._random.random(arms) < (BETA[number] if number < len(BETA) else 0.0)
-        first, acted = training_seed(self._settings.seed) + number * arms, list[Student]()
-        environment = split_interface(self._described)[0]
-
-        def watch(episodes: Any) -> None:
-            acted[:] = [episodes.acting.base]
-
-        played = rollout(self._pupil, environment, range(first, first + arms), watch)
-        self._pupil = acted[0]  # a rollout copies who acts; this one knows the tables of the slews that it has seen
-        self._rounds = [*self._rounds, _training_set(self._pupil.notes, number % 2)][-kept:]
+        self._student.network, self._student.notes = self._network(), []
+        self._student.led = self._random.random(arms) < (BETA[number] if number < len(BETA) else 0.0)
+        first = training_seed(self._settings.seed) + number * arms
+        played = rollout(self._agent(), split_interface(self._described)[0], range(first, first + arms))
+        self._rounds = [*self._rounds, _training_set(self._student.notes, number % 2)][-kept:]
         self._usual = np.mean([weights.mean() for _, _, weights in self._rounds])
         if number == 0:
             seen = self._rounds[0][0]
@@ -251,7 +271,7 @@ class _Quick(Network):
         return values @ weights.T
 
 
-def _training_set(notes: list[tuple[Array, Array, Flags]], odd: int) -> list[NDArray[np.float32]]:
+def _training_set(notes: list[tuple[NDArray[np.float32], Array, Flags]], odd: int) -> list[NDArray[np.float32]]:
     """Every second one of the notes: what was seen (r, size), actions wanted (r, n), how much they count (r,)."""
     parts = []
     for seen, wanted, due in notes[odd::2]:

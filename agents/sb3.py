@@ -22,8 +22,9 @@ from flexman_agents.settings import HYPERPARAMETERS, Settings
 from flexman_agents.vector import Arms
 from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.common.run_folder import SB3_MODEL, SETTINGS, existing_file, read_settings_text
+from flexman_gym.control.agent import Law
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import ActionFunction, Agent, predictor_agent, split_interface
+from flexman_gym.evaluation.agent import AgentSpec, predictor_agent, split_interface
 from flexman_gym.evaluation.rollout import training_seed
 
 LAYERS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}  # by the names of settings.ACTIVATIONS
@@ -86,14 +87,14 @@ def algorithm_arguments(settings: Settings) -> dict[str, Any]:
     return chosen | {"policy_kwargs": policy}
 
 
-def action_function(model: BaseAlgorithm, statistics: VecNormalize) -> ActionFunction:
+def action_function(model: BaseAlgorithm, statistics: VecNormalize) -> Law:
     """Gives the function that acts as a model does, without noise."""
 
-    def act(observations: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.floating]:
+    def law(observations: NDArray[np.float32]) -> NDArray[np.floating]:
         actions, _ = model.predict(statistics.normalize_obs(observations), deterministic=True)
-        return np.asarray(actions, dtype=np.float32).reshape(shape)
+        return np.asarray(actions, dtype=np.float32)
 
-    return act
+    return law
 
 
 STATISTICS, BEST = "normalisation.pkl", "best"
@@ -105,7 +106,7 @@ BROKEN = (
 )  # fmt: skip
 
 
-def load_sb3_run(folder: Path) -> Agent:
+def load_sb3_run(folder: Path) -> AgentSpec:
     """Loads the policy of a run of an earlier version: model.zip, normalisation.pkl and settings.json.
 
     Both files are pickles. Whoever made them decides what runs here.
@@ -125,10 +126,10 @@ def load_sb3_run(folder: Path) -> Agent:
         said = " ".join(str(error).split())[:120] or type(error).__name__
         raise ValueError(f"{place}: this is not a run of Stable-Baselines3 ({said})") from None
     environment, interface = split_interface(settings.environment)
-    return Agent(folder.name, action_function(model, statistics), interface, environment)
+    return AgentSpec(folder.name, action_function(model, statistics), interface, environment)
 
 
-def load_sb3_zip(path: Path, described: Configuration | None = None) -> Agent:
+def load_sb3_zip(path: Path, described: Configuration | None = None) -> AgentSpec:
     """Loads a policy that `save` of Stable-Baselines3 has written, with the statistics in a file .pkl beside it.
 
     Both are pickles. Whoever made them decides what runs here.
@@ -148,12 +149,8 @@ def load_sb3_zip(path: Path, described: Configuration | None = None) -> Agent:
         if statistics.is_file():
             with statistics.open("rb") as file:
                 normaliser = pickle.load(file)
-            act = entrant.act
-            return replace(
-                entrant,
-                name=path.stem,
-                act=lambda seen, shape: act(normaliser.normalize_obs(seen), shape),
-            )
+            law: Any = entrant.law
+            return replace(entrant, name=path.stem, law=lambda seen: law(normaliser.normalize_obs(seen)))
     except BROKEN as error:
         said = " ".join(str(error).split())[:120] or type(error).__name__
         raise ValueError(f"{path}: this is not a policy of Stable-Baselines3 ({said})") from None

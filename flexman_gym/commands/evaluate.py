@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from flexman_gym.envs.config.configuration import Configuration
-    from flexman_gym.evaluation.agent import Agent
+    from flexman_gym.evaluation.agent import AgentSpec
 
 
 def arguments(result: argparse.ArgumentParser) -> None:
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def load_agent(name: str, trust: bool, named: "Configuration | None" = None) -> "Agent":
+def load_agent(name: str, trust: bool, named: "Configuration | None" = None) -> "AgentSpec":
     """Gives an entrant; files of Stable-Baselines3 only where they are trusted, as reading them runs code.
 
     A zip sees and holds as the named environment says.

@@ -1,5 +1,6 @@
 """Control: controllers with one call signature, and the observers and laws that some are made of."""
 
+from flexman_gym.control.agent import Agent
 from flexman_gym.control.base_controllers import BASES
 from flexman_gym.control.controller import Controller, EpisodeInfo, Plant
 from flexman_gym.control.input_shaping.shaped_controller import InputShapedController
@@ -9,7 +10,6 @@ from flexman_gym.control.observers.kalman_filter import KalmanFilter
 from flexman_gym.control.observers.observer import Estimate, Observer
 from flexman_gym.control.observers.oracle import Oracle
 from flexman_gym.control.pd import PD
-from flexman_gym.control.policy import Policy
 from flexman_gym.control.references.optimised_slews import OptimisedController
 from flexman_gym.control.tracking import OutputFeedback, Tracking
 
@@ -17,6 +17,7 @@ __all__ = [
     "BASES",
     "LQR",
     "PD",
+    "Agent",
     "Controller",
     "EpisodeInfo",
     "Estimate",
@@ -28,7 +29,6 @@ __all__ = [
     "Oracle",
     "OutputFeedback",
     "Plant",
-    "Policy",
     "Tracking",
     "TrackingLQR",
 ]

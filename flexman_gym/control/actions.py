@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from flexman_gym.control.observers.observer import Estimate
 from flexman_gym.control.pd import PD
 from flexman_gym.control.reference_shaping import Authority, ReferenceShape
 from flexman_gym.control.tracking import OutputFeedback
-from flexman_gym.simulation.readings import LinearReadings as Quantities
+from flexman_gym.model.linearization import LinearReadings as Quantities
 
 UNSTABLE = 1.0 + 1e-6  # spectral radius; modes without damping that no motor moves have 1, to rounding
 
@@ -50,9 +50,9 @@ class _ServoMode:
         soft = gains.stiffness == 0.0
         self._most = np.where(soft, np.inf, gains.torque_limit / np.where(soft, 1.0, gains.stiffness))
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Starts new episodes of the arms (r,) with the reference where they are."""
-        self._reference = pad_rows(self._reference, int(arms.max(initial=-1)) + 1)
+        self._reference = pad_rows(self._reference, count)
         self._reference[arms] = episode.start
 
     def act(self, actions: Array, readings: Readings, applied: Array, playing: Flags) -> Array:
@@ -152,7 +152,7 @@ class _ReferenceShapingMode:
         self.shown: Mapping[str, int] = sizes
         self._seen = np.zeros((0, sum(sizes.values())))
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Starts new episodes of the arms (r,).
 
         Raises:
@@ -162,8 +162,8 @@ class _ReferenceShapingMode:
             raise value_error(
                 "actions", "shaping", "torque: the goal of this task moves, and slews alone can be shaped"
             )
-        self._shape.reset(arms)
-        self._base.reset(arms, episode)
+        self._shape.reset(arms, count)
+        self._base.reset(arms, episode, count)
 
     def act(self, actions: Array, readings: Readings, applied: Array, playing: Flags) -> Array:
         """Gives what the motors (b, n) are asked for, parts of the torque limits."""
@@ -218,7 +218,7 @@ class _ReferenceShapingMode:
         ones = np.ones((len(arms), self.joints))
         payload = known["payload_mass"][arms] if "payload_mass" in known else constants.payload_mass[0] * ones[:, 0]
         joints = known["joint_stiffness"][arms] / stiffness if "joint_stiffness" in known else ones
-        links = known["link_stiffness"][arms] if "link_stiffness" in known else ones
+        links = known["link_stiffness_factor"][arms] if "link_stiffness_factor" in known else ones
         return np.concatenate([payload[:, None], joints, links], axis=1)
 
     def _deviations(self, arms: IntArray) -> Array:
@@ -231,11 +231,12 @@ class _ReferenceShapingMode:
             flexible = constants.motor >= 0
             part = said["joint_stiffness_deviation"][arms] / constants.joint_stiffness[flexible]
             result[:, 1 : 1 + n][:, flexible] = part
-        if "link_stiffness_deviation" in said:
-            result[:, 1 + n :] = said["link_stiffness_deviation"][arms]
+        if "link_stiffness_factor_deviation" in said:
+            result[:, 1 + n :] = said["link_stiffness_factor_deviation"][arms]
         return result
 
 
+@runtime_checkable
 class ActionMode(Protocol):
     """The protocol of what k numbers from -1 to 1 of an agent mean for b arms of n joints, in every control period.
 
@@ -266,7 +267,7 @@ class ActionMode(Protocol):
         """Names of the sensors that it and its base read."""
         ...
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Starts new episodes of the arms with the indices (r,), of its base too."""
         ...
 
@@ -296,10 +297,10 @@ class TorqueMode:
         self.names = tuple(f"torque_{joint + 1}" for joint in range(joints))
         self.sensors: tuple[object, ...] = tuple(base.sensors) if base else ()
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Starts new episodes of the arms (r,)."""
         if self._base:
-            self._base.reset(arms, episode)
+            self._base.reset(arms, episode, count)
 
     def act(self, actions: Array, readings: Readings, applied: Array, playing: Flags) -> Array:
         """Gives the sum (b, n) of actions (b, n) and what the base asks for."""
@@ -377,10 +378,12 @@ def checked_action_mode(value: object) -> tuple[str, dict[str, Any]]:
 
 
 def make_action_mode(value: object, plant: Plant, base: Controller | None) -> ActionMode:
-    """Makes a mode for a plant and what acts beside the agent; see `checked_action_mode`.
+    """Make an action mode for a plant and a base; see `checked_action_mode`. One that is made already is returned.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
     """
+    if isinstance(value, ActionMode):
+        return value
     name, arguments = checked_action_mode(value)
     return ACTIONS[name].make(plant, base, **arguments)

@@ -1,9 +1,10 @@
 """Controller protocol, the data of an episode that a controller is given, and the plant for which it is designed."""
 
-from collections.abc import Callable, Mapping
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from inspect import signature
+from inspect import Signature, signature
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from numpy.typing import NDArray
@@ -24,8 +25,8 @@ class Plant(NamedTuple):
         torque_limit: (n,) N m.
         period: of control, s.
         gains: makes "stiffness" (N m/rad) and "damping" (N m s/rad) that were tuned for the arm, (n,) each.
-        unknown: name -> (low, high) of the physical parameters that differ from arm to arm, see
-            `simulation.parameters.PARAMETERS`; parts of the nominal value where the table there says factor.
+        unknown: ranges (low, high) of the uncertain parameters, with the names and units of a randomisation, see
+            `simulation.parameters.UNCERTAIN`: "payload_mass" (kg), "joint_stiffness_factor" (1), and so on.
         delay: fewest and most whole control periods by which torques come late.
         moved: method and step (s) by which the arm is simulated.
         push: N, how large forces on the tip may be that nobody tells.
@@ -49,7 +50,7 @@ class Plant(NamedTuple):
 
 Readings = Mapping[str, NDArray[Any]]
 OPTIONAL = ("kept", "estimates")  # members that a controller may leave out
-CALLS = {"reset": ("arms", "episode"), "act": ("readings", "applied", "playing")}
+CALLS = {"reset": ("arms", "episode", "count"), "act": ("readings", "applied", "playing")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,8 +99,8 @@ class Controller(Protocol):
         """Names of the sensors that it reads."""
         ...
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
-        """Starts new episodes of the arms with the indices (r,)."""
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
+        """Start new episodes of the arms with the indices (r,), of `count` arms in all."""
         ...
 
     def act(self, readings: Readings, applied: Array, playing: Flags) -> NDArray[Any]:
@@ -115,7 +116,9 @@ class Controller(Protocol):
 
 
 def checked_controller(field: str, value: object, others: str = "") -> Controller:
-    """Gives a value that is a Controller; `others` say what else is allowed in its place.
+    """Return a value that is a Controller; `others` say what else is allowed in its place.
+
+    A `reset` without the number of arms, that of version 0.2, is adapted, with a DeprecationWarning.
 
     Raises:
         ValueError: one line, for anything else, for methods that take something else, and for a name that is nearly
@@ -123,11 +126,46 @@ def checked_controller(field: str, value: object, others: str = "") -> Controlle
     """
     if not isinstance(value, Controller) or isinstance(value, type):
         raise value_error(field, value, f"{others}a Controller: an object with sensors, reset and act")
+    former = False
     for name, wanted in CALLS.items():
         takes = signature(getattr(value, name))
-        try:
-            takes.bind(*wanted)
-        except TypeError:
-            raise value_error(f"{field}.{name}", str(takes), f"({', '.join(wanted)})") from None
+        if not _takes(takes, wanted):
+            former = name == "reset" and _takes(takes, wanted[:2])
+            if not former:
+                raise value_error(f"{field}.{name}", str(takes), f"({', '.join(wanted)})")
     check_members(field, value, OPTIONAL, (*CALLS, "sensors"))
-    return value
+    return _FormerController(value, field) if former else value
+
+
+def _takes(takes: Signature, arguments: Sequence[str]) -> bool:
+    try:
+        takes.bind(*arguments)
+    except TypeError:
+        return False
+    return True
+
+
+class _FormerController:
+    """Adapter of a controller with `reset(arms, episode)`, the protocol of version 0.2."""
+
+    kept = ("inner",)
+
+    def __init__(self, inner: Any, field: str) -> None:
+        said = f"{field}.reset(arms, episode) is deprecated; give reset(arms, episode, count), with the number of arms"
+        warnings.warn(said, DeprecationWarning, stacklevel=6)
+        self.inner, self.act = inner, inner.act
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the sensors that it reads."""
+        names: tuple[str, ...] = self.inner.sensors
+        return names
+
+    @property
+    def estimates(self) -> Mapping[str, Array]:
+        """Estimates of the controller, name -> (b, ...)."""
+        return getattr(self.inner, "estimates", {})
+
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
+        """Start new episodes of the arms (r,)."""
+        self.inner.reset(arms, episode)

@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, Flags, IntArray, Vector, pad_rows, row_dots
-from flexman_gym.common.checks import READ_ERRORS, one_of, open_arrays, positive
+from flexman_gym.common.checks import READ_ERRORS, check_solvable, one_of, open_arrays, positive
 from flexman_gym.control.controller import EpisodeInfo, Readings
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.control.references.trajectories import TIMING_LAWS, plan_path, plan_slew
 from flexman_gym.kernels.cache import find_folder
 from flexman_gym.model.linearization import SLIDING, linearize
 from flexman_gym.model.model import Model, checked_model
-from flexman_gym.model.natural_modes import check_solvable
 from flexman_gym.model.state_space import LinearModel, discretize
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.parameters import varied_model
@@ -247,10 +246,10 @@ class LQR:
         linear = linearize(self.model, state=state, torque=held)
         return optimal_gain(linear, self.model.motor_columns, self.limits, weights or self.weights, self.period)
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Designs for new episodes of the arms (r,)."""
         self._gains, self._rest, self._held = (
-            pad_rows(values, int(arms.max(initial=-1)) + 1) for values in (self._gains, self._rest, self._held)
+            pad_rows(values, count) for values in (self._gains, self._rest, self._held)
         )
         for arm, angles in zip(arms, episode.goal, strict=True):
             self._gains[arm] = self.gain(angles)
@@ -313,7 +312,7 @@ class TrackingLQR(LQR):
         self._plans: list[_GainSchedule] = []
         self._now = np.zeros(0, dtype=np.int64)
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Plans how the arms (r,) slew to their goals, or follow those that move."""
         if episode.reference is not None:
             self._follow(arms, episode.reference)

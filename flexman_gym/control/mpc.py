@@ -122,11 +122,10 @@ class MPC:
     def _arms(self, count: int) -> Batch:
         return Batch(self.model, *self._moved, self.period, arms=count)
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Plans the slews of the arms (r,), and designs for postures on their ways."""
         if episode.path is not None:
             raise value_error("episode", "a goal that moves", "one that stays, for which the MPC plans")
-        count = int(arms.max(initial=-1)) + 1
         self._planned, self._now = pad_rows(self._planned, count), pad_rows(self._now, count)
         for arm, start, goal in zip(arms.tolist(), episode.start, episode.goal, strict=True):
             plan = self._plan(start, goal)

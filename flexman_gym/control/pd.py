@@ -48,11 +48,11 @@ class PD:
         self.gravity_model = None if gravity_model is None else checked_model(gravity_model)
         self._holding = np.zeros((1, n))  # torques of each arm
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Takes the torques that hold the arms (r,) at their goals."""
         if self.gravity_model is None:
             return
-        self._holding = pad_rows(self._holding, int(arms.max(initial=-1)) + 1)
+        self._holding = pad_rows(self._holding, count)
         for arm, angles in zip(arms, episode.goal, strict=True):
             self._holding[arm] = holding_torques(self.gravity_model, angles)
 

@@ -49,10 +49,10 @@ class ReferenceShape:
         n = self._joints = len(limits)
         self.ahead, self.offsets, self.wanted = np.zeros(0), np.zeros((0, 2, n)), np.zeros((0, 1 + 2 * n))
 
-    def reset(self, arms: IntArray) -> None:
+    def reset(self, arms: IntArray, count: int) -> None:
         """Begins anew for the arms (r,)."""
         for name in self.kept:
-            setattr(self, name, pad_rows(getattr(self, name), int(arms.max(initial=-1)) + 1))
+            setattr(self, name, pad_rows(getattr(self, name), count))
             getattr(self, name)[arms] = 0.0
 
     def quicken(self, arms: IntArray) -> None:

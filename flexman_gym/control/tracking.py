@@ -51,9 +51,8 @@ class Tracking:
         self._ages, self._tight = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
         self._goal, self._follows = np.zeros((0, model.n_joints)), np.zeros(0, dtype=bool)  # whether goals move
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Starts new episodes of the arms (r,); they are planned from the first estimate of where they are."""
-        count = int(arms.max(initial=-1)) + 1
         for name in ("_ages", "_tight", "_goal", "_follows", "_planned"):
             setattr(self, name, pad_rows(getattr(self, name), count))
         self.slews.grow(count)
@@ -162,14 +161,14 @@ class OutputFeedback:
         """What the observer says of the arms, name -> (b, ...)."""
         return getattr(self.observer, "estimates", {})
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Starts new episodes of the arms (r,)."""
-        self.observer.reset(arms, episode)
-        self.law.reset(arms, episode)
+        self.observer.reset(arms, episode, count)
+        self.law.reset(arms, episode, count)
         if self.fallback:
-            self.fallback.reset(arms, episode)
+            self.fallback.reset(arms, episode, count)
         for name in ("_given_up", "_looked"):
-            setattr(self, name, pad_rows(getattr(self, name), int(arms.max(initial=-1)) + 1))
+            setattr(self, name, pad_rows(getattr(self, name), count))
             getattr(self, name)[arms] = False
 
     def look(self, readings: Readings, applied: Array, playing: Flags) -> Estimate:

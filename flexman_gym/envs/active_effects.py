@@ -12,7 +12,7 @@ from flexman_gym.envs.config.randomisation import Randomisation, range_name
 from flexman_gym.envs.effects import HOOKS, SIGNALS, Stage
 from flexman_gym.envs.random_streams import RandomStreams
 from flexman_gym.model.model import Model
-from flexman_gym.simulation.parameters import LINK, PARAMETERS
+from flexman_gym.simulation.parameters import LINK, PARAMETERS, RENAMED
 
 
 class ActiveEffects:
@@ -53,11 +53,18 @@ class ActiveEffects:
                 if signal.shape is not None:
                     shapes[name] = signal.shape
         kinds = {name: signal.kind for name, signal in self._signals.items()}
-        self.drawn: dict[str, NDArray[Any]] = {
-            name: np.zeros((arms, *shape), dtype=kinds.get(name, float)) for name, shape in shapes.items()
-        }
-        self._streams = RandomStreams(list(self._ranges), arms)
+        self.drawn = {name: np.zeros((arms, *shape), dtype=kinds.get(name, float)) for name, shape in shapes.items()}
+        self._streams = RandomStreams([_stream_name(name) for name in self._ranges], arms)
         self._hooks = {hook: self._with(hook) for hook in HOOKS}
+
+    @property
+    def drawn(self) -> dict[str, NDArray[Any]]:
+        """Values (b, ...) of the present episodes by the name of the effect, see the class."""
+        return self._drawn
+
+    @drawn.setter
+    def drawn(self, values: dict[str, NDArray[Any]]) -> None:
+        self._drawn = {RENAMED.get(name, name): each for name, each in values.items()}  # states of release 0.2
 
     def _with(self, hook: str) -> list[Any]:
         """The hooks of that name of the effects that have one, with the effect's name for `begin`."""
@@ -73,8 +80,9 @@ class ActiveEffects:
         """
         self.drawn = {name: values.copy() for name, values in self.drawn.items()}
         for row, (arm, random) in enumerate(zip(arms.tolist(), randoms, strict=True)):
-            for name, stream in self._streams.of(arm, random).items():
-                value = self._value(name, arm, stream)
+            streams = self._streams.of(arm, random)
+            for name in self._ranges:
+                value = self._value(name, arm, streams[_stream_name(name)])
                 if name in self.drawn:
                     self.drawn[name][arm] = given[name][row] if name in given else value
         for name, begin in self._hooks["begin"]:
@@ -131,6 +139,11 @@ class ActiveEffects:
         for measure in self._hooks["measure"]:
             values = measure(values, arms)
         return values
+
+
+def _stream_name(effect: str) -> str:
+    """Return the name that seeds the stream of an effect, which is older than the suffix of factors."""
+    return effect.removesuffix("_factor")
 
 
 def _check_room(name: str, span: tuple[float, float], model: Model) -> None:

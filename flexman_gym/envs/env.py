@@ -143,7 +143,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         self.episodes = Episodes(setup, self.simulator.batch)
         self.sensors = self.episodes.sensors
         self.observation_space = observation_space(self.episodes)
-        size = len(self.episodes.acting.mode.names)
+        size = len(self.episodes.agent.mode.names)
         self.action_space = action_space(size)
         self.metadata = FlexManEnv.metadata | {"render_fps": round(1 / self.simulator.control_period)}
         self._shape = (size,)
@@ -175,7 +175,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
             super().reset(seed=whole)
             self.episodes.reset(ONLY, [self.np_random], options)
         self._show()
-        return self.episodes.sight.seen[0].copy(), self._outcome()[1]
+        return self.episodes.agent.observations[0].copy(), self._info()
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Applies motor torques for one control period, or for as many as `action_repeat` says.
@@ -188,12 +188,10 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         if episodes.over[0]:
             raise RuntimeError("the episode is over: reset the environment first")
         values = checked_actions("action", action, self._shape, self._allowed)
-        mean = episodes.step(values[None])
-        reward, info = self._outcome()
-        if mean is not None:
-            reward = mean.item()
+        reward, info = episodes.step(values[None]).item(), self._info()
         self._show()
-        return episodes.sight.seen[0].copy(), reward, bool(episodes.failures), bool(episodes.truncated[0]), info
+        seen = episodes.agent.observations[0].copy()
+        return seen, reward, bool(episodes.failures), bool(episodes.truncated[0]), info
 
     def _generators(self, own: dict[str, Any]) -> list[np.random.Generator | None]:
         return [own["_np_random"]]
@@ -216,11 +214,10 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         if self._rendering is not None:
             self._rendering.close()
 
-    def _outcome(self) -> tuple[float, dict[str, Any]]:
-        """Reward and info of the state that the arm is in."""
+    def _info(self) -> dict[str, Any]:
+        """Return the info of the present state."""
         episodes = self.episodes
-        view = episodes.view.alone()
-        reward, info = episodes.outcome(view)
+        view, info = episodes.present, episodes.info()
         info["status"] = layout.STATUS[episodes.batch.status[0]]
         info["failure"] = episodes.failures.get(0, "")
         info["tip"], info["target"], info["goal_angles"] = view.tip.copy(), view.target.copy(), view.goal_angles.copy()
@@ -228,9 +225,10 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
             info["drawn"] = episodes.effects.of(0)
         if estimates := getattr(episodes.base, "estimates", None):
             info["estimates"] = {name: values[0].copy() for name, values in estimates.items()}
-        return reward, info
+        return info
 
 
 def observation_space(episodes: Episodes) -> spaces.Space[Any]:
     """The space of observations of one arm."""
-    return spaces.Box(-episodes.sight.bound, episodes.sight.bound, dtype=np.float32)
+    bound = episodes.agent.bound(episodes.sensors.bound)
+    return spaces.Box(-bound, bound, dtype=np.float32)

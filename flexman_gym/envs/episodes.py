@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,20 +11,24 @@ from gymnasium import spaces
 from flexman_gym.common.arrays import Array, Flags, IntArray
 from flexman_gym.common.checks import number_array, one_of, value_error
 from flexman_gym.common.snapshot import get_state, set_state
-from flexman_gym.control.controller import Controller
-from flexman_gym.envs.acting import Acting
+from flexman_gym.control.actions import ActionMode, make_action_mode
+from flexman_gym.control.agent import Agent
+from flexman_gym.control.controller import Controller, EpisodeInfo
 from flexman_gym.envs.active_effects import ActiveEffects
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.reset_options import parse_options, replace_tip_positions
+from flexman_gym.envs.config.specification import make_base_controller, make_plant
 from flexman_gym.envs.effects import Stage
 from flexman_gym.envs.limits import limit_violation
-from flexman_gym.envs.sensors import Sensors, measured_names
+from flexman_gym.envs.measurements import Measurements
+from flexman_gym.envs.sensors import Sensors, find_sensors, measured_names
 from flexman_gym.envs.sensors.sensor import MeasuredView
-from flexman_gym.envs.sight import Sight, sight_parts
 from flexman_gym.envs.tasks.rewards import reward_terms, total
+from flexman_gym.envs.tasks.task import goal_path
 from flexman_gym.envs.view import Number, View
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.control_period import advance_ages, all_within, flag_violations, request_torques
+from flexman_gym.model.model import Model
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.trajectory import energy_alarm
 
@@ -33,6 +38,12 @@ ROUNDING = 1e-6  # of float32 and of what is computed in it, on numbers near 1
 def action_space(size: int) -> spaces.Space[Any]:
     """The space of actions of one arm, of so many numbers."""
     return spaces.Box(-1.0, 1.0, (size,), dtype=np.float32)
+
+
+def design_mode(setup: Configuration, model: Model) -> tuple[Controller | None, ActionMode]:
+    """Return base controller and action mode of the agent of an environment, designed for a model of its arm."""
+    base = make_base_controller(setup, model)
+    return base, make_action_mode(setup.actions, make_plant(setup, model), base)
 
 
 def checked_actions(name: str, value: object, shape: tuple[int, ...], allowed: str) -> Array:
@@ -90,31 +101,36 @@ class Episodes:
 
     Attributes:
         batch, view: the arms, and what they do in words.
-        task, sight: what they are for, and what is seen of them.
+        task, measurements: what they are for, and what is measured of them.
+        agent: observation, history, action repeat, action mode and base; the environment asks it once a control period.
         effects: of the randomisation and of the task, None without any.
         failures: of the last step, arm -> what happened.
         over, truncated: (b,) whether an arm's episode is over, by a failure or because it has lasted `longest` control
             periods; and whether by the latter.
-        acting: what actions mean, and the base beside the agent.
-        hold: control periods for which the agent's part of an action is kept.
+        terms: name -> (b,) reward terms of the present state, a number each for one arm; None until they are needed.
         watch: called after every control period, also those within an action that is kept; None for nothing.
     """
 
-    kept = ("batch", "motors", "effects", "view", "sight", "over", "truncated", "_ages", "_failed")
+    kept = ("batch", "motors", "effects", "view", "measurements", "over", "truncated", "_ages", "_failed")
 
     def __init__(self, setup: Configuration, batch: Batch) -> None:
         self.batch, self.task, self.view = batch, setup.task, View(batch)
-        self._terms = reward_terms(setup.task, setup.reward)
+        self._reward_terms = reward_terms(setup.task, setup.reward)
+        self.terms: dict[str, Number] | None = None
         arms = len(batch.rows)
         self._limits = np.concatenate(list(setup.limits.bounds(self.view).values()))
         self.motors = _Motors(setup.torque_limit, arms, setup.lag)
-        self.acting = Acting(setup, batch.model)
-        self.effects = self._effects(setup)
-        self.sight = Sight(setup, self.view, self.acting.mode, self.effects)
+        base, mode = design_mode(setup, batch.model)
+        observed, inner = [*setup.sensors, *setup.task.sensors], find_sensors(mode.sensors)
+        self.effects = self._effects(setup, [*observed, *inner])
+        self.measurements = Measurements(self.view, setup.limits, observed, inner, self.effects)
+        size = len(self.measurements.sensors.bound)
+        self.agent = Agent(observed, size, mode, base, setup.history, setup.action_repeat)
+        self.agent.allocate(arms, setup.control_period)
         self._energy_alarm, self._told = setup.energy_alarm, setup.tell
         for name in setup.tell:
             one_of("tell", name, (*self.view.units, "action"))
-        self.hold, self.longest = setup.action_repeat, setup.longest
+        self.longest = self._path = setup.longest
         self.watch: Callable[[], None] | None = None
         self.failures: dict[int, str] = {}
         self.over, self.truncated = np.ones(arms, dtype=bool), np.zeros(arms, dtype=bool)
@@ -122,13 +138,12 @@ class Episodes:
         self._ages, self._beyond = np.zeros(arms, dtype=np.int64), np.zeros(arms, dtype=bool)
         self._all = np.ones(arms, dtype=bool)
 
-    def _effects(self, setup: Configuration) -> ActiveEffects | None:
+    def _effects(self, setup: Configuration, sensors: Sequence[object]) -> ActiveEffects | None:
         """What disturbs the arms, of the randomisation and of the task."""
         randomisation = setup.disturbed
         if randomisation is None:
             return None
-        parts, own = sight_parts(setup, self.acting.mode)
-        bound = MeasuredView(self.view, setup.limits, measured_names([*parts, *own])).bound
+        bound = MeasuredView(self.view, setup.limits, measured_names(sensors)).bound
         nominal = np.array(setup.torque_limit)
         stage = Stage(self.batch, setup.limits, bound, self.motors.limits, nominal, randomisation.impulse_gap)
         return ActiveEffects(randomisation, stage)
@@ -136,19 +151,19 @@ class Episodes:
     @property
     def base(self) -> Controller | None:
         """The controller that acts beside the agent, None without one."""
-        return self.acting.base
+        return self.agent.base
 
     @property
     def sensors(self) -> Sensors:
         """What is seen of the arms."""
-        return self.sight.sensors
+        return self.measurements.sensors
 
-    def give(self, data: object, acting: object, randoms: Sequence[np.random.Generator | None]) -> None:
+    def give(self, data: object, agent: object, randoms: Sequence[np.random.Generator | None]) -> None:
         """Puts all arms, and what acts on them, where they were when `snapshot.take` took the data of both.
 
         Args:
             data: what was taken of the arms.
-            acting: what was taken of the controllers.
+            agent: what was taken of the agent.
             randoms: the generators of the arms, given back already.
 
         Raises:
@@ -161,12 +176,13 @@ class Episodes:
         set_state("state.episodes", self, data)
         if view.plan:  # a base makes again what it does not remember
             posture = self.task.goal(view.plan, np.zeros(len(self.over)), view).angles
-            self.acting.begin(np.arange(len(self.over)), view.plan, posture, view, self.effects)
-        set_state("state.acting", self.acting, acting)
+            self._begin_agent(np.arange(len(self.over)), view.plan, posture)
+        set_state("state.agent", self.agent, agent)
         if self.effects is not None:
             self.effects.follow(randoms)
         view.renew()
-        self.sight.renew(randoms)
+        self.terms = None
+        self.measurements.renew(randoms)
 
     @property
     def _failed(self) -> dict[str, str]:
@@ -210,12 +226,12 @@ class Episodes:
         self.view.effort[arms], self.view.failed[arms], self.view.action[arms] = 0.0, False, 0.0
         self._ages[arms], self.truncated[arms] = 0, False
         self.view.read()
-        self.sight.begin(arms, randoms)
+        self.terms = None
+        self.measurements.begin(arms, randoms)
         self._check_start(arms, options)
-        self.acting.begin(arms, plan, self.view.goal_angles[arms], self.view, self.effects)
+        self._begin_agent(arms, plan, self.view.goal_angles[arms])
         self.failures = {arm: text for arm, text in self.failures.items() if arm not in arms}
-        self.acting.look(self.sight, self.view, np.isin(np.arange(len(self.over)), arms))
-        self.sight.first(arms)
+        self._observe(np.isin(np.arange(len(self.over)), arms))
         self.over[arms] = False
 
     def _check_plan(self, plan: object) -> None:
@@ -234,6 +250,13 @@ class Episodes:
         view.target[arms], view.goal_angles[arms] = self.task.goal(plan, np.zeros(len(arms)), view)
         view.target_velocity[arms] = view.goal_rates[arms] = 0.0
 
+    def _begin_agent(self, arms: IntArray, plan: Mapping[str, Array], posture: Array) -> None:
+        """Start new episodes of the arms (r,) of the agent, with plans (r, ...) and first goals (r, n) rad."""
+        task, view = self.task, self.view
+        path = partial(goal_path, task, plan, self._path, view) if task.moves else None
+        drawn = {name: values[arms] for name, values in self.effects.drawn.items()} if self.effects else {}
+        self.agent.reset(arms, EpisodeInfo(plan["start"], posture, view.control_period, path, drawn), len(self.over))
+
     def _check_start(self, arms: IntArray, options: object) -> None:
         """Refuses a start beyond the limits of arms that have just been reset and read."""
         for arm in arms:
@@ -241,35 +264,31 @@ class Episodes:
                 field, value = ("options", options) if options else ("task", self.task)
                 raise value_error(field, value, f"a start and a goal within the limits ({failure})")
 
-    def step(self, actions: Array) -> Number | None:
-        """Moves all arms by `hold` control periods under actions (b, k) of the agent.
+    def step(self, commands: Array) -> Array:
+        """Move all arms under commands (b, k) until the next ones are due, and return the rewards (b,).
 
-        An arm whose episode ends on the way stays as it was then. One whose episode was over has no outcome worth
-        reading before it is reset. Returns the mean reward (b,) of the periods that an arm moved in; None where an
-        action is kept for one period only, whose reward is that of the outcome.
+        A reward is the mean of the control periods in which an arm moved. An arm whose episode ends on the way stays
+        as it was then. One whose episode was over has no outcome worth reading before it is reset.
         """
-        if self.hold == 1:
-            self._period(actions, self._all)
-            self._judge(self._all, last=True)
-            self._see()
-            return None
-        playing, total, count = ~self.over, np.zeros(len(actions)), np.zeros(len(actions))
-        for period in range(self.hold):
-            self._period(actions, self._all if playing.all() else playing)
-            self._judge(self._all if playing.all() else playing, last=period == self.hold - 1)
-            total[playing] += self.rewards(self.view)[playing]
-            count += playing
+        self.agent.command = commands
+        begun = playing = ~self.over
+        repeat, rewards, count = self.agent.action_repeat, np.zeros(len(commands)), np.zeros(len(commands))
+        for period in range(repeat):
+            moving = self._all if repeat == 1 or playing.all() else playing
+            self._period(moving)
+            self._judge(moving, last=period == repeat - 1)
+            rewards[moving] += self.rewards()[moving]
+            count += moving
             playing = ~self.over
             if not np.count_nonzero(playing):
                 break
-        self.sight.sensors.read()
-        self._see()
-        return total / np.maximum(count, 1.0)
+        self._observe(begun & ~self.view.failed)
+        return rewards / np.maximum(count, 1.0)
 
-    def _period(self, actions: Array, playing: Flags) -> None:
+    def _period(self, playing: Flags) -> None:
         """Moves the arms that are playing by one control period."""
         view, motors, everyone = self.view, self.motors, playing is self._all
-        actions = np.ascontiguousarray(self.acting.asked(actions, self.sight, view, ~self.over))
+        actions = np.ascontiguousarray(self.agent.act(self._readings(), view.action.copy(), ~self.over))
         arriving = actions
         if self.effects is not None:
             arriving = np.ascontiguousarray(self.effects.motor_actions(actions))
@@ -280,7 +299,8 @@ class Episodes:
         if self.task.moves:
             self._move_goals(playing)
         view.read()
-        self.sight.measure(None if everyone else np.flatnonzero(playing))
+        self.measurements.sample(None if everyone else np.flatnonzero(playing))
+        self.terms = None
 
     def _judge(self, playing: Flags, last: bool) -> None:
         """Ends the episodes of arms that are playing and have left their limits or lasted long enough.
@@ -292,8 +312,7 @@ class Episodes:
             self.failures, view.failed = {}, np.zeros_like(view.failed)
         observations, bound = self._unseen, self._unbounded
         if last:
-            self.sight.sensors.read()
-            observations, bound = self.sight.sensors.observations, self.sight.sensors.bound
+            observations, bound = self.measurements.read(), self.sensors.bound
         if flag_violations(view.motion, self._limits, observations, bound, self.batch.status, self._beyond):
             self._fail(np.flatnonzero(self._beyond & playing))
         if advance_ages(self._ages, playing, self.longest, self.truncated):
@@ -309,11 +328,14 @@ class Episodes:
         view.goal_rates[arms] = (goal.angles[arms] - view.goal_angles[arms]) / view.control_period
         view.target[arms], view.goal_angles[arms] = goal.target[arms], goal.angles[arms]
 
-    def _see(self) -> None:
-        """Keeps what is seen now of the arms that have not failed."""
-        failed = self.view.failed
-        self.acting.look(self.sight, self.view, ~self.over | (self.truncated & ~failed))
-        self.sight.next(np.flatnonzero(~failed) if np.count_nonzero(failed) else None)
+    def _readings(self) -> dict[str, Array]:
+        """Return the readings of the agent's mode, name -> (b, size)."""
+        return self.measurements.readings if self.agent.mode.sensors else {}
+
+    def _observe(self, arms: Flags) -> None:
+        """Update the observations of the arms (b,)."""
+        observed = self.measurements.read()
+        self.agent.observe(observed, self._readings() if self.agent.shows else {}, self.view.action.copy(), arms)
 
     def _fail(self, arms: IntArray) -> None:
         for arm in arms[~self.over[arms]].tolist():
@@ -328,20 +350,29 @@ class Episodes:
         failure = limit_violation(view.motion[arm], self._limits, view.places, view.units)
         return failure or limit_violation(sensors.observations[arm], sensors.bound, sensors.slices, sensors.units)
 
-    def rewards(self, view: View) -> Number:
-        """Rewards of the control period just over."""
-        return total(self._terms(view))
+    @property
+    def present(self) -> View:
+        """View of all arms, or of the only one, whose numbers take less time than arrays of one."""
+        return self.view if len(self.over) > 1 else self.view.alone()
 
-    def outcome(self, view: View) -> tuple[Number, dict[str, Any]]:
-        """Reward and the part of the info that is numbers, from the view of all arms or from that of the only one."""
-        terms, residual = self._terms(view), view.energy_residual
-        return total(terms), {
+    def rewards(self) -> Array:
+        """Return the rewards (b,) of the control period just over."""
+        if self.terms is None:
+            self.terms = self._reward_terms(self.present)
+        return np.atleast_1d(total(self.terms))
+
+    def info(self) -> dict[str, Any]:
+        """Return the numbers of the info, with an axis for the arms unless there is only one."""
+        self.rewards()
+        view = self.present
+        residual = view.energy_residual
+        return {
             "tip_error": view.tip_error,
             "tip_vibration": view.tip_vibration,
             "elastic_energy": view.elastic_energy,
             "energy_residual": residual,
             "energy_alarm": energy_alarm(residual, view.energy_turnover, self._energy_alarm),
-            "reward_terms": terms,
+            "reward_terms": dict(self.terms or {}),
             **{name: copy(value) for name, value in self.task.info(view).items()},  # what a view has goes on
             **{name: copy(getattr(view, name)) for name in self._told},
         }

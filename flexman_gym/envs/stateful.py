@@ -7,11 +7,14 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 from gymnasium import Space
+from numpy.typing import NDArray
 
+from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.envs.episodes import Episodes
-from flexman_gym.envs.sight import Observations
+
+Observations = NDArray[np.float32]
 
 
 class StatefulEnv:
@@ -36,7 +39,7 @@ class StatefulEnv:
         """
         spaces = {name: get_state(_space(self, name)._np_random) for name in self.spaces}
         own = {name: get_state(getattr(self, name)) for name in self.kept}
-        return {**own, **spaces, "episodes": get_state(self.episodes), "acting": get_state(self.episodes.acting)}
+        return {**own, **spaces, "episodes": get_state(self.episodes), "agent": get_state(self.episodes.agent)}
 
     def set_state(self, state: dict[str, Any]) -> Observations:
         """Puts the environment where `get_state` found one made alike; returns what is seen (b, size) of its arms.
@@ -44,7 +47,8 @@ class StatefulEnv:
         Raises:
             ValueError: one line, for the state of another environment; the episodes are then over.
         """
-        names = {*self.kept, *self.spaces, "episodes", "acting"}
+        state = _renamed(state, np.zeros_like(self.episodes.agent.command))
+        names = {*self.kept, *self.spaces, "episodes", "agent"}
         if not isinstance(state, dict) or state.keys() != names:
             result = sorted(map(str, state)) if isinstance(state, dict) else state
             raise value_error("state", result, f"what get_state gave: {', '.join(sorted(names))}")
@@ -53,12 +57,12 @@ class StatefulEnv:
         for name, random in {**own, **spaces}.items():
             if not isinstance(random, list | int | np.random.Generator | None):
                 raise value_error(f"state.{name}", random, "what get_state gave")
-        self.episodes.give(state["episodes"], state["acting"], self._generators(own))
+        self.episodes.give(state["episodes"], state["agent"], self._generators(own))
         for name, value in own.items():
             setattr(self, name, value)
         for name, random in spaces.items():
             _space(self, name)._np_random = random
-        return self.episodes.sight.seen.copy()
+        return self.episodes.agent.observations.copy()
 
     @contextmanager
     def _undoing(self, options: object) -> Iterator[None]:
@@ -88,6 +92,24 @@ class StatefulEnv:
     def _generators(self, own: dict[str, Any]) -> list[np.random.Generator | None]:
         """The generator of each arm among what was given back."""
         raise NotImplementedError
+
+
+def _renamed(state: Any, command: Array) -> Any:
+    """Return a state of version 0.2, where the observations stand beside the sensors, under the names of today."""
+    if not isinstance(state, dict) or "acting" not in state or not isinstance(state.get("episodes"), dict):
+        return state
+    episodes, state = dict(state["episodes"]), dict(state)
+    try:
+        sight = dict(episodes.pop("sight"))
+        own = {
+            "_history": sight.pop("_history"),
+            "observations": sight.pop("seen"),
+            "_ages": episodes["_ages"],
+            "command": command,
+        }
+    except (KeyError, TypeError, ValueError):
+        return state
+    return state | {"episodes": episodes | {"measurements": sight}, "agent": state.pop("acting") | own}
 
 
 def _made_again(kind: type[Any], made: dict[str, Any], spec: Any, state: dict[str, Any]) -> Any:

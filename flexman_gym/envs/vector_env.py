@@ -18,8 +18,7 @@ from flexman_gym.envs.config.reset_options import check_parameters
 from flexman_gym.envs.env import LARGEST_SEED, FlexManEnv, observation_space
 from flexman_gym.envs.episodes import Episodes, action_space, checked_actions
 from flexman_gym.envs.rendering import RENDER, make_rendering
-from flexman_gym.envs.sight import Observations
-from flexman_gym.envs.stateful import StatefulEnv
+from flexman_gym.envs.stateful import Observations, StatefulEnv
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import MOST_ARMS, Batch
 
@@ -133,7 +132,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         self.max_episode_steps = -(-self.episodes.longest // setup.action_repeat)
         self.sensors = self.episodes.sensors
         self.single_observation_space = observation_space(self.episodes)
-        size = len(self.episodes.acting.mode.names)
+        size = len(self.episodes.agent.mode.names)
         self.single_action_space = action_space(size)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -166,8 +165,8 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
                 if seeds[arm] is not None:
                     self._randoms[arm], self._seeds[arm] = seeding.np_random(seeds[arm])
             self._restart(arms, options)
-        infos = {} if self._at_end else self._outcome()[1]
-        return self.episodes.sight.seen.copy(), infos if mask is None else _masked(infos, mask)
+        infos = {} if self._at_end else self._infos()
+        return self.episodes.agent.observations.copy(), infos if mask is None else _masked(infos, mask)
 
     def step(self, actions: NDArray[Any]) -> tuple[Observations, Array, Flags, Flags, Infos]:
         """Applies actions (num_envs, k) for `action_repeat` control periods, and resets as the autoreset mode says.
@@ -181,16 +180,11 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         late = np.flatnonzero(over) if np.count_nonzero(over) else None
         if late is not None and (self.autoreset_mode != AutoresetMode.NEXT_STEP or None in self._randoms):
             raise RuntimeError(f"the episodes of arms {late.tolist()} are over: reset them first")
-        mean = episodes.step(values)
+        rewards = episodes.step(values)
         if late is not None:
             self._restart(late, None)
         ending = bool(episodes.failures) or bool(np.count_nonzero(episodes.truncated))
-        if ending or not self._at_end:
-            rewards, infos = self._outcome()
-        else:
-            rewards, infos = self._rewards() if mean is None else mean, {}
-        if mean is not None:
-            rewards = mean
+        infos = self._infos() if ending or not self._at_end else {}
         if late is not None:
             rewards[late] = 0.0
         truncations = episodes.truncated.copy()
@@ -201,7 +195,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
                 infos = self._finish(over.copy(), infos)
             elif self._at_end:
                 infos = _masked(infos, terminations | truncations)
-        return episodes.sight.seen.copy(), rewards, terminations, truncations, infos
+        return episodes.agent.observations.copy(), rewards, terminations, truncations, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Frames (height, width, 3) uint8 of the deformed arms and their targets."""
@@ -236,32 +230,19 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         final = np.full(self.num_envs, None, dtype=object)
         arms = np.flatnonzero(ended)
         for arm in arms:
-            final[arm] = self.episodes.sight.seen[arm].copy()
+            final[arm] = self.episodes.agent.observations[arm].copy()
         self._restart(arms, None)
         both = _masked({"final_obs": final, "final_info": _masked(infos, ended)}, ended)
-        return both if self._at_end else both | self._outcome()[1]
+        return both if self._at_end else both | self._infos()
 
     def _restart(self, arms: IntArray, options: dict[str, Any] | None) -> None:
         randoms = self.np_random
         self.episodes.reset(arms, [randoms[arm] for arm in arms], options)
 
-    def _rewards(self) -> Array:
-        """Rewards of the control period just over."""
-        view = self.episodes.view
-        if self.num_envs == 1:
-            return np.array([self.episodes.rewards(view.alone())])
-        rewards: Array = self.episodes.rewards(view)
-        return rewards
-
-    def _outcome(self) -> tuple[Array, Infos]:
-        """Rewards and infos of the states that the arms are in."""
-        episodes = self.episodes
-        view = episodes.view
-        if self.num_envs == 1:  # numbers take less time than arrays of one
-            reward, info = episodes.outcome(view.alone())
-            rewards, infos = np.array([reward]), _batched(info)
-        else:
-            rewards, infos = episodes.outcome(view)
+    def _infos(self) -> Infos:
+        """Return the infos of the present states."""
+        episodes, view = self.episodes, self.episodes.view
+        infos = _batched(episodes.info()) if self.num_envs == 1 else episodes.info()
         status, failure = self._ok.copy(), self._no_failure.copy()
         for arm, text in episodes.failures.items():
             status[arm], failure[arm] = layout.STATUS[self.batch.status[arm]], text
@@ -273,7 +254,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
             infos["drawn"] = episodes.effects.drawn
         if estimates := getattr(episodes.base, "estimates", None):
             infos["estimates"] = {name: values.copy() for name, values in estimates.items()}
-        return rewards, _with_masks(infos, self._everyone.copy())
+        return _with_masks(infos, self._everyone.copy())
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]

@@ -1,6 +1,6 @@
 """Evaluation: what judges controllers and policies: one loop, figures of what happened, and a table."""
 
-from flexman_gym.evaluation.agent import BASELINES, Agent, find_agent
+from flexman_gym.evaluation.agent import BASELINES, AgentSpec, find_agent
 from flexman_gym.evaluation.metrics import METRICS, Metric, evaluate, table
 from flexman_gym.evaluation.optimisation import TunedGains, tune
 from flexman_gym.evaluation.rollout import EpisodeRecord, Rollout, rollout
@@ -8,7 +8,7 @@ from flexman_gym.evaluation.rollout import EpisodeRecord, Rollout, rollout
 __all__ = [
     "BASELINES",
     "METRICS",
-    "Agent",
+    "AgentSpec",
     "EpisodeRecord",
     "Metric",
     "Rollout",

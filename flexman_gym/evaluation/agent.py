@@ -1,7 +1,7 @@
-"""Agents of an evaluation: baselines by name, shipped policies, runs from disk, controllers and predictors."""
+"""Agents to be evaluated: baselines by name, shipped policies, runs from disk, controllers and predictors."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from inspect import signature
 from pathlib import Path
@@ -11,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from flexman_gym.common.arrays import Array, Flags, IntArray
 from flexman_gym.common.checks import short_path, value_error
 from flexman_gym.common.run_folder import (
     BEST,
@@ -22,41 +23,41 @@ from flexman_gym.common.run_folder import (
     read_data,
     read_settings,
 )
-from flexman_gym.control.actions import make_action_mode
+from flexman_gym.control.agent import Law
 from flexman_gym.control.base_controllers import BASES, checked_base
-from flexman_gym.control.controller import Controller
+from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
 from flexman_gym.control.network import Network
-from flexman_gym.control.policy import Policy, PolicyFactory
 from flexman_gym.envs.config.configuration import Configuration, current_name
 from flexman_gym.envs.config.fidelity import build
-from flexman_gym.envs.config.specification import make_base_controller, make_controller, make_plant
+from flexman_gym.envs.episodes import design_mode
 from flexman_gym.evaluation.policy_files import ABOUT, POLICIES, policy_folder, read_policy
 
-ActionFunction = Callable[[NDArray[np.float32], tuple[int, ...]], NDArray[np.floating]]
 INTERFACE = ("base", "action_repeat", "sensors", "history", "actions")  # settings of what acts, not of what is moved
-BASELINES = (*BASES, "zero", "random")
-"""Entrants that need no training, by name."""
+IDLE = {"zero": "no torque at all", "random": "random torques"}  # agents without a controller: name -> description
+BASELINES = (*BASES, *IDLE)
+"""Agents that need no training, by name."""
 AGENTS = (*BASELINES, *POLICIES)  # all that have a name
 
 
 @dataclass(frozen=True)
-class Agent:
-    """A name, how it acts, and the settings that it wants of an environment.
+class AgentSpec:
+    """Specification of an agent: name, law, and the settings with which an environment makes its `control.Agent`.
 
     Attributes:
         name: as in a table.
-        act: actions for observations (b, size) and the shape (b, n) that they have.
-        interface: base, its gains, action_repeat, sensors and history; None for those of the environment where it acts.
+        law: commands (b, k) for observations (b, size); None for zeros, so that the base controller acts alone.
+        interface: base, its gains, action_repeat, sensors, history and actions; None for those of the environment in
+            which it acts.
         environment: the environment that it was trained on; None for a baseline, which suits any.
     """
 
     name: str
-    act: ActionFunction
+    law: Law | None = None
     interface: dict[str, Any] | None = field(default_factory=dict)
     environment: Configuration | None = None
 
 
-def find_agent(entrant: object) -> Agent:
+def find_agent(entrant: object) -> AgentSpec:
     """Gives the entrant that a name, a mapping as `base` takes it, a folder, a Controller or a predictor means.
 
     A name is one of BASELINES and POLICIES. A folder holds a training run or an exported policy. A predictor is an
@@ -65,24 +66,23 @@ def find_agent(entrant: object) -> Agent:
     Raises:
         FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
     """
-    if isinstance(entrant, Agent):
+    if isinstance(entrant, AgentSpec):
         return entrant
     if isinstance(entrant, Controller) and not isinstance(entrant, type):
-        return Agent(type(entrant).__name__, zero_action, {"base": entrant})
+        return AgentSpec(type(entrant).__name__, None, {"base": entrant})
     if isinstance(entrant, dict):
-        return Agent(checked_base(entrant)[0], zero_action, {"base": entrant})
+        return AgentSpec(checked_base(entrant)[0], None, {"base": entrant})
     if hasattr(entrant, "predict") and not isinstance(entrant, type):
         return predictor_agent(entrant)
     name = str(entrant)
     if folder := policy_folder(name):
         return load_policy(folder)
     if name in BASES:
-        return Agent(name, zero_action, {"base": name})
+        return AgentSpec(name, None, {"base": name})
     if name == "zero":
-        return Agent(name, zero_action)
+        return AgentSpec(name)
     if name == "random":
-        random = np.random.default_rng(0)
-        return Agent(name, lambda observations, shape: random.uniform(-1.0, 1.0, shape))
+        return AgentSpec(name, None, {"base": _RandomTorques()})
     if name.endswith(".zip"):
         raise _untrusted(name)
     if not os.path.isdir(name):  # whatever the name is
@@ -91,7 +91,7 @@ def find_agent(entrant: object) -> Agent:
     return load_run(Path(name))
 
 
-def load_policy(folder: Path) -> Agent:
+def load_policy(folder: Path) -> AgentSpec:
     """Loads a policy that was exported; nothing in its files is run.
 
     Raises:
@@ -104,10 +104,9 @@ def load_policy(folder: Path) -> Agent:
             raise value_error(
                 "observation", about["observation"], "the names, units and sizes that its sensors read here"
             )
-        policy = make_policy(network, described, about["recipe"]["settings"].get("base_in_use"))
+        return learned_agent(folder.name, network, described, about["recipe"]["settings"].get("base_in_use"))
     except ValueError as error:
         raise ValueError(f"{short_path(folder / ABOUT)}: {error}") from None
-    return Agent(folder.name, zero_action, {"base": policy}, split_interface(described)[0])
 
 
 def observation_layout(described: Configuration) -> list[dict[str, Any]]:
@@ -117,11 +116,11 @@ def observation_layout(described: Configuration) -> list[dict[str, Any]]:
     venv.close()
     seen = [(name, episodes.sensors.units[name], part.stop - part.start)
             for name, part in episodes.sensors.slices.items()]  # fmt: skip
-    seen += [(name, "1", size) for name, size in getattr(episodes.acting.mode, "shown", {}).items()]
+    seen += [(name, "1", size) for name, size in getattr(episodes.agent.mode, "shown", {}).items()]
     return [{"name": name, "unit": unit, "size": size} for name, unit, size in seen]
 
 
-def predictor_agent(model: Any, described: Configuration | None = None) -> Agent:
+def predictor_agent(model: Any, described: Configuration | None = None) -> AgentSpec:
     """Gives the entrant of an object with `predict`, which gives actions (b, n) for observations (b, size).
 
     A model of Stable-Baselines3 brings the environment that it learned in, and the statistics of a `VecNormalize`
@@ -143,15 +142,16 @@ def predictor_agent(model: Any, described: Configuration | None = None) -> Agent
     except TypeError:
         told = {}  # which an object of one's own need not know
 
-    def act(observations: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.floating]:
+    def law(observations: NDArray[np.float32]) -> NDArray[np.floating]:
         seen = observations if beside is None else beside.normalize_obs(observations)
         said = model.predict(seen, **told)
-        return np.clip(np.asarray(said[0] if isinstance(said, tuple) else said, dtype=np.float32), -1, 1).reshape(shape)
+        actions = np.asarray(said[0] if isinstance(said, tuple) else said, dtype=np.float32)
+        return np.clip(actions, -1, 1).reshape(len(observations), -1)
 
-    return Agent(type(model).__name__, act, interface, environment)
+    return AgentSpec(type(model).__name__, law, interface, environment)
 
 
-def load_run(folder: Path) -> Agent:
+def load_run(folder: Path) -> AgentSpec:
     """Loads the policy of a run: its best one where there is one, else its newest; nothing in its files is run.
 
     Raises:
@@ -174,9 +174,7 @@ def load_run(folder: Path) -> Agent:
         network = Network(algo, activation, data.get("policy"), data.get("statistics"))
     except ValueError as error:
         raise ValueError(f"{short_path(path)}: {error}") from None
-    return Agent(
-        folder.name, zero_action, {"base": make_policy(network, described, in_use)}, split_interface(described)[0]
-    )
+    return learned_agent(folder.name, network, described, in_use)
 
 
 def _untrusted(place: object) -> ValueError:
@@ -184,16 +182,19 @@ def _untrusted(place: object) -> ValueError:
     return ValueError(f"entrant: the files of Stable-Baselines3 in {place} are not read; give {allowed}")
 
 
-def make_policy(network: Network, described: Configuration, in_use: object = None) -> Policy | PolicyFactory:
-    """Gives what a network is with all that it learned with, or with a base in use made where it acts."""
-    own = network, (*described.sensors, *described.task.sensors), described.history, described.action_repeat
-    if in_use is not None:
-        checked_base(in_use)
-        return PolicyFactory(*own, base=in_use, actions=described.actions)
-    model, base = build(described).model, described.base
-    if isinstance(base, str | dict):
-        base = make_controller(described, base, model)
-    return Policy(*own, base, make_action_mode(described.actions, make_plant(described, model), base))
+def learned_agent(name: str, network: Law, described: Configuration, in_use: object = None) -> AgentSpec:
+    """Return the specification of a network with the environment of its training.
+
+    Its base controller and action mode are those of that environment wherever it acts; a base in use is made for the
+    environment in which it acts.
+    """
+    environment, interface = split_interface(described)
+    agent = AgentSpec(name, network, interface, environment)
+    if in_use is None:
+        return design_for(agent, described)
+    checked_base(in_use)
+    interface.pop("gains", None)
+    return replace(agent, interface={**interface, "base": in_use})
 
 
 def split_interface(described: Configuration) -> tuple[Configuration, dict[str, Any]]:
@@ -207,20 +208,21 @@ def split_interface(described: Configuration) -> tuple[Configuration, dict[str, 
     return described.without(INTERFACE), interface
 
 
-def design_for(entrant: Agent, environment: Configuration) -> Agent:
-    """Return an entrant whose controller is built for an environment, whatever the one in which it acts.
+def design_for(agent: AgentSpec, environment: Configuration) -> AgentSpec:
+    """Return an agent whose base controller and action mode are made for an environment, whatever the one it acts in.
 
-    Without this, a controller that is given by its name is built for the environment in which it acts: it is told its
-    delay, noise, friction and ranges. An entrant without a controller stays as it is.
+    Without this, a controller that is given by its name is made for the environment in which it acts, with the delay,
+    noise, friction and ranges there. A controller or mode that is made already stays as it is.
     """
-    if entrant.interface is None or "base" not in entrant.interface:
-        return entrant
-    whole = environment.replace(**entrant.interface)
-    base = make_base_controller(whole, build(whole).model)
-    return replace(entrant, interface={**entrant.interface, "base": base})
+    if agent.interface is None:
+        return agent
+    whole = environment.replace(**agent.interface)
+    base, mode = design_mode(whole, build(whole).model)
+    others = {name: value for name, value in agent.interface.items() if name != "gains"}
+    return replace(agent, interface={**others, "base": base, "actions": mode})
 
 
-def common_environment(entrants: Sequence[Agent], named: Configuration | None) -> Configuration:
+def common_environment(entrants: Sequence[AgentSpec], named: Configuration | None) -> Configuration:
     """Gives the environment on which all entrants are evaluated: the named one, or that of the trained ones.
 
     Its PD, which is a baseline, has the gains of the first of them that has any.
@@ -252,6 +254,17 @@ def change_environment(environment: Configuration, changes: Sequence[str]) -> Co
     return split_interface(environment.changed(changes))[0]
 
 
-def zero_action(observations: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.floating]:
-    """Gives no torque beside a base."""
-    return np.zeros(shape)
+class _RandomTorques:
+    """Controller with independent uniform torques."""
+
+    sensors = ()
+
+    def __init__(self) -> None:
+        self._random = np.random.default_rng(0)
+
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
+        """Start new episodes."""
+
+    def act(self, readings: Readings, applied: Array, playing: Flags) -> Array:
+        """Return torques (b, n), parts of the limits."""
+        return self._random.uniform(-1.0, 1.0, applied.shape).astype(np.float32).astype(np.float64)

@@ -11,7 +11,7 @@ from flexman_gym.control.controller import Controller
 from flexman_gym.control.input_shaping.shapers import ringing_modes
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
-from flexman_gym.evaluation.agent import Agent
+from flexman_gym.evaluation.agent import AgentSpec
 from flexman_gym.evaluation.rollout import Rollout, find_environment, rollout
 
 WINDOW, PERIODS = (
@@ -95,7 +95,7 @@ class Diagnosis:
 
 
 def diagnose(
-    entrant: str | Agent | Controller, environment: str | Configuration, seeds: Sequence[int]
+    entrant: str | AgentSpec | Controller, environment: str | Configuration, seeds: Sequence[int]
 ) -> list[Diagnosis]:
     """Diagnose for an episode from each seed what keeps its tip from resting on its target.
 
@@ -137,7 +137,7 @@ def _attribute_noise(found: Diagnosis, quiet: Diagnosis) -> Diagnosis:
 
 
 def episode_ends(
-    entrant: str | Agent | Controller, environment: str | Configuration, seeds: Sequence[int]
+    entrant: str | AgentSpec | Controller, environment: str | Configuration, seeds: Sequence[int]
 ) -> list[tuple[EpisodeEnd, dict[str, float]]]:
     """Gives the end of an episode from each seed, and the frequencies (Hz) of the modes at its goal by their names.
 

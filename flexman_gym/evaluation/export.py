@@ -12,17 +12,8 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.run_folder import BEST, NEWEST, check_settings, existing_file, read_data, read_settings
 from flexman_gym.control.network import LARGEST, Network, policy_parameters
-from flexman_gym.control.policy import Policy, PolicyFactory
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import (
-    Agent,
-    find_agent,
-    load_policy,
-    make_policy,
-    observation_layout,
-    split_interface,
-    zero_action,
-)
+from flexman_gym.evaluation.agent import find_agent, learned_agent, load_policy, observation_layout, split_interface
 from flexman_gym.evaluation.agent_info import training_seconds
 from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.evaluation.policy_files import CHECK_ROWS, FOLDER, write_policy
@@ -107,9 +98,6 @@ class _RecordedNetwork:
         self.network, self.size, self.joints = network, network.size, network.joints
         self.seen: list[NDArray[np.float32]] = []
 
-    def __deepcopy__(self, memo: object) -> "_RecordedNetwork":
-        return self  # which a rollout makes of what may act elsewhere
-
     def __call__(self, observations: NDArray[np.float32]) -> Array:
         self.seen.append(observations.copy())
         return self.network(observations)
@@ -118,9 +106,8 @@ class _RecordedNetwork:
 def _seen(network: Network, described: Configuration, in_use: object) -> NDArray[np.float32]:
     """Observations (COUNT, size) of episodes that the policy plays, evenly from their first to their last."""
     watching = _RecordedNetwork(network)
-    policy = make_policy(watching, described, in_use)  # type: ignore[arg-type]
-    environment = split_interface(described)[0]
-    rollout(Agent("", zero_action, {"base": policy}), environment, CHECK_SEEDS)
+    policy = learned_agent("", watching, described, in_use)
+    rollout(policy, split_interface(described)[0], CHECK_SEEDS)
     rows = np.concatenate(watching.seen)
     result: NDArray[np.float32] = rows[np.linspace(0, len(rows) - 1, CHECK_ROWS).astype(int)]
     return result
@@ -155,14 +142,14 @@ def write_onnx(entrant: str, path: Path) -> float:
         from onnx.reference import ReferenceEvaluator
     except ImportError as error:
         raise ImportError("ONNX needs another package: pip install 'flexman_gym[onnx]'") from error
-    policy = (find_agent(entrant).interface or {}).get("base")
-    if isinstance(policy, PolicyFactory):
+    policy = find_agent(entrant)
+    network = policy.law
+    if not isinstance(network, Network):
+        raise value_error("entrant", entrant, "a policy, or the run of one")
+    if isinstance((policy.interface or {}).get("base"), str | dict):
         allowed = "a policy whose network acts alone, such as ppo-flexrrr: a controller that is made for the arm turns"
         allowed += f' the output of this one into torques; run it by fm.rollout("{entrant}", id)'
         raise value_error("entrant", entrant, allowed)
-    if not isinstance(policy, Policy):
-        raise value_error("entrant", entrant, "a policy, or the run of one")
-    network = policy.network
     model: Any = _graph(network, onnx)
     onnx.checker.check_model(model, full_check=True)
     spread = np.random.default_rng(0).normal(0.0, 3.0, (ONNX_ROWS, network.size))

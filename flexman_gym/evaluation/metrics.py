@@ -10,7 +10,7 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of
 from flexman_gym.control.controller import Controller
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import Agent
+from flexman_gym.evaluation.agent import AgentSpec
 from flexman_gym.evaluation.rollout import EpisodeRecord, rollout
 from flexman_gym.metrics import (
     effort,
@@ -96,7 +96,7 @@ def task_metrics(task: Any) -> tuple[Metric, ...]:
 
 
 def evaluate(
-    entrant: str | Agent | Controller, environment: str | Configuration, seeds: Sequence[int] | int
+    entrant: str | AgentSpec | Controller, environment: str | Configuration, seeds: Sequence[int] | int
 ) -> dict[str, float]:
     """Gives every figure of FIGURES, summed up over an episode from each seed.
 

@@ -17,7 +17,7 @@ from flexman_gym.common.progress import Progress
 from flexman_gym.control.controller import Controller
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes, checked_actions
-from flexman_gym.evaluation.agent import Agent, find_agent, split_interface
+from flexman_gym.evaluation.agent import AgentSpec, find_agent, split_interface
 from flexman_gym.metrics import BAND
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.episode import Episode, episode_metadata
@@ -139,7 +139,7 @@ class Rollout:
 
 
 def rollout(
-    entrant: str | Agent | Controller,
+    entrant: str | AgentSpec | Controller,
     environment: str | Configuration,
     seeds: Sequence[int] | int,
     watch: Callable[[Episodes], None] | None = None,
@@ -147,8 +147,8 @@ def rollout(
 ) -> Rollout:
     """Run an episode from each seed, side by side.
 
-    The environment takes sensors, history, base and action_repeat of the entrant: it repeats actions, and every
-    control period is recorded.
+    The environment takes sensors, history, base, actions and hold of the agent and repeats its actions; every control
+    period is recorded. The law of the agent is called on what the environment observes, as in its training.
 
     Args:
         entrant: a name or the folder of a run, see `find_agent`, or a Controller.
@@ -178,19 +178,21 @@ def rollout(
     if moved is not None:
         moved(episodes.batch)
     recorder = _Recorder(episodes, watch)
-    observations, _ = venv.reset(seed=numbers)  # type: ignore[arg-type]
+    episodes.agent.check_law(player.law)
+    venv.reset(seed=numbers)  # type: ignore[arg-type]
     recorder.begin()
     episodes.watch = recorder.record
     while not recorder.ends.all():  # not by steps of `venv`, which would reset each arm whose episode has ended
-        acted = player.act(observations, size).astype(np.float32)
-        episodes.step(checked_actions("actions", acted, size, "a number from -1 to 1 for each motor of each arm"))
-        observations = episodes.sight.seen.copy()
+        commands = np.zeros(size, dtype=np.float32)
+        if player.law is not None:
+            commands = np.asarray(player.law(episodes.agent.observations.copy()), dtype=np.float32)
+        episodes.step(checked_actions("actions", commands, size, "a number from -1 to 1 for each motor of each arm"))
     told = _about(venv.unwrapped, player, described) | {"seeds": [int(seed) for seed in numbers]}
     venv.close()
     return recorder.rollout(told)
 
 
-def _check_arm(player: Agent, described: Configuration) -> None:
+def _check_arm(player: AgentSpec, described: Configuration) -> None:
     """Refuse a policy that was trained on an arm with another number of joints."""
     if player.environment is None:
         return
@@ -205,7 +207,7 @@ def find_environment(environment: str | Configuration) -> Configuration:
     return environment if isinstance(environment, Configuration) else Configuration.find(environment)
 
 
-def _about(env: Any, player: Agent, described: Configuration) -> dict[str, Any]:
+def _about(env: Any, player: AgentSpec, described: Configuration) -> dict[str, Any]:
     """What the episodes of an entrant on an environment have in common, plain."""
     sensors = env.episodes.sensors
     settings = {"environment": split_interface(described)[0].to_plain(strict=False), "interface": player.interface}
@@ -234,7 +236,7 @@ class _Recorder:
         """Records a control period."""
         episodes, view = self._episodes, self._episodes.view
         self._keep(self._instant() | {"actions": view.action.copy(), "torques": episodes.motors.torques.copy(),
-                                      "rewards": episodes.rewards(view)})  # fmt: skip
+                                      "rewards": episodes.rewards()})  # fmt: skip
         self._progress.count()
         for arm in np.flatnonzero(episodes.over & (self.ends == 0)).tolist():
             self.ends[arm], self._failures[arm] = len(self._rows["actions"]), episodes.failures.get(arm, "")

@@ -13,7 +13,7 @@ from flexman_gym.identification.ringing import Ringing
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.arm import Arm
-from flexman_gym.simulation.parameters import ARM, PARAMETERS, nominal_parameters, varied_arm
+from flexman_gym.simulation.parameters import ARM, PARAMETERS, current_names, nominal_parameters, varied_arm
 
 WIDEST = 7.0  # largest departure of a logarithm from its start: a factor of 1100
 CRITICAL = 0.99  # largest damping ratio of a link
@@ -103,6 +103,7 @@ class FreeParameters:
 def _numbers(name: str, model: Model) -> list[_FreeNumber]:
     """The numbers of a name, such as joint_stiffness or joint_stiffness[1]."""
     kind, _, place = name.partition("[")
+    kind = next(iter(current_names("free", {kind: None})))
     if PARAMETERS[one_of("free", kind, PARAMETERS)].of == ARM:
         if place:
             raise value_error("free", name, kind)

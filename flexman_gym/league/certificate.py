@@ -10,10 +10,9 @@ import numpy as np
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import computer_info
 from flexman_gym.common.run_folder import write_atomically
-from flexman_gym.control.policy import PolicyFactory
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED
-from flexman_gym.evaluation.agent import Agent, design_for, find_agent
+from flexman_gym.evaluation.agent import AgentSpec, design_for, find_agent
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.policy_files import CERTIFICATE, policy_folder, read_policy
 from flexman_gym.evaluation.rollout import TEST_SEEDS, EpisodeRecord, rollout
@@ -77,9 +76,7 @@ def certify(
     played: list[EpisodeRecord] = []
     trained = Configuration.from_plain(about["recipe"]["settings"]["environment"])
     for trial in policy_trials(entrant.environment, trained):
-        if trial.told or isinstance(
-            (entrant.interface or {}).get("base"), PolicyFactory
-        ):  # else the trial before, again
+        if trial.told or isinstance((entrant.interface or {}).get("base"), str | dict):  # else the trial before, again
             played = _run_trial(entrant, trial, seeds[: FEW.get(trial.plant)])
         usual = usual or played
         rows.append(_row(trial, played, usual[: len(played)]))
@@ -162,7 +159,7 @@ def _drawn(environment: Configuration) -> dict[str, Any]:
     return dict(own.given) if own else {}
 
 
-def _run_trial(entrant: Agent, trial: CertificateTrial, seeds: Sequence[int]) -> list[EpisodeRecord]:
+def _run_trial(entrant: AgentSpec, trial: CertificateTrial, seeds: Sequence[int]) -> list[EpisodeRecord]:
     """Return the episodes of a trial."""
     environment = entrant.environment
     assert environment is not None
@@ -188,7 +185,7 @@ def _row(trial: CertificateTrial, records: Sequence[EpisodeRecord], usual: Seque
     return {"name": trial.name, "what": trial.what, "episodes": len(records), **values, "fails": ", ".join(why)}
 
 
-def _search(entrant: Agent, draws: int) -> dict[str, Any]:
+def _search(entrant: AgentSpec, draws: int) -> dict[str, Any]:
     """The worst of so many episodes, those of the lowest reward, to which a failure adds its penalty."""
     assert entrant.environment is not None
     found: list[tuple[float, int]] = []

@@ -14,7 +14,6 @@ from time import process_time
 from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, Flags, IntArray
 from flexman_gym.common.checks import short_path
@@ -22,10 +21,12 @@ from flexman_gym.common.computer import computer_info
 from flexman_gym.common.grid import Workers, run_cells
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, write_atomically
 from flexman_gym.common.time_series import read_csv_lines
-from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
+from flexman_gym.control.actions import ActionMode
+from flexman_gym.control.agent import Law
+from flexman_gym.control.controller import EpisodeInfo, Readings
 from flexman_gym.control.references.optimised_slews import SHIPPED, SlewTable
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import BASELINES, Agent, design_for, find_agent
+from flexman_gym.evaluation.agent import BASELINES, AgentSpec, design_for, find_agent
 from flexman_gym.evaluation.agent_info import check_unseen, describe_agent, is_realisable
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.policy_files import ABOUT, ARRAYS, policy_folder
@@ -234,35 +235,49 @@ def row_key(entrant: str, venue: str) -> str:
     return hashlib.sha256(json.dumps([parts, known], sort_keys=True).encode()).hexdigest()[:16]
 
 
-class _TimedController:
-    """A controller and the CPU time (s) that it has taken."""
+class _TimedMode:
+    """Action mode with its base, and the CPU time (s) of it and of the law of its agent."""
 
-    def __init__(self, inner: Controller) -> None:
-        self.inner, self.sensors, self.acting, self.designing = inner, inner.sensors, 0.0, 0.0
+    def __init__(self, inner: ActionMode) -> None:
+        self.inner, self.acting, self.designing = inner, 0.0, 0.0
+        self.joints, self.names, self.sensors = inner.joints, inner.names, inner.sensors
+        self.shown = getattr(inner, "shown", {})
 
     def __deepcopy__(self, memo: object) -> Self:
-        return self  # which a rollout makes of what may act elsewhere: the time must be told
+        return self  # a rollout copies the mode; the times are read from this one
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         begun = process_time()
-        self.inner.reset(arms, episode)
+        self.inner.reset(arms, episode, count)
         self.designing += process_time() - begun
 
-    def act(self, readings: Readings, applied: Array, playing: Flags) -> NDArray[Any]:
-        begun = process_time()
-        result = self.inner.act(readings, applied, playing)
-        self.acting += process_time() - begun
-        return result
+    def act(self, actions: Array, readings: Readings, applied: Array, playing: Flags) -> Array:
+        return self.timed(self.inner.act)(actions, readings, applied, playing)
+
+    def look(self, readings: Readings, applied: Array, playing: Flags) -> Array:
+        return self.timed(self.inner.look)(readings, applied, playing)  # type: ignore[attr-defined]
+
+    def timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function whose time counts as that of an action."""
+
+        def call(*arguments: Any) -> Any:
+            begun = process_time()
+            result = function(*arguments)
+            self.acting += process_time() - begun
+            return result
+
+        return call
 
 
-def _timed(entrant: Agent, told: Configuration) -> tuple[Agent, _TimedController | None]:
-    """An entrant as it is made for what it is told, with a watch; zero and random torques take no time."""
-    if entrant.interface is None or "base" not in entrant.interface:
+def _timed(entrant: AgentSpec, told: Configuration) -> tuple[AgentSpec, _TimedMode | None]:
+    """Return an agent designed for what is told of the environment, and its clock; "zero" takes no time."""
+    if entrant.interface is None or (entrant.law is None and "base" not in entrant.interface):
         return entrant, None
     designed = design_for(entrant, told)
     assert designed.interface is not None
-    watch = _TimedController(designed.interface["base"])
-    return replace(designed, interface={**designed.interface, "base": watch}), watch
+    watch = _TimedMode(designed.interface["actions"])
+    law: Law | None = watch.timed(designed.law) if designed.law else None
+    return replace(designed, law=law, interface={**designed.interface, "base": None, "actions": watch}), watch
 
 
 def _is_lab(venue: str) -> bool:

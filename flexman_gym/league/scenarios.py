@@ -9,7 +9,7 @@ from flexman_gym.control.controller import Controller
 from flexman_gym.envs.config.conditions import NOMINAL
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import DEFAULT
-from flexman_gym.evaluation.agent import Agent, split_interface
+from flexman_gym.evaluation.agent import AgentSpec, split_interface
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.simulation.batch import Batch
@@ -24,7 +24,7 @@ ELEMENTS, PARTS = 3, 4  # of a section; of the usual step
 
 def _by_method(batch: Batch) -> None:
     runs = [Integrator(batch.model, METHODS[METHOD], TOLERANCE, []) for _ in batch.rows]
-    batch.hand_over(lambda _: SequentialIntegrator(runs, (batch.control_period, 1)))
+    batch.replace_integrator(lambda _: SequentialIntegrator(runs, (batch.control_period, 1)))
 
 
 def _by_finer(batch: Batch) -> None:
@@ -40,7 +40,7 @@ def _by_mujoco(batch: Batch) -> None:
 
 
 def _by_double(batch: Batch, double: ExternalSimulator) -> None:
-    batch.hand_over(lambda mover: ExternalIntegrator(batch.model, mover, double))
+    batch.replace_integrator(lambda mover: ExternalIntegrator(batch.model, mover, double))
 
 
 PLANTS: dict[str, tuple[str, Callable[[Batch], None]]] = {
@@ -61,7 +61,7 @@ def find_plant(name: str) -> Callable[[Batch], None]:
 
 
 def evaluate_on_plants(
-    entrant: str | Agent | Controller,
+    entrant: str | AgentSpec | Controller,
     environment: str | Configuration,
     seeds: Sequence[int],
     plants: Sequence[str] = tuple(PLANTS),

@@ -87,9 +87,10 @@ def section_forces(
     At a lumped mass it is the inboard side. With foreshortening the inboard part is that of the stations.
 
     Args:
-        model: as of `frame_motion`, whose result is `motion`.
-        states: as of `frame_motion`, whose result is `motion`.
-        rates: as of `frame_motion`, whose result is `motion`.
+        model: as of `frame_motion`.
+        motion: result of `frame_motion`.
+        states: as of `frame_motion`.
+        rates: as of `frame_motion`.
         link: counted from 0.
         positions: (P,) along the link, m.
     """
@@ -117,8 +118,9 @@ def part_energies(model: Model, motion: FrameMotion, states: Array) -> dict[str,
     """Gives energies (T, n) of links and joints, and (T, 1) of the payload, J, by name; their sum is that of the arm.
 
     Args:
-        model: as of `frame_motion`, whose result is `motion`.
-        states: as of `frame_motion`, whose result is `motion`.
+        model: as of `frame_motion`.
+        motion: result of `frame_motion`.
+        states: as of `frame_motion`.
     """
     n, d, constants = model.n_joints, model.n_dof, model.constants
     kinetic, height = np.zeros((2, len(states), n))

@@ -115,13 +115,13 @@ def _same(name: str) -> Callable[[Model, Mapping[str, Array]], dict[str, Array]]
 def _links(model: Model, given: Mapping[str, Array]) -> dict[str, Array]:
     """Scales stiffness and modal damping of each link; proportional damping follows, modal damping keeps its ratio."""
     nominal = model.constants
-    factor = _of_blocks(model, given["link_stiffness"]) if "link_stiffness" in given else np.ones((1, 1))
+    factor = _of_blocks(model, given["link_stiffness_factor"]) if "link_stiffness_factor" in given else np.ones((1, 1))
     stiffness, modal = factor * nominal.stiffness, np.sqrt(factor) * model.modal_damping
     if "link_damping" in given:
         ratios = np.array(model.arm.damping_ratios)
         modal = modal * _of_blocks(model, given["link_damping"] / np.where(ratios > 0.0, ratios, 1.0))
     damping = model.arm.stiffness_proportional_damping * stiffness + modal
-    return {"stiffness": stiffness, "damping": damping} if "link_stiffness" in given else {"damping": damping}
+    return {"stiffness": stiffness, "damping": damping} if "link_stiffness_factor" in given else {"damping": damping}
 
 
 def _of_blocks(model: Model, factors: Array) -> Array:
@@ -150,8 +150,8 @@ PARAMETERS: dict[str, _Parameter] = {
         "N m", JOINT, lambda model: model.constants.coulomb_friction, _same("coulomb_friction"), factor=True,
         fixed=_smooth, lacking="without Coulomb friction",
     ),
-    "link_stiffness": _Parameter(
-        "factor on the elastic moduli", LINK, lambda model: np.ones(model.n_joints), _links, factor=True,
+    "link_stiffness_factor": _Parameter(
+        "1, factor on the elastic moduli", LINK, lambda model: np.ones(model.n_joints), _links, factor=True,
         needed=_everywhere,
     ),
     "link_damping": _Parameter(
@@ -159,6 +159,26 @@ PARAMETERS: dict[str, _Parameter] = {
         fixed=_undamped, lacking="of links without modal damping",
     ),
 }  # fmt: skip
+
+
+RENAMED = {"link_stiffness": "link_stiffness_factor"}  # names until release 0.3
+UNCERTAIN = {f"{name.removesuffix('_factor')}_factor" if row.factor else name: name for name, row in PARAMETERS.items()}
+"""Name of a range of a parameter -> the parameter: NAME_factor where the range is one of factors on the nominal
+value.
+"""
+
+
+def current_names(field: str, given: Mapping[str, Any], names: Mapping[str, str] = RENAMED) -> dict[str, Any]:
+    """Return a mapping under the present names of its keys, with a DeprecationWarning for each old one.
+
+    Args:
+        field: name of the mapping, for the warning.
+        given: values by old or present names.
+        names: old name -> present name.
+    """
+    for old in given.keys() & names:
+        warnings.warn(f"{field}.{old}: this is called {names[old]} now", DeprecationWarning, stacklevel=3)
+    return {names.get(name, name): value for name, value in given.items()}
 
 
 def nominal_parameters(model: Model) -> dict[str, Array]:
@@ -172,6 +192,7 @@ def varied_constants(model: Model, count: int, parameters: Mapping[str, object])
     Raises:
         ValueError: as `Batch.vary` does.
     """
+    parameters = current_names("parameters", parameters)
     rows = {name: PARAMETERS[one_of("parameters", name, PARAMETERS)] for name in parameters}
     checked = {name: row.checked(name, parameters[name], model, count) for name, row in rows.items()}
     result: dict[str, Array] = {}
@@ -205,8 +226,9 @@ def varied_arm(arm: Arm, values: Mapping[str, Array]) -> Arm:
             and damping are passed over.
     """
     links = arm.links
-    if "link_stiffness" in values:
-        links = [_stiffer(link, float(each)) for link, each in zip(links, values["link_stiffness"], strict=True)]
+    if "link_stiffness_factor" in values:
+        factors = values["link_stiffness_factor"]
+        links = [_stiffer(link, float(each)) for link, each in zip(links, factors, strict=True)]
     joints = [_varied_joint(joint, values, i) for i, joint in enumerate(arm.joints)]
     payload: Any = arm.payload
     if "payload_mass" in values:

@@ -10,14 +10,14 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from flexman_agents.callbacks import Interrupted
-from flexman_agents.imitation import AVERAGED, SCALE, DAgger, Student, _strength
+from flexman_agents.imitation import AVERAGED, SCALE, DAgger, _strength
 from flexman_agents.settings import Settings
 from flexman_agents.training import resume, train, train_or_resume
 from flexman_gym.__main__ import main
 from flexman_gym.common.run_folder import NEWEST, read_data
 from flexman_gym.control.actions import CurrentMode, TorqueMode
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import find_agent, make_policy
+from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.export import export_policy
 from flexman_gym.evaluation.rollout import rollout, training_seed
 
@@ -60,18 +60,13 @@ def test_arms_that_the_teacher_leads_move_as_under_the_teacher_alone_and_their_n
         SHORT, environment={**ENVIRONMENT, "base": {**TEACHER, "stiffness": [0.5 * STIFFNESS]}, "action_repeat": 2}
     )
     imitation = DAgger(settings)
-    setup, pupil = settings.environment, imitation._pupil
-    pupil.led = np.ones(3, dtype=bool)
-    heard = []
-
-    def watch(episodes):
-        heard[:] = [episodes.acting.base]
-
-    led = rollout(pupil, Configuration("FlexOne-v0", {"horizon": 0.8}), range(3), watch)
+    setup, student = settings.description.setup(), imitation._student
+    student.led = np.ones(3, dtype=bool)
+    led = rollout(imitation._agent(), Configuration("FlexOne-v0", {"horizon": 0.8}), range(3))
     alone = rollout(TEACHER, Configuration("FlexOne-v0", {"horizon": 0.8}), range(3))
     for name in ("tips", "actions", "torques"):
         assert getattr(led, name).tobytes() == getattr(alone, name).tobytes()
-    notes = heard[0].notes
+    notes = student.notes
     assert len(notes) == 20 and len(led.torques[0]) == 40  # actions last for two periods
     missing = 0.5 * STIFFNESS / setup.torque_limit[0] * np.array([seen[:, 0] for seen, _, _ in notes])
     wanted = np.array([better[:, 0] for _, better, _ in notes])
@@ -85,7 +80,7 @@ def test_the_last_rounds_are_kept_and_every_second_instant_of_each(kept):
     imitation, played = DAgger(replace(SHORT, hyperparameters={**SHORT.hyperparameters, "rounds_kept": kept})), []
     for number in range(4):
         imitation._play(number)
-        due = [(seen[begun], SCALE * wanted[begun]) for seen, wanted, begun in imitation._pupil.notes]
+        due = [(seen[begun], SCALE * wanted[begun]) for seen, wanted, begun in imitation._student.notes]
         played.append([np.concatenate(part) for part in zip(*due[number % 2 :: 2], strict=True)])
         assert [len(seen) for seen, _, _ in imitation._rounds] == [len(seen) for seen, _ in played[-kept:]]
         for (seen, wanted, _), expected in zip(imitation._rounds, played[-kept:], strict=True):
@@ -95,9 +90,9 @@ def test_the_last_rounds_are_kept_and_every_second_instant_of_each(kept):
 def test_rounds_have_episodes_of_their_own(monkeypatch):
     seeds = []
 
-    def heard(entrant, environment, those, watch):
+    def heard(entrant, environment, those):
         seeds.extend(those)
-        return rollout(entrant, environment, those, watch)
+        return rollout(entrant, environment, those)
 
     monkeypatch.setattr("flexman_agents.imitation.rollout", heard)
     assert DAgger(SHORT).learn(lambda steps, figures: False)
@@ -192,5 +187,4 @@ def test_what_cannot_be_imitated_is_refused():
     quiet = {**ENVIRONMENT, "id": "FlexRRR-v0", "base": base, "sensors": [],
              "actions": {"kind": "shaping", "pace": 0.0, "offset": 0.0, "torque": 0.5, "fading": 0.0}}  # fmt: skip
     student = replace(SHORT, environment=quiet, hyperparameters={"teacher": base})
-    policy = make_policy(DAgger(student)._network(), student.environment)
-    assert Student(policy, policy)._strength == 0.5
+    assert DAgger(student)._student._strength == 0.5

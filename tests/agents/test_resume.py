@@ -26,7 +26,7 @@ from oracles.runs import RUNS
 
 @pytest.fixture(autouse=True)
 def few_episodes(monkeypatch):
-    monkeypatch.setattr("flexman_agents.callbacks.SELECTION", range(5000, 5002))
+    monkeypatch.setattr("flexman_agents.callbacks.SELECTION_SEEDS", range(5000, 5002))
 
 
 @pytest.fixture
@@ -68,7 +68,7 @@ def test_a_run_that_was_interrupted_twice_is_the_run_that_was_not(algo, tmp_path
     assert read_data(whole / NEWEST)["training"]["counts"]["num_timesteps"] >= RUNS[algo].steps
     assert (whole / BEST).read_bytes() != b"" and sorted(read_data(whole / BEST)) == sorted(read_data(parts / BEST))
     seen = np.linspace(-1.0, 1.0, 3 * 32).reshape(3, 32).astype(np.float32)
-    one, other = (load_run(folder).interface["base"].network(seen) for folder in (whole, parts))
+    one, other = (load_run(folder).law(seen) for folder in (whole, parts))
     assert np.array_equal(one, other)
 
 
@@ -90,7 +90,7 @@ def test_a_run_that_was_interrupted_before_its_first_rollout_goes_on(tmp_path, m
     train(RUNS["ppo"], tmp_path / "whole", progress=False)
     with monkeypatch.context() as patch:
         patch.setattr(
-            "flexman_agents.training.open_curves",
+            "flexman_agents.training.open_logger",
             lambda *where: (os.kill(os.getpid(), signal.SIGINT), open_logger(*where))[1],
         )
         with pytest.raises(Interrupted, match="stopped after 0 steps"):

@@ -8,7 +8,7 @@ pytest.importorskip("stable_baselines3")
 from flexman_agents.sb3 import action_function, load_sb3_zip, make_model
 from flexman_gym.__main__ import main
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation import Agent, find_agent, rollout
+from flexman_gym.evaluation import AgentSpec, find_agent, rollout
 from flexman_gym.evaluation.agent import split_interface
 
 from oracles.assertions import refusal
@@ -34,9 +34,9 @@ def test_a_model_brings_environment_interface_and_statistics(model, tmp_path, ca
     settings = RUNS["ppo"]
     environment, interface = split_interface(settings.environment)
     entrant = find_agent(model)
-    both = entrant.environment, environment
-    assert both[0].disturbed == both[1].disturbed and both[0].horizon == 0.6 and both[0].action_repeat == 1
-    expected = torques(Agent("own", action_function(model, model.get_vec_normalize_env()), interface), environment)
+    both = entrant.environment.setup(), environment.setup()
+    assert both[0].disturbed == both[1].disturbed and both[0].horizon == 0.6 and both[0].hold == 1
+    expected = torques(AgentSpec("own", action_function(model, model.get_vec_normalize_env()), interface), environment)
     assert np.array_equal(torques(model, environment), expected) and np.abs(expected).max() > 0.01
 
     path = tmp_path / "own.zip"

@@ -72,7 +72,7 @@ def ran(monkeypatch, study, rewards):
     study.ask()
     monkeypatch.setattr(module, "_study", lambda folder: study)
     monkeypatch.setattr(module, "_trial", lambda study, number: study)
-    monkeypatch.setattr(module, "trained", trained)
+    monkeypatch.setattr(module, "train_or_resume", trained)
     run_trial((RECIPE, "nowhere", 0))
     return study.told, len(seen)
 
@@ -117,7 +117,7 @@ def test_trials_are_compared_ten_times_where_the_recipe_does_not_say(asked, ever
     monkeypatch.setattr(module, "_study", lambda folder: study)
     monkeypatch.setattr(module, "_proposed", lambda study, number, over: {"hyperparameters.gamma": 0.7})
     monkeypatch.setattr(module, "_keep_best", lambda study, recipe, folder: folder)
-    monkeypatch.setattr(module, "spread", spread)
+    monkeypatch.setattr(module, "run_cells", spread)
     search(replace(RECIPE, judge_every=asked), OVER, tmp_path, 1)
     ((settings, _, number),) = cells
     assert (settings.judge_every, settings.hyperparameters["gamma"], number) == (every, 0.7, 0)
@@ -135,7 +135,7 @@ def test_every_trial_is_proposed_by_a_seed_of_its_own(optuna, monkeypatch, tmp_p
     monkeypatch.setattr(module, "_study", lambda folder: study)
     monkeypatch.setattr(module, "_proposed", lambda study, number, over: seeds.append(study.sampler) or {})
     monkeypatch.setattr(module, "_keep_best", lambda study, recipe, folder: folder)
-    monkeypatch.setattr(module, "spread", spread)
+    monkeypatch.setattr(module, "run_cells", spread)
     search(RECIPE, OVER, tmp_path, 3, workers=2, seed=7)
     assert len(study.trials) == 3 and list(dict.fromkeys(seeds)) == [7, 8, 9]
 
@@ -144,7 +144,7 @@ def test_the_best_trial_becomes_a_recipe(optuna, monkeypatch, tmp_path):
     study = Study()
     study.ask(), study.ask()
     study.best_trial = SimpleNamespace(number=1, params={"hyperparameters.gamma": 0.7}, value=5.0)
-    monkeypatch.setattr(module, "machine_text", lambda packages: "a machine")
+    monkeypatch.setattr(module, "computer_text", lambda packages: "a machine")
     path = module._keep_best(study, RECIPE, tmp_path)
     assert find_recipe(str(path)) == change_settings(RECIPE, {"hyperparameters.gamma": 0.7})
     assert path.read_text().startswith("# Found by flexman search: trial 1 of 2 (2 complete).\n")

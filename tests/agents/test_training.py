@@ -38,7 +38,7 @@ SIZE = 18 + 14  # numbers that a FlexOne agent sees with both sensors
 def acts(folder):
     """What the policy of a run does with some observations."""
     observations = np.linspace(-0.5, 0.5, 3 * SIZE).reshape(3, SIZE).astype(np.float32)
-    return find_agent(str(folder)).interface["base"].network(observations)
+    return find_agent(str(folder)).law(observations)
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def trained(tmp_path_factory):
     """A PPO run of two rollouts on the PD controller, judged once on three episodes: its folder and its model."""
     folder = tmp_path_factory.mktemp("runs") / "ppo"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(callbacks, "SELECTION", range(5000, 5003))
+        patch.setattr(callbacks, "SELECTION_SEEDS", range(5000, 5003))
         return folder, train(replace(SHORT, judge_every=512), folder, progress=False)
 
 

@@ -70,7 +70,7 @@ def test_a_graph_gives_the_actions_of_numpy(tmp_path, capsys):
     from onnx import load
     from onnx.reference import ReferenceEvaluator
 
-    network = made.acting(tmp_path, made.files()).network
+    network = made.acting(tmp_path, made.files()).law
     assert main(["export", "onnx", str(tmp_path), str(tmp_path / "a.onnx")]) == 0
     seen = np.random.default_rng(2).normal(0.0, 5.0, (9, network.size)).astype(np.float32)
     (actions,) = ReferenceEvaluator(load(tmp_path / "a.onnx")).run(None, {"observation": seen})

@@ -32,8 +32,8 @@ from oracles.runs import RUNS
 
 def test_a_folder_is_trained_in_by_one_process(tmp_path, capsys):
     train(replace(RUNS["ppo"], judge_every=0), tmp_path, progress=False)
-    held = "import sys; from pathlib import Path; from flexman_gym.common.run_folder import FOREIGN, locked\n" \
-           f"with locked(Path({str(tmp_path)!r})): print('held', flush=True); sys.stdin.read()"  # fmt: skip
+    held = "import sys; from pathlib import Path; from flexman_gym.common.run_folder import lock_folder\n" \
+           f"with lock_folder(Path({str(tmp_path)!r})): print('held', flush=True); sys.stdin.read()"  # fmt: skip
     with subprocess.Popen([sys.executable, "-c", held], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
         assert other.stdout.readline() == b"held\n"
         assert refusal(resume, tmp_path, 10) == f"folder: {tmp_path} is not allowed; process {other.pid} trains in it"
@@ -173,7 +173,7 @@ def test_files_of_stable_baselines3_need_trust(run, tmp_path):
     line = refusal(find_agent, str(tmp_path))
     assert "--trust" in line and "run any code" in line
     seen = np.zeros((2, 32), dtype=np.float32)
-    assert load_sb3_run(tmp_path).act(seen, (2, 1)).shape == (2, 1)
+    assert load_sb3_run(tmp_path).law(seen).shape == (2, 1)
     (tmp_path / SB3_MODEL).write_bytes(b"noise")
     assert "this is not a run of Stable-Baselines3" in refusal(load_sb3_run, tmp_path)
 
@@ -224,11 +224,11 @@ def test_mutated_runs_give_one_line_or_act_as_they_did(run, tmp_path, seed):
         (tmp_path / name).write_bytes(content)
     seen = np.linspace(-1.0, 1.0, 3 * 32).reshape(3, 32).astype(np.float32)
     try:
-        network = find_agent(str(tmp_path)).interface["base"].network
+        network = find_agent(str(tmp_path)).law
     except (ValueError, FileNotFoundError) as error:
         assert "\n" not in str(error) and str(tmp_path) in str(error)
     else:
-        assert np.array_equal(network(seen), find_agent(str(run)).interface["base"].network(seen))
+        assert np.array_equal(network(seen), find_agent(str(run)).law(seen))
 
 
 def test_broken_files_give_one_line(run, tmp_path):

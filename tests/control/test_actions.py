@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from flexman_gym.common.arrays import pad_rows
 from flexman_gym.control.actions import ACTIONS, ActionModeEntry, TorqueMode
+from flexman_gym.control.agent import Agent
 from flexman_gym.control.network import Network
-from flexman_gym.control.policy import Policy
-from flexman_gym.envs.config.specification import make_controller
+from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 
@@ -25,10 +26,10 @@ class Winding:
         self.joints, self.base, self.rate = len(plant.torque_limit), base, rate
         self.wound = np.zeros(0)
 
-    def reset(self, arms, episode):
-        self.wound = np.concatenate([self.wound, np.zeros(max(0, arms.max() + 1 - len(self.wound)))])
+    def reset(self, arms, episode, count):
+        self.wound = pad_rows(self.wound, count)
         self.wound[arms] = 0.0
-        self.base.reset(arms, episode)
+        self.base.reset(arms, episode, count)
 
     def act(self, actions, readings, applied, playing):
         self.wound += self.rate * actions[:, 0] * playing
@@ -48,9 +49,9 @@ def test_a_mode_says_how_many_numbers_an_action_has_and_acts_in_every_period(win
     env.reset(seed=0)
     for step in range(1, 4):
         env.step(np.array([[0.5], [-1.0]], dtype=np.float32))
-        assert env.episodes.acting.mode.wound == pytest.approx([0.04 * step, -0.08 * step])
+        assert env.episodes.agent.mode.wound == pytest.approx([0.04 * step, -0.08 * step])
     env.reset(seed=1)
-    assert not env.episodes.acting.mode.wound.any(), "a new episode begins anew"
+    assert not env.episodes.agent.mode.wound.any(), "a new episode begins anew"
     said = refusal(env.step, np.zeros((2, 2), dtype=np.float32))
     assert said.endswith("give 2 rows of 1 numbers from -1 to 1")
 
@@ -66,7 +67,7 @@ def test_a_state_holds_what_a_mode_remembers(winding):
     for env in (one, other):
         env.step(np.zeros(1, dtype=np.float32))
         asked.append(env.episodes.view.action.copy())
-    assert np.array_equal(*asked) and other.episodes.acting.mode.wound == pytest.approx([0.1])
+    assert np.array_equal(*asked) and other.episodes.agent.mode.wound == pytest.approx([0.1])
 
 
 def test_a_policy_acts_in_its_mode_wherever_it_plays(winding):
@@ -75,9 +76,10 @@ def test_a_policy_acts_in_its_mode_wherever_it_plays(winding):
     random = np.random.default_rng(0)
     layers = {"action_net.weight": random.normal(size=(1, 6)), "action_net.bias": np.ones(1)}
     network = Network("ppo", None, layers, {"mean": np.zeros(6), "var": np.ones(6)})
-    base = make_controller(beside.setup, "pd", beside.batch.model)
-    mode = Winding(beside.episodes.acting.plant, base, 0.02)
-    alone = FlexManVectorEnv(3, **SETTINGS, base=Policy(network, beside.setup.sensors, 1, 2, base, mode))
+    base = beside.setup.controller("pd", beside.batch.model)
+    mode = Winding(make_plant(beside.setup, beside.batch.model), base, 0.02)
+    policy = Agent(beside.setup.sensors, 6, mode, base, action_repeat=2, law=network)
+    alone = FlexManVectorEnv(3, **SETTINGS, base=policy)
     asked, played = [], []
     beside.episodes.watch = lambda: asked.append(beside.episodes.view.action.copy())
     alone.episodes.watch = lambda: played.append(alone.episodes.view.action.copy())
@@ -88,7 +90,7 @@ def test_a_policy_acts_in_its_mode_wherever_it_plays(winding):
     for _ in range(10):
         alone.step(np.zeros((3, 2), dtype=np.float32))
     assert np.array_equal(asked, played) and np.abs(asked).max() > 0.01
-    said = refusal(lambda: Policy(network, beside.setup.sensors, mode=TorqueMode(2)))
+    said = refusal(lambda: Agent(beside.setup.sensors, 6, TorqueMode(2), law=network))
     assert said == "actions: ('torque_1', 'torque_2') is not allowed; give a mode of 1 numbers, which the policy gives"
 
 
@@ -96,7 +98,7 @@ def test_torques_are_added_to_a_base_up_to_the_limits():
     class Half:
         sensors = ()
 
-        def reset(self, arms, episode):
+        def reset(self, arms, episode, count):
             pass
 
         def act(self, readings, applied, playing):

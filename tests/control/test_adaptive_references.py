@@ -152,7 +152,7 @@ def test_payloads_between_nodes_are_weighed_by_a_parabola():
     assert payload_weights(nodes[:1], masses).tolist() == [[1.0]] * 5
 
 
-TRUE = {"payload_mass": 0.13, "joint_stiffness": [0.8, 1.25], "link_stiffness": [0.75, 1.3]}
+TRUE = {"payload_mass": 0.13, "joint_stiffness": [0.8, 1.25], "link_stiffness_factor": [0.75, 1.3]}
 
 
 def true_parameters(own):
@@ -160,7 +160,7 @@ def true_parameters(own):
     return {
         "payload_mass": np.array([TRUE["payload_mass"]]),
         "joint_stiffness": np.array([TRUE["joint_stiffness"]]) * own.constants.joint_stiffness,
-        "link_stiffness": np.array([TRUE["link_stiffness"]]),
+        "link_stiffness_factor": np.array([TRUE["link_stiffness_factor"]]),
     }
 
 
@@ -186,9 +186,11 @@ def test_softness_is_how_much_further_springs_and_links_bend():
     own = model()
     assert compliance_factors(own, {}, ONE).tolist() == [[1.0] * own.n_dof]
     true = true_parameters(own)
-    result = compliance_factors(own, {name: true[name] for name in ("joint_stiffness", "link_stiffness")}, ONE)[0]
+    result = compliance_factors(own, {name: true[name] for name in ("joint_stiffness", "link_stiffness_factor")}, ONE)[
+        0
+    ]
     assert result[:2] == pytest.approx([1.25, 0.8]) and result[own.motor_columns] == pytest.approx([1.25, 0.8])
-    for link, factor in enumerate(TRUE["link_stiffness"]):
+    for link, factor in enumerate(TRUE["link_stiffness_factor"]):
         assert result[own.elastic_columns(link)] == pytest.approx(1.0 / factor)
     stiff = fm.build_model(arm(stiffness=None, damping=0.0), 1, 1)
     given = {"joint_stiffness": np.zeros((1, 2))}

@@ -6,6 +6,7 @@ import pytest
 from flexman_gym.control.observers.estimator import Estimator
 from flexman_gym.model.statics import rest_states
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.parameters import UNCERTAIN
 
 from oracles.observed_arms import Bench, drawn_parameters, pushes, small_plant
 
@@ -30,9 +31,10 @@ def bench_of(plant, arms, seed=0, **more):
 def relative_errors(plant, estimate, parameters):
     """Largest error of each parameter, as a part of its range."""
     result = {}
-    for name, (low, high) in plant.unknown.items():
+    for key, (low, high) in plant.unknown.items():
+        name = UNCERTAIN[key]
         scale = (high - low) * (1.0 if name == "payload_mass" else plant.model.constants.joint_stiffness)
-        scale = high - low if name == "link_stiffness" else scale
+        scale = high - low if name == "link_stiffness_factor" else scale
         result[name] = np.abs((estimate.parameters[name] - parameters[name]) / scale).max()
     return result
 
@@ -233,7 +235,7 @@ def test_arms_that_begin_at_different_times_do_not_touch_each_other():
             if period == 0 or len(fresh):
                 arms = np.arange(len(seeds)) if period == 0 else fresh
                 start = np.concatenate([benches[arm][0].start for arm in arms])
-                observer.reset(arms, benches[0][0].episode().__class__(start, start, plant.period))
+                observer.reset(arms, benches[0][0].episode().__class__(start, start, plant.period), len(arms))
             playing = np.array(begins) <= period
             each = [bench.readings() for bench, *_ in benches]
             readings = {name: np.concatenate([one[name] for one in each]) for name in each[0]}

@@ -23,13 +23,13 @@ def resting():
 def test_an_arm_that_begins_forgets_its_errors_and_no_other_does():
     """All arms that begin do, and of all readings; the means of constant errors e are (1 - (1 - part)^k) of e."""
     residuals, arms = Residuals(3), np.arange(4)
-    residuals.reset(arms)
+    residuals.reset(arms, len(arms))
     for _ in range(5):
         residuals.take(arms, np.tile([3.0, -2.0, 1.0], (4, 1)))
     square, mean = 14.0 / 3.0, np.array([3.0, -2.0, 1.0])
     kept = square + (1.0 - square) * (1.0 - FAST) ** 5, (1.0 - (1.0 - SLOW) ** 5) * mean
     assert residuals.misfit == pytest.approx(np.full(4, kept[0]))
-    residuals.reset(np.array([0, 2]))
+    residuals.reset(np.array([0, 2]), 4)
     assert residuals.misfit == pytest.approx([1.0, kept[0], 1.0, kept[0]])
     assert residuals._mean == pytest.approx(np.array([0.0 * mean, kept[1], 0.0 * mean, kept[1]]))
     assert residuals.changed(arms).tolist() == [False, True, False, True]
@@ -40,7 +40,7 @@ def test_errors_of_the_last_episode_do_not_count_in_the_next():
     bench.follow(observer, np.zeros((3, 2, 1)))
     observer._residuals.take(np.arange(2), np.full((2, len(observer._instruments.ranges)), 1e3))
     assert (observer._residuals.misfit > WRONG).all()
-    observer.reset(np.array([1]), EpisodeInfo(np.zeros((1, 1)), np.zeros((1, 1)), bench.plant.period))
+    observer.reset(np.array([1]), EpisodeInfo(np.zeros((1, 1)), np.zeros((1, 1)), bench.plant.period), 2)
     assert (observer._residuals.misfit > WRONG).tolist() == [True, False]
     assert observer._residuals.changed(np.arange(2)).tolist() == [True, False]
 

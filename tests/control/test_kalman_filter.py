@@ -25,9 +25,9 @@ from flexman_gym.control.observers.kalman_filter import (
 )
 from flexman_gym.control.observers.observer import BIAS, make_measurement_model
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.setup import build
+from flexman_gym.model.linearization import LinearReadings
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.readings import LinearReadings
 
 from oracles.assertions import refusal
 from oracles.observed_arms import ALL, POSTURES, World, plant, random_actions
@@ -411,10 +411,10 @@ def test_an_arm_among_many_gets_what_an_arm_alone_gets_to_the_bit(options):
         if period in begin:
             arms = np.array(begin[period])
             last[arms] = 0.0
-            many.reset(arms, EpisodeInfo(POSTURES[arms], POSTURES[arms], given.period))
+            many.reset(arms, EpisodeInfo(POSTURES[arms], POSTURES[arms], given.period), len(arms))
             for arm in begin[period]:
                 singles[arm] = KalmanFilter(given, **options)
-                singles[arm].reset(np.array([0]), EpisodeInfo(POSTURES[[arm]], POSTURES[[arm]], given.period))
+                singles[arm].reset(np.array([0]), EpisodeInfo(POSTURES[[arm]], POSTURES[[arm]], given.period), 1)
         values = 0.05 * random.normal(size=(3, m))
         read = {name: values[:, place] for name, place in many._instruments.places.items()}
         playing = np.array([rest.get(period) != arm for arm in range(3)])

@@ -156,7 +156,7 @@ def test_the_sampled_closed_loop_is_stable_at_any_posture(name):
 def test_an_arm_at_rest_on_its_goal_is_held_and_nothing_else(kind):
     controller = designed(kind)
     goals = postures(controller, 3)[1]
-    controller.reset(ALL, EpisodeInfo(goals, goals, PERIOD))
+    controller.reset(ALL, EpisodeInfo(goals, goals, PERIOD), len(ALL))
     states = np.array([fm.rest_state(controller.model, goal) for goal in goals])
     held = np.array([fm.holding_torques(controller.model, goal) for goal in goals])
     for _ in range(3):
@@ -167,10 +167,10 @@ def test_an_arm_at_rest_on_its_goal_is_held_and_nothing_else(kind):
 def test_an_arm_among_many_gets_what_an_arm_alone_gets_to_the_bit(kind):
     many, rng = designed(kind), np.random.default_rng(3)
     starts, goals = postures(many, 3)
-    many.reset(ALL, EpisodeInfo(starts, goals, PERIOD))
+    many.reset(ALL, EpisodeInfo(starts, goals, PERIOD), len(ALL))
     singles = [designed(kind) for _ in ALL]
     for single, start, goal in zip(singles, starts, goals, strict=True):
-        single.reset(np.array([0]), EpisodeInfo(start[None], goal[None], PERIOD))
+        single.reset(np.array([0]), EpisodeInfo(start[None], goal[None], PERIOD), 1)
     for _ in range(5):
         states = 0.1 * rng.standard_normal((3, 2 * many.model.n_dof))
         actions = many.act({"state": states})
@@ -184,15 +184,15 @@ def test_a_new_episode_of_one_arm_changes_nothing_for_the_others(kind):
     one, other = designed(kind), designed(kind)
     starts, goals = postures(one, 3)
     for each in (one, other):
-        each.reset(ALL, EpisodeInfo(starts, goals, PERIOD))
+        each.reset(ALL, EpisodeInfo(starts, goals, PERIOD), len(ALL))
     states = np.array([fm.rest_state(one.model, start) for start in starts])
     for _ in range(4):
         assert np.array_equal(one.torques(states), other.torques(states))
-    one.reset(np.array([1]), EpisodeInfo(goals[1:2], starts[1:2], PERIOD))
+    one.reset(np.array([1]), EpisodeInfo(goals[1:2], starts[1:2], PERIOD), 2)
     again, before = one.torques(states), other.torques(states)
     assert np.array_equal(again[[0, 2]], before[[0, 2]]) and (again[1] != before[1]).any()
     fresh = designed(kind)
-    fresh.reset(np.array([0]), EpisodeInfo(goals[1:2], starts[1:2], PERIOD))
+    fresh.reset(np.array([0]), EpisodeInfo(goals[1:2], starts[1:2], PERIOD), 1)
     assert np.array_equal(fresh.torques(states[1:2])[0], again[1]), "it begins at the beginning"
 
 
@@ -205,7 +205,7 @@ def followed_gains(controller, start, goal):
     slew = plan_slew(model, start, goal, controller.limits, SHARE, controller.period)
     off = np.vstack([np.zeros(size), np.eye(size)])
     goals = np.repeat(goal[None], size + 1, 0)
-    controller.reset(np.arange(size + 1), EpisodeInfo(np.repeat(start[None], size + 1, 0), goals, PERIOD))
+    controller.reset(np.arange(size + 1), EpisodeInfo(np.repeat(start[None], size + 1, 0), goals, PERIOD), size + 1)
     torques = np.array([controller.torques(state + off)[:, 0] for state in slew.states])
     return torques[:, :1] - torques[:, 1:], slew.states[:, model.motor_columns[0]]
 
@@ -229,7 +229,7 @@ def test_an_arm_that_starts_at_its_goal_is_held_more_tightly():
     off = fm.rest_state(regulator.model, goal[0])[None]
     off[0, regulator.model.motor_columns] += 0.01
     for controller, start in ((regulator, goal), (holding, goal), (slewing, goal - 0.1)):
-        controller.reset(np.array([0]), EpisodeInfo(start, goal, PERIOD))
+        controller.reset(np.array([0]), EpisodeInfo(start, goal, PERIOD), 1)
     slewing._now += 10**6
     loose, tight, after = (each.torques(off)[0] - regulator._held[0] for each in (regulator, holding, slewing))
     assert (loose < 0.0).all() and (tight < 1.2 * loose).all() and after == pytest.approx(loose, rel=1e-6)
@@ -238,7 +238,7 @@ def test_an_arm_that_starts_at_its_goal_is_held_more_tightly():
 def test_feed_forward_leaves_a_part_of_the_limits_for_feedback():
     controller = designed(TrackingLQR)
     starts, goals = postures(controller, 1)
-    controller.reset(np.array([0]), EpisodeInfo(starts, goals, PERIOD))
+    controller.reset(np.array([0]), EpisodeInfo(starts, goals, PERIOD), 1)
     asked = np.array([controller.act({"state": state}) for state in controller._plans[0].states])
     assert 0.9 * SHARE < np.abs(asked).max() <= 1.01 * SHARE < 0.97
 
@@ -249,7 +249,7 @@ def test_along_a_path_gains_and_torques_are_those_of_the_moment():
     model, periods = controller.model, 48  # a design at every other period
     way = minimum_jerk(np.linspace(0.0, 1.0, periods + 1))[0]
     path, one = way[:, None] * [0.4, -0.8], np.array([0])
-    controller.reset(one, EpisodeInfo(path[None, 0], path[None, 0], PERIOD, lambda: path[None]))
+    controller.reset(one, EpisodeInfo(path[None, 0], path[None, 0], PERIOD, lambda: path[None]), 1)
     slew = plan_path(model, path, controller.period)
     on_it = np.array([controller.torques(state[None])[0] for state in slew.states])
     assert on_it[:-1] == pytest.approx(slew.torques, abs=1e-9)
@@ -266,7 +266,7 @@ def test_on_its_plan_the_tracking_one_only_feeds_forward():
     """Following the planned states to the digit it gives the planned torques, then those that hold."""
     controller = designed(TrackingLQR)
     starts, goals = postures(controller, 1)
-    controller.reset(np.array([0]), EpisodeInfo(starts, goals, PERIOD))
+    controller.reset(np.array([0]), EpisodeInfo(starts, goals, PERIOD), 1)
     states, torques, gains, _ = controller._plans[0]
     assert len(torques) == len(states) and len(gains) == 3
     for state, torque in zip(states, torques, strict=True):
@@ -319,7 +319,7 @@ def test_a_slew_has_the_law_that_is_asked_for(law):
     plain = designed(TrackingLQR)
     controller = TrackingLQR(plain.model, plain.limits, PERIOD, law=law)
     starts, goals = postures(controller, 1)
-    controller.reset(np.array([0]), EpisodeInfo(starts, goals, PERIOD))
+    controller.reset(np.array([0]), EpisodeInfo(starts, goals, PERIOD), 1)
     slew = plan_slew(controller.model, starts[0], goals[0], controller.limits, SHARE, PERIOD, law)
     assert np.array_equal(controller._plans[0].states, slew.states) and (plain.law == law) == (law == "minimum-jerk")
 

@@ -58,7 +58,7 @@ def test_near_its_goal_the_controller_is_the_lqr(monkeypatch):
     monkeypatch.setattr(mpc, "BLOCKS", (1,) * 24)
     model, limits, posture = posed("FlexRRR-v0")
     controller = mpc.MPC(model, limits, PERIOD, ("midpoint_3_sweeps", PERIOD / 20.0))
-    controller.reset(ONLY, EpisodeInfo(posture[None], posture[None], PERIOD))
+    controller.reset(ONLY, EpisodeInfo(posture[None], posture[None], PERIOD), 1)
     rest, off = fm.rest_state(model, posture), np.zeros(2 * model.n_dof)
     off[: model.n_dof] = (fm.rest_state(model, posture + np.array([1e-6, -2e-6, 3e-6])) - rest)[: model.n_dof]
     off[model.n_dof + model.motor_columns] = [2e-6, 1e-6, -1e-6]
@@ -104,7 +104,7 @@ def test_on_a_slew_that_the_arm_can_follow_nothing_is_changed():
     """A slew that the simulator has made, within the limits; the torques of each period are applied in it."""
     model, limits, posture = posed()
     controller, random = mpc.MPC(model, limits, PERIOD), np.random.default_rng(3)
-    controller.reset(ONLY, EpisodeInfo(posture[None], posture[None] + 0.05, PERIOD))
+    controller.reset(ONLY, EpisodeInfo(posture[None], posture[None] + 0.05, PERIOD), 1)
     torques = fm.holding_torques(model, posture) / limits + 0.05 * random.uniform(-1.0, 1.0, (90, 2))
     drives, batch = np.zeros((1, 90, 8)), controller._arms(1)
     drives[0, :, :2] = torques * limits
@@ -124,7 +124,7 @@ def test_planned_torques_change_by_little_in_a_period():
     model, limits, posture = posed("FlexOne-v0")
     goals = np.array([posture + 1.5, posture - 1.5])
     controller = mpc.MPC(model, limits, PERIOD)
-    controller.reset(np.arange(2), EpisodeInfo(goals, goals, PERIOD))
+    controller.reset(np.arange(2), EpisodeInfo(goals, goals, PERIOD), 2)
     actions = controller.act({"state": model.at_rest(np.array([posture, posture]))}, goals, np.ones(2, dtype=bool))
     assert actions == pytest.approx(np.array([[mpc.TRUST], [-mpc.TRUST]]))
 
@@ -132,7 +132,7 @@ def test_planned_torques_change_by_little_in_a_period():
 def test_between_two_postures_slopes_are_between_theirs():
     model, limits, posture = posed("FlexOne-v0")
     controller = mpc.MPC(model, limits, PERIOD)
-    controller.reset(ONLY, EpisodeInfo(posture[None], posture[None] + 1.0, PERIOD))
+    controller.reset(ONLY, EpisodeInfo(posture[None], posture[None] + 1.0, PERIOD), 1)
     plan = controller._plans[0]
     each = plan.horizons._replace(slopes=plan.horizons.slopes * np.arange(5.0)[:, None, None])
     for come, place in ((-0.1, 0.0), (0.3, 1.2), (1.0, 4.0), (1.2, 4.0)):
@@ -153,7 +153,7 @@ def test_where_it_saturates_its_plan_costs_the_least_of_all_within_the_limits(mo
     """By another solver: torques from -1 to 1, changes up to TRUST; some end at either, some at neither."""
     model, limits, posture = posed()
     controller, n, programs = mpc.MPC(model, limits, PERIOD), 2, []
-    controller.reset(ONLY, EpisodeInfo(posture[None], posture[None], PERIOD))
+    controller.reset(ONLY, EpisodeInfo(posture[None], posture[None], PERIOD), 1)
     blocks, random = len(mpc.BLOCKS), np.random.default_rng(0)
     means = np.where(np.arange(blocks * n) % 3 == 0, 0.0, 0.98 * random.choice([-1.0, 1.0], blocks * n))
     planned = np.repeat(means.reshape(blocks, n), mpc.BLOCKS, axis=0)
@@ -179,7 +179,7 @@ def test_changes_act_as_about_where_the_arm_will_be(monkeypatch):
     model, limits, _ = posed()
     start, goal, now = np.array([[0.0, 0.3]]), np.array([[1.2, 2.0]]), 20
     controller, between, used = mpc.MPC(model, limits, PERIOD), mpc.MPC._between, []
-    controller.reset(ONLY, EpisodeInfo(start, goal, PERIOD))
+    controller.reset(ONLY, EpisodeInfo(start, goal, PERIOD), 1)
     monkeypatch.setattr(controller, "_between", lambda *given: used.append(between(controller, *given)) or used[-1])
     plan, ahead = controller._plans[0], sum(mpc.BLOCKS)
     planned, state = np.clip(plan.torques[now : now + ahead], -1.0, 1.0), plan.states[now]
@@ -226,12 +226,12 @@ def test_an_arm_that_does_not_play_gets_nothing_and_changes_nothing():
     model, limits, posture = posed()
     goals, starts = np.array([posture, -posture]), np.zeros((2, 2))
     both, states = mpc.MPC(model, limits, PERIOD), np.array([fm.rest_state(model, each) for each in starts])
-    both.reset(np.arange(2), EpisodeInfo(starts, goals, PERIOD))
+    both.reset(np.arange(2), EpisodeInfo(starts, goals, PERIOD), 2)
     kept = both._planned[1].copy()
     actions = both.act({"state": np.array([states[0], np.full_like(states[1], 1e9)])}, starts, np.array([True, False]))
     assert actions[0].any() and not actions[1].any() and np.array_equal(both._planned[1], kept)
     alone = mpc.MPC(model, limits, PERIOD)
-    alone.reset(ONLY, EpisodeInfo(starts[:1], goals[:1], PERIOD))
+    alone.reset(ONLY, EpisodeInfo(starts[:1], goals[:1], PERIOD), 1)
     assert np.array_equal(alone.act({"state": states[:1]}, starts[:1], np.array([True]))[0], actions[0])
 
 

@@ -219,16 +219,16 @@ def test_a_table_comes_back_from_its_file_as_it_was(table, tmp_path):
 def test_it_replays_torques_then_regulates_and_each_arm_has_its_own(table):
     controller = player(table)
     (first, one, _), (second, other, _) = table.found[7], table.found[3]
-    controller.reset(np.array([0, 1]), EpisodeInfo(*np.stack([first, second], axis=1), 0.02))
+    controller.reset(np.array([0, 1]), EpisodeInfo(*np.stack([first, second], axis=1), 0.02), 2)
     regulator = LQR(controller.model, controller.limits, 0.02)
-    regulator.reset(np.array([0, 1]), EpisodeInfo(*np.stack([first, second], axis=1), 0.02))
+    regulator.reset(np.array([0, 1]), EpisodeInfo(*np.stack([first, second], axis=1), 0.02), 2)
     states = 0.01 * np.random.default_rng(0).standard_normal((2, 2 * controller.model.n_dof))
     torques = [controller.torques(states) for _ in range(28)]
     closed = regulator.torques(states)
     for arm, slew in enumerate((one, other)):
         expected = [*interpolate_torques(slew.knots, slew.periods), *[closed[arm]] * 28][:28]
         assert np.array_equal([each[arm] for each in torques], expected)
-    controller.reset(np.array([1]), EpisodeInfo(*first[:, None], 0.02))
+    controller.reset(np.array([1]), EpisodeInfo(*first[:, None], 0.02), 2)
     assert np.array_equal(controller.torques(states), [closed[0], interpolate_torques(one.knots, one.periods)[0]])
 
 
@@ -236,7 +236,7 @@ def test_what_no_table_has_is_refused_with_the_command_that_makes_one(table):
     controller = player(table)
     start, goal = table.found[7][0]
     near = 0.9e-9
-    controller.reset(ONLY, EpisodeInfo(start[None] + near, goal[None] - near, 0.02))
+    controller.reset(ONLY, EpisodeInfo(start[None] + near, goal[None] - near, 0.02), 1)
     for ends in ((start, goal + 2e-9), (start - 2e-9, goal), (goal, start)):
         said = refusal(controller.reset, ONLY, EpisodeInfo(ends[0][None], ends[1][None], 0.02))
         assert said.startswith("episode: [[") and said.endswith(MAKE)

@@ -20,8 +20,8 @@ class Asking:
     def __init__(self, observer, asked):
         self.observer, self.sensors, self.asked, self.said = observer, observer.sensors, asked, []
 
-    def reset(self, arms, episode):
-        self.observer.reset(arms, episode)
+    def reset(self, arms, episode, count):
+        self.observer.reset(arms, episode, count)
 
     def act(self, readings, applied, playing):
         estimate = self.observer.estimate(readings, applied, playing)
@@ -73,9 +73,9 @@ def test_it_predicts_through_the_delay_to_the_last_bit(delay):
 
 def test_it_tells_the_parameters_of_each_arm():
     said, _, drawn = played((0, 0), periods=2)
-    for name in ("payload_mass", "joint_stiffness", "link_stiffness"):
+    for name in ("payload_mass", "joint_stiffness", "link_stiffness_factor"):
         assert np.array_equal(said[1].parameters[name], drawn[name]) and len(np.unique(drawn[name])) >= 4
-    assert set(said[1].parameters) == {"payload_mass", "joint_stiffness", "link_stiffness"}
+    assert set(said[1].parameters) == {"payload_mass", "joint_stiffness", "link_stiffness_factor"}
 
 
 def test_a_new_episode_is_one_of_another_arm():

@@ -10,7 +10,6 @@ import flexman_gym  # noqa: F401  registers the environments
 from flexman_gym.control import PD, Controller, EpisodeInfo
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import build
-from flexman_gym.envs.config.specification import make_controller
 from flexman_gym.envs.sensors import SENSORS
 from flexman_gym.model import holding_torques
 
@@ -41,7 +40,7 @@ def test_arms_that_come_later_change_nothing_for_those_before():
     model = build(Configuration.from_keywords({"name": "FlexPlanar-v0"})).model
     postures, pd = np.array([[0.0, 0.0], [0.5, -0.8], [-0.7, 0.3]]), PD((1.0, 1.0), (0.0, 0.0), 12.0, model)
     for arm in range(3):
-        pd.reset(np.array([arm]), EpisodeInfo(postures[arm : arm + 1], postures[arm : arm + 1], 0.02))
+        pd.reset(np.array([arm]), EpisodeInfo(postures[arm : arm + 1], postures[arm : arm + 1], 0.02), arm + 1)
     held = np.array([holding_torques(model, posture) for posture in postures])
     still = {"angle_errors": np.zeros((3, 2)), "motor_rates": np.zeros((3, 2))}
     assert pd.act(still) == pytest.approx(held / 12.0, abs=1e-6)
@@ -92,8 +91,8 @@ def test_pd_with_gravity_holds_an_arm_at_rest_where_it_is():
     held = np.array([holding_torques(arms.batch.model, posture) for posture in postures])
     assert arms.episodes.view.action == pytest.approx(held / arms.torque_limit, abs=1e-6)
     still = {"angle_errors": np.zeros(2), "motor_rates": np.zeros(2)}
-    alone = make_controller(arms.setup, "pd", arms.batch.model)
-    alone.reset(np.array([0]), EpisodeInfo(postures[1:2], postures[1:2], 0.02))
+    alone = arms.setup.controller("pd", arms.batch.model)
+    alone.reset(np.array([0]), EpisodeInfo(postures[1:2], postures[1:2], 0.02), 1)
     assert alone.act(still) == pytest.approx(held[1] / arms.torque_limit, abs=1e-6)
     arms.episodes.base.gravity_model = None
     for _ in range(100):

@@ -23,7 +23,7 @@ from flexman_gym.simulation.parameters import varied_model
 from oracles.assertions import refusal
 from oracles.observed_arms import small_plant
 
-RANGES = {"payload_mass": (0.0, 4.0), "joint_stiffness": (0.7, 1.3), "joint_damping": (0.0, 2.0)}
+RANGES = {"payload_mass": (0.0, 4.0), "joint_stiffness_factor": (0.7, 1.3), "joint_damping": (0.0, 2.0)}
 
 
 def model(**changes):
@@ -53,7 +53,7 @@ def test_what_the_model_has_no_coordinate_for_stays_as_it_is():
     assert values["joint_stiffness"][0] == pytest.approx([0.5, 1.0] * own.constants.joint_stiffness)
     assert values["joint_damping"][0].tolist() == [0.3, own.constants.joint_damping[1]]
     rubbing = model(viscous_friction=0.2)
-    parts = make_uncertain_parameters(rubbing, {"viscous_friction": (0.5, 1.5)})
+    parts = make_uncertain_parameters(rubbing, {"viscous_friction_factor": (0.5, 1.5)})
     assert parts.joints.tolist() == [1], "a factor on nothing says nothing"
     assert parts.values(rubbing, np.array([[1.5]]))["viscous_friction"] == pytest.approx(np.array([[0.0, 0.3]]))
 
@@ -75,6 +75,17 @@ def test_nothing_unknown_is_no_number():
     assert unknowns.values(own, np.zeros((3, 0))) == {} and unknowns.mean.shape == (0,)
 
 
+def test_a_range_has_the_name_and_the_unit_that_it_has_in_a_randomisation():
+    """A factor is called one, and the parameter that follows from it has its own unit."""
+    own = model(stiffness=500.0)
+    found = make_uncertain_parameters(own, {"joint_stiffness_factor": (0.5, 1.5), "link_stiffness_factor": (0.5, 1.5)})
+    values = found.values(own, np.full((1, 4), 0.5))
+    assert values["joint_stiffness"][0] == pytest.approx(0.5 * own.constants.joint_stiffness)
+    assert values["link_stiffness_factor"].tolist() == [[0.5, 0.5]]
+    with pytest.warns(DeprecationWarning, match="unknown.joint_stiffness: this is called joint_stiffness_factor now"):
+        assert make_uncertain_parameters(own, {"joint_stiffness": (0.5, 1.5)}).scales == pytest.approx(found.scales[:2])
+
+
 @pytest.mark.parametrize("span", [(0.13, 0.13), (0.0, 0.0)])
 def test_a_range_of_one_number_is_a_number_that_is_known(span):
     """To a thousandth, or to a gram."""
@@ -86,14 +97,14 @@ def test_a_range_of_one_number_is_a_number_that_is_known(span):
 @pytest.mark.parametrize(
     ("ranges", "line"),
     [
-        ({"mass": (0.0, 1.0)}, "unknown: 'mass' is not allowed; give one of payload_mass, joint_stiffness"),
+        ({"mass": (0.0, 1.0)}, "unknown: 'mass' is not allowed; give one of payload_mass, joint_stiffness_factor"),
         ({"payload_mass": 3.0}, "unknown.payload_mass: 3.0 is not allowed; give a range (low, high)"),
         (
             {"payload_mass": (2.0, 1.0)},
             "unknown.payload_mass: (2.0, 1.0) is not allowed; give a range (low, high) with",
         ),
         ({"payload_mass": (-1.0, 1.0)}, "unknown.payload_mass: (-1.0, 1.0) is not allowed; give a range (low, high) w"),
-        ({"joint_stiffness": (0.0, np.inf)}, "unknown.joint_stiffness: (0.0, inf) is not allowed"),
+        ({"joint_stiffness_factor": (0.0, np.inf)}, "unknown.joint_stiffness_factor: (0.0, inf) is not allowed"),
     ],
 )
 def test_what_is_no_range_is_refused_in_one_line(ranges, line):

@@ -5,14 +5,16 @@ import pytest
 
 from flexman_gym.control import Oracle
 from flexman_gym.control.actions import DEPARTURE
+from flexman_gym.control.agent import Agent
 from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.network import Network
 from flexman_gym.control.observers.observer import Estimate
 from flexman_gym.control.observers.oracle import FADING
-from flexman_gym.control.policy import PolicyFactory
 from flexman_gym.control.reference_shaping import PURSUIT, SMOOTHNESS, Authority, ReferenceShape
 from flexman_gym.control.references.adaptive_references import SlewReferences
+from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.env import FlexManEnv
+from flexman_gym.envs.episodes import design_mode
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.model.statics import rest_states
 
@@ -45,8 +47,8 @@ def test_an_action_of_nothing_is_the_controller_to_the_bit(base):
     other, _ = played(shaped, lambda seen: np.full((3, 3), 0.4), 40)
     assert np.array_equal(asked, expected)
     assert np.abs(other - expected).max() > 0.1
-    assert shaped.episodes.acting.mode.names == ("pace", "offset_1", "torque_1")
-    assert seen.shape[2] == sum(shaped.episodes.acting.mode.shown.values()) == shaped.single_observation_space.shape[0]
+    assert shaped.episodes.agent.mode.names == ("pace", "offset_1", "torque_1")
+    assert seen.shape[2] == sum(shaped.episodes.agent.mode.shown.values()) == shaped.single_observation_space.shape[0]
 
 
 def network(size, actions=3):
@@ -60,10 +62,11 @@ def network(size, actions=3):
 
 
 def test_a_policy_sees_and_shapes_as_the_agent_in_its_environment():
-    """The agent in its environment; the policy as the base of a plain one, made for the arm there."""
+    """The agent in its environment; the same agent as the base of a plain one, made for the arm there."""
     beside = FlexManVectorEnv(3, **SHAPED, base="adaptive-lqr")
     acting = network(beside.single_observation_space.shape[0])
-    learned = PolicyFactory(acting, (), 1, 5, base="adaptive-lqr", actions="shaping")
+    base, mode = design_mode(beside.setup, beside.batch.model)
+    learned = Agent((), 0, mode, base, action_repeat=5, law=acting)
     asked, _ = played(beside, acting, 40)
     expected, _ = played(FlexManVectorEnv(3, **ONE, base=learned), lambda seen: np.zeros((3, 1)), 40)
     assert np.array_equal(asked, expected) and np.abs(asked).max() > 0.1
@@ -75,7 +78,7 @@ def test_a_state_holds_what_was_looked_at_and_shaped():
     for _ in range(3):
         one.step(np.full(3, 0.7, dtype=np.float32))
     other.reset(seed=2)
-    assert np.array_equal(other.set_state(one.get_state())[0], one.episodes.sight.seen[0])
+    assert np.array_equal(other.set_state(one.get_state())[0], one.episodes.agent.observations[0])
     both = [env.step(np.full(3, -0.3, dtype=np.float32))[0] for env in (one, other)]
     assert np.array_equal(*both)
 
@@ -84,7 +87,7 @@ def test_the_end_of_an_episode_is_seen_before_the_next_begins():
     """With a reset in the same step: the last observation has gone on, the first one of the next is at its start."""
     env = FlexManVectorEnv(2, **{**SHAPED, "horizon": 0.2}, base="privileged-lqr", autoreset_mode="SameStep")
     env.reset(seed=0)
-    place = env.single_observation_space.shape[0] - sum(list(env.episodes.acting.mode.shown.values())[5:])
+    place = env.single_observation_space.shape[0] - sum(list(env.episodes.agent.mode.shown.values())[5:])
     for _ in range(2):
         seen, _, _, truncated, infos = env.step(np.zeros((2, 3), dtype=np.float32))
     assert truncated.all() and (seen[:, place] == 0.0).all()
@@ -114,7 +117,7 @@ PERIOD = 0.02
 
 def shape_of(slews, **authority):
     result = ReferenceShape(slews, np.array([2.0]), PERIOD, Authority(**authority))
-    result.reset(ARM)
+    result.reset(ARM, 1)
     return result
 
 
@@ -181,10 +184,10 @@ def test_offsets_are_critically_damped_and_fade_at_the_goal(slews):
 def test_every_arm_that_begins_is_shaped_anew_and_no_other(slews):
     slews.grow(4)
     shape, arms = shape_of(slews), np.arange(4)
-    shape.reset(arms)
+    shape.reset(arms, len(arms))
     for part in (shape.ahead, shape.offsets, shape.wanted):
         part[:] = 0.7
-    shape.reset(np.array([0, 1, 3]))
+    shape.reset(np.array([0, 1, 3]), 4)
     for part in (shape.ahead, shape.offsets, shape.wanted):
         assert (part[[0, 1, 3]] == 0.0).all() and (part[2] == 0.7).all()
 
@@ -202,7 +205,7 @@ def lifting():
 
 def test_an_arm_that_rests_at_the_end_of_its_slew_has_no_errors(lifting):
     """Under gravity the end is turned until the tip of the arm as it is rests where it should."""
-    mode, arms = lifting.episodes.acting.mode, np.arange(3)
+    mode, arms = lifting.episodes.agent.mode, np.arange(3)
     law, d = mode._law, mode._plant.model.n_dof
     law._ages[:] = 3000
     springs = np.array([[0.7, 1.2], [1.0, 0.9], [1.3, 1.1]]) * mode._plant.model.constants.joint_stiffness
@@ -217,7 +220,7 @@ def test_an_arm_that_rests_at_the_end_of_its_slew_has_no_errors(lifting):
 
 def test_what_is_shown_of_an_arm_on_its_way(lifting):
     """Of arms that are off their reference by known angles and rates, under what is estimated of them."""
-    mode, arms, zero = lifting.episodes.acting.mode, np.arange(3), np.zeros(3, dtype=np.int64)
+    mode, arms, zero = lifting.episodes.agent.mode, np.arange(3), np.zeros(3, dtype=np.int64)
     law, model = mode._law, mode._plant.model
     law._ages[:] = 20
     factors = np.array([[0.7, 1.2], [1.0, 0.9], [1.3, 1.1]])
@@ -244,13 +247,13 @@ def test_what_is_shown_of_an_arm_on_its_way(lifting):
 def test_deviations_are_parts_of_what_is_usual(lifting):
     """At first those of even draws from the ranges; links are known."""
     lifting.reset(seed=1)
-    shown = lifting.episodes.acting.mode._deviations(np.arange(3))
+    shown = lifting.episodes.agent.mode._deviations(np.arange(3))
     assert shown == pytest.approx(np.tile(np.array([0.2, 0.6, 0.6, 0.0, 0.0]) / np.sqrt(12.0), (3, 1)), rel=0.01)
 
 
 def test_torques_beside_a_slew_at_another_pace_are_those_of_the_middle_of_a_period(lifting):
     """As of a slew that was timed for the pace, over the period that begins."""
-    law, arms = lifting.episodes.acting.mode._law, np.arange(3)
+    law, arms = lifting.episodes.agent.mode._law, np.arange(3)
     slews, now = law.slews, np.full(3, 0.26)
     slews.pace[:] = 1.4
     paced = law._reference(now, arms)
@@ -272,7 +275,7 @@ def test_torques_that_do_not_fade_stay_at_the_goal(slews):
 
 def test_only_parts_with_authority_are_asked_for():
     env = FlexManEnv(**{**SHAPED, "actions": {"kind": "shaping", "offset": 0.0, "torque": 0.0}}, base="privileged-lqr")
-    assert env.episodes.acting.mode.names == ("pace",) and env.action_space.shape == (1,)
+    assert env.episodes.agent.mode.names == ("pace",) and env.action_space.shape == (1,)
 
 
 @pytest.mark.parametrize(
@@ -292,10 +295,10 @@ def test_doubt_is_that_of_an_observer():
     """The mean of what is possible at first; later the truth, with errors of the deviations that are told."""
     env = FlexManVectorEnv(40, **ONE)
     env.reset(seed=0)
-    plant, drawn = env.episodes.acting.plant, env.episodes.effects.drawn
+    plant, drawn = make_plant(env.setup, env.simulator.model), env.episodes.effects.drawn
     truth, arms, on = Oracle(plant, doubt=True), np.arange(40), np.ones(40, dtype=bool)
     goal = np.zeros((40, 1))
-    truth.reset(arms, EpisodeInfo(goal, goal, PERIOD, None, drawn))
+    truth.reset(arms, EpisodeInfo(goal, goal, PERIOD, None, drawn), len(arms))
     readings = {"state": rest_states(plant.model, goal)}
     ratios = []
     for period in range(60):

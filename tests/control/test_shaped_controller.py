@@ -28,7 +28,7 @@ class Listener:
     def __init__(self, *sensors):
         self.sensors, self.episodes, self.heard = sensors, [], []
 
-    def reset(self, arms, episode):
+    def reset(self, arms, episode, count):
         self.episodes.append(episode)
 
     def act(self, readings, applied, playing):

@@ -38,7 +38,7 @@ def law(start=START, goal=GOAL, randomisation=UNKNOWN, path=None):
     """A law in an episode of one arm, and its plant."""
     plant = small_plant("FlexPlanar-v0", randomisation)
     own = Tracking(plant)
-    own.reset(ONE, EpisodeInfo(start, goal, plant.period, path))
+    own.reset(ONE, EpisodeInfo(start, goal, plant.period, path), 1)
     return own, plant
 
 
@@ -96,7 +96,7 @@ def test_off_its_reference_it_is_the_regulator_of_the_arm_as_it_is_estimated(pay
 def test_torques_are_within_the_limits_and_arms_that_rest_have_none():
     plant = small_plant("FlexPlanar-v0", UNKNOWN)
     own, arms = Tracking(plant), np.arange(2)
-    own.reset(arms, EpisodeInfo(START.repeat(2, 0), GOAL.repeat(2, 0), plant.period))
+    own.reset(arms, EpisodeInfo(START.repeat(2, 0), GOAL.repeat(2, 0), plant.period), len(arms))
     far = np.array([fm.rest_state(plant.model, START[0])] * 2)
     playing = np.array([True, False])
     own.torques(Estimate(far, np.zeros(2, dtype=int), {}), playing)
@@ -128,9 +128,9 @@ def test_an_episode_begins_as_the_first_did():
     first, plant = law()
     expected = follow(first, plant, 8)
     for start, goal in ((START, GOAL), (GOAL, GOAL)):
-        first.reset(ONE, EpisodeInfo(start, goal, plant.period))
+        first.reset(ONE, EpisodeInfo(start, goal, plant.period), 1)
         follow(first, plant, 3)
-        first.reset(ONE, EpisodeInfo(START, GOAL, plant.period))
+        first.reset(ONE, EpisodeInfo(START, GOAL, plant.period), 1)
         assert np.array_equal(follow(first, plant, 8), expected)
 
 
@@ -241,7 +241,7 @@ def test_a_delay_that_is_not_told_is_missed():
     off = []
     for told in (0, 1):
         world, lqg = World(plant(delay=(1, 1))), make_base("lqg", plant(delay=(told, told)))
-        lqg.reset(world.arms, EpisodeInfo(POSTURES, POSTURES + 0.5, 0.01))
+        lqg.reset(world.arms, EpisodeInfo(POSTURES, POSTURES + 0.5, 0.01), len(world.arms))
         for _ in range(20):
             world.step(lqg.act(world.readings(), world.last, np.ones(3, dtype=bool)))
         lqg.act(world.readings(), world.last, np.ones(3, dtype=bool))
@@ -269,12 +269,12 @@ def test_it_starts_where_its_encoders_say_and_is_told_no_more():
     given, actions = plant(), []
     for told in (POSTURES, POSTURES + 0.3):
         world, lqg = World(given), make_base("lqg", given)
-        lqg.reset(world.arms, EpisodeInfo(told, POSTURES + 0.1, given.period))
+        lqg.reset(world.arms, EpisodeInfo(told, POSTURES + 0.1, given.period), len(world.arms))
         for _ in range(3):
             action = lqg.act(world.readings(), world.last, np.ones(3, dtype=bool))
             world.step(action)
         actions.append(action)
-    assert np.array_equal(*actions) and BASES["lqg"].knows == ("model",)
+    assert np.array_equal(*actions) and BASES["lqg"].information == ("model",)
     assert set(lqg.sensors) == {"motor_encoders", "joint_encoders", "strain"}
 
 

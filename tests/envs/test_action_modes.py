@@ -66,7 +66,7 @@ def test_a_position_servo_comes_to_rest_where_it_is_told():
     for _ in range(600):
         env.step(np.array([-0.2], dtype=np.float32))
     assert env.episodes.view.motor_angles[0, 0] == pytest.approx(-0.4, abs=2e-3)
-    assert env.episodes.acting.mode.names == ("position_1",)
+    assert env.episodes.agent.mode.names == ("position_1",)
 
 
 def test_a_velocity_servo_turns_as_fast_as_it_is_told_and_does_not_wind_up():
@@ -84,7 +84,7 @@ def test_a_velocity_servo_turns_as_fast_as_it_is_told_and_does_not_wind_up():
         assert env.episodes.view.motor_angles[0, 0] == pytest.approx(-1.0, abs=1e-9), "it stays where it starts"
     weak = FlexManEnv(name="FlexOne-v0", actions={"kind": "velocity", "range": 20.0}, torque_limit=0.01)
     weak.reset(options={"start": [0.0], "goal_angles": [0.0]})
-    servo = weak.episodes.acting.mode
+    servo = weak.episodes.agent.mode
     for _ in range(20):
         weak.step(np.ones(1, dtype=np.float32))
     behind = servo._reference[0, 0] - weak.episodes.view.motor_angles[0, 0]
@@ -160,7 +160,7 @@ def test_currents_are_torques_by_gear_torque_constant_and_efficiency():
         env.step(np.array([0.5, -1.0], dtype=np.float32))
         asked = [min(0.5 * 2.0 * 0.02 * 50.0 * 0.9, limit or 9.0), -0.5 * 0.05 * 20.0]
         assert env.episodes.motors.torques[0] == pytest.approx(asked)
-        assert env.episodes.acting.mode.names == ("current_1", "current_2")
+        assert env.episodes.agent.mode.names == ("current_1", "current_2")
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ class Recorder:
     def __init__(self, asked=0.0, sensors=("full",)):
         self.asked, self.sensors, self.readings, self.resets, self.told = asked, sensors, [], [], []
 
-    def reset(self, arms, episode):
+    def reset(self, arms, episode, count):
         self.resets.append((arms.copy(), episode.start.copy(), episode.goal.copy()))
 
     def act(self, readings, applied, playing):
@@ -231,7 +231,7 @@ def test_a_base_and_the_agent_see_the_same_measurements():
         seen = {name: observation[place] for name, place in env.sensors.slices.items()}
         for name in ("motor_angles", "angle_errors", "target_nearness"):
             assert base.readings[-1][name][0].astype(np.float32) == pytest.approx(seen[name], abs=0)
-        observation = env.unwrapped.episodes.sight.seen[0].copy()
+        observation = env.unwrapped.episodes.agent.observations[0].copy()
 
 
 @pytest.mark.parametrize(("asked", "given", "sum_"), [(0.8, 0.8, 1.0), (-0.7, -0.6, -1.0), (0.5, -0.25, 0.25)])

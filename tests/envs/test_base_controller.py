@@ -31,7 +31,7 @@ class Listener:
     def __init__(self):
         self.episodes, self.told = [], []
 
-    def reset(self, arms, episode):
+    def reset(self, arms, episode, count):
         self.episodes.append((arms.copy(), episode))
 
     def act(self, readings, applied, playing):
@@ -104,7 +104,7 @@ class Slotted:
     __slots__ = ()
     sensors = ("servo",)
 
-    def reset(self, arms, episode):
+    def reset(self, arms, episode, count):
         pass
 
     def act(self, readings, applied, playing):

@@ -102,7 +102,7 @@ def test_what_a_condition_draws_is_in_its_file():
     full = Configuration.find("FlexRRR-v0/unknown")
     assert lab.randomisation == full.randomisation and lab.gains == full.gains
     assert set(full.randomisation.effects) == {
-        "payload_mass", "joint_stiffness", "link_stiffness", "delay", "sensor_noise",
+        "payload_mass", "joint_stiffness", "link_stiffness_factor", "delay", "sensor_noise",
     }  # fmt: skip
     assert full.randomisation.payload_mass == (0.0, 20.0) and full.randomisation.sensor_noise == (0.001, 0.001)
     names = gym.make("FlexRRR-v0", sensors=lab.sensors).unwrapped.sensors.slices

@@ -158,7 +158,7 @@ def test_changes_may_be_whole_only_together():
         ({"task": 3}, "task: 3 is not allowed; give one of slew, track, hold, or a mapping with"),
         ({"task": "reach"}, "task: 'reach' is not allowed; give one of slew, track"),
         ({"task": {"kind": "slew", "goal": 1}}, "task: 'goal' is not allowed; give one of start, slew"),
-        ({"arm": "puma"}, "arm: 'puma' is not allowed; give one of paper_rrr, planar_2r"),
+        ({"arm": "puma"}, "arm: 'puma' is not allowed; give one of de_luca_siciliano, flexarm_rome"),
         ({"arm": 3}, "arm: 3 is not allowed; give an Arm, a mapping, a file"),
         ({"arm": {"catalog": "paper_rrr", "payload": {"mas": 1}}}, "arm.payload.mas: 1 is not allowed; give only the"),
         ({"arm": {"catalog": "vertical_2r", "color": 1}}, "arm: "),
@@ -195,7 +195,7 @@ def test_objects_of_ones_own_cannot_be_described():
 def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
     """From gym.make, gym.make_vec and an evaluation, whose records are period by period."""
     pytest.importorskip("stable_baselines3")
-    from flexman_gym.evaluation.agent import Agent, common_environment, find_agent
+    from flexman_gym.evaluation.agent import AgentSpec, common_environment, find_agent
     from flexman_gym.evaluation.rollout import rollout
 
     files.write_data(tmp_path / "own.yaml", OWN)
@@ -212,7 +212,7 @@ def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
         errors.append(info["tip_error"])
         assert np.array_equal(seen, others[1]) and infos["tip_error"][1] == errors[-1]
     assert ended
-    policy = Agent("pd", find_agent("zero").act, {key: OWN[key] for key in ("base", "action_repeat", "sensors")})
+    policy = AgentSpec("pd", find_agent("zero").law, {key: OWN[key] for key in ("base", "hold", "sensors")})
     (_, record) = rollout(policy, common_environment([policy], result), [7, seed]).records
     assert np.array_equal(record.errors[::2], errors)
 

@@ -364,7 +364,7 @@ OUTSIDE = {"start": [5.0, 0.0, 0.0]}  # beyond the limits, which only a reset fi
 WRONG = [
     OUTSIDE,
     OUTSIDE | {"parameters": {"payload_mass": 3.0, "joint_damping": [1.0, 2.0, 3.0]}},
-    OUTSIDE | {"goal_angles": [0.1] * 3, "parameters": {"link_stiffness": [0.9, 0.8, 0.7]}},
+    OUTSIDE | {"goal_angles": [0.1] * 3, "parameters": {"link_stiffness_factor": [0.9, 0.8, 0.7]}},
     {"start": "up"},
     {"speed": 1.0},
     np.zeros(3),

@@ -64,7 +64,7 @@ class Brake:
 
     sensors = ("full",)
 
-    def reset(self, arms, episode):
+    def reset(self, arms, episode, count):
         pass
 
     def act(self, readings, applied=None, playing=None):

@@ -27,7 +27,7 @@ def test_it_tells_ranges_and_no_more():
     plant, setup, model = plant_of(randomisation=RANDOM)
     assert plant.model is model and plant.torque_limit == setup.torque_limit
     assert plant.period == setup.control_period and plant.gains() == setup.pd_gains
-    assert plant.unknown == {"payload_mass": (0.0, 0.2), "joint_stiffness": (0.7, 1.3)}
+    assert plant.unknown == {"payload_mass": (0.0, 0.2), "joint_stiffness_factor": (0.7, 1.3)}
     assert plant.delay == (1, 3) and plant.push == 2.0
 
 
@@ -56,7 +56,7 @@ def deviations(settings, names, arms=400):
     class Reading:
         sensors, heard = ("motor_encoders", "joint_encoders", "strain"), None
 
-        def reset(self, arms, episode):
+        def reset(self, arms, episode, count):
             pass
 
         def act(self, readings, applied, playing):

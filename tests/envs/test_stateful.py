@@ -77,7 +77,7 @@ def test_an_environment_made_alike_goes_on_from_a_state(settings, many):
     arrays = {}
     text = json.dumps(split_arrays(env.unwrapped.get_state(), arrays))
     seen = other.unwrapped.set_state(join_arrays(json.loads(text), arrays))
-    assert np.array_equal(seen, env.unwrapped.episodes.sight.seen)
+    assert np.array_equal(seen, env.unwrapped.episodes.agent.observations)
     assert same(played(env), played(other))
 
 
@@ -136,7 +136,7 @@ def test_an_environment_that_was_never_reset_has_a_state():
             "state.episodes.batch.rows: 'array (3, 46) of float64' is not allowed; give an array (3, 20) of",
         ),
         ({"randomisation": {"delay": (0, 1)}}, "state.episodes.effects: None is not allowed; give a mapping"),
-        ({"base": "lqr-tracking"}, "state.acting.base: None is not allowed; give a mapping"),
+        ({"base": "lqr-tracking"}, "state.agent.base: None is not allowed; give a mapping"),
     ],
 )
 def test_the_state_of_another_environment_is_refused_in_one_line(settings, line):
@@ -168,7 +168,7 @@ def test_what_a_controller_remembers_is_kept():
         def __init__(self):
             self.way = np.ones(3)
 
-        def reset(self, arms, episode):
+        def reset(self, arms, episode, count):
             self.way[arms] = 1.0
 
         def act(self, readings, applied=None, playing=None):

@@ -65,11 +65,10 @@ def forged(folder, change):
 def test_it_acts_as_the_network_from_which_it_was_made(folder):
     about, arrays = made.made_up()
     policy = find_agent(str(folder))
-    acting = policy.interface["base"]
     seen = arrays["check.observations"]
-    assert np.array_equal(acting.network(seen), arrays["check.actions"])
-    assert acting.base.stiffness.tolist() == [39.0, 5.56] and policy.environment.horizon == 1.0
-    assert policy.environment.base is None, "which is a part of the policy"
+    assert np.array_equal(policy.law(seen), arrays["check.actions"])
+    assert policy.interface["base"].stiffness.tolist() == [39.0, 5.56] and policy.environment.setup().horizon == 1.0
+    assert policy.environment.setup().base is None, "which is a part of the policy"
     result = rollout(policy, policy.environment, [0, 1])
     assert result.lengths.tolist() == [100, 100] and np.abs(result.actions).max() > 0.01
     assert about["observation"][0] == {"name": "motor_angles", "unit": "rad", "size": 2}
@@ -84,11 +83,11 @@ def test_the_league_is_told_of_it_what_it_is_told_of_a_run(folder):
 def test_what_its_base_knows_it_needs_too(tmp_path):
     told = Configuration.from_plain({"id": "FlexPlanar-v0", "base": "privileged-lqr", "sensors": "lab", "horizon": 1.0})
     write_policy(tmp_path, *made.made_up(told))
-    assert required_information(str(tmp_path)) == ("training", *BASES["privileged-lqr"].knows)
+    assert required_information(str(tmp_path)) == ("training", *BASES["privileged-lqr"].information)
     about, arrays = made.made_up(told)
     about["recipe"]["settings"]["base_in_use"] = "adaptive-lqr"
     write_policy(tmp_path, about, arrays)
-    assert required_information(str(tmp_path)) == ("training", *BASES["adaptive-lqr"].knows), (
+    assert required_information(str(tmp_path)) == ("training", *BASES["adaptive-lqr"].information), (
         "that in use takes its place"
     )
 
@@ -195,7 +194,7 @@ def test_what_cannot_be_read_is_not_written_as_a_policy(tmp_path):
 
 def test_a_policy_needs_no_training_library(folder):
     script = "import sys; sys.modules['torch'] = sys.modules['stable_baselines3'] = None; "
-    script += "from flexman_gym.evaluation import find_entrant; print(find_entrant(sys.argv[1]).name)"
+    script += "from flexman_gym.evaluation import find_agent; print(find_agent(sys.argv[1]).name)"
     done = subprocess.run([sys.executable, "-c", script, folder], capture_output=True, text=True)
     assert done.stdout.strip() == folder.name, done.stderr
 

@@ -7,7 +7,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.control import PD
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation import METRICS, Agent, rollout
+from flexman_gym.evaluation import METRICS, AgentSpec, rollout
 from flexman_gym.evaluation.rollout import TEST_SEEDS
 from flexman_gym.metrics import BAND
 
@@ -47,11 +47,11 @@ def test_a_policy_with_a_history_sees_what_it_saw_in_training():
     interface = {"base": "pd", "action_repeat": 3, "history": 4, "sensors": ["full"]}
     judged, seen = [], []
 
-    def act(observations, shape):
+    def act(observations):
         judged.append(observations.copy())
-        return np.tanh(observations[:, -shape[1] :])
+        return np.tanh(observations[:, -1:])
 
-    rollout(Agent("watching", act, interface), ONE, [9001, 9002])
+    rollout(AgentSpec("watching", act, interface), ONE, [9001, 9002])
     env = gym.make(ONE.id, **ONE.keywords(), **interface)
     observation, ended = env.reset(seed=9001)[0], False
     while not ended:
@@ -64,15 +64,15 @@ def test_a_policy_with_a_history_sees_what_it_saw_in_training():
 def test_an_episode_that_fails_ends_there_and_the_arms_beside_it_go_on():
     """One arm gets full torque, the others none."""
 
-    def act(observations, shape):
-        return np.array([[1.0]] + [[0.0]] * (shape[0] - 1))
+    def act(observations):
+        return np.array([[1.0]] + [[0.0]] * (len(observations) - 1))
 
     environment = Configuration("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
-    together = rollout(Agent("push", act), environment, SEEDS)
+    together = rollout(AgentSpec("push", act), environment, SEEDS)
     failed, *others = together.records
     assert "rate" in failed.failure and len(failed.actions) < 75
     assert len(failed.tips) == len(failed.errors) == len(failed.actions) + 1 == len(failed.rewards) + 1
-    (alone,) = rollout(Agent("push", act), environment, [9000]).records
+    (alone,) = rollout(AgentSpec("push", act), environment, [9000]).records
     assert np.array_equal(alone.tips, failed.tips) and alone.failure == failed.failure
     for record in others:
         assert record.failure == "" and len(record.actions) == 75 and not record.actions.any()
@@ -86,7 +86,7 @@ def test_nothing_begins_anew_where_an_episode_has_ended():
     told = []
 
     class Told(PD):
-        def reset(self, arms, episode):
+        def reset(self, arms, episode, count):
             told.extend(arms.tolist())
 
         def act(self, readings, applied=None, playing=None):
@@ -100,11 +100,11 @@ def test_nothing_begins_anew_where_an_episode_has_ended():
 def test_a_failed_episode_is_counted_to_its_last_period():
     """As a user counts it who steps the environment by hand: with the reward of the failure, which is not the least."""
 
-    def act(observations, shape):
-        return np.ones(shape)
+    def act(observations):
+        return np.ones((len(observations), 1))
 
     environment = Configuration("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
-    (record,) = rollout(Agent("push", act), environment, [9000]).records
+    (record,) = rollout(AgentSpec("push", act), environment, [9000]).records
     env, rewards, failed = gym.make(environment.id, **environment.keywords()), [], False
     errors = [env.reset(seed=9000)[1]["tip_error"]]
     while not failed:
@@ -160,7 +160,7 @@ def test_episodes_are_kept_with_all_that_was_recorded(tmp_path):
 
 def test_an_episode_that_failed_is_kept_to_its_end():
     environment = Configuration("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
-    result = rollout(Agent("push", lambda seen, shape: np.ones(shape)), environment, [9000])
+    result = rollout(AgentSpec("push", lambda seen: np.ones((len(seen), 1))), environment, [9000])
     episode = result.episode(0)
     assert len(episode.time) == result.lengths[0] + 1 < 76 and "rate" in episode.about["failure"]
     assert np.isfinite(episode.states).all() and len(episode.actions) == result.lengths[0]

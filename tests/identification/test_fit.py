@@ -87,7 +87,7 @@ def test_what_a_record_cannot_tell_is_named():
     """A held motor tells nothing of its friction, and a spring without a rotor's motion nothing of the rotor."""
     hub = 0.3 * np.sin(2.0 * np.pi * 0.9 * TIMES) ** 3
     record = made_up(TIMES, {"motor_angle_1": hub}, ("link_deflection_1_y",))
-    found = fm.fit(fm.catalog.one_joint(), ["link_stiffness", "viscous_friction"], records=[record], **CHOICE)
+    found = fm.fit(fm.catalog.one_joint(), ["link_stiffness_factor", "viscous_friction"], records=[record], **CHOICE)
     assert found.undetermined == ("viscous_friction[0]",)
     assert found.explanation == "The data cannot tell viscous_friction[0]."
     assert found.values["viscous_friction"].shape == (1,)
@@ -137,9 +137,9 @@ def test_bad_records_are_refused_in_one_line(tmp_path):
         refusal(fm.fit, arm, free, [1.0])
     assert "a parameter that this arm has" in refusal(fm.fit, fm.catalog.planar_2r(), "joint_stiffness", [1.0])
     lacking = fm.Measurement(TIMES, {"torque_2": good}, outputs)
-    assert "joints from 1 to 1" in refusal(partial(fm.fit, records=[lacking]), arm, "link_stiffness")
+    assert "joints from 1 to 1" in refusal(partial(fm.fit, records=[lacking]), arm, "link_stiffness_factor")
     unknown = fm.Measurement(TIMES, {"torque_1": good + 1.0}, {"elbow": good})
-    assert "'elbow' is not allowed" in refusal(partial(fm.fit, records=[unknown]), arm, "link_stiffness")
+    assert "'elbow' is not allowed" in refusal(partial(fm.fit, records=[unknown]), arm, "link_stiffness_factor")
     file = tmp_path / "run.csv"
     file.write_text("time (s),hub (deg),torque (A)\n" + "".join(f"{t},{90 * t},0\n" for t in TIMES))
     read = fm.Measurement.from_csv(file, {}, {"motor_angle_1": "hub"})

@@ -102,7 +102,7 @@ def test_one_frequency_that_is_wrong_is_a_poor_fit():
 
 def test_the_best_of_other_starts_is_followed(monkeypatch):
     """Where no place can be left, the result is the best of all that may be tried."""
-    free = FreeParameters(fm.catalog.planar_2r(), "link_stiffness")
+    free = FreeParameters(fm.catalog.planar_2r(), "link_stiffness_factor")
     known = frequencies(fm.build_model(free.changed(np.array([2.0, 0.5])), 1), lock_joints=True)
     problem, random = LeastSquaresProblem(free, [Ringing(known[:2])], [], {"elements": 1}), np.random.default_rng(0)
     monkeypatch.setattr(problem, "solved", lambda x: x)

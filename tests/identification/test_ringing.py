@@ -67,7 +67,9 @@ def test_free_motors_ring_faster():
 @pytest.mark.parametrize("locked", [True, False])
 def test_slopes_are_those_of_the_numbers_themselves(locked):
     arm = fm.catalog.vertical_2r(gravity=(0.0, 0.0, 0.0))
-    free = FreeParameters(arm, ["joint_stiffness", "joint_damping", "link_stiffness", "link_damping", "payload_mass"])
+    free = FreeParameters(
+        arm, ["joint_stiffness", "joint_damping", "link_stiffness_factor", "link_damping", "payload_mass"]
+    )
     known = Ringing([1.0, 2.0, 3.0], [0.01, 0.02, 0.03], (0.2, -0.7), locked)
 
     def numbers(x):
@@ -94,7 +96,7 @@ def test_slow_frequencies_are_exact_up_to_rounding_beside_fast_ones():
     """Differences over a change of 1e-7 of the moduli are those of a square root; SciPy differentiates over 1.5e-8."""
     arm = fm.catalog.planar_2r()
     model = build_model(arm)
-    free = FreeParameters(arm, "link_stiffness")
+    free = FreeParameters(arm, "link_stiffness_factor")
     before, after = (
         frequencies(build_model(free.changed(np.full(2, each))), lock_joints=True)[0] for each in (1, 1 + 1e-7)
     )
@@ -111,29 +113,29 @@ def test_what_frequencies_cannot_tell_is_named():
     arm = fm.catalog.one_joint()
     known = frequencies(build_model(arm, 1), lock_joints=True)[:3]
     with pytest.raises(ValueError, match="at least as many as free numbers, 4"):
-        fm.fit(arm, ["joint_stiffness", "joint_damping", "link_stiffness", "payload_mass"], known, elements=1)
+        fm.fit(arm, ["joint_stiffness", "joint_damping", "link_stiffness_factor", "payload_mass"], known, elements=1)
     found = fm.fit(arm, ["joint_stiffness", "joint_damping"], known, elements=1)
     assert found.undetermined == ("joint_damping[0]",)
     assert found.explanation == "The data cannot tell joint_damping[0]."
     found = fm.fit(
-        arm, ["link_stiffness", "payload_mass"], {"frequencies": [known[0]] * 2, "numbers": [0, 0]}, elements=1
+        arm, ["link_stiffness_factor", "payload_mass"], {"frequencies": [known[0]] * 2, "numbers": [0, 0]}, elements=1
     )
-    assert found.undetermined == ("link_stiffness[0]", "payload_mass")
-    assert found.explanation == "The data cannot tell link_stiffness[0] and payload_mass apart."
+    assert found.undetermined == ("link_stiffness_factor[0]", "payload_mass")
+    assert found.explanation == "The data cannot tell link_stiffness_factor[0] and payload_mass apart."
 
 
 def test_a_number_is_untold_from_half_of_itself_on():
-    free = FreeParameters(fm.catalog.planar_2r(), "link_stiffness")
-    assert find_undetermined(free, free.start, np.diag([0.6**2, 0.4**2]))[0] == ("link_stiffness[0]",)
+    free = FreeParameters(fm.catalog.planar_2r(), "link_stiffness_factor")
+    assert find_undetermined(free, free.start, np.diag([0.6**2, 0.4**2]))[0] == ("link_stiffness_factor[0]",)
     names, sentence = find_undetermined(free, free.start, np.array([[1.0, -0.99], [-0.99, 1.0]]))
-    assert names == ("link_stiffness[0]", "link_stiffness[1]")
-    assert sentence == "The data cannot tell link_stiffness[0] and link_stiffness[1] apart."
+    assert names == ("link_stiffness_factor[0]", "link_stiffness_factor[1]")
+    assert sentence == "The data cannot tell link_stiffness_factor[0] and link_stiffness_factor[1] apart."
 
 
 def test_a_fit_shows_its_numbers_with_deviations():
     arm = fm.catalog.one_joint()
     measured = frequencies(build_model(arm, 1), lock_joints=True)[:2]
-    found = fm.fit(arm, ["joint_stiffness", "link_stiffness"], measured, elements=1)
+    found = fm.fit(arm, ["joint_stiffness", "link_stiffness_factor"], measured, elements=1)
     first, *rows, last = repr(found).splitlines()
     assert first == "<Fit" and last == f"  {found.explanation}>"
     for row in rows:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control.policy import PolicyFactory
+from flexman_gym.envs import episodes
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import policy_files
 from flexman_gym.evaluation.agent import design_for, find_agent
@@ -123,8 +123,10 @@ def test_friction_is_that_of_the_named_arm_and_no_other_arm_is_tried_with_it():
 def test_a_controller_is_designed_for_the_delay_that_it_is_told_and_else_for_its_own(words, delay, monkeypatch):
     """Torques come 3 periods late in both; the observer of `lab-flexrrr` fits its own simulations at `delay`."""
     entrant, plants = find_agent("lab-flexrrr"), []
-    made_for = PolicyFactory.made_for
-    monkeypatch.setattr(PolicyFactory, "made_for", lambda self, plant: plants.append(plant) or made_for(self, plant))
+    made = episodes.make_action_mode
+    monkeypatch.setattr(
+        episodes, "make_action_mode", lambda value, plant, base: plants.append(plant) or made(value, plant, base)
+    )
 
     def rollout(player, environment, seeds, **_):
         assert environment.randomisation.given["delay"] == [3, 3]
@@ -134,7 +136,7 @@ def test_a_controller_is_designed_for_the_delay_that_it_is_told_and_else_for_its
     monkeypatch.setattr(certificate, "rollout", rollout)
     (trial,) = (each for each in policy_trials(*[entrant.environment] * 2) if each.name == f"delay 3 ({words})")
     certificate._run_trial(entrant, trial, SEEDS)
-    assert [plant.delay for plant in plants] == [delay]
+    assert plants[0].delay == delay
 
 
 def test_only_policies_of_tasks_in_which_something_settles(tmp_path):

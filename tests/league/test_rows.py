@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import flexman_gym.league.rows as league
+from flexman_gym.control.base_controllers import BASES
 from flexman_gym.control.references.optimised_slews import SHIPPED, SlewTable
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import METRICS, agent_info, rollout
@@ -250,11 +251,11 @@ def test_files_that_are_no_league_are_refused_in_one_line(tmp_path, rows, cells,
     assert book_of(tmp_path).rows == book_of(tmp_path).cells == {}
 
 
-def test_an_entrant_without_words_is_refused_before_anything_is_played(venue, tmp_path, monkeypatch):
-    monkeypatch.delitem(agent_info.DESCRIPTIONS, "pd")
-    monkeypatch.setattr(league, "spread", lambda *given: pytest.fail("a cell was played"))
-    line = refusal(run_league, ["zero", "pd"], [venue], SEEDS, tmp_path / "league")
-    assert line.startswith("entrant: 'pd' is not allowed; give one that ABOUT describes: zero, random, ")
+def test_a_controller_without_a_description_fails_at_import():
+    """The entry of BASES is constructed when its module is imported."""
+    entry = BASES["pd"]
+    with pytest.raises(TypeError, match="description"):
+        type(entry)(entry.make, entry.information, entry.takes)
 
 
 def test_who_cannot_play_says_why(venue):
@@ -317,7 +318,7 @@ def test_rows_follow_from_what_is_played_and_from_what_controllers_are_told(monk
     monkeypatch.setattr(league, "code_hash", lambda: "")
     keys = set()
     for venue in (Scenario(one, one), Scenario(one, other), Scenario(other, one), Scenario(one, one, "finer")):
-        monkeypatch.setattr(league, "find_venue", lambda name: venue)  # noqa: B023
+        monkeypatch.setattr(league, "find_scenario", lambda name: venue)  # noqa: B023
         keys.add(league.row_key("pd", "FlexOne-v0"))
     assert len(keys) == 4
 
@@ -350,14 +351,14 @@ def test_a_watch_keeps_starts_and_actions_apart(monkeypatch):
         clock[0] += seconds
         return np.zeros((1, 1))
 
-    slow = SimpleNamespace(sensors=(), reset=lambda *_: passing(1.0), act=lambda *_: passing(1e-3))
+    slow = SimpleNamespace(sensors=(), joints=1, names=(), reset=lambda *_: passing(1.0), act=lambda *_: passing(1e-3))
     monkeypatch.setattr(league, "process_time", lambda: clock[0])
-    watch = league._TimedController(slow)
+    watch = league._TimedMode(slow)
     for _ in range(2):
-        watch.reset(None, None)
+        watch.reset(None, None, 1)
         passing(100.0)
         for _ in range(3):
-            watch.act({}, None, None)
+            watch.act(None, {}, None, None)
     assert (watch.designing, watch.acting) == pytest.approx((2.0, 6e-3))
 
 

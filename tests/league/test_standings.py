@@ -81,7 +81,8 @@ def test_who_played_other_episodes_is_beside_no_other():
 
 
 def test_the_one_to_take_settles_most_and_first_and_is_told_no_truth():
-    times = {("pd", LAB_SCENARIO): np.inf, ("lqg", LAB_SCENARIO): 4.0, ("lqr", LAB_SCENARIO): 2.0, ("lqg", FRICTION): np.inf}
+    times = {("pd", LAB_SCENARIO): np.inf, ("lqg", LAB_SCENARIO): 4.0, ("lqr", LAB_SCENARIO): 2.0}
+    times["lqg", FRICTION] = np.inf
     known = standing(venues=(NOMINAL, UNKNOWN, LAB_SCENARIO, FRICTION), settled=times)
     assert known.buildable(LAB_SCENARIO) == ["lqg", "pd"]
     said = conclusion(known)

@@ -101,8 +101,8 @@ def test_shares_are_what_changed_springs_do():
     assert found.shares.sum(axis=1) == pytest.approx(np.ones(len(found)))
     assert found.parts == ("link 1", "link 2", "joint 1", "joint 2")
     for i, name in enumerate(found.parts):
-        values = dict(link_stiffness=np.ones(2), joint_stiffness=bare.constants.joint_stiffness.copy())
-        key, changes = ("link" if i < 2 else "joint") + "_stiffness", []
+        values = dict(link_stiffness_factor=np.ones(2), joint_stiffness=bare.constants.joint_stiffness.copy())
+        key, changes = "link_stiffness_factor" if i < 2 else "joint_stiffness", []
         for sign in (1.0, -1.0):
             factors = np.ones(2)
             factors[i % 2] += sign * step

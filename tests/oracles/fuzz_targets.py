@@ -275,8 +275,8 @@ TARGETS = {
     ),
     "Batch.vary": Target(
         varied, {"payload_mass": np.array([0.1, 0.2]), "joint_stiffness": np.full((2, 2), 20.0),
-                 "joint_damping": np.zeros((2, 2)), "link_stiffness": np.ones((2, 2))},
-        ("payload_mass", "joint_stiffness", "joint_damping", "link_stiffness"), weight=2.0,
+                 "joint_damping": np.zeros((2, 2)), "link_stiffness_factor": np.ones((2, 2))},
+        ("payload_mass", "joint_stiffness", "joint_damping", "link_stiffness_factor"), weight=2.0,
     ),
     "Trajectory.energy_alarm": Target(TRAJECTORY.energy_alarm, {"level": 0.01}, ("level",), weight=0.5),
     "PD": Target(

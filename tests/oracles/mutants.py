@@ -65,7 +65,7 @@ def read_policy(folder):
     """What the policy of a folder does when all it sees is zero."""
     from flexman_gym.evaluation.agent import load_run
 
-    network = load_run(folder).interface["base"].network
+    network = load_run(folder).law
     size = len(np.load(io.BytesIO(policy()["newest.npz"]))["/statistics/mean"])
     return network(np.zeros((1, size), np.float32))
 

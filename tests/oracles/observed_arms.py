@@ -7,10 +7,10 @@ from flexman_gym.control.observers.observer import make_measurement_model
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import build
 from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.model.linearization import INSTRUMENTS, LinearReadings
 from flexman_gym.model.statics import rest_states
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.parameters import PARAMETERS
-from flexman_gym.simulation.readings import INSTRUMENTS, LinearReadings
+from flexman_gym.simulation.parameters import PARAMETERS, UNCERTAIN
 
 SMALL = {"elements": 1, "modes": 1}
 
@@ -24,7 +24,8 @@ def small_plant(name="FlexOne-v0", randomisation=None, **settings):
 def drawn_parameters(plant, arms, random):
     """Parameters (b, ...) of arms, evenly from the ranges of the plant."""
     result = {}
-    for name, span in plant.unknown.items():
+    for key, span in plant.unknown.items():
+        name = UNCERTAIN[key]
         row, nominal = PARAMETERS[name], np.asarray(PARAMETERS[name].nominal(plant.model))
         result[name] = random.uniform(*span, (arms, *nominal.shape)) * (nominal if row.factor else 1.0)
     return result
@@ -76,7 +77,7 @@ class Bench:
         """Estimates of an observer after each of the actions (T, b, n), and before the first where it begins."""
         playing, result = np.ones(len(self.start), dtype=bool), []
         if begin:
-            observer.reset(np.arange(len(playing)), self.episode())
+            observer.reset(np.arange(len(playing)), self.episode(), len(playing))
             result.append(observer.estimate(self.readings(), self.applied, playing))
         for action in actions:
             self.step(action)
@@ -115,7 +116,7 @@ class World:
 
     def begin(self, told):
         """Starts an observer or a controller, which is not told where the arms are."""
-        told.reset(self.arms, EpisodeInfo(np.full_like(self.goals, 9.0), self.goals, self.plant.period))
+        told.reset(self.arms, EpisodeInfo(np.full_like(self.goals, 9.0), self.goals, self.plant.period), len(self.arms))
 
     @property
     def numbers(self):

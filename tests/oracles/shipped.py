@@ -67,14 +67,14 @@ def torques():
     """Observations, and what the network of the policy gives for them."""
     with tempfile.TemporaryDirectory() as folder:
         seen = np.random.default_rng(1).normal(0.0, 1.0, (5, made_up()[1]["statistics.mean"].size)).astype(np.float32)
-        return seen, acting(Path(folder), files()).network(seen)
+        return seen, acting(Path(folder), files()).law(seen)
 
 
 def acting(folder, contents):
     """The policy in a folder into which files of these contents are written."""
     for name, content in contents.items():
         (folder / name).write_bytes(content)
-    return load_policy(folder).interface["base"]
+    return load_policy(folder)
 
 
 def mutant(random):
@@ -102,8 +102,11 @@ def outcome(seed, folder):
         return ("refused", "") if clear else ("finding", line)
     except Exception as error:
         return "finding", f"{type(error).__name__}: {error}"
-    same = np.array_equal(policy.network(torques()[0]), torques()[1])
-    same &= policy.base.stiffness.tolist() == DESCRIBED.settings["gains"]["stiffness"] and policy._hold == 5
+    same = np.array_equal(policy.law(torques()[0]), torques()[1])
+    same &= (
+        policy.interface["base"].stiffness.tolist() == DESCRIBED.settings["gains"]["stiffness"]
+        and policy.interface["hold"] == 5
+    )
     return ("acts", "") if same else ("finding", "it acts otherwise")
 
 

@@ -39,7 +39,8 @@ def run(folder, cache, script, **variables):
 def copied(folder, value):
     """A copy of the package in `folder` with two more kernels, of which one calls the other in another file."""
     target = folder / "flexman_gym"
-    for source in sorted((ROOT / "flexman_gym").rglob("*.py")):
+    files = (path for end in ("py", "yaml") for path in (ROOT / "flexman_gym").rglob(f"*.{end}"))
+    for source in sorted(files):
         path = target / source.relative_to(ROOT / "flexman_gym")
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(source.read_bytes())

@@ -111,7 +111,7 @@ def test_stiffer_links_are_links_of_stiffer_material(factors, ratio):
         replace(link, youngs_modulus=factor * link.youngs_modulus, shear_modulus=factor * link.shear_modulus)
         for link, factor in zip(arm.links, factors, strict=True)
     ]
-    assert_varied(arm, replace(arm, links=links), {"link_stiffness": factors})
+    assert_varied(arm, replace(arm, links=links), {"link_stiffness_factor": factors})
 
 
 @FEW
@@ -219,7 +219,10 @@ def test_nominal_parameters_change_no_bit():
         ({"payload_mass": [-1.0]}, "payload_mass: [-1.0] is not allowed; give finite numbers >= 0, of shape (1,)"),
         ({"payload_mass": [np.nan]}, "payload_mass: [nan] is not allowed; give finite numbers >= 0, of shape (1,)"),
         ({"payload_mass": [1.0, 2.0]}, "payload_mass: [1.0, 2.0] is not allowed"),
-        ({"link_stiffness": [[1.0, 0.0, 1.0]]}, "link_stiffness: [[1.0, 0.0, 1.0]] is not allowed; give numbers > 0"),
+        (
+            {"link_stiffness_factor": [[1.0, 0.0, 1.0]]},
+            "link_stiffness_factor: [[1.0, 0.0, 1.0]] is not allowed; give n",
+        ),
         ({"joint_stiffness": [[1.0, 0.0, 0.0]]}, "joint_stiffness: [[1.0, 0.0, 0.0]] is not allowed; give numbers > 0"),
         ({"joint_stiffness": [[1.0, 1.0, 5.0]]}, "joint_stiffness: [[1.0, 1.0, 5.0]] is not allowed; give [0.0] for"),
         ({"joint_damping": [[1.0, 1.0, 5.0]]}, "joint_damping: [[1.0, 1.0, 5.0]] is not allowed; give [0.0] for"),

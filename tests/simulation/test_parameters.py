@@ -29,7 +29,7 @@ def everything(batch):
 
 PARAMETERS = {
     "payload_mass": 4.0, "joint_stiffness": [4e3, 6e3, 5e3], "joint_damping": [1.0, 2.0, 3.0],
-    "rotor_inertia": [9.0, 10.0, 12.0], "viscous_friction": [1.0, 0.0, 2.0], "link_stiffness": [0.8, 1.3, 0.9],
+    "rotor_inertia": [9.0, 10.0, 12.0], "viscous_friction": [1.0, 0.0, 2.0], "link_stiffness_factor": [0.8, 1.3, 0.9],
 }  # fmt: skip
 
 
@@ -51,6 +51,15 @@ def test_a_varied_model_is_that_of_an_arm_of_the_batch(several):
         assert np.array_equal(result[1], expected[0])
     assert (own.n_dof, own.arm) == (nominal.n_dof, nominal.arm)
     assert nominal.constants.payload_mass[0] == 3.0, "the model that it came from stays"
+
+
+def test_the_factor_of_a_link_was_called_a_stiffness():
+    """The old name gives the same model, with a warning."""
+    model = fm.build_model(ARM, modes=1)
+    with pytest.warns(DeprecationWarning, match="parameters.link_stiffness: this is called link_stiffness_factor now"):
+        old = varied_model(model, link_stiffness=[0.8, 1.3, 0.9])
+    own = varied_model(model, link_stiffness_factor=[0.8, 1.3, 0.9])
+    assert np.array_equal(old.constants.stiffness, own.constants.stiffness)
 
 
 def test_a_varied_model_refuses_what_a_batch_refuses():

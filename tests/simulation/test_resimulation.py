@@ -21,7 +21,7 @@ FULL = fm.build_model(ARM, 2, stiffening=True)
 USUAL = fm.build_model(ARM, 2, (4, 4, 5))
 OWN = {
     "payload_mass": np.array([4.0, 0.0, 11.0]), "joint_stiffness": np.full((ARMS, 3), 4e3),
-    "link_stiffness": np.array([[0.8, 1.1, 1.3], [1.0, 1.0, 1.0], [1.2, 0.7, 0.9]]),
+    "link_stiffness_factor": np.array([[0.8, 1.1, 1.3], [1.0, 1.0, 1.0], [1.2, 0.7, 0.9]]),
 }  # fmt: skip
 
 
@@ -47,7 +47,7 @@ def played(model, double=None, periods=10):
     result, start = batch(model)
     if double is not None:
         other = double(result)
-        result.hand_over(lambda mover: ExternalIntegrator(model, mover, other))
+        result.replace_integrator(lambda mover: ExternalIntegrator(model, mover, other))
     result.reset(np.arange(ARMS), start)
     trail = [(result.state.copy(), result.outputs.copy())]
     for period in range(periods):
@@ -155,7 +155,7 @@ def test_what_diverges_in_mujoco_is_a_status():
     from flexman_gym.simulation.mujoco import MuJoCoSimulator
 
     result, start = batch(USUAL)
-    result.hand_over(lambda mover: ExternalIntegrator(USUAL, mover, MuJoCoSimulator(USUAL, PERIOD, ARMS)))
+    result.replace_integrator(lambda mover: ExternalIntegrator(USUAL, mover, MuJoCoSimulator(USUAL, PERIOD, ARMS)))
     result.reset(np.arange(ARMS), start)
     drive = drives(USUAL, 0)
     drive[1, 0] = 1e14

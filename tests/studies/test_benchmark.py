@@ -48,13 +48,6 @@ def test_a_row_is_its_own_peer_once(quick):
         assert row.peer != row.name or row.times_peer == 1.0
 
 
-def test_the_page_has_a_line_for_every_row_and_sentences_about_them(quick):
-    rows, page = quick
-    assert sum(line.startswith("| ") for line in page.splitlines()) == len(rows) + 2 * len(page_of.TABLES)
-    conclusions = page_of.conclusions(rows)
-    assert len(conclusions) >= 3 and all(f"- {text}" in page for text in conclusions)
-
-
 def test_peers_that_are_missing_are_named_and_left_out(monkeypatch, capsys):
     for name in ("mujoco", "pinocchio", "studies.benchmark.mujoco", "studies.peers.pinocchio"):
         monkeypatch.setitem(sys.modules, name, None)
@@ -66,21 +59,6 @@ def test_peers_that_are_missing_are_named_and_left_out(monkeypatch, capsys):
     result = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
     assert result == ["Stable-Baselines3", "MuJoCo", "Pinocchio"]
     assert page_of.conclusions(rows)
-
-
-def test_endurance_counts_its_episodes_and_fills_its_section_of_the_page(tmp_path, monkeypatch):
-    """The page keeps one such section, however often either is written."""
-    endurance = command("endurance")
-    monkeypatch.setattr(sys, "argv", ["endurance.py", "--steps", "4000", "--arms", "9", "--folder", str(tmp_path)])
-    monkeypatch.setattr(endurance, "ALLOWED", math.inf)  # so short a run still fills its memory
-    (tmp_path / page_of.PAGE).write_text(f"before\n{page_of.ENDURANCE}\nold\n")
-    endurance.main()
-    text = (tmp_path / page_of.PAGE).read_text()
-    assert text.startswith("before\n") and text.count(page_of.ENDURANCE) == 1 and "old" not in text
-    section = page_of.without_endurance(tmp_path / page_of.PAGE)[1]
-    rows = [BenchmarkRow("environments", name, 1, 1, 1.0, 1.0) for name in (measure.OURS, measure.VECTOR)]
-    page_of.publish(rows, "a machine", tmp_path)
-    assert page_of.without_endurance(tmp_path / page_of.PAGE)[1] == section
 
 
 def test_every_episode_of_an_endurance_run_is_counted_once():

@@ -6,19 +6,10 @@ import pytest
 
 from flexman_gym.scene import catalog
 from flexman_gym.simulation.methods import METHODS
-from studies.files import read_rows
-from studies.methods import COLOURS, MARKERS, fixed_step_methods, looks
-from studies.precision import charts as precision_charts
-from studies.precision.measure import Floor, ReferenceSolution, Study, grid
+from studies.methods import COLOURS, MARKERS, looks
 from studies.precision.measure import PrecisionRow as Run
-from studies.precision.page import cost_table, page
-from studies.stability import charts as stability_charts
-from studies.stability.measure import StabilityRow
-from studies.stability.page import map_sections
-from studies.stability.page import page as stability_page
+from studies.precision.measure import ReferenceSolution, Study, grid
 from studies.stability.rows import amplification_rows, drift_rows, limit_rows
-
-from oracles.files import ROOT
 
 NEW, MODEL = "a_new_method", "2 elements a link"
 KINDS = ["rk4", "dopri5", "ros2", "extrapolated_euler_4", "gauss_2_sweeps", "implicit_midpoint", "generalised_alpha"]
@@ -44,70 +35,12 @@ def runs(monkeypatch):
     )
 
 
-def lines_of(text, name):
-    """Lines of tables about a method."""
-    return [line for line in text.splitlines() if line.startswith(f"| {name} |")]
-
-
-def doubled(model):
-    """The published rows of the study of stability, those of a method once more under the new name."""
-    rows = read_rows(ROOT / "docs" / "stability.csv", StabilityRow)
-    return [*rows, *(replace(row, method=NEW) for row in rows if row.method == model)]
-
-
-def texts_of(figure):
-    """Titles, legends and ticks of a figure."""
-    result = [label for axes in figure.get_axes() for label in axes.get_legend_handles_labels()[1]]
-    for axes in figure.get_axes():
-        result += [axes.get_title(), *(tick.get_text() for tick in axes.get_yticklabels())]
-    return " ".join(result)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_new_method_takes_as_many_steps_and_tolerances_as_its_kind(kind, monkeypatch):
     add(monkeypatch, kind)
     result = runs(monkeypatch)
     new, old = ([row.step or row.rtol for row in result if row.method == name] for name in (NEW, kind))
     assert len(new) > 5 and set(new) <= set(old)
-
-
-def test_a_new_method_is_in_the_tables_and_charts_of_precision(monkeypatch, tmp_path):
-    pytest.importorskip("matplotlib")
-    add(monkeypatch, "extrapolated_euler_4")
-    result = runs(monkeypatch)
-    assert len(lines_of("\n".join(cost_table(result, MODEL)), NEW)) == 1
-    floors = [Floor("a scene", "a title", model, 1e-9, "a source") for model in ("", MODEL)]
-    lines = page(result, floors).splitlines()
-    (head,) = (i for i, line in enumerate(lines) if line.startswith("| scene |") and f"| {NEW} |" in line)
-    ratios = dict(zip(lines[head].split(" | "), lines[head + 2].split(" | "), strict=True))
-    assert ratios[f"{NEW} |"] == "1 |"  # as dear as ros2
-    figures = []
-    monkeypatch.setattr(precision_charts, "finish", lambda figure, panels, path: figures.append(figure))
-    precision_charts.time_error_chart(result, {MODEL: 1e-9}, "a title", tmp_path / "a.png")
-    assert NEW in texts_of(figures[0]) and f"{NEW}, adaptive" in texts_of(figures[0])
-
-
-@pytest.mark.parametrize("kind", ["rk4", "ros2"])
-def test_a_new_method_is_in_the_tables_and_charts_of_stability(kind, monkeypatch):
-    pytest.importorskip("matplotlib")
-    add(monkeypatch, kind)
-    rows = doubled(kind)
-    text = stability_page("a machine", rows)
-    assert len(lines_of(text, NEW)) == len(lines_of(text, kind)) == 9
-    assert sum(line.startswith(f"| {NEW} |") for line in map_sections(rows)) == 5
-    for study, chart in stability_charts.CHARTS.items():
-        if kind == "rk4" or study != stability_charts.LIMIT:
-            assert NEW in texts_of(chart(study, rows)), study
-
-
-def test_a_map_has_a_panel_for_each_method(monkeypatch):
-    pytest.importorskip("matplotlib")
-    add(monkeypatch, "ros2")
-    rows = doubled("ros2")
-    panels = stability_charts.CHARTS["modes"]("modes", rows).get_axes()
-    shown = [axes for axes in panels if axes.get_visible()]
-    methods = {row.method for row in rows if row.study == "modes"}
-    assert NEW in methods and len(shown) == len(methods) == len(fixed_step_methods())
 
 
 def test_a_new_method_is_measured_by_the_study_of_stability(monkeypatch):

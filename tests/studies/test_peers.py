@@ -11,7 +11,6 @@ import flexman_gym as fm
 from flexman_gym.model.mjcf import mjcf
 from studies.peers import measure, newton
 from studies.peers.measure import decay, decays, with_rigid_joints
-from studies.peers.page import conclusions, page
 from studies.precision.measure import PrecisionRow, cost_at
 
 ARM, SCENE = fm.catalog.paper_rrr(), fm.catalog.paper_scene("ff")
@@ -193,46 +192,7 @@ def test_costs_between_runs_follow_a_power_law():
     assert cost_at(rows, 1e-1) is None and cost_at(rows, 1e-7) is None and cost_at([], 1e-3) is None
 
 
-def test_the_page_names_the_ratio_to_a_floating_frame():
-    peer = replace(ROW, model="Exudyn, floating frame", method="quickest settings")
-    peers = [replace(peer, time_error=error, cpu=cpu) for error, cpu in ((9e-3, 0.1), (1e-3, 0.9))]
-    coarse = [
-        replace(ROW, step=1.0, cpu=0.03),
-        replace(ROW, step=2.0, time_error=4e-3),
-        replace(ROW, step=4.0, cpu=0.01),
-    ]
-    assert "| Exudyn, floating frame, quickest settings | 300 | 30 | 15 |" in conclusions(
-        [ROW, *coarse], peers, ROW.model
-    )
-
-
-def test_the_page_names_what_rigid_pieces_cost_beside_ours():
-    peer = replace(ROW, model="MuJoCo, 8 pieces", method="Euler", cpu=2.0, total_error=4e-3)
-    lucky, steady, near = (
-        replace(ROW, model=name, cpu=cpu, total_error=error)
-        for name, cpu, error in (("lucky", 0.02, 3e-3), ("steady", 0.04, 4e-3), ("near", 0.01, 5e-3))
-    )
-    worse = replace(lucky, step=5e-4, total_error=6e-3)
-    text = "\n".join(conclusions([lucky, worse, steady, near], [peer], ROW.model))
-    assert "| theirs | MuJoCo, 8 pieces | Euler | 1 ms | 4 | 2e+03 | 1 |" in text
-    assert "| ours, no less accurate | lucky | ros2 | 1 ms | 3 | 20 | 100 |" in text
-    assert "| ours, and so at every finer step | steady | ros2 | 1 ms | 4 | 40 | 50 |" in text
-    assert "| ours, within 5 mm | near | ros2 | 1 ms | 5 | 10 | 200 |" in text
-
-
 def test_peers_that_are_missing_are_named(monkeypatch, capsys):
     monkeypatch.setattr(measure.importlib, "import_module", lambda name: __import__("no_such_peer"))
     assert measure.theirs(None) == []
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(measure.PEERS)
-
-
-def test_the_page_compares_arms_abreast_with_the_quickest_of_the_same_error():
-    many = [
-        replace(ROW, scene="64 arms on 2 cores", model=name, cpu=2e-3, wall=wall)
-        for name, wall in (("a", 1e-3), ("b", 0.1))
-    ]
-    text = page([ROW], [], [*many, replace(many[0], model="c", wall=0.5, total_error=4e-2)])
-    assert "64 arms on 2 cores: simulated seconds" in text
-    assert "| a | ros2 | 1 ms | 30 | 1000 | 1 | 2 |" in text and "| b | ros2 | 1 ms | 30 | 10 | 100 | 0.02 |" in text
-    assert "| c | ros2 | 1 ms | 40 | 2 | 1 | 0.004 |" in text
-    assert "| ours, midpoint_2_sweeps | 2.5 ms | 0 % |" in text and "| package | version |" not in text

@@ -6,9 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from studies.files import write_rows
-from studies.planted.measure import CAUGHT, EQUIVALENT, ROOMS, SURVIVED, Change, Copy, Planted, changes, kept, misplaced
-from studies.planted.page import counts, page
+from studies.planted.measure import CAUGHT, EQUIVALENT, ROOMS, SURVIVED, Change, Copy, changes, misplaced
 
 ROOT = Path(__file__).parents[2]
 DOUBLE = Change("room", "halves", "double.py", "2 * x", "x / 2", ("test_double.py",))
@@ -60,19 +58,6 @@ def test_an_error_without_its_place_is_told(checkout):
     wrong = [replace(DOUBLE, old="3 * x"), replace(DOUBLE, old="x"), replace(DOUBLE, tests=("test_other.py",))]
     lines = misplaced(checkout, wrong)
     assert "0 times" in lines[0] and "3 times" in lines[1] and lines[2] == "test_other.py is no test"
-
-
-def test_the_page_counts_every_row_once(tmp_path):
-    rows = [
-        Planted("one", "a", "flexman_gym/x.py", CAUGHT, "test_x.py::test_a", 1.0),
-        Planted("one", "b, with a comma", "flexman_gym/x.py", SURVIVED, "", 2.0),
-        Planted("two", "c", "agents/y.py", EQUIVALENT, "no difference", 3.0),
-    ]
-    assert counts(rows) == [("one", 2, 1, 0, 1), ("two", 1, 0, 1, 0), ("all", 3, 1, 1, 1)]
-    text = page(rows)
-    assert "| one | b, with a comma | x.py |" in text and "no difference" in text and "| all | 3 | 1 | 1 | 1 |" in text
-    write_rows(rows, tmp_path / "rows.csv", digits=2)
-    assert list(kept(tmp_path / "rows.csv").values()) == rows and kept(tmp_path / "none.csv") == {}
 
 
 def test_changes_of_a_file_share_its_tests(tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""Precision: the quick study holds what it promises, and the Pareto front is the set of runs that no other beats."""
+"""Precision study: rows of the quick grid, and the Pareto front."""
 
 import math
 from collections import defaultdict
@@ -16,7 +16,7 @@ from flexman_gym.scene import catalog
 from flexman_gym.simulation.amplification import largest_growth
 from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.scenes import simulate
-from studies.files import read_rows, write_rows
+from studies.files import read_rows
 from studies.peers.measure import CUT_MESH, CUT_MODES
 from studies.precision.measure import (
     RIGID_LINKS,
@@ -30,9 +30,8 @@ from studies.precision.measure import (
     setbacks,
     whirl_scene,
 )
-from studies.precision.page import conclusions, page, pictures
 
-from oracles.files import ROOT
+from oracles.files import REFERENCE
 
 ROW = PrecisionRow("a scene", "a model", "ros2", 0.01, None, 1.0, 1.0, 100.0, 1e-2, 1e-1, "ok")
 NUMBERS = st.floats(min_value=1e-6, max_value=1e6) | st.just(math.inf)
@@ -40,10 +39,9 @@ NUMBERS = st.floats(min_value=1e-6, max_value=1e6) | st.just(math.inf)
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """The quick study, computed and published."""
+    """Folder with the rows of the quick study."""
     result = tmp_path_factory.mktemp("study")
-    precision.compute(ROOT / "flexman_gym" / "verification" / "reference", result, quick=True)
-    precision.publish(result)
+    precision.compute(REFERENCE, result, quick=True)
     return result
 
 
@@ -92,29 +90,6 @@ def test_the_error_of_the_model_is_what_the_methods_do_not_explain(rows):
         assert all(abs(row.total_error - limit) <= 1.01 * row.time_error + 1e-6 for row in mine)
 
 
-def test_the_page_holds_pictures_and_conclusion(folder, rows, floors):
-    text = (folder / precision.PAGE_FILE).read_text(encoding="utf-8")
-    assert text == page(rows, floors)
-    assert "## Conclusion" in text and "numba" in text
-    assert all(f"| {floor.scene} | {floor.model} | " in text for floor in floors if floor.model)
-    assert all(f"({name})" in text for name in pictures(rows[0].scene))
-
-
-def test_pictures_are_written(folder, rows):
-    pytest.importorskip("matplotlib")
-    from matplotlib.image import imread
-
-    for name in pictures(rows[0].scene):
-        picture = imread(folder / name)
-        assert picture.shape[0] > 300 and picture.shape[1] > 600 and picture[..., :3].std() > 0.05
-
-
-def test_rows_survive_the_file(tmp_path):
-    rows = [ROW, replace(ROW, step=None, rtol=1e-3, time_error=None, total_error=math.inf, status="diverged")]
-    write_rows(rows, tmp_path / "rows.csv")
-    assert read_rows(tmp_path / "rows.csv", PrecisionRow) == rows
-
-
 @given(st.lists(st.tuples(NUMBERS, NUMBERS), max_size=40))
 def test_the_front_is_what_no_other_point_beats(points):
     front = [points[i] for i in pareto_front(points)]
@@ -150,22 +125,6 @@ def test_a_finer_step_that_does_harm_is_found():
     assert setbacks([replace(ROW, time_error=math.inf), fine]) == []
 
 
-def test_conclusions_name_the_cheapest_method_its_ratio_to_ros2_and_an_example_of_harm():
-    good = replace(ROW, method="extrapolated_euler_3", step=0.005, cpu=0.02, time_error=1e-5)
-    rows = [replace(ROW, cpu=0.05, time_error=1e-5), good, replace(good, step=0.0025, cpu=0.04, time_error=0.5)]
-    text = "\n".join(conclusions(rows, [Floor("a scene", "a title", "a model", 1e-9, "a source")]))
-    winner = "extrapolated_euler_3: 20"
-    assert f"| a scene | a model | {' | '.join([winner] * 4)} |" in text
-    assert "| scene | model | extrapolated_euler_3 |\n| --- | --- | --- |\n| a scene | a model | 2.5 |" in text
-    assert "1 combinations" in text
-    assert (
-        "| extrapolated_euler_3 | 1.0016 | 0.64 | a scene | a model | 1.0e-05 m at 5 ms | 5.0e-01 m at 2.5 ms |" in text
-    )
-    assert "| a scene | a model | none | none |" in "\n".join(
-        conclusions([replace(ROW, time_error=1.0)], [Floor("a scene", "", "a model", 1e-9, "")])
-    )
-
-
 def test_a_failed_run_is_infinitely_far_and_other_times_are_refused():
     scene = replace(catalog.paper_scene("rr"), duration=0.2)
     model = build_model(scene.arm, **choices(scene)["rigid"])
@@ -180,7 +139,7 @@ def test_a_failed_run_is_infinitely_far_and_other_times_are_refused():
 
 @pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")
 def test_scenes_and_models_of_the_study():
-    result = cases(ROOT / "flexman_gym" / "verification" / "reference")
+    result = cases(REFERENCE)
     assert len(result) == len({case.name for case in result}) >= 4
     for case in result:
         named = choices(case.scene)

@@ -1,4 +1,4 @@
-"""Tests of the ring-down study: its cases, its errors, its rows and what its page and picture say of them."""
+"""Ring-down study: cases, errors and rows."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,6 @@ from studies.ringdown.measure import (
     RELEASE,
     SLEW,
     UNDAMPED,
-    RingDownRow,
     cases,
     default_model,
     outcome,
@@ -23,7 +22,6 @@ from studies.ringdown.measure import (
     row,
     settings,
 )
-from studies.ringdown.page import PICTURE, draw, page
 
 DEFAULT = "midpoint_3_sweeps", PERIOD / 3
 
@@ -62,14 +60,8 @@ def test_a_failed_arm_is_infinitely_far_and_counted():
     assert not np.isfinite(percentiles(np.array([np.inf]), np.array([np.inf]))["tip_99"])
 
 
-def test_rows_page_and_picture_name_the_default(monkeypatch, tmp_path):
+def test_rows_are_those_of_every_kind_method_and_step(monkeypatch):
     monkeypatch.setattr(measure, "fixed_step_methods", lambda: [DEFAULT[0], "ros2"])
     monkeypatch.setattr(measure, "PARTS", (3, 4))
     rows = [each for kind in DURATION for each in measure.rows(kind, 2, 1)]
     assert len(rows) == len(DURATION) * 2 * 2 and set(PARTS) >= {3, 4} and settings("rk4") == measure.FINE_PARTS
-    text = page(rows, "one machine", DEFAULT)
-    assert f"`{DEFAULT[0]}` at 6.67 ms" in text and "`ros2` at 5 ms" in text and "leaves 0.25 of the energy" not in text
-    foreign = RingDownRow(UNDAMPED, "MuJoCo, 4 pieces", "discrete", 0.005, 1e-4, *[0.5] * 7, kept=0.25, failed=0.0)
-    assert "leaves 0.25 of the energy" in page([*rows, foreign], "one machine", DEFAULT)
-    draw([*rows, foreign], tmp_path, DEFAULT)
-    assert (tmp_path / PICTURE).stat().st_size > 10_000

@@ -1,4 +1,4 @@
-"""Servos: limits are those of closed forms, environments confirm them, and the page is that of its rows."""
+"""Servos: limits of gains against closed forms and environments."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.control.margins import sampled_loop
 from flexman_gym.model import mass_matrix
-from studies.files import read_comment, read_rows
+from studies.files import read_rows
 from studies.servos.measure import (
     APART,
     AT_REST,
@@ -21,7 +21,6 @@ from studies.servos.measure import (
     rounds_of,
     tried_by_environment,
 )
-from studies.servos.page import page
 
 from oracles.files import ROOT
 
@@ -46,10 +45,8 @@ def test_an_environment_comes_to_rest_below_a_limit_and_not_above_it():
     assert tried.below < 0.5 < tried.above
 
 
-def test_the_page_is_that_of_its_rows():
-    file = DOCS / "servos.csv"
-    result, rubbing = read_rows(file, ServoRow), read_rows(DOCS / "servos_friction.csv", FrictionRow)
-    assert (DOCS / "servos.md").read_text(encoding="utf-8") == page(read_comment(file), result, rubbing)
+def test_published_limits_are_confirmed_by_environments():
+    result, rubbing = read_rows(DOCS / "servos.csv", ServoRow), read_rows(DOCS / "servos_friction.csv", FrictionRow)
     tried = [row for row in result if row.below is not None]
     assert len(tried) == CHECKED and {row.period for row in result} == set(PERIODS)
     assert all(row.below < 0.5 < row.above for row in tried), "as the page says"

@@ -1,7 +1,6 @@
 """Stability: predicted limits hold, and a gallery of failures, each beside the method or model that survives it."""
 
 import math
-import sys
 from dataclasses import replace
 from functools import cache
 
@@ -10,7 +9,6 @@ import pytest
 from scipy.linalg import block_diag, eigh
 
 import flexman_gym as fm
-from flexman_gym.common.computer import computer_text
 from flexman_gym.model.beam import build_beam
 from flexman_gym.model.component_modes import loaded_modes, outboard_inertias
 from flexman_gym.model.dynamics import stiffness_matrix
@@ -20,12 +18,10 @@ from flexman_gym.simulation.amplification import (
     stability_limit,
     vibration_factor,
 )
-from studies.files import read_comment, read_rows, write_rows
 from studies.methods import explicit_methods, fixed_step_methods
 from studies.stability.measure import (
     SPIN_STIFFENED,
     SPRINGS,
-    StabilityRow,
     grows,
     growth_per_step,
     measured_limit,
@@ -45,10 +41,6 @@ from studies.stability.rows import (
     limit_rows,
     map_rows,
 )
-
-from oracles.files import ROOT, command
-
-DOCS = ROOT / "docs"
 
 
 @cache
@@ -267,16 +259,6 @@ def test_a_tiny_rotor_on_a_stiff_spring_stops_an_explicit_method_and_ros2_is_rig
 # rows, charts and page
 
 
-def test_rows_survive_their_file(tmp_path):
-    rows = [
-        StabilityRow("a", 1.0, "rk4", 0.5, "b, m", 0.25, None, "ok"),
-        StabilityRow("a", 2.0, "rk4", 0.5, "b, m", 1.0, 2.0, "diverged"),
-    ]
-    write_rows(rows, tmp_path / "rows.csv", comment=computer_text())
-    comment, result = read_comment(tmp_path / "rows.csv"), read_rows(tmp_path / "rows.csv", StabilityRow)
-    assert result == rows and "numba" in comment
-
-
 def test_maps_show_failures_and_survivors():
     rows = list(map_rows(SPRINGS, quick=True))
     assert {row.verdict for row in rows} >= {"ok", "inaccurate", "diverged"}
@@ -289,19 +271,6 @@ def test_a_long_run_reports_its_energy():
     rows = [row for row in drift_rows(1000) if row.method in ("rk4", "implicit_midpoint")]
     assert {row.parameter for row in rows} == {100.0, 1000.0}
     assert all(row.value < 1e-4 and row.verdict == "ok" for row in rows)
-
-
-def test_the_page_and_its_charts_are_those_of_the_rows(tmp_path):
-    pytest.importorskip("matplotlib")
-    rows = str(DOCS / "stability.csv")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["stability.py", "--rows", rows, "--folder", str(tmp_path)])
-        assert command("stability").main() == 0
-    assert (tmp_path / "stability.md").read_text(encoding="utf-8") == (DOCS / "stability.md").read_text(
-        encoding="utf-8"
-    )
-    pictures = {path.name for path in tmp_path.glob("*.png")}
-    assert pictures == {path.name for path in DOCS.glob("stability_*.png")} and len(pictures) == 8
 
 
 def test_the_growth_that_a_measurement_tolerates_is_small():

@@ -80,9 +80,9 @@ class InputShapedController:
         self._commands: list[_Command] = []
         self._now = np.zeros(0, dtype=np.int64)
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Shapes the commands of the arms (r,), one by one, and starts the controller inside."""
-        self._now = pad_rows(self._now, int(arms.max(initial=-1)) + 1)
+        self._now = pad_rows(self._now, count)
         self._now[arms] = 0
         for row, arm in enumerate(arms.tolist()):
             start, goal = episode.start[row], episode.goal[row]
@@ -90,7 +90,7 @@ class InputShapedController:
             command = self._command(start, goal, episode.period, path)
             self._commands += [command] * (arm + 1 - len(self._commands))
             self._commands[arm] = command
-            self.inner.reset(np.array([arm]), EpisodeInfo(start[None], goal[None], episode.period, command.path))
+            self.inner.reset(np.array([arm]), EpisodeInfo(start[None], goal[None], episode.period, command.path), count)
 
     def act(self, readings: Readings, applied: Array, playing: Flags) -> NDArray[Any]:
         """Gives the actions (b, n) of the controller inside, which reads the shaped command.

@@ -17,8 +17,8 @@ from flexman_gym.control.observers.perturbed_models import (
     solve_scaled,
     standard_deviations,
 )
+from flexman_gym.model.linearization import INSTRUMENTS
 from flexman_gym.model.statics import rest_states
-from flexman_gym.simulation.readings import INSTRUMENTS
 
 REPLAYS = (6, 12, 20, 30, 45, 65, 90, 130, 200, 300)  # control periods after which all is simulated again
 DELAYS_UNTIL = 20  # at replays so early the delay is looked for
@@ -40,7 +40,7 @@ class Estimator:
 
     Args:
         plant: the arm, what is unknown of it, and how exact instruments are.
-        sensors: names in `simulation.readings.INSTRUMENTS`.
+        sensors: names in `model.linearization.INSTRUMENTS`.
         unknown: name -> (low, high), see `unknowns.make_unknowns`; None takes those of the plant.
         biased: whether each reading may be off by a constant of up to 0.5 % of its range. The angles at the start are
             then taken as they are told, for encoders that are off cannot tell them.
@@ -100,9 +100,8 @@ class Estimator:
         self._steps, self._informed = np.zeros((0, trials - 1)), np.zeros((0, p + trials - 1))
         self._apart, self._pushed = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Starts new episodes of the arms (r,)."""
-        count = int(arms.max(initial=-1)) + 1
         if count > len(self._ages):
             for name in (*self._arrays, "_told", "_informed"):
                 setattr(self, name, pad_rows(getattr(self, name), count))
@@ -111,8 +110,8 @@ class Estimator:
         self.numbers[arms], self._change[arms] = self._prior.mean, 0.0
         self._information[arms] = self._prior.information
         self._torques[arms], self._informed[arms] = 0.0, np.nan
-        self._residuals.reset(arms)
-        self._prediction.reset(arms)
+        self._residuals.reset(arms, count)
+        self._prediction.reset(arms, count)
 
     def estimate(self, readings: Readings, applied: Array, playing: Flags) -> Estimate:
         """Gives what is known now; see `Observer`."""
@@ -164,7 +163,7 @@ class Estimator:
         self._states[arms], self._steps[arms] = states[:, None], self._trials.steps
         self._information[arms] = self._prior.information
         self._ages[arms], self._apart[arms] = 1, True  # there is no start to which a replay goes back
-        self._residuals.reset(arms)
+        self._residuals.reset(arms, len(self._ages))
         self._pushed[arms] = self._filtered(arms, sudden=True)
 
     def _filtered(self, arms: IntArray, sudden: bool) -> Flags:
@@ -274,7 +273,7 @@ class Estimator:
         self._states[arms], self._steps[arms] = sweep.states, self._trials.steps
         self._information[arms] = sweep.information + self._prior.information
         if age <= 2 * QUIET:
-            self._residuals.reset(arms)  # which were those of the linearisation
+            self._residuals.reset(arms, len(self._ages))  # which were those of the linearisation
         self._residuals.misfit[arms] = sweep.cost / self._weights[: age + 1].size
         self._change[arms], _ = levenberg_marquardt_step(sweep, self.numbers[arms], self._prior)
         self._shift(arms)

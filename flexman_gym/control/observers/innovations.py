@@ -104,9 +104,8 @@ class Residuals:
     def __init__(self, readings: int) -> None:
         self.misfit, self._mean = np.zeros(0), np.zeros((0, readings))
 
-    def reset(self, arms: IntArray) -> None:
+    def reset(self, arms: IntArray, count: int) -> None:
         """Forgets the errors of the arms (r,)."""
-        count = int(arms.max(initial=-1)) + 1
         self.misfit, self._mean = pad_rows(self.misfit, count), pad_rows(self._mean, count)
         self.misfit[arms], self._mean[arms] = 1.0, 0.0
 

@@ -124,9 +124,8 @@ class DelayCompensation:
         self._twins, self._usual = InternalModels(plant), np.array(plant.torque_limit)
         self.past, self._limits = np.zeros((0, plant.delay[1] + 1, len(self._usual))), np.zeros((0, len(self._usual)))
 
-    def reset(self, arms: IntArray, limits: Array | None = None) -> None:
+    def reset(self, arms: IntArray, count: int, limits: Array | None = None) -> None:
         """Starts new episodes of the arms (r,), whose torque limits (r, n) N m may be other than those of the plant."""
-        count = int(arms.max(initial=-1)) + 1
         self.past, self._limits = pad_rows(self.past, count), pad_rows(self._limits, count)
         self.past[arms], self._limits[arms] = 0.0, self._usual if limits is None else limits
 

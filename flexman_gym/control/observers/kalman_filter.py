@@ -9,8 +9,8 @@ from flexman_gym.common.checks import flag, non_negative, value_error, vector
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.observers.internal_model import DelayCompensation, DiscreteJacobians, InternalModels
 from flexman_gym.control.observers.observer import BIAS, Estimate, make_measurement_model
+from flexman_gym.model.linearization import INSTRUMENTS
 from flexman_gym.model.statics import holding_torques, rest_states
-from flexman_gym.simulation.readings import INSTRUMENTS
 
 DOUBLINGS = 20  # a million periods
 SETTLED = 1e-6  # part by which the last doubling may still change a variance
@@ -85,7 +85,7 @@ class KalmanFilter:
 
     Args:
         plant: the arm, the delay of torques, and how exact instruments are.
-        sensors: names in `simulation.readings.INSTRUMENTS`, "motor_encoders" among them.
+        sensors: names in `model.linearization.INSTRUMENTS`, "motor_encoders" among them.
         noise: deviations of the unknown torques, a part of the torque limits, and of the forces on the tip, a part of
             what the strongest motor bears at the whole reach; None takes 0.005 and 0.005, or 0.005 and 0.03 for a plant
             with unknown parameters, and as much as its `push`.
@@ -144,16 +144,15 @@ class KalmanFilter:
         self.covariance, self._transition, self._noise = (np.zeros((0, s, s)) for _ in range(3))
         self._ages, self._gain = np.zeros(0, dtype=np.int64), np.zeros((0, s, m))
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Starts new episodes of the arms (r,).
 
         Raises:
             ValueError: for sensors that do not tell the state, where the gain is fixed.
         """
-        count = int(arms.max(initial=-1)) + 1
         for name in ("states", "covariance", "_transition", "_noise", "_ages", "_gain"):
             setattr(self, name, pad_rows(getattr(self, name), count))
-        self._prediction.reset(arms)
+        self._prediction.reset(arms, count)
         self._ages[arms], self.states[arms] = 0, 0.0
         if self._fixed:
             covariance = self._settled(*self._system(*self._rest(episode.goal))[:2], slice(None))

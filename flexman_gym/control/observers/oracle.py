@@ -9,11 +9,11 @@ from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.observers.internal_model import DelayCompensation
 from flexman_gym.control.observers.observer import Estimate
 from flexman_gym.control.observers.perturbed_models import make_uncertain_parameters
-from flexman_gym.simulation.parameters import PARAMETERS
+from flexman_gym.simulation.parameters import PARAMETERS, UNCERTAIN
 
 # s and powers by which 1 / (1 + (t / s)^power) of the deviation is left: medians of the Estimator on 24 arms of
 # FlexRRR-v0 under unknown-lab follow these within a third
-FADING = {"payload_mass": (0.2, 3.0), "joint_stiffness": (0.1, 3.0), "link_stiffness": (0.26, 2.0)}
+FADING = {"payload_mass": (0.2, 3.0), "joint_stiffness": (0.1, 3.0), "link_stiffness_factor": (0.26, 2.0)}
 
 
 class Oracle:
@@ -32,15 +32,14 @@ class Oracle:
         self._prediction, self._delays = DelayCompensation(plant), np.zeros(0, dtype=np.int64)
         self._parameters: dict[str, Array] = {}
         self._plant, self._ages = plant, np.zeros(0, dtype=np.int64)
-        ranges = {name: span for name, span in plant.unknown.items() if name.removesuffix("_factor") in FADING}
+        ranges = {name: span for name, span in plant.unknown.items() if UNCERTAIN.get(name) in FADING}
         self._unknowns = make_uncertain_parameters(plant.model, ranges) if doubt and ranges else None
         self._numbers = np.zeros((0, 2, len(self._unknowns.names) if self._unknowns else 0))  # true ones, and errors
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Takes parameters and delays of new episodes of the arms (r,)."""
-        self._prediction.reset(arms, episode.drawn.get("torque_limit"))
+        self._prediction.reset(arms, count, episode.drawn.get("torque_limit"))
         self._prediction.remember(int(np.max(episode.drawn.get("delay", 0), initial=0)))
-        count = len(self._prediction.past)
         drawn = {name: values.astype(float) for name, values in episode.drawn.items() if name in PARAMETERS}
         for name, values in drawn.items():
             self._parameters[name] = pad_rows(self._parameters.get(name, values[:0]), count)

@@ -11,7 +11,7 @@ from flexman_gym.common.checks import mapping, number_array, value_error
 from flexman_gym.control.controller import Plant
 from flexman_gym.control.observers.internal_model import InternalModels
 from flexman_gym.model.model import Model
-from flexman_gym.simulation.parameters import ARM, PARAMETERS
+from flexman_gym.simulation.parameters import ARM, PARAMETERS, UNCERTAIN, current_names
 
 STEP = 0.0003  # of a range, by which an unknown is changed to see what follows; 0.03 shifts a phase by a radian in 2 s
 BEYOND = 0.08  # of a range, by which an estimate may leave it
@@ -69,18 +69,21 @@ def make_uncertain_parameters(model: Model, ranges: Mapping[str, tuple[float, fl
 
     Args:
         model: of the arm.
-        ranges: name -> (low, high) of physical parameters in `simulation.parameters.PARAMETERS`; parts of the
-            nominal value where the table there says factor, one for each joint or link.
+        ranges: name -> (low, high), names as in `simulation.parameters.UNCERTAIN`: the unit of the parameter, or 1 for
+            the factors on the nominal value, one for each joint or link.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
     """
     names, joints, scales, spans = [], [], [], []
-    for name, span in mapping("unknown", ranges, tuple(PARAMETERS)).items():
-        low, high = number_array(f"unknown.{name}", span, (2,), "a range (low, high)")
+    renamed = {name: key for key, name in UNCERTAIN.items() if key != name} | {
+        "link_stiffness": "link_stiffness_factor"
+    }
+    for key, span in mapping("unknown", current_names("unknown", ranges, renamed), tuple(UNCERTAIN)).items():
+        low, high = number_array(f"unknown.{key}", span, (2,), "a range (low, high)")
         if not 0.0 <= low <= high:
-            raise value_error(f"unknown.{name}", span, "a range (low, high) with 0 <= low <= high")
-        row = PARAMETERS[name]
+            raise value_error(f"unknown.{key}", span, "a range (low, high) with 0 <= low <= high")
+        name, row = UNCERTAIN[key], PARAMETERS[UNCERTAIN[key]]
         nominal = np.atleast_1d(row.nominal(model))
         free = ~row.fixed(model) if row.shape(model.n_joints) else np.ones(1, dtype=bool)
         for joint in np.flatnonzero(free & (nominal > 0.0 if row.factor else free)):

@@ -235,9 +235,9 @@ def compliance_factors(model: Model, parameters: Mapping[str, Array], arms: IntA
         stiffness = np.where(stiff, parameters["joint_stiffness"][arms], 1.0)
         part = np.where(stiff, model.constants.joint_stiffness / stiffness, 1.0)
         result[:, :n] = result[:, model.motor_columns] = part
-    if "link_stiffness" in parameters:
+    if "link_stiffness_factor" in parameters:
         links = np.repeat(np.arange(n), np.diff(model.constants.elastic_start))
-        result[:, model.n_dof - len(links) :] = 1.0 / parameters["link_stiffness"][arms][:, links]
+        result[:, model.n_dof - len(links) :] = 1.0 / parameters["link_stiffness_factor"][arms][:, links]
     return result
 
 

@@ -340,12 +340,12 @@ class OptimisedController(LQR):
         table.check_arm(arm_parameters(self.model, self.limits, self.period))
         self._table, self._slews, self._now = table, list[Array](), np.zeros(0, dtype=np.int64)
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo) -> None:
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Looks up the slews of the arms (r,)."""
         if episode.path is not None:
             raise value_error("episode", "a goal that moves", "one that stays, for which slews are optimised")
         found = [self._table.torques(*ends) for ends in zip(episode.start, episode.goal, strict=True)]
-        super().reset(arms, episode)
+        super().reset(arms, episode, count)
         self._now = pad_rows(self._now, len(self._held))
         self._slews += [np.zeros((0, len(self.limits)))] * (len(self._held) - len(self._slews))
         for arm, torques in zip(arms.tolist(), found, strict=True):

@@ -10,9 +10,9 @@ from typing import Any, NoReturn, Self
 
 from flexman_gym.common import files
 from flexman_gym.common.checks import mapping, one_of, positive, sequence, short_path, text, value_error, vector
+from flexman_gym.control.agent import checked_history
 from flexman_gym.control.margins import first_order_lag
 from flexman_gym.control.pd import torque_limits
-from flexman_gym.control.policy import checked_history
 from flexman_gym.envs.config import setting as checks
 from flexman_gym.envs.config.conditions import NOMINAL, condition_settings
 from flexman_gym.envs.config.named_environments import DEFAULT, NAMED, Gains
@@ -171,6 +171,8 @@ class Configuration:
     )
     # fmt: on
 
+    _given: dict[str, Any]
+
     def __init__(self, id: str = DEFAULT, settings: Mapping[str, Any] | None = None, folder: Path = Path()) -> None:
         named, given = NAMED[one_of("id", id, NAMED)], dict(settings or {})
         if given.pop("condition", NOMINAL) != NOMINAL:
@@ -203,9 +205,8 @@ class Configuration:
         """Check the settings that depend on others, and store what follows from them."""
         vars(self)["torque_limit"] = self._torque_limits()
         if not 0.5 <= self.horizon / self.control_period <= MOST_PERIODS:
-            raise value_error(
-                "horizon", self.horizon, f"1 to {MOST_PERIODS} control periods of {self.control_period} s"
-            )
+            allowed = f"1 to {MOST_PERIODS} control periods of {self.control_period} s"
+            raise value_error("horizon", self.horizon, allowed)
         warn_of_units("", {"horizon": self.horizon})
         if self.base == "pd":
             vars(self)["gains"] = self.pd_gains
@@ -222,8 +223,9 @@ class Configuration:
 
     def _torque_limits(self) -> tuple[float, ...]:
         """Return the torque limits that were given, else those of the joints, N m."""
+        given: Any = self.torque_limit
         arm, own = self.arm, [joint.torque_limit for joint in self.arm.joints]
-        if (given := self._given.get("torque_limit")) is not None:
+        if given is not None:
             return torque_limits("torque_limit", given, arm.n_joints)
         if None in own:
             allowed = "one number (N m), or one for each joint: the joints of this arm have no torque_limit"
@@ -401,7 +403,8 @@ class Configuration:
             if rest and first in PARTS:
                 named, form = NAMED[one_of("id", data["id"], NAMED)], SETTINGS[first]
                 given = find_arm(data["arm"], folder) if first == "arm" and first in data else data.get(first)
-                data[first] = form.plain(form.check(given)) if first in data and form.plain else named.plain(first)
+                assert form.plain is not None
+                data[first] = form.plain(form.check(given)) if first in data else named.plain(first)
             _put(data, [first, *rest], value)
         return cls.from_plain(data, folder)
 

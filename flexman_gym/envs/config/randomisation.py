@@ -26,7 +26,7 @@ class Randomisation:
             base_sway (m/s^2).
 
     Attributes:
-        effects: names of what differs, without "_factor", in the order of the tables.
+        effects: names of the parameters and signals that differ, in the order of the tables.
         ranges: name -> (low, high) of each of them; what was given is also an attribute, None for what is off.
         given: the arguments that were given, by name.
 
@@ -83,9 +83,9 @@ def _range_names() -> dict[str, str]:
 
 
 def range_name(effect: str) -> str:
-    """The name of the range from which an effect draws, which says whether it is one of factors."""
+    """Return the name of the range of an effect: NAME_factor where the range is one of factors on the nominal value."""
     of = PARAMETERS[effect] if effect in PARAMETERS else SIGNALS[effect]
-    return f"{effect}_factor" if getattr(of, "factor", False) else effect
+    return f"{effect.removesuffix('_factor')}_factor" if getattr(of, "factor", False) else effect
 
 
 def find_randomisation(value: object) -> Randomisation | None:

@@ -5,10 +5,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from flexman_gym.common.checks import one_of, physical, positive, sequence, text, value_error, whole_number
-from flexman_gym.control.actions import checked_action_mode
+from flexman_gym.control.actions import ActionMode, checked_action_mode
 from flexman_gym.control.base_controllers import BASES, checked_base
 from flexman_gym.control.controller import checked_controller
-from flexman_gym.control.policy import PolicyFactory
 from flexman_gym.envs.limits import Limits, find_limits
 from flexman_gym.envs.tasks import Task, check_task, find_task
 from flexman_gym.scene.mistakes import warn_of_units
@@ -84,17 +83,18 @@ def checked_horizon(value: object) -> float:
 
 
 def checked_base_setting(value: Any) -> Any:
-    """Return None, a name or a mapping of BASES, a Controller, or the factory of a policy, as it is."""
+    """Return None, a name or a mapping of BASES as it is, or a Controller that takes the number of arms."""
     if isinstance(value, str | dict):
         checked_base(value)
-    elif value is not None and not isinstance(value, PolicyFactory):
-        checked_controller("base", value, f"None, one of {', '.join(BASES)}, or ")
+    elif value is not None:
+        return checked_controller("base", value, f"None, one of {', '.join(BASES)}, or ")
     return value
 
 
 def checked_actions(value: Any) -> Any:
-    """Return the name or the mapping of an action mode, as it is."""
-    checked_action_mode(value)
+    """Return the name or the mapping of an action mode, or an ActionMode, as it is."""
+    if not isinstance(value, ActionMode):
+        checked_action_mode(value)
     return value
 
 

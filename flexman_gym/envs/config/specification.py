@@ -8,9 +8,9 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.control.base_controllers import make_base
 from flexman_gym.control.controller import Controller, Plant
 from flexman_gym.control.pd import PD
-from flexman_gym.control.policy import PolicyFactory
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED
+from flexman_gym.envs.config.randomisation import range_name
 from flexman_gym.envs.sensors.instrument import Instrument
 from flexman_gym.envs.sensors.sensor import measurement_ranges
 from flexman_gym.envs.sensors.sensor_array import measured_names
@@ -33,7 +33,7 @@ def make_plant(configuration: Configuration, model: Model) -> Plant:
         configuration.torque_limit,
         configuration.control_period,
         lambda: configuration.pd_gains,
-        {name: span for name, span in drawn.items() if name in PARAMETERS},
+        {range_name(name): span for name, span in drawn.items() if name in PARAMETERS},
         (int(fewest), int(most)),
         (configuration.method, configuration.step or default_step(configuration.control_period, longest_step)),
         float(drawn.get("tip_load", (0.0, 0.0))[1]),
@@ -53,10 +53,8 @@ def make_base_controller(configuration: Configuration, model: Model) -> Controll
     It warns (UserWarning) where sampling and delay make a PD unstable.
     """
     base = configuration.base
-    if isinstance(base, PolicyFactory):
-        return base.made_for(make_plant(configuration, model))
     if not isinstance(base, str | dict):
-        return base  # type: ignore[no-any-return]
+        return base
     result = make_controller(configuration, base, model)
     period, delay = configuration.control_period, configuration.latest_delay
     message = result.unstable(model, period, delay) if isinstance(result, PD) else ""

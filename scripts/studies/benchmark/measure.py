@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -23,19 +22,9 @@ from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.batch_integrators import WorkerThread
+from studies.stopwatch import Cost, Timer, timer
 
 EVALUATIONS, ENVIRONMENTS, PARTS, STARTS = "evaluations", "environments", "parts", "starts"
-
-
-class Cost(NamedTuple):
-    """What one step, evaluation or start costs: seconds of the processor and of a clock; part that is simulation."""
-
-    cpu: float
-    wall: float
-    share: float = float("nan")
-
-
-Timer = Callable[[], Cost]
 
 
 @dataclass(frozen=True)
@@ -62,23 +51,6 @@ class BenchmarkRow:
     peer: str = ""
     times_peer: float | None = None
     share: float | None = None
-
-
-def _clock(call: Callable[[], object]) -> tuple[float, float]:
-    """CPU time of the whole process and time of the clock of one call, s."""
-    started = time.process_time(), time.perf_counter()
-    call()
-    return time.process_time() - started[0], time.perf_counter() - started[1]
-
-
-def timer(call: Callable[[], object], count: int, batches: int = 1) -> Timer:
-    """The cost of one of the `count` things that a call does, the cheapest of so many calls."""
-
-    def measure() -> Cost:
-        cpu, wall = min(_clock(call) for _ in range(batches))
-        return Cost(cpu / count, wall / count)
-
-    return measure
 
 
 def _in_turns(timers: Mapping[str, Timer], rounds: int) -> dict[str, Array]:
@@ -338,13 +310,17 @@ def _calls(arms: int) -> dict[str, Callable[[], object]]:
     env.reset(seed=0)
     episodes, view = env.episodes, env.episodes.view
     action, drive = np.zeros(env.action_space.shape or ()), np.zeros((arms, episodes.batch.model.n_joints + 6))
-    shown = view.alone() if arms == 1 else view
+
+    def info() -> None:
+        episodes.terms = None  # which a step forgets
+        episodes.info()
+
     return {
         WHOLE: lambda: env.step(action),
         "moving the arms": lambda: episodes.batch.step(drive),
         "reading the motion": view.read,
-        "sensors": episodes.sight.sensors.read,
-        "rewards and info": lambda: episodes.outcome(shown),
+        "sensors": episodes.sensors.read,
+        "rewards and info": info,
     }
 
 

@@ -9,8 +9,8 @@ from mujoco import rollout
 from flexman_gym.common.arrays import Array
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.model.mjcf import mjcf
-from studies.benchmark.measure import Timer, timer
 from studies.peers.mujoco import SANE
+from studies.stopwatch import Timer, timer
 
 PIECES, FINEST, TRIAL = 4, 1024, 100  # of a link; parts of a control period and control periods of the search
 

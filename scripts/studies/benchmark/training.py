@@ -4,8 +4,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from studies.benchmark.measure import Cost, Timer
-from studies.stopwatch import Stopwatch
+from studies.stopwatch import Cost, Stopwatch, Timer
 
 
 def ppo(arms: int, rollouts: int) -> Timer:

@@ -17,7 +17,7 @@ from flexman_gym.draw.evaluation import learning_curves, read_progress
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from flexman_gym.evaluation.agent import Agent, find_agent, split_interface
+from flexman_gym.evaluation.agent import AgentSpec, find_agent, split_interface
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.policy_files import POLICIES
 from flexman_gym.evaluation.rollout import TEST_SEEDS, rollout
@@ -277,7 +277,7 @@ def _row(
     seed: int | None,
     where: str,
     costs: dict[str, float | None],
-    who: Agent,
+    who: AgentSpec,
     environment: Configuration,
 ) -> LearningRow:
     records = rollout(who, environment, TEST_SEEDS).records

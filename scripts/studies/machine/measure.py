@@ -82,6 +82,7 @@ def driven(path: Path) -> Measurement:
 
 
 ONE = {"elements": 1, "modes": 4}
+FACTORS = ["link_stiffness_factor", "link_damping"]  # free parameters of the fits
 TWO = {"elements": 1, "modes": (4, 3)}
 FIT, SCORE, SHEET, MUJOCO, COUPLED, CURRENT = "fit", "score", "data sheet", "MuJoCo", "both stages", "currents"
 HALF = 5.0  # s, of the record of both stages
@@ -112,7 +113,8 @@ def stage_1(folder: Path = DATA, others: bool = True) -> tuple[list[FitRow], dic
     for half, label in ((names[::2], "A"), (names[1::2], "B")):
         started = time.process_time()
         arm = fm.catalog.quanser_2dsfl(1)
-        found = fm.fit(arm, ["link_stiffness", "link_damping"], records=[runs[name] for name in half], starts=0, **ONE)  # type: ignore[arg-type]
+        records = [runs[name] for name in half]
+        found = fm.fit(arm, FACTORS, records=records, starts=0, **ONE)  # type: ignore[arg-type]
         rows.append(FitRow(FIT, label, "CPU s", time.process_time() - started))
         rows += [FitRow(FIT, label, name, value) for name, value in _told(found).items()]
         rest = [name for name in names if name not in half]
@@ -139,7 +141,8 @@ def _told(found: fm.Fit) -> dict[str, float]:
     at_strip, at_block = _amplitudes(model)
     gain = found.gains[STAGE_1]
     return {
-        "EI factor": found.values["link_stiffness"][0], "EI factor, deviation": found.deviations["link_stiffness"][0],
+        "EI factor": found.values["link_stiffness_factor"][0], "EI factor, deviation":
+        found.deviations["link_stiffness_factor"][0],
         "natural frequency, Hz": frequency / np.sqrt(1.0 - ratio**2), "damping ratio": ratio,
         "damping ratio, deviation": found.deviations["link_damping"][0],
         "amplitude factor, measured": at_block * gain[0], "amplitude factor, deviation": at_block * gain[1],
@@ -195,7 +198,7 @@ def stages(path: Path) -> tuple[list[FitRow], list[Any]]:
         Rows, and times, measured and predicted deflections.
     """
     record, arm = both_stages(path), fm.catalog.quanser_2dsfl()
-    found = fm.fit(arm, ["link_stiffness", "link_damping"], records=[record.part(0.0, HALF)], **TWO)  # type: ignore[arg-type]
+    found = fm.fit(arm, FACTORS, records=[record.part(0.0, HALF)], **TWO)  # type: ignore[arg-type]
     told = [np.asarray(record.times), dict(record.outputs), found.predicted(record)]
     return [*_coupled(found, record, COUPLED), *_currents(found, path)], told
 
@@ -228,7 +231,7 @@ def _currents(found: fm.Fit, path: Path) -> Iterator[FitRow]:
 
 PERIOD, SAMPLES, NOISE, FINER = 0.005, 241, 0.005, 4
 CHOICE: dict[str, Any] = {"elements": 1, "modes": 3}
-FREE = ("joint_stiffness", "joint_damping", "link_stiffness", "link_damping", "payload_mass")
+FREE = ("joint_stiffness", "joint_damping", "link_stiffness_factor", "link_damping", "payload_mass")
 FAR = 0.3  # of the logarithms of a start
 AXES = ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
 
@@ -279,7 +282,7 @@ def draws(seed: int, count: int) -> list[tuple[str, float, bool]]:
             for name, values in record.outputs.items()
         }
         found = fm.fit(start, FREE, records=[replace(record, outputs=noisy)], **CHOICE)
-        scale = np.where([number.parameter == "link_stiffness" for number in free.numbers], 1.0, free.start)
+        scale = np.where([number.parameter == "link_stiffness_factor" for number in free.numbers], 1.0, free.start)
         moduli = [
             a.sections[0].youngs_modulus / b.sections[0].youngs_modulus
             for a, b in zip(arm.links, start.links, strict=True)
@@ -287,7 +290,7 @@ def draws(seed: int, count: int) -> list[tuple[str, float, bool]]:
         for number, true in zip(free.numbers, scale, strict=True):
             place = number.place or 0
             value, deviation = (np.ravel(each[number.parameter])[place] for each in (found.values, found.deviations))
-            right = moduli[place] if number.parameter == "link_stiffness" else true
+            right = moduli[place] if number.parameter == "link_stiffness_factor" else true
             result.append((str(number), float((value - right) / deviation), str(number) not in found.undetermined))
     return result
 

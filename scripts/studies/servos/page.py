@@ -25,8 +25,8 @@ SAYS = (
 HEAD = (
     "`python scripts/servos.py --folder docs` writes this page and its rows ([servos.csv](servos.csv)) anew. A servo "
     'acts in every control period (`actions="position"` or `"velocity"`), and an agent keeps its action for '
-    "`action_repeat` of them. Both modes have the same loop: a PD of each motor, a delay of whole periods, and a drive "
-    "whose torque lags as a first-order filter (`drive_bandwidth`)."
+    "`action_repeat` of them. Both modes have the same loop: a PD of each motor, a delay of whole periods, and a "
+    "drive whose torque lags as a first-order filter (`drive_bandwidth`)."
 )
 READING = (
     "A number is the factor by which both tuned gains of an environment may be multiplied before an eigenvalue of the "

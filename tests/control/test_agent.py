@@ -1,12 +1,12 @@
-"""Policy: it sees what it learned with, holds its actions, remembers, and acts beside its base."""
+"""Agent as a controller: sensors, history, action repeat, law and base, under another agent."""
 
 import numpy as np
 import pytest
 
-from flexman_gym.control import PD, Policy
+from flexman_gym.control import PD, Agent
+from flexman_gym.control.actions import TorqueMode
 from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.network import Network
-from flexman_gym.envs.config.specification import make_controller
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.sensors import Servo, find_sensors
 from flexman_gym.envs.vector_env import FlexManVectorEnv
@@ -29,12 +29,13 @@ def network(size, joints=2, seed=0):
 @pytest.mark.parametrize("history", [1, 3, (0.05, 0.2)])
 @pytest.mark.parametrize("base", [None, "pd"])
 def test_it_acts_as_an_agent_that_sees_and_holds_as_it_does(sensors, history, base):
-    """The agent in an environment with hold, history and base; the policy as the base of a plain environment."""
-    beside = FlexManVectorEnv(3, **SETTINGS, sensors=sensors, history=history, action_repeat=4, base=base)
+    """The agent in an environment with hold, history and base; the same agent as the base of a plain environment."""
+    beside = FlexManVectorEnv(3, **SETTINGS, sensors=sensors, history=history, hold=4, base=base)
     size = beside.single_observation_space.shape[0]
     acting = network(size)
-    controller = make_controller(beside.setup, base, beside.batch.model) if base else None
-    policy = Policy(acting, find_sensors(sensors), beside.setup.history, 4, controller)
+    controller = beside.setup.controller(base, beside.batch.model) if base else None
+    observed, mode = find_sensors(sensors), TorqueMode(2, controller)
+    policy = Agent(observed, len(beside.sensors.bound), mode, controller, beside.setup.history, 4, acting)
     alone = FlexManVectorEnv(3, **SETTINGS, base=policy)
     seen, asked, played = beside.reset(seed=3)[0], [], []
     beside.episodes.watch = lambda: asked.append(beside.episodes.view.action.copy())
@@ -53,9 +54,9 @@ def test_its_base_reads_what_its_instruments_measure():
     """The errors that a PD beside a policy feels are those of the policy's encoders, which have a bias."""
     biased = find_sensors(({"kind": "motor_encoders", "bias": 0.05},))
     pd = PD([5.0, 2.0], [0.0, 0.0], [12.0, 4.0])
-    env = FlexManEnv(**SETTINGS, base=Policy(network(4), biased, 1, 1, pd))
+    env = FlexManEnv(**SETTINGS, base=Agent(biased, 4, TorqueMode(2, pd), pd, law=network(4)))
     env.reset(seed=0)
-    readings, view = env.episodes.sight.readings, env.episodes.view
+    readings, view = env.episodes.measurements.readings, env.episodes.view
     assert list(readings) == ["motor_angles", "motor_rates", "angle_errors", "goal_rates"], "an entry of both once"
     assert (readings["motor_angles"] != view.motor_angles).all()
     assert readings["angle_errors"] == pytest.approx(view.goal_angles - readings["motor_angles"], abs=1e-12)
@@ -63,7 +64,7 @@ def test_its_base_reads_what_its_instruments_measure():
 
 def test_a_state_holds_what_a_policy_remembers():
     """In the middle of a held action, with a history."""
-    policies = [Policy(network(54), find_sensors("full"), 3, 4, None) for _ in range(2)]
+    policies = [Agent(find_sensors("full"), 18, TorqueMode(2), None, 3, 4, network(54)) for _ in range(2)]
     one, other = (FlexManEnv(**SETTINGS, base=policy) for policy in policies)
     still, asked = np.zeros(2, dtype=np.float32), []
     one.reset(seed=1)
@@ -86,10 +87,15 @@ def readings_of(*errors):
     return {"angle_errors": still + np.array(errors)[:, None], "motor_rates": still, "goal_rates": still}
 
 
+def remembering():
+    """A policy that observes three instants, two periods apart."""
+    return Agent((Servo(),), 6, TorqueMode(2), None, 3, 2, network(18))
+
+
 def begun(policy, *arms):
     """The policy with new episodes of some arms."""
     goal = np.zeros((len(arms), 2))
-    policy.reset(np.array(arms), EpisodeInfo(goal, goal, 0.01))
+    policy.reset(np.array(arms), EpisodeInfo(goal, goal, 0.01), max(arms) + 1)
     return policy
 
 
@@ -100,15 +106,15 @@ def asked(policy, *errors):
 
 def test_a_new_episode_begins_anew():
     """In the middle of a held action, which ends there; what it remembered of the old episode is gone."""
-    policy = begun(Policy(network(18), (Servo(),), 3, 2), 0)
+    policy = begun(remembering(), 0)
     for error in (0.1, 0.2, 0.3):
         asked(policy, error)
-    assert np.array_equal(asked(begun(policy, 0), 0.5), asked(begun(Policy(network(18), (Servo(),), 3, 2), 0), 0.5))
+    assert np.array_equal(asked(begun(policy, 0), 0.5), asked(begun(remembering(), 0), 0.5))
 
 
 def test_arms_that_come_later_change_nothing_for_those_before():
     """Action and memory of the first one stay its own; the second one begins at once."""
-    both, alone = (begun(Policy(network(18), (Servo(),), 3, 2), 0) for _ in range(2))
+    both, alone = (begun(remembering(), 0) for _ in range(2))
     for error in (0.1, 0.2, 0.3):
         assert np.array_equal(asked(both, error), asked(alone, error))
     begun(both, 1)
@@ -118,9 +124,11 @@ def test_arms_that_come_later_change_nothing_for_those_before():
 
 
 def test_another_arm_and_other_sensors_are_refused_in_one_line():
-    env = FlexManEnv(base=Policy(network(9), find_sensors("servo")))
+    env = FlexManEnv(base=Agent(find_sensors("servo"), 6, TorqueMode(2), law=network(6)))
     assert refusal(env.reset) == "base: 'a policy of 2 motors' is not allowed; give one of 3"
-    env = FlexManEnv(**SETTINGS, base=Policy(network(7), find_sensors("servo")))
+    said = refusal(lambda: Agent(find_sensors("servo"), 6, TorqueMode(2), law=network(7)))
+    assert said == "base: 'a policy of 7 observed numbers' is not allowed; give one of 6, which its sensors read here"
+    env = FlexManEnv(**SETTINGS, base=Agent(find_sensors("servo"), 7, TorqueMode(2), law=network(7)))
     env.reset(seed=0)
     said = refusal(env.step, np.zeros(2, dtype=np.float32))
     assert said == "base: 'a policy of 7 observed numbers' is not allowed; give one of 6, which its sensors read here"

@@ -1,0 +1,222 @@
+"""Agent: observed sensors, observation history, action repeat, action mode with its base controller, and law."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexman_gym.common.arrays import Array, Flags, IntArray, pad_rows
+from flexman_gym.common.checks import positive, sequence, value_error, whole_number
+from flexman_gym.control.actions import LARGEST, ActionMode, mode_observation_size
+from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
+
+Law = Callable[[NDArray[np.float32]], NDArray[Any]]  # observations (b, size) -> commands (b, k) from -1 to 1
+MOST = 1000  # observations of a history
+
+
+class History:
+    """The last k observations of b arms, the newest first, or the present one and exponential averages of all.
+
+    In an episode that has just begun the first observation stands for those before it.
+
+    Args:
+        kind: k, or the times (s) of the averages: an observation counts 1/e of a new one so long after it was made.
+        interval: between two observations, s.
+        arms: b.
+        size: of an observation.
+    """
+
+    kept = ("_memory",)
+
+    def __init__(self, kind: int | tuple[float, ...], interval: float, arms: int, size: int) -> None:
+        self._gains = None if isinstance(kind, int) else 1.0 - np.exp(-interval / np.array(kind))[:, None]
+        self.parts = history_length(kind)
+        self._memory = np.zeros((arms, self.parts, size))
+
+    def following(self, earlier: "History") -> "History":
+        """Gives itself with what an earlier one of fewer arms remembers."""
+        self._memory[: len(earlier._memory)] = earlier._memory
+        return self
+
+    def begin(self, observations: Array, arms: IntArray) -> Array:
+        """Starts with the first observations (r, size) of the arms (r,); returns what is seen, (r, parts size)."""
+        self._memory[arms] = observations[:, None]
+        return self.seen(arms)
+
+    def add(self, observations: Array, arms: IntArray) -> Array:
+        """Adds observations (r, size) of the arms (r,); returns what is seen, (r, parts size)."""
+        memory = self._memory
+        if self._gains is None:
+            memory[arms, 1:] = memory[arms, :-1]
+        else:
+            memory[arms, 1:] += self._gains * (observations[:, None] - memory[arms, 1:])
+        memory[arms, 0] = observations
+        return self.seen(arms)
+
+    def seen(self, arms: IntArray) -> Array:
+        """Gives what is seen of the arms (r,), (r, parts size)."""
+        result: Array = self._memory[arms].reshape(len(arms), self._memory[0].size)  # of no arm too
+        return result
+
+
+def history_length(kind: int | tuple[float, ...]) -> int:
+    """How many observations a history shows."""
+    return kind if isinstance(kind, int) else 1 + len(kind)
+
+
+def checked_history(value: object) -> int | tuple[float, ...]:
+    """A number of observations, or the times of averages; raises ValueError for anything else."""
+    if not isinstance(value, list | tuple) and not (isinstance(value, np.ndarray) and value.ndim):
+        return whole_number("history", value, 1, MOST)
+    times = sequence("history", value, "times (s)")
+    if not 0 < len(times) <= MOST:
+        raise value_error("history", value, f"a whole number, or 1 to {MOST} times (s)")
+    return tuple(positive(f"history[{i}]", time, "s") for i, time in enumerate(times))
+
+
+class Agent:
+    """Map from the readings of b arms of n joints to torques, as the sum of all parts of an agent.
+
+    Where an action is due, an observation is taken and a command (k,) follows from it; the command is kept for
+    `action_repeat` control periods. The action mode turns it into torques in every period, with the base controller.
+    The command is that of the law or, without a law, what a trainer or an evaluation has written to `command`. An agent
+    with a law is a Controller, and may be the base of another agent.
+
+    Args:
+        sensors: observed ones in their order, those of the task included.
+        size: numbers that these sensors give of an arm at an instant.
+        mode: action mode, made for the base.
+        base: controller inside the mode; None without one.
+        history: observations, or times (s) of averages, see `History`.
+        action_repeat: control periods for which a command is kept.
+        law: commands (b, k) from -1 to 1 for observations (b, size), such as a Network; None for commands from outside.
+
+    Attributes:
+        observations: (b, size) float32, with history and what the mode shows; kept where an arm is not due.
+        command: (b, k).
+    """
+
+    kept = ("base", "mode", "_history", "observations", "command", "_ages")
+
+    def __init__(
+        self,
+        sensors: Sequence[object],
+        size: int,
+        mode: ActionMode,
+        base: Controller | None = None,
+        history: int | tuple[float, ...] = 1,
+        action_repeat: int = 1,
+        law: Law | None = None,
+    ) -> None:
+        self.mode, self.base, self.law, self.action_repeat = mode, base, law, action_repeat
+        self.sensors: Any = (*sensors, *mode.sensors)
+        self.shows = mode_observation_size(mode) > 0
+        self._size, self._kind = size, history
+        self._row = size + mode_observation_size(mode)
+        self._history: History | None = None
+        self.observations: NDArray[np.float32] = np.zeros((0, history_length(history) * self._row), dtype=np.float32)
+        self.command, self._ages = np.zeros((0, len(mode.names))), np.zeros(0, dtype=np.int64)
+        if law is not None:
+            self.check_law(law)
+
+    @property
+    def estimates(self) -> Mapping[str, Array]:
+        """Estimates of the base controller, name -> (b, ...)."""
+        return getattr(self.base, "estimates", {})
+
+    def bound(self, sensors: Array) -> NDArray[np.float32]:
+        """Return the largest magnitude (size,) of each number of an observation, from those of the sensors."""
+        row = np.append(sensors, np.full(self._row - self._size, LARGEST))
+        return np.tile(row, history_length(self._kind)).astype(np.float32)
+
+    def check_law(self, law: object) -> None:
+        """Check the number of observations and commands of a network against those of the agent.
+
+        Raises:
+            ValueError: one line; a law without the attributes `size` and `joints` is not checked.
+        """
+        parts, hidden = history_length(self._kind), self._row - self._size
+        size = getattr(law, "size", parts * self._row) // parts - hidden
+        if size != self._size:
+            allowed = f"one of {self._size}, which its sensors read here"
+            raise value_error("base", f"a policy of {size} observed numbers", allowed)
+        commands = getattr(law, "joints", len(self.mode.names))
+        if commands != len(self.mode.names):
+            raise value_error("actions", self.mode.names, f"a mode of {commands} numbers, which the policy gives")
+
+    def allocate(self, count: int, period: float) -> None:
+        """Make room for `count` arms with a control period (s)."""
+        if count <= len(self._ages):
+            return
+        for name in ("observations", "command", "_ages"):
+            setattr(self, name, pad_rows(getattr(self, name), count))
+        if self._kind != 1:
+            longer = History(self._kind, self.action_repeat * period, count, self._row)
+            self._history = longer.following(self._history) if self._history else longer
+
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
+        """Start new episodes of the arms (r,) of `count`.
+
+        Raises:
+            ValueError: one line, for an arm with another number of joints.
+        """
+        if episode.start.shape[1] != self.mode.joints:
+            raise value_error("base", f"a policy of {self.mode.joints} motors", f"one of {episode.start.shape[1]}")
+        self.allocate(count, episode.period)
+        self._ages[arms] = 0
+        self.mode.reset(arms, episode, count)
+
+    def due(self, playing: Flags) -> Flags:
+        """Return the arms (b,) among those playing whose next command begins in this period."""
+        result: Flags = playing & (self._ages % self.action_repeat == 0)
+        return result
+
+    def observe(self, observed: Array, readings: Readings, applied: Array, due: Flags) -> None:
+        """Update the observations of the arms (b,) that are due, once a command.
+
+        Args:
+            observed: (b, size) readings of the sensors side by side.
+            readings: of the mode, as of `Controller.act`; not read by a mode that shows nothing.
+            applied: as of `Controller.act`.
+            due: (b,).
+        """
+        now = observed
+        if self.shows:
+            now = np.concatenate([observed, self.mode.look(readings, applied, due)], axis=1)  # type: ignore[attr-defined]
+        if self._history is None:
+            rows: Any = slice(None) if due.all() else due
+            self.observations[rows] = now[rows]
+            return
+        first = self._ages == 0
+        for flags, see in ((due & first, self._history.begin), (due & ~first, self._history.add)):
+            arms = np.flatnonzero(flags)
+            if len(arms):
+                self.observations[arms] = see(now[arms], arms)
+
+    def act(self, readings: Readings, applied: Array, playing: Flags) -> Array:
+        """Return the torques (b, n), parts of the torque limits; see `Controller.act`.
+
+        Raises:
+            ValueError: one line, for readings of another size than the agent observes.
+        """
+        if self.law is not None and (due := self.due(playing)).any():
+            self.observe(self._observed(readings), readings, applied, due)
+            arms = np.flatnonzero(due)
+            self.command[arms] = np.asarray(self.law(self.observations[arms]), dtype=np.float32)
+        self._ages += playing
+        return np.asarray(self.mode.act(self.command, readings, applied, playing))
+
+    def _observed(self, readings: Readings) -> Array:
+        """Return the readings (b, size) of its own sensors, which stand before those of the mode."""
+        parts: list[Array] = [np.zeros((len(self._ages), 0))]
+        size = 0
+        for values in readings.values():
+            if size >= self._size:
+                break
+            parts.append(values)
+            size += values.shape[1]
+        if size != self._size:
+            allowed = f"one of {size}, which its sensors read here"
+            raise value_error("base", f"a policy of {self._size} observed numbers", allowed)
+        return np.concatenate(parts, axis=1)
