@@ -18,6 +18,7 @@ def arguments(result: argparse.ArgumentParser) -> None:
 def add_episode_arguments(result: argparse.ArgumentParser) -> None:
     """Says which entrants play which episodes."""
     from flexman_gym.envs import NAMED
+    from flexman_gym.envs.config.configuration import SET_HELP
     from flexman_gym.evaluation.agent import AGENTS
     from flexman_gym.evaluation.rollout import TEST_SEEDS
 
@@ -26,7 +27,7 @@ def add_episode_arguments(result: argparse.ArgumentParser) -> None:
     result.add_argument("--seed", type=int, default=TEST_SEEDS.start, help="of the first episode; the next follow")
     where = f"a file, an id and a condition such as FlexRRR-v0/delay, or one of {', '.join(sorted(NAMED))}"
     result.add_argument("--env", help=f"{where}; without it that of the runs")
-    result.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the environment")
+    result.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help=SET_HELP)
     result.add_argument("--trust", action="store_true", help="read files of Stable-Baselines3, which can run any code")
 
 

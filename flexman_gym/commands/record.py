@@ -7,10 +7,11 @@ from pathlib import Path
 def arguments(result: argparse.ArgumentParser) -> None:
     """Says what it takes."""
     from flexman_gym.common.grid import Workers
+    from flexman_gym.envs.config.configuration import SET_HELP
 
     result.add_argument("entrants", nargs="+", help="as of flexman evaluate; a dataset each")
     result.add_argument("--env", default="FlexRRR-v0", help="an id, an id and a condition, or the path of a file")
-    result.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="such as sensors=lab")
+    result.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help=SET_HELP)
     result.add_argument("--episodes", type=int, default=100)
     result.add_argument("--seed", type=int, default=0, help="of the first episode; the next follow")
     result.add_argument("--name", default="flexman", help="of the datasets, before /ENTRANT-v0")

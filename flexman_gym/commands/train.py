@@ -21,11 +21,12 @@ def arguments(result: argparse.ArgumentParser) -> None:
     from flexman_agents.settings import ALGORITHMS
     from flexman_gym.common.grid import Workers
     from flexman_gym.envs import NAMED
+    from flexman_gym.envs.config.configuration import SET_HELP
 
     result.add_argument("recipe", nargs="?", help="a file of settings, or a name: flexman list recipes")
     result.add_argument("--algo", choices=ALGORITHMS, help="instead of the recipe's; ppo without one")
     result.add_argument("--env", help=f"a file that describes an environment, or one of {', '.join(sorted(NAMED))}")
-    result.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the environment")
+    result.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help=SET_HELP)
     result.add_argument("--steps", type=int, help="actions of all arms together; with --resume more")
     result.add_argument("--seed", type=int, help="of the first run")
     result.add_argument("--seeds", type=int, default=1, help="so many runs; killed ones go on")

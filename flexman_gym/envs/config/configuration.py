@@ -55,6 +55,7 @@ class Configuration:
     """
 
     id: str
+    _given: dict[str, Any]
     # fmt: off
     arm: Arm = _setting(
         "Arm. An Arm, the name of a function of the catalog, a mapping with that name at 'catalog' and its arguments, "
@@ -452,7 +453,15 @@ class Configuration:
 
 SETTINGS: dict[str, Setting] = {name: each for name, each in vars(Configuration).items() if isinstance(each, Setting)}
 """Declared settings of an environment: name -> Setting."""
+Configuration.__doc__ = "\n".join(
+    [
+        f"{Configuration.__doc__}\n    Attributes:",
+        "        id: of the named environment.",
+        *(f"        {name}: {each.help}" + f" ({each.unit})" * bool(each.unit) for name, each in SETTINGS.items()),
+    ]
+)
 RENAMED = {old: name for name, setting in SETTINGS.items() for old in setting.formerly}
+SET_HELP = f"a setting of the environment: {', '.join(SETTINGS)}; arm.payload.mass=0.5 changes a part"
 HINTS = {foreign: hint for setting in SETTINGS.values() for foreign, hint in setting.elsewhere.items()}
 
 
