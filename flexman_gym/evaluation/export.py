@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
-from flexman_gym.common.run_folder import BEST, NEWEST, check_settings, existing_file, read_data, read_settings
+from flexman_gym.common.files import existing_file
+from flexman_gym.common.run_folder import BEST, NEWEST, read_data, read_settings
 from flexman_gym.control.network import LARGEST, Network, policy_parameters
 from flexman_gym.control.policy import Policy, PolicyFactory
 from flexman_gym.envs.config.description import Description
 from flexman_gym.evaluation.agent import (
     Agent,
+    check_settings,
     find_agent,
     load_policy,
     make_policy,

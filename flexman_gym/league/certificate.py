@@ -10,7 +10,7 @@ import numpy as np
 
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import computer_info
-from flexman_gym.common.run_folder import write_atomically
+from flexman_gym.common.files import write_atomically
 from flexman_gym.control.policy import PolicyFactory
 from flexman_gym.envs.config.description import Description
 from flexman_gym.envs.config.named_environments import NAMED

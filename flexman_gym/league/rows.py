@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from flexman_gym.common.arrays import Array, Flags, IntArray
 from flexman_gym.common.checks import short_path
 from flexman_gym.common.computer import computer_info
+from flexman_gym.common.files import write_atomically
 from flexman_gym.common.grid import Workers, run_cells
-from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, write_atomically
+from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS
 from flexman_gym.common.time_series import read_csv_lines
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
 from flexman_gym.control.references.optimised_slews import SHIPPED, SlewTable
