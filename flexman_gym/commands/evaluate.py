@@ -56,8 +56,7 @@ def load_agent(name: str, trust: bool, named: "Configuration | None" = None) -> 
 
     A zip sees and holds as the named environment says.
     """
-    from flexman_gym.common.run_folder import is_sb3_folder
-    from flexman_gym.evaluation.agent import find_agent
+    from flexman_gym.evaluation.agent import find_agent, is_sb3_folder
 
     if trust and (is_sb3_folder(Path(name)) or name.endswith(".zip")):
         from flexman_agents.sb3 import load_sb3_run, load_sb3_zip

@@ -171,8 +171,6 @@ class Configuration:
     )
     # fmt: on
 
-    _given: dict[str, Any]
-
     def __init__(self, id: str = DEFAULT, settings: Mapping[str, Any] | None = None, folder: Path = Path()) -> None:
         named, given = NAMED[one_of("id", id, NAMED)], dict(settings or {})
         if given.pop("condition", NOMINAL) != NOMINAL:
