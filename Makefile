@@ -25,7 +25,7 @@ site: .venv/installed
 	timeout 600 $(RUN) zensical build --strict --clean
 
 verify: .venv/installed
-	.venv/bin/flexman verify --markdown docs/verification.md
+	.venv/bin/python scripts/verification.py --folder docs
 
 # What a new user does, without the checkout: builds the wheel and installs it, checks, trains and evaluates.
 wheel:

@@ -2,12 +2,12 @@
 
 import argparse
 
-from flexman_gym.verification.cases import REFERENCE
 from studies.files import folder, read_rows, write_rows
 from studies.peers import measure
 from studies.peers.measure import in_turns, ours, study, theirs, truth
 from studies.peers.page import publish
 from studies.precision.measure import PrecisionRow
+from studies.verification.motions import REFERENCE
 
 SHOWN = 5  # last lines of the page
 

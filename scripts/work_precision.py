@@ -5,9 +5,9 @@ import warnings
 from pathlib import Path
 
 from flexman_gym.common.grid import Workers
-from flexman_gym.verification.cases import REFERENCE
 from studies.files import folder
 from studies.precision.page import compute, publish
+from studies.verification.motions import REFERENCE
 
 
 def main() -> None:

@@ -47,7 +47,7 @@ def _entries(what: str) -> Iterable[tuple[str, str]]:
         words = {path.stem: _first_sentence(path) for path in sorted(CONDITION_FOLDER.glob("*/*.yaml"))}
         yield from ((name, words.get(name, "Nothing is changed.")) for name in CONDITIONS)
     elif what == "controllers":
-        yield from ((name, f"knows {', '.join(base.knows) or 'its motors'}") for name, base in BASES.items())
+        yield from ((name, f"knows {', '.join(base.information) or 'its motors'}") for name, base in BASES.items())
     elif what == "policies":
         from flexman_gym.evaluation.policy_files import POLICIES, describe_policy
 

@@ -355,3 +355,18 @@ def set_fields(instance: object, **values: object) -> None:
 
 def _in(unit: str) -> str:
     return f" ({unit})" if unit else ""
+
+
+@contextmanager
+def check_solvable(what: str) -> Iterator[None]:
+    """Refuses an arm for which rounding leaves no solution of `what` is calculated within.
+
+    Raises:
+        ValueError: in place of the errors of linear algebra, and of numbers that are not finite.
+    """
+    try:
+        with np.errstate(divide="raise", over="raise", invalid="raise"):
+            yield
+    except (FloatingPointError, ValueError):
+        allowed = f"one for which there are {what}: masses, stiffness and torques of sizes that go together"
+        raise value_error("arm", "this one", allowed) from None

@@ -17,7 +17,7 @@ from flexman_gym.control.observers.observer import Estimate
 from flexman_gym.control.pd import PD
 from flexman_gym.control.reference_shaping import Authority, ReferenceShape
 from flexman_gym.control.tracking import OutputFeedback
-from flexman_gym.simulation.readings import LinearReadings as Quantities
+from flexman_gym.model.linearization import LinearReadings as Quantities
 
 UNSTABLE = 1.0 + 1e-6  # spectral radius; modes without damping that no motor moves have 1, to rounding
 

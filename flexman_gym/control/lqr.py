@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, Flags, IntArray, Vector, pad_rows, row_dots
-from flexman_gym.common.checks import READ_ERRORS, one_of, open_arrays, positive
+from flexman_gym.common.checks import READ_ERRORS, check_solvable, one_of, open_arrays, positive
 from flexman_gym.control.controller import EpisodeInfo, Readings
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.control.references.trajectories import TIMING_LAWS, plan_path, plan_slew
 from flexman_gym.kernels.cache import find_folder
 from flexman_gym.model.linearization import SLIDING, linearize
 from flexman_gym.model.model import Model, checked_model
-from flexman_gym.model.natural_modes import check_solvable
 from flexman_gym.model.state_space import LinearModel, discretize
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.parameters import varied_model

@@ -8,14 +8,13 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.kernels import layout
-from flexman_gym.kernels import paths as kernels
 from flexman_gym.kernels.control_period import fill_views, linear_readings
+from flexman_gym.kernels.rigid_arm import inverse_kinematics
 from flexman_gym.model.deformation import gauge_radii
 from flexman_gym.model.dynamics import frequencies
-from flexman_gym.model.linearization import UNITS
+from flexman_gym.model.linearization import UNITS, LinearReadings
 from flexman_gym.model.statics import rest_states, rest_tips
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.readings import LinearReadings
 
 REACHED, SLOPE = 1e-9, 1e-4  # of the reach: a place that is reached; slopes of the tip that turn no joint
 Number = Any  # (b,), or a number of a single arm; only arithmetic and NumPy's functions are used on it
@@ -171,9 +170,7 @@ class View:
         constants, n = self._batch.model.constants, self.n_joints
         result, x = np.repeat(near[None], len(tips), axis=0), np.zeros(self._batch.model.n_dof)
         accuracy, damping = REACHED * self.reach, SLOPE * self.reach
-        left = kernels.inverse_kinematics(
-            constants, np.ascontiguousarray(tips), x, np.zeros((n, 3)), accuracy, damping, result
-        )
+        left = inverse_kinematics(constants, np.ascontiguousarray(tips), x, np.zeros((n, 3)), accuracy, damping, result)
         return result, left
 
     def rest_tips(self, postures: Array) -> Array:

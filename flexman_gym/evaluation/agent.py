@@ -35,8 +35,9 @@ from flexman_gym.evaluation.policy_files import ABOUT, POLICIES, policy_folder, 
 
 ActionFunction = Callable[[NDArray[np.float32], tuple[int, ...]], NDArray[np.floating]]
 INTERFACE = ("base", "hold", "sensors", "history", "actions")  # settings of what acts, not of what is moved
-BASELINES = (*BASES, "zero", "random")
-"""Entrants that need no training, by name."""
+IDLE = {"zero": "no torque at all", "random": "random torques"}  # agents without a controller: name -> description
+BASELINES = (*BASES, *IDLE)
+"""Agents that need no training, by name."""
 AGENTS = (*BASELINES, *POLICIES)  # all that have a name
 
 

@@ -8,12 +8,11 @@ from functools import lru_cache
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import positive, value_error
+from flexman_gym.common.checks import check_solvable, positive, value_error
 from flexman_gym.fidelity.mesh import MeshSearch
 from flexman_gym.fidelity.search import Candidate, CandidateRun, ModelSearch, compact_modes
 from flexman_gym.model.dynamics import frequencies, mass_matrix, stiffness_matrix
 from flexman_gym.model.model import Model, build_model
-from flexman_gym.model.natural_modes import check_solvable
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.amplification import explicit_limit, remaining_amplitude, spectral_radii

@@ -143,7 +143,7 @@ The arm is in `arm.yaml`.
 MEASURED, COMPUTED = "#8a8f98", "#0072B2"
 
 
-def _write_report(found: Any, folder: Path) -> None:
+def _write_report(found: "Fit", folder: Path) -> None:
     """Writes fit.md, fit.png and arm.yaml of a Fit into a folder.
 
     Raises:
@@ -168,7 +168,7 @@ def _write_report(found: Any, folder: Path) -> None:
     (folder / "fit.md").write_text(text, encoding="utf-8")
 
 
-def _draw(found: Any, file: Path) -> None:
+def _draw(found: "Fit", file: Path) -> None:
     """Each output of each record, measured and computed."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -309,8 +309,8 @@ def fit(
         modes: of the model, see `build_model`.
         step: s, of the simulation, to begin with; None takes the interval between samples.
         starts: other places that are tried where the fit is poor, within a factor of e.
-        check: whether units, signs, filters and single samples of the records are looked at. For each output that is
-            not explained well, and passed no filter, that takes another fit, with one.
+        check: check units, signs, filters and single samples of the records; takes a further fit with a filter for
+            each output that is not explained well and passed none.
 
     Raises:
         ValueError: one line with field, value and what is allowed; where there are fewer data than free numbers.
@@ -323,8 +323,7 @@ def fit(
     choice = {"elements": elements, "modes": modes}
     responses = [Response(free_numbers.arm, each, step) for each in records]
     problem = LeastSquaresProblem(free_numbers, ringing, responses, choice)
-    count = sum(len(part.measured) for part in problem.parts)
-    if count < len(free_numbers.numbers):
+    if (count := sum(len(part.measured) for part in problem.parts)) < len(free_numbers.numbers):
         allowed = f"at least as many as free numbers, {len(free_numbers.numbers)}"
         raise value_error("frequencies, damping and records", f"{count} numbers", allowed)
     x = problem.refined(_best(problem, starts, np.random.default_rng(0)))

@@ -27,7 +27,8 @@ from flexman_gym.common.checks import (
     vector,
 )
 from flexman_gym.common.time_series import TimeSeries, read_time_series
-from flexman_gym.kernels import accelerometer, layout
+from flexman_gym.kernels import layout
+from flexman_gym.kernels.outputs import tip_accelerations
 from flexman_gym.model.model import Model
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.scene import Initial, ModelChoice, Scene
@@ -276,7 +277,7 @@ STACKED = (
     "time", "tip", "tip_velocity", "joint_angles", "motor_angles", "energy", "moving_energy", "work", "dissipation",
     "states", "deflection",
 )  # fmt: skip
-FELT = {  # column of `kernels.accelerometer` by name
+FELT = {  # column of `kernels.outputs.sense` by name
     f"{name}_{axis}": part.start + i
     for name, part in (("tip_acceleration", layout.TIP_ACCELERATION), ("specific_force", layout.SPECIFIC_FORCE))
     for i, axis in enumerate("xyz")
@@ -373,7 +374,7 @@ class Response:
         for i, run in enumerate(runs):
             constants = model.constants._replace(prescribed=flags, **{name: each[i] for name, each in own.items()})
             for state, drive, out in zip(run.states, applied, result[i], strict=False):
-                accelerometer.tip_accelerations(constants, work, state[:d], state[d:], drive, out)
+                tip_accelerations(constants, work, state[:d], state[d:], drive, out)
         return result
 
 

@@ -56,7 +56,6 @@ _setting = numba.config.CACHE_DIR
 numba.config.CACHE_DIR = FOLDER or ""
 try:
     from flexman_gym.kernels import (
-        accelerometer,
         arguments,
         arms,
         compile,
@@ -70,17 +69,15 @@ try:
         layout,
         linalg,
         outputs,
-        paths,
         raster,
+        rigid_arm,
         runge_kutta,
         signals,
-        stiffening,
     )
 finally:
     numba.config.CACHE_DIR = _setting
 
 __all__ = [
-    "accelerometer",
     "arguments",
     "arms",
     "compile",
@@ -94,9 +91,8 @@ __all__ = [
     "layout",
     "linalg",
     "outputs",
-    "paths",
     "raster",
+    "rigid_arm",
     "runge_kutta",
     "signals",
-    "stiffening",
 ]

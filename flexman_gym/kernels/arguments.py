@@ -1,4 +1,6 @@
-"""Numba types of the kernels' arguments `Constants` and `Work`: one address of a struct of arrays.
+"""Numba types of the kernels' arguments `Constants` and `Work`, and the arrays and tables of addresses behind them.
+
+An argument is one address of a struct of arrays.
 
 Numba passes a named tuple as every number of every array in it, 700 of them to each of a hundred functions, which took
 a third of the time to compile. Behind the address those numbers lie one after the other; the compiler keeps them in
@@ -8,9 +10,12 @@ Indices of these arrays are unsigned: kernels count from the start alone. For Nu
 that it compares each one with zero; without that arms move 1.3 to 1.4 times as fast.
 """
 
+import math
 import operator
-from typing import Any
+from functools import cache
+from typing import Any, NamedTuple
 
+import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.boxing import unbox_array
@@ -19,6 +24,7 @@ from numba.core.typing.templates import AttributeTemplate
 from numba.extending import (
     NativeValue,
     infer_getattr,
+    intrinsic,
     lower_builtin,
     lower_getattr_generic,
     models,
@@ -28,10 +34,11 @@ from numba.extending import (
 )
 from numba.np import arrayobj
 
-from flexman_gym.kernels.layout import Constants, Work
+from flexman_gym.kernels.lanes import ARMS, NUMBER, SEQUENCES, Lanes
+from flexman_gym.kernels.layout import ARMS_ABREAST, Array, Constants, IntArray, Own, Work
 
 
-class ArrayField(types.Array):
+class _ArrayField(types.Array):
     """Numba's name for such an array; parts of it are fields too."""
 
     def __init__(self, dtype: types.Type, ndim: int, readonly: bool = False, layout: Any = "C") -> None:
@@ -41,11 +48,11 @@ class ArrayField(types.Array):
     def copy(self, dtype: Any = None, ndim: Any = None, layout: Any = None, readonly: Any = None) -> Any:
         """The type of a part of the array."""
         readonly = not self.mutable if readonly is None else readonly
-        return ArrayField(dtype or self.dtype, self.ndim if ndim is None else ndim, readonly, layout or self.layout)
+        return _ArrayField(dtype or self.dtype, self.ndim if ndim is None else ndim, readonly, layout or self.layout)
 
 
-register_model(ArrayField)(models.ArrayModel)
-unbox(ArrayField)(unbox_array)
+register_model(_ArrayField)(models.ArrayModel)
+unbox(_ArrayField)(unbox_array)
 
 
 def _unsigned(kinds: Any) -> Any:
@@ -56,17 +63,17 @@ def _unsigned(kinds: Any) -> Any:
     return kinds.return_type(field, containers.Tuple(indices) if several else indices[0], *value)
 
 
-@lower_builtin(operator.getitem, ArrayField, types.Integer)
+@lower_builtin(operator.getitem, _ArrayField, types.Integer)
 def _read(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
     return arrayobj.getitem_arraynd_intp(context, builder, _unsigned(kinds), values)
 
 
-@lower_builtin(operator.getitem, ArrayField, containers.BaseTuple)
+@lower_builtin(operator.getitem, _ArrayField, containers.BaseTuple)
 def _read_by_axes(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
     return arrayobj.getitem_array_tuple(context, builder, _unsigned(kinds), values)
 
 
-@lower_builtin(operator.setitem, ArrayField, types.Any, types.Any)
+@lower_builtin(operator.setitem, _ArrayField, types.Any, types.Any)
 def _write(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
     return arrayobj.setitem_array(context, builder, _unsigned(kinds), values)
 
@@ -74,15 +81,15 @@ def _write(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
 BYTES = ir.IntType(8).as_pointer()
 
 
-class StructPointer(types.Type):
+class _StructPointer(types.Type):
     """Numba's name for a `Constants` or `Work` with fields of these kinds; `whole` is the tuple that it stands for."""
 
-    def __init__(self, kinds: list[ArrayField], parts: type) -> None:
+    def __init__(self, kinds: list[_ArrayField], parts: type) -> None:
         self.whole = types.NamedTuple(kinds, parts)  # type: ignore[attr-defined]
         super().__init__(name=f"Parts({self.whole.name})")
 
 
-@register_model(StructPointer)
+@register_model(_StructPointer)
 class _StructPointerModel(models.PrimitiveModel):
     """An address."""
 
@@ -100,28 +107,28 @@ class _StructPointerModel(models.PrimitiveModel):
 class _StructFields(AttributeTemplate):
     """The kinds of the fields."""
 
-    key = StructPointer
+    key = _StructPointer
 
     def generic_resolve(self, parts: Any, name: str) -> Any:
         """The kind of one."""
         return parts.whole.types[parts.whole.fields.index(name)]
 
 
-@lower_getattr_generic(StructPointer)
+@lower_getattr_generic(_StructPointer)
 def _field(context: Any, builder: Any, kind: Any, address: Any, name: str) -> Any:
     return builder.load(_place(context, builder, kind, address, kind.whole.fields.index(name)))
 
 
-def _sizes(context: Any, kind: StructPointer) -> list[int]:
+def _sizes(context: Any, kind: _StructPointer) -> list[int]:
     return [context.get_abi_sizeof(context.get_value_type(each)) for each in kind.whole.types]
 
 
-def _place(context: Any, builder: Any, kind: StructPointer, address: Any, row: int) -> Any:
+def _place(context: Any, builder: Any, kind: _StructPointer, address: Any, row: int) -> Any:
     start = builder.gep(address, [ir.Constant(ir.IntType(64), sum(_sizes(context, kind)[:row]))])
     return builder.bitcast(start, context.get_value_type(kind.whole.types[row]).as_pointer())
 
 
-def store_struct(context: Any, builder: Any, kind: StructPointer, fields: list[Any]) -> Any:
+def _store_struct(context: Any, builder: Any, kind: _StructPointer, fields: list[Any]) -> Any:
     """The address of these fields, laid down on the stack of the function that is written."""
     memory = cgutils.alloca_once(builder, ir.ArrayType(ir.IntType(64), sum(_sizes(context, kind)) // 8))
     address = builder.bitcast(memory, BYTES)
@@ -132,15 +139,116 @@ def store_struct(context: Any, builder: Any, kind: StructPointer, fields: list[A
 
 @typeof_impl.register(Constants)
 @typeof_impl.register(Work)
-def _kind_of(parts: Any, given: Any) -> StructPointer:
+def _kind_of(parts: Any, given: Any) -> _StructPointer:
     kinds = [typeof_impl(each, given) for each in parts]
-    return StructPointer(
-        [ArrayField(each.dtype, each.ndim, not each.mutable, each.layout) for each in kinds], type(parts)
+    return _StructPointer(
+        [_ArrayField(each.dtype, each.ndim, not each.mutable, each.layout) for each in kinds], type(parts)
     )
 
 
-@unbox(StructPointer)
+@unbox(_StructPointer)
 def _from_python(kind: Any, parts: Any, c: Any) -> NativeValue:
     native = c.unbox(kind.whole, parts)
     fields = [c.builder.extract_value(native.value, row) for row in range(len(kind.whole.types))]
-    return NativeValue(store_struct(c.context, c.builder, kind, fields), native.is_error, native.cleanup)
+    return NativeValue(_store_struct(c.context, c.builder, kind, fields), native.is_error, native.cleanup)
+
+
+PER_ARM = frozenset(name for name, kind in Constants.__annotations__.items() if kind is Own)
+
+
+ALIGNMENT = 64  # bytes; of a group of eight numbers
+
+
+def arms_array(shape: tuple[int, ...], lanes: int = ARMS_ABREAST) -> Array:
+    """Zeros (..., lanes), aligned for vector registers."""
+    count = math.prod(shape) * lanes
+    memory = np.zeros(count + ALIGNMENT // 8)
+    first = -_address(memory) % ALIGNMENT // 8
+    return memory[first : first + count].reshape(*shape, lanes)
+
+
+def address_table(parts: NamedTuple, element: types.Type) -> IntArray:
+    """(fields, 3) address and shape of every array of a `Constants` or `Work`, whose memory must stay alive.
+
+    Elements are numbers (NUMBER), or `ARMS` or `SEQUENCES`, whose arrays have one axis more.
+    """
+    rows = []
+    for name, values in zip(parts._fields, parts, strict=True):
+        kind, shape = _kind(type(parts), name, element), values.shape
+        if not values.flags.c_contiguous or len(shape) != kind.ndim + isinstance(kind.dtype, Lanes):
+            raise TypeError(f"{name} is no contiguous array of {kind.ndim} axes")
+        columns = shape[1] if kind.ndim == 2 else 0
+        if columns != (_columns(type(parts), name) or columns):
+            raise TypeError(f"{name} has {columns} columns")
+        rows.append((_address(values), shape[0], columns))
+    return np.array(rows, np.int64)
+
+
+def _address(values: Array) -> int:
+    return int(values.__array_interface__["data"][0])
+
+
+@cache
+def _kind(parts: type, name: str, element: types.Type) -> _ArrayField:
+    """The type of a field as the kernels see it; read-only are the constants that several arms share, see `lanes`."""
+    annotation = parts.__annotations__[name]
+    dimensions = 1 if annotation is Own or not hasattr(annotation, "__metadata__") else 2
+    if annotation is IntArray:
+        return _ArrayField(types.int64, dimensions, readonly=True)
+    if parts is Work or element == NUMBER or (element == ARMS and name in PER_ARM):
+        return _ArrayField(element, dimensions)
+    return _ArrayField(NUMBER, dimensions, readonly=True)
+
+
+@cache
+def _columns(parts: type, name: str) -> int:
+    """The number of columns of a field that has two axes, 0 where it depends on the model."""
+    annotation = parts.__annotations__[name]
+    return 0 if annotation is Own else getattr(annotation, "__metadata__", (0,))[0]
+
+
+def _view(context: Any, builder: Any, kind: _ArrayField, address: tuple[Any, int], columns: int) -> Any:
+    """The array whose address and shape stand in a row of a table of addresses."""
+    table, row = address
+
+    def number(column: int) -> Any:
+        return builder.load(builder.gep(table, [ir.Constant(ir.IntType(64), 3 * row + column)]))
+
+    array = context.make_array(kind)(context, builder)
+    element = context.get_data_type(kind.dtype)
+    shape = [number(1 + axis) for axis in range(kind.ndim)]
+    if columns:
+        shape[1] = ir.Constant(ir.IntType(64), columns)
+    size = ir.Constant(ir.IntType(64), context.get_abi_sizeof(element))
+    strides = [size] if kind.ndim == 1 else [builder.mul(shape[1], size), size]
+    data = builder.inttoptr(number(0), element.as_pointer())
+    arrayobj.populate_array(array, data, shape, strides, size, None)
+    return array._getvalue()
+
+
+def _reader(parts: type, element: types.Type) -> Any:
+    """A function for kernels that makes a `Constants` or `Work` of its table of addresses."""
+    kinds = [_kind(parts, name, element) for name in parts._fields]  # type: ignore[attr-defined]
+    columns = [_columns(parts, name) for name in parts._fields]  # type: ignore[attr-defined]
+    whole = _StructPointer(kinds, parts)
+
+    @intrinsic
+    def read(typing_context, table):
+        def generate(context, builder, signature, values):
+            data = context.make_array(signature.args[0])(context, builder, values[0]).data
+            places = zip(kinds, columns, strict=True)
+            fields = [_view(context, builder, kind, (data, row), width) for row, (kind, width) in enumerate(places)]
+            return _store_struct(context, builder, whole, fields)
+
+        return whole(table), generate
+
+    return read
+
+
+constants_of_arms, work_of_arms = _reader(Constants, ARMS), _reader(Work, ARMS)
+
+
+constants_of_one, work_of_one = _reader(Constants, NUMBER), _reader(Work, NUMBER)
+
+
+constants_of_sequences, work_of_sequences = _reader(Constants, SEQUENCES), _reader(Work, SEQUENCES)

@@ -6,133 +6,21 @@ its neighbours are. Constants that arms may differ in (`PER_ARM`) are such group
 passes addresses instead of arrays, which takes microseconds less.
 """
 
-import math
-from functools import cache
-from typing import Any, NamedTuple
-
-import numpy as np
-from llvmlite import ir
-from numba.core import types
-from numba.extending import intrinsic
-from numba.np import arrayobj
-
-from flexman_gym.kernels.arguments import ArrayField, StructPointer, store_struct
+from flexman_gym.kernels.arguments import (
+    constants_of_arms,
+    constants_of_one,
+    constants_of_sequences,
+    work_of_arms,
+    work_of_one,
+    work_of_sequences,
+)
 from flexman_gym.kernels.compile import inner, kernel, released
 from flexman_gym.kernels.implicit import fixed_newton_step
-from flexman_gym.kernels.lanes import ARMS, NUMBER, SEQUENCES, Lanes, load_lane, store_lane
-from flexman_gym.kernels.layout import (
-    ARMS_ABREAST,
-    DIVERGED,
-    LARGEST_STATE,
-    OK,
-    Array,
-    Constants,
-    IntArray,
-    Own,
-    Work,
-)
+from flexman_gym.kernels.lanes import load_lane, store_lane
+from flexman_gym.kernels.layout import ARMS_ABREAST, DIVERGED, LARGEST_STATE, OK
 from flexman_gym.kernels.linalg import copy
-from flexman_gym.kernels.outputs import observe
+from flexman_gym.kernels.outputs import observe, sense
 from flexman_gym.kernels.runge_kutta import linearly_implicit_step, out_of_bounds, run_w_method, step_time
-
-PER_ARM = frozenset(name for name, kind in Constants.__annotations__.items() if kind is Own)
-ALIGNMENT = 64  # bytes; of a group of eight numbers
-
-
-def arms_array(shape: tuple[int, ...], lanes: int = ARMS_ABREAST) -> Array:
-    """Zeros (..., lanes), aligned for vector registers."""
-    count = math.prod(shape) * lanes
-    memory = np.zeros(count + ALIGNMENT // 8)
-    first = -_address(memory) % ALIGNMENT // 8
-    return memory[first : first + count].reshape(*shape, lanes)
-
-
-def sequences_array(shape: tuple[int, ...]) -> Array:
-    """The same for sequences of one arm."""
-    return arms_array(shape, SEQUENCES.width)
-
-
-def address_table(parts: NamedTuple, element: types.Type) -> IntArray:
-    """(fields, 3) address and shape of every array of a `Constants` or `Work`, whose memory must stay alive.
-
-    Elements are numbers (NUMBER), or `ARMS` or `SEQUENCES`, whose arrays have one axis more.
-    """
-    rows = []
-    for name, values in zip(parts._fields, parts, strict=True):
-        kind, shape = _kind(type(parts), name, element), values.shape
-        if not values.flags.c_contiguous or len(shape) != kind.ndim + isinstance(kind.dtype, Lanes):
-            raise TypeError(f"{name} is no contiguous array of {kind.ndim} axes")
-        columns = shape[1] if kind.ndim == 2 else 0
-        if columns != (_columns(type(parts), name) or columns):
-            raise TypeError(f"{name} has {columns} columns")
-        rows.append((_address(values), shape[0], columns))
-    return np.array(rows, np.int64)
-
-
-def _address(values: Array) -> int:
-    return int(values.__array_interface__["data"][0])
-
-
-@cache
-def _kind(parts: type, name: str, element: types.Type) -> ArrayField:
-    """The type of a field as the kernels see it; read-only are the constants that several arms share, see `lanes`."""
-    annotation = parts.__annotations__[name]
-    dimensions = 1 if annotation is Own or not hasattr(annotation, "__metadata__") else 2
-    if annotation is IntArray:
-        return ArrayField(types.int64, dimensions, readonly=True)
-    if parts is Work or element == NUMBER or (element == ARMS and name in PER_ARM):
-        return ArrayField(element, dimensions)
-    return ArrayField(NUMBER, dimensions, readonly=True)
-
-
-@cache
-def _columns(parts: type, name: str) -> int:
-    """The number of columns of a field that has two axes, 0 where it depends on the model."""
-    annotation = parts.__annotations__[name]
-    return 0 if annotation is Own else getattr(annotation, "__metadata__", (0,))[0]
-
-
-def _view(context: Any, builder: Any, kind: ArrayField, address: tuple[Any, int], columns: int) -> Any:
-    """The array whose address and shape stand in a row of a table of addresses."""
-    table, row = address
-
-    def number(column: int) -> Any:
-        return builder.load(builder.gep(table, [ir.Constant(ir.IntType(64), 3 * row + column)]))
-
-    array = context.make_array(kind)(context, builder)
-    element = context.get_data_type(kind.dtype)
-    shape = [number(1 + axis) for axis in range(kind.ndim)]
-    if columns:
-        shape[1] = ir.Constant(ir.IntType(64), columns)
-    size = ir.Constant(ir.IntType(64), context.get_abi_sizeof(element))
-    strides = [size] if kind.ndim == 1 else [builder.mul(shape[1], size), size]
-    data = builder.inttoptr(number(0), element.as_pointer())
-    arrayobj.populate_array(array, data, shape, strides, size, None)
-    return array._getvalue()
-
-
-def _reader(parts: type, element: types.Type) -> Any:
-    """A function for kernels that makes a `Constants` or `Work` of its table of addresses."""
-    kinds = [_kind(parts, name, element) for name in parts._fields]  # type: ignore[attr-defined]
-    columns = [_columns(parts, name) for name in parts._fields]  # type: ignore[attr-defined]
-    whole = StructPointer(kinds, parts)
-
-    @intrinsic
-    def read(typing_context, table):
-        def generate(context, builder, signature, values):
-            data = context.make_array(signature.args[0])(context, builder, values[0]).data
-            places = zip(kinds, columns, strict=True)
-            fields = [_view(context, builder, kind, (data, row), width) for row, (kind, width) in enumerate(places)]
-            return store_struct(context, builder, whole, fields)
-
-        return whole(table), generate
-
-    return read
-
-
-constants_of_arms, work_of_arms = _reader(Constants, ARMS), _reader(Work, ARMS)
-constants_of_one, work_of_one = _reader(Constants, NUMBER), _reader(Work, NUMBER)
-constants_of_sequences, work_of_sequences = _reader(Constants, SEQUENCES), _reader(Work, SEQUENCES)
 
 
 @inner
@@ -166,16 +54,16 @@ def advance_arms(tables, work_table, method, drives, steps, rows, out, status, t
     for group in range(len(tables)):
         first, end = group * ARMS_ABREAST, min((group + 1) * ARMS_ABREAST, len(rows))
         if _any_moving(status, first, end):
-            fill_lanes(rows, first, state)
+            _fill_lanes(rows, first, state)
             for t in range(drives.shape[1]):
-                fill_lanes(drives[:, t], first, work.drive)
+                _fill_lanes(drives[:, t], first, work.drive)
                 advance_steps(constants_of_arms(tables[group]), work, method[0], method[1], steps, state)
                 for arm in range(first, end):
                     if status[arm] == OK and not _lane_in_bounds(state, arm - first):
                         status[arm] = DIVERGED
                     if status[arm] == OK:
-                        read_lane(state, arm - first, rows[arm])
-                        read_lane(work.outputs, arm - first, out[arm])
+                        _read_lane(state, arm - first, rows[arm])
+                        _read_lane(work.outputs, arm - first, out[arm])
                         _record_period(trail, arm, t, rows, out)
 
 
@@ -234,8 +122,8 @@ def run_arms(tables, work_table, tableau, sweeps, drives, clock, rows, out, coun
             observe(constants, work, work.row[:d], work.row[d : 2 * d], work.outputs)
             for arm in range(first, end):
                 if counts[arm, 0] < 0:
-                    read_lane(work.row, arm - first, rows[arm, r])
-                    read_lane(work.outputs, arm - first, out[arm, r])
+                    _read_lane(work.row, arm - first, rows[arm, r])
+                    _read_lane(work.outputs, arm - first, out[arm, r])
         for arm in range(first, end):
             if counts[arm, 0] < 0:
                 counts[arm, 0] = rows.shape[1] - 1
@@ -265,7 +153,7 @@ def run_sequences(constants, work, lanes, tableau, table, clock, state, rows, ou
 
 
 @inner
-def fill_lanes(values, first, flat):
+def _fill_lanes(values, first, flat):
     """The numbers (b, j) of the group of arms from `first` on into the lanes of flat (j,)."""
     for k in range(ARMS_ABREAST):
         arm = min(first + k, len(values) - 1)  # lanes without an arm repeat the last one
@@ -274,10 +162,37 @@ def fill_lanes(values, first, flat):
 
 
 @inner
-def read_lane(flat, k, out):
+def _read_lane(flat, k, out):
     """out = lane k of the first numbers of a flat array of arms abreast."""
     for j in range(len(out)):
         out[j] = load_lane(flat, j, k)
+
+
+@released
+def sense_arms(tables, work_table, drives, rows, out):
+    """out (b, TIP_ACCELERATIONS) of arms with state and ledger in rows (b, 2 d + 2), under drives (b, n + 6).
+
+    `tables` (groups, fields, 3) are the addresses of the constants of each group of ARMS_ABREAST arms.
+    """
+    work = work_of_arms(work_table)
+    state = work.row
+    d = len(state) // 2 - 1
+    for group in range(len(tables)):
+        first = group * ARMS_ABREAST
+        _fill_lanes(rows, first, state)
+        _fill_lanes(drives, first, work.drive)
+        sense(constants_of_arms(tables[group]), work, state[:d], state[d : 2 * d], work.outputs)
+        for arm in range(first, min(first + ARMS_ABREAST, len(rows))):
+            _read_lane(work.outputs, arm - first, out[arm])
+
+
+@released
+def sense_one(table, work_table, drives, rows, out):
+    """The same for a single arm."""
+    work = work_of_one(work_table)
+    d = rows.shape[1] // 2 - 1
+    copy(drives[0], work.drive)
+    sense(constants_of_one(table), work, rows[0, :d], rows[0, d : 2 * d], out[0])
 
 
 @inner

@@ -1,4 +1,4 @@
-"""Operations of a control period on the arrays of many arms: readings, observations, limits, torques, episode ages.
+"""Operations of a control period on the arrays of many arms: readings, observations, limits, torques, ages, paths.
 
 Each takes one call in place of several of NumPy's, which cost a microsecond each: of one arm as much as its motion.
 """
@@ -129,3 +129,18 @@ def advance_ages(ages, playing, longest, over):
         over[b] = ages[b] >= longest
         many += over[b]
     return many
+
+
+@kernel
+def fourier_series(series, phases, out):
+    """out (r, p, s) = Fourier series (r, s, 2 h + 1) at phases (r, p): mean, then cosine and sine of each harmonic."""
+    for r in range(phases.shape[0]):
+        for p in range(phases.shape[1]):
+            first, second = math.cos(phases[r, p]), math.sin(phases[r, p])
+            for s in range(series.shape[1]):
+                cosine, sine = first, second
+                value = series[r, s, 0]
+                for h in range(1, series.shape[2], 2):
+                    value = fma(series[r, s, h], cosine, fma(series[r, s, h + 1], sine, value))
+                    cosine, sine = cosine * first - sine * second, sine * first + cosine * second
+                out[r, p, s] = value

@@ -17,14 +17,22 @@ import math
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.forces import applied_forces
 from flexman_gym.kernels.kinematics import positions, velocities
-from flexman_gym.kernels.lanes import fma, group_size, is_zero, load_lanes, select_below, store_lanes
+from flexman_gym.kernels.lanes import (
+    add_rows,
+    fma,
+    gather_lanes,
+    group_size,
+    is_zero,
+    load_lanes,
+    select_below,
+    store_lanes,
+)
 from flexman_gym.kernels.linalg import (
     ZERO,
     add,
     add_matrix,
     add_scaled,
     apply,
-    apply_inertia,
     apply_transposed,
     copy,
     cross,
@@ -33,13 +41,11 @@ from flexman_gym.kernels.linalg import (
     load_matrix,
     load_pair,
     product,
-    product_skew,
     store_matrix,
     store_pair,
     subtract_outer,
     transposed,
 )
-from flexman_gym.kernels.stiffening import stretch_mass
 
 
 @inner
@@ -93,7 +99,7 @@ def _joint_force(constants, work, i, total, bias):
     inertia = load_matrix(blocks, j), load_matrix(blocks, j + 1), load_matrix(blocks, j + 2)
     if i == 0:
         bias = (ZERO, ZERO)  # the base does not move by itself
-    force, moment = apply_inertia(inertia, (bias[0], add(bias[1], angular_bias)))
+    force, moment = _apply_inertia(inertia, (bias[0], add(bias[1], angular_bias)))
     moment = add(add_scaled(moment, pushed, axis), load(work.rotor_bias, i))
     return add(add_scaled(total[0], share, linear), force), add(add_scaled(total[1], share, angular), moment)
 
@@ -125,15 +131,6 @@ def _joint_acceleration(constants, work, i, frame, out):
 
 
 @inner
-def any_prescribed(constants):
-    """Whether the motion of any motor is prescribed."""
-    for i in range(len(constants.prescribed)):
-        if constants.prescribed[i]:
-            return True
-    return False
-
-
-@inner
 def prescribed_power(constants, work, v):
     """Power (W) of the motors whose motion is prescribed, after a solution without shift."""
     power = 0.0
@@ -142,14 +139,6 @@ def prescribed_power(constants, work, v):
             m = constants.motor[i]
             power += work.motor_torque[i] * v[m if m >= 0 else i]
     return power
-
-
-@inner
-def rotor_torque(constants, i, angular, acceleration):
-    """Change of the angular momentum of carried rotor i, for its joint frame's acceleration and those of x (d,)."""
-    m = constants.motor[i]
-    rate = acceleration[m] if m >= 0 else acceleration[i]
-    return constants.carried_inertia[i] * (rate + dot(load(constants.axis, i), angular) - acceleration[i])
 
 
 @inner
@@ -209,10 +198,21 @@ def _elastic_row(constants, work, i, a, shift):
         elif start + a >= constants.carrying[i]:
             total = fma(linear[0], load_lanes(carried, group), total)
         if len(constants.station_mass) > 0:
-            total = stretch_mass(constants, work, i, a, group, total)
+            total = _stretch_mass(constants, work, i, a, group, total)
         for c in range(a):
             total = fma(work.total[c], load_lanes(factor, first + c * width + group), total)
         store_lanes(factor, first + a * width + group, total)
+
+
+@inner
+def _stretch_mass(constants, work, i, a, group, total):
+    """total + what the axial motion of stations adds to a group of row a of the elastic mass matrix of link i."""
+    first, width, stretch = constants.station_start[i], constants.station_width[i], work.stretch
+    for s in range(0, constants.station_start[i + 1] - first, group_size(work.back)):
+        j = constants.station_row[i] + s * width
+        factors = load_lanes(constants.station_mass, first + s) * gather_lanes(stretch, j + a, width)
+        total = add_rows(total, (factors,), (stretch,), j + group, width)
+    return total
 
 
 @inner
@@ -237,7 +237,7 @@ def _tip_coupling(constants, work, i, tip):
             along = (work.tip_shape[a, 0], 0.0, 0.0)
             force, moment = apply(tip[0], along), apply_transposed(tip[1], along)
         else:
-            force, moment = apply_inertia(tip, load_pair(work.tip_shape, a))
+            force, moment = _apply_inertia(tip, load_pair(work.tip_shape, a))
         for j in range(3):
             carried[j * length + a - start] = force[j]
             carried[(3 + j) * length + a - start] = moment[j]
@@ -277,6 +277,16 @@ def factorise(constants, work, shift):
 
 
 @inner
+def _product_skew(a, d):
+    """Matrix times the skew matrix of d: its rows crossed with d."""
+    return (
+        fma(a[1], d[2], -a[2] * d[1]), fma(a[2], d[0], -a[0] * d[2]), fma(a[0], d[1], -a[1] * d[0]),
+        fma(a[4], d[2], -a[5] * d[1]), fma(a[5], d[0], -a[3] * d[2]), fma(a[3], d[1], -a[4] * d[0]),
+        fma(a[7], d[2], -a[8] * d[1]), fma(a[8], d[0], -a[6] * d[2]), fma(a[6], d[1], -a[7] * d[0]),
+    )  # fmt: skip
+
+
+@inner
 def _payload_inertia(constants, work):
     """Inertia of the payload about the tip of the last link."""
     m, c = constants.payload_mass[0], load(work.payload_moment, 0)
@@ -285,14 +295,24 @@ def _payload_inertia(constants, work):
 
 
 @inner
+def _apply_inertia(inertia, acceleration):
+    """Force and moment for a linear and angular acceleration; an inertia is a triple, see `dynamics`."""
+    linear, angular = acceleration
+    force, mixed, moment = inertia
+    return add(apply(force, linear), apply(mixed, angular)), add(
+        apply_transposed(mixed, linear), apply(moment, angular)
+    )
+
+
+@inner
 def _link_inertia(constants, work, i, tip):
     """Inertia of link i and of what its tip carries, elastic coordinates and joint locked."""
     d, c, mass = load(work.tip, i), load(work.moment, i), constants.mass[i]
     force, mixed, moment = tip
-    moment = add_matrix(moment, -1.0, product_skew(transposed(mixed), d))
-    mixed = add_matrix(mixed, -1.0, product_skew(force, d))
+    moment = add_matrix(moment, -1.0, _product_skew(transposed(mixed), d))
+    mixed = add_matrix(mixed, -1.0, _product_skew(force, d))
     # the skew matrix of d times mixed, as the transpose of mixed^T times its transpose
-    moment = add_matrix(moment, -1.0, transposed(product_skew(transposed(mixed), d)))
+    moment = add_matrix(moment, -1.0, transposed(_product_skew(transposed(mixed), d)))
     moment = add_matrix(moment, 1.0, load_matrix(work.inertia, i))
     force = add_matrix(force, mass, (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
     mixed = add_matrix(mixed, 1.0, (0.0, c[2], -c[1], -c[2], 0.0, c[0], c[1], -c[0], 0.0))
@@ -341,7 +361,7 @@ def solve(constants, work, out):
 @inner
 def payload_force(constants, work, acceleration):
     """Force and moment at the tip that the payload needs for an acceleration of the tip."""
-    force, moment = apply_inertia(_payload_inertia(constants, work), acceleration)
+    force, moment = _apply_inertia(_payload_inertia(constants, work), acceleration)
     bias = load_pair(work.payload_bias, 0)
     return add(force, bias[0]), add(moment, bias[1])
 

@@ -1,7 +1,7 @@
 """Inverse dynamics of the chain, M v' + h (left side of Eq. 44), and the static equilibrium that follows from it."""
 
 from flexman_gym.kernels.compile import inner, kernel
-from flexman_gym.kernels.dynamics import payload_force, rotor_torque, tip_acceleration
+from flexman_gym.kernels.dynamics import payload_force, tip_acceleration
 from flexman_gym.kernels.kinematics import positions, velocities
 from flexman_gym.kernels.linalg import (
     ZERO,
@@ -16,7 +16,6 @@ from flexman_gym.kernels.linalg import (
     load_pair,
     store_pair,
 )
-from flexman_gym.kernels.stiffening import stretch_forces
 
 
 @kernel
@@ -45,7 +44,7 @@ def inertial_forces(constants, work, x, v, acceleration, out):
         force, moment = _link_force(constants, work, i, frame, (force, moment), acceleration)
         store_pair(work.reaction, i, force, moment)
         axis, m = load(constants.axis, i), constants.motor[i]
-        push, alone = rotor_torque(constants, i, frame[1], acceleration), 0.0
+        push, alone = _rotor_torque(constants, i, frame[1], acceleration), 0.0
         if constants.carried_inertia[i] == 0.0:
             alone = constants.rotor_inertia[i]
         out[i] = dot(axis, moment)
@@ -56,6 +55,14 @@ def inertial_forces(constants, work, x, v, acceleration, out):
         moment = add(add_scaled(moment, push, axis), load(work.rotor_bias, i))
         c = load_matrix(work.rotation, i)
         force, moment = apply(c, force), apply(c, moment)
+
+
+@inner
+def _rotor_torque(constants, i, angular, acceleration):
+    """Change of the angular momentum of carried rotor i, for its joint frame's acceleration and those of x (d,)."""
+    m = constants.motor[i]
+    rate = acceleration[m] if m >= 0 else acceleration[i]
+    return constants.carried_inertia[i] * (rate + dot(load(constants.axis, i), angular) - acceleration[i])
 
 
 @inner
@@ -90,7 +97,20 @@ def _elastic_forces(constants, work, i, frame, tip, acceleration, out):
         for b in range(k):
             value += constants.elastic_mass[row + b] * acceleration[first + b]
         out[first + a] = value
-    stretch_forces(constants, work, i, acceleration, first - start, out)
+    _stretch_forces(constants, work, i, acceleration, first - start, out)
+
+
+@inner
+def _stretch_forces(constants, work, i, rates, elastic, out):
+    """Adds to out (d,) the forces for accelerations `rates` (d,) that the elastic mass matrix of link i leaves out."""
+    start, first = elastic + constants.elastic_start[i], constants.station_start[i]
+    k = constants.elastic_start[i + 1] - constants.elastic_start[i]
+    for s in range(constants.station_start[i + 1] - first):
+        row, force = constants.station_row[i] + s * constants.station_width[i], 0.0
+        for a in range(k):
+            force += constants.station_mass[first + s] * work.stretch[row + a] * rates[start + a]
+        for a in range(k):
+            out[start + a] += force * work.stretch[row + a]
 
 
 EQUILIBRIUM_ITERATIONS, EQUILIBRIUM_TOLERANCE = 100, 1e-12  # at most, and what is a change no more

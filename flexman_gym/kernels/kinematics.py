@@ -1,7 +1,27 @@
-"""Kinematics of the chain, outward: where links are, how they move, and what their motion alone demands (Eq. 24-33)."""
+"""Kinematics of the chain, outward: where links are, how they move, and what their motion alone demands (Eq. 24-33).
+
+Foreshortening: a beam that bends keeps the length of its centreline, so a point at x moves back by 1/2 q^T G(x) q (the
+integral of half the squared slopes). Every term of it is an exact derivative of the positions of mass points, the
+stations, that stand for the centreline (see `model.beam`): an expansion to second order loses the positive mass matrix
+at deflections of a few percent of the length. The stations of a link, its tip first, fill whole groups of LANES; those
+that fill up the last group have no mass.
+"""
+
+import math
 
 from flexman_gym.kernels.compile import inner
-from flexman_gym.kernels.lanes import fma, is_zero
+from flexman_gym.kernels.lanes import (
+    add_products,
+    add_rows,
+    fma,
+    group_size,
+    is_below,
+    is_zero,
+    load_lanes,
+    scatter_lanes,
+    select_below,
+    store_lanes,
+)
 from flexman_gym.kernels.linalg import (
     IDENTITY,
     ZERO,
@@ -22,10 +42,8 @@ from flexman_gym.kernels.linalg import (
     store_matrix,
     store_pair,
     subtract_outer,
-    tangent_coefficients,
     transposed,
 )
-from flexman_gym.kernels.stiffening import foreshorten_forces, foreshorten_mass, foreshorten_tip
 
 
 @inner
@@ -86,14 +104,36 @@ def _tip_position(constants, work, i, x, elastic):
         deflected = add_scaled(deflected, q, load(constants.tip_rotation, a))
     store(work.tip, i, tip)
     store(work.deflected, i, deflected)
-    b, c, db, dc = tangent_coefficients(dot(deflected, deflected))
+    b, c, db, dc = _tangent_coefficients(dot(deflected, deflected))
     work.tangent[i, 0], work.tangent[i, 1], work.tangent[i, 2], work.tangent[i, 3] = b, c, db, dc
     tangent = rotation_matrix(b, c, deflected)
     for a in range(constants.turning[i], constants.elastic_start[i + 1]):
         turned = apply(tangent, load(constants.tip_rotation, a))
         store_pair(work.tip_shape, a, load(constants.tip_translation, a), turned)
     if len(constants.station_mass) > 0:
-        foreshorten_tip(constants, work, i, x, elastic)
+        _foreshorten_tip(constants, work, i, x, elastic)
+
+
+@inner
+def _tangent_coefficients(z):
+    """(1 - cos p)/p^2, (p - sin p)/p^3 and their derivatives with respect to z = p^2."""
+    # Taylor series to rounding: the quotients below lose all digits at zero
+    b = 1 / 2 - z * (1 / 24 - z * (1 / 720 - z * (1 / 40320 - z * (1 / 3628800 - z * (1 / 479001600)))))
+    c = 1 / 6 - z * (1 / 120 - z * (1 / 5040 - z * (1 / 362880 - z * (1 / 39916800 - z * (1 / 6227020800)))))
+    db = -1 / 24 + z * (1 / 360 - z * (1 / 13440 - z * (1 / 907200 - z * (1 / 95800320 - z * (1 / 14529715200)))))
+    dc = 1 / 120960 - z * (1 / 9979200 - z * (1 / 1245404160 - z * (1 / 217945728000)))
+    dc = -1 / 120 + z * (1 / 2520 - z * dc)
+    if is_below(z, 0.25):
+        return b, c, db, dc
+    p = math.sqrt(z)
+    s = math.sin(p) / p
+    far_b = (1.0 - math.cos(p)) / z
+    far_c = (1.0 - s) / z
+    far_db, far_dc = (s - 2.0 * far_b) / (2.0 * z), (far_b - 3.0 * far_c) / (2.0 * z)
+    return (
+        select_below(z, 0.25, b, far_b), select_below(z, 0.25, c, far_c),
+        select_below(z, 0.25, db, far_db), select_below(z, 0.25, dc, far_dc),
+    )  # fmt: skip
 
 
 @inner
@@ -122,7 +162,7 @@ def _mass_integrals(constants, work, i, x, elastic):
         yz = fma(q, u[5] + u0[7], yz)
         store(work.coupling, a, (u[5] - u[7], u[6] - u[2], u[1] - u[3]))
     if len(constants.station_mass) > 0:
-        change = foreshorten_mass(constants, work, i)
+        change = _foreshorten_mass(constants, work, i)
         moment = (moment[0] + change[0], moment[1], moment[2])
         xx, xy, xz = xx + change[1], xy + change[2], xz + change[3]
     store(work.moment, i, moment)
@@ -210,4 +250,157 @@ def _quadratic_forces(constants, work, i, v, elastic):
     moment = add_scaled(cross(spin, apply(load_matrix(work.inertia, i), spin)), 2.0, relative)
     store_pair(work.bias, i, force, moment)
     if len(constants.station_mass) > 0:
-        foreshorten_forces(constants, work, i, v, elastic)
+        _foreshorten_forces(constants, work, i, v, elastic)
+
+
+@inner
+def _foreshorten_tip(constants, work, i, x, elastic):
+    """Puts the stations of link i in their places and adds foreshortening to the tip and its shape."""
+    start, stop, first = constants.elastic_start[i], constants.elastic_start[i + 1], constants.station_start[i]
+    count = constants.station_start[i + 1] - first
+    width, row = constants.station_width[i], constants.station_row[i]
+    for s in range(0, count, group_size(work.back)):
+        place = _station_motion(constants, i, s, x, elastic)
+        store_lanes(work.place, 3 * first + s, place[0])
+        for c in range(1, 3):
+            offset = load_lanes(constants.station_offset, 2 * first + (c - 1) * count + s)
+            store_lanes(work.place, 3 * first + c * count + s, place[c] + offset)
+        back = 0.0
+        for a in range(start, stop):
+            bend = _station_bend(constants, i, s, a, x, elastic)
+            back = fma(-0.5 * x[elastic + a], bend, back)
+            store_lanes(work.bend_stations, row + (a - start) * count + s, bend)
+            scatter_lanes(work.bend, row + s * width + a - start, width, bend)
+        store_lanes(work.back, first + s, back)
+    for a in range(start, stop):
+        work.tip_shape[a, 0] = constants.tip_translation[a, 0] - work.bend[row + a - start]
+    if count > 0:
+        work.tip[i, 0] += work.back[first]
+
+
+@inner
+def _station_motion(constants, i, s, rates, elastic):
+    """Motion x, y, z of a group of stations of link i, from s on, by `rates` (d,), foreshortening left out."""
+    count = constants.station_start[i + 1] - constants.station_start[i]
+    x = y = z = 0.0
+    start, value = constants.place_start, constants.place_row[i] + s
+    for e in range(start[3 * i], start[3 * i + 1]):
+        x = fma(rates[elastic + constants.place_source[e]], load_lanes(constants.place_value, value + e * count), x)
+    for e in range(start[3 * i + 1], start[3 * i + 2]):
+        y = fma(rates[elastic + constants.place_source[e]], load_lanes(constants.place_value, value + e * count), y)
+    for e in range(start[3 * i + 2], start[3 * i + 3]):
+        z = fma(rates[elastic + constants.place_source[e]], load_lanes(constants.place_value, value + e * count), z)
+    return x, y, z
+
+
+@inner
+def _station_bend(constants, i, s, a, rates, elastic):
+    """Row a of G times the elastic part of `rates` (d,) at a group of stations of link i, from s on."""
+    count = constants.station_start[i + 1] - constants.station_start[i]
+    bend, value = 0.0, constants.bend_row[i] + s
+    for e in range(constants.bend_start[a], constants.bend_start[a + 1]):
+        bend = fma(rates[elastic + constants.bend_source[e]], load_lanes(constants.bend_value, value + e * count), bend)
+    return bend
+
+
+@inner
+def _foreshorten_mass(constants, work, i):
+    """Adds foreshortening to the moment shape and the coupling of link i; needs `_foreshorten_tip`.
+
+    Returns the change of the first moment along x, and of the entries xx, xy, xz of P.
+    """
+    first, row, width = constants.station_start[i], constants.station_row[i], constants.station_width[i]
+    count, weight, total = constants.station_start[i + 1] - first, work.weight, work.total
+    lost = xx = xy = xz = 0.0
+    for s in range(0, count, group_size(work.back)):
+        mass, back, j = load_lanes(constants.station_mass, first + s), load_lanes(work.back, first + s), 3 * first + s
+        along = load_lanes(constants.station_position, first + s) + load_lanes(work.place, j)
+        y, z, shift = load_lanes(work.place, j + count), load_lanes(work.place, j + 2 * count), mass * back
+        j = 4 * first + s
+        store_lanes(weight, j, shift)
+        store_lanes(weight, j + count, mass * y)
+        store_lanes(weight, j + 2 * count, mass * z)
+        lost = add_products(lost, shift, 1.0)
+        xx = add_products(xx, shift, 2.0 * along + back)
+        xy, xz = add_products(xy, shift, y), add_products(xz, shift, z)
+    for group in range(0, width, group_size(work.back)):
+        moment = across_y = across_z = 0.0
+        for s in range(0, count, group_size(work.back)):
+            weights, j = 4 * first + s, row + s * width + group
+            shift = load_lanes(weight, weights)
+            moment = add_rows(moment, (load_lanes(constants.station_mass, first + s),), (work.bend,), j, width)
+            factors, rows = (load_lanes(weight, weights + count), shift), (work.bend, constants.station_shape[1])
+            across_y = add_rows(across_y, factors, rows, j, width)
+            factors, rows = (load_lanes(weight, weights + 2 * count), shift), (work.bend, constants.station_shape[2])
+            across_z = add_rows(across_z, factors, rows, j, width)
+        store_lanes(total, group, moment)
+        store_lanes(total, width + group, across_z)
+        store_lanes(total, 2 * width + group, across_y)
+    for j in range(row, row + count * width, group_size(work.back)):
+        store_lanes(work.stretch, j, load_lanes(constants.station_shape[0], j) - load_lanes(work.bend, j))
+    start = constants.elastic_start[i]
+    for a in range(constants.elastic_start[i + 1] - start):
+        work.moment_shape[start + a, 0] -= total[a]
+        work.coupling[start + a, 1] -= total[width + a]
+        work.coupling[start + a, 2] += total[2 * width + a]
+    return lost, xx, xy, xz
+
+
+@inner
+def _foreshorten_forces(constants, work, i, v, elastic):
+    """Adds the quadratic velocity forces of foreshortening to link i; needs `_foreshorten_mass` at the same x."""
+    first, row, width = constants.station_start[i], constants.station_row[i], constants.station_width[i]
+    count, weight, w = constants.station_start[i + 1] - first, work.weight, load(work.spin, i)
+    square = dot(w, w)
+    force = moment_x = moment_y = moment_z = 0.0
+    for s in range(0, count, group_size(work.back)):
+        mass, back, j = load_lanes(constants.station_mass, first + s), load_lanes(work.back, first + s), 3 * first + s
+        x = load_lanes(constants.station_position, first + s) + load_lanes(work.place, j) + back
+        y, z = load_lanes(work.place, j + count), load_lanes(work.place, j + 2 * count)
+        rate = _station_motion(constants, i, s, v, elastic)
+        drawn, pulled = _station_rates(constants, work, i, s, v, elastic)
+        store_lanes(work.rate, first + s, rate[0] + drawn)
+        store_lanes(work.pulled, first + s, pulled)
+        # 2 w x velocity: what foreshortening turns, and without it
+        turn_y, turn_z = 2.0 * w[2] * drawn, -2.0 * w[1] * drawn
+        plain_y, plain_z = 2.0 * (w[2] * rate[0] - w[0] * rate[2]), 2.0 * (w[0] * rate[1] - w[1] * rate[0])
+        whole = w[0] * dot(w, (x, y, z)) - square * x + 2.0 * (w[1] * rate[2] - w[2] * rate[1]) + pulled
+        j = 4 * first + s
+        store_lanes(weight, j, mass * ((w[0] * w[0] - square) * back + pulled))
+        store_lanes(weight, j + count, mass * (w[0] * w[1] * back + turn_y))
+        store_lanes(weight, j + 2 * count, mass * (w[0] * w[2] * back + turn_z))
+        store_lanes(weight, j + 3 * count, (-1.0 * mass) * whole)
+        force = add_products(force, mass, pulled)
+        moment_x = add_products(moment_x, mass * (y * turn_z - z * turn_y), 1.0)
+        moment_y = add_products(moment_y, mass * (z * pulled - x * turn_z - back * plain_z), 1.0)
+        moment_z = add_products(moment_z, mass * (x * turn_y - y * pulled + back * plain_y), 1.0)
+    work.bias[i, 0] += force
+    work.bias[i, 3] += moment_x
+    work.bias[i, 4] += moment_y
+    work.bias[i, 5] += moment_z
+    for group in range(0, width, group_size(work.back)):
+        total = 0.0
+        for s in range(0, count, group_size(work.back)):
+            weights, j = 4 * first + s, row + s * width + group
+            factors = (
+                load_lanes(weight, weights), load_lanes(weight, weights + count),
+                load_lanes(weight, weights + 2 * count), load_lanes(weight, weights + 3 * count),
+            )  # fmt: skip
+            shapes = constants.station_shape
+            total = add_rows(total, factors, (shapes[0], shapes[1], shapes[2], work.bend), j, width)
+        store_lanes(work.total, group, total)
+    start = constants.elastic_start[i]
+    for a in range(constants.elastic_start[i + 1] - start):
+        work.elastic_bias[start + a] += work.total[a]
+
+
+@inner
+def _station_rates(constants, work, i, s, v, elastic):
+    """Rate of foreshortening, - q'^T G q, and - q'^T G q' at a group of stations of link i, from s on."""
+    start, row = constants.elastic_start[i], constants.station_row[i] + s
+    count = constants.station_start[i + 1] - constants.station_start[i]
+    drawn = pulled = 0.0
+    for a in range(start, constants.elastic_start[i + 1]):
+        drawn = fma(-v[elastic + a], load_lanes(work.bend_stations, row + (a - start) * count), drawn)
+        pulled = fma(-v[elastic + a], _station_bend(constants, i, s, a, v, elastic), pulled)
+    return drawn, pulled

@@ -5,10 +5,8 @@ have the same bits for one arm and for several abreast: the mathematical library
 the time of all positions of several arms, and its last digits depend on the computer.
 """
 
-import math
-
 from flexman_gym.kernels.compile import inner
-from flexman_gym.kernels.lanes import fma, is_below, select_below
+from flexman_gym.kernels.lanes import fma
 
 HALF_TURN, HALF_TURN_REST = 3.141592653589793, 1.2246467991473532e-16  # pi and what its last digit leaves
 ROUNDING = 1.5 * 2.0**52  # added and taken away again it rounds to a whole number
@@ -179,26 +177,6 @@ def product(a, b):
 
 
 @inner
-def product_skew(a, d):
-    """Matrix times the skew matrix of d: its rows crossed with d."""
-    return (
-        fma(a[1], d[2], -a[2] * d[1]), fma(a[2], d[0], -a[0] * d[2]), fma(a[0], d[1], -a[1] * d[0]),
-        fma(a[4], d[2], -a[5] * d[1]), fma(a[5], d[0], -a[3] * d[2]), fma(a[3], d[1], -a[4] * d[0]),
-        fma(a[7], d[2], -a[8] * d[1]), fma(a[8], d[0], -a[6] * d[2]), fma(a[6], d[1], -a[7] * d[0]),
-    )  # fmt: skip
-
-
-@inner
-def apply_inertia(inertia, acceleration):
-    """Force and moment for a linear and angular acceleration; an inertia is a triple, see `dynamics`."""
-    linear, angular = acceleration
-    force, mixed, moment = inertia
-    return add(apply(force, linear), apply(mixed, angular)), add(
-        apply_transposed(mixed, linear), apply(moment, angular)
-    )
-
-
-@inner
 def rotation_matrix(sine, versine, v):
     """I + sine X + versine X^2, X the skew matrix of the vector v."""
     x, y, z = v
@@ -206,26 +184,4 @@ def rotation_matrix(sine, versine, v):
         1.0 - versine * (y * y + z * z), versine * x * y - sine * z, versine * x * z + sine * y,
         versine * x * y + sine * z, 1.0 - versine * (x * x + z * z), versine * y * z - sine * x,
         versine * x * z - sine * y, versine * y * z + sine * x, 1.0 - versine * (x * x + y * y),
-    )  # fmt: skip
-
-
-@inner
-def tangent_coefficients(z):
-    """(1 - cos p)/p^2, (p - sin p)/p^3 and their derivatives with respect to z = p^2."""
-    # Taylor series to rounding: the quotients below lose all digits at zero
-    b = 1 / 2 - z * (1 / 24 - z * (1 / 720 - z * (1 / 40320 - z * (1 / 3628800 - z * (1 / 479001600)))))
-    c = 1 / 6 - z * (1 / 120 - z * (1 / 5040 - z * (1 / 362880 - z * (1 / 39916800 - z * (1 / 6227020800)))))
-    db = -1 / 24 + z * (1 / 360 - z * (1 / 13440 - z * (1 / 907200 - z * (1 / 95800320 - z * (1 / 14529715200)))))
-    dc = 1 / 120960 - z * (1 / 9979200 - z * (1 / 1245404160 - z * (1 / 217945728000)))
-    dc = -1 / 120 + z * (1 / 2520 - z * dc)
-    if is_below(z, 0.25):
-        return b, c, db, dc
-    p = math.sqrt(z)
-    s = math.sin(p) / p
-    far_b = (1.0 - math.cos(p)) / z
-    far_c = (1.0 - s) / z
-    far_db, far_dc = (s - 2.0 * far_b) / (2.0 * z), (far_b - 3.0 * far_c) / (2.0 * z)
-    return (
-        select_below(z, 0.25, b, far_b), select_below(z, 0.25, c, far_c),
-        select_below(z, 0.25, db, far_db), select_below(z, 0.25, dc, far_dc),
     )  # fmt: skip

@@ -1,7 +1,9 @@
-"""What is read off a state: tip, deflection, energies."""
+"""Outputs of a state: tip, deflection, energies, and the accelerations of the tip."""
 
 from flexman_gym.kernels.compile import inner, kernel
-from flexman_gym.kernels.kinematics import positions, velocities
+from flexman_gym.kernels.dynamics import factorise, solve
+from flexman_gym.kernels.forces import applied_forces
+from flexman_gym.kernels.kinematics import positions, tip_rotation, velocities
 from flexman_gym.kernels.lanes import fma, is_zero
 from flexman_gym.kernels.layout import (
     DEFLECTION_AT,
@@ -19,16 +21,15 @@ from flexman_gym.kernels.linalg import (
     add,
     add_scaled,
     apply,
+    apply_transposed,
+    copy,
     cross,
     dot,
     load,
     load_matrix,
     product,
-    rotation_matrix,
-    sine_versine,
-    store,
 )
-from flexman_gym.kernels.stiffening import stretch_energy
+from flexman_gym.kernels.rigid_arm import rigid_tip
 
 
 @kernel
@@ -62,6 +63,38 @@ def observe(constants, work, x, v, out):
     for i in range(n):
         links += 0.5 * _quadratic_form(constants.stiffness, constants, i, x, elastic)
     out[KINETIC], out[LINK_ENERGY], out[JOINT_ENERGY], out[GRAVITATIONAL] = kinetic, links, joints, gravitational
+
+
+@inner
+def sense(constants, work, x, v, out):
+    """out = acceleration of the tip and the specific force on it, for coordinates and speeds (d,) under work.drive.
+
+    The acceleration (m/s^2) is the second derivative of the tip's position: in the base frame and relative to the base,
+    which the drive may accelerate too. The specific force (m/s^2) is that of an accelerometer: acceleration in inertial
+    space less gravity, along the axes of the last link's tip. Overwrites the first four work space groups, work.rates
+    and the first TIP_ACCELERATIONS numbers of out.
+    """
+    last = len(constants.mass) - 1
+    positions(constants, work, x)
+    velocities(constants, work, v)
+    factorise(constants, work, (0.0, 0.0))
+    applied_forces(constants, work, x, v)
+    felt, _ = solve(constants, work, work.rates)
+    linear = felt
+    if constants.elastic_start[last + 1] > constants.elastic_start[last]:
+        felt = apply_transposed(tip_rotation(work, last), felt)
+    for i in range(last, -1, -1):
+        linear = apply(load_matrix(work.rotation, i), linear)
+    linear = add(linear, load(work.field, 0))
+    out[0], out[1], out[2] = linear
+    out[3], out[4], out[5] = felt
+
+
+@kernel
+def tip_accelerations(constants, work, x, v, drive, out):
+    """out (TIP_ACCELERATIONS,) at coordinates x (d,), speeds v (d,) under a drive (n + 6,), see `sense`."""
+    copy(drive, work.drive)
+    sense(constants, work, x, v, out)
 
 
 @kernel
@@ -141,7 +174,9 @@ def _tip_velocity(constants, work, i, v, elastic):
 def _link_energy(constants, work, i, v, elastic):
     """Kinetic energy of link i, 1/2 v^T M v with the blocks of Eq. 13."""
     velocity, spin = load(work.velocity, i), load(work.spin, i)
-    value = 0.5 * _quadratic_form(constants.elastic_mass, constants, i, v, elastic) + stretch_energy(constants, work, i)
+    value = 0.5 * _quadratic_form(constants.elastic_mass, constants, i, v, elastic) + _stretch_energy(
+        constants, work, i
+    )
     value += dot(velocity, cross(spin, load(work.moment, i))) + 0.5 * constants.mass[i] * dot(velocity, velocity)
     value += 0.5 * dot(spin, apply(load_matrix(work.inertia, i), spin))
     for a in range(constants.elastic_start[i], constants.elastic_start[i + 1]):
@@ -151,25 +186,9 @@ def _link_energy(constants, work, i, v, elastic):
 
 
 @inner
-def rigid_tip(constants, x, v):
-    """Tip position and velocity, in the base frame, of the rigid arm at the motor angles and rates."""
-    frame = IDENTITY
-    origin = velocity = spin = ZERO
-    for i in range(len(constants.mass)):
-        m = constants.motor[i] if constants.motor[i] >= 0 else i
-        axis = load(constants.axis, i)
-        sine, versine = sine_versine(x[m])
-        turned = product(load_matrix(constants.mount, i), rotation_matrix(sine, versine, axis))
-        frame = product(frame, turned)
-        spin = add_scaled(spin, v[m], apply(frame, axis))
-        arm = apply(frame, (constants.length[i], 0.0, 0.0))
-        origin, velocity = add(origin, arm), add(velocity, cross(spin, arm))
-    return origin, velocity
-
-
-@kernel
-def rigid_tips(constants, states, out):
-    """out (r, 3) = tips, in the base frame, of the rigid arm at the motor angles of states (r, 2 d)."""
-    d = states.shape[1] // 2
-    for r in range(len(states)):
-        store(out, r, rigid_tip(constants, states[r, :d], states[r, d:])[0])
+def _stretch_energy(constants, work, i):
+    """Kinetic energy that the elastic mass matrix of link i leaves out; needs `velocities`."""
+    value = 0.0
+    for s in range(constants.station_start[i], constants.station_start[i + 1]):
+        value += 0.5 * constants.station_mass[s] * work.rate[s] * work.rate[s]
+    return value

@@ -12,7 +12,7 @@ of the dynamics in it, because the compiler copies that call wherever it stands.
 import math
 
 from flexman_gym.kernels.compile import inner, kernel
-from flexman_gym.kernels.dynamics import accelerate, any_prescribed, factorise, prescribed_power, solve
+from flexman_gym.kernels.dynamics import accelerate, factorise, prescribed_power, solve
 from flexman_gym.kernels.forces import applied_forces, drive_at, secant_friction, shift_friction, structural_forces
 from flexman_gym.kernels.kinematics import positions, velocities
 from flexman_gym.kernels.lanes import fma, load_lane, store_lane
@@ -325,7 +325,7 @@ def _implicit_stage(constants, work, tableau, table, moment, state, i, moved):
     supplied, lost = applied_forces(constants, work, x, v)
     if i == 0:
         secant_friction(constants, work, v)
-    for implicit in range(0 if any_prescribed(constants) else 1, 2):
+    for implicit in range(0 if _any_prescribed(constants) else 1, 2):
         if implicit:
             structural_forces(constants, work, shift[:d], shift[d : 2 * d])
             shift_friction(constants, work, shift[d : 2 * d])
@@ -338,3 +338,12 @@ def _implicit_stage(constants, work, tableau, table, moment, state, i, moved):
         stage[k] = g * (v[k] + stage[k] + stage[d + k])
     stage[2 * d] = g * (supplied + stage[2 * d])
     stage[2 * d + 1] = g * (lost + stage[2 * d + 1])
+
+
+@inner
+def _any_prescribed(constants):
+    """Whether the motion of any motor is prescribed."""
+    for i in range(len(constants.prescribed)):
+        if constants.prescribed[i]:
+            return True
+    return False

@@ -23,7 +23,7 @@ ELEMENTS, PARTS = 3, 4  # of a section; of the usual step
 
 def _by_method(batch: Batch) -> None:
     runs = [Integrator(batch.model, METHODS[METHOD], TOLERANCE, []) for _ in batch.rows]
-    batch.hand_over(lambda _: SequentialIntegrator(runs, (batch.control_period, 1)))
+    batch.replace_integrator(lambda _: SequentialIntegrator(runs, (batch.control_period, 1)))
 
 
 def _by_finer(batch: Batch) -> None:
@@ -39,7 +39,7 @@ def _by_mujoco(batch: Batch) -> None:
 
 
 def _by_double(batch: Batch, double: ExternalSimulator) -> None:
-    batch.hand_over(lambda mover: ExternalIntegrator(batch.model, mover, double))
+    batch.replace_integrator(lambda mover: ExternalIntegrator(batch.model, mover, double))
 
 
 PLANTS: dict[str, tuple[str, Callable[[Batch], None]]] = {

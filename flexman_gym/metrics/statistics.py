@@ -13,7 +13,7 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import finite, positive, value_error, whole_number
 from flexman_gym.metrics.signals import checked_samples
 
-_MOST_DRAWN_MEDIANS = 10**8  # numbers in all samples
+MOST_DRAWN = 10**8  # numbers in all samples of a bootstrap interval
 
 
 def upper_median(values: Array) -> float:
@@ -36,14 +36,18 @@ def median_interval(values: Array, level: float = 0.95, draws: int = 2000) -> tu
             whole number from 1 on or hold more than a hundred million numbers together.
     """
     result = checked_samples("values", values, 1)
-    level = positive("level", level)
-    if not level < 1.0:
-        raise value_error("level", level, "a number > 0 and < 1")
-    draws = whole_number("draws", draws, 1, max(1, _MOST_DRAWN_MEDIANS // len(result)))
+    level = _checked_level(level)
+    draws = whole_number("draws", draws, 1, max(1, MOST_DRAWN // len(result)))
     picked = np.random.default_rng(0).integers(len(result), size=(draws, len(result)))
     medians = np.sort(_medians(result[picked]))
     cut = round((1.0 - level) / 2.0 * (draws - 1))
     return upper_median(result), float(medians[cut]), float(medians[-1 - cut])
+
+
+def _checked_level(level: float) -> float:
+    if not positive("level", level) < 1.0:
+        raise value_error("level", level, "a number > 0 and < 1")
+    return level
 
 
 def _medians(rows: Array) -> Array:
@@ -53,7 +57,6 @@ def _medians(rows: Array) -> Array:
 
 CUT = 0.25  # of the scores at each end, which the interquartile mean leaves out
 LEAST_APART = 0.05  # of the largest reward, by which the ends of the scale of scores must differ
-MOST_DRAWN = 10**8  # numbers in all samples
 
 Statistic = Callable[[Array], Array]
 
@@ -118,8 +121,7 @@ def paired_score(
 
 
 def _interval(values: Array, level: float) -> tuple[float, float]:
-    if not positive("level", level) < 1.0:
-        raise value_error("level", level, "a number > 0 and < 1")
+    level = _checked_level(level)
     low, high = np.quantile(values, [0.5 * (1.0 - level), 0.5 * (1.0 + level)], method="nearest")
     return float(low), float(high)
 

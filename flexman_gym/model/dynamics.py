@@ -7,7 +7,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, Flags, Matrix, Vector
 from flexman_gym.common.checks import check_magnitudes, flag, number_array, value_error, vector
-from flexman_gym.kernels import accelerometer, dynamics, inverse, outputs
+from flexman_gym.kernels import dynamics, inverse, outputs
 from flexman_gym.kernels.layout import (
     LARGEST_STATE,
     OUTPUTS,
@@ -155,7 +155,7 @@ def tip_acceleration(model: Model, state: Vector, torque: Vector) -> Array:
     """
     x, v = split_state(model, state)
     out = np.zeros(TIP_ACCELERATIONS)
-    accelerometer.tip_accelerations(model.constants, make_work(model.constants), x, v, _drive(model, torque), out)
+    outputs.tip_accelerations(model.constants, make_work(model.constants), x, v, _drive(model, torque), out)
     return out[TIP_ACCELERATION]
 
 

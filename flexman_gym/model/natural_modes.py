@@ -1,28 +1,9 @@
 """Natural modes of a mass and a stiffness matrix, and the error for arms beyond double precision."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import value_error
-
-
-@contextmanager
-def check_solvable(what: str) -> Iterator[None]:
-    """Refuses an arm for which rounding leaves no solution of `what` is calculated within.
-
-    Raises:
-        ValueError: in place of the errors of linear algebra, and of numbers that are not finite.
-    """
-    try:
-        with np.errstate(divide="raise", over="raise", invalid="raise"):
-            yield
-    except (FloatingPointError, ValueError):
-        allowed = f"one for which there are {what}: masses, stiffness and torques of sizes that go together"
-        raise value_error("arm", "this one", allowed) from None
-
+from flexman_gym.common.checks import check_solvable
 
 SHIFT = 1e-9  # of the largest square, added before the factorisation, so that an arm that turns freely has one
 VANISHING = 1e-10  # of the shift: a square below that is rounding

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array, Vector
-from flexman_gym.common.checks import non_negative, positive, sequence, value_error
-from flexman_gym.model.natural_modes import check_solvable, natural_modes
+from flexman_gym.common.checks import check_solvable, non_negative, positive, sequence, value_error
+from flexman_gym.model.natural_modes import natural_modes
 
 
 class Balance(NamedTuple):

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray, Vector
-from flexman_gym.common.checks import one_of
+from flexman_gym.common.checks import check_solvable, one_of
 from flexman_gym.model.dynamics import stiffness_matrix
 from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import Model, checked_model
-from flexman_gym.model.natural_modes import check_solvable, natural_modes
+from flexman_gym.model.natural_modes import natural_modes
 from flexman_gym.model.statics import holding_torques, rest_state
 
 SLOWEST = 1e-6  # of the lowest natural frequency: what is slower only turns

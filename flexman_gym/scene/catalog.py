@@ -1,26 +1,16 @@
 """Catalog: named arms and scenes, each with its source.
 
-Every function returns an Arm, `paper_scene` a Scene, in SI units: m, kg, s, rad, N m; second moments of area in m^4,
-stiffness of joints in N m/rad, damping in N m s/rad, rotor inertia in kg m^2, gravity in m/s^2. Their frequencies (Hz)
-are those of the model: `fm.frequencies(fm.build_model(fm.catalog.one_link()))`. `flexman list arms` prints their names.
+Each named arm is a file in scene/arms, in the plain form of an arm file, with its options; a new arm needs such a file
+and an entry here. `fm.catalog.NAME(...)` returns an Arm, `paper_scene` a Scene, in SI units: m, kg, s, rad, N m; second
+moments of area in m^4, stiffness of joints in N m/rad, damping in N m s/rad, rotor inertia in kg m^2, gravity in m/s^2.
+Frequencies (Hz) are those of the model: `fm.frequencies(fm.build_model(fm.catalog.one_link()))`. `flexman list arms`
+prints the names, `help(fm.catalog.paper_rrr)` prints the options of an arm and its source.
 """
 
 from flexman_gym.common.checks import one_of
-from flexman_gym.scene.arms import (
-    LIGHT_TOOL,
-    TOOL,
-    de_luca_siciliano,
-    flexarm_rome,
-    gifu_2link,
-    nasa_beam,
-    one_joint,
-    one_link,
-    paper_rrr,
-    planar_2r,
-    quanser_2dsfl,
-    vertical_2r,
-)
+from flexman_gym.scene.arm import Payload
 from flexman_gym.scene.scene import Initial, ModelChoice, Scene
+from flexman_gym.scene.serialization import named_arm
 from flexman_gym.scene.signals import ConstantTorque
 
 __all__ = [
@@ -38,6 +28,31 @@ __all__ = [
     "quanser_2dsfl",
     "vertical_2r",
 ]
+
+paper_rrr = named_arm("paper_rrr")
+"""Spatial RRR arm of the paper's Table 1."""
+planar_2r = named_arm("planar_2r")
+"""Two aluminium strips of 0.5 m in a horizontal plane: axes +Z, both links along +X at zero angles."""
+one_link = named_arm("one_link")
+"""Slender aluminium link of 2 m on a hub, along +X at a zero angle."""
+vertical_2r = named_arm("vertical_2r")
+"""Two aluminium strips of 0.5 m that move in the vertical x-z plane, on elastic joints, with their motors."""
+one_joint = named_arm("one_joint")
+"""Aluminium strip of 0.8 m on one elastic joint, which turns it in a horizontal plane about +Z."""
+quanser_2dsfl = named_arm("quanser_2dsfl")
+"""Quanser 2-DoF serial flexible link: two steel strips in a horizontal plane, driven through gears."""
+flexarm_rome = named_arm("flexarm_rome")
+"""FLEXARM of the University of Rome: a rigid and a flexible link."""
+de_luca_siciliano = named_arm("de_luca_siciliano")
+"""Two-link arm of De Luca and Siciliano."""
+gifu_2link = named_arm("gifu_2link")
+"""Arm of Gifu University: three joints, two flexible rods of 0.44 m."""
+nasa_beam = named_arm("nasa_beam")
+"""Pinned beam with a tip mass of NASA's Johnson Space Center."""
+TOOL = Payload(0.1)
+"""Payload of `vertical_2r`, 0.1 kg."""
+LIGHT_TOOL = Payload(0.05)
+"""Payload of `one_joint`, 0.05 kg."""
 
 _PAPER_CASES = {  # case: (flexible links, flexible joints)
     "rr": (False, False),

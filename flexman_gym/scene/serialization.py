@@ -3,14 +3,14 @@
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
-from inspect import signature
+from functools import cache
+from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import Any, TypeVar
 
 from flexman_gym.common import files
-from flexman_gym.common.checks import mapping, one_of, sequence, short_path, text, value_error
+from flexman_gym.common.checks import mapping, one_of, sequence, short_path, text, value_error, whole_number
 from flexman_gym.common.time_series import read_time_series, write_time_series
-from flexman_gym.scene import arms
 from flexman_gym.scene.arm import Arm, Payload
 from flexman_gym.scene.joint import Joint, Motor
 from flexman_gym.scene.link import IDENTITY, Link, LumpedMass, NonUniformLink
@@ -288,18 +288,8 @@ def to_plain(value: Any) -> Any:
     return entries
 
 
-ARMS: dict[str, Callable[..., Arm]] = {  # of the catalog
-    "paper_rrr": arms.paper_rrr,
-    "planar_2r": arms.planar_2r,
-    "one_link": arms.one_link,
-    "vertical_2r": arms.vertical_2r,
-    "one_joint": arms.one_joint,
-    "quanser_2dsfl": arms.quanser_2dsfl,
-    "flexarm_rome": arms.flexarm_rome,
-    "de_luca_siciliano": arms.de_luca_siciliano,
-    "gifu_2link": arms.gifu_2link,
-    "nasa_beam": arms.nasa_beam,
-}
+ARM_FOLDER = Path(__file__).parent / "arms"
+ARMS = tuple(sorted(path.stem for path in ARM_FOLDER.glob("*.yaml")))  # names of the arms of the catalog
 SUFFIXES = (".json", ".yaml", ".yml")
 ArmLike = Arm | Mapping[str, Any] | str
 
@@ -334,7 +324,79 @@ def find_arm(value: object, folder: Path = Path()) -> Arm:
     if isinstance(arguments.get("payload"), dict):
         arguments["payload"] = part_from_plain(Payload, "arm.payload", arguments["payload"])
     try:
-        arm = ARMS[name](**arguments)
+        return named_arm(name)(**arguments)
     except TypeError as error:
         raise value_error("arm", arguments, f"what {name} takes: {str(error).split('() ')[-1]}") from None
-    return arm
+
+
+@cache
+def named_arm(name: str) -> Callable[..., Arm]:
+    """Return the function that builds a named arm, with the options of its file as arguments.
+
+    The file holds `description` (the docstring of the function), `source`, `arm` in plain form, `options`, a mapping
+    from the name of each option to the field that it sets ("payload", "links[0].area", "joints.stiffness" of every
+    joint, or "file" for another arm), and `values`, the named (mapping) or numbered (list, from 1) values of options.
+
+    Args:
+        name: name of a file in ARM_FOLDER, without suffix.
+
+    Raises:
+        ValueError: by the returned function, for values that Joint or Arm does not allow.
+    """
+    data = files.read_data(ARM_FOLDER / f"{name}.yaml")
+    arm, options, values = arm_from_plain(data["arm"]), data.get("options", {}), data.get("values", {})
+    defaults = {option: _default(arm, name, field, values.get(option)) for option, field in options.items()}
+    kind = Parameter.POSITIONAL_OR_KEYWORD
+    call = Signature([Parameter(option, kind, default=value) for option, value in defaults.items()])
+
+    def build(*positional: Any, **named: Any) -> Arm:
+        try:
+            given = call.bind(*positional, **named).arguments
+        except TypeError as error:
+            raise TypeError(f"{name}() {error}; give {', '.join(options) or 'no arguments'}") from None
+        changes: dict[str, dict[str, Any]] = {}
+        for option, value in given.items():
+            part, _, field = options[option].rpartition(".")
+            changes.setdefault(part, {})[field] = _option_value(option, value, values.get(option))
+        return _changed(arm, name, changes)
+
+    build.__name__ = build.__qualname__ = name
+    build.__module__, build.__doc__ = "flexman_gym.scene.catalog", f"{data['description']}\nSource: {data['source']}.\n"
+    build.__signature__ = call  # type: ignore[attr-defined]
+    return build
+
+
+def _default(arm: Arm, name: str, field: str, values: Any) -> Any:
+    """Return the value of an option that the file of an arm holds; of the first joint for a field of every joint."""
+    if field == "file":
+        return values.index(name) + 1
+    part, _, own = field.rpartition(".")
+    whole, indices = _chosen(arm, part) if part else ("", [])
+    value = getattr(getattr(arm, whole)[indices[0]] if part else arm, own)
+    return next(each for each, number in values.items() if number == value) if values else value
+
+
+def _option_value(option: str, value: Any, values: Any) -> Any:
+    """Return the value that an option stands for: that of its name or of its number, where it has such."""
+    if isinstance(values, list):
+        return values[whole_number(option, value, 1, len(values)) - 1]
+    return values[one_of(option, value, values)] if values else value
+
+
+def _chosen(arm: Arm, part: str) -> tuple[str, list[int]]:
+    """Return "links" or "joints", and the indices that "joints" (all of them) or "links[0]" stands for."""
+    name, _, index = part.rstrip("]").partition("[")
+    return name, [int(index)] if index else list(range(arm.n_joints))
+
+
+def _changed(arm: Arm, name: str, changes: dict[str, dict[str, Any]]) -> Arm:
+    """Return an arm with other values of fields, by the part that has the fields; "" is the arm itself."""
+    own = changes.pop("", {})
+    if (file := own.pop("file", name)) != name:
+        return named_arm(file)()
+    for part, entries in changes.items():
+        whole, indices = _chosen(arm, part)
+        parts = own[whole] = list(getattr(arm, whole))
+        for i in indices:
+            parts[i] = build_part(type(parts[i]), type(parts[i]).__name__, vars(parts[i]) | entries)
+    return build_part(Arm, "Arm", vars(arm) | own)

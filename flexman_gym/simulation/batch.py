@@ -1,7 +1,7 @@
 """Batch: arms of one model that move side by side."""
 
 from collections.abc import Callable, Collection
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import numpy as np
 
@@ -9,14 +9,15 @@ from flexman_gym.common.arrays import Array, Flags
 from flexman_gym.common.checks import check_magnitudes, positive, value_error, whole_number
 from flexman_gym.kernels import layout, outputs
 from flexman_gym.kernels.control_period import close_period
+from flexman_gym.kernels.rigid_arm import rigid_tips
 from flexman_gym.model.model import Model, checked_model
-from flexman_gym.simulation.batch_integrators import LaneIntegrator, SequentialIntegrator
+from flexman_gym.simulation.batch_integrators import BatchIntegrator, LaneIntegrator, SequentialIntegrator
 from flexman_gym.simulation.integrator import Integrator, find_method, find_substeps, find_tolerance, prescribed_flags
 from flexman_gym.simulation.methods import DEFAULT_METHOD, IteratedGauss, LinearlyImplicit, Method
 from flexman_gym.simulation.parameters import nominal_parameters, varied_constants
 
 MOST_ARMS, MOST_THREADS = 65536, 256
-RESTING = -1  # a status that only movers see
+RESTING = -1  # status of arms that are not to move; only batch integrators see it
 
 
 class Batch:
@@ -72,7 +73,7 @@ class Batch:
         tolerance = find_tolerance(self.method, fixed, rtol, atol)
         self._bound = tolerance, joints
         period = self.control_period, self.substeps
-        self._mover: Any
+        self._mover: BatchIntegrator
         if isinstance(self.method, LinearlyImplicit | IteratedGauss) and tolerance is None:
             constants = model.constants._replace(prescribed=prescribed_flags(n, joints))
             self._mover = LaneIntegrator(constants, self.method, period, count, threads)
@@ -188,7 +189,7 @@ class Batch:
     def rigid_tips(self, states: Array) -> Array:
         """Gives the tips (r, 3) in the base frame, m, of the rigid arm at the motor angles of states (r, 2 d)."""
         tips = np.empty((len(states), 3))
-        outputs.rigid_tips(self.model.constants, states, tips)
+        rigid_tips(self.model.constants, states, tips)
         return tips
 
     def __reduce__(self) -> NoReturn:
@@ -214,8 +215,8 @@ class Batch:
         self._known = False
         self._mover.vary(arms, varied_constants(self.model, len(arms), parameters))
 
-    def hand_over(self, make: Callable[[Any], Any]) -> None:
-        """Lets another mover, made of the present one, move all arms from their next reset on; see `movers`."""
+    def replace_integrator(self, make: Callable[[BatchIntegrator], BatchIntegrator]) -> None:
+        """Replace the integrator of all arms by one made from the present one; it acts from the next reset on."""
         self._mover = make(self._mover)
 
     @property

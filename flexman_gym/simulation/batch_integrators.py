@@ -1,12 +1,5 @@
-"""Integrators of the arms of a batch: one after the other by any method, or several in lanes by linearly implicit
-methods.
-
-A batch integrator has seven methods. `vary(arms, constants)` sets constants (r, ...) of the arms (r,), and
-`constants(arm)` returns those of one arm. `observe(arms, rows, outputs)` computes the outputs of some arms from their
-rows, and drops the memory of their method from step to step, as `forget(arms)` does alone. `move(drives, periods, rows,
-outputs, status)` integrates the arms whose status is OK over one control period, `periods` (b,) after their start, and
-sets the status of arms that fail. `roll` does so over several periods, and records rows and outputs after each in a
-trail. `sense(drives, rows, out)` computes the tip accelerations (b, TIP_ACCELERATIONS) of all arms.
+"""Integrators of the arms of a batch: their protocol, and two that implement it, one arm after the other by any method
+or several in lanes by linearly implicit methods.
 """
 
 import os
@@ -16,16 +9,17 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import pairwise
 from threading import Thread
-from typing import Any
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.kernels import accelerometer, layout
 from flexman_gym.kernels import arms as kernels
-from flexman_gym.kernels.arms import PER_ARM, address_table, arms_array
+from flexman_gym.kernels import layout
+from flexman_gym.kernels.arguments import PER_ARM, address_table, arms_array
 from flexman_gym.kernels.lanes import ARMS, NUMBER
 from flexman_gym.kernels.layout import ARMS_ABREAST, Clock, Constants, IntArray, Tableau, make_work
+from flexman_gym.kernels.outputs import tip_accelerations
 from flexman_gym.kernels.signals import spin_wait
 from flexman_gym.scene.signals import signal_table
 from flexman_gym.simulation.integrator import ABREAST, Integrator, chunks, evaluations_of_a_call, row_chunks
@@ -102,10 +96,49 @@ def _serve(desk: _TaskSlot) -> None:
 Trail = tuple[Array, Array]  # rows (b, T, 2 d + 2) and outputs (b, T, OUTPUTS) after each of T periods
 
 
-class SequentialIntegrator:
-    """A mover with one `Integrator` for each arm."""
+class BatchIntegrator(Protocol):
+    """Integrator of the b arms of a batch.
 
-    kept = ("own",)
+    Rows (b, 2 d + 2) hold state and ledger of each arm, outputs (b, OUTPUTS) the quantities of `kernels.layout` at that
+    state, and status (b,) OK, DIVERGED or NOT_CONVERGED. Arguments named rows, outputs, status and result are
+    overwritten.
+
+    Attributes:
+        kept: names of the attributes that a snapshot of the batch stores.
+    """
+
+    kept: ClassVar[tuple[str, ...]]
+
+    def vary(self, arms: IntArray, constants: dict[str, Array]) -> None:
+        """Set constants (r, ...), by their name in PER_ARM, of the arms (r,)."""
+
+    def constants(self, arm: int) -> dict[str, Any]:
+        """Return copies of the constants of one arm that may differ from arm to arm."""
+
+    def observe(self, arms: IntArray, rows: Array, outputs: Array) -> None:
+        """Compute the outputs of some arms from their rows, and clear the memory of their method."""
+
+    def forget(self, arms: IntArray) -> None:
+        """Clear the memory that the method of some arms keeps from step to step."""
+
+    def move(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
+        """Integrate the arms whose status is OK over one control period under drives (b, n + 6).
+
+        Periods (b,) is the number of control periods since the reset of each arm. An arm that fails gets its status;
+        its rows and outputs stay.
+        """
+
+    def roll(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray, trail: Trail) -> None:
+        """Integrate the arms whose status is OK over T control periods of drives (b, T, n + 6), and fill the trail."""
+
+    def sense(self, drives: Array, rows: Array, result: Array) -> None:
+        """Compute the tip accelerations (b, TIP_ACCELERATIONS) of all arms, m/s^2."""
+
+
+class SequentialIntegrator:
+    """Batch integrator with one `Integrator` for each arm, which integrates one arm after the other."""
+
+    kept: ClassVar[tuple[str, ...]] = ("own",)
 
     def __init__(self, runs: list[Integrator], period: tuple[float, int]) -> None:
         self._runs = runs
@@ -116,18 +149,18 @@ class SequentialIntegrator:
         self._drive = signal_table([None] * (len(runs[0].constants.mass) + 6))
 
     def vary(self, arms: IntArray, constants: dict[str, Array]) -> None:
-        """Gives arms constants of their own."""
+        """Set constants of some arms."""
         for i, arm in enumerate(arms):
             own = {name: values[i] for name, values in constants.items()}
             self._runs[arm].constants = self._runs[arm].constants._replace(**own)
 
     def constants(self, arm: int) -> dict[str, Any]:
-        """Gives copies of the constants that an arm has of its own."""
+        """Return copies of the constants of one arm."""
         return _own_constants(self._runs[arm].constants)
 
     @property
     def own(self) -> list[dict[str, Array]]:
-        """What each arm has of its own: constants, and what its method remembers from step to step."""
+        """Constants of each arm, with the step size and the stages that its method keeps from step to step."""
         return [
             {name: getattr(run.constants, name) for name in sorted(PER_ARM)}
             | {"pace": run.work.pace, "stages": run.work.stages}
@@ -135,17 +168,17 @@ class SequentialIntegrator:
         ]
 
     def observe(self, arms: IntArray, rows: Array, outputs: Array) -> None:
-        """Reads the outputs of some arms."""
+        """Compute the outputs of some arms, and clear the memory of their method."""
         for arm in arms:
             self._runs[arm].start(rows[arm], rows[arm].copy(), outputs[arm])
 
     def forget(self, arms: IntArray) -> None:
-        """Forgets what methods remember from step to step of some arms."""
+        """Clear the memory of the method of some arms."""
         for arm in arms:
             self._runs[arm].forget()
 
     def move(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
-        """Moves the arms whose status is OK."""
+        """Integrate the arms whose status is OK over one control period."""
         row, result = np.zeros((1, rows.shape[1])), np.zeros((1, layout.OUTPUTS))
         for arm in np.flatnonzero(status == layout.OK):
             self._drive[layout.OFFSET] = drives[arm]
@@ -155,28 +188,28 @@ class SequentialIntegrator:
                 rows[arm], outputs[arm] = state, result[0]
 
     def roll(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray, trail: Trail) -> None:
-        """Moves the arms whose status is OK through periods of drives (b, T, n + 6)."""
+        """Integrate the arms whose status is OK over several control periods."""
         roll_by_periods(self, drives, periods, (rows, outputs, status), trail)
 
     def sense(self, drives: Array, rows: Array, result: Array) -> None:
-        """Finds the tip accelerations of all arms."""
+        """Compute the tip accelerations of all arms."""
         d = rows.shape[1] // 2 - 1
         for run, drive, row, out in zip(self._runs, drives, rows, result, strict=True):
-            accelerometer.tip_accelerations(run.constants, run.work, row[:d], row[d : 2 * d], drive, out)
+            tip_accelerations(run.constants, run.work, row[:d], row[d : 2 * d], drive, out)
 
 
 def _own_constants(constants: Constants) -> dict[str, Any]:
-    """Gives copies of the constants that arms may differ in."""
+    """Return copies of the constants that may differ from arm to arm."""
     return {name: getattr(constants, name).copy() for name in PER_ARM}
 
 
 def roll_by_periods(
-    mover: Any, drives: Array, periods: Array, moved: tuple[Array, Array, IntArray], trail: Trail
+    integrator: BatchIntegrator, drives: Array, periods: Array, moved: tuple[Array, Array, IntArray], trail: Trail
 ) -> None:
-    """Lets a mover move rows, outputs and status of its arms period by period, and keeps the trail."""
+    """Integrate rows, outputs and status of all arms period by period, and fill the trail."""
     rows, outputs, status = moved
     for period in range(drives.shape[1]):
-        mover.move(drives[:, period], periods + period, rows, outputs, status)
+        integrator.move(drives[:, period], periods + period, rows, outputs, status)
         well = status == layout.OK
         trail[0][well, period], trail[1][well, period] = rows[well], outputs[well]
 
@@ -185,12 +218,12 @@ SHARE = 4  # groups that are worth a thread: to hand them over takes as long as 
 
 
 class LaneIntegrator:
-    """A mover by fixed steps of a linearly implicit method, ARMS_ABREAST arms in one pass of the kernels.
+    """Batch integrator by fixed steps of a linearly implicit method, ARMS_ABREAST arms in one pass of the kernels.
 
-    A single arm without foreshortening is moved alone, which takes less time and gives the same bits.
+    A single arm without foreshortening is integrated by the kernels of one arm, faster and with the same bits.
     """
 
-    kept = ("own",)
+    kept: ClassVar[tuple[str, ...]] = ("own",)
 
     def __init__(
         self,
@@ -229,13 +262,13 @@ class LaneIntegrator:
         return [{name: getattr(each, name) for name in sorted(PER_ARM)} for each in self._constants]
 
     def constants(self, arm: int) -> dict[str, Any]:
-        """Gives copies of the constants that an arm has of its own."""
+        """Return copies of the constants of one arm."""
         own = self.own[arm // ARMS_ABREAST]
         lane = () if self._alone else (..., arm % ARMS_ABREAST)
         return {name: values[lane].copy() for name, values in own.items()}
 
     def vary(self, arms: IntArray, constants: dict[str, Array]) -> None:
-        """Gives arms constants of their own."""
+        """Set constants of some arms."""
         groups, lanes = np.divmod(arms, ARMS_ABREAST)
         for group in np.unique(groups).tolist():
             some = groups == group
@@ -247,21 +280,21 @@ class LaneIntegrator:
                     target[..., lanes[some]] = np.moveaxis(values[some], 0, -1)
 
     def observe(self, arms: IntArray, rows: Array, outputs: Array) -> None:
-        """Reads the outputs of some arms, by a run of no steps."""
+        """Compute the outputs of some arms, by a run of zero steps."""
         self._observed[:] = layout.NOT_CONVERGED
         self._observed[arms] = layout.OK
         drives = np.zeros((len(rows), len(self._constants[0].mass) + 6))
         self._advance(drives, 0, rows, outputs, self._observed)
 
     def forget(self, arms: IntArray) -> None:
-        """Does nothing: these methods remember nothing from step to step."""
+        """Do nothing: these methods keep no memory from step to step."""
 
     def move(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
-        """Moves the arms whose status is OK."""
+        """Integrate the arms whose status is OK over one control period."""
         self._advance(drives, self._substeps, rows, outputs, status)
 
     def roll(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray, trail: Trail) -> None:
-        """Moves the arms whose status is OK through periods of drives (b, T, n + 6), in calls that are not too long."""
+        """Integrate the arms whose status is OK over several control periods, in kernel calls of bounded length."""
         if self._substeps > self._most:
             roll_by_periods(self, drives, periods, (rows, outputs, status), trail)
             return
@@ -273,14 +306,14 @@ class LaneIntegrator:
             trail[0][:, some], trail[1][:, some] = part
 
     def sense(self, drives: Array, rows: Array, result: Array) -> None:
-        """Finds the tip accelerations of all arms."""
+        """Compute the tip accelerations of all arms."""
         if self._alone:
-            accelerometer.sense_one(self._tables[0], self._work_tables[0], drives, rows, result)
+            kernels.sense_one(self._tables[0], self._work_tables[0], drives, rows, result)
             return
 
         def share(groups: slice, work: IntArray) -> Iterator[None]:
             arms = _arms(groups)
-            accelerometer.sense_arms(self._tables[groups], work, drives[arms], rows[arms], result[arms])
+            kernels.sense_arms(self._tables[groups], work, drives[arms], rows[arms], result[arms])
             yield
 
         self._share(share)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import count_parts, one_of, positive, value_error
 from flexman_gym.kernels import arms, implicit, layout, outputs, runge_kutta
-from flexman_gym.kernels.arms import address_table, sequences_array
+from flexman_gym.kernels.arguments import address_table, arms_array
 from flexman_gym.kernels.lanes import SEQUENCES
 from flexman_gym.kernels.layout import Clock, Constants, GeneralisedAlpha, IntArray, Tableau, Work, make_work
 from flexman_gym.model.model import Model
@@ -170,7 +171,7 @@ class Integrator:
         self._lanes: tuple[Constants, tuple[IntArray, ...]] | None = None
         least = LEAST_SEQUENCES if model.n_elastic else LEAST_RIGID
         if isinstance(method, LinearlyImplicit) and len(method.sequence) >= least:
-            self._abreast = make_work(model.constants, sequences_array)
+            self._abreast = make_work(model.constants, partial(arms_array, lanes=SEQUENCES.width))
             tables = address_table(self.constants, SEQUENCES), address_table(self._abreast, SEQUENCES)
             self._lanes = self.constants, (*tables, extrapolation_schedule(method.sequence, SEQUENCES.width))
 

@@ -36,7 +36,7 @@ class _LinkBodies(NamedTuple):
 
 
 class MuJoCoSimulator:
-    """A Double: each arm is a model of MuJoCo of its own.
+    """External simulator (see `simulation.resimulation`) in which each arm is a MuJoCo model.
 
     Its places and speeds are those of MuJoCo's bodies, exactly: no small angles.
     """

@@ -8,7 +8,7 @@ mass outboard of the link, so that loaded modes are recovered without a separate
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from flexman_gym.model.component_modes import outboard_inertias
 from flexman_gym.model.element import NODE_COORDINATES, beam_shapes, beam_slopes, find_element
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.batch_integrators import Trail, roll_by_periods
+from flexman_gym.simulation.batch_integrators import BatchIntegrator, Trail, roll_by_periods
 from flexman_gym.simulation.parameters import LINK, PARAMETERS
 
 Stations = Sequence[Array]  # places (s_i,) along each link, m, the last at its tip
@@ -41,58 +41,56 @@ class ArmShapes(NamedTuple):
 
 
 class ExternalSimulator(Protocol):
-    """What moves arms in place of a batch."""
+    """Simulator that integrates the arms of a batch in another way."""
 
     @property
     def stations(self) -> Stations:
-        """Of its shapes."""
-        ...
+        """Places along the links at which its shapes are given, m."""
 
     def start(self, arm: int, shape: Array, rate: Array, parameters: Mapping[str, Array]) -> None:
-        """Puts an arm with these physical parameters, by their name in PARAMETERS, into a shape."""
-        ...
+        """Start an arm with these physical parameters, by their name in PARAMETERS, at a shape."""
 
     def move(self, drives: Array, moving: Flags) -> Flags:
-        """Moves arms by a control period under drives (b, n + 6); says which of all arms are well."""
-        ...
+        """Integrate the flagged arms over a control period under drives (b, n + 6); return flags of success."""
 
     def read(self, arms: IntArray) -> ArmShapes:
-        """Says where arms are."""
-        ...
+        """Return the shapes of some arms."""
 
 
 class ExternalIntegrator:
-    """A mover, see `movers`, that lets a Double move the arms of a batch; `Batch.hand_over` takes it."""
+    """Batch integrator that has an external simulator integrate the arms; see `Batch.replace_integrator`.
 
-    kept = ()
+    The integrator that it replaces keeps the constants of the arms and computes outputs and tip accelerations.
+    """
 
-    def __init__(self, model: Model, mover: Any, double: ExternalSimulator) -> None:
-        self._model, self._mover, self._double = model, mover, double
+    kept: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, model: Model, integrator: BatchIntegrator, double: ExternalSimulator) -> None:
+        self._model, self._integrator, self._double = model, integrator, double
         self.into, self.back = shape_matrices(model, double.stations)
 
     def vary(self, arms: IntArray, constants: dict[str, Array]) -> None:
-        """Gives arms constants of their own; the double takes them at their next start."""
-        self._mover.vary(arms, constants)
+        """Set constants of some arms; the external simulator uses them from their next start on."""
+        self._integrator.vary(arms, constants)
 
     def constants(self, arm: int) -> dict[str, Any]:
-        """Gives copies of the constants that an arm has of its own."""
-        result: dict[str, Any] = self._mover.constants(arm)
-        return result
+        """Return copies of the constants of one arm."""
+        return self._integrator.constants(arm)
 
     def observe(self, arms: IntArray, rows: Array, outputs: Array) -> None:
-        """Starts the double where the rows of some arms are, and reads their outputs."""
+        """Start the external simulator at the rows of some arms, and compute their outputs."""
         d = self._model.n_dof
         for arm in arms.tolist():
-            own = parameters_from_constants(self._model, self._mover.constants(arm))
+            own = parameters_from_constants(self._model, self._integrator.constants(arm))
             shape, rate = (rows[arm, part] @ self.into for part in (slice(d), slice(d, 2 * d)))
             self._double.start(arm, shape, rate, own)
         self._read(arms, rows, outputs)
 
     def forget(self, arms: IntArray) -> None:
-        """Does nothing: a double begins where it is started."""
+        """Do nothing: an external simulator starts from the state that it is given."""
 
     def move(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
-        """Moves the arms whose status is OK."""
+        """Integrate the arms whose status is OK over one control period."""
         moving = status == layout.OK
         well = self._double.move(drives, moving)
         status[moving & ~well] = layout.DIVERGED
@@ -101,22 +99,22 @@ class ExternalIntegrator:
     def _read(self, arms: IntArray, rows: Array, outputs: Array) -> None:
         d, now = self._model.n_dof, self._double.read(arms)
         rows[arms, :d], rows[arms, d : 2 * d] = now.shapes @ self.back, now.rates @ self.back
-        self._mover.observe(arms, rows, outputs)
+        self._integrator.observe(arms, rows, outputs)
         tips = now.tips - outputs[arms, : layout.DEFLECTION_AT]  # the model's tip is no more than near the true one
         outputs[arms, : layout.DEFLECTION_AT] += tips
         outputs[arms, layout.DEFLECTION_AT : layout.KINETIC] += tips
 
     def roll(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray, trail: Trail) -> None:
-        """Moves the arms whose status is OK through periods of drives (b, T, n + 6)."""
+        """Integrate the arms whose status is OK over several control periods."""
         roll_by_periods(self, drives, periods, (rows, outputs, status), trail)
 
     def sense(self, drives: Array, rows: Array, result: Array) -> None:
-        """Finds the tip accelerations of all arms, as the model has them in this state."""
-        self._mover.sense(drives, rows, result)
+        """Compute the tip accelerations of all arms with the model of the batch in this state."""
+        self._integrator.sense(drives, rows, result)
 
 
 class RefinedSimulator:
-    """A Double: all coordinates of so many elements a section, foreshortening, and parts of the steps of a batch."""
+    """External simulator with all coordinates of finer elements, foreshortening, and shorter steps than the batch."""
 
     def __init__(self, batch: Batch, elements: int, parts: int) -> None:
         choice, steps = batch.model.choice, parts * batch.substeps
@@ -130,18 +128,18 @@ class RefinedSimulator:
         self._into, self._back = shape_matrices(model, self.stations)
 
     def start(self, arm: int, shape: Array, rate: Array, parameters: Mapping[str, Array]) -> None:
-        """Puts an arm into a shape."""
+        """Start an arm at a shape."""
         one = np.array([arm])
         self._batch.vary(one, **{name: np.asarray(values)[None] for name, values in parameters.items()})
         self._batch.reset(one, np.concatenate([shape @ self._back, rate @ self._back])[None])
 
     def move(self, drives: Array, moving: Flags) -> Flags:
-        """Moves arms by a control period."""
+        """Integrate the flagged arms over a control period."""
         self._batch.step(drives, moving)
         return self._batch.status == layout.OK
 
     def read(self, arms: IntArray) -> ArmShapes:
-        """Says where arms are."""
+        """Return the shapes of some arms."""
         places, speeds = np.split(self._batch.state[arms], 2, axis=1)
         return ArmShapes(places @ self._into, speeds @ self._into, self._batch.outputs[arms, : layout.DEFLECTION_AT])
 

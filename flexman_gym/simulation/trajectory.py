@@ -12,10 +12,9 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import positive, value_error, vector, whole_number
 from flexman_gym.common.time_series import write_columns
 from flexman_gym.kernels import layout
-from flexman_gym.model.linearization import UNITS, column_names
+from flexman_gym.model.linearization import UNITS, LinearReadings, column_names
 from flexman_gym.model.loads import FrameMotion, frame_motion, part_energies, section_forces
 from flexman_gym.model.model import Model
-from flexman_gym.simulation.readings import LinearReadings
 
 ENERGY_ALARM = 0.01  # of the energy turned over
 
@@ -113,7 +112,7 @@ class Trajectory:
 
     @property
     def readings(self) -> dict[str, Array]:
-        """What sensors of environments measure, (T, ...) by the names of `View`; UNITS of `simulation.readings`."""
+        """What sensors of environments measure, (T, ...) by the names of `View`; UNITS of `model.linearization`."""
         return LinearReadings(self.model).named(self.states)
 
     @cached_property

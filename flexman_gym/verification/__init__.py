@@ -1,1 +1,1 @@
-"""Verification: numbers that are known from elsewhere, beside what the package computes."""
+"""Verification: closed-form solutions beside the values that this package computes."""

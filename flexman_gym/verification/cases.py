@@ -1,189 +1,165 @@
-"""Verification cases: reference trajectories, conservation laws and a beam that is spun up, and the list of all
-cases.
-"""
+"""Verification cases with closed-form solutions: beams, stepped links, bars and elastic joints at rest."""
 
-from collections.abc import Iterator
-from dataclasses import replace
-from functools import cache
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.model.dynamics import mass_matrix
-from flexman_gym.model.model import scene_model
+from flexman_gym.model.beam import build_beam
+from flexman_gym.model.dynamics import frequencies, mass_matrix, stiffness_matrix
+from flexman_gym.model.model import build_model
 from flexman_gym.scene import catalog
 from flexman_gym.scene.arm import Arm, Payload
 from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link, NonUniformLink
-from flexman_gym.scene.scene import Initial, ModelChoice, Scene
-from flexman_gym.scene.signals import ConstantTorque, Signal
-from flexman_gym.simulation.scenes import simulate
-from flexman_gym.simulation.trajectory import Trajectory
-from flexman_gym.verification.beams import CASES, IDENTITY
-from flexman_gym.verification.table import VerificationRow
+from flexman_gym.verification.closed_forms import (
+    bar_eigenvalues,
+    beam_eigenvalues,
+    hub_eigenvalues,
+    joint_eigenvalues,
+    stepped_eigenvalues,
+)
+from flexman_gym.verification.table import VerificationRow, series_rows
 
-INDEPENDENT = "independent automatic-differentiation code"
-KANE = "two independent codes; case of Kane, Ryan and Banerjee (1987)"
-REFERENCES = ("paper_rr", "pendulum_1", "paper_fr", "paper_ff", "gravity_payload_ff", "spin_up_stiffened")
-QUICK_REFERENCES = REFERENCES[:2]
-
-
-def _motion_rows(reference: Path, quick: bool = False) -> Iterator[VerificationRow]:
-    """All rows, or those that take little time; `reference` is the folder of the reference scenes and solutions."""
-    for name in QUICK_REFERENCES if quick else REFERENCES:
-        yield from _trajectory_rows(reference, name)
-    yield from _spin_up_rows()
-    if not quick:
-        yield from _momentum_rows(reference)
-        yield from _effect_rows()
-        yield from _large_rotation_rows(reference)
+AXIAL, TWIST, BENDING_Y, BENDING_Z = (0,), (3,), (1, 5), (2, 4)  # coordinates of a node that move together
+UNIT_LOAD = "integrals of M m / EI (Gere and Timoshenko, Mechanics of Materials)"
+STEPPED = "closed form: two Euler-Bernoulli segments"
+BEAM = "closed form: Euler-Bernoulli beam"
+MECHANICS = "Gere and Timoshenko, Mechanics of Materials"
 
 
-def _trajectory_rows(reference: Path, name: str) -> Iterator[VerificationRow]:
-    """A reference scene against its solution, by the reference method; and its balance of work and energy."""
-    scene, expected = Scene.load(reference / f"{name}.json"), _solution(reference, name)
-    result = _motion(reference, name)
-    largest = np.abs(expected[:, -1]).max()
-    energy = np.abs(result.energy - expected[: len(result.time), -1]).max() / largest
-    residual = np.abs(result.energy_residual).max() / largest
-    yield VerificationRow(
-        f"{name}, largest distance of the tip, m", INDEPENDENT, 0.0, _farthest(result, expected), 1e-6
-    )
-    yield VerificationRow(
-        f"{name}, largest relative error of energy", INDEPENDENT, 0.0, _whole(result, scene, energy), 1e-6
-    )
-    yield VerificationRow(
-        f"{name}, work - dissipation - energy, relative", IDENTITY, 0.0, _whole(result, scene, residual), 1e-6
-    )
+def slender_link(length: float = 1.0, mass_per_length: float = 1.0, rigidity: float = 1.0, across: float = 1e4) -> Link:
+    """A link that bends in x-y with EI = rigidity, and across that plane with so many times more.
 
-
-def _momentum_rows(reference: Path) -> Iterator[VerificationRow]:
-    """Angular momentum about the vertical axis of the paper's arm, everything flexible: 400 t.
-
-    That of the links is conjugate to the first joint angle; the first rotor has its own, the others take no part.
+    Its radius of gyration is 1e-4 of its length, so that rotary inertia takes less than 1e-5 of a frequency.
     """
-    scene = Scene.load(reference / "paper_ff.json")
-    result, model = _motion(reference, "paper_ff"), scene_model(scene)
-    d, motor, rotor = model.n_dof, model.motor_columns[0], scene.arm.joints[0].rotor_inertia
-    gaps = []
-    for time, state in zip(result.time[::20], result.states[::20], strict=True):
-        momentum = mass_matrix(model, state)[0] @ state[d:] + rotor * state[d + motor]
-        gaps.append(abs(momentum - 400.0 * time) / (400.0 * scene.duration))
-    worst = _whole(result, scene, max(gaps))
-    yield VerificationRow("paper FF, angular momentum - 400 t, largest, of that at the end", IDENTITY, 0.0, worst, 1e-6)
+    area = 1e-8 * length**2
+    moment = area**2
+    modulus = rigidity / moment
+    return Link(length, area, across * moment, moment, across * moment, modulus, modulus, mass_per_length / area)
 
 
-def _large_rotation_rows(reference: Path) -> Iterator[VerificationRow]:
-    """The paper's flexible arm against a model of large rotations, with foreshortening and, not judged, without."""
-    expected = _solution(reference, "paper_ff_large_rotation")
-    source = "independent large-rotation code"
-    for name, stiffening, limits in (("with", True, (2e-3, 6e-3)), ("without", False, (None, None))):
-        result = _motion(reference, "paper_ff", stiffening)
-        for end, limit in zip((1.0, 2.0), limits, strict=True):
-            worst = _farthest(result, expected, int((expected[:, 0] < end + 1e-6).sum()))
-            yield VerificationRow(f"paper FF {name} foreshortening, tip within {end:g} s, m", source, 0.0, worst, limit)
+def link_frequencies(link: Link, elements: int, columns: Sequence[int], tip_mass: float = 0.0) -> Array:
+    """Frequencies in Hz of a clamped link in some of its node coordinates."""
+    model = build_model(Arm([link], [Joint((0.0, 0.0, 1.0))], Payload(tip_mass)), elements)
+    kept = node_columns(elements, columns)
+    mass, stiffness = mass_matrix(model, np.zeros(2 * model.n_dof)), stiffness_matrix(model)
+    flexibility = np.linalg.solve(stiffness[np.ix_(kept, kept)], mass[np.ix_(kept, kept)])
+    return np.sort(1.0 / np.sqrt(np.linalg.eigvals(flexibility).real)) / (2.0 * np.pi)
 
 
-def _spin_up_scene(stiffening: bool) -> Scene:
-    """A beam of 10 m whose joint is brought to 6 rad/s within 15 s: the rate is 6 (t/15 - sin(2 pi t/15)/(2 pi))."""
-    link = Link(10.0, 4e-4, 2e-7, 2e-7, 4e-7, youngs_modulus=7e10, shear_modulus=2.7e10, density=3000.0)
-    return Scene(
-        Arm([link], [Joint((0.0, 0.0, 1.0))]),
-        ModelChoice(True, elements=4, stiffening=stiffening),
-        ConstantTorque([0.0]),
-        Initial([0.0], [0.0]),
-        duration=20.0,
-        output_step=0.01,
-        prescribed=[Signal(0.4, 0.4, 1.0 / 15.0, -np.pi / 2.0, stop=15.0)],
+def node_columns(elements: int, coordinates: Sequence[int]) -> Array:
+    """Columns of x that hold some node coordinates of every node of the only link, behind a rigid joint."""
+    return np.array([1 + 6 * node + each for node in range(elements) for each in coordinates])
+
+
+def bar_scale(link: Link, columns: Sequence[int]) -> float:
+    """c / (2 pi L) in Hz: of stretch, or of twist with the polar moment I_y + I_z."""
+    modulus, moments = link.youngs_modulus, link.second_moment_y + link.second_moment_z
+    if columns == TWIST:
+        modulus = link.shear_modulus * link.torsion_constant / moments
+    return float(np.sqrt(modulus / link.density) / (2.0 * np.pi * link.length))
+
+
+def stepped_link(place: float, thickness_ratio: float) -> NonUniformLink:
+    """A strip of 1 m that bends in x-y with EI 1 N m^2 and has 1 kg/m up to a place, and is thinner from there on.
+
+    EI goes with the cube of its thickness, the mass with the thickness; across it is 100 times as high as thick.
+    """
+    sections = []
+    for length, thickness in ((place, 1e-5), (1.0 - place, 1e-5 * thickness_ratio)):
+        height, modulus, density = 1e-3, 12e18, 1e8
+        area, about_y, about_z = height * thickness, thickness * height**3 / 12.0, height * thickness**3 / 12.0
+        sections.append(Link(length, area, about_y, about_z, about_y, modulus, modulus, density))
+    return NonUniformLink(sections)
+
+
+def _cantilever_rows() -> Iterator[VerificationRow]:
+    """lambda = omega sqrt(rho A L^4 / EI) without and with a mass at the tip, 24 elements."""
+    link = slender_link()
+    for ratio in (0.0, 0.1, 0.5, 1.0, 5.0):
+        result = 2.0 * np.pi * link_frequencies(link, 24, BENDING_Y, ratio)[:3]
+        name = f"cantilever, tip mass / beam mass {ratio:g}" if ratio else "cantilever"
+        yield from series_rows(name + ", lambda_{}", BEAM, beam_eigenvalues(3, ratio), result, 2e-5)
+
+
+def _hub_rows() -> Iterator[VerificationRow]:
+    """Elastic lambda of a beam that turns freely with a hub, 32 elements."""
+    for ratio in (0.0, 0.1, 1.0):
+        model = build_model(Arm([slender_link()], [Joint((0.0, 0.0, 1.0), ratio)]), 32)
+        result = 2.0 * np.pi * frequencies(model)[1:4]
+        name = f"free hub, J / (rho A L^3) {ratio:g}, lambda_{{}}"
+        yield from series_rows(name, BEAM, hub_eigenvalues(3, ratio), result, 2e-5)
+
+
+def _static_rows() -> Iterator[VerificationRow]:
+    """Tip of link 2 of the paper's arm as a cantilever of two elements under unit loads and its own weight."""
+    link = catalog.paper_rrr().links[1].sections[0]
+    beam, length, mass = build_beam(link, 2), link.length, link.mass
+    bending, twisting = link.youngs_modulus * link.second_moment_z, link.shear_modulus * link.torsion_constant
+    weight = sum(m * shape[1] for m, shape in zip(beam.masses, beam.shapes, strict=True)) / mass  # 1 N along the link
+    deflection, rotation = beam.tip_translation[1], beam.tip_rotation
+    cases = (
+        ("P L^3 / 3 EI, m/N", deflection, deflection, length**3 / (3.0 * bending)),
+        ("P L^2 / 2 EI, rad/N", rotation[2], deflection, length**2 / (2.0 * bending)),
+        ("M L^2 / 2 EI, 1/N", deflection, rotation[2], length**2 / (2.0 * bending)),
+        ("w L^4 / 8 EI with w L = 1 N, m/N", deflection, weight, length**3 / (8.0 * bending)),
+        ("T L / G J, rad/(N m)", rotation[0], rotation[0], length / twisting),
     )
-
-
-def _spin_up_rows() -> Iterator[VerificationRow]:
-    """Lag of the tip behind the turning frame, and stretch at the end; without foreshortening the beam diverges."""
-    result = simulate(_spin_up_scene(stiffening=True), method="ros2", step=0.002)
-    cosine, sine = np.cos(result.joint_angles[:, 0]), np.sin(result.joint_angles[:, 0])
-    lag = sine * result.deflection[:, 0] - cosine * result.deflection[:, 1]
-    stretch = cosine * result.deflection[:, 0] + sine * result.deflection[:, 1]
-    steady, peak = result.time > 15.0, int(np.argmax(lag))
-    yield VerificationRow("spin-up to 6 rad/s, peak lag of the tip, m", KANE, 0.5739, lag[peak], 5e-3)
-    yield VerificationRow("spin-up to 6 rad/s, time of the peak, s", KANE, 6.76, result.time[peak], 0.05 / 6.76)
-    yield VerificationRow("spin-up to 6 rad/s, steady stretch, m", KANE, 5.143e-4, stretch[steady].mean(), 5e-3)
-    yield VerificationRow("spin-up to 6 rad/s, residual lag, m", KANE, 3.7e-3, np.abs(lag[steady]).max(), 0.05)
-    linear = simulate(_spin_up_scene(stiffening=False), method="ros2", step=0.002)
-    diverged = float(linear.status == "diverged")
-    yield VerificationRow("spin-up to 6 rad/s without foreshortening, 1 for a divergence", KANE, 1.0, diverged, 0.0)
-
-
-def _effect_rows() -> Iterator[VerificationRow]:
-    """How far each modelling choice moves the tip of the paper's arm, everything flexible, within 2 s; not judged."""
-    scene = catalog.paper_scene("ff")
-    body = Payload(5.0, inertia=((0.5, 0.0, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, 0.5)), offset=(0.2, 0.0, 0.0))
-    joints = [replace(joint, viscous_friction=5.0, coulomb_friction=20.0) for joint in scene.arm.joints]
-    first, second, third = scene.arm.links
-    (part,) = second.sections
-    tapered = [replace(part, length=2.0, area=factor * part.area, second_moment_y=factor**2 * part.second_moment_y,
-                       second_moment_z=factor**2 * part.second_moment_z,
-                       torsion_constant=factor**2 * part.torsion_constant) for factor in (1.2, 0.8)]  # fmt: skip
-    pulse, still = Signal(100.0, start=0.5, stop=0.6), Signal()
-    loaded, carrying = (replace(scene, arm=replace(scene.arm, payload=each)) for each in (Payload(5.0), body))
-    links = [first, NonUniformLink(tapered), third]
-    changes = {
-        "foreshortening": (scene, _chosen(scene, stiffening=True)),
-        "no rotary inertia of sections": (scene, _chosen(scene, rotary_inertia=False)),
-        "rotors as spinning bodies": (scene, _chosen(scene, spinning_rotors=True)),
-        "friction of 5 N m s/rad and 20 N m": (scene, replace(scene, arm=replace(scene.arm, joints=joints))),
-        "a payload of 5 kg": (scene, loaded),
-        "0.5 kg m^2 and 0.2 m of offset in that payload": (loaded, carrying),
-        "100 N upward on the tip for 0.1 s": (scene, replace(scene, tip_force=[still, still, pulse])),
-        "0.1 m/s^2 of the base upward": (scene, replace(scene, base_acceleration=[still, still, Signal(0.1)])),
-        "link 2 of two sections, 20 % more and less area": (scene, _tapered(scene, links)),
-    }
-    for name, (before, after) in changes.items():
-        pair = [simulate(each, rtol=1e-7, atol=1e-9) for each in (before, after)]
-        moved = _whole(pair[1], after, float(np.linalg.norm(pair[1].tip - pair[0].tip, axis=1).max()))
+    for name, answer, load, expected in cases:
         yield VerificationRow(
-            f"paper FF, what moves the tip within 2 s, m: {name}", "with and without", 0.0, moved, None
+            f"tip under load, {name}", MECHANICS, expected, answer @ np.linalg.solve(beam.stiffness, load), 1e-9
         )
 
 
-def _chosen(scene: Scene, **choice: bool) -> Scene:
-    return replace(scene, model=replace(scene.model, **choice))
+def _stepped_rows() -> Iterator[VerificationRow]:
+    """Tip under a unit load, and lambda = omega sqrt(rho A L^4 / EI) of the inboard segment, 16 elements a segment."""
+    for place, ratio in ((0.5, 0.5), (0.3, 0.7)):
+        link, rigidity, outboard = stepped_link(place, ratio), ratio**3, 1.0 - place
+        beam = build_beam(link, 1)
+        bent = np.linalg.solve(beam.stiffness, beam.tip_translation[1])
+        name = f"cantilever stepped at {place:g} L to {ratio:g} of its thickness"
+        deflection = (1.0 - outboard**3 + outboard**3 / rigidity) / 3.0
+        slope = (1.0 - outboard**2 + outboard**2 / rigidity) / 2.0
+        yield VerificationRow(
+            f"{name}, tip under load, m/N", UNIT_LOAD, deflection, beam.tip_translation[1] @ bent, 1e-9
+        )
+        yield VerificationRow(f"{name}, slope of the tip, rad/N", UNIT_LOAD, slope, beam.tip_rotation[2] @ bent, 1e-9)
+        model = build_model(Arm([link], [Joint((0.0, 0.0, 1.0))]), 16, rotary_inertia=False)
+        result = 2.0 * np.pi * frequencies(model, lock_joints=True)[:3]
+        expected = stepped_eigenvalues(3, place, rigidity, ratio)
+        yield from series_rows(f"{name}, lambda_{{}}", STEPPED, expected, result, 2e-5)
 
 
-def _tapered(scene: Scene, links: list[Link | NonUniformLink]) -> Scene:
-    """The scene with other links, of which the second has two sections of one element each."""
-    return replace(scene, arm=replace(scene.arm, links=links), model=replace(scene.model, elements=(2, 1, 2)))
+def _bar_rows() -> Iterator[VerificationRow]:
+    """Axial and torsional cantilever frequencies in Hz of link 3 of the paper's arm, 24 linear elements."""
+    link = catalog.paper_rrr().links[2].sections[0]
+    for name, columns in (("axial", AXIAL), ("torsional", TWIST)):
+        scale = bar_scale(link, columns)
+        result = link_frequencies(link, 24, columns)
+        yield from series_rows(
+            f"{name} f_{{}}, link 3, Hz", "closed form: bar", scale * bar_eigenvalues(2), result[:2], 2e-3
+        )
 
 
-@cache
-def _motion(reference: Path, name: str, stiffening: bool = False) -> Trajectory:
-    """A reference scene by the reference method, as it asks or with foreshortening."""
-    scene = Scene.load(reference / f"{name}.json")
-    chosen = replace(scene, model=replace(scene.model, stiffening=stiffening or scene.model.stiffening))
-    return simulate(chosen, rtol=1e-8, atol=1e-10)
+def _elastic_joint_rows() -> Iterator[VerificationRow]:
+    """A flexible link on a spring and a rotor, Hz: L 0.7 m, 4 kg/m, EI 0.6 N m^2, K 100 N m/rad, J 1 kg m^2."""
+    length, density, rigidity, stiffness, rotor = 0.7, 4.0, 0.6, 100.0, 1.0
+    scale = np.sqrt(rigidity / density) / (2.0 * np.pi * length**2)
+    link, joint = slender_link(length, density, rigidity), Joint((0.0, 0.0, 1.0), rotor, stiffness)
+    for tip in (0.0, 2.0):
+        model = build_model(Arm([link], [joint], Payload(tip)), 32)
+        for name, ratio in (("free", rotor / (density * length**3)), ("clamped", None)):
+            clamped = ratio is None
+            result = frequencies(model, lock_joints=clamped)[0 if clamped else 1 :][:3]
+            lambdas = joint_eigenvalues(3, stiffness * length / rigidity, ratio, tip / (density * length))
+            case = f"flexible link on elastic joint, rotor {name}, tip {tip:g} kg, f_{{}}, Hz"
+            yield from series_rows(case, "closed form: beam, spring, rotor", scale * lambdas, result, 2e-5)
 
 
-def _solution(reference: Path, name: str) -> Array:
-    """Rows of a reference solution: time, tip, joint angles ..."""
-    return np.loadtxt(reference / f"{name}.csv", delimiter=",", skiprows=1)
+CLOSED_FORMS = (_cantilever_rows, _hub_rows, _static_rows, _stepped_rows, _bar_rows, _elastic_joint_rows)
 
 
-def _farthest(result: Trajectory, expected: Array, until: int | None = None) -> float:
-    """Largest distance of the tip, m; infinite when the run ended early."""
-    if result.status != "ok" or len(result.time) != len(expected):
-        return np.inf
-    return float(np.linalg.norm(result.tip - expected[:, 1:4], axis=1)[:until].max())
-
-
-def _whole(result: Trajectory, scene: Scene, value: float) -> float:
-    """The value of a run that went to the end of its scene; infinite of one that did not."""
-    return float(value) if result.status == "ok" and np.isclose(result.time[-1], scene.duration) else np.inf
-
-
-REFERENCE = Path(__file__).parent / "reference"  # scenes, and solutions of independent codes
-
-
-def rows(reference: Path, quick: bool = False) -> list[VerificationRow]:
-    """All rows, or those that take little time; `reference` is the folder of the reference scenes and solutions."""
-    return [row for case in CASES for row in case()] + list(_motion_rows(reference, quick))
+def closed_form_rows() -> list[VerificationRow]:
+    """Return the rows of all closed forms; they take a few seconds once the kernels are compiled."""
+    return [row for case in CLOSED_FORMS for row in case()]

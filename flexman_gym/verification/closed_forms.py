@@ -91,27 +91,6 @@ def stepped_eigenvalues(count: int, place: float, rigidity_ratio: float, mass_ra
     return _first_squared_roots(characteristic, count, np.arange(0.05, (count + 2) * np.pi, 0.01) / phase)
 
 
-def rayleigh_eigenvalues(count: int, gyration_ratio: float) -> Array:
-    """First lambda (count,) of a cantilever with the rotary inertia of its sections; s = gyration_ratio = I / (A L^2).
-
-    w'''' + lambda^2 s w'' - lambda^2 w = 0 with w = w' = 0 at the base, w'' = 0 and w''' + lambda^2 s w' = 0 at the
-    tip. So w consists of cos a x - cosh c x and sin a x / a - sinh c x / c, with a^2, c^2 = sqrt(lambda^4 s^2 / 4 +
-    lambda^2) +- lambda^2 s / 2. While s lambda is small, each root is a little below that of `beam_eigenvalues`.
-    """
-
-    def characteristic(eigenvalue: float) -> float:
-        half = eigenvalue**2 * gyration_ratio / 2.0
-        root = np.hypot(half, eigenvalue)
-        a, c = np.sqrt(root + half), np.sqrt(root - half)
-        moment = -(a**2) * np.cos(a) - c**2 * np.cosh(c), -a * np.sin(a) - c * np.sinh(c)
-        first = a**3 * np.sin(a) - c**3 * np.sinh(c) + 2.0 * half * moment[1]
-        second = moment[0] + 2.0 * half * (np.cos(a) - np.cosh(c))
-        return float(moment[0] * second - moment[1] * first)
-
-    slender = beam_eigenvalues(count)
-    return np.array([brentq(characteristic, 0.8 * each, 1.001 * each, xtol=1e-13) for each in slender])
-
-
 def bar_eigenvalues(count: int, elements: int | None = None) -> Array:
     """First omega L / c (count,) of a bar clamped at one end; c = sqrt(E / rho), in torsion sqrt(G J / rho I_p).
 

@@ -1,4 +1,4 @@
-"""Verification table: rows of expected and computed values, their verdicts, and the table as text, page and JSON."""
+"""Verification table: rows of expected and computed values, their verdicts, and the table as text and JSON."""
 
 import json
 import math
@@ -6,8 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from flexman_gym.common.computer import computer_info, computer_text
-from flexman_gym.common.markdown import markdown_table
+from flexman_gym.common.computer import computer_info
 
 COLUMNS = ("case", "source", "expected", "computed", "error", "tolerance", "verdict")
 PASS, FAIL, SHOWN = "pass", "fail", "shown"
@@ -15,14 +14,14 @@ PASS, FAIL, SHOWN = "pass", "fail", "shown"
 
 @dataclass(frozen=True)
 class VerificationRow:
-    """One number that is known from elsewhere, and what this package computes.
+    """An expected value from an independent source, and the value that this package computes.
 
     Attributes:
-        case: what the number is, with its unit.
-        source: who says what is expected.
-        expected: the number.
-        computed: by this package.
-        tolerance: the largest error that passes; None for a row that is shown and not judged.
+        case: the quantity, with its unit.
+        source: origin of the expected value.
+        expected: value from the source.
+        computed: value from this package.
+        tolerance: the largest error that passes; None for a row that is shown without a verdict.
     """
 
     case: str
@@ -62,14 +61,8 @@ def series_rows(
     return [VerificationRow(case.format(i), source, float(e), float(c), tolerance) for i, (e, c) in pairs]
 
 
-def printed_row(case: str, source: str, text: str, computed: float) -> VerificationRow:
-    """A row whose expected value was printed with a few digits: the tolerance is half a unit of the last one."""
-    expected, unit = float(text), 10.0 ** -len(text.partition(".")[2])
-    return VerificationRow(case, source, expected, float(computed), 0.5001 * unit / abs(expected))
-
-
 def exit_code(rows: Sequence[VerificationRow]) -> int:
-    """1 when a row fails, or when there is none; else 0."""
+    """Return 1 when a row fails, or when there is no row; else 0."""
     return int(not rows or any(row.verdict == FAIL for row in rows))
 
 
@@ -78,42 +71,25 @@ RULE = (
     'A row without a tolerance is shown and not judged. "Closed form" is solved by the command itself.'
 )
 SUMMARY = "{passed} of {judged} rows pass, {failed} fail. Another {shown} are shown without a verdict."
-PAGE = """# Verification
-
-{summary} What is known from elsewhere stands beside what this package computes: closed forms, published values and
-independent codes. A row that fails makes `make verify` fail, which writes this page anew.
-
-{rule}
-
-Computed with {machine}.
-
-{table}
-"""
 
 
-def _summary(rows: Sequence[VerificationRow]) -> str:
-    """How many rows pass, fail and are only shown."""
+def summary(rows: Sequence[VerificationRow]) -> str:
+    """Return one line with the numbers of rows that pass, fail, and are only shown."""
     count = Counter(row.verdict for row in rows)
     passed, failed = count[PASS], count[FAIL]
     return SUMMARY.format(passed=passed, judged=passed + failed, failed=failed, shown=count[SHOWN])
 
 
 def text_table(rows: Sequence[VerificationRow]) -> str:
-    """The rows for a terminal."""
+    """Return the rows as a table for a terminal."""
     lines = [list(COLUMNS), *(row.cells() for row in rows)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(COLUMNS))]
     texts = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
-    return "\n".join([*(text.rstrip() for text in texts), _summary(rows)])
-
-
-def markdown_page(rows: Sequence[VerificationRow]) -> str:
-    """A page with all rows, without a date, so that it changes only when a number does."""
-    lines = markdown_table(COLUMNS, (row.cells() for row in rows))
-    return PAGE.format(summary=_summary(rows), rule=RULE, machine=computer_text(), table="\n".join(lines))
+    return "\n".join([*(text.rstrip() for text in texts), summary(rows)])
 
 
 def as_json(rows: Sequence[VerificationRow]) -> str:
-    """All rows with machine and versions; a number that is not finite is null."""
+    """Return all rows with computer and versions as JSON; a number that is not finite is null."""
     clean = [{name: _finite(value) for name, value in row.values().items()} for row in rows]
     return json.dumps({"machine": computer_info(), "rule": RULE, "rows": clean}, indent=1, allow_nan=False) + "\n"
 

@@ -90,7 +90,7 @@ def test_a_run_that_was_interrupted_before_its_first_rollout_goes_on(tmp_path, m
     train(RUNS["ppo"], tmp_path / "whole", progress=False)
     with monkeypatch.context() as patch:
         patch.setattr(
-            "flexman_agents.training.open_curves",
+            "flexman_agents.training.open_logger",
             lambda *where: (os.kill(os.getpid(), signal.SIGINT), open_logger(*where))[1],
         )
         with pytest.raises(Interrupted, match="stopped after 0 steps"):

@@ -35,7 +35,7 @@ KINDS = {
 def test_a_name_makes_the_controller_of_that_name(name, kind):
     result = make_base(name, plant())
     assert type(result) is kind
-    assert ("true state" in BASES[name].knows) == ("state" in result.sensors), "who reads the state knows it"
+    assert ("true state" in BASES[name].information) == ("state" in result.sensors), "who reads the state knows it"
 
 
 def test_a_mapping_gives_arguments_in_place_of_what_is_usual():

@@ -25,8 +25,8 @@ from flexman_gym.control.observers.kalman_filter import (
 )
 from flexman_gym.control.observers.observer import BIAS, make_measurement_model
 from flexman_gym.envs.config.setup import build, setup_of
+from flexman_gym.model.linearization import LinearReadings
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.readings import LinearReadings
 
 from oracles.assertions import refusal
 from oracles.observed_arms import ALL, POSTURES, World, plant, random_actions

@@ -274,7 +274,7 @@ def test_it_starts_where_its_encoders_say_and_is_told_no_more():
             action = lqg.act(world.readings(), world.last, np.ones(3, dtype=bool))
             world.step(action)
         actions.append(action)
-    assert np.array_equal(*actions) and BASES["lqg"].knows == ("model",)
+    assert np.array_equal(*actions) and BASES["lqg"].information == ("model",)
     assert set(lqg.sensors) == {"motor_encoders", "joint_encoders", "strain"}
 
 

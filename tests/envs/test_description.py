@@ -160,7 +160,7 @@ def test_changes_may_be_whole_only_together():
         ({"task": 3}, "task: 3 is not allowed; give one of slew, track, hold, or a mapping with"),
         ({"task": "reach"}, "task: 'reach' is not allowed; give one of slew, track"),
         ({"task": {"kind": "slew", "goal": 1}}, "task: 'goal' is not allowed; give one of start, slew"),
-        ({"arm": "puma"}, "arm: 'puma' is not allowed; give one of paper_rrr, planar_2r"),
+        ({"arm": "puma"}, "arm: 'puma' is not allowed; give one of de_luca_siciliano, flexarm_rome"),
         ({"arm": 3}, "arm: 3 is not allowed; give an Arm, a mapping, a file"),
         ({"arm": {"catalog": "paper_rrr", "payload": {"mas": 1}}}, "arm.payload.mas: 1 is not allowed; give only the"),
         ({"arm": {"catalog": "vertical_2r", "color": 1}}, "arm: "),

@@ -55,8 +55,8 @@ def test_an_arm_may_be_named_wherever_one_is_taken(tmp_path):
     scene.save(tmp_path / "scene.json")
     assert find_arm(str(tmp_path / "scene.json")) == find_arm(json.loads(json.dumps(asdict(arm)))) == arm
     for value, line in (
-        (3, "arm: 3 is not allowed; give an Arm, a mapping, a file, or a name in the catalog: paper_rrr"),
-        ("planar", "arm: 'planar' is not allowed; give one of paper_rrr, planar_2r"),
+        (3, "arm: 3 is not allowed; give an Arm, a mapping, a file, or a name in the catalog: de_luca_siciliano"),
+        ("planar", "arm: 'planar' is not allowed; give one of de_luca_siciliano, flexarm_rome"),
         ({"catalog": "one_link", "links": 2}, "arm: {'links': 2} is not allowed; give what one_link takes"),
     ):
         assert refusal(lambda value=value: find_arm(value)).startswith(line)

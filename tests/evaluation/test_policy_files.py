@@ -84,11 +84,11 @@ def test_the_league_is_told_of_it_what_it_is_told_of_a_run(folder):
 def test_what_its_base_knows_it_needs_too(tmp_path):
     told = Description.from_dict({"id": "FlexPlanar-v0", "base": "privileged-lqr", "sensors": "lab", "horizon": 1.0})
     write_policy(tmp_path, *made.made_up(told))
-    assert required_information(str(tmp_path)) == ("training", *BASES["privileged-lqr"].knows)
+    assert required_information(str(tmp_path)) == ("training", *BASES["privileged-lqr"].information)
     about, arrays = made.made_up(told)
     about["recipe"]["settings"]["base_in_use"] = "adaptive-lqr"
     write_policy(tmp_path, about, arrays)
-    assert required_information(str(tmp_path)) == ("training", *BASES["adaptive-lqr"].knows), (
+    assert required_information(str(tmp_path)) == ("training", *BASES["adaptive-lqr"].information), (
         "that in use takes its place"
     )
 

@@ -9,7 +9,7 @@ from numba.core.runtime import _nrt_python, rtsys
 
 import flexman_gym as fm
 from flexman_gym import kernels
-from flexman_gym.kernels import accelerometer, dynamics, inverse, layout, outputs
+from flexman_gym.kernels import dynamics, inverse, layout, outputs
 
 from oracles.files import ROOT
 from oracles.small_package import CALL, copied, run
@@ -86,7 +86,7 @@ def test_accelerations_allocate_no_more_for_a_longer_arm(links, counting):
         (dynamics.accelerations, (x, x, torque, out)),
         (inverse.inertial_forces, (x, x, x, out)),
         (outputs.observe, (x, x, row)),
-        (accelerometer.tip_accelerations, (x, x, torque, row)),
+        (outputs.tip_accelerations, (x, x, torque, row)),
     ):
         kernel(model.constants, work, *arguments)
         blocks, objects = allocations(lambda k=kernel, a=arguments: k(model.constants, work, *a))

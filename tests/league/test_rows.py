@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import flexman_gym.league.rows as league
+from flexman_gym.control.base_controllers import BASES
 from flexman_gym.control.references.optimised_slews import SHIPPED, SlewTable
 from flexman_gym.envs.config.description import Description
 from flexman_gym.evaluation import METRICS, agent_info, rollout
@@ -250,11 +251,11 @@ def test_files_that_are_no_league_are_refused_in_one_line(tmp_path, rows, cells,
     assert book_of(tmp_path).rows == book_of(tmp_path).cells == {}
 
 
-def test_an_entrant_without_words_is_refused_before_anything_is_played(venue, tmp_path, monkeypatch):
-    monkeypatch.delitem(agent_info.DESCRIPTIONS, "pd")
-    monkeypatch.setattr(league, "run_cells", lambda *given: pytest.fail("a cell was played"))
-    line = refusal(run_league, ["zero", "pd"], [venue], SEEDS, tmp_path / "league")
-    assert line.startswith("entrant: 'pd' is not allowed; give one that ABOUT describes: zero, random, ")
+def test_a_controller_without_a_description_fails_at_import():
+    """The entry of BASES is constructed when its module is imported."""
+    entry = BASES["pd"]
+    with pytest.raises(TypeError, match="description"):
+        type(entry)(entry.make, entry.information, entry.takes)
 
 
 def test_who_cannot_play_says_why(venue):

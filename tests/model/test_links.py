@@ -12,7 +12,7 @@ import flexman_gym as fm
 from flexman_gym.model.beam import build_beam
 from flexman_gym.model.dynamics import stiffness_matrix
 from flexman_gym.scene.link import IDENTITY
-from flexman_gym.verification.beams import stepped_link
+from flexman_gym.verification.cases import stepped_link
 
 from oracles.chains import QUICK, random_link, samples
 from oracles.ritz import beam_eigenvalues

@@ -5,10 +5,9 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
-from flexman_gym.verification.cases import REFERENCE
-
 ROOT = Path(__file__).parents[2]
 SCRIPTS = ROOT / "scripts"
+REFERENCE = SCRIPTS / "studies" / "verification" / "reference"  # scenes, and solutions of independent codes
 __all__ = ["REFERENCE", "ROOT", "SCRIPTS", "command"]
 
 

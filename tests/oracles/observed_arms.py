@@ -6,10 +6,10 @@ from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.observers.observer import make_measurement_model
 from flexman_gym.envs.config.setup import build, setup_of
 from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.model.linearization import INSTRUMENTS, LinearReadings
 from flexman_gym.model.statics import rest_states
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.parameters import PARAMETERS, UNCERTAIN
-from flexman_gym.simulation.readings import INSTRUMENTS, LinearReadings
 
 SMALL = {"elements": 1, "modes": 1}
 

@@ -1,7 +1,11 @@
 """Catalog: the named arms and scenes are those of their sources."""
 
+import ast
+import inspect
 import math
+import pickle
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -10,7 +14,7 @@ import flexman_gym as fm
 from flexman_gym.scene.arm import Payload
 from flexman_gym.scene.catalog import one_link, paper_rrr, paper_scene, planar_2r
 from flexman_gym.scene.scene import Scene
-from flexman_gym.verification.beams import published_rows
+from flexman_gym.scene.serialization import ARM_FOLDER, ARMS, find_arm
 
 from oracles.assertions import refusal
 from oracles.files import REFERENCE, ROOT
@@ -125,9 +129,88 @@ def test_one_stage_is_both_with_the_second_locked():
     assert "1 to 2" in refusal(fm.catalog.quanser_2dsfl, 3)
 
 
-def test_published_frequencies_are_those_of_the_catalog():
-    rows = list(published_rows())
-    assert len(rows) == 12
-    assert [row.case for row in rows if row.verdict == "fail"] == []
-    shown = [row for row in rows if row.tolerance is None]
-    assert len(shown) == 1 and shown[0].error < 0.03
+def test_one_stage_carries_the_second_as_one_rigid_body():
+    """The payload of the file with one stage, from strip 2 and its payload: mass, centre and inertia about it."""
+    both, payload = fm.catalog.quanser_2dsfl(), fm.catalog.quanser_2dsfl(1).payload
+    strip, tool = both.links[1], both.payload
+    mass = strip.mass + tool.mass
+    centre = (strip.mass / 2.0 + tool.mass) * strip.length / mass
+    about = strip.mass * strip.length**2 / 3.0 + 0.00644 - mass * centre**2  # 0.00644 kg m^2, of the tool about joint 2
+    assert (payload.mass, *payload.offset) == pytest.approx((mass, centre, 0.0, 0.0), rel=1e-12)
+    assert payload.inertia == pytest.approx(about * np.eye(3), rel=1e-12)
+    assert tool.inertia == pytest.approx((0.00644 - 0.157 * 0.20185**2) * np.eye(3), rel=1e-12)
+    block = fm.Link.strip(0.155, 0.0762, 1.3673 / (0.155 * 0.0762 * 2700.0), "y", (70e9, 26e9, 2700.0))
+    given, computed = vars(both.links[0].sections[1]), vars(block)
+    sizes = [name for name, value in computed.items() if isinstance(value, float)]
+    assert [given[name] for name in sizes] == pytest.approx([computed[name] for name in sizes], rel=1e-12)
+    assert given["outline"] == computed["outline"]
+
+
+@pytest.mark.parametrize(
+    ("name", "width", "thickness"),
+    [("planar_2r", 0.040, 0.003), ("vertical_2r", 0.040, 0.005), ("one_joint", 0.030, 0.002)],
+)
+def test_strips_of_the_examples_have_the_section_of_their_sizes(name, width, thickness):
+    for link in getattr(fm.catalog, name)().links:
+        stiff, soft = thickness * width**3 / 12.0, width * thickness**3 / 12.0
+        torsion = width * thickness**3 * (1.0 - 0.63 * thickness / width) / 3.0
+        across = (soft, stiff) if name == "vertical_2r" else (stiff, soft)
+        given = link.area, link.second_moment_y, link.second_moment_z, link.torsion_constant
+        assert given == pytest.approx((width * thickness, *across, torsion), rel=1e-12, abs=0.0)
+
+
+def test_published_arms_have_the_published_mass_and_stiffness():
+    """kg/m and N m^2 in the plane, and what follows from them."""
+    rome, beam = fm.catalog.flexarm_rome(), fm.catalog.nasa_beam()
+    density = 3.0 * (0.303 - 6.35e-4) / 0.7**3  # of link 2, whose inertia about its joint is published with the hub's
+    slender = [(each, 0.2, 1.0) for each in fm.catalog.de_luca_siciliano().links]
+    for link, mass, rigidity in [*slender, (beam.links[0], 2.82, 100.642), (rome.links[1], density, 2.29)]:
+        assert link.density * link.area == pytest.approx(mass, rel=1e-12)
+        assert link.youngs_modulus * link.second_moment_z == pytest.approx(rigidity, rel=1e-12)
+        assert link.second_moment_y == link.torsion_constant == pytest.approx(1e4 * link.second_moment_z, rel=1e-12)
+    assert beam.payload.mass == pytest.approx(5.18 * 2.82 * 3.372, rel=1e-12)
+    first = rome.links[0]
+    assert rome.joints[0].rotor_inertia + first.mass * first.length**2 / 3.0 == pytest.approx(0.447, rel=1e-12)
+    rotors = [joint.rotor_inertia for joint in fm.catalog.gifu_2link().joints]
+    assert rotors == pytest.approx([100.0**2 * each for each in (6e-4, 3.7e-5, 8.4e-6)], rel=1e-12)
+
+
+def test_options_of_a_named_arm_change_what_they_name():
+    arm, joint = paper_rrr(), paper_rrr().joints[1]
+    changed = paper_rrr("corrected", joint_damping=2.0, torque_limit=40.0, gravity=(0, 0, -1), modal_damping_ratio=0.01)
+    assert changed.joints[1] == replace(joint, damping=2.0, torque_limit=40.0)
+    assert changed.links == (replace(arm.links[0], area=0.0028), *arm.links[1:])
+    assert changed == replace(
+        arm, links=changed.links, joints=changed.joints, gravity=(0, 0, -1), modal_damping_ratio=0.01
+    )
+    assert one_link((0, 1, 0)).joints[0].axis == (0.0, 1.0, 0.0)
+    assert fm.catalog.vertical_2r().payload == fm.catalog.TOOL and fm.catalog.vertical_2r(None).payload is None
+    assert fm.catalog.one_joint().payload == fm.catalog.LIGHT_TOOL
+    assert refusal(lambda: planar_2r(rotor_inertia=-1.0)).startswith("Joint.rotor_inertia: -1.0 is not allowed; ")
+
+
+def test_a_wrong_option_is_answered_with_those_of_the_arm():
+    line = (
+        r"^vertical_2r\(\) .*'stiffness'; give payload, gravity, stiffness_proportional_damping, modal_damping_ratio$"
+    )
+    with pytest.raises(TypeError, match=line):
+        fm.catalog.vertical_2r(stiffness=3.0)
+    with pytest.raises(TypeError, match=r"^nasa_beam\(\) .*'gravity'; give no arguments$"):
+        fm.catalog.nasa_beam(gravity=(0, 0, -9.81))
+
+
+def test_named_arms_are_those_of_their_files():
+    """As functions with a docstring and options that are explained, by name, and as a file; a copy is the same."""
+    tree = ast.parse(inspect.getsource(fm.catalog)).body
+    said = {
+        node.targets[0].id: text.value.value for node, text in pairwise(tree)
+        if isinstance(node, ast.Assign) and isinstance(text, ast.Expr)
+    }  # fmt: skip
+    assert {"LIGHT_TOOL", "TOOL", *ARMS} == said.keys() and len(ARMS) >= 10
+    for name in ARMS:
+        make = getattr(fm.catalog, name)
+        assert make.__name__ == name and make.__doc__.splitlines()[0] == said[name] and "\nSource: " in make.__doc__
+        assert all(f"    {option}: " in make.__doc__ for option in inspect.signature(make).parameters)
+        defaults = {key: each.default for key, each in inspect.signature(make).parameters.items()}
+        assert make(**defaults) == make() == find_arm(name) == find_arm(f"{name}.yaml", ARM_FOLDER)
+        assert pickle.loads(pickle.dumps(make)) is make

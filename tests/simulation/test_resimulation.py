@@ -47,7 +47,7 @@ def played(model, double=None, periods=10):
     result, start = batch(model)
     if double is not None:
         other = double(result)
-        result.hand_over(lambda mover: ExternalIntegrator(model, mover, other))
+        result.replace_integrator(lambda mover: ExternalIntegrator(model, mover, other))
     result.reset(np.arange(ARMS), start)
     trail = [(result.state.copy(), result.outputs.copy())]
     for period in range(periods):
@@ -155,7 +155,7 @@ def test_what_diverges_in_mujoco_is_a_status():
     from flexman_gym.simulation.mujoco import MuJoCoSimulator
 
     result, start = batch(USUAL)
-    result.hand_over(lambda mover: ExternalIntegrator(USUAL, mover, MuJoCoSimulator(USUAL, PERIOD, ARMS)))
+    result.replace_integrator(lambda mover: ExternalIntegrator(USUAL, mover, MuJoCoSimulator(USUAL, PERIOD, ARMS)))
     result.reset(np.arange(ARMS), start)
     drive = drives(USUAL, 0)
     drive[1, 0] = 1e14

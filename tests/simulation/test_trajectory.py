@@ -9,8 +9,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.model.dynamics import tip_jacobian
-from flexman_gym.model.linearization import UNITS
-from flexman_gym.simulation.readings import LinearReadings
+from flexman_gym.model.linearization import UNITS, LinearReadings
 
 from oracles.assertions import refusal
 

@@ -31,7 +31,7 @@ from studies.precision.measure import (
     whirl_scene,
 )
 
-from oracles.files import ROOT
+from oracles.files import REFERENCE
 
 ROW = PrecisionRow("a scene", "a model", "ros2", 0.01, None, 1.0, 1.0, 100.0, 1e-2, 1e-1, "ok")
 NUMBERS = st.floats(min_value=1e-6, max_value=1e6) | st.just(math.inf)
@@ -41,7 +41,7 @@ NUMBERS = st.floats(min_value=1e-6, max_value=1e6) | st.just(math.inf)
 def folder(tmp_path_factory):
     """Folder with the rows of the quick study."""
     result = tmp_path_factory.mktemp("study")
-    precision.compute(ROOT / "flexman_gym" / "verification" / "reference", result, quick=True)
+    precision.compute(REFERENCE, result, quick=True)
     return result
 
 
@@ -139,7 +139,7 @@ def test_a_failed_run_is_infinitely_far_and_other_times_are_refused():
 
 @pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")
 def test_scenes_and_models_of_the_study():
-    result = cases(ROOT / "flexman_gym" / "verification" / "reference")
+    result = cases(REFERENCE)
     assert len(result) == len({case.name for case in result}) >= 4
     for case in result:
         named = choices(case.scene)

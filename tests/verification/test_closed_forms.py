@@ -9,9 +9,9 @@ from flexman_gym.verification.closed_forms import (
     beam_eigenvalues,
     hub_eigenvalues,
     joint_eigenvalues,
-    rayleigh_eigenvalues,
     stepped_eigenvalues,
 )
+from studies.verification.arms import rayleigh_eigenvalues
 
 from oracles import ritz
 

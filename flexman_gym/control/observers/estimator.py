@@ -17,8 +17,8 @@ from flexman_gym.control.observers.perturbed_models import (
     solve_scaled,
     standard_deviations,
 )
+from flexman_gym.model.linearization import INSTRUMENTS
 from flexman_gym.model.statics import rest_states
-from flexman_gym.simulation.readings import INSTRUMENTS
 
 REPLAYS = (6, 12, 20, 30, 45, 65, 90, 130, 200, 300)  # control periods after which all is simulated again
 DELAYS_UNTIL = 20  # at replays so early the delay is looked for
@@ -40,7 +40,7 @@ class Estimator:
 
     Args:
         plant: the arm, what is unknown of it, and how exact instruments are.
-        sensors: names in `simulation.readings.INSTRUMENTS`.
+        sensors: names in `model.linearization.INSTRUMENTS`.
         unknown: name -> (low, high), see `unknowns.make_unknowns`; None takes those of the plant.
         biased: whether each reading may be off by a constant of up to 0.5 % of its range. The angles at the start are
             then taken as they are told, for encoders that are off cannot tell them.

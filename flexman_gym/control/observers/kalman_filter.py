@@ -9,8 +9,8 @@ from flexman_gym.common.checks import flag, non_negative, value_error, vector
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.observers.internal_model import DelayCompensation, DiscreteJacobians, InternalModels
 from flexman_gym.control.observers.observer import BIAS, Estimate, make_measurement_model
+from flexman_gym.model.linearization import INSTRUMENTS
 from flexman_gym.model.statics import holding_torques, rest_states
-from flexman_gym.simulation.readings import INSTRUMENTS
 
 DOUBLINGS = 20  # a million periods
 SETTLED = 1e-6  # part by which the last doubling may still change a variance
@@ -85,7 +85,7 @@ class KalmanFilter:
 
     Args:
         plant: the arm, the delay of torques, and how exact instruments are.
-        sensors: names in `simulation.readings.INSTRUMENTS`, "motor_encoders" among them.
+        sensors: names in `model.linearization.INSTRUMENTS`, "motor_encoders" among them.
         noise: deviations of the unknown torques, a part of the torque limits, and of the forces on the tip, a part of
             what the strongest motor bears at the whole reach; None takes 0.005 and 0.005, or 0.005 and 0.03 for a plant
             with unknown parameters, and as much as its `push`.

@@ -8,8 +8,8 @@ import numpy as np
 from flexman_gym.common.arrays import Array, Flags, IntArray
 from flexman_gym.common.checks import value_error
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
-from flexman_gym.simulation.readings import INSTRUMENTS
-from flexman_gym.simulation.readings import LinearReadings as Linear
+from flexman_gym.model.linearization import INSTRUMENTS
+from flexman_gym.model.linearization import LinearReadings as Linear
 
 
 class Estimate(NamedTuple):
@@ -82,7 +82,7 @@ def make_measurement_model(plant: Plant, sensors: Sequence[str]) -> MeasurementM
 
     Args:
         plant: says how exact they are; the least deviation is 1e-4 of the range.
-        sensors: names in `simulation.readings.INSTRUMENTS`.
+        sensors: names in `model.linearization.INSTRUMENTS`.
 
     Raises:
         ValueError: for any other, whose readings are not linear in the state, and without encoders of the motors, which

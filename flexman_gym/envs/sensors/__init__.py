@@ -9,7 +9,7 @@ from flexman_gym.envs.sensors.ideal import Action, Command, Fine, FullState, Qua
 from flexman_gym.envs.sensors.instrument import FLAWS, Flaws, Instrument
 from flexman_gym.envs.sensors.sensor import Entry, Sensor
 from flexman_gym.envs.sensors.sensor_array import Sensors, measured_names
-from flexman_gym.simulation.readings import INSTRUMENTS
+from flexman_gym.model.linearization import INSTRUMENTS
 
 SENSORS: dict[str, Callable[[], Sensor]] = {
     "full": FullState,

@@ -13,7 +13,7 @@ from flexman_gym.envs.sensors.sensor import Entry, Sensor
 from flexman_gym.envs.tasks.rewards import distance_reward
 from flexman_gym.envs.tasks.task import MOVING, Goal
 from flexman_gym.envs.view import Number, View
-from flexman_gym.kernels import paths as kernels
+from flexman_gym.kernels.control_period import fourier_series
 
 HARMONICS, POSTURE_HARMONICS = 3, 12  # of the curve, and of the motors
 KNOTS = 28  # places at which motors are solved for
@@ -37,7 +37,7 @@ def evaluate_series(series: Array, phases: Array) -> Array:
     A series is a mean, then a factor of the cosine and one of the sine of each harmonic.
     """
     result = np.zeros((*phases.shape, series.shape[1]))
-    kernels.fourier_series(series, phases, result)
+    fourier_series(series, phases, result)
     return result
 
 

@@ -1,29 +1,51 @@
-"""Paths: Fourier series of many arms at once, and the motor angles with which a rigid arm reaches places."""
+"""Kinematics of the rigid arm: its tip at given motor angles, and the motor angles that bring it to a place."""
 
 import math
 
 from flexman_gym.kernels.compile import inner, kernel
-from flexman_gym.kernels.lanes import fma
-from flexman_gym.kernels.linalg import ZERO, add_scaled, cross, dot
-from flexman_gym.kernels.outputs import rigid_tip
+from flexman_gym.kernels.linalg import (
+    IDENTITY,
+    ZERO,
+    add,
+    add_scaled,
+    apply,
+    cross,
+    dot,
+    load,
+    load_matrix,
+    product,
+    rotation_matrix,
+    sine_versine,
+    store,
+)
 
 ITERATIONS = 8  # of Newton's method
 TURN, STEP = 0.5, 1e-7  # rad, at most in an iteration; of differences
 
 
+@inner
+def rigid_tip(constants, x, v):
+    """Tip position and velocity, in the base frame, of the rigid arm at the motor angles and rates."""
+    frame = IDENTITY
+    origin = velocity = spin = ZERO
+    for i in range(len(constants.mass)):
+        m = constants.motor[i] if constants.motor[i] >= 0 else i
+        axis = load(constants.axis, i)
+        sine, versine = sine_versine(x[m])
+        turned = product(load_matrix(constants.mount, i), rotation_matrix(sine, versine, axis))
+        frame = product(frame, turned)
+        spin = add_scaled(spin, v[m], apply(frame, axis))
+        arm = apply(frame, (constants.length[i], 0.0, 0.0))
+        origin, velocity = add(origin, arm), add(velocity, cross(spin, arm))
+    return origin, velocity
+
+
 @kernel
-def fourier_series(series, phases, out):
-    """out (r, p, s) = Fourier series (r, s, 2 h + 1) at phases (r, p): mean, then cosine and sine of each harmonic."""
-    for r in range(phases.shape[0]):
-        for p in range(phases.shape[1]):
-            first, second = math.cos(phases[r, p]), math.sin(phases[r, p])
-            for s in range(series.shape[1]):
-                cosine, sine = first, second
-                value = series[r, s, 0]
-                for h in range(1, series.shape[2], 2):
-                    value = fma(series[r, s, h], cosine, fma(series[r, s, h + 1], sine, value))
-                    cosine, sine = cosine * first - sine * second, sine * first + cosine * second
-                out[r, p, s] = value
+def rigid_tips(constants, states, out):
+    """out (r, 3) = tips, in the base frame, of the rigid arm at the motor angles of states (r, 2 d)."""
+    d = states.shape[1] // 2
+    for r in range(len(states)):
+        store(out, r, rigid_tip(constants, states[r, :d], states[r, d:])[0])
 
 
 @kernel

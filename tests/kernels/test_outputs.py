@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import flexman_gym as fm
-from flexman_gym.kernels import accelerometer, dynamics, layout
+from flexman_gym.kernels import dynamics, layout, outputs
 from flexman_gym.kernels.layout import SPECIFIC_FORCE, TIP_ACCELERATION, TIP_ACCELERATIONS
 from flexman_gym.simulation.batch_integrators import LaneIntegrator, SequentialIntegrator
 from flexman_gym.simulation.integrator import Integrator
@@ -24,7 +24,7 @@ def test_both_are_those_of_the_dense_equations_with_every_effect(case):
     (x, v), drive = case.sample.state(), case.drive()
     rates, result = np.zeros(case.model.n_dof), np.zeros(TIP_ACCELERATIONS)
     dynamics.accelerations(case.constants, layout.make_work(case.constants), x, v, drive, rates)
-    accelerometer.tip_accelerations(case.constants, layout.make_work(case.constants), x, v, drive, result)
+    outputs.tip_accelerations(case.constants, layout.make_work(case.constants), x, v, drive, result)
     expected, axes = case.chain.tip_acceleration(x, v, rates), case.chain.tip_axes(x)
     felt = axes.T @ (expected + drive[-3:] - case.chain.gravity)
     largest = np.abs(case.chain.tip_acceleration(x, 0.0 * v, np.abs(rates))).max() + np.abs(rates).max() + 10.0

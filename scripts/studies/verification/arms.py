@@ -1,0 +1,240 @@
+"""Verification cases at rest beyond the closed forms of the package: published arms, the paper's arm and identities."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import brentq
+
+from flexman_gym.common.arrays import Array
+from flexman_gym.kernels import inverse, layout
+from flexman_gym.model.beam import build_beam
+from flexman_gym.model.dynamics import acceleration, frequencies, mass_matrix, stiffness_matrix
+from flexman_gym.model.model import Model, build_model
+from flexman_gym.scene import catalog
+from flexman_gym.scene.arm import Arm, Payload
+from flexman_gym.scene.joint import Joint
+from flexman_gym.scene.link import Link
+from flexman_gym.simulation.scenes import simulate
+from flexman_gym.simulation.simulator import Simulator
+from flexman_gym.verification.cases import (
+    AXIAL,
+    BENDING_Y,
+    BENDING_Z,
+    TWIST,
+    bar_scale,
+    link_frequencies,
+    node_columns,
+    slender_link,
+)
+from flexman_gym.verification.closed_forms import bar_eigenvalues, beam_eigenvalues
+from flexman_gym.verification.table import VerificationRow, series_rows
+
+DE_LUCA = "De Luca and Siciliano, IEEE Trans. SMC 21 (1991)"
+NASA, ROME = "NASA JSC, ASME DETC2007-35511", "De Luca et al., IEEE CDC (1990), measured"
+GIFU = "Gifu University, ROBOMECH J. 5:28 (2018), usual moduli"
+HERMITE = "known of cubic elements with consistent mass"
+WRIGHT = "Wright et al., J. Applied Mechanics 49 (1982)"
+SPONG = "closed form: Spong, J. Dynamic Systems 109 (1987)"
+THREE_CODES = "three independent codes"
+TABLE_1 = "closed form with the paper's Table 1"
+IDENTITY = "identity"
+FLAP = {1.0: 3.6816, 2.0: 4.1373, 4.0: 5.5850, 6.0: 7.3604}  # eta: lambda_1, hub radius 0
+
+
+def rayleigh_eigenvalues(count: int, gyration_ratio: float) -> Array:
+    """First lambda (count,) of a cantilever with the rotary inertia of its sections; s = gyration_ratio = I / (A L^2).
+
+    w'''' + lambda^2 s w'' - lambda^2 w = 0 with w = w' = 0 at the base, w'' = 0 and w''' + lambda^2 s w' = 0 at the
+    tip. So w consists of cos a x - cosh c x and sin a x / a - sinh c x / c, with a^2, c^2 = sqrt(lambda^4 s^2 / 4 +
+    lambda^2) +- lambda^2 s / 2. While s lambda is small, each root is a little below that of `beam_eigenvalues`.
+    """
+
+    def characteristic(eigenvalue: float) -> float:
+        half = eigenvalue**2 * gyration_ratio / 2.0
+        root = np.hypot(half, eigenvalue)
+        a, c = np.sqrt(root + half), np.sqrt(root - half)
+        moment = -(a**2) * np.cos(a) - c**2 * np.cosh(c), -a * np.sin(a) - c * np.sinh(c)
+        first = a**3 * np.sin(a) - c**3 * np.sinh(c) + 2.0 * half * moment[1]
+        second = moment[0] + 2.0 * half * (np.cos(a) - np.cosh(c))
+        return float(moment[0] * second - moment[1] * first)
+
+    slender = beam_eigenvalues(count)
+    return np.array([brentq(characteristic, 0.8 * each, 1.001 * each, xtol=1e-13) for each in slender])
+
+
+def printed_row(case: str, source: str, text: str, computed: float) -> VerificationRow:
+    """A row whose expected value was printed with a few digits: the tolerance is half a unit of the last one."""
+    expected, unit = float(text), 10.0 ** -len(text.partition(".")[2])
+    return VerificationRow(case, source, expected, float(computed), 0.5001 * unit / abs(expected))
+
+
+def published_rows() -> Iterator[VerificationRow]:
+    """Arms of the catalog that others have published, Hz.
+
+    De Luca and Siciliano take each link as clamped, with what it carries at its tip, and leave out the mass moment of
+    link 2 about the tip of link 1.
+    """
+    arm = catalog.de_luca_siciliano()
+    second, tool = arm.links[1].sections[0], arm.payload
+    assert tool is not None
+    behind = 0.1 + second.mass * second.length**2 / 3.0 + tool.mass * second.length**2 + 0.0005
+    loads = {1: (1.0 + second.mass + tool.mass, behind, ("0.48", "1.80")), 2: (tool.mass, 0.0005, ("2.18", "15.91"))}
+    for number, (mass, inertia, texts) in loads.items():
+        result = _clamped(second, Payload(mass, (inertia * np.eye(3)).tolist()))
+        for i, text in enumerate(texts):
+            yield printed_row(f"two links, link {number} clamped, f_{i + 1}, Hz", DE_LUCA, text, result[i])
+    result = 2.0 * np.pi * frequencies(build_model(catalog.nasa_beam(), 12))
+    for i, (column, known) in enumerate(zip((1, 2, 4, 5), (5.28, 20.9, 46.7, 83.4), strict=True)):
+        yield VerificationRow(
+            f"pinned beam with tip mass, w_{i + 1} in its plane, rad/s", NASA, known, result[column], 5e-3
+        )
+    result = frequencies(build_model(catalog.flexarm_rome(), 4, flexible_links=(False, True)))
+    yield VerificationRow("FLEXARM, motors free, f_1, Hz, to which EI is fitted", ROME, 4.716, result[2], 1e-3)
+    yield VerificationRow("FLEXARM, motors free, f_2, Hz", ROME, 14.395, result[3], None)
+    for link, text in zip(catalog.gifu_2link().links[1:], ("35.6", "29.4"), strict=True):
+        bare = replace(link.sections[0], masses=())
+        case = f"rod of {bare.youngs_modulus / 1e9:g} GPa, clamped and bare, f_1, Hz"
+        yield printed_row(case, GIFU, text, _clamped(bare)[0])
+
+
+def _clamped(link: Link, payload: Payload | None = None) -> Array:
+    """Frequencies (Hz) of a link that is clamped."""
+    return frequencies(build_model(Arm([link], [Joint((0.0, 0.0, 1.0))], payload), 8), lock_joints=True)
+
+
+def _convergence_rows() -> Iterator[VerificationRow]:
+    """Error of f_1 with Hermite elements and consistent mass, and the slope at which it falls."""
+    exact, counts = beam_eigenvalues(1)[0], (1, 2, 4, 8)
+    errors = [2.0 * np.pi * link_frequencies(slender_link(), n, BENDING_Y)[0] / exact - 1.0 for n in counts]
+    for count, text, error in zip(counts, ("0.475", "0.0483", "0.0033", "0.0002"), errors, strict=True):
+        yield printed_row(f"cantilever f_1, elements: {count}, error in percent", HERMITE, text, 100.0 * error)
+    slope = np.log2(errors[-2] / errors[-1])
+    yield VerificationRow("cantilever f_1, order of convergence, 4 to 8 elements", HERMITE, 4.0, slope, 0.02)
+
+
+def _spring_rows() -> Iterator[VerificationRow]:
+    """Two masses and a spring, Hz, and the limit of stiff springs."""
+    stiffness, rotor, link = 100.0, 1.0, slender_link(0.7, 4.0)
+    inertia = link.mass * link.length**2 / 3.0
+    model = build_model(Arm([link], [Joint((0.0, 0.0, 1.0), rotor, stiffness)]), flexible_links=False)
+    free = np.sqrt(stiffness * (1.0 / rotor + 1.0 / inertia)) / (2.0 * np.pi)
+    locked = np.sqrt(stiffness / inertia) / (2.0 * np.pi)
+    yield VerificationRow("two masses and a spring, free, Hz", SPONG, free, frequencies(model)[1], 1e-6)
+    yield VerificationRow(
+        "two masses and a spring, motor locked, Hz", SPONG, locked, frequencies(model, lock_joints=True)[0], 1e-6
+    )
+    rigid = build_model(model.arm, flexible_links=False, flexible_joints=False)
+    result = mass_matrix(rigid, np.zeros(2))[0, 0]
+    yield VerificationRow("spring of infinite stiffness, J_m + J_l, kg m^2", SPONG, rotor + inertia, result, 1e-6)
+    arms = [catalog.paper_rrr(joint_stiffness=each) for each in (1e8, 1e9, None)]
+    first, second, limit = (frequencies(build_model(arm), (0.0, 0.3, -0.5))[3:8] for arm in arms)
+    ratio = np.abs(first / limit - 1.0).max() / np.abs(second / limit - 1.0).max()
+    yield VerificationRow(
+        "paper's arm, distance to rigid joints, K 1e8 / K 1e9", "first order in 1/K: 10", 10.0, ratio, 0.1
+    )
+
+
+def _rotating_beam_rows() -> Iterator[VerificationRow]:
+    """lambda_1 of a beam with foreshortening that spins at eta = Omega sqrt(rho A L^4 / EI), 8 elements.
+
+    A heavy hub keeps the rate. Axial coordinates are in balance with the centrifugal force; the accelerations of the
+    bending coordinates are differentiated there. In the plane of rotation lambda^2 is smaller by eta^2.
+    """
+    arm = Arm([slender_link(across=1.0)], [Joint((0.0, 0.0, 1.0), 1e9)])
+    model = build_model(arm, 8, stiffening=True)
+    for eta, flap in FLAP.items():
+        state = model.initial_state([0.0], [eta])
+        axial = node_columns(8, AXIAL)
+        state[axial] -= np.linalg.solve(_slopes(model, state, axial), acceleration(model, state, [0.0])[axial])
+        chord = np.sqrt(flap**2 - eta**2)
+        for name, columns, expected in (("flap", BENDING_Z, flap), ("chord", BENDING_Y, chord)):
+            squares = -np.linalg.eigvals(_slopes(model, state, node_columns(8, columns))).real
+            result = np.sqrt(squares.min()) if squares.min() > 0.0 else np.nan
+            yield VerificationRow(f"rotating beam, eta {eta:g}, {name} lambda_1", WRIGHT, expected, result, 1e-3)
+
+
+def _paper_arm_rows() -> Iterator[VerificationRow]:
+    """The paper's links as cantilevers and the paper's arm at its straight pose."""
+    corrected, (one, two, three) = _paper_links("corrected")[0], _paper_links()
+    known = (
+        ("link 1 (area as printed)", one, "231.1"),
+        ("link 1 (area 0.0028 m^2)", corrected, "23.1"),
+        ("link 2", two, "66.02"),
+        ("link 3", three, "23.11"),
+    )
+    for name, link, mass in known:
+        yield printed_row(f"paper's {name}, mass, kg", TABLE_1, mass, build_beam(link, 2).masses.sum())
+        rigidity, density = link.youngs_modulus * link.second_moment_z, link.density * link.area
+        scale = np.sqrt(rigidity / density) / (2.0 * np.pi * link.length**2)
+        expected = scale * rayleigh_eigenvalues(2, link.second_moment_z / (link.area * link.length**2))
+        result = link_frequencies(link, 16, BENDING_Y)[:2]
+        yield from series_rows(f"paper's {name}, bending f_{{}}, Hz", TABLE_1, expected, result, 1e-5)
+        for kind, columns in (("axial", AXIAL), ("torsional", TWIST)):
+            scale = bar_scale(link, columns)
+            first, highest = link_frequencies(link, 24, columns)[0], link_frequencies(link, 2, columns)[-1]
+            yield VerificationRow(
+                f"paper's {name}, {kind} f_1, Hz", TABLE_1, scale * bar_eigenvalues(1)[0], first, 1e-3
+            )
+            case = f"paper's {name}, highest {kind} f of 2 elements, Hz"
+            yield VerificationRow(case, TABLE_1, scale * bar_eigenvalues(2, 2)[-1], highest, 1e-9)
+    light = frequencies(build_model(catalog.paper_rrr(rotor_inertia=0.0, joint_stiffness=None)))
+    for i, text in enumerate(("4.5", "9.5")):
+        case = f"paper's arm, straight, motors free and weightless, f_{i + 1}, Hz"
+        yield printed_row(case, "independent modal analysis", text, light[3 + i])
+
+
+def _rigid_paper_rows() -> Iterator[VerificationRow]:
+    """Tip of the paper's rigid arm without rotors at 2 s, m, with the rotary inertia of the sections."""
+    arm = catalog.paper_rrr(rotor_inertia=0.0, joint_stiffness=None)
+    result = simulate(replace(catalog.paper_scene("rr"), arm=arm), rtol=1e-9).tip[-1]
+    for axis, expected, value in zip("xyz", (1.041793, 2.982679, -0.804536), result, strict=True):
+        yield VerificationRow(f"paper RR without rotors, tip {axis} at 2 s, m", THREE_CODES, expected, value, 2e-6)
+
+
+def _identity_rows() -> Iterator[VerificationRow]:
+    """Identities of the paper's arm, everything flexible, at ten bent and moving states."""
+    rng, model = np.random.default_rng(0), build_model(catalog.paper_rrr())
+    simulator, d, kinetic, inertial = Simulator(model), model.n_dof, [0.0], [0.0]
+    stiffness, work = stiffness_matrix(model), layout.make_work(model.constants)
+    for _ in range(10):
+        state, torque = rng.normal(0.0, 0.01, 2 * d), rng.uniform(-400.0, 400.0, 3)
+        state[:3] = state[model.motor_columns] = rng.uniform(-np.pi, np.pi, 3)
+        x, v = state[:d], state[d:]
+        simulator.reset(state=state)
+        matrix = mass_matrix(model, state)
+        energy = simulator.outputs[layout.KINETIC]
+        kinetic.append(abs(v @ matrix @ v / 2.0 - energy) / energy)
+        forward, demanded, applied = acceleration(model, state, torque), np.zeros(d), -stiffness @ x
+        applied[model.motor_columns] += torque
+        inverse.inertial_forces(model.constants, work, x, v, forward, demanded)
+        scale = np.sqrt(np.diag(matrix))
+        inertial.append(np.abs((demanded - applied) / scale).max() / np.abs(scale * forward).max())
+    yield VerificationRow("half v M v against kinetic energy, largest relative gap", IDENTITY, 0.0, max(kinetic), 1e-9)
+    yield VerificationRow("inverse of forward dynamics, largest relative gap", IDENTITY, 0.0, max(inertial), 1e-9)
+
+
+def _paper_links(link1_area: str = "printed") -> list[Link]:
+    """The uniform links of the paper's arm."""
+    return [link.sections[0] for link in catalog.paper_rrr(link1_area).links]
+
+
+def _slopes(model: Model, state: Array, columns: Array, step: float = 1e-5) -> Array:
+    """Slopes of the accelerations of some coordinates by the same coordinates, from central differences."""
+    slopes = []
+    for column in columns:
+        shift = step * np.eye(len(state))[column]
+        ahead, behind = (acceleration(model, state + sign * shift, [0.0]) for sign in (1.0, -1.0))
+        slopes.append((ahead - behind)[columns] / (2.0 * step))
+    return np.transpose(slopes)
+
+
+CASES = (
+    _convergence_rows,
+    _spring_rows,
+    _rotating_beam_rows,
+    _paper_arm_rows,
+    published_rows,
+    _rigid_paper_rows,
+    _identity_rows,
+)

@@ -1,0 +1,25 @@
+"""Verification page: all rows as Markdown."""
+
+from collections.abc import Sequence
+
+from flexman_gym.common.computer import computer_text
+from flexman_gym.common.markdown import markdown_table
+from flexman_gym.verification.table import COLUMNS, RULE, VerificationRow, summary
+
+PAGE = """# Verification
+
+{summary} What is known from elsewhere stands beside what this package computes: closed forms, published values and
+independent codes. A row that fails makes `make verify` fail, which writes this page anew.
+
+{rule}
+
+Computed with {machine}.
+
+{table}
+"""
+
+
+def markdown_page(rows: Sequence[VerificationRow]) -> str:
+    """A page with all rows, without a date, so that it changes only when a number does."""
+    lines = markdown_table(COLUMNS, (row.cells() for row in rows))
+    return PAGE.format(summary=summary(rows), rule=RULE, machine=computer_text(), table="\n".join(lines))

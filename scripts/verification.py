@@ -1,0 +1,27 @@
+"""Computes the full verification table: python scripts/verification.py --folder docs"""
+
+import argparse
+import sys
+import warnings
+
+from flexman_gym.verification.table import exit_code, text_table
+from studies.files import folder
+from studies.verification.motions import REFERENCE, rows
+from studies.verification.page import markdown_page
+
+
+def main() -> int:
+    """Read the command line, print the table and write its page; return 1 when a row fails."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="without the motions that take minutes")
+    parser.add_argument("--folder", type=folder, default="out", help="where the page goes")
+    options = parser.parse_args()
+    warnings.filterwarnings("ignore", "Link.second_moment_y", UserWarning)  # of the paper's printed area of link 1
+    result = rows(REFERENCE, options.quick)
+    print(text_table(result))
+    (options.folder / "verification.md").write_text(markdown_page(result), encoding="utf-8")
+    return exit_code(result)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
