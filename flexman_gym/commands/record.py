@@ -11,9 +11,9 @@ def _arguments(result: argparse.ArgumentParser) -> None:
     from flexman_gym.common.grid import Workers
 
     result.add_argument("entrants", nargs="+", help="as of flexman evaluate; a dataset each")
-    changes = {"env": {"default": "FlexRRR-v0", "help": "an id, an id and a condition, or the path of a file"}}
-    changes |= {"episodes": {"default": 100}, "seed": {"default": 0}}
-    add_options(result, "--env", "--set", "--episodes", "--seed", **changes)
+    env = {"default": "FlexRRR-v0", "help": "an id, an id and a condition, or the path of a file"}
+    shared = "--env", "--set", "--episodes", "--seed"
+    add_options(result, *shared, env=env, episodes={"default": 100}, seed={"default": 0})
     result.add_argument("--name", default="flexman", help="of the datasets, before /ENTRANT-v0")
     result.add_argument("--form", choices=("hdf5", "arrow"), default="hdf5", help="of the files")
     Workers.arguments(result)
