@@ -76,4 +76,4 @@ class _OldModules(MetaPathFinder, Loader):
 
 
 if not any(isinstance(finder, _OldModules) for finder in sys.meta_path):
-    sys.meta_path.append(_OldModules())
+    sys.meta_path.insert(0, _OldModules())  # before the folder of recipes, which has the name of an old module
