@@ -49,7 +49,7 @@ class _Renderer:
         time = float(episodes.batch.time[arm])
         trail = [entry for entry in self._trails[arm] if time - TRAIL <= entry[0] < time]
         self._trails[arm] = [*trail, (time, view.tip[arm].copy())]
-        reward = float(np.broadcast_to(episodes.rewards(view), len(episodes.over))[arm]) if time > 0.0 else None
+        reward = float(episodes.rewards()[arm]) if time > 0.0 else None
         caption = Caption(self._title, time, float(view.tip_error[arm]), reward, view.action[arm].copy())
         way = np.array([tip for _, tip in self._trails[arm]])
         return self._painter.paint(view.state[arm], view.target[arm], caption, way, self._shots[arm])

@@ -7,9 +7,12 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.control import LQR, PD, TrackingLQR
 from flexman_gym.control.actions import TorqueMode
+from flexman_gym.control.agent import Agent
 from flexman_gym.control.network import Network
 from flexman_gym.envs import NAMED
 from flexman_gym.envs.config.description import Description
+from flexman_gym.envs.episodes import design_mode
+from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.evaluation import BASELINES, AgentSpec, evaluate, find_agent, rollout
 from flexman_gym.evaluation.agent import (
     change_environment,
@@ -118,7 +121,7 @@ def test_the_pd_beside_policies_has_the_gains_of_the_first_that_learned_on_one()
     def learned(name, damping):
         gains = {"stiffness": [2.0], "damping": [damping]}
         environment, interface = split_interface(Description(ONE.id, {**ONE.settings, "base": "pd", "gains": gains}))
-        return Agent(name, find_agent("zero").law, interface, environment)
+        return AgentSpec(name, find_agent("zero").law, interface, environment)
 
     alone = AgentSpec("alone", find_agent("zero").law, {}, ONE)
     result = common_environment([alone, learned("soft", 0.1), learned("hard", 0.2), find_agent("pd")], None)
@@ -266,14 +269,29 @@ def test_it_is_evaluated_in_one_line():
     assert fm.evaluate(Own(0.0), WHOLE, [0, 1]) == fm.evaluate("pd", BARE, [0, 1])
 
 
-@pytest.mark.parametrize("condition", ["nominal", "unknown-lab"])
-def test_a_policy_acts_alike_in_training_live_and_loaded_from_its_files(condition, tmp_path):
-    """The same weights, seeds and sensors: the same noise, bias and lost samples, hence the same actions."""
-    flaws = {"kind": "lab", "noise": 0.01, "bias": 0.01, "dropped": 0.2}
-    agent = {"base": "pd", "hold": 2, "history": 3, "sensors": flaws, "horizon": 0.4}
-    described = Description.from_dict(
-        {"id": "FlexPlanar-v0", **Description.under("FlexPlanar-v0", condition).whole_settings(), **agent}
-    )
+FLAWED = {"kind": "lab", "noise": 0.01, "bias": 0.01, "dropped": 0.2}
+
+
+def asked(env, act, steps):
+    """Torques (b, T, n) of the control periods of so many steps, parts of the limits."""
+    rows, seen = [], env.reset(seed=[0, 1])[0]
+    env.episodes.watch = lambda: rows.append(env.episodes.view.action.copy())
+    for _ in range(steps):
+        seen = env.step(act(seen).astype(np.float32))[0]
+    return np.array(rows).swapaxes(0, 1)
+
+
+@pytest.mark.parametrize(
+    ("condition", "sensors"), [("nominal", "lab"), ("unknown-lab", "lab"), ("unknown-lab", FLAWED)]
+)
+def test_an_agent_acts_alike_in_training_live_loaded_and_under_another_agent(condition, sensors, tmp_path):
+    """The same weights, seeds and sensors: the same noise, bias and lost samples, hence the same actions.
+
+    Flaws of the instruments of a base are its own.
+    """
+    moved = Description.under("FlexPlanar-v0", condition).whole_settings() | {"horizon": 0.4}
+    agent = {"base": "pd", "hold": 2, "history": 3, "sensors": sensors}
+    described = Description.from_dict({"id": "FlexPlanar-v0", **moved, **agent})
     write_policy(tmp_path, *made_up(described))
     network = read_policy(tmp_path)[1]
 
@@ -284,9 +302,11 @@ def test_a_policy_acts_alike_in_training_live_and_loaded_from_its_files(conditio
     entrants = load_policy(tmp_path), predictor_agent(Live(), described)
     loaded, live = (rollout(each, described, [0, 1]) for each in entrants)
     assert np.array_equal(loaded.actions, live.actions) and np.array_equal(loaded.readings, live.readings)
-    trained, asked = gym.make_vec(described.id, 2, "vector_entry_point", **described.keywords()).unwrapped, []
-    trained.episodes.watch = lambda: asked.append(trained.episodes.view.action.copy())
-    seen = trained.reset(seed=[0, 1])[0]
-    for _ in range(20):
-        seen = trained.step(network(seen).astype(np.float32))[0]
-    assert np.array_equal(np.array(asked).swapaxes(0, 1), loaded.actions) and np.ptp(loaded.actions) > 0.1
+    trained = FlexManVectorEnv(2, name="FlexPlanar-v0", **described.keywords())
+    assert np.array_equal(asked(trained, network, 20), loaded.actions) and np.ptp(loaded.actions) > 0.1
+    if sensors == "lab":
+        base, mode = design_mode(trained.setup, trained.batch.model)
+        inner = Agent(trained.setup.sensors, len(trained.sensors.bound), mode, base, 3, 2, network)
+        keywords = Description.from_dict({"id": "FlexPlanar-v0", **moved, "sensors": []}).keywords()
+        outer = FlexManVectorEnv(2, name="FlexPlanar-v0", **keywords, base=inner)
+        assert np.array_equal(asked(outer, lambda seen: np.zeros((2, 2)), 40), loaded.actions)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from flexman_gym.control.agent import history_length
 from flexman_gym.control.network import Network
 from flexman_gym.envs.config.description import Description
 from flexman_gym.evaluation.agent import load_policy, observation_layout
@@ -29,7 +30,8 @@ FIRST = "mlp_extractor.policy_net.0"
 def made_up(described=DESCRIBED, seed=0):
     """What is said of a policy, and its arrays: random layers that do something."""
     random, names = np.random.default_rng(seed), observation_layout(described)
-    size, joints = sum(each["size"] for each in names), described.setup().arm.n_joints
+    setup = described.setup()
+    size, joints = history_length(setup.history) * sum(each["size"] for each in names), setup.arm.n_joints
     shapes = {f"{FIRST}.weight": (7, size), f"{FIRST}.bias": (7,), "action_net.weight": (joints, 7),
               "action_net.bias": (joints,)}  # fmt: skip
     layers = {name: random.normal(0.0, 0.3, shape).astype(np.float32) for name, shape in shapes.items()}
