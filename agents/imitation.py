@@ -44,22 +44,19 @@ class Student:
     Args:
         network: of the student.
         mode: action mode of torques, made with its base.
+        strength: part of a torque limit that a command of 1 adds, of every joint or of each (n,).
         teacher: controller made for the same arm.
 
     Attributes:
         led: (b,) arms that the teacher leads.
         notes: of each instant at which a command begins: the observations (b, size), the commands (b, n) with which the
             motors would get the torques of the teacher, and which arms (b,) are playing.
-
-    Raises:
-        ValueError: for a mode whose commands are something else than torques.
     """
 
-    def __init__(self, network: Network, mode: ActionMode, teacher: Controller) -> None:
-        self.network, self._mode, self._teacher = network, mode, teacher
+    def __init__(self, network: Network, mode: ActionMode, strength: float | Array, teacher: Controller) -> None:
+        self.network, self._mode, self._strength, self._teacher = network, mode, strength, teacher
         self.joints, self.names, self.sensors = mode.joints, mode.names, (*mode.sensors, *teacher.sensors)
         self.shown: Mapping[str, int] = getattr(mode, "shown", {})
-        self._strength = _strength(mode)
         self.led: Flags = np.zeros(0, dtype=bool)
         self._observations: NDArray[np.float32] | None = None
         self.notes: list[tuple[NDArray[np.float32], Array, Flags]] = []
@@ -144,8 +141,10 @@ class DAgger:
         averaged = get_ema_multi_avg_fn(AVERAGED)  # type: ignore[no-untyped-call]
         self._mean = AveragedModel(self._layers, multi_avg_fn=averaged)
         model = build(described).model
+        mode = design_mode(described, model)[1]
+        strength = _strength(mode)  # refuses a mode of something else before a teacher is made
         teacher = make_controller(described, chosen["teacher"], model)
-        self._student = Student(self._network(), design_mode(described, model)[1], teacher)
+        self._student = Student(self._network(), mode, strength, teacher)
         self._per_round = settings.envs * -(-described.longest // described.action_repeat)
         self.steps = self._per_round * -(-settings.steps // self._per_round)
         self._rounds: list[list[NDArray[np.float32]]] = []  # what was seen, what is wanted, and how much it counts

@@ -359,7 +359,8 @@ class Episodes:
         """Return the rewards (b,) of the control period just over."""
         if self.terms is None:
             self.terms = self._reward_terms(self.present)
-        return np.atleast_1d(total(self.terms))
+        rewards = np.asarray(total(self.terms))
+        return rewards if rewards.ndim else np.full(len(self.over), rewards)
 
     def info(self) -> dict[str, Any]:
         """Return the numbers of the info, with an axis for the arms unless there is only one."""

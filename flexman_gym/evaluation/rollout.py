@@ -173,6 +173,8 @@ def rollout(
     numbers, (bare, own) = _episode_seeds(seeds), split_interface(described)
     _check_arm(player, described)
     keywords = bare.keywords() | deepcopy(own if player.interface is None else player.interface)  # it may act elsewhere
+    if player.environment is not None:
+        keywords["task"] = _ObservedTask(bare.task, player.environment.task.sensors)
     venv = gym.make_vec(described.id, len(numbers), "vector_entry_point", **keywords)
     episodes, size = venv.unwrapped.episodes, venv.action_space.shape or ()  # type: ignore[attr-defined]
     if moved is not None:
@@ -190,6 +192,16 @@ def rollout(
     told = _about(venv.unwrapped, player, described) | {"seeds": [int(seed) for seed in numbers]}
     venv.close()
     return recorder.rollout(told)
+
+
+class _ObservedTask:
+    """Task with the sensors of another one, on which a policy was trained."""
+
+    def __init__(self, task: object, sensors: Sequence[object]) -> None:
+        self._task, self.sensors = task, sensors
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.__dict__["_task"], name)
 
 
 def _check_arm(player: AgentSpec, described: Configuration) -> None:

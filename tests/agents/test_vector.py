@@ -15,7 +15,7 @@ LIMITS = fm.Limits(rate=2.0)
 STIFF = {"stiffness": (497.0, 325.0, 328.0), "damping": (950.0, 950.0, 103.0)}  # which leads to the limits
 
 
-def arms_and_singles(count, hold=1, **settings):
+def arms_and_singles(count, action_repeat=1, **settings):
     """The adapter of the vector environment, and Stable-Baselines3's own vector of as many single environments."""
     settings = {"limits": LIMITS, "action_repeat": hold, "horizon": 0.4, **settings}
     env = gym.make_vec("FlexRRR-v0", count, "vector_entry_point", autoreset_mode="SameStep", **settings)
@@ -68,7 +68,7 @@ def test_there_is_a_picture_of_each_arm():
 
 
 def test_arms_tell_what_they_share_and_refuse_what_they_do_not_have():
-    arms, _ = arms_and_singles(2, hold=3)
+    arms, _ = arms_and_singles(2, action_repeat=3)
     assert arms.get_attr("max_episode_steps") == [7, 7] and arms.get_attr("max_episode_steps", [1]) == [7]
     assert arms.env_is_wrapped(gym.Wrapper) == [False, False] and not arms.has_attr("nothing")
     assert arms.seed(3) == [3, 4]

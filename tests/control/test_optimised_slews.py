@@ -238,11 +238,11 @@ def test_what_no_table_has_is_refused_with_the_command_that_makes_one(table):
     near = 0.9e-9
     controller.reset(ONLY, EpisodeInfo(start[None] + near, goal[None] - near, 0.02), 1)
     for ends in ((start, goal + 2e-9), (start - 2e-9, goal), (goal, start)):
-        said = refusal(controller.reset, ONLY, EpisodeInfo(ends[0][None], ends[1][None], 0.02))
+        said = refusal(controller.reset, ONLY, EpisodeInfo(ends[0][None], ends[1][None], 0.02), 1)
         assert said.startswith("episode: [[") and said.endswith(MAKE)
     assert refusal(table.settling_time, 5).startswith("seed: 5 is not allowed; give one that the table has")
     moving = EpisodeInfo(start[None], goal[None], 0.02, lambda: np.zeros((1, 4, 1)))
-    assert refusal(controller.reset, ONLY, moving).startswith("episode: 'a goal that moves' is not allowed")
+    assert refusal(controller.reset, ONLY, moving, 1).startswith("episode: 'a goal that moves' is not allowed")
 
 
 @pytest.mark.parametrize("changes", [{"period": 0.01}, {"torque_limit": 0.7}])

@@ -295,7 +295,7 @@ def test_doubt_is_that_of_an_observer():
     """The mean of what is possible at first; later the truth, with errors of the deviations that are told."""
     env = FlexManVectorEnv(40, **ONE)
     env.reset(seed=0)
-    plant, drawn = make_plant(env.setup, env.simulator.model), env.episodes.effects.drawn
+    plant, drawn = make_plant(env.setup, env.batch.model), env.episodes.effects.drawn
     truth, arms, on = Oracle(plant, doubt=True), np.arange(40), np.ones(40, dtype=bool)
     goal = np.zeros((40, 1))
     truth.reset(arms, EpisodeInfo(goal, goal, PERIOD, None, drawn), len(arms))

@@ -185,6 +185,22 @@ def test_a_held_action_never_reaches_the_next_episode(mode):
     assert (infos["reward_terms"]["effort"] == 0.1).all(), "no torque was asked for since the reset"
 
 
+@pytest.mark.parametrize("hold", [1, 4])
+def test_sensors_are_read_once_a_period_at_most(hold, monkeypatch):
+    """Those of the agent once an action, those of the base once a period; also where an episode ends on the way."""
+    reads = []
+    env = FlexManEnv(hold=hold, base="pd", horizon=0.3)
+    for part in (env.sensors, env.episodes.measurements._base_sensors):
+        inner = part.read
+        monkeypatch.setattr(part, "read", lambda part=part, inner=inner: (reads.append(part), inner()))
+    env.reset(seed=0)
+    reads.clear()
+    steps = -(-15 // hold)
+    for _ in range(steps):
+        *_, truncated, _ = env.step(np.zeros(3))
+    assert truncated and [part is env.sensors for part in reads].count(True) == steps and len(reads) == steps + 15
+
+
 def test_a_horizon_that_is_no_multiple_of_the_hold_ends_the_episode_when_it_is_over():
     env = FlexManEnv(action_repeat=4, horizon=0.2)
     env.reset(seed=0)

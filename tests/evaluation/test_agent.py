@@ -7,9 +7,12 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.control import LQR, PD, TrackingLQR
 from flexman_gym.control.actions import TorqueMode
+from flexman_gym.control.agent import Agent
 from flexman_gym.control.network import Network
 from flexman_gym.envs import NAMED
 from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.episodes import design_mode
+from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.evaluation import BASELINES, AgentSpec, evaluate, find_agent, rollout
 from flexman_gym.evaluation.agent import (
     change_environment,
@@ -56,7 +59,7 @@ def test_a_policy_is_evaluated_on_the_environment_that_it_was_trained_on(run):
     assert (environment.id, setup.arm.payload.mass, setup.horizon) == ("FlexPlanar-v0", 0.3, 1.5)
     interface = policy.interface
     assert isinstance(policy.law, Network) and isinstance(interface["actions"], TorqueMode)
-    assert (interface["sensors"], interface["hold"]) == (["full", "fine"], 5), "which go with the policy"
+    assert (interface["sensors"], interface["action_repeat"]) == (["full", "fine"], 5), "which go with the policy"
     gains = {name: getattr(interface["base"], name).tolist() for name in ("stiffness", "damping")}
     assert gains == {name: list(each) for name, each in NAMED["FlexPlanar-v0"].pd.items()}
     assert setup.base is None and setup.action_repeat == 1
@@ -117,7 +120,7 @@ def test_rows_on_different_environments_are_refused_and_a_named_one_settles_it(r
     assert line.startswith("entrant: 'other' is not allowed; give policies of one environment")
     assert line.endswith("or name one with --env: planar knows another")
     assert common_environment([one, other], ONE) == ONE
-    same = AgentSpec("same", one.law, {"hold": 1}, one.environment)
+    same = AgentSpec("same", one.law, {"action_repeat": 1}, one.environment)
     assert common_environment([one, same], None) == one.environment, "another hold is not another environment"
 
 
@@ -139,7 +142,7 @@ def test_what_a_policy_was_trained_with_is_not_changed_in_part_either():
     assert change_environment(ONE, ["arm.payload.mass=0.1"]).arm.payload.mass == 0.1
     for change in ("sensors.kind=fine", "action_repeat=2", "base=pd"):
         line = refusal(change_environment, ONE, [change])
-        assert line.startswith(f"--set: '{change}' is not allowed; give a setting of what is moved: base, hold, ")
+        assert line.startswith(f"--set: '{change}' is not allowed; give a setting of what is moved: base, action_repeat, ")
 
 
 def test_random_torques_go_both_ways():
@@ -275,14 +278,29 @@ def test_it_is_evaluated_in_one_line():
     assert fm.evaluate(Own(0.0), WHOLE, [0, 1]) == fm.evaluate("pd", BARE, [0, 1])
 
 
-@pytest.mark.parametrize("condition", ["nominal", "unknown-lab"])
-def test_a_policy_acts_alike_in_training_live_and_loaded_from_its_files(condition, tmp_path):
-    """The same weights, seeds and sensors: the same noise, bias and lost samples, hence the same actions."""
-    flaws = {"kind": "lab", "noise": 0.01, "bias": 0.01, "dropped": 0.2}
-    agent = {"base": "pd", "hold": 2, "history": 3, "sensors": flaws, "horizon": 0.4}
-    described = Configuration.from_plain(
-        {"id": "FlexPlanar-v0", **Configuration.under("FlexPlanar-v0", condition).whole_settings(), **agent}
-    )
+FLAWED = {"kind": "lab", "noise": 0.01, "bias": 0.01, "dropped": 0.2}
+
+
+def asked(env, act, steps):
+    """Torques (b, T, n) of the control periods of so many steps, parts of the limits."""
+    rows, seen = [], env.reset(seed=[0, 1])[0]
+    env.episodes.watch = lambda: rows.append(env.episodes.view.action.copy())
+    for _ in range(steps):
+        seen = env.step(act(seen).astype(np.float32))[0]
+    return np.array(rows).swapaxes(0, 1)
+
+
+@pytest.mark.parametrize(
+    ("condition", "sensors"), [("nominal", "lab"), ("unknown-lab", "lab"), ("unknown-lab", FLAWED)]
+)
+def test_an_agent_acts_alike_in_training_live_loaded_and_under_another_agent(condition, sensors, tmp_path):
+    """The same weights, seeds and sensors: the same noise, bias and lost samples, hence the same actions.
+
+    Flaws of the instruments of a base are its own.
+    """
+    moved = Configuration.under("FlexPlanar-v0", condition).settings | {"horizon": 0.4}
+    agent = {"base": "pd", "action_repeat": 2, "history": 3, "sensors": sensors}
+    described = Configuration.from_plain({"id": "FlexPlanar-v0", **moved, **agent})
     write_policy(tmp_path, *made_up(described))
     network = read_policy(tmp_path)[1]
 
@@ -293,9 +311,11 @@ def test_a_policy_acts_alike_in_training_live_and_loaded_from_its_files(conditio
     entrants = load_policy(tmp_path), predictor_agent(Live(), described)
     loaded, live = (rollout(each, described, [0, 1]) for each in entrants)
     assert np.array_equal(loaded.actions, live.actions) and np.array_equal(loaded.readings, live.readings)
-    trained, asked = gym.make_vec(described.id, 2, "vector_entry_point", **described.keywords()).unwrapped, []
-    trained.episodes.watch = lambda: asked.append(trained.episodes.view.action.copy())
-    seen = trained.reset(seed=[0, 1])[0]
-    for _ in range(20):
-        seen = trained.step(network(seen).astype(np.float32))[0]
-    assert np.array_equal(np.array(asked).swapaxes(0, 1), loaded.actions) and np.ptp(loaded.actions) > 0.1
+    trained = FlexManVectorEnv(2, name="FlexPlanar-v0", **described.keywords())
+    assert np.array_equal(asked(trained, network, 20), loaded.actions) and np.ptp(loaded.actions) > 0.1
+    if sensors == "lab":
+        base, mode = design_mode(trained.setup, trained.batch.model)
+        inner = Agent(trained.setup.sensors, len(trained.sensors.bound), mode, base, 3, 2, network)
+        keywords = Configuration.from_plain({"id": "FlexPlanar-v0", **moved, "sensors": []}).keywords()
+        outer = FlexManVectorEnv(2, name="FlexPlanar-v0", **keywords, base=inner)
+        assert np.array_equal(asked(outer, lambda seen: np.zeros((2, 2)), 40), loaded.actions)

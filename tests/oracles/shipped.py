@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from flexman_gym.control.agent import history_length
 from flexman_gym.control.network import Network
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import load_policy, observation_layout
@@ -29,7 +30,8 @@ FIRST = "mlp_extractor.policy_net.0"
 def made_up(described=DESCRIBED, seed=0):
     """What is said of a policy, and its arrays: random layers that do something."""
     random, names = np.random.default_rng(seed), observation_layout(described)
-    size, joints = sum(each["size"] for each in names), described.arm.n_joints
+    size = history_length(described.history) * sum(each["size"] for each in names)
+    joints = described.arm.n_joints
     shapes = {f"{FIRST}.weight": (7, size), f"{FIRST}.bias": (7,), "action_net.weight": (joints, 7),
               "action_net.bias": (joints,)}  # fmt: skip
     layers = {name: random.normal(0.0, 0.3, shape).astype(np.float32) for name, shape in shapes.items()}
@@ -105,7 +107,7 @@ def outcome(seed, folder):
     same = np.array_equal(policy.law(torques()[0]), torques()[1])
     same &= (
         policy.interface["base"].stiffness.tolist() == DESCRIBED.settings["gains"]["stiffness"]
-        and policy.interface["hold"] == 5
+        and policy.interface["action_repeat"] == 5
     )
     return ("acts", "") if same else ("finding", "it acts otherwise")
 
