@@ -17,6 +17,7 @@ from flexman_gym.common.checks import finite, mapping, one_of, sequence, value_e
 from flexman_gym.common.computer import computer_text
 from flexman_gym.common.files import write_atomically
 from flexman_gym.common.grid import Workers, run_cells
+from flexman_gym.evaluation.rollout import compile_kernels
 
 JOURNAL, BEST, NAME = "study.log", "best.yaml", "flexman"
 MOST_TRIALS, PARTS = 100_000, 10  # evaluations of a trial where the recipe asks for none
@@ -63,7 +64,7 @@ def search(
         if not begun:
             return _keep_best(study, recipe, folder)
         cells = [(change_settings(recipe, _proposed(study, number, over)), str(folder), number) for number in begun]
-        for _ in run_cells(run_trial, cells, workers):
+        for _ in run_cells(run_trial, cells, workers, prepare=compile_kernels):
             pass
 
 

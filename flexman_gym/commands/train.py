@@ -128,6 +128,7 @@ def _train_runs(options: argparse.Namespace) -> list[Path]:
     """Train one run for each seed; return their folders."""
     from flexman_agents.training import train, train_or_resume
     from flexman_gym.common.grid import Workers, collect_cells
+    from flexman_gym.evaluation.rollout import compile_kernels
 
     settings, how = _make_settings(options), _training_options(options)
     if options.seeds == 1:
@@ -137,7 +138,7 @@ def _train_runs(options: argparse.Namespace) -> list[Path]:
     if workers != Workers():
         how |= {"progress": False}  # bars of several runs would be one tangle
     cells = [(settings.with_seed(seed), str(options.folder / f"seed-{seed}"), how) for seed in seeds]
-    return [Path(folder) for folder in collect_cells(train_or_resume, cells, workers)]
+    return [Path(folder) for folder in collect_cells(train_or_resume, cells, workers, prepare=compile_kernels)]
 
 
 COMMAND = CommandLine(_arguments, _run)

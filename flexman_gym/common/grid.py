@@ -1,7 +1,6 @@
 """Grid: independent cells of a computation, run serially, in processes, on a Ray cluster or as a SLURM array job."""
 
 import argparse
-import fcntl
 import hashlib
 import multiprocessing
 import os
@@ -17,15 +16,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-import gymnasium as gym
-
 from flexman_gym.common.checks import one_of, set_fields, value_error, whole_number
 from flexman_gym.common.computer import computer_text
 from flexman_gym.common.progress import Progress
 from flexman_gym.common.run_folder import read_data, write_data
-from flexman_gym.kernels import FOLDER
 
 Task = Callable[[Any], Any]
+Prepare = Callable[[], object]
 Done = Iterator[tuple[int, Any]]
 DEATHS = 3  # of workers in a row, without a cell that was done in between
 SHARES = 2  # of an array job's tasks, for each that runs at once: a killed one loses no more than its share
@@ -34,8 +31,8 @@ MINUTES = 24 * 60  # of an array job's task, where SBATCH_TIMELIMIT does not say
 OBJECTS = 200_000_000  # bytes of a local Ray cluster for what tasks hand over
 
 
-def _run_serially(task: Task, cells: Sequence[Any]) -> Done:
-    """Works them off in this process, one after the other."""
+def _run_serially(task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Done:
+    """Run the cells in this process, one after the other."""
     yield from enumerate(map(task, cells))
 
 
@@ -45,8 +42,9 @@ class _Processes:
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs
 
-    def __call__(self, task: Task, cells: Sequence[Any]) -> Done:
-        _compile_kernels()
+    def __call__(self, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Done:
+        if prepare is not None:
+            prepare()
         left, deaths, context = dict(enumerate(cells)), 0, multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(["flexman_gym"])
         while left:
@@ -69,11 +67,11 @@ class _RayTasks:
     def __init__(self, jobs: int, address: str) -> None:
         self._jobs, self._address = jobs, address
 
-    def __call__(self, task: Task, cells: Sequence[Any]) -> Done:
+    def __call__(self, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Done:
         with ray_cluster(self._jobs, self._address) as ray:
             own = {"env_vars": {"PYTHONPATH": python_path()}}
-            remote = ray.remote(num_cpus=1, max_retries=DEATHS, runtime_env=own)(_run_compiled)
-            waiting = {remote.remote(task, cell): number for number, cell in enumerate(cells)}
+            remote = ray.remote(num_cpus=1, max_retries=DEATHS, runtime_env=own)(_run_prepared)
+            waiting = {remote.remote(prepare, task, cell): number for number, cell in enumerate(cells)}
             while waiting:
                 for done in ray.wait(list(waiting))[0]:
                     yield waiting.pop(done), _ray_result(ray, done)
@@ -123,7 +121,7 @@ class _ArrayJob:
     def __init__(self, jobs: int, cluster: str, logs: str | Path = "submitit", every: float = 0.5) -> None:
         self._jobs, self._cluster, self._logs, self._every = jobs, cluster, logs, every
 
-    def __call__(self, task: Task, cells: Sequence[Any]) -> Done:
+    def __call__(self, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Done:
         submitit = _import_package("submitit")
         executor = submitit.AutoExecutor(self._logs, cluster=self._cluster)
         executor.update_parameters(name="flexman", timeout_min=MINUTES, cpus_per_task=1,
@@ -137,7 +135,7 @@ class _ArrayJob:
             if waiting:
                 os.environ["PYTHONPATH"] = python_path()
                 with executor.batch():
-                    running |= {first: executor.submit(_run_share, task, left[first]) for first in waiting}
+                    running |= {first: executor.submit(_run_share, prepare, task, left[first]) for first in waiting}
             for first in [first for first, job in running.items() if job.done()]:
                 try:
                     results = running.pop(first).result()
@@ -151,38 +149,19 @@ class _ArrayJob:
             time.sleep(self._every)
 
 
-def _run_share(task: Task, cells: Sequence[Any]) -> list[Any] | Exception:
-    """Works off a share of the cells; gives the error of one that fails, which submitit would give as a text."""
+def _run_share(prepare: Prepare | None, task: Task, cells: Sequence[Any]) -> list[Any] | Exception:
+    """Run a share of the cells; return the error of one that fails, which submitit would turn into a text."""
     try:
-        return [_run_compiled(task, cell) for cell in cells]
+        return [_run_prepared(prepare, task, cell) for cell in cells]
     except Exception as error:
         return error
 
 
-def _run_compiled(task: Task, cell: Any) -> Any:
-    """Does a task where no other process may have compiled the kernels yet."""
-    _compile_kernels()
+def _run_prepared(prepare: Prepare | None, task: Task, cell: Any) -> Any:
+    """Run a task in a process that may not have been prepared yet."""
+    if prepare is not None:
+        prepare()
     return task(cell)
-
-
-@cache
-def _compile_kernels() -> None:
-    """Compiles the kernels that environments need, unless that was done; of several processes of a node one does."""
-    with _node_lock():
-        for env in (gym.make("FlexRRR-v0"), gym.make_vec("FlexRRR-v0", 2, "vector_entry_point")):
-            env.reset(seed=0)
-            env.step(env.action_space.sample())
-
-
-@contextmanager
-def _node_lock() -> Iterator[None]:
-    """Waits until no other process of the node compiles."""
-    if FOLDER is None:
-        yield
-        return
-    with (Path(FOLDER) / "lock").open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield
 
 
 def python_path() -> str:
@@ -266,11 +245,12 @@ def run_cells(
     cells: Sequence[Cell],
     workers: Workers | int = 1,
     kept: Path | None = None,
+    prepare: Prepare | None = None,
 ) -> Iterator[tuple[int, Result]]:
-    """Gives the number of each cell and what a task makes of it, as they end.
+    """Run a task for each cell; yield the number of the cell and its result, in the order in which they end.
 
-    A cell whose worker dies is tried again; one that fails ends the grid with its error. A line on stderr says now and
-    then how much is left.
+    A cell whose worker dies is tried again; one that fails ends the grid with its error. A line on stderr shows from
+    time to time how much is left.
 
     Args:
         task: a function of a module; what it gives follows from the cell alone.
@@ -278,6 +258,8 @@ def run_cells(
         workers: who does it, or so many processes.
         kept: a folder for what is done, from which a grid that was killed goes on; the results are then plain data and
             arrays, the cells have a `repr` that tells them apart. None keeps nothing.
+        prepare: a function of a module, called before workers start: once on this computer for local processes, before
+            each cell in tasks of Ray and SLURM, which run on other computers. Cells in this process need none.
 
     Raises:
         RuntimeError: where workers die again and again.
@@ -290,7 +272,7 @@ def run_cells(
         yield number, read_data(files[number])["result"]  # type: ignore[arg-type]
     left = sorted({*range(len(cells))} - {*known})
     progress = Progress("cells", len(left))
-    for place, result in _executor(chosen)(task, [cells[number] for number in left]) if left else ():
+    for place, result in _executor(chosen)(task, [cells[number] for number in left], prepare) if left else ():
         if file := files[left[place]]:
             file.parent.mkdir(parents=True, exist_ok=True)
             write_data(file, {"result": result})
@@ -299,10 +281,14 @@ def run_cells(
 
 
 def collect_cells(
-    task: Callable[[Cell], Result], cells: Sequence[Cell], workers: Workers | int = 1, kept: Path | None = None
+    task: Callable[[Cell], Result],
+    cells: Sequence[Cell],
+    workers: Workers | int = 1,
+    kept: Path | None = None,
+    prepare: Prepare | None = None,
 ) -> list[Result]:
-    """Gives what a task makes of all cells, in their order; arguments and errors as of `run_cells`."""
-    results = dict(run_cells(task, cells, workers, kept))
+    """Return the results of all cells, in their order; arguments and errors as of `run_cells`."""
+    results = dict(run_cells(task, cells, workers, kept, prepare))
     return [results[number] for number in range(len(cells))]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from flexman_gym.common.grid import Workers, collect_cells
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.rollout import find_environment, rollout
+from flexman_gym.evaluation.rollout import compile_kernels, find_environment, rollout
 
 BLOCK = 50  # episodes side by side
 SEEN = ("sensors", "history")  # settings of an agent that the environment of a dataset keeps
@@ -45,7 +45,9 @@ def record_dataset(
     bare = bare_environment(find_environment(environment))
     single = gym.make(bare.id, **bare.settings)
     cells = [(entrant, bare, tuple(seeds[i : i + BLOCK])) for i in range(0, len(seeds), BLOCK)]
-    episodes = [each for block in collect_cells(record_episodes, cells, workers) for each in block]
+    episodes = [
+        each for block in collect_cells(record_episodes, cells, workers, prepare=compile_kernels) for each in block
+    ]
     buffers = [EpisodeBuffer(id=number, **episode) for number, episode in enumerate(episodes)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of an author and a page, whom the user may add

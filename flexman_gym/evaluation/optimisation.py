@@ -21,7 +21,7 @@ from flexman_gym.envs.config.fidelity import build
 from flexman_gym.envs.config.specification import make_controller
 from flexman_gym.evaluation.agent import split_interface
 from flexman_gym.evaluation.metrics import METRICS
-from flexman_gym.evaluation.rollout import find_environment, rollout
+from flexman_gym.evaluation.rollout import compile_kernels, find_environment, rollout
 from flexman_gym.simulation.batch import Batch
 
 MIN_MARGINS = Margins(2.0, 30.0)  # of all gains that are tried
@@ -142,7 +142,7 @@ def _drawn(loops: Sequence[SampledLoop], count: int, draw: Callable[[], Array]) 
 def _rewards(environment: Configuration, gains: Array, episodes: int, workers: Workers | int = 1) -> Array:
     """Mean reward (c,) of the first episodes with each of the gains (c, 2 n)."""
     parts = [(environment, gains[i : i + CELL], episodes) for i in range(0, len(gains), CELL)]
-    return np.concatenate(collect_cells(_cell_rewards, parts, workers))
+    return np.concatenate(collect_cells(_cell_rewards, parts, workers, prepare=compile_kernels))
 
 
 def _cell_rewards(cell: tuple[Configuration, Array, int]) -> Array:

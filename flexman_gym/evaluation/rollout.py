@@ -1,9 +1,12 @@
 """Rollout: episodes of one agent side by side, recorded in every control period, and their seeds."""
 
+import fcntl
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import cache
 from numbers import Integral
 from pathlib import Path
 from typing import Any
@@ -18,6 +21,7 @@ from flexman_gym.control.controller import Controller
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes, checked_actions
 from flexman_gym.evaluation.agent import AgentSpec, find_agent, split_interface
+from flexman_gym.kernels import FOLDER
 from flexman_gym.metrics import BAND
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.episode import Episode, episode_metadata
@@ -274,3 +278,14 @@ class _Recorder:
         view = self._episodes.view
         return Rollout(**arrays, lengths=self.ends, failures=tuple(self._failures), period=view.control_period,
                        band=BAND * view.reach, about=told)  # fmt: skip
+
+
+@cache
+def compile_kernels() -> None:
+    """Compile the kernels of the environments; of several processes on a computer, one compiles and the rest wait."""
+    with (Path(FOLDER) / "lock").open("w") if FOLDER else nullcontext() as lock:
+        if lock is not None:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        for env in (gym.make("FlexRRR-v0"), gym.make_vec("FlexRRR-v0", 2, "vector_entry_point")):
+            env.reset(seed=0)
+            env.step(env.action_space.sample())

@@ -31,7 +31,7 @@ from flexman_gym.evaluation.agent import BASELINES, AgentSpec, design_for, find_
 from flexman_gym.evaluation.agent_info import check_unseen, describe_agent, is_realisable
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.policy_files import ABOUT, ARRAYS, policy_folder
-from flexman_gym.evaluation.rollout import EpisodeRecord, rollout
+from flexman_gym.evaluation.rollout import EpisodeRecord, compile_kernels, rollout
 from flexman_gym.league.scenarios import find_plant, find_scenario
 from flexman_gym.metrics import damping_ratio
 
@@ -151,7 +151,7 @@ def run_league(
     cells = [EpisodeBlock(key, *place, *block) for place, key in keys.items() for block in blocks]
     left = [cell for cell in cells if not book.has(cell)]
     folder.mkdir(parents=True, exist_ok=True)
-    for count, (_, (cell, rows)) in enumerate(run_cells(run_block, left, jobs), 1):
+    for count, (_, (cell, rows)) in enumerate(run_cells(run_block, left, jobs, prepare=compile_kernels), 1):
         book.add(cell, rows)
         book.save(folder)
         what = cell.why or f"{cell.action:.0f} us an action"

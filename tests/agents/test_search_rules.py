@@ -109,7 +109,7 @@ def test_a_judgement_is_reported_once(optuna, monkeypatch):
 def test_trials_are_compared_ten_times_where_the_recipe_does_not_say(asked, every, optuna, monkeypatch, tmp_path):
     study, cells = Study(), []
 
-    def spread(run, given, workers):
+    def spread(run, given, workers, prepare):
         cells.extend(given)
         study.tell(given[0][-1], 1.0)
         return iter([None])
@@ -127,7 +127,7 @@ def test_every_trial_is_proposed_by_a_seed_of_its_own(optuna, monkeypatch, tmp_p
     """As often as it was asked for, though several are at work at once; else the first ones would be alike."""
     study, seeds = Study(), []
 
-    def spread(run, cells, workers):
+    def spread(run, cells, workers, prepare):
         for *_, number in cells:
             study.tell(number, 1.0)
         return iter([None] * len(cells))

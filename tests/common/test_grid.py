@@ -55,6 +55,14 @@ def test_a_cell_whose_worker_dies_is_tried_again(workers, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("workers", WAYS)
+def test_workers_are_prepared_before_their_cells(workers, tmp_path):
+    times = {Workers(1): 0, Workers(2): 1}.get(workers, len(CELLS))
+    assert bits(collect_cells(cells.waves, CELLS, workers, prepare=cells.waking)) == bits(map(cells.waves, CELLS))
+    known = (tmp_path / "prepared").read_text().split() if times else []
+    assert len(known) == times and (times != 1 or known == [str(os.getpid())])
+
+
+@pytest.mark.parametrize("workers", WAYS)
 def test_the_error_of_a_cell_is_raised_as_it_is(workers):
     with pytest.raises(ValueError, match=r"^cell: 3 is not allowed; give another$"):
         collect_cells(cells.refusing, [3], workers)

@@ -43,6 +43,12 @@ def counted(cell):
     return waves((seed, 5))
 
 
+def waking():
+    """A line in a file for each process that is prepared."""
+    with Path("prepared").open("a") as file:
+        file.write(f"{os.getpid()}\n")
+
+
 def refusing(cell):
     """An error of its own."""
     raise ValueError(f"cell: {cell} is not allowed; give another")

@@ -20,7 +20,7 @@ from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.evaluation.agent import AgentSpec, find_agent, split_interface
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.policy_files import POLICIES
-from flexman_gym.evaluation.rollout import TEST_SEEDS, rollout
+from flexman_gym.evaluation.rollout import TEST_SEEDS, compile_kernels, rollout
 from flexman_gym.simulation.integrator import default_step
 from studies.stopwatch import Stopwatch
 
@@ -228,7 +228,9 @@ def runs(case: LearningCase, folder: Path, workers: Workers | int = 1) -> Iterat
     """Rows of the runs of a case, which are trained in the folder if they are not there, and by whom `grid` says."""
     seeds = range(case.seeds)
     folders = [place(case, folder, seed) for seed in seeds]
-    costs = collect_cells(trained, [(case.settings.with_seed(seed), folders[seed]) for seed in seeds], workers)
+    costs = collect_cells(
+        trained, [(case.settings.with_seed(seed), folders[seed]) for seed in seeds], workers, prepare=compile_kernels
+    )
     for seed, each, cost in zip(seeds, folders, costs, strict=True):
         policy = find_agent(str(each))
         assert policy.environment is not None

@@ -10,6 +10,7 @@ from typing import Any
 from flexman_gym.common.computer import computer_text
 from flexman_gym.common.grid import Workers, collect_cells
 from flexman_gym.common.markdown import introduced_table
+from flexman_gym.evaluation.rollout import compile_kernels
 from flexman_gym.simulation.amplification import largest_growth
 from flexman_gym.simulation.methods import METHODS
 from studies.files import read_rows, write_rows
@@ -221,7 +222,7 @@ def compute(
                                           for model in choices(case.scene)]  # fmt: skip
     rows: list[PrecisionRow] = []
     floors: dict[tuple[str, str], Floor] = {}
-    for done in collect_cells(_computed, cells, workers, kept):
+    for done in collect_cells(_computed, cells, workers, kept, compile_kernels):
         rows += [PrecisionRow(**row) for row in done["rows"]]
         floors |= {(each["scene"], each["model"]): Floor(**each) for each in done["floors"]}
     write_rows(rows, folder / ROWS_FILE)

@@ -9,6 +9,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.grid import Workers, collect_cells
+from flexman_gym.evaluation.rollout import compile_kernels
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene import catalog
@@ -283,4 +284,8 @@ def rows_of(cell: _StabilityCell) -> list[dict[str, Any]]:
 
 def all_rows(quick: bool = False, workers: Workers | int = 1, kept: Path | None = None) -> list[StabilityRow]:
     """All rows, or a small grid of them; `workers` and `kept` as of `common.grid.run_cells`."""
-    return [StabilityRow(**row) for rows in collect_cells(rows_of, cells(quick), workers, kept) for row in rows]
+    return [
+        StabilityRow(**row)
+        for rows in collect_cells(rows_of, cells(quick), workers, kept, compile_kernels)
+        for row in rows
+    ]
