@@ -117,11 +117,7 @@ def mjcf(
     flags = {"contact": "disable", "warmstart": "disable"}
     add_element(options, "flag", flags if _rubs(arm) else flags | {"constraint": "disable"})
     add_element(root, "compiler", angle="radian", autolimits="true")
-    parent, actuators, tendons = (
-        add_element(root, "worldbody"),
-        add_element(root, "actuator"),
-        add_element(root, "tendon"),
-    )
+    parent, actuators, tendons = (add_element(root, name) for name in ("worldbody", "actuator", "tendon"))
     place: dict[str, str] = {}
     for i, (link, joint) in enumerate(zip(arm.links, arm.joints, strict=True)):
         body = add_element(parent, "body", place, name=f"link_{i}")
