@@ -314,23 +314,20 @@ def fit(
     Raises:
         ValueError: one line with field, value and what is allowed; where there are fewer data than free numbers.
     """
-    parameters, ringing = (
-        FreeParameters(instance("arm", arm, Arm, "an Arm"), free),
-        _parse_ringings(frequencies, damping),
-    )
+    parameters = FreeParameters(instance("arm", arm, Arm, "an Arm"), free)
+    ringing = _parse_ringings(frequencies, damping)
     whole_number("starts", starts, 0, 10**4)
     records = tuple(instance(f"records[{i}]", each, Measurement, "a Measurement") for i, each in enumerate(records))
     step = None if step is None else positive("step", step, "s")
     choice = {"elements": elements, "modes": modes}
     responses = [Response(parameters.arm, each, step) for each in records]
     problem = LeastSquaresProblem(parameters, ringing, responses, choice)
-    count = sum(len(part.measured) for part in problem.parts)
-    if count < len(parameters.numbers):
+    if (count := sum(len(part.measured) for part in problem.parts)) < len(parameters.numbers):
         allowed = f"at least as many as free numbers, {len(parameters.numbers)}"
         raise value_error("frequencies, damping and records", f"{count} numbers", allowed)
     x = problem.refined(_best(problem, starts, np.random.default_rng(0)))
-    said = _data_warnings(problem, x) if check else ()
-    return _concluded(problem, x, said, (records, choice, min((each.step for each in responses), default=None)))
+    given = records, choice, min((each.step for each in responses), default=None)
+    return _concluded(problem, x, _data_warnings(problem, x) if check else (), given)
 
 
 def _best(problem: LeastSquaresProblem, starts: int, rng: np.random.Generator) -> Array:
