@@ -11,10 +11,10 @@ import numpy as np
 
 from flexman_gym.common import files as scene_file
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import instance, positive, value_error, whole_number
+from flexman_gym.common.checks import instance, mapping, positive, value_error, whole_number
 from flexman_gym.identification.least_squares import FreeParameters, LeastSquaresProblem, ResidualBlock
 from flexman_gym.identification.measurement import Measurement, Response, output_unit
-from flexman_gym.identification.ringing import parse_ringings
+from flexman_gym.identification.ringing import KEYS, Ringing
 from flexman_gym.model.model import build_model
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.serialization import to_plain
@@ -315,20 +315,20 @@ def fit(
     Raises:
         ValueError: one line with field, value and what is allowed; where there are fewer data than free numbers.
     """
-    free_numbers = FreeParameters(instance("arm", arm, Arm, "an Arm"), free)
-    ringing = parse_ringings(frequencies, damping)
+    parameters = FreeParameters(instance("arm", arm, Arm, "an Arm"), free)
+    ringing = _parse_ringings(frequencies, damping)
     whole_number("starts", starts, 0, 10**4)
     records = tuple(instance(f"records[{i}]", each, Measurement, "a Measurement") for i, each in enumerate(records))
     step = None if step is None else positive("step", step, "s")
     choice = {"elements": elements, "modes": modes}
-    responses = [Response(free_numbers.arm, each, step) for each in records]
-    problem = LeastSquaresProblem(free_numbers, ringing, responses, choice)
-    if (count := sum(len(part.measured) for part in problem.parts)) < len(free_numbers.numbers):
-        allowed = f"at least as many as free numbers, {len(free_numbers.numbers)}"
+    responses = [Response(parameters.arm, each, step) for each in records]
+    problem = LeastSquaresProblem(parameters, ringing, responses, choice)
+    if (count := sum(len(part.measured) for part in problem.parts)) < len(parameters.numbers):
+        allowed = f"at least as many as free numbers, {len(parameters.numbers)}"
         raise value_error("frequencies, damping and records", f"{count} numbers", allowed)
     x = problem.refined(_best(problem, starts, np.random.default_rng(0)))
-    said = _data_warnings(problem, x) if check else ()
-    return _concluded(problem, x, said, (records, choice, min((each.step for each in responses), default=None)))
+    given = records, choice, min((each.step for each in responses), default=None)
+    return _concluded(problem, x, _data_warnings(problem, x) if check else (), given)
 
 
 def _best(problem: LeastSquaresProblem, starts: int, rng: np.random.Generator) -> Array:
@@ -430,3 +430,27 @@ def r_squared(measured: Array, shown: Array) -> float:
     """1 less the part of the variance that is left."""
     spread = float(np.sum((measured - measured.mean()) ** 2))
     return 1.0 - float(np.sum((measured - shown) ** 2)) / max(spread, 1e-300)
+
+
+def _parse_ringings(frequencies: Any, damping: Any) -> list[Ringing]:
+    """Gives what the arguments `frequencies` and `damping` of a fit say.
+
+    Raises:
+        ValueError: for what is neither a list of numbers nor a mapping, or a list of these.
+    """
+    if frequencies is None:
+        if damping is not None:
+            raise value_error("damping", damping, "frequencies beside it, which say of what")
+        return []
+    several = isinstance(frequencies, list | tuple) and frequencies and isinstance(frequencies[0], Mapping | Ringing)
+    result = []
+    for each in frequencies if several else [frequencies]:
+        if isinstance(each, Ringing):
+            result.append(each)
+        elif isinstance(each, Mapping):
+            result.append(Ringing(**mapping("frequencies", dict(each), KEYS)))
+        else:
+            result.append(Ringing(each, damping))
+    if damping is not None and (several or isinstance(frequencies, Mapping | Ringing)):
+        raise value_error("damping", damping, "it as an entry of the mapping that has the frequencies")
+    return result

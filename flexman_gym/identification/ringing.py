@@ -4,12 +4,11 @@ parameters.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array, Vector
-from flexman_gym.common.checks import flag, mapping, positive, sequence, set_fields, value_error, vector, whole_number
+from flexman_gym.common.checks import flag, positive, sequence, set_fields, value_error, vector, whole_number
 from flexman_gym.model.dynamics import damping_matrix, mass_matrix, stiffness_matrix
 from flexman_gym.model.model import Model
 from flexman_gym.model.vibration import EquilibriumMatrices, equilibrium_matrices, oscillatory_modes
@@ -114,27 +113,3 @@ class Ringing:
             return equilibrium_matrices(model, angles)
         matrices = mass_matrix(model, model.initial_state(angles)), damping_matrix(model), stiffness_matrix(model)
         return EquilibriumMatrices(*matrices, np.zeros((3, model.n_dof)), model.motor_columns)
-
-
-def parse_ringings(frequencies: Any, damping: Any) -> list[Ringing]:
-    """Gives what the arguments `frequencies` and `damping` of a fit say.
-
-    Raises:
-        ValueError: for what is neither a list of numbers nor a mapping, or a list of these.
-    """
-    if frequencies is None:
-        if damping is not None:
-            raise value_error("damping", damping, "frequencies beside it, which say of what")
-        return []
-    several = isinstance(frequencies, list | tuple) and frequencies and isinstance(frequencies[0], Mapping | Ringing)
-    result = []
-    for each in frequencies if several else [frequencies]:
-        if isinstance(each, Ringing):
-            result.append(each)
-        elif isinstance(each, Mapping):
-            result.append(Ringing(**mapping("frequencies", dict(each), KEYS)))
-        else:
-            result.append(Ringing(each, damping))
-    if damping is not None and (several or isinstance(frequencies, Mapping | Ringing)):
-        raise value_error("damping", damping, "it as an entry of the mapping that has the frequencies")
-    return result

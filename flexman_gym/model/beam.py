@@ -113,7 +113,7 @@ def _lagrange(places: Array, points: Array) -> Array:
     )
 
 
-def lumped_mass_points(
+def _lumped_mass_points(
     bodies: Sequence[LumpedMass], elements: Sequence[Element], size: int
 ) -> tuple[Array, Array, Array]:
     """Gives masses (p,), positions (p, 3) and shapes (p, 3, size) of points with the mass and inertia of the bodies.
@@ -135,12 +135,12 @@ def lumped_mass_points(
     return np.array(masses), np.array(positions), np.array(shapes)
 
 
-def lumped_mass_stations(
+def _lumped_mass_stations(
     bodies: Sequence[LumpedMass], elements: Sequence[Element], size: int
 ) -> tuple[Array, Array, Array]:
     """Gives G (b, size, size), stations (b, 4) and shapes (b, 3, size) of the centres of mass of the bodies.
 
-    Foreshortening draws a body back with its section. Arguments are those of `lumped_mass_points`, results those of
+    Foreshortening draws a body back with its section. Arguments are those of `_lumped_mass_points`, results those of
     `Beam`.
     """
     centres = [np.array(each.offset or np.zeros(3)) for each in bodies]
@@ -289,12 +289,8 @@ def build_beam(link: Link | NonUniformLink, elements: int, flexible: bool = True
     stiffness = np.zeros((size, size))
     for piece in pieces:
         stiffness[piece.nodes, piece.nodes] += beam_stiffness(piece.section, piece.length)
-    points, stations = mass_points(pieces, size, rotary_inertia), beam_stations(pieces, size)
-    if link.masses:
-        points = _joined(points, lumped_mass_points(link.masses, pieces, size))
-        stations = _joined(stations, lumped_mass_stations(link.masses, pieces, size))
-    (masses, positions, shapes), (shortening, centres, station_shapes) = points, stations
-    polar, twist = polar_inertias([] if rotary_inertia else pieces, size)
+    (masses, positions, shapes), (polar, twist) = link_points(link, pieces, rotary_inertia)
+    shortening, centres, station_shapes = link_stations(link, pieces)
     kept = slice(NODE_COORDINATES, size if flexible else NODE_COORDINATES)
     identity = np.eye(size)
     return Beam(
@@ -312,13 +308,49 @@ def build_beam(link: Link | NonUniformLink, elements: int, flexible: bool = True
     )
 
 
+def link_points(
+    link: Link | NonUniformLink, elements: Sequence[Element], rotary_inertia: bool, until: float = np.inf
+) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
+    """Return the mass points and polar inertias of a link up to a position (m); a body there is left out.
+
+    Args:
+        link: the link.
+        elements: of the link, base to tip; `size` is their number of node coordinates, the clamped node included.
+        rotary_inertia: see `build_beam`.
+        until: the position, m.
+
+    Returns:
+        Masses (p,), positions (p, 3) and shapes (p, 3, size); polar inertias (t,) and twists (t, size).
+    """
+    size, bodies = NODE_COORDINATES * (len(elements) + 1), [body for body in link.masses if body.position < until]
+    points = _mass_points(elements, size, rotary_inertia, until)
+    if bodies:
+        points = _joined(points, _lumped_mass_points(bodies, elements, size))
+    return points, _polar_inertias([] if rotary_inertia else elements, size, until)
+
+
+def link_stations(
+    link: Link | NonUniformLink, elements: Sequence[Element], until: float = np.inf
+) -> tuple[Array, Array, Array]:
+    """Return G (s, size, size), stations (s, 4) and shapes (s, 3, size) of a link up to a position (m).
+
+    Arguments are those of `link_points`, results those of `beam_stations`, with the centres of mass of its bodies.
+    """
+    size, bodies = NODE_COORDINATES * (len(elements) + 1), [body for body in link.masses if body.position < until]
+    stations = beam_stations(elements, size)
+    inside = stations[1][:, 1] <= until
+    if not inside.all():
+        stations = stations[0][inside], stations[1][inside], stations[2][inside]
+    return _joined(stations, _lumped_mass_stations(bodies, elements, size)) if bodies else stations
+
+
 def _joined(first: tuple[Array, ...], second: tuple[Array, ...]) -> tuple[Array, Array, Array]:
     """Gives three arrays with the rows of the first and then those of the second."""
     one, two, three = (np.concatenate(rows) for rows in zip(first, second, strict=True))
     return one, two, three
 
 
-def mass_points(
+def _mass_points(
     elements: Sequence[Element], size: int, rotary_inertia: bool, until: float = np.inf
 ) -> tuple[Array, Array, Array]:
     """Gives masses (p,), positions (p, 3) and shapes (p, 3, size) of the mass points of a link up to a position (m)."""
@@ -337,7 +369,7 @@ def mass_points(
     return np.array(masses), np.array(positions), np.array(shapes)
 
 
-def polar_inertias(elements: Sequence[Element], size: int, until: float = np.inf) -> tuple[Array, Array]:
+def _polar_inertias(elements: Sequence[Element], size: int, until: float = np.inf) -> tuple[Array, Array]:
     """Gives polar inertias (t,) in kg m^2 and twists (t, size) of sections at Gauss points up to a position (m)."""
     abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
     count = len(elements) * GAUSS_POINTS

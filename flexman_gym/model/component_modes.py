@@ -1,4 +1,4 @@
-"""Component modes of a link that carries the inertia of the outboard arm, their selection and modal damping.
+"""Component modes of a link that carries the inertia of the outboard arm.
 
 Modes of the bare clamped link, sorted by frequency, rank torsion far behind bending, although torsion carries the whole
 outboard arm. Loaded modes include the inertia of the outboard arm, straight and rigid, at the link's tip.
@@ -85,27 +85,6 @@ def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
     return frequencies[order], shapes[:, order]
 
 
-def select_modes(shapes: Array, modes: int | tuple[int, ...] | None, field: str) -> Array:
-    """Gives the node coordinates (size, k) of a link per unit of each coordinate that is kept.
-
-    Args:
-        shapes: (size, size) of its loaded modes.
-        modes: loaded modes that are kept, by number or as a tuple of numbers; None keeps every coordinate.
-        field: the name that an error gives to `modes`.
-
-    Raises:
-        ValueError: for more modes than there are.
-    """
-    size = len(shapes)
-    if modes is None:
-        return np.eye(size)
-    if isinstance(modes, int) and modes > size:
-        raise value_error(field, modes, f"at most {size}, the elastic coordinates of this link's elements")
-    if isinstance(modes, tuple) and modes[-1] >= size:
-        raise value_error(field, modes, f"mode numbers below {size}, the elastic coordinates of this link's elements")
-    return shapes[:, range(modes) if isinstance(modes, int) else modes]
-
-
 def _uncoupled_groups(*matrices: Array) -> list[np.ndarray]:
     """Gives groups of coordinates that symmetric positive definite matrices (k, k) do not couple beyond rounding."""
     joined = np.zeros(matrices[0].shape, dtype=bool)
@@ -116,20 +95,6 @@ def _uncoupled_groups(*matrices: Array) -> list[np.ndarray]:
     while not np.array_equal(group, before):  # the lowest number spreads over its group
         before, group = group, np.where(joined, group, len(group)).min(axis=1, initial=len(group))
     return [np.flatnonzero(group == number) for number in np.unique(group)]
-
-
-def modal_damping(stiffness: Array, modes: tuple[Array, Array], ratio: float) -> Array:
-    """Gives the damping matrix (k, k) of a link in which each of its loaded modes has the same damping ratio.
-
-    Args:
-        stiffness: (k, k) of the link.
-        modes: angular frequencies (k,) and shapes (k, k) of its loaded modes.
-        ratio: of damping.
-    """
-    frequencies, shapes = modes
-    # K shape / frequency^2 is the loaded mass matrix times the shape, the inverse of the shapes.
-    inverse = stiffness @ shapes / frequencies**2
-    return 2.0 * ratio * inverse * frequencies @ inverse.T
 
 
 def spatial_inertia(mass: float, offset: Array, inertia: Array) -> Array:

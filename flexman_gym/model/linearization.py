@@ -85,7 +85,7 @@ OUTPUT_UNITS = UNITS | {
 INPUT_UNITS = {"motor_torques": "N m", "tip_force": "N", "base_acceleration": "m/s^2"}
 
 
-def measurement_rows(model: Model) -> dict[str, Array]:
+def _measurement_rows(model: Model) -> dict[str, Array]:
     """Gives what reads each of UNITS from a state, (m, 2 d), by name.
 
     Args:
@@ -131,7 +131,7 @@ class LinearReadings:
     """
 
     def __init__(self, model: Model) -> None:
-        *parts, strains = measurement_rows(model).values()
+        *parts, strains = _measurement_rows(model).values()
         ends = np.cumsum([0, *map(len, parts)]).tolist()
         self.places = {name: slice(*both) for name, *both in zip(UNITS, ends, ends[1:], strict=False)}
         self.motion = _entries(np.vstack(parts))
@@ -167,7 +167,7 @@ def _output_rows(model: Model, state: Vector, rates: Array, names: object) -> tu
         ValueError: for other names, and for the acceleration of the tip where the arm moves.
     """
     n, d, (x, v) = model.n_joints, model.n_dof, split_state(model, state)
-    known, parts, heads = measurement_rows(model), [], []
+    known, parts, heads = _measurement_rows(model), [], []
     for i, given in enumerate(sequence("outputs", names, "names")):
         name = one_of(f"outputs[{i}]", given, OUTPUT_UNITS)
         if name in known:

@@ -8,14 +8,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.kernels import inverse
 from flexman_gym.kernels.layout import make_work
-from flexman_gym.model.beam import (
-    beam_stations,
-    foreshortening_matrix,
-    lumped_mass_points,
-    lumped_mass_stations,
-    mass_points,
-    polar_inertias,
-)
+from flexman_gym.model.beam import foreshortening_matrix, link_points, link_stations
 from flexman_gym.model.element import NODE_COORDINATES, beam_shapes, find_element
 from flexman_gym.model.model import Model
 from flexman_gym.model.vibration import elastic_energies
@@ -181,19 +174,11 @@ def _points(model: Model, link: int, until: float = np.inf) -> _Points:
     """Gives the points of a link inboard of a position, m; a body there is outboard."""
     whole, pieces = model.arm.links[link], model.elements(link)
     size = NODE_COORDINATES * (len(pieces) + 1)
-    rotary, bodies = model.choice.rotary_inertia, [body for body in whole.masses if body.position < until]
-    parts = [mass_points(pieces, size, rotary, until), *([lumped_mass_points(bodies, pieces, size)] if bodies else [])]
-    masses, places, shapes = (np.concatenate(each) for each in zip(*parts, strict=True))
-    polar, twist = polar_inertias([] if rotary else pieces, size, until)
+    (masses, places, shapes), (polar, twist) = link_points(whole, pieces, model.choice.rotary_inertia, until)
     drawn = np.zeros((len(masses), size, size))
     if model.choice.stiffening:
         # the motion of stations is taken out, and put back with foreshortening
-        drawing, stations, moved = beam_stations(pieces, size)
-        inside = stations[:, 1] <= until
-        drawing, stations, moved = drawing[inside], stations[inside], moved[inside]
-        if bodies:
-            parts = [(drawing, stations, moved), lumped_mass_stations(bodies, pieces, size)]
-            drawing, stations, moved = (np.concatenate(each) for each in zip(*parts, strict=True))
+        drawing, stations, moved = link_stations(whole, pieces, until)
         masses = np.r_[masses, -stations[:, 0], stations[:, 0]]
         places = np.concatenate([places, stations[:, 1:], stations[:, 1:]])
         shapes = np.concatenate([shapes, moved, moved])

@@ -12,13 +12,7 @@ from flexman_gym.common.checks import check_magnitudes, instance, value_error, v
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import LANES
 from flexman_gym.model.beam import Beam, ShapeIntegrals, build_beam, shape_integrals
-from flexman_gym.model.component_modes import (
-    loaded_modes,
-    modal_damping,
-    outboard_inertias,
-    select_modes,
-    zero_pose_rotations,
-)
+from flexman_gym.model.component_modes import loaded_modes, outboard_inertias, zero_pose_rotations
 from flexman_gym.model.element import Element, beam_elements
 from flexman_gym.scene.arm import Arm, Payload
 from flexman_gym.scene.mistakes import warn_of_modes
@@ -345,9 +339,9 @@ def build_model(
     beams = whole(arm, counts, flexible, choice.rotary_inertia)
     warn_of_modes([modes_[0][0] for _, modes_ in beams if len(modes_[0])])
     for i, (beam, modes_) in enumerate(beams):
-        basis = select_modes(modes_[1], kept[i] if flexible[i] else None, f"modes[{i}]")
+        basis = _select_modes(modes_[1], kept[i] if flexible[i] else None, f"modes[{i}]")
         bases.append(basis)
-        dampings.append(basis.T @ modal_damping(beam.stiffness, modes_, arm.damping_ratios[i]) @ basis)
+        dampings.append(basis.T @ _modal_damping(beam.stiffness, modes_, arm.damping_ratios[i]) @ basis)
         reduced.append(beam.reduced(basis))
     damping = _pack([*dampings, np.zeros(LANES)], 1)
     return Model(arm, choice, _pack_constants(arm, tuple(reduced), damping, choice), tuple(bases), damping)
@@ -361,6 +355,41 @@ def _whole_links(
     return [
         (beam, loaded_modes(beam, inertia)) for beam, inertia in zip(beams, outboard_inertias(arm, beams), strict=True)
     ]
+
+
+def _select_modes(shapes: Array, modes: int | tuple[int, ...] | None, field: str) -> Array:
+    """Gives the node coordinates (size, k) of a link per unit of each coordinate that is kept.
+
+    Args:
+        shapes: (size, size) of its loaded modes.
+        modes: loaded modes that are kept, by number or as a tuple of numbers; None keeps every coordinate.
+        field: the name that an error gives to `modes`.
+
+    Raises:
+        ValueError: for more modes than there are.
+    """
+    size = len(shapes)
+    if modes is None:
+        return np.eye(size)
+    if isinstance(modes, int) and modes > size:
+        raise value_error(field, modes, f"at most {size}, the elastic coordinates of this link's elements")
+    if isinstance(modes, tuple) and modes[-1] >= size:
+        raise value_error(field, modes, f"mode numbers below {size}, the elastic coordinates of this link's elements")
+    return shapes[:, range(modes) if isinstance(modes, int) else modes]
+
+
+def _modal_damping(stiffness: Array, modes: tuple[Array, Array], ratio: float) -> Array:
+    """Gives the damping matrix (k, k) of a link in which each of its loaded modes has the same damping ratio.
+
+    Args:
+        stiffness: (k, k) of the link.
+        modes: angular frequencies (k,) and shapes (k, k) of its loaded modes.
+        ratio: of damping.
+    """
+    frequencies, shapes = modes
+    # K shape / frequency^2 is the loaded mass matrix times the shape, the inverse of the shapes.
+    inverse = stiffness @ shapes / frequencies**2
+    return 2.0 * ratio * inverse * frequencies @ inverse.T
 
 
 # one arm is often built with many a choice of modes; nothing changes these arrays

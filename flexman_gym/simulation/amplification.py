@@ -105,14 +105,9 @@ def _eigenvalues(matrix: np.ndarray) -> NDArray[np.complex128]:
     return np.linalg.eigvals(matrix).astype(np.complex128)
 
 
-def spectral_radii(method: Method, angles: Array) -> Array:
-    """Gives the largest magnitudes of the factors of steps in which the vibration turns by angles (...) rad."""
+def spectral_radii(method: Method, angles: float | Array) -> Array:
+    """Return the largest magnitudes (...) of the factors of steps in which the vibration turns by angles (...) rad."""
     return np.abs(amplification_factors(method, angles)).max(axis=-1)
-
-
-def spectral_radius(method: Method, angle: float) -> float:
-    """Gives the largest magnitude of the factors of a step in which the vibration turns by an angle (rad)."""
-    return float(spectral_radii(method, np.array(angle)))
 
 
 def vibration_factor(method: Method, angle: float) -> complex:
@@ -137,7 +132,7 @@ def stability_limit(method: Method, growth: float = 0.0) -> float:
     low, high = (grid[above - 1] if above else 0.0), grid[above]
     for _ in range(40):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if spectral_radius(method, middle) <= most else (low, middle)
+        low, high = (middle, high) if spectral_radii(method, middle) <= most else (low, middle)
     return float(low)
 
 
@@ -162,4 +157,4 @@ def remaining_amplitude(method: Method, step: float, frequency: float, duration:
         frequency: of the vibration, Hz.
         duration: s.
     """
-    return float(spectral_radius(method, 2.0 * np.pi * frequency * step) ** (duration / step))
+    return float(spectral_radii(method, 2.0 * np.pi * frequency * step) ** (duration / step))

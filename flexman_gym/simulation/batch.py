@@ -6,13 +6,20 @@ from typing import NoReturn
 import numpy as np
 
 from flexman_gym.common.arrays import Array, Flags
-from flexman_gym.common.checks import check_magnitudes, positive, value_error, whole_number
+from flexman_gym.common.checks import check_magnitudes, count_parts, positive, value_error, whole_number
 from flexman_gym.kernels import layout, outputs
 from flexman_gym.kernels.control_period import close_period
 from flexman_gym.kernels.rigid_arm import rigid_tips
 from flexman_gym.model.model import Model, checked_model
 from flexman_gym.simulation.batch_integrators import BatchIntegrator, LaneIntegrator, SequentialIntegrator
-from flexman_gym.simulation.integrator import Integrator, find_method, find_substeps, find_tolerance, prescribed_flags
+from flexman_gym.simulation.integrator import (
+    MOST_STEPS,
+    Integrator,
+    default_step,
+    find_method,
+    find_tolerance,
+    prescribed_flags,
+)
 from flexman_gym.simulation.methods import DEFAULT_METHOD, IteratedGauss, LinearlyImplicit, Method
 from flexman_gym.simulation.parameters import nominal_parameters, varied_constants
 
@@ -65,7 +72,7 @@ class Batch:
         self.model = checked_model(model)
         self.method = find_method(method)
         self.control_period = positive("control_period", control_period, "s")
-        self.substeps = find_substeps(step, self.control_period)
+        self.substeps = _find_substeps(step, self.control_period)
         n, count = model.n_joints, whole_number("arms", arms, 1, MOST_ARMS)
         whole_number("threads", threads, 1, MOST_THREADS)
         joints = _joints(prescribed, n)
@@ -230,6 +237,19 @@ class Batch:
         result = np.empty(len(self.rows))
         outputs.residuals(self.rows, self.outputs, self.start_energy, result)
         return result
+
+
+def _find_substeps(step: float | str | None, control_period: float) -> int:
+    """Gives the steps in a control period (s): one for None, where the method chooses, and some for "auto".
+
+    Raises:
+        ValueError: for anything else that does not divide the control period.
+    """
+    if step is None:
+        return 1
+    if isinstance(step, str):
+        step = default_step(control_period) if step == "auto" else step
+    return count_parts("step", step, control_period, "a number of seconds that divides the control period", MOST_STEPS)  # type: ignore[arg-type]
 
 
 def _joints(prescribed: object, count: int) -> list[int]:

@@ -22,7 +22,7 @@ from flexman_gym.kernels.layout import ARMS_ABREAST, Clock, Constants, IntArray,
 from flexman_gym.kernels.outputs import tip_accelerations
 from flexman_gym.kernels.signals import spin_wait
 from flexman_gym.scene.signals import signal_table
-from flexman_gym.simulation.integrator import ABREAST, Integrator, chunks, evaluations_of_a_call, row_chunks
+from flexman_gym.simulation.integrator import ABREAST, Integrator, chunks, evaluations_of_a_call
 from flexman_gym.simulation.methods import IteratedGauss, LinearlyImplicit
 
 LOOKS = 600_000  # of who waits before he falls asleep: 0.2 ms, in which a short control period comes after the last
@@ -130,15 +130,19 @@ class BatchIntegrator(Protocol):
 
     def roll(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray, trail: Trail) -> None:
         """Integrate the arms whose status is OK over T control periods of drives (b, T, n + 6), and fill the trail."""
+        for period in range(drives.shape[1]):
+            self.move(drives[:, period], periods + period, rows, outputs, status)
+            well = status == layout.OK
+            trail[0][well, period], trail[1][well, period] = rows[well], outputs[well]
 
     def sense(self, drives: Array, rows: Array, result: Array) -> None:
         """Compute the tip accelerations (b, TIP_ACCELERATIONS) of all arms, m/s^2."""
 
 
-class SequentialIntegrator:
+class SequentialIntegrator(BatchIntegrator):
     """Batch integrator with one `Integrator` for each arm, which integrates one arm after the other."""
 
-    kept: ClassVar[tuple[str, ...]] = ("own",)
+    kept = ("own",)
 
     def __init__(self, runs: list[Integrator], period: tuple[float, int]) -> None:
         self._runs = runs
@@ -187,10 +191,6 @@ class SequentialIntegrator:
             if status[arm] == layout.OK:
                 rows[arm], outputs[arm] = state, result[0]
 
-    def roll(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray, trail: Trail) -> None:
-        """Integrate the arms whose status is OK over several control periods."""
-        roll_by_periods(self, drives, periods, (rows, outputs, status), trail)
-
     def sense(self, drives: Array, rows: Array, result: Array) -> None:
         """Compute the tip accelerations of all arms."""
         d = rows.shape[1] // 2 - 1
@@ -203,27 +203,16 @@ def _own_constants(constants: Constants) -> dict[str, Any]:
     return {name: getattr(constants, name).copy() for name in PER_ARM}
 
 
-def roll_by_periods(
-    integrator: BatchIntegrator, drives: Array, periods: Array, moved: tuple[Array, Array, IntArray], trail: Trail
-) -> None:
-    """Integrate rows, outputs and status of all arms period by period, and fill the trail."""
-    rows, outputs, status = moved
-    for period in range(drives.shape[1]):
-        integrator.move(drives[:, period], periods + period, rows, outputs, status)
-        well = status == layout.OK
-        trail[0][well, period], trail[1][well, period] = rows[well], outputs[well]
-
-
 SHARE = 4  # groups that are worth a thread: to hand them over takes as long as to move one or two
 
 
-class LaneIntegrator:
+class LaneIntegrator(BatchIntegrator):
     """Batch integrator by fixed steps of a linearly implicit method, ARMS_ABREAST arms in one pass of the kernels.
 
     A single arm without foreshortening is integrated by the kernels of one arm, faster and with the same bits.
     """
 
-    kept: ClassVar[tuple[str, ...]] = ("own",)
+    kept = ("own",)
 
     def __init__(
         self,
@@ -296,7 +285,7 @@ class LaneIntegrator:
     def roll(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray, trail: Trail) -> None:
         """Integrate the arms whose status is OK over several control periods, in kernel calls of bounded length."""
         if self._substeps > self._most:
-            roll_by_periods(self, drives, periods, (rows, outputs, status), trail)
+            super().roll(drives, periods, rows, outputs, status, trail)
             return
         for first, count in chunks(drives.shape[1], self._most // self._substeps):
             some = slice(first, first + count)
@@ -341,7 +330,7 @@ class LaneIntegrator:
     ) -> Iterator[None]:
         """Moves a group of arms from row to row in calls that are not too long."""
         last, well = rows[:, 0].copy(), np.ones(len(rows), dtype=bool)
-        for row, many, steps, first in row_chunks(rows.shape[1] - 1, whole.substeps, self._most):
+        for row, many, steps, first in _row_chunks(rows.shape[1] - 1, whole.substeps, self._most):
             part, read = (np.zeros((len(rows), many + 1, each.shape[2])) for each in (rows, outputs))
             part[:, 0], now = last, np.zeros_like(counts)
             clock = whole._replace(substeps=steps, first=first)
@@ -441,3 +430,14 @@ def _for_arms(constants: Constants) -> Constants:
     for name, values in own.items():
         values[:] = getattr(constants, name)[..., None]
     return constants._replace(**own)
+
+
+def _row_chunks(rows: int, substeps: int, most: int) -> Iterator[tuple[int, int, int, int]]:
+    """Gives the pieces of a run of `rows` of `substeps` steps each, of at most `most` steps.
+
+    Each is the row from which it starts, how many rows it fills, the steps of each, and how many steps come before it.
+    A row of more steps is filled several times, at last with its end.
+    """
+    for row, many in chunks(rows, max(1, most // substeps)):
+        for first, steps in chunks(substeps, most):
+            yield row, many, steps, row * substeps + first

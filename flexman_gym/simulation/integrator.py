@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import count_parts, one_of, positive, value_error
+from flexman_gym.common.checks import one_of, positive, value_error
 from flexman_gym.kernels import arms, implicit, layout, outputs, runge_kutta
 from flexman_gym.kernels.arguments import address_table, arms_array
 from flexman_gym.kernels.lanes import SEQUENCES
@@ -42,17 +42,6 @@ def chunks(count: int, most: int) -> Iterator[tuple[int, int]]:
     """Gives the first and the number of each piece, of at most `most`, of a count."""
     for first in range(0, count, most):
         yield first, min(most, count - first)
-
-
-def row_chunks(rows: int, substeps: int, most: int) -> Iterator[tuple[int, int, int, int]]:
-    """Gives the pieces of a run of `rows` of `substeps` steps each, of at most `most` steps.
-
-    Each is the row from which it starts, how many rows it fills, the steps of each, and how many steps come before it.
-    A row of more steps is filled several times, at last with its end.
-    """
-    for row, many in chunks(rows, max(1, most // substeps)):
-        for first, steps in chunks(substeps, most):
-            yield row, many, steps, row * substeps + first
 
 
 MOST_STEPS = 100_000  # between two outputs, and in a control period
@@ -98,19 +87,6 @@ def find_tolerance(method: Method, step: float | None, rtol: float, atol: float)
 def default_step(control_period: float, longest: float = LONGEST_STEP) -> float:
     """Gives the longest step (s) up to a `longest` one that divides a control period (s)."""
     return control_period / max(1, math.ceil(control_period / longest - 1e-9))
-
-
-def find_substeps(step: float | str | None, control_period: float) -> int:
-    """Gives the steps in a control period (s): one for None, where the method chooses, and some for "auto".
-
-    Raises:
-        ValueError: for anything else that does not divide the control period.
-    """
-    if step is None:
-        return 1
-    if isinstance(step, str):
-        step = default_step(control_period) if step == "auto" else step
-    return count_parts("step", step, control_period, "a number of seconds that divides the control period", MOST_STEPS)  # type: ignore[arg-type]
 
 
 def prescribed_flags(joints: int, prescribed: Collection[int]) -> IntArray:

@@ -217,6 +217,18 @@ def varied_model(model: Model, **parameters: object) -> Model:
     return replace(model, constants=model.constants._replace(**{name: rows[0] for name, rows in changed.items()}))
 
 
+def parameters_from_constants(model: Model, constants: Mapping[str, Any]) -> dict[str, Array]:
+    """Gives the physical parameters that make a model's constants those of one of its arms, by name."""
+    nominal = model.constants
+    changed = replace(model, constants=nominal._replace(**constants))
+    result = {name: np.array(row.nominal(changed)) for name, row in PARAMETERS.items() if row.of != LINK}
+    first = nominal.square_start[:-1]
+    flexible = np.diff(nominal.elastic_start) > 0
+    factors = np.ones(model.n_joints)
+    factors[flexible] = (constants["stiffness"][first] / nominal.stiffness[first])[flexible]
+    return result | {"link_stiffness_factor": factors}
+
+
 def varied_arm(arm: Arm, values: Mapping[str, Array]) -> Arm:
     """Gives an arm with other physical parameters; its motors keep their gear, and their rotors take the new inertia.
 

@@ -7,8 +7,7 @@ mass outboard of the link, so that loaded modes are recovered without a separate
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -19,8 +18,8 @@ from flexman_gym.model.component_modes import outboard_inertias
 from flexman_gym.model.element import NODE_COORDINATES, beam_shapes, beam_slopes, find_element
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.batch_integrators import BatchIntegrator, Trail, roll_by_periods
-from flexman_gym.simulation.parameters import LINK, PARAMETERS
+from flexman_gym.simulation.batch_integrators import BatchIntegrator
+from flexman_gym.simulation.parameters import parameters_from_constants
 
 Stations = Sequence[Array]  # places (s_i,) along each link, m, the last at its tip
 ROTARY = 1e-4  # m^2, of the length of a station squared, as radius of gyration where rotations are weighted
@@ -57,13 +56,13 @@ class ExternalSimulator(Protocol):
         """Return the shapes of some arms."""
 
 
-class ExternalIntegrator:
+class ExternalIntegrator(BatchIntegrator):
     """Batch integrator that has an external simulator integrate the arms; see `Batch.replace_integrator`.
 
     The integrator that it replaces keeps the constants of the arms and computes outputs and tip accelerations.
     """
 
-    kept: ClassVar[tuple[str, ...]] = ()
+    kept = ()
 
     def __init__(self, model: Model, integrator: BatchIntegrator, double: ExternalSimulator) -> None:
         self._model, self._integrator, self._double = model, integrator, double
@@ -103,10 +102,6 @@ class ExternalIntegrator:
         tips = now.tips - outputs[arms, : layout.DEFLECTION_AT]  # the model's tip is no more than near the true one
         outputs[arms, : layout.DEFLECTION_AT] += tips
         outputs[arms, layout.DEFLECTION_AT : layout.KINETIC] += tips
-
-    def roll(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray, trail: Trail) -> None:
-        """Integrate the arms whose status is OK over several control periods."""
-        roll_by_periods(self, drives, periods, (rows, outputs, status), trail)
 
     def sense(self, drives: Array, rows: Array, result: Array) -> None:
         """Compute the tip accelerations of all arms with the model of the batch in this state."""
@@ -188,15 +183,3 @@ def _fit(shapes: Array, places: Array, carried: Array, mass: float) -> Array:
     weights[-NODE_COORDINATES:, -NODE_COORDINATES:] += carried
     weighted = shapes.T @ weights
     return np.asarray(np.linalg.lstsq(weighted @ shapes, weighted, rcond=1e-12)[0])
-
-
-def parameters_from_constants(model: Model, constants: Mapping[str, Any]) -> dict[str, Array]:
-    """Gives the physical parameters that make a model's constants those of one of its arms, by name."""
-    nominal = model.constants
-    changed = replace(model, constants=nominal._replace(**constants))
-    result = {name: np.array(row.nominal(changed)) for name, row in PARAMETERS.items() if row.of != LINK}
-    first = nominal.square_start[:-1]
-    flexible = np.diff(nominal.elastic_start) > 0
-    factors = np.ones(model.n_joints)
-    factors[flexible] = (constants["stiffness"][first] / nominal.stiffness[first])[flexible]
-    return result | {"link_stiffness_factor": factors}

@@ -17,7 +17,7 @@ STIFF = {"stiffness": (497.0, 325.0, 328.0), "damping": (950.0, 950.0, 103.0)}  
 
 def arms_and_singles(count, action_repeat=1, **settings):
     """The adapter of the vector environment, and Stable-Baselines3's own vector of as many single environments."""
-    settings = {"limits": LIMITS, "action_repeat": hold, "horizon": 0.4, **settings}
+    settings = {"limits": LIMITS, "action_repeat": action_repeat, "horizon": 0.4, **settings}
     env = gym.make_vec("FlexRRR-v0", count, "vector_entry_point", autoreset_mode="SameStep", **settings)
     return Arms(env), DummyVecEnv([lambda: gym.make("FlexRRR-v0", **settings)] * count)
 

@@ -11,7 +11,7 @@ from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.fidelity.choose import _candidates, _choose, _dropped, _report, assembled_modes
 from flexman_gym.fidelity.search import CandidateRun, ModelSearch
 from flexman_gym.model.dynamics import stiffness_matrix
-from flexman_gym.simulation.amplification import explicit_limit, remaining_amplitude, spectral_radius
+from flexman_gym.simulation.amplification import explicit_limit, remaining_amplitude, spectral_radii
 from flexman_gym.simulation.methods import METHODS
 
 from oracles.chains import random_joint, random_link
@@ -162,7 +162,7 @@ def test_the_amplification_is_what_a_vibration_does(name):
     before = simulator.elastic_energy
     for _ in range(5):
         assert simulator.step([0.0]) == "ok"
-    kept = spectral_radius(METHODS[name], 2 * np.pi * frequency * step) ** 400
+    kept = spectral_radii(METHODS[name], 2 * np.pi * frequency * step) ** 400
     assert kept == pytest.approx(remaining_amplitude(METHODS[name], step, frequency, 200 * step) ** 2)
     if name != "semi_implicit_euler":  # whose energy swings, with the amplitude of its modified one kept
         assert simulator.energy / before == pytest.approx(kept, rel=0.02)
@@ -173,7 +173,7 @@ def test_explicit_limits_are_those_of_the_books():
     assert explicit_limit(METHODS["semi_implicit_euler"]) == pytest.approx(2.0, abs=0.01)
     assert explicit_limit(METHODS["ros2"]) == np.inf
     with pytest.raises(ValueError, match=r"^method: dop853 chooses its steps"):
-        spectral_radius(METHODS["dop853"], 0.1)
+        spectral_radii(METHODS["dop853"], 0.1)
 
 
 def test_the_default_environment_has_the_slow_vibrations_of_the_full_arm():

@@ -7,13 +7,8 @@ import flexman_gym as fm
 from flexman_gym.envs.config.named_environments import NAMED
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.parameters import varied_constants
-from flexman_gym.simulation.resimulation import (
-    ExternalIntegrator,
-    RefinedSimulator,
-    parameters_from_constants,
-    shape_matrices,
-)
+from flexman_gym.simulation.parameters import parameters_from_constants, varied_constants
+from flexman_gym.simulation.resimulation import ExternalIntegrator, RefinedSimulator, shape_matrices
 
 PERIOD, ARMS = 0.02, 3
 ARM = NAMED["FlexRRR-v0"].arm()
