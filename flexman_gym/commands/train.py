@@ -21,12 +21,11 @@ def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     from flexman_agents.settings import ALGORITHMS
     from flexman_gym.common.grid import Workers
-    from flexman_gym.envs import NAMED
 
     result.add_argument("recipe", nargs="?", help="a file of settings, or a name: flexman list recipes")
-    result.add_argument("--algo", choices=ALGORITHMS, help="instead of the recipe's; ppo without one")
-    environment = f"a file that describes an environment, or one of {', '.join(sorted(NAMED))}"
-    add_options(result, "--env", "--set", env={"help": environment})
+    words = f"{', '.join(ALGORITHMS)}; without it the recipe's, or ppo"
+    result.add_argument("--algo", choices=ALGORITHMS, metavar="NAME", help=words)
+    add_options(result, "--env", "--set", env={"help": "a file, or a name: flexman list environments"})
     result.add_argument("--steps", type=int, help="actions of all arms together; with --resume more")
     result.add_argument("--seed", type=int, help="of the first run")
     result.add_argument("--seeds", type=int, default=1, help="so many runs; killed ones go on")
