@@ -60,7 +60,7 @@ def test_arms_that_the_teacher_leads_move_as_under_the_teacher_alone_and_their_n
         SHORT, environment={**ENVIRONMENT, "base": {**TEACHER, "stiffness": [0.5 * STIFFNESS]}, "action_repeat": 2}
     )
     imitation = DAgger(settings)
-    setup, student = settings.description.setup(), imitation._student
+    setup, student = settings.environment, imitation._student
     student.led = np.ones(3, dtype=bool)
     led = rollout(imitation._agent(), Configuration("FlexOne-v0", {"horizon": 0.8}), range(3))
     alone = rollout(TEACHER, Configuration("FlexOne-v0", {"horizon": 0.8}), range(3))

@@ -7,6 +7,7 @@ from flexman_gym.control import PD, Agent
 from flexman_gym.control.actions import TorqueMode
 from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.network import Network
+from flexman_gym.envs.config.specification import make_controller
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.sensors import Servo, find_sensors
 from flexman_gym.envs.vector_env import FlexManVectorEnv
@@ -30,10 +31,10 @@ def network(size, joints=2, seed=0):
 @pytest.mark.parametrize("base", [None, "pd"])
 def test_it_acts_as_an_agent_that_sees_and_holds_as_it_does(sensors, history, base):
     """The agent in an environment with hold, history and base; the same agent as the base of a plain environment."""
-    beside = FlexManVectorEnv(3, **SETTINGS, sensors=sensors, history=history, hold=4, base=base)
+    beside = FlexManVectorEnv(3, **SETTINGS, sensors=sensors, history=history, action_repeat=4, base=base)
     size = beside.single_observation_space.shape[0]
     acting = network(size)
-    controller = beside.setup.controller(base, beside.batch.model) if base else None
+    controller = make_controller(beside.setup, base, beside.batch.model) if base else None
     observed, mode = find_sensors(sensors), TorqueMode(2, controller)
     policy = Agent(observed, len(beside.sensors.bound), mode, controller, beside.setup.history, 4, acting)
     alone = FlexManVectorEnv(3, **SETTINGS, base=policy)

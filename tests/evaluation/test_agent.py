@@ -117,7 +117,7 @@ def test_rows_on_different_environments_are_refused_and_a_named_one_settles_it(r
     assert line.startswith("entrant: 'other' is not allowed; give policies of one environment")
     assert line.endswith("or name one with --env: planar knows another")
     assert common_environment([one, other], ONE) == ONE
-    same = AgentSpec("same", one.law, {"hold": 1}, one.environment)
+    same = AgentSpec("same", one.law, {"action_repeat": 1}, one.environment)
     assert common_environment([one, same], None) == one.environment, "another hold is not another environment"
 
 
@@ -279,9 +279,9 @@ def test_it_is_evaluated_in_one_line():
 def test_a_policy_acts_alike_in_training_live_and_loaded_from_its_files(condition, tmp_path):
     """The same weights, seeds and sensors: the same noise, bias and lost samples, hence the same actions."""
     flaws = {"kind": "lab", "noise": 0.01, "bias": 0.01, "dropped": 0.2}
-    agent = {"base": "pd", "hold": 2, "history": 3, "sensors": flaws, "horizon": 0.4}
+    agent = {"base": "pd", "action_repeat": 2, "history": 3, "sensors": flaws, "horizon": 0.4}
     described = Configuration.from_plain(
-        {"id": "FlexPlanar-v0", **Configuration.under("FlexPlanar-v0", condition).whole_settings(), **agent}
+        {"id": "FlexPlanar-v0", **Configuration("FlexPlanar-v0", {"condition": condition}).settings, **agent}
     )
     write_policy(tmp_path, *made_up(described))
     network = read_policy(tmp_path)[1]
