@@ -2,6 +2,8 @@
 
 from importlib.util import find_spec
 
+from flexman_gym.common import renamed  # noqa: F401  finds modules under their old names
+
 EXTRA = ("stable_baselines3", "torch", "rich", "tqdm", "tensorboard")
 
 if _missing := [name for name in EXTRA if find_spec(name) is None]:

@@ -21,10 +21,11 @@ from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 from flexman_agents.settings import HYPERPARAMETERS, Settings
 from flexman_agents.vector import Arms
 from flexman_gym.common.checks import one_of, value_error
-from flexman_gym.common.run_folder import SB3_MODEL, SETTINGS, existing_file, read_settings_text
+from flexman_gym.common.files import existing_file
+from flexman_gym.common.run_folder import SETTINGS, read_settings_text
 from flexman_gym.control.agent import Law
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import AgentSpec, predictor_agent, split_interface
+from flexman_gym.evaluation.agent import SB3_MODEL, AgentSpec, predictor_agent, split_interface
 from flexman_gym.evaluation.rollout import training_seed
 
 LAYERS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}  # by the names of settings.ACTIVATIONS

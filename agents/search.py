@@ -15,8 +15,8 @@ from flexman_agents.settings import Settings
 from flexman_agents.training import train_or_resume
 from flexman_gym.common.checks import finite, mapping, one_of, sequence, value_error, whole_number
 from flexman_gym.common.computer import computer_text
+from flexman_gym.common.files import write_atomically
 from flexman_gym.common.grid import Workers, run_cells
-from flexman_gym.common.run_folder import write_atomically
 
 JOURNAL, BEST, NAME = "study.log", "best.yaml", "flexman"
 MOST_TRIALS, PARTS = 100_000, 10  # evaluations of a trial where the recipe asks for none

@@ -24,7 +24,7 @@ from flexman_gym.common.checks import (
     value_error,
     whole_number,
 )
-from flexman_gym.common.run_folder import SETTINGS, read_settings, write_atomically
+from flexman_gym.common.run_folder import SETTINGS, read_settings
 from flexman_gym.control.base_controllers import checked_base
 from flexman_gym.envs.config.configuration import Configuration
 
@@ -265,4 +265,4 @@ def write_settings(settings: Settings, folder: Path, done: int) -> None:
         print(f"Since {folder} was written: {said}; its bits may be others from here on.", file=sys.stderr)
         earlier = [*earlier, last | {"until_step": done}]
     record = settings.plain() | {"versions": now} | ({"earlier_versions": earlier} if earlier else {})
-    write_atomically(path, lambda file: file.write((json.dumps(record, indent=1) + "\n").encode()))
+    files.write_atomically(path, lambda file: file.write((json.dumps(record, indent=1) + "\n").encode()))

@@ -37,7 +37,6 @@ from flexman_gym.common.run_folder import (
     BEST,
     NEWEST,
     SETTINGS,
-    check_settings,
     lock_folder,
     read_data,
     read_settings,
@@ -45,6 +44,7 @@ from flexman_gym.common.run_folder import (
     write_data,
 )
 from flexman_gym.common.snapshot import get_state, set_state
+from flexman_gym.evaluation.agent import check_settings
 
 COUNTS = ("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining")
 LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts")

@@ -23,7 +23,7 @@ WIDTH = 65  # letters of what a command does, on a screen of 80 columns
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs a command and returns the exit status."""
+    """Run a command and return the exit status."""
     given = sys.argv[1:] if arguments is None else arguments
     words = "Robot arms that bend, as Gymnasium environments."
     form = argparse.RawDescriptionHelpFormatter
@@ -46,7 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
         parser.parse_args(given)
     runs = chosen.choices[given[0]]
     try:
-        command = importlib.import_module(f"flexman_gym.commands.{given[0]}")
+        command = importlib.import_module(f"flexman_gym.commands.{given[0]}").COMMAND
         command.arguments(runs)
         return int(command.run(parser.parse_args(given, argparse.Namespace(parser=runs))))
     except ImportError as error:
@@ -77,7 +77,7 @@ def _overview() -> str:
 
 
 def command_summary(name: str) -> str:
-    """The first line of a command's file, which is not run for it."""
+    """Return the first line of the docstring of a command, without importing its file."""
     text = (Path(commands.__path__[0]) / f"{name}.py").read_text(encoding="utf-8")
     return (ast.get_docstring(ast.parse(text)) or name).splitlines()[0]
 

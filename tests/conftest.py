@@ -8,7 +8,7 @@ SLOW = frozenset((Path(__file__).parent / "slow.txt").read_text(encoding="utf-8"
 
 
 def pytest_collection_modifyitems(items):
-    """Marks as slow each test of which a case took more than half a second when it was measured, and whole files."""
+    """Mark as slow each test of which a case took more than 0.25 s of CPU when it was measured, and whole files."""
     for item in items:
         name = item.nodeid.split("[")[0].removeprefix("tests/")
         if {name, name.split("::")[0]} & SLOW:

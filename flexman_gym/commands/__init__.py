@@ -1,1 +1,74 @@
-"""Commands of `flexman`: one file each, which says its `arguments` and does what it is for in `run`."""
+"""Commands of `flexman`: one file each, whose `COMMAND` adds arguments to a parser and runs."""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from flexman_gym.envs.config.configuration import Configuration
+    from flexman_gym.evaluation.agent import AgentSpec
+
+
+class CommandLine(NamedTuple):
+    """Command line of one command.
+
+    Attributes:
+        arguments: function that adds the arguments to a parser.
+        run: function that runs the command with the parsed arguments, and returns the exit status.
+    """
+
+    arguments: Callable[[argparse.ArgumentParser], None]
+    run: Callable[[argparse.Namespace], int]
+
+
+def add_options(parser: argparse.ArgumentParser, *names: str, **changes: dict[str, Any]) -> None:
+    """Add arguments that several commands share.
+
+    Args:
+        parser: parser of the command.
+        names: "scene", "entrant", "--env", "--episodes", "--seed", "--set" or "--trust".
+        changes: settings of `add_argument` that differ in this command, by the name without dashes.
+    """
+    from flexman_gym.envs import NAMED
+    from flexman_gym.envs.config.configuration import SET_HELP
+    from flexman_gym.evaluation.agent import AGENTS
+    from flexman_gym.evaluation.rollout import TEST_SEEDS
+
+    environment = f"a file, an id and a condition such as FlexRRR-v0/delay, or one of {', '.join(sorted(NAMED))}"
+    shared: dict[str, dict[str, Any]] = {
+        "scene": {"type": Path, "help": "a scene as a .json or .yaml file"},
+        "entrant": {"help": f"folder of a run or a policy, a zip, or {', '.join(AGENTS)}"},
+        "--env": {"help": f"{environment}; without it that of the agent"},
+        "--episodes": {"type": int, "default": len(TEST_SEEDS)},
+        "--seed": {"type": int, "default": TEST_SEEDS.start, "help": "of the first episode; the next follow"},
+        "--set": {
+            "action": "append",
+            "default": [],
+            "metavar": "NAME=VALUE",
+            "help": SET_HELP,
+        },
+        "--trust": {"action": "store_true", "help": "read files of Stable-Baselines3, which can run any code"},
+    }
+    for name in names:
+        parser.add_argument(name, **shared[name] | changes.get(name.lstrip("-"), {}))
+
+
+def load_agent(name: str, trust: bool, environment: "Configuration | None" = None) -> "AgentSpec":
+    """Return an agent by its name or folder; read files of Stable-Baselines3 only if trusted, as reading runs code.
+
+    Args:
+        name: name of an agent, folder of a run or a policy, or a zip of Stable-Baselines3.
+        trust: whether files of Stable-Baselines3 may be read.
+        environment: environment whose observations and action repeat the policy of a zip has.
+
+    Raises:
+        FileNotFoundError, ValueError: one line, for a name without an agent.
+    """
+    from flexman_gym.evaluation.agent import find_agent, is_sb3_folder
+
+    if trust and (is_sb3_folder(Path(name)) or name.endswith(".zip")):
+        from flexman_agents.sb3 import load_sb3_run, load_sb3_zip
+
+        return load_sb3_zip(Path(name), environment) if name.endswith(".zip") else load_sb3_run(Path(name))
+    return find_agent(name)

@@ -4,6 +4,7 @@ import argparse
 import time
 from pathlib import Path
 
+from flexman_gym.commands import CommandLine
 from flexman_gym.commands.compile import KINDS
 
 KERNELS = {"one": "advance_one", "abreast": "advance_arms"}
@@ -11,12 +12,12 @@ PACKAGES = ("gymnasium", "torch", "stable-baselines3")
 STEPS = 500
 
 
-def arguments(result: argparse.ArgumentParser) -> None:
-    """Takes nothing."""
+def _arguments(result: argparse.ArgumentParser) -> None:
+    """Add no arguments."""
 
 
-def run(options: argparse.Namespace) -> int:
-    """Says what a report of a problem needs, and steps an environment."""
+def _run(options: argparse.Namespace) -> int:
+    """Print what a report of a problem needs, and step an environment; return 0."""
     from flexman_gym.common.computer import computer_info
     from flexman_gym.kernels import FOLDER
 
@@ -31,7 +32,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _is_compiled(name: str) -> bool:
-    """Whether a kernel of this installation is compiled; others keep theirs in folders beside it."""
+    """Return whether a kernel of this installation is compiled; each installation has its own folder in the cache."""
     from flexman_gym.kernels import arms
 
     folder = getattr(arms, name).stats.cache_path
@@ -39,7 +40,7 @@ def _is_compiled(name: str) -> bool:
 
 
 def _vector_bits() -> int:
-    """The width of the widest vector registers that the compiler finds."""
+    """Return the width of the widest vector registers that the compiler finds, bits."""
     from llvmlite import binding
 
     features = binding.get_host_cpu_features()
@@ -47,7 +48,7 @@ def _vector_bits() -> int:
 
 
 def _steps_per_second() -> float:
-    """Steps of one environment under random actions, by the clock."""
+    """Return the steps per second of one environment under random actions."""
     import gymnasium as gym
 
     import flexman_gym  # noqa: F401  registers the environments
@@ -62,3 +63,6 @@ def _steps_per_second() -> float:
         if terminated or truncated:
             env.reset()
     return STEPS / (time.perf_counter() - started)
+
+
+COMMAND = CommandLine(_arguments, _run)

@@ -1,17 +1,18 @@
 """Choose the smallest model and longest step that meet a tolerance."""
 
 import argparse
-from pathlib import Path
+
+from flexman_gym.commands import CommandLine, add_options
 
 
-def arguments(result: argparse.ArgumentParser) -> None:
-    """Says what it takes."""
-    result.add_argument("scene", type=Path, help="a scene as a .json or .yaml file")
+def _arguments(result: argparse.ArgumentParser) -> None:
+    """Add the command-line arguments."""
+    add_options(result, "scene")
     result.add_argument("--tolerance", type=float, default=1e-3, help="m, the largest error of the tip")
 
 
-def run(options: argparse.Namespace) -> int:
-    """Prints the choice, its estimated error and what was left out."""
+def _run(options: argparse.Namespace) -> int:
+    """Print the choice, its estimated error and the parts of the model that were left out; return 0."""
     from flexman_gym.fidelity.choose import choose_model
     from flexman_gym.scene.scene import Scene
 
@@ -23,3 +24,6 @@ def run(options: argparse.Namespace) -> int:
     for name in choice.dropped:
         print(f"left out: {name}")
     return 0
+
+
+COMMAND = CommandLine(_arguments, _run)

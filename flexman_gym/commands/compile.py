@@ -7,21 +7,23 @@ import sys
 import time
 from typing import Any
 
+from flexman_gym.commands import CommandLine
+
 KINDS = {"one": "one arm alone", "abreast": "arms abreast"}  # how arms are moved: kernels/arms.py
 
 
-def arguments(result: argparse.ArgumentParser) -> None:
-    """Says what it takes."""
+def _arguments(result: argparse.ArgumentParser) -> None:
+    """Add the command-line arguments."""
     result.add_argument("kind", nargs="?", choices=sorted(KINDS), help="only those of one arm, or of arms abreast")
 
 
-def run(options: argparse.Namespace) -> int:
-    """Compiles; returns the exit code."""
+def _run(options: argparse.Namespace) -> int:
+    """Compile the kernels; return the exit status."""
     return _compile_both() if options.kind is None else _compile_kind(options.kind)
 
 
 def _compile_both() -> int:
-    """Compiles both kinds of kernels at once, each in a process of its own, and returns 0, or 1 where one fails."""
+    """Compile both kinds of kernels at once, each in its own process; return 0, or 1 if one fails."""
     from flexman_gym.kernels import FOLDER
 
     print(f"compiling {' and '.join(KINDS.values())}, into {FOLDER}", flush=True)
@@ -40,7 +42,7 @@ def _compile_both() -> int:
 
 
 def _compile_kind(kind: str) -> int:
-    """Compiles what the environments of one kind call."""
+    """Compile the kernels that the environments of one kind call; return 0."""
     import gymnasium as gym
 
     import flexman_gym  # noqa: F401  registers the environments
@@ -51,3 +53,6 @@ def _compile_kind(kind: str) -> int:
     env.step(env.action_space.sample())
     print(f"{KINDS[kind]}: {time.perf_counter() - started:.1f} s", flush=True)
     return 0
+
+
+COMMAND = CommandLine(_arguments, _run)

@@ -12,6 +12,7 @@ import flexman_gym as fm
 from flexman_agents.settings import find_recipe
 from flexman_agents.training import train
 from flexman_gym import draw
+from flexman_gym.commands import CommandLine
 from flexman_gym.draw.evaluation import draw_episodes
 from flexman_gym.evaluation import find_agent, rollout, table
 from flexman_gym.evaluation.agent import common_environment
@@ -28,12 +29,12 @@ CASES = {
 RECIPE = "ppo_on_pd_minute"
 
 
-def arguments(result: argparse.ArgumentParser) -> None:
-    """Takes nothing: all goes to the folder out."""
+def _arguments(result: argparse.ArgumentParser) -> None:
+    """Add no arguments; the results go to the folder out."""
 
 
-def run(options: argparse.Namespace) -> int:
-    """Runs it all; returns the exit code."""
+def _run(options: argparse.Namespace) -> int:
+    """Run the demonstration; return 0."""
     started = time.perf_counter()
     print("1. The paper's scene: 2 s under 400 N m at each joint, by the adaptive reference method.")
     _draw_cases(_simulate_cases())
@@ -47,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _simulate_cases() -> dict[str, fm.Trajectory]:
-    """The trajectory of each of the paper's cases, with a line of progress and result for each."""
+    """Return the trajectories of the paper's cases by name; print a line of progress and result for each."""
     print(f"   {'case':<33}{'status':<10}{'computing':>10}{'largest energy residual':>26}")
     trajectories = {}
     for case, name in CASES.items():
@@ -60,7 +61,7 @@ def _simulate_cases() -> dict[str, fm.Trajectory]:
 
 
 def _draw_cases(trajectories: dict[str, fm.Trajectory]) -> None:
-    """Draws Figures 6 to 11 and the moment at which flexible links are bent most."""
+    """Draw Figures 6 to 11, and the arm at the time of the largest deflection of its flexible links."""
     paths = draw.paper_figures(trajectories["rr"], trajectories["fr"], trajectories["ff"], OUT)
     model, trajectory = scene_model(fm.catalog.paper_scene("fr")), trajectories["fr"]
     row = np.linalg.norm(trajectory.deflection, axis=1).argmax()
@@ -70,7 +71,7 @@ def _draw_cases(trajectories: dict[str, fm.Trajectory]) -> None:
 
 
 def _compare() -> None:
-    """Prints the figures of all policies, and draws the first test episode of each."""
+    """Print the metrics of all agents, and draw the first test episode of each."""
     entrants = {"PPO on PD": find_agent(str(OUT / "ppo"))}
     entrants |= {name: find_agent(name) for name in ("lqr-tracking", "lqr", "pd", "zero")}
     environment = common_environment(list(entrants.values()), None)
@@ -78,3 +79,6 @@ def _compare() -> None:
     print(table(records, environment))
     draw_episodes({name: each[0] for name, each in records.items()}, OUT / "episode.png")
     print(f"   {OUT}/episode.png shows the first of them: tip error over time, and the torques.")
+
+
+COMMAND = CommandLine(_arguments, _run)

@@ -5,12 +5,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from flexman_gym.commands import CommandLine
+
 if TYPE_CHECKING:
     from flexman_gym.model.model import Model
 
 
-def arguments(result: argparse.ArgumentParser) -> None:
-    """Says what it takes."""
+def _arguments(result: argparse.ArgumentParser) -> None:
+    """Add the command-line arguments."""
     result.add_argument("what", choices=sorted(PICTURES), help="the picture")
     where = "an environment, an arm or its file (modes, map, bode, campbell); folders of runs (learning); the folder "
     result.add_argument("subject", nargs="+", help=f"{where}of a league (league, robustness); episodes that were saved")
@@ -22,8 +24,8 @@ def arguments(result: argparse.ArgumentParser) -> None:
     result.add_argument("--column", help="of progress.csv (learning)")
 
 
-def run(options: argparse.Namespace) -> int:
-    """Draws; returns the exit code."""
+def _run(options: argparse.Namespace) -> int:
+    """Draw the pictures and print their paths; return 0."""
     out = options.out or Path(f"{options.what}.{'gif' if options.what == 'side' else 'png'}")
     for path in PICTURES[options.what](options, out):
         print(path)
@@ -31,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _find_model(name: str, stiffening: bool = False) -> "Model":
-    """Gives the model of an environment, an arm or a file."""
+    """Return the model of an environment, an arm or a file."""
     from flexman_gym.common import files
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.envs.config.fidelity import build
@@ -144,3 +146,6 @@ PICTURES: dict[str, Callable[[argparse.Namespace, Path], list[Path]]] = {
     "modes": _modes, "map": _map, "bode": _bode, "campbell": _campbell, "learning": _learning, "league": _league,
     "robustness": _league, "episode": _episode, "side": _side,
 }  # fmt: skip
+
+
+COMMAND = CommandLine(_arguments, _run)

@@ -4,22 +4,17 @@ import argparse
 from importlib.util import find_spec
 from pathlib import Path
 
+from flexman_gym.commands import CommandLine, add_options, load_agent
 
-def arguments(result: argparse.ArgumentParser) -> None:
-    """Says what it takes."""
-    from flexman_gym.evaluation.agent import AGENTS
-    from flexman_gym.evaluation.rollout import TEST_SEEDS
 
-    result.add_argument("entrant", help=f"folder of a run or a policy, a zip, or {', '.join(AGENTS)}")
-    result.add_argument("--env", help="a file, an id, or an id and a condition; without it that of the policy")
-    result.add_argument("--seed", type=int, default=TEST_SEEDS.start, help="of the episode")
+def _arguments(result: argparse.ArgumentParser) -> None:
+    """Add the command-line arguments."""
+    add_options(result, "entrant", "--env", "--seed", "--trust", seed={"help": "of the episode"})
     result.add_argument("--picture", type=Path, default=Path("out/episode.png"), help="of error and torques")
-    result.add_argument("--trust", action="store_true", help="read files of Stable-Baselines3, which can run any code")
 
 
-def run(options: argparse.Namespace) -> int:
-    """Plays; returns the exit code."""
-    from flexman_gym.commands.evaluate import load_agent
+def _run(options: argparse.Namespace) -> int:
+    """Run one episode, print its metrics and draw it; return 0."""
     from flexman_gym.draw.evaluation import draw_episodes
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation import rollout
@@ -40,3 +35,6 @@ def run(options: argparse.Namespace) -> int:
         draw_episodes({options.entrant: record}, options.picture)
         print(f"{options.picture} shows the distance of the tip from its target, and the torques.")
     return 0
+
+
+COMMAND = CommandLine(_arguments, _run)

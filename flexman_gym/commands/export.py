@@ -5,24 +5,26 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from flexman_gym.commands import CommandLine
+
 
 class _Target(NamedTuple):
-    """What can be exported: words for its help, what it takes, and what makes it and says what it made."""
+    """Export target: its help text, a function that adds its arguments, and one that exports and returns a message."""
 
     words: str
     arguments: Callable[[argparse.ArgumentParser], None]
     run: Callable[[argparse.Namespace], str]
 
 
-def arguments(result: argparse.ArgumentParser) -> None:
-    """Says what each target takes."""
+def _arguments(result: argparse.ArgumentParser) -> None:
+    """Add the arguments of each target."""
     chosen = result.add_subparsers(dest="target", required=True, metavar="target")
     for name, target in TARGETS.items():
         target.arguments(chosen.add_parser(name, help=target.words, description=target.words))
 
 
-def run(options: argparse.Namespace) -> int:
-    """Exports; returns the exit code."""
+def _run(options: argparse.Namespace) -> int:
+    """Export the target and print the message; return 0."""
     print(TARGETS[options.target].run(options))
     return 0
 
@@ -87,3 +89,6 @@ TARGETS = {
     "mujoco": _Target("an arm as MJCF, every link rigid pieces between springs", _mujoco_arguments, _mujoco),
     "onnx": _Target("a policy as ONNX, with its normalisation inside", _onnx_arguments, _onnx),
 }
+
+
+COMMAND = CommandLine(_arguments, _run)

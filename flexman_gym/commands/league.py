@@ -4,6 +4,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from flexman_gym.commands import CommandLine
+
 if TYPE_CHECKING:
     from flexman_gym.league.rows import LeagueRows
 
@@ -11,8 +13,8 @@ FOLDER = Path("out/league")
 PHYSICAL = 10  # episodes
 
 
-def arguments(result: argparse.ArgumentParser) -> None:
-    """Says what it takes."""
+def _arguments(result: argparse.ArgumentParser) -> None:
+    """Add the command-line arguments."""
     from flexman_gym.common.grid import Workers
     from flexman_gym.evaluation.agent import AGENTS
     from flexman_gym.evaluation.rollout import TEST_SEEDS
@@ -35,7 +37,7 @@ def arguments(result: argparse.ArgumentParser) -> None:
     )
 
 
-def run(options: argparse.Namespace) -> int:
+def _run(options: argparse.Namespace) -> int:
     """Plays what the folder does not have yet; returns the exit code."""
     from flexman_gym.common.grid import Workers
     from flexman_gym.evaluation.agent import AGENTS
@@ -78,3 +80,6 @@ def _scenarios(options: argparse.Namespace, book: "LeagueRows") -> dict[int, lis
             groups.setdefault(options.episodes or max(1, end - options.seed), []).append(venue)
         return groups
     return {episodes: [venue.removesuffix("/nominal") for venue in venues]}
+
+
+COMMAND = CommandLine(_arguments, _run)

@@ -6,18 +6,20 @@ from collections.abc import Iterable, Mapping
 from itertools import takewhile
 from pathlib import Path
 
+from flexman_gym.commands import CommandLine
+
 WHAT = ("environments", "conditions", "controllers", "policies", "sensors", "methods", "arms", "recipes", "examples")
 PACKAGE = Path(__file__).parents[1]
 EXAMPLES = (PACKAGE / "examples", PACKAGE.parent / "docs" / "examples")  # of a wheel, and of a checkout
 
 
-def arguments(result: argparse.ArgumentParser) -> None:
-    """Says what it takes."""
+def _arguments(result: argparse.ArgumentParser) -> None:
+    """Add the command-line arguments."""
     result.add_argument("what", nargs="*", help=f"some of {', '.join(WHAT)}; all of them without it")
 
 
-def run(options: argparse.Namespace) -> int:
-    """Prints names, and what there is to say of each."""
+def _run(options: argparse.Namespace) -> int:
+    """Print names with a few words for each; return 0."""
     for what in options.what:
         if what not in WHAT:
             options.parser.error(f"what: {what} is not allowed; give some of {', '.join(WHAT)}")
@@ -31,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _entries(what: str) -> Iterable[tuple[str, str]]:
-    """Names of a kind, each with a few words."""
+    """Yield the names of a kind, each with a few words."""
     from flexman_gym.control.base_controllers import BASES
     from flexman_gym.envs.config.conditions import CONDITION_FOLDER, CONDITIONS
     from flexman_gym.envs.config.named_environments import NAMED
@@ -72,9 +74,12 @@ def _entries(what: str) -> Iterable[tuple[str, str]]:
 
 
 def _first_sentence(path: Path) -> str:
-    """The first sentence of the comment that a file opens with, or of the docstring of Python code."""
+    """Return the first sentence of the comment at the top of a file, or of the docstring of Python code."""
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".py":
         return (ast.get_docstring(ast.parse(text)) or "").splitlines()[0]
     lines = takewhile(lambda line: line.startswith("#"), text.splitlines())
     return " ".join(line.lstrip("# ") for line in lines).split(". ")[0].rstrip(".") + "."
+
+
+COMMAND = CommandLine(_arguments, _run)

@@ -5,16 +5,18 @@ from pathlib import Path
 
 import numpy as np
 
+from flexman_gym.commands import CommandLine
 
-def arguments(result: argparse.ArgumentParser) -> None:
-    """Says what it takes."""
+
+def _arguments(result: argparse.ArgumentParser) -> None:
+    """Add the command-line arguments."""
     result.add_argument("environment", help="an id, or a file, of an environment that draws starts and goals only")
     result.add_argument("--seeds", type=int, nargs=2, default=(9000, 100), metavar=("FIRST", "COUNT"))
     result.add_argument("--out", type=Path, required=True, help="a .npz file; slews that it has are not searched again")
 
 
-def run(options: argparse.Namespace) -> int:
-    """Prints a line an episode; the table is written after each."""
+def _run(options: argparse.Namespace) -> int:
+    """Print a line for each episode, after which the table is written; return 0."""
     from flexman_gym.control.references.optimised_slews import SlewTable
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation.optimisation import empty_slew_table, optimise_slews
@@ -34,3 +36,6 @@ def run(options: argparse.Namespace) -> int:
     median = f", median settling time {np.median(known):.2f} s" if known else ""
     print(f"{len(known)} of {count} episodes have a slew in {options.out}{median}")
     return 0
+
+
+COMMAND = CommandLine(_arguments, _run)

@@ -1,24 +1,25 @@
 """Print the error of the tip over computing time, method by method, for a scene of your own."""
 
 import argparse
-from pathlib import Path
 
 import numpy as np
+
+from flexman_gym.commands import CommandLine, add_options
 
 METHODS = ("rk4", "dopri5", "ros2", "midpoint_2_sweeps", "midpoint_3_sweeps", "extrapolated_euler_5")
 HALVINGS = 5
 REFERENCE, RTOL = "dop853", 1e-9
 
 
-def arguments(result: argparse.ArgumentParser) -> None:
-    """Says what it takes."""
-    result.add_argument("scene", type=Path, help="a scene as a .json or .yaml file")
+def _arguments(result: argparse.ArgumentParser) -> None:
+    """Add the command-line arguments."""
+    add_options(result, "scene")
     result.add_argument("--method", nargs="+", help="names that `flexman list methods` has")
     result.add_argument("--step", type=float, default=0.02, help=f"s, the longest; it is halved {HALVINGS} times")
 
 
-def run(options: argparse.Namespace) -> int:
-    """Prints a line for each method and step; errors are against the reference method."""
+def _run(options: argparse.Namespace) -> int:
+    """Print a line for each method and step, with errors against the reference method; return 0."""
     from flexman_gym.scene.scene import Scene
     from flexman_gym.simulation.methods import METHODS as KNOWN
     from flexman_gym.simulation.scenes import simulate
@@ -37,3 +38,6 @@ def run(options: argparse.Namespace) -> int:
             line = f"{name:<22}{1e3 * step:>10.4g}{result.status:>16}{words:>12}{result.evaluations:>13}"
             print(f"{line}{result.wall_seconds:>10.3g}", flush=True)
     return 0
+
+
+COMMAND = CommandLine(_arguments, _run)

@@ -3,24 +3,24 @@
 import argparse
 from pathlib import Path
 
+from flexman_gym.commands import CommandLine, add_options
 
-def arguments(result: argparse.ArgumentParser) -> None:
-    """Says what it takes."""
+
+def _arguments(result: argparse.ArgumentParser) -> None:
+    """Add the command-line arguments."""
     from flexman_gym.common.grid import Workers
-    from flexman_gym.envs.config.configuration import SET_HELP
 
     result.add_argument("entrants", nargs="+", help="as of flexman evaluate; a dataset each")
-    result.add_argument("--env", default="FlexRRR-v0", help="an id, an id and a condition, or the path of a file")
-    result.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help=SET_HELP)
-    result.add_argument("--episodes", type=int, default=100)
-    result.add_argument("--seed", type=int, default=0, help="of the first episode; the next follow")
+    env = {"default": "FlexRRR-v0", "help": "an id, an id and a condition, or the path of a file"}
+    shared = "--env", "--set", "--episodes", "--seed"
+    add_options(result, *shared, env=env, episodes={"default": 100}, seed={"default": 0})
     result.add_argument("--name", default="flexman", help="of the datasets, before /ENTRANT-v0")
     result.add_argument("--form", choices=("hdf5", "arrow"), default="hdf5", help="of the files")
     Workers.arguments(result)
 
 
-def run(options: argparse.Namespace) -> int:
-    """Writes the datasets; returns the exit code."""
+def _run(options: argparse.Namespace) -> int:
+    """Write the datasets; return 0."""
     from flexman_gym.common.checks import whole_number
     from flexman_gym.common.grid import Workers
     from flexman_gym.envs.config.configuration import Configuration
@@ -35,3 +35,6 @@ def run(options: argparse.Namespace) -> int:
         size = sum(path.stat().st_size for path in Path(data.storage.data_path).rglob("*") if path.is_file())
         print(f"{name}: {data.total_episodes} episodes, {data.total_steps} steps, {size / 1e6:.1f} MB", flush=True)
     return 0
+
+
+COMMAND = CommandLine(_arguments, _run)

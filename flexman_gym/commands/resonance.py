@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from flexman_gym.commands import CommandLine
+
 if TYPE_CHECKING:
     from flexman_gym.control.input_shaping.shapers import OperatingPoint, ShaperEvaluation
     from flexman_gym.model.model import Model
@@ -17,8 +19,8 @@ HIGHEST = 25.0  # Hz, of the vibrations that the model of an arm without an envi
 MOTORS = ("held", "free")
 
 
-def arguments(result: argparse.ArgumentParser) -> None:
-    """Says what it takes."""
+def _arguments(result: argparse.ArgumentParser) -> None:
+    """Add the command-line arguments."""
     from flexman_gym.scene.serialization import ARMS
 
     where = (
@@ -31,8 +33,8 @@ def arguments(result: argparse.ArgumentParser) -> None:
     result.add_argument("--csv", type=Path, metavar="FILE", help="a table of all modes and what is left of them")
 
 
-def run(options: argparse.Namespace) -> int:
-    """Prints modes, shapers and a recommendation."""
+def _run(options: argparse.Namespace) -> int:
+    """Print modes, shapers and a recommendation; return 0."""
     from flexman_gym.control.input_shaping.shapers import evaluate_shapers, find_operating_points
 
     if options.postures < 1:
@@ -53,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _find_model(name: str, count: int) -> "tuple[Model, np.ndarray, list[float]]":
-    """Gives the model of an arm, postures (count, n) rad and payloads (kg)."""
+    """Return the model of an arm, postures (count, n) rad and payloads (kg)."""
     from flexman_gym.common import files
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.fidelity.choose import assembled_modes
@@ -74,7 +76,7 @@ def _find_model(name: str, count: int) -> "tuple[Model, np.ndarray, list[float]]
 
 
 def _environment_model(environment: object, count: int) -> "tuple[Model, np.ndarray, tuple[float, float] | None]":
-    """Gives the model of an environment, goals of its first episodes, and the payloads that it draws from."""
+    """Return the model of an environment, goals of its first episodes (count, n) rad, and its payloads (kg)."""
     import gymnasium as gym
 
     from flexman_gym.envs.config.configuration import Configuration
@@ -89,7 +91,7 @@ def _environment_model(environment: object, count: int) -> "tuple[Model, np.ndar
 
 
 def _mode_lines(cases: "Sequence[OperatingPoint]") -> list[str]:
-    """A line for each mode: its frequencies and damping ratios over all cases."""
+    """Return a line for each mode: its frequencies and damping ratios over all cases."""
     result = [f"{'mode':<18}{'Hz, least':>12}{'median':>10}{'most':>10}{'damping ratio':>22}{'tip, m/rad':>12}"]
     for motors in MOTORS:
         found = [getattr(case, motors) for case in cases]
@@ -103,7 +105,7 @@ def _mode_lines(cases: "Sequence[OperatingPoint]") -> list[str]:
 
 
 def _shaper_lines(answers: "Sequence[ShaperEvaluation]") -> list[str]:
-    """A line for each shaper: its delay, the error that it bears, and what it leaves, the median and the worst case."""
+    """Return a line for each shaper: delay, tolerated frequency error, residual vibration (median and worst case)."""
     from flexman_gym.control.input_shaping.shapers import TOLERATED_RESIDUAL
 
     count = answers[0].left.shape[1]
@@ -120,12 +122,12 @@ def _shaper_lines(answers: "Sequence[ShaperEvaluation]") -> list[str]:
 
 
 def _shaper_name(answer: "ShaperEvaluation") -> str:
-    """The shaper and its modes in words."""
+    """Return the name of a shaper with its modes."""
     return f"{answer.name}, 1" if answer.modes == 1 else f"{answer.name}, 1 + 2"
 
 
 def _recommendation(cases: "Sequence[OperatingPoint]", answers: "Sequence[ShaperEvaluation]") -> str:
-    """The recommendation and its reason."""
+    """Return the recommendation with its reason."""
     from flexman_gym.control.input_shaping.shapers import TIP_VIBRATION_LIMIT, median_operating_point, recommend_shaper
 
     best = recommend_shaper(answers)
@@ -150,7 +152,7 @@ def _recommendation(cases: "Sequence[OperatingPoint]", answers: "Sequence[Shaper
 
 
 def _write_table(path: Path, cases: "Sequence[OperatingPoint]", answers: "Sequence[ShaperEvaluation]") -> None:
-    """Writes a row for each mode of each case; what shapers leave is of held motors."""
+    """Write a row for each mode of each case; residual vibrations are those with held motors."""
     heads = [f"motor_angle_{i + 1}" for i in range(len(cases[0].posture))]
     heads += ["payload", "motors", "mode", "frequency", "damping_ratio", *map(_shaper_name, answers)]
     with path.open("w", newline="", encoding="utf-8") as stream:
@@ -172,3 +174,6 @@ def _write_table(path: Path, cases: "Sequence[OperatingPoint]", answers: "Sequen
                         *left,
                     ]
                     table.writerow(cells)
+
+
+COMMAND = CommandLine(_arguments, _run)

@@ -3,9 +3,11 @@
 import argparse
 from pathlib import Path
 
+from flexman_gym.commands import CommandLine
 
-def arguments(result: argparse.ArgumentParser) -> None:
-    """Says what it takes."""
+
+def _arguments(result: argparse.ArgumentParser) -> None:
+    """Add the command-line arguments."""
     from flexman_gym.common.grid import Workers
 
     result.add_argument("recipe", help="a file of settings, or the name of a recipe")
@@ -16,8 +18,8 @@ def arguments(result: argparse.ArgumentParser) -> None:
     Workers.arguments(result)
 
 
-def run(options: argparse.Namespace) -> int:
-    """Searches; returns the exit code."""
+def _run(options: argparse.Namespace) -> int:
+    """Search and print the path of the best settings; return 0."""
     from flexman_agents.search import flatten_ranges, search
     from flexman_agents.settings import find_recipe
     from flexman_gym.common import files
@@ -31,3 +33,6 @@ def run(options: argparse.Namespace) -> int:
     path = search(find_recipe(options.recipe), flatten_ranges(over), *how)
     print(f"The best is in {path}; train it with other seeds: flexman train {path} --seeds 5")
     return 0
+
+
+COMMAND = CommandLine(_arguments, _run)

@@ -5,18 +5,20 @@ from pathlib import Path
 
 import numpy as np
 
+from flexman_gym.commands import CommandLine, add_options
 
-def arguments(result: argparse.ArgumentParser) -> None:
-    """Says what it takes."""
-    result.add_argument("scene", type=Path, help="a scene as a .json or .yaml file")
+
+def _arguments(result: argparse.ArgumentParser) -> None:
+    """Add the command-line arguments."""
+    add_options(result, "scene")
     result.add_argument("--method", default="auto", help="a name that `flexman list methods` has")
     result.add_argument("--step", type=float, help="s, of a method with fixed steps")
     result.add_argument("--rtol", type=float, default=1e-6, help="of a method that chooses its steps")
     result.add_argument("--out", type=Path, help="CSV file: time, tip, angles and energy; .npz: an episode")
 
 
-def run(options: argparse.Namespace) -> int:
-    """Simulates; returns 1 where the simulation does not reach its end."""
+def _run(options: argparse.Namespace) -> int:
+    """Simulate; return 0, or 1 if the simulation stops before its end."""
     from flexman_gym.scene.scene import Scene
     from flexman_gym.simulation.episode import Episode
     from flexman_gym.simulation.scenes import simulate
@@ -36,3 +38,6 @@ def run(options: argparse.Namespace) -> int:
     print(f"energy: {result.energy[-1]:.6g} J, off by at most {np.abs(result.energy_residual).max():.2g} J")
     print(f"tip at the end: {last} m")
     return int(result.status != "ok")
+
+
+COMMAND = CommandLine(_arguments, _run)

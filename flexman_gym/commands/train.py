@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from flexman_gym.commands import CommandLine, add_options
 from flexman_gym.common.checks import value_error
 
 if TYPE_CHECKING:
@@ -16,17 +17,16 @@ LEARNED_WITH = ("base", "action_repeat", "sensors")  # settings of an environmen
 INTERRUPTED = 130  # what a shell says of a process that Ctrl-C has ended
 
 
-def arguments(result: argparse.ArgumentParser) -> None:
-    """Says what it takes."""
+def _arguments(result: argparse.ArgumentParser) -> None:
+    """Add the command-line arguments."""
     from flexman_agents.settings import ALGORITHMS
     from flexman_gym.common.grid import Workers
     from flexman_gym.envs import NAMED
-    from flexman_gym.envs.config.configuration import SET_HELP
 
     result.add_argument("recipe", nargs="?", help="a file of settings, or a name: flexman list recipes")
     result.add_argument("--algo", choices=ALGORITHMS, help="instead of the recipe's; ppo without one")
-    result.add_argument("--env", help=f"a file that describes an environment, or one of {', '.join(sorted(NAMED))}")
-    result.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help=SET_HELP)
+    environment = f"a file that describes an environment, or one of {', '.join(sorted(NAMED))}"
+    add_options(result, "--env", "--set", env={"help": environment})
     result.add_argument("--steps", type=int, help="actions of all arms together; with --resume more")
     result.add_argument("--seed", type=int, help="of the first run")
     result.add_argument("--seeds", type=int, default=1, help="so many runs; killed ones go on")
@@ -42,8 +42,8 @@ def arguments(result: argparse.ArgumentParser) -> None:
     result.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
-def run(options: argparse.Namespace) -> int:
-    """Trains; returns the exit code."""
+def _run(options: argparse.Namespace) -> int:
+    """Train or resume; return the exit status."""
     from flexman_agents.callbacks import Interrupted
     from flexman_agents.training import resume
 
@@ -69,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _refuse_settings(options: argparse.Namespace) -> None:
-    """Refuses what a run that goes on has already."""
+    """Raise ValueError for settings given with --resume, which the run has already."""
     for name in ("recipe", "algo", "env", "set", "seed", "envs"):
         if getattr(options, name) not in (None, []):
             raise value_error(name, getattr(options, name), "nothing with --resume: the run keeps its settings")
@@ -83,7 +83,7 @@ def _warn_of_missing_settings(recipe: Mapping[str, Any], own: Mapping[str, Any],
 
 
 def _train_with_rllib(options: argparse.Namespace) -> Path:
-    """Trains one run with RLlib, or goes on with it; returns its folder."""
+    """Train or resume one run with RLlib; return its folder."""
     try:
         from flexman_agents.rllib import train_rllib
     except ImportError as error:
@@ -99,12 +99,12 @@ def _train_with_rllib(options: argparse.Namespace) -> Path:
 
 
 def _training_options(options: argparse.Namespace) -> dict[str, Any]:
-    """What the command line asks of a training, new or not."""
+    """Return the options that a new and a resumed run have in common."""
     return {"checkpoint_every": options.checkpoint_every, "progress": not options.quiet, "device": options.device}
 
 
 def _make_settings(options: argparse.Namespace) -> "Settings":
-    """The settings that the command line asks for."""
+    """Return the settings of the recipe, changed by the command line."""
     from flexman_agents.settings import Settings, find_recipe
     from flexman_gym.envs.config.configuration import Configuration
 
@@ -125,7 +125,7 @@ def _make_settings(options: argparse.Namespace) -> "Settings":
 
 
 def _train_runs(options: argparse.Namespace) -> list[Path]:
-    """Trains the runs that the command line asks for; returns their folders."""
+    """Train one run for each seed; return their folders."""
     from flexman_agents.training import train, train_or_resume
     from flexman_gym.common.grid import Workers, collect_cells
 
@@ -138,3 +138,6 @@ def _train_runs(options: argparse.Namespace) -> list[Path]:
         how |= {"progress": False}  # bars of several runs would be one tangle
     cells = [(settings.with_seed(seed), str(options.folder / f"seed-{seed}"), how) for seed in seeds]
     return [Path(folder) for folder in collect_cells(train_or_resume, cells, workers)]
+
+
+COMMAND = CommandLine(_arguments, _run)

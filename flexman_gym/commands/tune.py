@@ -3,9 +3,11 @@
 import argparse
 import sys
 
+from flexman_gym.commands import CommandLine
 
-def arguments(result: argparse.ArgumentParser) -> None:
-    """Says what it takes."""
+
+def _arguments(result: argparse.ArgumentParser) -> None:
+    """Add the command-line arguments."""
     from flexman_gym.common.grid import Workers
 
     result.add_argument("env", help="an id, an id and a condition such as FlexRRR-v0/delay, or the path of a file")
@@ -14,8 +16,8 @@ def arguments(result: argparse.ArgumentParser) -> None:
     Workers.arguments(result)
 
 
-def run(options: argparse.Namespace) -> int:
-    """Prints gains; returns the exit code."""
+def _run(options: argparse.Namespace) -> int:
+    """Print the gains and their margins; return the exit status."""
     from flexman_gym.common.grid import Workers
     from flexman_gym.control.margins import describe_stuck_motors
     from flexman_gym.envs.config.configuration import Configuration
@@ -38,3 +40,6 @@ def run(options: argparse.Namespace) -> int:
     print(f"gain margin: {result.margins.gain:.3g}, phase margin: {result.margins.phase:.3g} degrees{where}")
     print(f"mean reward of 8 episodes: {result.reward:.1f}")
     return 0
+
+
+COMMAND = CommandLine(_arguments, _run)

@@ -4,20 +4,22 @@ import argparse
 from pathlib import Path
 from time import perf_counter
 
+from flexman_gym.commands import CommandLine
+
 FULL_TABLE = (
     "These are the closed forms. docs/verification.md has the full table, with trajectories of independent codes; "
     "`make verify` in the repository computes it."
 )
 
 
-def arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     result.add_argument("--quick", action="store_true", help="the closed forms alone, without a word on the full table")
     result.add_argument("--json", type=Path, help="file for the rows")
 
 
-def run(options: argparse.Namespace) -> int:
-    """Print one table; return 1 when a row fails."""
+def _run(options: argparse.Namespace) -> int:
+    """Print one table; return 0, or 1 if a row fails."""
     from flexman_gym.verification.cases import closed_form_rows
     from flexman_gym.verification.table import as_json, exit_code, text_table
 
@@ -30,3 +32,6 @@ def run(options: argparse.Namespace) -> int:
     if options.json is not None:
         options.json.write_text(as_json(result), encoding="utf-8")
     return exit_code(result)
+
+
+COMMAND = CommandLine(_arguments, _run)

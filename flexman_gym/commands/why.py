@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from flexman_gym.commands import evaluate
+from flexman_gym.commands import CommandLine, add_options, load_agent
 
 if TYPE_CHECKING:
     from flexman_gym.evaluation.diagnosis import Diagnosis
@@ -13,21 +13,21 @@ if TYPE_CHECKING:
 EPISODES = 20
 
 
-def arguments(result: argparse.ArgumentParser) -> None:
-    """Says what it takes: what `evaluate` does, for one entrant or several."""
-    evaluate.add_episode_arguments(result)
-    result.set_defaults(episodes=EPISODES)
+def _arguments(result: argparse.ArgumentParser) -> None:
+    """Add the command-line arguments."""
+    names = "entrant", "--episodes", "--seed", "--env", "--set", "--trust"
+    add_options(result, *names, entrant={"nargs": "+"}, episodes={"default": EPISODES})
 
 
-def run(options: argparse.Namespace) -> int:
-    """Prints for each entrant the share of each cause and what would help against the largest."""
+def _run(options: argparse.Namespace) -> int:
+    """Print the share of each cause and the remedy for the largest one, for each agent; return 0."""
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation.agent import change_environment, common_environment
     from flexman_gym.evaluation.diagnosis import diagnose
 
     if options.episodes < 1:
         options.parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
-    entrants = {name: evaluate.load_agent(name, options.trust) for name in options.entrant}
+    entrants = {name: load_agent(name, options.trust) for name in options.entrant}
     named = Configuration.find(options.env) if options.env else None
     environment = change_environment(common_environment(list(entrants.values()), named), options.set)
     seeds = range(options.seed, options.seed + options.episodes)
@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def diagnosis_lines(title: str, results: "Sequence[Diagnosis]") -> list[str]:
-    """Says what was found in some episodes."""
+    """Return the lines of a report on the diagnoses of some episodes."""
     import numpy as np
 
     from flexman_gym.evaluation.diagnosis import HELP
@@ -63,7 +63,7 @@ def diagnosis_lines(title: str, results: "Sequence[Diagnosis]") -> list[str]:
 
 
 def _dominant_tone(results: "Sequence[Diagnosis]", cause: str) -> str:
-    """The mode that has most of a cause, and the median frequency of its tones; "" where no tone tells anything."""
+    """Return the mode with the largest share of a cause, and the median frequency of its tones; "" without tones."""
     import numpy as np
 
     from flexman_gym.evaluation.diagnosis import OFFSET, TRANSIENT
@@ -77,3 +77,6 @@ def _dominant_tone(results: "Sequence[Diagnosis]", cause: str) -> str:
     name = max(weights, key=lambda each: weights[each])
     middle = float(np.median([frequency for frequency, _, _, each in tones if each == name]))
     return f": {name}{', ' if name else ''}at {middle:.3g} Hz"
+
+
+COMMAND = CommandLine(_arguments, _run)

@@ -1,9 +1,12 @@
-"""Strict JSON and YAML files."""
+"""Files: atomic writes, and strict JSON and YAML."""
 
 import json
+import os
 import re
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import yaml
 
@@ -126,3 +129,68 @@ def _tree(path: str, data: Any) -> Any:
     if isinstance(data, list):
         return [_tree(f"{path}[{i}]", entry) for i, entry in enumerate(data)]
     return data
+
+
+def parse_json(text: bytes) -> Any:
+    """Return the content of a text in JSON.
+
+    Raises:
+        ValueError: one line, for broken text, a repeated key, and NaN or an infinite number.
+    """
+    try:
+        return json.loads(text.decode("utf-8"), object_pairs_hook=_once, parse_constant=_no_number)
+    except RecursionError:
+        raise ValueError("its mappings lie too deep in each other") from None
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    result = dict(pairs)
+    if len(result) < len(pairs):
+        raise ValueError("a key stands there twice")
+    return result
+
+
+def _no_number(text: str) -> Any:
+    raise ValueError(f"{text} is no number of JSON")
+
+
+def write_atomically(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
+    """Write a file atomically: fill a temporary file, flush it to the disk and rename it.
+
+    Raises:
+        OSError: when it cannot be written; the file that was there stays.
+    """
+    beside = path.with_name(f".{path.name}.part")
+    try:
+        beside.unlink(missing_ok=True)  # of a process that was killed, or a link to somebody's file
+        with beside.open("xb") as file:
+            fill(file)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(beside, path)
+    except OSError:
+        with suppress(OSError):
+            beside.unlink(missing_ok=True)
+        raise
+    _sync(path.parent)
+
+
+def existing_file(path: Path) -> Path:
+    """Return the path of a file that exists.
+
+    Raises:
+        FileNotFoundError: one clear line.
+    """
+    if not os.path.isfile(path):  # whatever the name is
+        raise FileNotFoundError(f"{short_path(path)}: no such file; give a folder that a training run has written")
+    return path
+
+
+def _sync(folder: Path) -> None:
+    """Flush the directory entries of a folder to the disk, where the file system supports it."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

@@ -1,44 +1,22 @@
-"""Run folder: atomic writes, settings, arrays with plain data, and a lock."""
+"""Run folder: settings, arrays with plain data, and a lock."""
 
 import fcntl
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
 from flexman_gym.common.checks import READ_ERRORS, open_arrays, regular_file, short_path
+from flexman_gym.common.files import existing_file, write_atomically
 from flexman_gym.common.snapshot import join_arrays, split_arrays
 
 SETTINGS, NEWEST, BEST, LOCK = "settings.json", "newest.npz", "best.npz", "lock"
-SB3_MODEL = "model.zip"  # of Stable-Baselines3
-FREE = ("steps", "judge_every")  # settings that may be others where a run goes on
 TEXT = "data.json"  # the name of the plain data among the arrays of a file
-
-
-def write_atomically(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
-    """Writes a file that is whole or not there: filled beside its place, flushed to the disk, then renamed.
-
-    Raises:
-        OSError: when it cannot be written; the file that was there stays.
-    """
-    beside = path.with_name(f".{path.name}.part")
-    try:
-        beside.unlink(missing_ok=True)  # of a process that was killed, or a link to somebody's file
-        with beside.open("xb") as file:
-            fill(file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(beside, path)
-    except OSError:
-        with suppress(OSError):
-            beside.unlink(missing_ok=True)
-        raise
-    _sync(path.parent)
 
 
 def write_data(path: Path, data: dict[str, Any]) -> None:
@@ -65,17 +43,6 @@ def read_data(path: Path) -> Any:
     except READ_ERRORS as error:
         said = " ".join(str(error).split())[:120] or type(error).__name__
         raise ValueError(f"{short_path(path)}: this is not what a training run has written ({said})") from None
-
-
-def existing_file(path: Path) -> Path:
-    """Gives the path when there is a file.
-
-    Raises:
-        FileNotFoundError: one clear line.
-    """
-    if not os.path.isfile(path):  # whatever the name is
-        raise FileNotFoundError(f"{short_path(path)}: no such file; give a folder that a training run has written")
-    return path
 
 
 def read_settings_text(folder: Path) -> str:
@@ -105,31 +72,6 @@ def read_settings(folder: Path) -> dict[str, Any]:
     if not isinstance(result, dict):
         raise ValueError(f"{place}: this is no mapping in JSON; give the settings of a training run")
     return result
-
-
-def is_sb3_folder(folder: Path) -> bool:
-    """Whether a folder holds a policy in files of Stable-Baselines3 and none of ours."""
-    return (folder / SB3_MODEL).is_file() and not any((folder / name).is_file() for name in (BEST, NEWEST))
-
-
-def check_settings(path: Path, data: Any, settings: Mapping[str, Any]) -> None:
-    """Refuses a file that belongs to other settings than those beside it, which somebody has changed."""
-    kept = data.get("settings") if isinstance(data, dict) else None
-    if not isinstance(kept, dict):
-        raise ValueError(f"{path}: this is not what a training run has written (it has no settings)")
-    names = kept.keys() - set(FREE)
-    changed = [name for name in names if not _alike(settings.get(name), kept.get(name))]
-    if changed:
-        allowed = f"the settings with which {path.name} was written: {', '.join(sorted(changed))} is another now"
-        raise ValueError(f"{path.parent / SETTINGS}: this was changed; give {allowed}")
-
-
-def _alike(setting: object, kept: object) -> bool:
-    """Whether a setting is what was kept of it, which may be an array where somebody wrote the file anew."""
-    try:
-        return bool(setting == kept)
-    except ValueError:
-        return False
 
 
 @contextmanager
@@ -165,13 +107,3 @@ def _holder(file: Any) -> str:
     """The process whose number is in a lock, "" for none."""
     file.seek(0)
     return str(file.read(20)).strip()
-
-
-def _sync(folder: Path) -> None:
-    """Flushes the names in a folder to the disk, where the file system can."""
-    with suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)

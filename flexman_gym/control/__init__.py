@@ -1,5 +1,6 @@
 """Control: controllers with one call signature, and the observers and laws that some are made of."""
 
+from flexman_gym.common.renamed import old_names
 from flexman_gym.control.agent import Agent
 from flexman_gym.control.base_controllers import BASES
 from flexman_gym.control.controller import Controller, EpisodeInfo, Plant
@@ -32,3 +33,5 @@ __all__ = [
     "Tracking",
     "TrackingLQR",
 ]
+
+__getattr__ = old_names(__name__)

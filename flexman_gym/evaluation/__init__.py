@@ -1,5 +1,6 @@
 """Evaluation: what judges controllers and policies: one loop, figures of what happened, and a table."""
 
+from flexman_gym.common.renamed import old_names
 from flexman_gym.evaluation.agent import BASELINES, AgentSpec, find_agent
 from flexman_gym.evaluation.metrics import METRICS, Metric, evaluate, table
 from flexman_gym.evaluation.optimisation import TunedGains, tune
@@ -19,3 +20,5 @@ __all__ = [
     "table",
     "tune",
 ]
+
+__getattr__ = old_names(__name__)

@@ -1,7 +1,7 @@
 """Agents to be evaluated: baselines by name, shipped policies, runs from disk, controllers and predictors."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from inspect import signature
 from pathlib import Path
@@ -13,16 +13,8 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, Flags, IntArray
 from flexman_gym.common.checks import short_path, value_error
-from flexman_gym.common.run_folder import (
-    BEST,
-    NEWEST,
-    SETTINGS,
-    check_settings,
-    existing_file,
-    is_sb3_folder,
-    read_data,
-    read_settings,
-)
+from flexman_gym.common.files import existing_file
+from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_data, read_settings
 from flexman_gym.control.agent import Law
 from flexman_gym.control.base_controllers import BASES, checked_base
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
@@ -268,3 +260,38 @@ class _RandomTorques:
     def act(self, readings: Readings, applied: Array, playing: Flags) -> Array:
         """Return torques (b, n), parts of the limits."""
         return self._random.uniform(-1.0, 1.0, applied.shape).astype(np.float32).astype(np.float64)
+
+
+SB3_MODEL = "model.zip"  # of Stable-Baselines3
+FREE = ("steps", "judge_every")  # settings that a resumed run may change
+
+
+def is_sb3_folder(folder: Path) -> bool:
+    """Return whether a folder holds a policy in files of Stable-Baselines3 and no run of this library."""
+    return (folder / SB3_MODEL).is_file() and not any((folder / name).is_file() for name in (BEST, NEWEST))
+
+
+def check_settings(path: Path, data: Any, settings: Mapping[str, Any]) -> None:
+    """Raise ValueError when the settings of a run were changed after its file of arrays was written.
+
+    Args:
+        path: of the file of arrays.
+        data: content of that file.
+        settings: of the run now.
+    """
+    kept = data.get("settings") if isinstance(data, dict) else None
+    if not isinstance(kept, dict):
+        raise ValueError(f"{path}: this is not what a training run has written (it has no settings)")
+    names = kept.keys() - set(FREE)
+    changed = [name for name in names if not _alike(settings.get(name), kept.get(name))]
+    if changed:
+        allowed = f"the settings with which {path.name} was written: {', '.join(sorted(changed))} is another now"
+        raise ValueError(f"{path.parent / SETTINGS}: this was changed; give {allowed}")
+
+
+def _alike(setting: object, kept: object) -> bool:
+    """Return whether a setting equals the kept one, which is an array in a forged file."""
+    try:
+        return bool(setting == kept)
+    except ValueError:
+        return False

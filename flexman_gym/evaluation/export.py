@@ -10,10 +10,18 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
-from flexman_gym.common.run_folder import BEST, NEWEST, check_settings, existing_file, read_data, read_settings
+from flexman_gym.common.files import existing_file
+from flexman_gym.common.run_folder import BEST, NEWEST, read_data, read_settings
 from flexman_gym.control.network import LARGEST, Network, policy_parameters
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import find_agent, learned_agent, load_policy, observation_layout, split_interface
+from flexman_gym.evaluation.agent import (
+    check_settings,
+    find_agent,
+    learned_agent,
+    load_policy,
+    observation_layout,
+    split_interface,
+)
 from flexman_gym.evaluation.agent_info import training_seconds
 from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.evaluation.policy_files import CHECK_ROWS, FOLDER, write_policy

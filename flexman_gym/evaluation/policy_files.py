@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.checks import READ_ERRORS, regular_file, short_path, value_error
-from flexman_gym.common.run_folder import existing_file, write_atomically
-from flexman_gym.common.safetensors import MAX_BYTES, parse_json, read_tensors, write_tensors
+from flexman_gym.common.files import existing_file, parse_json, write_atomically
+from flexman_gym.common.safetensors import MAX_BYTES, read_tensors, write_tensors
 from flexman_gym.control.network import Network, policy_parameters
 
 FOLDER = Path(__file__).parents[1] / "policies"

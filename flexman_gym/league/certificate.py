@@ -9,7 +9,7 @@ import numpy as np
 
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import computer_info
-from flexman_gym.common.run_folder import write_atomically
+from flexman_gym.common.files import write_atomically
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED
 from flexman_gym.evaluation.agent import AgentSpec, design_for, find_agent

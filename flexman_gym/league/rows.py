@@ -18,8 +18,9 @@ import numpy as np
 from flexman_gym.common.arrays import Array, Flags, IntArray
 from flexman_gym.common.checks import short_path
 from flexman_gym.common.computer import computer_info
+from flexman_gym.common.files import write_atomically
 from flexman_gym.common.grid import Workers, run_cells
-from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, write_atomically
+from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS
 from flexman_gym.common.time_series import read_csv_lines
 from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.agent import Law

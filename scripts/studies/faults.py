@@ -22,7 +22,7 @@ from flexman_gym.common.markdown import markdown_table
 from flexman_gym.common.run_folder import NEWEST, SETTINGS, read_data
 from flexman_gym.common.snapshot import split_arrays
 
-TRAIN = Path(__file__).parents[1] / "train.py"
+TRAIN = "-m", "flexman_gym", "train"
 PART = f".{NEWEST}.part"
 ENVIRONMENT = {
     "id": "FlexOne-v0", "base": "pd", "action_repeat": 5, "sensors": ["full", "fine"], "horizon": 2.0,
@@ -99,7 +99,7 @@ def same(first: Path, second: Path) -> bool:
 
 
 def _start(arguments: list[Any], algo: str) -> subprocess.Popen[str]:
-    command = [sys.executable, TRAIN, *arguments, "--quiet", "--checkpoint-every", EVERY[algo]]
+    command = [sys.executable, *TRAIN, *arguments, "--quiet", "--checkpoint-every", EVERY[algo]]
     return subprocess.Popen([str(word) for word in command], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
 

@@ -17,14 +17,12 @@ from flexman_agents.training import load_settings, resume, train
 from flexman_gym.common.run_folder import (
     LOCK,
     NEWEST,
-    SB3_MODEL,
     SETTINGS,
     lock_folder,
     read_data,
-    write_atomically,
     write_data,
 )
-from flexman_gym.evaluation.agent import find_agent
+from flexman_gym.evaluation.agent import SB3_MODEL, find_agent
 
 from oracles.assertions import refusal
 from oracles.runs import RUNS
@@ -47,30 +45,6 @@ def test_a_folder_is_trained_in_by_one_process(tmp_path, capsys):
     with lock_folder(tmp_path):
         assert capsys.readouterr().err == ""
     assert (tmp_path / LOCK).read_text() == ""
-
-
-def test_a_file_is_whole_or_not_there(tmp_path):
-    """What fails in the middle of writing leaves the file of before and nothing beside it."""
-    path = tmp_path / "file"
-    write_atomically(path, lambda file: file.write(b"first"))
-
-    def fail(file):
-        file.write(b"second")
-        raise OSError(28, "No space left on device")
-
-    with pytest.raises(OSError, match="No space left"):
-        write_atomically(path, fail)
-    assert path.read_bytes() == b"first" and list(tmp_path.iterdir()) == [path]
-
-
-def test_a_file_takes_its_place_when_all_of_it_is_on_the_disk(tmp_path, monkeypatch):
-    """So that a computer that goes off leaves the file of before or the new one, not an empty one."""
-    replace_file, flushed, placed = os.replace, {}, []
-    monkeypatch.setattr(os, "fsync", lambda file: flushed.update({os.fstat(file).st_ino: os.fstat(file).st_size}))
-    monkeypatch.setattr(os, "replace", lambda *paths: placed.append(os.stat(paths[0])) or replace_file(*paths))
-    write_atomically(tmp_path / "file", lambda file: file.write(b"all of it"))
-    assert [flushed[each.st_ino] for each in placed] == [9] and (tmp_path / "file").read_bytes() == b"all of it"
-    assert tmp_path.stat().st_ino in flushed, "its name too"
 
 
 @pytest.mark.parametrize("name", [LOCK, ".newest.npz.part", ".settings.json.part", "progress.csv"])

@@ -128,7 +128,7 @@ def test_commands_of_the_readme_take_these_arguments(line):
     pytest.importorskip("stable_baselines3")
     _, command, *words = shlex.split(line)
     parser = argparse.ArgumentParser()
-    importlib.import_module(f"flexman_gym.commands.{command}").arguments(parser)
+    importlib.import_module(f"flexman_gym.commands.{command}").COMMAND.arguments(parser)
     parser.parse_args(words)
 
 

@@ -26,15 +26,15 @@ def pair(arms, mode=AutoresetMode.NEXT_STEP, **settings):
 
 
 @pytest.mark.parametrize(
-    ("arms", "mode", "randomisation"),
+    ("arms", "steps", "mode", "randomisation"),
     [
-        (1, MODES[0], None),
-        (64, MODES[0], EVERYTHING),
-        *((3, mode, each) for mode in MODES for each in (None, EVERYTHING)),
+        (1, 400, MODES[0], None),
+        (64, 100, MODES[0], EVERYTHING),
+        *((3, 400, mode, each) for mode in MODES for each in (None, EVERYTHING)),
     ],
     ids=lambda value: "randomised" if isinstance(value, dict) else str(value),
 )
-def test_it_is_many_single_environments_bit_for_bit(arms, mode, randomisation):
+def test_it_is_many_single_environments_bit_for_bit(arms, steps, mode, randomisation):
     ours, theirs = pair(arms, mode, randomisation=randomisation, **SHORT)
     assert ours.observation_space == theirs.observation_space and ours.action_space == theirs.action_space
     assert ours.single_observation_space == theirs.single_observation_space
@@ -43,7 +43,7 @@ def test_it_is_many_single_environments_bit_for_bit(arms, mode, randomisation):
     for actual, expected in zip(ours.reset(seed=5), theirs.reset(seed=5), strict=True):
         same(actual, expected, "reset")
     terminated = truncated = 0
-    for step, action in enumerate(actions(arms, 1000)):
+    for step, action in enumerate(actions(arms, steps)):
         result = ours.step(action)
         for actual, expected in zip(result, theirs.step(action), strict=True):
             same(actual, expected, f"step {step}")

@@ -8,6 +8,7 @@ import shutil
 import stat
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import numba
@@ -85,6 +86,7 @@ def here(tmp_path_factory):
     return file, names["fresh"]()[:2]
 
 
+@cache
 def elsewhere(file, way):
     """What the script prints in a process of its own that has the same folder of kernels."""
     folder = next(each for each in Path(kernels.advance_arms.stats.cache_path).parents if each.name == "flexman_gym")
@@ -127,8 +129,8 @@ def filled(package, tmp_path_factory):
     return folder
 
 
-@pytest.fixture
-def cache(filled, tmp_path):
+@pytest.fixture(name="cache")
+def copy_of_cache(filled, tmp_path):
     """A copy of it."""
     shutil.copytree(filled, tmp_path, dirs_exist_ok=True)
     return tmp_path

@@ -53,11 +53,11 @@ def test_lanes_hold_the_bits_of_an_arm_alone(case, method):
     sample, method = case.sample, METHODS[method]
     states, drives = states_of(sample, case.model), drives_for(case.model, case.held, sample.seed)
     abreast = moved(LaneIntegrator(case.constants, method, (PERIOD, PARTS), ARMS, 1), states, drives)
+    lane = LaneIntegrator(case.constants, method, (PERIOD, PARTS), 1, 1)
+    sequential = SequentialIntegrator([Integrator(case.model, method, None, case.held)], (PERIOD, PARTS))
     for arm in range(ARMS):
         one = slice(arm, arm + 1)
-        alone = moved(LaneIntegrator(case.constants, method, (PERIOD, PARTS), 1, 1), states[one], drives[one])
-        run = Integrator(case.model, method, None, case.held)
-        single = moved(SequentialIntegrator([run], (PERIOD, PARTS)), states[one], drives[one])
+        alone, single = (moved(mover, states[one], drives[one]) for mover in (lane, sequential))
         for result, expected, other in zip(abreast, alone, single, strict=True):
             assert np.array_equal(result[arm], expected[0], equal_nan=True)
             assert np.array_equal(result[arm], other[0], equal_nan=True)

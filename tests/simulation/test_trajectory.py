@@ -230,7 +230,7 @@ def test_bending_moments_are_those_of_the_curvature():
     state = fm.rest_state(model, [0.0])
     scene = fm.Scene(arm, model.choice, fm.ConstantTorque([0.0]), fm.Initial([0.0], [0.0], state), 0.01, 0.01,
                      prescribed=[fm.Signal()])  # fmt: skip
-    run = fm.simulate(scene)
+    run = fm.simulate(scene, method="ros2", step=1e-3)
     places = [0.0, 0.12, 0.4]
     loads = run.section_forces(0, places)[0]
     for load, place in zip(loads, places, strict=True):

@@ -11,6 +11,7 @@ from typing import Any, NoReturn, Self
 
 from flexman_gym.common import files
 from flexman_gym.common.checks import mapping, one_of, positive, sequence, short_path, text, value_error, vector
+from flexman_gym.common.renamed import old_names
 from flexman_gym.control.agent import checked_history
 from flexman_gym.control.margins import first_order_lag
 from flexman_gym.control.pd import torque_limits
@@ -172,8 +173,6 @@ class Configuration:
         },
     )
     # fmt: on
-
-    _given: dict[str, Any]
 
     def __init__(self, id: str = DEFAULT, settings: Mapping[str, Any] | None = None, folder: Path = Path()) -> None:
         named, given = NAMED[one_of("id", id, NAMED)], dict(settings or {})
@@ -496,3 +495,5 @@ def _put(data: dict[str, Any], path: list[str], value: object) -> None:
 def _links_and_motors(arm: Arm) -> tuple[object, ...]:
     """Return the parts of an arm for which gains of a PD are tuned."""
     return arm.links, [(joint.axis, joint.rotor_inertia, joint.stiffness) for joint in arm.joints]
+
+__getattr__ = old_names(__name__)

@@ -1,0 +1,39 @@
+"""Renamed: modules and names of release 0.2 are still found, with a warning that has the present name."""
+
+import importlib
+import warnings
+
+import pytest
+
+from flexman_gym.common.renamed import MODULES, NAMES
+
+OLD = [(old, present) for old, present in MODULES.items() if old.startswith("flexman_gym")]
+
+
+@pytest.mark.parametrize(("old", "present"), OLD)
+def test_an_old_module_has_the_names_of_the_present_one(old, present):
+    names = vars(importlib.import_module(present))
+    name = next(name for name, value in names.items() if getattr(value, "__module__", "").startswith(present))
+    with pytest.warns(DeprecationWarning, match=f"{old}.{name} is {present}.{name} now"):
+        assert getattr(importlib.import_module(old), name) is names[name]
+    with pytest.raises(AttributeError):
+        assert importlib.import_module(old).nothing
+
+
+@pytest.mark.parametrize("module", ["flexman_gym.control", "flexman_gym.evaluation"])
+def test_an_old_name_of_a_package_is_the_present_one(module):
+    package = importlib.import_module(module)
+    for old, present in NAMES[module].items():
+        with pytest.warns(DeprecationWarning, match=f"{module}.{old} is {module}.{present} now"):
+            assert getattr(package, old) is getattr(package, present)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert all(hasattr(package, name) for name in package.__all__)
+    with pytest.raises(AttributeError, match=f"module '{module}' has no attribute 'nothing'"):
+        assert package.nothing
+
+
+def test_each_present_name_exists():
+    for module, names in NAMES.items():
+        if module.startswith("flexman_gym"):
+            assert all(hasattr(importlib.import_module(module), present) for present in names.values()), module
