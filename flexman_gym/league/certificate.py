@@ -110,7 +110,7 @@ def policy_trials(environment: Configuration, trained: Configuration) -> list[Ce
         ends = "; ".join(f"{name} {low:.3g} to {high:.3g}" for name, (low, high) in drawn.items())
         far.append((what, ends, _with(environment, drawn)))
     if NAMED[environment.id].conditions and environment.arm == NAMED[environment.id].arm():
-        arm = Configuration.under(environment.id, "friction").settings["arm"]
+        arm = Configuration(environment.id, {"condition": "friction"}).settings["arm"]
         far.append(("friction", "friction of the motors, as of the condition", {"arm": arm}))
     for delay in DELAYS:
         changes = _with(environment, {"delay": (delay, delay)})
@@ -139,7 +139,7 @@ def _unseen(environment: Configuration, trained: Configuration) -> dict[str, dic
     seen = _drawn(trained)
     result = {}
     for condition in conditions:
-        spans = _drawn(Configuration.under(environment.id, condition))
+        spans = _drawn(Configuration(environment.id, {"condition": condition}))
         for name in spans.keys() & seen.keys():
             low, high = seen[name]
             wide = BEYOND * (high - low)

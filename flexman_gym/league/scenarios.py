@@ -155,7 +155,7 @@ def find_scenario(name: str) -> Scenario:
         played = swept.setting(int(value) if value.isdecimal() else float(value))
     except ValueError:
         raise value_error("sweep", name, f"a number after {sweep}=") from None
-    told = split_interface(Configuration.under(id, swept.condition))[0].settings
+    told = split_interface(Configuration(id, {"condition": swept.condition}))[0].settings
     heard = played if swept.told is None else swept.told
     environment, known = (Configuration.from_plain({"id": id, **told, **each}) for each in (played, heard))
     return Scenario(environment, known)

@@ -35,7 +35,11 @@ def test_an_entry_makes_the_same_environment_and_the_same_algorithm(name):
     env = gym.make(id, **entry.pop("env_kwargs"))
     ours = gym.make(settings.environment.id, **settings.environment.keywords())
     result, expected = (each.unwrapped.episodes for each in (env, ours))
-    assert result.hold == expected.hold and type(result.base) is type(expected.base) and result.task == expected.task
+    assert (
+        result.action_repeat == expected.action_repeat
+        and type(result.base) is type(expected.base)
+        and result.task == expected.task
+    )
     assert env.observation_space == ours.observation_space
     assert (entry.pop("n_envs"), entry.pop("n_timesteps")) == (settings.envs, settings.steps)
     assert entry.pop("normalize") == {"norm_obs": True, "norm_reward": settings.normalise_reward}

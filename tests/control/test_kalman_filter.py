@@ -25,7 +25,7 @@ from flexman_gym.control.observers.kalman_filter import (
 )
 from flexman_gym.control.observers.observer import BIAS, make_measurement_model
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.setup import build
+from flexman_gym.envs.config.fidelity import build
 from flexman_gym.model.linearization import LinearReadings
 from flexman_gym.simulation.batch import Batch
 

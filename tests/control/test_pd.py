@@ -10,6 +10,7 @@ import flexman_gym  # noqa: F401  registers the environments
 from flexman_gym.control import PD, Controller, EpisodeInfo
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.specification import make_controller
 from flexman_gym.envs.sensors import SENSORS
 from flexman_gym.model import holding_torques
 
@@ -91,7 +92,7 @@ def test_pd_with_gravity_holds_an_arm_at_rest_where_it_is():
     held = np.array([holding_torques(arms.batch.model, posture) for posture in postures])
     assert arms.episodes.view.action == pytest.approx(held / arms.torque_limit, abs=1e-6)
     still = {"angle_errors": np.zeros(2), "motor_rates": np.zeros(2)}
-    alone = arms.setup.controller("pd", arms.batch.model)
+    alone = make_controller(arms.setup, "pd", arms.batch.model)
     alone.reset(np.array([0]), EpisodeInfo(postures[1:2], postures[1:2], 0.02), 1)
     assert alone.act(still) == pytest.approx(held[1] / arms.torque_limit, abs=1e-6)
     arms.episodes.base.gravity_model = None

@@ -67,8 +67,8 @@ def test_it_acts_as_the_network_from_which_it_was_made(folder):
     policy = find_agent(str(folder))
     seen = arrays["check.observations"]
     assert np.array_equal(policy.law(seen), arrays["check.actions"])
-    assert policy.interface["base"].stiffness.tolist() == [39.0, 5.56] and policy.environment.setup().horizon == 1.0
-    assert policy.environment.setup().base is None, "which is a part of the policy"
+    assert policy.interface["base"].stiffness.tolist() == [39.0, 5.56] and policy.environment.horizon == 1.0
+    assert policy.environment.base is None, "which is a part of the policy"
     result = rollout(policy, policy.environment, [0, 1])
     assert result.lengths.tolist() == [100, 100] and np.abs(result.actions).max() > 0.01
     assert about["observation"][0] == {"name": "motor_angles", "unit": "rad", "size": 2}

@@ -1,6 +1,7 @@
 """Configuration of an environment: its settings, declared once, checked once and handed on."""
 
 import os
+import sys
 import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
@@ -31,6 +32,7 @@ from flexman_gym.simulation.trajectory import ENERGY_ALARM
 
 CHOSEN = ("elements", "modes", "method", "step", "stiffening")  # settings that fidelity="auto" chooses
 PARTS = ("arm", "task", "limits")  # settings of a named environment of which a change may name a part
+LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")  # packages between a user and a configuration
 MOST_PERIODS = 10**9  # control periods of an episode
 
 
@@ -300,15 +302,6 @@ class Configuration:
             raise FileNotFoundError(f"{short_path(name)}: there is no such file; give {allowed}")
         return cls.load(name, changes)
 
-    @classmethod
-    def under(cls, id: str, condition: str) -> Self:
-        """Return a named environment under one of its conditions.
-
-        Raises:
-            ValueError: for another condition, and for an environment without conditions.
-        """
-        return cls(id, condition_settings(id, condition))
-
     @property
     def settings(self) -> dict[str, Any]:
         """A copy of the settings that were given, with those of the condition in its place."""
@@ -452,22 +445,20 @@ class Configuration:
 
 SETTINGS: dict[str, Setting] = {name: each for name, each in vars(Configuration).items() if isinstance(each, Setting)}
 """Declared settings of an environment: name -> Setting."""
-Configuration.__doc__ = "\n".join(
-    [
-        f"{Configuration.__doc__}\n    Attributes:",
-        "        id: of the named environment.",
-        *(f"        {name}: {each.help}" + f" ({each.unit})" * bool(each.unit) for name, each in SETTINGS.items()),
-    ]
-)
+_LINES = (f"        {name}: {each.help}" + f" ({each.unit})" * bool(each.unit) for name, each in SETTINGS.items())
+Configuration.__doc__ = "\n".join([f"{Configuration.__doc__}\n    Attributes:", *_LINES])
 RENAMED = {old: name for name, setting in SETTINGS.items() for old in setting.formerly}
 SET_HELP = f"a setting of the environment: {', '.join(SETTINGS)}; arm.payload.mass=0.5 changes a part"
 HINTS = {foreign: hint for setting in SETTINGS.values() for foreign, hint in setting.elsewhere.items()}
 
 
 def current_name(name: str, warn: bool = True) -> str:
-    """Return the present name of a setting; a deprecated one is warned of."""
+    """Return the present name of a setting; a deprecated one is warned of, at the caller outside of the libraries."""
     if name in RENAMED and warn:
-        warnings.warn(f"{name} is deprecated; give {RENAMED[name]}", DeprecationWarning, stacklevel=3)
+        level, frame = 1, sys._getframe()
+        while frame.f_back and frame.f_globals["__name__"].partition(".")[0] in LIBRARIES:
+            level, frame = level + 1, frame.f_back
+        warnings.warn(f"{name} is deprecated; give {RENAMED[name]}", DeprecationWarning, stacklevel=level)
     return RENAMED.get(name, name)
 
 

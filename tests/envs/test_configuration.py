@@ -3,6 +3,7 @@
 import json
 
 import gymnasium as gym
+import keywords
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,11 +13,13 @@ import flexman_gym as fm
 from flexman_gym.common import files
 from flexman_gym.control import PD
 from flexman_gym.envs import NAMED
-from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.configuration import RENAMED, SETTINGS, Configuration
+from flexman_gym.evaluation.policy_files import policy_folder
 from flexman_gym.scene.serialization import find_arm, to_plain
 
 from oracles.assertions import refusal
 from oracles.chains import QUICK
+from oracles.files import ROOT
 
 OWN = {
     "id": "FlexPlanar-v0", "arm": {"catalog": "vertical_2r", "payload": {"mass": 0.25}}, "horizon": 0.3,
@@ -189,6 +192,98 @@ def test_objects_of_ones_own_cannot_be_described():
     )
 
 
+# Deprecated names
+
+
+@pytest.mark.parametrize(("old", "name"), RENAMED.items())
+def test_a_deprecated_name_means_the_present_one_and_warns_where_a_user_gives_it(tmp_path, old, name):
+    """In Python, in a file and as a change; the warning stands at the line of the user."""
+    value = {"action_repeat": 3}[name]
+    files.write_data(tmp_path / "own.yaml", {"id": "FlexOne-v0", old: value})
+    for make in (
+        lambda: gym.make("FlexOne-v0", **{old: value}).unwrapped.setup,
+        lambda: gym.make_vec("FlexOne-v0", 1, "vector_entry_point", **{old: value}).unwrapped.setup,
+        lambda: Configuration("FlexOne-v0", {old: value}),
+        lambda: Configuration.find(str(tmp_path / "own.yaml")),
+        lambda: Configuration("FlexOne-v0").changed([f"{old}={value}"]),
+    ):
+        with pytest.warns(DeprecationWarning, match=f"^{old} is deprecated; give {name}$") as caught:
+            made = make()
+        assert getattr(made, name) == value and made.settings == {name: value}
+        assert [each.filename for each in caught] == [__file__]
+
+
+@pytest.mark.parametrize(("old", "name"), RENAMED.items())
+def test_kept_data_with_a_deprecated_name_is_read_without_a_warning(recwarn, old, name):
+    kept = Configuration.from_plain({"id": "FlexOne-v0", old: 3})
+    assert getattr(kept, name) == 3 and kept.to_plain()[name] == 3 and not recwarn.list
+    line = refusal(Configuration.from_plain, {"id": "FlexOne-v0", old: 3, name: 3})
+    assert line == f"{old}: 3 is not allowed; give {name} only, its present name"
+
+
+def test_shipped_policies_keep_the_old_name_and_load_without_a_warning(recwarn):
+    from flexman_gym.evaluation.agent import find_agent
+
+    assert '"hold": 10' in (policy_folder("ppo-flexplanar") / "policy.json").read_text()
+    assert find_agent("ppo-flexplanar").interface["action_repeat"] == 10
+    assert not [each for each in recwarn if each.category is DeprecationWarning]
+
+
+# Parsed once
+
+
+@pytest.fixture
+def parsed(monkeypatch):
+    """The configurations that were parsed."""
+    result, parse = [], Configuration.__init__
+    monkeypatch.setattr(Configuration, "__init__", lambda self, *given: (result.append(given), parse(self, *given))[1])
+    return result
+
+
+def test_an_environment_parses_its_configuration_once_and_takes_one_as_it_is(parsed):
+    env = gym.make("FlexOne-v0", base="pd").unwrapped
+    assert len(parsed) == 1
+    other = gym.make_vec("FlexOne-v0", 2, "vector_entry_point", **env.setup.keywords()).unwrapped
+    assert len(parsed) == 1 and other.setup is env.setup
+    changed = gym.make("FlexOne-v0", **env.setup.keywords(), horizon=1.0).unwrapped.setup
+    assert len(parsed) == 2 and (changed.base, changed.horizon, env.setup.horizon) == ("pd", 1.0, 10.0)
+    line = refusal(lambda: gym.make("FlexPlanar-v0", **env.setup.keywords()))
+    assert line == "configuration: 'FlexOne-v0' is not allowed; give one of FlexPlanar-v0"
+    assert refusal(lambda: gym.make("FlexOne-v0", configuration={})).startswith("configuration: {} is not allowed")
+
+
+@pytest.mark.parametrize(("options", "count"), [([], 1), (["--env", "own.yaml", "--set", "arm.payload.mass=0.2"], 2)])
+def test_a_training_parses_its_recipe_and_an_environment_in_its_place(parsed, tmp_path, monkeypatch, options, count):
+    pytest.importorskip("stable_baselines3")
+    from flexman_gym.__main__ import main
+
+    monkeypatch.chdir(tmp_path)
+    files.write_data(tmp_path / "own.yaml", {"id": "FlexPlanar-v0", "base": "pd", "horizon": 0.5})
+    small = ["--steps", "256", "--envs", "2", "--folder", "run", "--quiet", "--judge-every", "0"]
+    assert main(["train", "planar_ppo_on_pd", *small, *options]) == 0
+    assert len(parsed) == count
+
+
+def test_a_configuration_is_not_changed():
+    with pytest.raises(AttributeError, match=r"^horizon: "):
+        Configuration().horizon = 3.0
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_a_setting_has_help_and_a_plain_form(name):
+    """The plain form of the default of a named environment makes an equal value again."""
+    setting, own = SETTINGS[name], Configuration("FlexPlanar-v0", {"randomisation": {"delay": (0, 2)}})
+    value = getattr(own, name)
+    assert setting.help.endswith(".") and f"{name}: {setting.help}" in Configuration.__doc__
+    plain = setting.plain(value) if setting.plain else value
+    again = Configuration("FlexPlanar-v0", {name: json.loads(json.dumps(plain))})
+    assert getattr(again, name) == value or name == "sensors"
+
+
+def test_the_page_of_keywords_is_that_of_the_table():
+    assert (ROOT / "docs" / "environments" / "keywords.md").read_text(encoding="utf-8") == keywords.page()
+
+
 # The same episode everywhere
 
 
@@ -212,7 +307,7 @@ def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
         errors.append(info["tip_error"])
         assert np.array_equal(seen, others[1]) and infos["tip_error"][1] == errors[-1]
     assert ended
-    policy = AgentSpec("pd", find_agent("zero").law, {key: OWN[key] for key in ("base", "hold", "sensors")})
+    policy = AgentSpec("pd", find_agent("zero").law, {key: OWN[key] for key in ("base", "action_repeat", "sensors")})
     (_, record) = rollout(policy, common_environment([policy], result), [7, seed]).records
     assert np.array_equal(record.errors[::2], errors)
 
