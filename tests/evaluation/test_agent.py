@@ -142,7 +142,7 @@ def test_what_a_policy_was_trained_with_is_not_changed_in_part_either():
     assert change_environment(ONE, ["arm.payload.mass=0.1"]).arm.payload.mass == 0.1
     for change in ("sensors.kind=fine", "action_repeat=2", "base=pd"):
         line = refusal(change_environment, ONE, [change])
-        assert line.startswith(f"--set: '{change}' is not allowed; give a setting of what is moved: base, action_repeat")
+        assert line.startswith(f"--set: '{change}' is not allowed; give a setting of what is moved: base, action_rep")
 
 
 def test_random_torques_go_both_ways():
