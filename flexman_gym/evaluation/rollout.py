@@ -176,9 +176,7 @@ def rollout(
     player, described = find_agent(entrant), find_environment(environment)
     numbers, (bare, own) = _episode_seeds(seeds), split_interface(described)
     _check_arm(player, described)
-    keywords = bare.keywords() | deepcopy(own if player.interface is None else player.interface)  # it may act elsewhere
-    if player.environment is not None:
-        keywords["task"] = _ObservedTask(bare.task, player.environment.task.sensors)
+    keywords = _keywords(player, bare, own)
     venv = gym.make_vec(described.id, len(numbers), "vector_entry_point", **keywords)
     episodes, size = venv.unwrapped.episodes, venv.action_space.shape or ()  # type: ignore[attr-defined]
     if moved is not None:
@@ -196,6 +194,14 @@ def rollout(
     told = _about(venv.unwrapped, player, described) | {"seeds": [int(seed) for seed in numbers]}
     venv.close()
     return recorder.rollout(told)
+
+
+def _keywords(player: AgentSpec, bare: Configuration, own: dict[str, Any]) -> dict[str, Any]:
+    """Return the keywords of the environment of an agent; its parts are copied, as it may act elsewhere too."""
+    keywords = bare.keywords() | deepcopy(own if player.interface is None else player.interface)
+    if player.environment is not None:
+        keywords["task"] = _ObservedTask(bare.task, player.environment.task.sensors)
+    return keywords
 
 
 class _ObservedTask:

@@ -36,7 +36,7 @@ def test_an_entry_makes_the_same_environment_and_the_same_algorithm(name):
     ours = gym.make(settings.environment.id, **settings.environment.keywords())
     result, expected = (each.unwrapped.episodes for each in (env, ours))
     assert (
-        result.action_repeat == expected.action_repeat
+        result.agent.action_repeat == expected.agent.action_repeat
         and type(result.base) is type(expected.base)
         and result.task == expected.task
     )

@@ -176,5 +176,5 @@ def test_a_reward_may_be_a_constant_or_a_number_for_each_arm():
 
 def test_the_cause_of_a_reward_that_fails_is_kept():
     with pytest.raises(ValueError) as caught:
-        fm.rollout("pd", fm.envs.config.description.Configuration("FlexOne-v0", {"reward": misspelt}), 1)
+        fm.rollout("pd", fm.envs.config.configuration.Configuration("FlexOne-v0", {"reward": misspelt}), 1)
     assert isinstance(caught.value.__cause__, AttributeError)

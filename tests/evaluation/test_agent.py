@@ -298,7 +298,7 @@ def test_an_agent_acts_alike_in_training_live_loaded_and_under_another_agent(con
 
     Flaws of the instruments of a base are its own.
     """
-    moved = Configuration.under("FlexPlanar-v0", condition).settings | {"horizon": 0.4}
+    moved = Configuration.find(f"FlexPlanar-v0/{condition}").settings | {"horizon": 0.4}
     agent = {"base": "pd", "action_repeat": 2, "history": 3, "sensors": sensors}
     described = Configuration.from_plain({"id": "FlexPlanar-v0", **moved, **agent})
     write_policy(tmp_path, *made_up(described))

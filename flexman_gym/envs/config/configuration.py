@@ -496,4 +496,5 @@ def _links_and_motors(arm: Arm) -> tuple[object, ...]:
     """Return the parts of an arm for which gains of a PD are tuned."""
     return arm.links, [(joint.axis, joint.rotor_inertia, joint.stiffness) for joint in arm.joints]
 
+
 __getattr__ = old_names(__name__)

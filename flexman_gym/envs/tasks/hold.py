@@ -18,7 +18,7 @@ from flexman_gym.envs.view import Number, View
 class Hold:
     """Hold the tip still under impulses, loads that change and a base that sways.
 
-    Configuration
+    Description
         The arm rests at a posture when it is disturbed: by impulses on the tip, by a force on the tip that changes at
         random times and stays until the next change, and by a base that swings to and fro. The tip is to stay where it
         was. The motors are free without torques, so that an arm that does nothing drifts away.

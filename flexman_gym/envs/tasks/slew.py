@@ -24,7 +24,7 @@ CALM = 0.3 / 8.5  # reaches a second: tip vibration that halves the reward for c
 class Slew:
     """Slew and settle: bring the tip to a target and keep it still there.
 
-    Configuration
+    Description
         The arm is at rest when a target appears. Its tip is to come there quickly and to stop vibrating.
 
     Actions

@@ -141,7 +141,7 @@ ANY = "any"
 class Track:
     """Track: lead the tip along a path in space.
 
-    Configuration
+    Description
         A target runs round a closed path, a circle, a lemniscate (a figure of eight) or a random smooth curve, so fast
         that the first mode of the arm matters. The tip is to stay on it. The target starts from rest and has its full
         speed after about half a period.
