@@ -176,8 +176,7 @@ def rollout(
     player, described = find_agent(entrant), find_environment(environment)
     numbers, (bare, own) = _episode_seeds(seeds), split_interface(described)
     _check_arm(player, described)
-    keywords = _keywords(player, bare, own)
-    venv = gym.make_vec(described.id, len(numbers), "vector_entry_point", **keywords)
+    venv = gym.make_vec(described.id, len(numbers), "vector_entry_point", **_keywords(player, bare, own))
     episodes, size = venv.unwrapped.episodes, venv.action_space.shape or ()  # type: ignore[attr-defined]
     if moved is not None:
         moved(episodes.batch)
@@ -187,9 +186,8 @@ def rollout(
     recorder.begin()
     episodes.watch = recorder.record
     while not recorder.ends.all():  # not by steps of `venv`, which would reset each arm whose episode has ended
-        commands = np.zeros(size, dtype=np.float32)
-        if player.law is not None:
-            commands = np.asarray(player.law(episodes.agent.observations.copy()), dtype=np.float32)
+        asked = np.zeros(size) if player.law is None else player.law(episodes.agent.observations.copy())
+        commands = np.asarray(asked, dtype=np.float32)
         episodes.step(checked_actions("actions", commands, size, "a number from -1 to 1 for each motor of each arm"))
     told = _about(venv.unwrapped, player, described) | {"seeds": [int(seed) for seed in numbers]}
     venv.close()
