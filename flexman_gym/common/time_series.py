@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Vector
-from flexman_gym.common.checks import MAX_ENTRIES, one_of, regular_file, sequence, short_path, value_error
+from flexman_gym.common.checks import MAX_ENTRIES, one_of, sequence, short_path, value_error
+from flexman_gym.common.files import regular_file
 
 MAX_CSV_BYTES = 200_000_000  # of a file
 LONGEST_LINE, LONGEST_HEAD = 100_000, 100  # characters of a line, and of the head of a column

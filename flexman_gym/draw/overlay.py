@@ -43,8 +43,8 @@ def _font(size: int) -> tuple[dict[str, int], NDArray[np.uint8], list[int]]:
 
 
 @lru_cache(maxsize=256)
-def text_mask(text: str, size: int) -> NDArray[np.float32]:
-    """Gives how much of each pixel (h, w) letters of a size cover, from 0 to 1; a letter without a shape is a "?"."""
+def _text_mask(text: str, size: int) -> NDArray[np.float32]:
+    """Return the coverage (h, w), 0 to 1, of each pixel by letters of a size; "?" for a letter without a shape."""
     letters, shapes, starts = _font(size)
     places = [letters.get(letter, letters["?"]) for letter in text]
     parts = [shapes[:, starts[place] : starts[place + 1]] for place in places]
@@ -58,7 +58,7 @@ def font_size(height: int) -> int:
 
 def write_text(picture: Picture, text: str, place: tuple[int, int], size: int, colour: str = INK) -> None:
     """Writes text into a picture: its upper left corner at column and row, its right end there where column < 0."""
-    shape = text_mask(text, size)
+    shape = _text_mask(text, size)
     column, row = place
     if column < 0:
         column += picture.shape[1] - shape.shape[1]
