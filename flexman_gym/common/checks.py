@@ -266,19 +266,6 @@ def vector(name: str, value: object, length: int | None = None, unit: str = "") 
     return tuple(finite(f"{name}[{i}]", entry, unit) for i, entry in enumerate(entries))
 
 
-def unit_vector(name: str, value: object) -> tuple[float, ...]:
-    """Gives a (3,) vector of length 1 within 1e-9 as a tuple of floats; it is not normalised.
-
-    Raises:
-        ValueError: for anything else.
-    """
-    entries = vector(name, value, 3)
-    length = math.hypot(*entries)
-    if not abs(length - 1.0) <= UNIT_TOLERANCE:
-        raise value_error(name, value, f"a vector of length 1 (the length of this one is {length:.12g})")
-    return entries
-
-
 def rotation(name: str, value: object) -> tuple[tuple[float, ...], ...]:
     """Gives a (3, 3) proper rotation, orthonormal within 1e-9, as a tuple of rows.
 

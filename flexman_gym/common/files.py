@@ -110,7 +110,7 @@ def read_data(path: Path, kind: type = dict) -> Any:
             text, for anything else than this kind, for a repeated key, and for a nesting without end; one line says
             which, without the name of the file and without its text.
     """
-    ending = check_suffix(path)
+    ending = _check_suffix(path)
     try:
         text = regular_file(path).read_bytes().decode("utf-8")
     except UnicodeDecodeError as error:
@@ -140,15 +140,15 @@ def write_data(path: Path, data: Any) -> None:
     Raises:
         ValueError: for an unknown suffix.
     """
-    if check_suffix(path) == ".json":
+    if _check_suffix(path) == ".json":
         text = json.dumps(data, indent=1) + "\n"
     else:
         text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=120)
     path.write_text(text, encoding="utf-8", newline="\n")
 
 
-def check_suffix(path: Path) -> str:
-    """Gives the suffix of a file that can be written; raises ValueError for another one."""
+def _check_suffix(path: Path) -> str:
+    """Return the suffix of a JSON or YAML file; raise ValueError for another suffix."""
     return one_of(f"the suffix of {short_path(path, 40)}", path.suffix, (".json", ".yaml", ".yml"))
 
 

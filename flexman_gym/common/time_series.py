@@ -110,13 +110,8 @@ def read_csv_lines(path: str | Path) -> Iterator[list[str]]:
         raise ValueError(f"{_name(path)}: {error}") from None
 
 
-def write_time_series(path: str | Path, times: Vector, columns: Mapping[str, Vector]) -> None:
-    """Writes times (s) and columns, by heads such as "torque_1 (N m)", with all digits of their numbers."""
-    write_columns(path, {"time (s)": times, **columns})
-
-
 def write_columns(path: str | Path, columns: Mapping[str, Vector]) -> None:
-    """Writes columns of the same length under their heads, with all digits: reading them gives the same numbers.
+    """Write columns of the same length under their heads, such as "time (s)", with all digits of their numbers.
 
     Raises:
         OSError: where the file cannot be written.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import value_error, vector, whole_number
 from flexman_gym.draw.frames import POINTS, FramePainter, grid
-from flexman_gym.draw.overlay import font_size, write_text
+from flexman_gym.draw.overlay import write_title
 from flexman_gym.draw.style import DARK, LIGHT, LINK_COLOURS, MIDDLE, new_figure
 from flexman_gym.model.deformation import curves
 from flexman_gym.model.dynamics import frequencies
@@ -55,8 +55,7 @@ def mode_pictures(
         painter.scale = float(max(2.0 * strains, 1e-12))
         title = f"mode {i + 1}: {found.frequencies[i]:.3g} Hz, damping {100 * found.damping_ratios[i]:.2g} %"
         frames.append(painter.paint(state, shot=shot))
-        letters = font_size(size[1])
-        write_text(frames[-1], title, (letters, letters // 2), letters)
+        write_title(frames[-1], title)
     return grid(frames)
 
 

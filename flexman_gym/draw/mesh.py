@@ -122,14 +122,6 @@ def tube_surfaces(curves: Curves, sections: Sequence[_SectionOutlines]) -> tuple
     return surface.reshape(*front, -1, 3), outward.reshape(*front, -1, 3), strain.reshape(*front, -1)
 
 
-def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
-    """Gives several meshes as one."""
-    starts = np.cumsum([0, *(len(mesh.points) for mesh in meshes)])
-    faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]
-    points, normals = (np.concatenate([mesh[k] for mesh in meshes]) for k in range(2))
-    return Mesh(points, normals, np.concatenate(faces).astype(np.int32))
-
-
 @lru_cache(maxsize=8)
 def _surface_of_revolution(profile: tuple[tuple[float, float, float, float], ...], sides: int = 24) -> Mesh:
     """Gives the surface that a profile of radius, height and their normal sweeps about the z axis.

@@ -26,7 +26,7 @@ from flexman_gym.common.checks import (
     vector,
     whole_number,
 )
-from flexman_gym.common.time_series import TimeSeries, read_time_series, write_time_series
+from flexman_gym.common.time_series import TimeSeries, read_time_series, write_columns
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.mistakes import check_keywords
 from flexman_gym.scene.serialization import (
@@ -291,15 +291,17 @@ class Scene:
             raise ValueError(f"{short_path(path)}: {error}") from None
 
     def save(self, path: str | Path) -> None:
-        """Writes the scene to a .json, .yaml or .yml file, from which `load` gives an equal one.
+        """Write the scene to a .json, .yaml or .yml file, from which `load` returns an equal one.
 
-        More than a hundred samples go to CSV files beside it, such as scene_torque.csv beside scene.json.
+        More than a hundred samples go to CSV files next to it, such as scene_torque.csv for scene.json.
 
         Raises:
             ValueError: for another suffix.
         """
-        scene_file.check_suffix(Path(path))
-        scene_file.write_data(Path(path), _write_samples(Path(path), self.to_dict()))
+        data, tables = _split_samples(Path(path), self.to_dict())
+        scene_file.write_data(Path(path), data)
+        for file, columns in tables.items():
+            write_columns(file, columns)
 
     @classmethod
     def from_dict(cls, data: object, folder: Path = Path()) -> Self:
@@ -399,29 +401,28 @@ def _warn_outside(field: str, name: str, folder: Path) -> None:
         warnings.warn(f"{said}; the next release reads it only where this is asked for", FutureWarning, stacklevel=2)
 
 
-def _write_samples(path: Path, data: dict[str, Any]) -> dict[str, Any]:
-    """Write many samples of a scene's mapping to CSV files next to the path; return the mapping without them."""
-    result = dict(data)
+def _split_samples(path: Path, data: dict[str, Any]) -> tuple[dict[str, Any], dict[Path, dict[str, Any]]]:
+    """Return a scene's mapping with CSV files next to the path for many samples, and the columns of these files."""
+    result, tables = dict(data), {}
+
+    def kept(label: str, item: dict[str, Any], columns: dict[str, Any]) -> dict[str, Any]:
+        file = path.with_name(f"{path.stem}_{label}.csv")
+        tables[file] = {"time (s)": item["times"], **columns}
+        more = {name: value for name, value in item.items() if name not in ("times", "values", "angles")}
+        return more | {"csv": file.name}
+
     if len(data["torque"].get("times", ())) > MAX_INLINE_SAMPLES:
         heads = [f"torque_{i} (N m)" for i in range(1, len(data["torque"]["values"][0]) + 1)]
         columns = dict(zip(heads, zip(*data["torque"]["values"], strict=True), strict=True))
-        result["torque"] = _kept(path, "torque", data["torque"], columns)
+        result["torque"] = kept("torque", data["torque"], columns)
     for name, unit in (("prescribed", "rad/s^2"), ("tip_force", "N"), ("base_acceleration", "m/s^2")):
         for i, item in enumerate(data.get(name) or ()):
             if item is not None and len(item.get("times", ())) > MAX_INLINE_SAMPLES:
                 label, turned = f"{name}_{i}", "angles" in item
                 columns = {f"{label} ({'rad' if turned else unit})": item["angles" if turned else "values"]}
                 result[name] = list(result[name])
-                result[name][i] = _kept(path, label, item, columns) | {"column": label}
-    return result
-
-
-def _kept(path: Path, label: str, item: dict[str, Any], columns: dict[str, Any]) -> dict[str, Any]:
-    """Write columns to a CSV file; return the item with the name of the file in their place."""
-    file = path.with_name(f"{path.stem}_{label}.csv")
-    write_time_series(file, item["times"], columns)
-    more = {name: value for name, value in item.items() if name not in ("times", "values", "angles")}
-    return more | {"csv": file.name}
+                result[name][i] = kept(label, item, columns) | {"column": label}
+    return result, tables
 
 
 def _sampled_signal(record: TimeSeries, column: str, units: tuple[str, ...], more: dict[str, Any]) -> Any:

@@ -23,7 +23,7 @@ from flexman_gym.common.checks import (
     value_error,
     vector,
 )
-from flexman_gym.common.time_series import read_time_series, write_time_series
+from flexman_gym.common.time_series import read_time_series, write_columns
 
 HOLDS = ("zero", "linear")
 LEAST_OF_SPLINE = 4  # samples
@@ -150,7 +150,7 @@ class SampledTorque:
 
     def to_csv(self, path: str | Path) -> None:
         """Writes a file from which `from_csv` gives an equal one, but for the hold."""
-        write_time_series(path, self.times, _heads("torque", "N m", self.values))
+        write_columns(path, {"time (s)": self.times, **_heads("torque", "N m", self.values)})
 
     def signals(self) -> list[Any]:
         """Gives the torque of each motor, n of them."""
