@@ -1,4 +1,4 @@
-"""Arm: a serial chain of links and revolute joints with a payload, as a person describes it, in SI units."""
+"""Arm: a serial chain of links and revolute joints with a payload, in SI units."""
 
 import math
 from collections.abc import Sequence
@@ -114,7 +114,7 @@ class Arm:
 
 
 def _warn_of_loads(name: str, mass: float, inertia: Any, offset: Any, arm: tuple[float, float]) -> None:
-    """Warns (UserWarning) of a body that is far too heavy or too large for an arm.
+    """Warn (UserWarning) of a body that is far too heavy or too large for an arm.
 
     Args:
         name: of the body.
@@ -137,7 +137,7 @@ def _warn_of_loads(name: str, mass: float, inertia: Any, offset: Any, arm: tuple
 
 
 def _warn_of_gravity(gravity: tuple[float, ...]) -> None:
-    """Warns (UserWarning) of a gravity (m/s^2) that no place has where arms are."""
+    """Warn (UserWarning) of a gravity (m/s^2) that no place has where arms are."""
     size = math.hypot(*gravity)
     if size > MAX_GRAVITY:
         warn_caller(f"Arm.gravity: {size:g} (m/s^2) looks like a slip of units; was it in mm/s^2? 9810 mm/s^2 are 9.81")

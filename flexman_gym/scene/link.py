@@ -1,4 +1,4 @@
-"""Links: uniform and stepped beams, with lumped masses clamped to them."""
+"""Links: cross-sections and materials, uniform and stepped beams, and the lumped masses clamped to them."""
 
 import math
 from collections.abc import Sequence
@@ -400,7 +400,7 @@ class Link:
 
 
 def _warn_of_section(length: float, area: float, polar: float, torsion: float) -> None:
-    """Warns (UserWarning) of a section that is far too large for the length (m) of its link.
+    """Warn (UserWarning) of a section that is far too large for the length (m) of its link.
 
     Args:
         length: m.

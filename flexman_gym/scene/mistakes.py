@@ -120,7 +120,7 @@ OWN = ("flexman_gym", "gymnasium")  # packages whose lines are not the cause of 
 
 
 def warn_of_units(owner: str, values: Mapping[str, Any]) -> None:
-    """Warns (UserWarning) of the first of some values by name that is not usual, in one line.
+    """Warn (UserWarning) of the first of some values by name that is not usual, in one line.
 
     Args:
         owner: whose values they are, such as "Link"; "" for none.
