@@ -2,15 +2,9 @@
 
 import math
 import numbers
-import os
-import stat
-import struct
-import zipfile
-import zlib
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -24,13 +18,6 @@ LONGEST_PATH = 160  # characters of a path in an error
 MAX_SHOWN = 80  # characters of a value in an error, and so entries of a list
 MAX_ENTRIES = 10**6  # of any list
 NEAR = 0.75  # likeness of a name to that of a member, from which on it is taken for a slip
-# what reading a file of noise may raise, one of arrays too
-READ_ERRORS = (
-    ValueError, KeyError, TypeError, AttributeError, EOFError, OSError, MemoryError, RecursionError, OverflowError,
-    NotImplementedError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error,
-)  # fmt: skip
-MAX_TEXT_BYTES = 1_000_000  # of a file of text
-MAX_UNPACKED_BYTES = 100_000_000  # bytes; of all arrays of a file that is compressed
 MAX_DIGITS = 18  # of a whole number in a name
 WHOLE_TOLERANCE = 1e-9  # how far a ratio of two times may be from a whole number, relative to itself
 
@@ -54,46 +41,6 @@ def short_path(path: object, most: int = LONGEST_PATH) -> str:
 def is_count(text: str) -> bool:
     """Return whether a text is a whole number of 1 to 18 digits 0 to 9; `str.isdigit` is true of superscripts too."""
     return text.isascii() and text.isdecimal() and len(text) <= MAX_DIGITS
-
-
-def regular_file(path: str | Path, most: int | None = MAX_TEXT_BYTES) -> Path:
-    """Return the path of a regular file of at most `most` bytes, any number for None, before it is opened.
-
-    A device can be read without end, and a pipe into which nobody writes is waited for.
-
-    Raises:
-        FileNotFoundError: when there is no such file.
-        ValueError: for a directory, a device or a pipe, and for a larger file; the line does not name it.
-    """
-    try:
-        status = os.stat(path)
-    except (OSError, ValueError):  # also a name that is too long, or that has a zero byte
-        raise FileNotFoundError(f"{short_path(path)}: there is no such file") from None
-    if not stat.S_ISREG(status.st_mode):
-        raise ValueError("this is a directory, a device or a pipe; give a file")
-    if most is not None and status.st_size > most:
-        raise ValueError(f"a size of {status.st_size} bytes is not allowed; give at most {most}")
-    return Path(path)
-
-
-@contextmanager
-def open_arrays(path: str | Path, packed: bool = False) -> Iterator[Any]:
-    """Open a file of arrays (npz); nothing in it is run.
-
-    Args:
-        path: of the file.
-        packed: whether its arrays may be compressed; they have at most 100 MB then.
-
-    Raises:
-        FileNotFoundError: when there is no such file.
-        one of BROKEN: for anything else than a regular file of arrays, and for arrays larger than they look.
-    """
-    size = regular_file(path, None).stat().st_size
-    with zipfile.ZipFile(path) as parts:
-        if sum(part.file_size for part in parts.infolist()) > (MAX_UNPACKED_BYTES if packed else size):
-            raise ValueError("its arrays are larger than 100 MB" if packed else "its arrays are packed")
-    with np.load(path, allow_pickle=False) as result:
-        yield result
 
 
 def value_error(name: str, value: object, allowed: str) -> ValueError:
@@ -291,6 +238,22 @@ def instance(name: str, value: object, kind: type[Kind], allowed: str) -> Kind:
     return value
 
 
+def instances(name: str, value: object, *kinds: type) -> tuple[Any, ...]:
+    """Return a list of at least one item, each of one of the `kinds`, as a tuple.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    names = " or ".join(kind.__name__ for kind in kinds)
+    items = sequence(name, value, f"at least one {names}")
+    if not items:
+        raise value_error(name, value, f"at least one {names}")
+    for i, item in enumerate(items):
+        if not isinstance(item, kinds):
+            raise value_error(f"{name}[{i}]", item, f"a {names}")
+    return tuple(items)
+
+
 def vector(name: str, value: object, length: int | None = None, unit: str = "") -> tuple[float, ...]:
     """Gives an array-like of finite numbers as a tuple of floats, (length,).
 
@@ -301,19 +264,6 @@ def vector(name: str, value: object, length: int | None = None, unit: str = "") 
     if not entries or (length is not None and len(entries) != length):
         raise value_error(name, value, f"{length or 'at least 1'} numbers" + _in(unit))
     return tuple(finite(f"{name}[{i}]", entry, unit) for i, entry in enumerate(entries))
-
-
-def unit_vector(name: str, value: object) -> tuple[float, ...]:
-    """Gives a (3,) vector of length 1 within 1e-9 as a tuple of floats; it is not normalised.
-
-    Raises:
-        ValueError: for anything else.
-    """
-    entries = vector(name, value, 3)
-    length = math.hypot(*entries)
-    if not abs(length - 1.0) <= UNIT_TOLERANCE:
-        raise value_error(name, value, f"a vector of length 1 (the length of this one is {length:.12g})")
-    return entries
 
 
 def rotation(name: str, value: object) -> tuple[tuple[float, ...], ...]:

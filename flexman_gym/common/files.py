@@ -1,16 +1,29 @@
-"""Files: atomic writes, and strict JSON and YAML."""
+"""Files: atomic writes, strict JSON and YAML, and checked reading of arrays."""
 
 import json
 import os
 import re
-from collections.abc import Callable
-from contextlib import suppress
+import stat
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import numpy as np
 import yaml
 
-from flexman_gym.common.checks import one_of, regular_file, short_path, short_repr
+from flexman_gym.common.checks import one_of, short_path, short_repr
+
+# errors that reading a damaged file of text or arrays may raise
+READ_ERRORS = (
+    ValueError, KeyError, TypeError, AttributeError, EOFError, OSError, MemoryError, RecursionError, OverflowError,
+    NotImplementedError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error,
+)  # fmt: skip
+MAX_TEXT_BYTES = 1_000_000  # bytes of a text file
+MAX_UNPACKED_BYTES = 100_000_000  # bytes of all arrays of a compressed file
 
 
 class _Mapping(list[tuple[Any, Any]]):
@@ -48,6 +61,46 @@ for _tag, _words, _first in (
 _Loader.add_constructor("tag:yaml.org,2002:map", lambda loader, node: _Mapping(loader.construct_pairs(node, deep=True)))
 
 
+def regular_file(path: str | Path, most: int | None = MAX_TEXT_BYTES) -> Path:
+    """Return the path of a regular file of at most `most` bytes, any number for None, before it is opened.
+
+    A device can be read without end, and a pipe into which nobody writes is waited for.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: for a directory, a device or a pipe, and for a larger file; the line does not name it.
+    """
+    try:
+        status = os.stat(path)
+    except (OSError, ValueError):  # also a name that is too long, or that has a zero byte
+        raise FileNotFoundError(f"{short_path(path)}: there is no such file") from None
+    if not stat.S_ISREG(status.st_mode):
+        raise ValueError("this is a directory, a device or a pipe; give a file")
+    if most is not None and status.st_size > most:
+        raise ValueError(f"a size of {status.st_size} bytes is not allowed; give at most {most}")
+    return Path(path)
+
+
+@contextmanager
+def open_arrays(path: str | Path, packed: bool = False) -> Iterator[Any]:
+    """Open a file of arrays (npz); nothing in it is run.
+
+    Args:
+        path: path of the file.
+        packed: whether its arrays may be compressed, of at most 100 MB unpacked.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        one of READ_ERRORS: for anything else than a regular file of arrays, and for arrays larger than they look.
+    """
+    size = regular_file(path, None).stat().st_size
+    with zipfile.ZipFile(path) as parts:
+        if sum(part.file_size for part in parts.infolist()) > (MAX_UNPACKED_BYTES if packed else size):
+            raise ValueError("its arrays are larger than 100 MB" if packed else "its arrays are packed")
+    with np.load(path, allow_pickle=False) as result:
+        yield result
+
+
 def read_data(path: Path, kind: type = dict) -> Any:
     """Read a .json, .yaml or .yml file that holds a mapping, or a list for `kind` list.
 
@@ -57,7 +110,7 @@ def read_data(path: Path, kind: type = dict) -> Any:
             text, for anything else than this kind, for a repeated key, and for a nesting without end; one line says
             which, without the name of the file and without its text.
     """
-    ending = check_suffix(path)
+    ending = _check_suffix(path)
     try:
         text = regular_file(path).read_bytes().decode("utf-8")
     except UnicodeDecodeError as error:
@@ -87,15 +140,15 @@ def write_data(path: Path, data: Any) -> None:
     Raises:
         ValueError: for an unknown suffix.
     """
-    if check_suffix(path) == ".json":
+    if _check_suffix(path) == ".json":
         text = json.dumps(data, indent=1) + "\n"
     else:
         text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=120)
     path.write_text(text, encoding="utf-8", newline="\n")
 
 
-def check_suffix(path: Path) -> str:
-    """Gives the suffix of a file that can be written; raises ValueError for another one."""
+def _check_suffix(path: Path) -> str:
+    """Return the suffix of a JSON or YAML file; raise ValueError for another suffix."""
     return one_of(f"the suffix of {short_path(path, 40)}", path.suffix, (".json", ".yaml", ".yml"))
 
 

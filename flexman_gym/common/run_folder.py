@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.common.checks import READ_ERRORS, open_arrays, regular_file, short_path
-from flexman_gym.common.files import existing_file, write_atomically
+from flexman_gym.common.checks import short_path
+from flexman_gym.common.files import READ_ERRORS, existing_file, open_arrays, regular_file, write_atomically
 from flexman_gym.common.snapshot import join_arrays, split_arrays
 
 SETTINGS, NEWEST, BEST, LOCK = "settings.json", "newest.npz", "best.npz", "lock"

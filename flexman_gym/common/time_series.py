@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Vector
-from flexman_gym.common.checks import MAX_ENTRIES, one_of, regular_file, sequence, short_path, value_error
+from flexman_gym.common.checks import MAX_ENTRIES, one_of, sequence, short_path, value_error
+from flexman_gym.common.files import regular_file
 
 MAX_CSV_BYTES = 200_000_000  # of a file
 LONGEST_LINE, LONGEST_HEAD = 100_000, 100  # characters of a line, and of the head of a column
@@ -109,13 +110,8 @@ def read_csv_lines(path: str | Path) -> Iterator[list[str]]:
         raise ValueError(f"{_name(path)}: {error}") from None
 
 
-def write_time_series(path: str | Path, times: Vector, columns: Mapping[str, Vector]) -> None:
-    """Writes times (s) and columns, by heads such as "torque_1 (N m)", with all digits of their numbers."""
-    write_columns(path, {"time (s)": times, **columns})
-
-
 def write_columns(path: str | Path, columns: Mapping[str, Vector]) -> None:
-    """Writes columns of the same length under their heads, with all digits: reading them gives the same numbers.
+    """Write columns of the same length under their heads, such as "time (s)", with all digits of their numbers.
 
     Raises:
         OSError: where the file cannot be written.

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, Flags, IntArray, Vector, pad_rows, row_dots
-from flexman_gym.common.checks import READ_ERRORS, check_solvable, one_of, open_arrays, positive
+from flexman_gym.common.checks import check_solvable, one_of, positive
+from flexman_gym.common.files import READ_ERRORS, open_arrays
 from flexman_gym.control.controller import EpisodeInfo, Readings
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.control.references.trajectories import TIMING_LAWS, plan_path, plan_slew

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import finite, open_arrays, short_path, value_error
+from flexman_gym.common.checks import finite, short_path, value_error
+from flexman_gym.common.files import open_arrays
 from flexman_gym.common.snapshot import get_state, set_state
 
 TINY = 1e-8  # added to a variance, so that what never changes can be divided by

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import flag, non_negative, number_array, positive, value_error, vector, whole_number
-from flexman_gym.draw.mesh import Mesh, cylinder, join_meshes, ring, section_outlines, sphere, tube_faces, tube_surfaces
+from flexman_gym.draw.mesh import Mesh, cylinder, ring, section_outlines, sphere, tube_faces, tube_surfaces
 from flexman_gym.draw.overlay import Caption, draw_caption, strain_colours
 from flexman_gym.draw.style import rgb, round_number
 from flexman_gym.kernels import raster
@@ -254,7 +254,7 @@ class FramePainter:
         points, normals, strain = tube_surfaces(bent, self._sections)
         links = strain_colours(strain / self.scale) if self.scale else np.tile(rgb("#b8bec8"), (len(points), 1))
         parts = self._parts(bent.positions, bent.frames, place)
-        mesh = join_meshes([Mesh(points, normals, self._tubes), *(part for part, _ in parts)])
+        mesh = _join_meshes([Mesh(points, normals, self._tubes), *(part for part, _ in parts)])
         colours = np.concatenate([links, *(np.tile(rgb(colour), (len(part.points), 1)) for part, colour in parts)])
         self._draw(mesh, colours)
         if trail is not None and len(trail) > 1:
@@ -401,3 +401,11 @@ def _strain_scale(model: Model) -> float:
             bent = 0.5 * joint.torque_limit / (section.youngs_modulus * moment)
         result.append(float(radius * bent))
     return round_number(max(result))
+
+
+def _join_meshes(meshes: Sequence[Mesh]) -> Mesh:
+    """Return several meshes as one."""
+    starts = np.cumsum([0, *(len(mesh.points) for mesh in meshes)])
+    faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]
+    points, normals = (np.concatenate([mesh[k] for mesh in meshes]) for k in range(2))
+    return Mesh(points, normals, np.concatenate(faces).astype(np.int32))

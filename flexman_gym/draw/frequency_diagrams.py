@@ -1,6 +1,5 @@
 """Frequency diagrams: mode shapes, frequencies over the workspace, Campbell diagram, Bode diagram."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,14 +9,13 @@ from numpy.typing import NDArray
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import value_error, vector, whole_number
 from flexman_gym.draw.frames import POINTS, FramePainter, grid
-from flexman_gym.draw.overlay import font_size, write_text
+from flexman_gym.draw.overlay import write_title
 from flexman_gym.draw.style import DARK, LIGHT, LINK_COLOURS, MIDDLE, new_figure
 from flexman_gym.model.deformation import curves
-from flexman_gym.model.dynamics import frequencies, inertial_forces, mass_matrix, stiffness_matrix
-from flexman_gym.model.linearization import linearize
+from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model, checked_model
 from flexman_gym.model.statics import rest_state
-from flexman_gym.model.vibration import modes
+from flexman_gym.model.vibration import modes, spin_frequencies
 
 AMPLITUDE = 0.08  # of the reach, the largest displacement that is drawn
 
@@ -57,13 +55,11 @@ def mode_pictures(
         painter.scale = float(max(2.0 * strains, 1e-12))
         title = f"mode {i + 1}: {found.frequencies[i]:.3g} Hz, damping {100 * found.damping_ratios[i]:.2g} %"
         frames.append(painter.paint(state, shot=shot))
-        letters = font_size(size[1])
-        write_text(frames[-1], title, (letters, letters // 2), letters)
+        write_title(frames[-1], title)
     return grid(frames)
 
 
 FINE = 41  # postures along an axis of the map
-ROUNDS, WILD = 200, 1e3  # of the search for the arm that spins; coordinates with which it ends
 MULTIPLES = (1, 2, 3)  # of the spin rate, which a rotating arm is excited with
 
 
@@ -107,59 +103,6 @@ def frequency_map(model: Model, path: str | Path, mode: int = 1, span: float = n
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path)
     return path
-
-
-def spin_frequencies(model: Model, rates: Vector, joint_angles: Vector | None = None) -> Array:
-    """Gives the frequencies (r, k) in Hz with which an arm rings that spins about its first joint, ascending.
-
-    The motors keep their rates: the first turns, the others stand still; gravity is left out. The arm is where the
-    spin stretches and bends it to, and its links stiffen where the model has foreshortening. A row is nan where the
-    arm does not bear the spin. Where fewer modes ring the last are nan.
-
-    Args:
-        model: the arm.
-        rates: (r,) rad/s.
-        joint_angles: (n,) rad, zero by default.
-
-    Raises:
-        ValueError: for wrong shapes and values that are not finite.
-    """
-    d, n, result = checked_model(model).n_dof, model.n_joints, []
-    light = replace(model, constants=model.constants._replace(gravity=np.zeros(3)))
-    others = np.setdiff1d(np.arange(d), model.motor_columns)
-    kept, k = np.concatenate([others, d + others]), len(others)
-    for rate in vector("rates", rates, unit="rad/s"):
-        row = np.full(k, np.nan)
-        spinning = _spun(light, np.zeros(n) if joint_angles is None else joint_angles, rate)
-        if spinning is not None:
-            state, torque = spinning
-            mass = mass_matrix(light, state)
-            with np.errstate(over="ignore"):  # of the slope of friction, which spin leaves behind
-                whole = linearize(light, state=state, torque=torque).A[d:]
-            demands = (mass @ whole)[np.ix_(others, kept)]
-            slopes = np.linalg.solve(mass[np.ix_(others, others)], demands)  # whatever torques hold the motors
-            rings = np.linalg.eigvals(np.block([[np.zeros((k, k)), np.eye(k)], [slopes]])).imag
-            found = np.sort(rings[rings > 0.0]) / (2 * np.pi)  # of each pair its upper half
-            row[: len(found)] = found
-        result.append(row)
-    return np.array(result).reshape(-1, k)
-
-
-def _spun(model: Model, angles: Vector, rate: float) -> tuple[Array, Array] | None:
-    """Gives the state (2 d,) in which an arm spins without ringing, and its torques (n,); None where there is none."""
-    d, n = model.n_dof, model.n_joints
-    state, motors = model.initial_state(angles, np.eye(n)[0] * rate), model.motor_columns
-    others, stiffness, forces = np.setdiff1d(np.arange(d), motors), stiffness_matrix(model), inertial_forces(model)
-    inner = stiffness[np.ix_(others, others)]
-    for _ in range(ROUNDS):
-        balance = forces(state[:d], state[d:], np.zeros(d)) + stiffness @ state[:d]
-        moved = np.linalg.solve(inner, balance[others])
-        state[others] -= moved
-        if not np.isfinite(state).all() or np.abs(state).max() > WILD:
-            return None
-        if np.abs(moved).max(initial=0.0) < 1e-12 * max(1.0, float(np.abs(state).max())):
-            return state, balance[motors]
-    return None
 
 
 def campbell_diagram(model: Model, rates: Vector, path: str | Path, count: int = 6) -> Path:

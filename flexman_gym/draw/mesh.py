@@ -37,7 +37,7 @@ class Mesh(NamedTuple):
         return Mesh(self.points * (radius, radius, half) @ turned + origin, self.normals @ turned, self.faces)
 
 
-class SectionOutlines(NamedTuple):
+class _SectionOutlines(NamedTuple):
     """Sections of a link as they are drawn, at P places.
 
     Attributes:
@@ -56,7 +56,7 @@ class SectionOutlines(NamedTuple):
         return float(np.abs(self.points).max())
 
 
-def section_outlines(model: Model, places: int) -> tuple[SectionOutlines, ...]:
+def section_outlines(model: Model, places: int) -> tuple[_SectionOutlines, ...]:
     """Gives the sections of all links at equally spaced places.
 
     A section has the outline that its link says. Without one it is a solid disc where its radii of gyration agree,
@@ -72,7 +72,7 @@ def section_outlines(model: Model, places: int) -> tuple[SectionOutlines, ...]:
         parts = [
             _section(find_element(elements, place)[0].section, reach) for place in np.linspace(0.0, link.length, places)
         ]
-        result.append(SectionOutlines(*(np.array(each) for each in zip(*parts, strict=True))))
+        result.append(_SectionOutlines(*(np.array(each) for each in zip(*parts, strict=True))))
     return tuple(result)
 
 
@@ -105,7 +105,7 @@ def tube_faces(links: int, places: int) -> IntArray:
     return np.concatenate([sides, root.reshape(-1, 3), tip.reshape(-1, 3)])
 
 
-def tube_surfaces(curves: Curves, sections: Sequence[SectionOutlines]) -> tuple[Array, Array, Array]:
+def tube_surfaces(curves: Curves, sections: Sequence[_SectionOutlines]) -> tuple[Array, Array, Array]:
     """Gives points and normals (..., v, 3) of all links and the axial strain (..., v) that their points show.
 
     Args:
@@ -120,14 +120,6 @@ def tube_surfaces(curves: Curves, sections: Sequence[SectionOutlines]) -> tuple[
     strain = stretch - gauges[..., 0] * curvature[..., 2] + gauges[..., 1] * curvature[..., 1]
     front = surface.shape[:-4]
     return surface.reshape(*front, -1, 3), outward.reshape(*front, -1, 3), strain.reshape(*front, -1)
-
-
-def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
-    """Gives several meshes as one."""
-    starts = np.cumsum([0, *(len(mesh.points) for mesh in meshes)])
-    faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]
-    points, normals = (np.concatenate([mesh[k] for mesh in meshes]) for k in range(2))
-    return Mesh(points, normals, np.concatenate(faces).astype(np.int32))
 
 
 @lru_cache(maxsize=8)

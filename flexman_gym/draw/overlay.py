@@ -43,28 +43,34 @@ def _font(size: int) -> tuple[dict[str, int], NDArray[np.uint8], list[int]]:
 
 
 @lru_cache(maxsize=256)
-def text_mask(text: str, size: int) -> NDArray[np.float32]:
-    """Gives how much of each pixel (h, w) letters of a size cover, from 0 to 1; a letter without a shape is a "?"."""
+def _text_mask(text: str, size: int) -> NDArray[np.float32]:
+    """Return the coverage (h, w), 0 to 1, of each pixel by letters of a size; "?" for a letter without a shape."""
     letters, shapes, starts = _font(size)
     places = [letters.get(letter, letters["?"]) for letter in text]
     parts = [shapes[:, starts[place] : starts[place + 1]] for place in places]
     return np.concatenate([shapes[:, :0], *parts], axis=1).astype(np.float32) / np.float32(255.0)
 
 
-def font_size(height: int) -> int:
+def _font_size(height: int) -> int:
     """Gives the size of letters that a picture of so many rows takes."""
     return max(size for size in SIZES if size <= max(height / 33.0, SIZES[0]))
 
 
-def write_text(picture: Picture, text: str, place: tuple[int, int], size: int, colour: str = INK) -> None:
+def _write_text(picture: Picture, text: str, place: tuple[int, int], size: int, colour: str = INK) -> None:
     """Writes text into a picture: its upper left corner at column and row, its right end there where column < 0."""
-    shape = text_mask(text, size)
+    shape = _text_mask(text, size)
     column, row = place
     if column < 0:
         column += picture.shape[1] - shape.shape[1]
     top, left = max(-row, 0), max(-column, 0)
     part = picture[max(row, 0) : max(row + shape.shape[0], 0), max(column, 0) : max(column + shape.shape[1], 0)]
     _blend(part, colour, shape[top : top + part.shape[0], left : left + part.shape[1], None])
+
+
+def write_title(picture: Picture, text: str) -> None:
+    """Write a text into the upper left corner of a picture."""
+    size = _font_size(picture.shape[0])
+    _write_text(picture, text, (size, size // 2), size)
 
 
 def _blend(part: Picture, colour: str, share: "NDArray[np.float32] | float") -> None:
@@ -91,10 +97,10 @@ def draw_caption(picture: Picture, caption: Caption, gain: float, scale: float, 
         grid: distance of the lines of the floor, m.
     """
     height, width = picture.shape[:2]
-    size, small = font_size(height), font_size(int(0.82 * height))
+    size, small = _font_size(height), _font_size(int(0.82 * height))
     edge, line = size, round(1.45 * size)
     if caption.title:
-        write_text(picture, caption.title, (edge, edge // 2), size)
+        write_title(picture, caption.title)
     row = edge // 2 + line * bool(caption.title)
     error = "tip error {:.2f} m" if (caption.error or 0.0) >= 1.0 else "tip error {:.1f} mm"
     known = (
@@ -104,15 +110,15 @@ def draw_caption(picture: Picture, caption: Caption, gain: float, scale: float, 
     )
     for column, value, form, factor in known:  # at places of their own, so that they stand still while numbers change
         if value is not None:
-            write_text(picture, form.format(factor * value), (edge + round(column * small), row), small)
+            _write_text(picture, form.format(factor * value), (edge + round(column * small), row), small)
     if gain != 1.0:
-        write_text(picture, f"deflection {TIMES} {gain:g}", (-edge, edge // 2), size, WARNING)
+        _write_text(picture, f"deflection {TIMES} {gain:g}", (-edge, edge // 2), size, WARNING)
     said = f"grid {grid:g} m"
     if scale > 0.0:
         unit, factor = ("µε", 1e6) if scale < 1e-3 else ("%", 1e2)
         said = f"strain ±{factor * scale:g} {unit}   {said}"
         _colour_bar(picture, (edge, height - edge), small)
-    write_text(picture, said, (edge, height - edge - max(small // 2, 5) - round(1.4 * small)), small)
+    _write_text(picture, said, (edge, height - edge - max(small // 2, 5) - round(1.4 * small)), small)
     if caption.torques is not None:
         _bars(picture, caption.torques, (width - edge, height - edge), small)
 
@@ -129,7 +135,7 @@ def _bars(picture: Picture, torques: Array, place: tuple[int, int], size: int) -
     """Draws a bar for each motor from the middle up or down, the lower right corner at a place."""
     wide, half, gap = size, round(2.3 * size), size // 2
     column, middle = place[0] - len(torques) * (wide + gap) + gap, place[1] - half
-    write_text(picture, "torque / limit", (place[0] - picture.shape[1], middle - half - round(1.5 * size)), size)
+    _write_text(picture, "torque / limit", (place[0] - picture.shape[1], middle - half - round(1.5 * size)), size)
     for i, torque in enumerate(np.clip(torques, -1.0, 1.0)):
         first = column + i * (wide + gap)
         _fill_rectangle(picture, (first, first + wide), (middle - half, middle + half), SOFT, 0.8)

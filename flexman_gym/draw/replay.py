@@ -48,7 +48,7 @@ def replay_page(episodes: Sequence[Episode], title: str = "") -> str:
     arms: list[dict[str, Any]] = []
     runs = []
     for episode, colour in zip(episodes, COLOURS, strict=False):
-        arm = arm_data(episode.model)
+        arm = _arm_data(episode.model)
         if arm not in arms:
             arms.append(arm)
         runs.append(_run(episode, colour) | {"arm": arms.index(arm)})
@@ -81,8 +81,8 @@ def _html_page(data: dict[str, Any], title: str, words: str) -> str:
     )  # fmt: skip
 
 
-def arm_data(model: Model) -> dict[str, Any]:
-    """Gives what the page needs of a model to draw it, plain; arrays as texts."""
+def _arm_data(model: Model) -> dict[str, Any]:
+    """Return the data of a model that the page draws, in plain form; arrays as texts."""
     links, constants = [], model.constants
     painter, sections = FramePainter(model, (16, 16)), section_outlines(model, POINTS)
     for i, (shapes, section) in enumerate(zip(link_shapes(model, POINTS), sections, strict=True)):
@@ -90,11 +90,11 @@ def arm_data(model: Model) -> dict[str, Any]:
         links.append({
             "length": float(constants.length[i]), "motor": int(model.motor_columns[i]),
             "axis": constants.axis[i].tolist(), "mount": constants.mount.reshape(-1, 9)[i].tolist(),
-            "elastic": [columns.start, columns.stop], "rows": encode_array(shapes.rows),
-            "slopes": encode_array(shapes.slopes),
-            "before": shapes.before.tolist(), "points": encode_array(section.points),
-            "normals": encode_array(section.normals),
-            "gauges": encode_array(section.gauges),
+            "elastic": [columns.start, columns.stop], "rows": _encode_array(shapes.rows),
+            "slopes": _encode_array(shapes.slopes),
+            "before": shapes.before.tolist(), "points": _encode_array(section.points),
+            "normals": _encode_array(section.normals),
+            "gauges": _encode_array(section.gauges),
         })  # fmt: skip
     return {"points": POINTS, "width": model.n_dof, "links": links, "radii": painter.radii.tolist()}
 
@@ -118,7 +118,7 @@ def _view_data(models: Sequence[Model], points: Array, strain: float) -> dict[st
             "towards": towards.tolist(), "step": round_number(reach / 10), "strain": strain}  # fmt: skip
 
 
-def encode_array(values: NDArray[Any], kind: str = "<f4") -> str:
+def _encode_array(values: NDArray[Any], kind: str = "<f4") -> str:
     """Gives numbers as a text that the page reads: base64 of little-endian float32 or of another kind."""
     return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode("ascii")
 
@@ -129,8 +129,8 @@ def _run(episode: Episode, colour: str) -> dict[str, Any]:
     return {
         "name": episode.name, "colour": colour, "note": episode.about.get("failure") or "over",
         "dt": episode.period, "rows": len(episode.time),
-        "x": encode_array(episode.states[:, : episode.states.shape[1] // 2]), "target": encode_array(episode.targets),
-        "error": encode_array(episode.errors), "torque": encode_array(torques),
+        "x": _encode_array(episode.states[:, : episode.states.shape[1] // 2]), "target": _encode_array(episode.targets),
+        "error": _encode_array(episode.errors), "torque": _encode_array(torques),
         "readings": [_reading(name, values) for name, values in episode.readings.items()],
     }  # fmt: skip
 
@@ -141,7 +141,7 @@ def _reading(name: str, values: Array) -> dict[str, Any]:
     low, high = np.where(known, values, np.inf).min(axis=0), np.where(known, values, -np.inf).max(axis=0)
     low, high = np.where(known.any(axis=0), (low, high), 0.0) / 2  # the difference of two large numbers may be infinite
     middle, scale = low + high, np.maximum((high - low) / STEPS, 1e-30)
-    steps = encode_array(np.where(known, np.rint((np.where(known, values, middle) - middle) / scale), GAP), "<i2")
+    steps = _encode_array(np.where(known, np.rint((np.where(known, values, middle) - middle) / scale), GAP), "<i2")
     return {"name": name, "size": values.shape[1], "values": steps, "scale": scale.tolist(), "middle": middle.tolist()}
 
 
@@ -201,20 +201,24 @@ class LivePage:
             points: (p, 3) m, all that should be seen.
         """
         run = {"name": self._title, "colour": BLUE, "note": "", "dt": self._period, "rows": 0, "arm": 0}
-        data = {"live": True, "arms": [arm_data(self._model)], "runs": [run],
+        data = {"live": True, "arms": [_arm_data(self._model)], "runs": [run],
                 "stage": _view_data([self._model], points, self._strain)}  # fmt: skip
         with self._lock:
             self._page, self._rows = _html_page(data, self._title, "live").encode(), []
             self._tell(b"event: begin\ndata: \n\n")
         self._next = time.perf_counter()
 
-    def show(self, row: Array) -> None:
-        """Sends a row, and waits until it is its time.
+    def show(self, coordinates: Array, target: Array, error: float, torques: Array) -> None:
+        """Send the state of the arm, and wait until its time.
 
         Args:
-            row: coordinates (d,), target (3,), error and torques (n,) as parts of their limits, side by side.
+            coordinates: (d,).
+            target: (3,) m.
+            error: distance of the tip from the target, m.
+            torques: (n,) as parts of their limits.
         """
-        message = b"data: " + encode_array(row).encode() + b"\n\n"
+        row = np.concatenate([coordinates, target, [error], torques])
+        message = b"data: " + _encode_array(row).encode() + b"\n\n"
         with self._lock:
             self._rows.append(message)
             self._tell(message)
@@ -282,9 +286,3 @@ def _handler(live: LivePage) -> type[http.server.BaseHTTPRequestHandler]:
                 live.leave(client)
 
     return Handler
-
-
-def live_row(coordinates: Array, target: Array, error: float, torques: Array) -> Array:
-    """Gives the row of `LivePage.show`."""
-    result: Array = np.concatenate([coordinates, target, [error], torques])
-    return result

@@ -62,7 +62,7 @@ class _Renderer:
 
     def show(self) -> None:
         """Shows the first arm to a person: in a window where there is a display, else on a page of this machine."""
-        from flexman_gym.draw.replay import LivePage, live_row
+        from flexman_gym.draw.replay import LivePage
         from flexman_gym.draw.video import Window, has_display
 
         view, model = self._episodes.view, self._episodes.batch.model
@@ -78,7 +78,7 @@ class _Renderer:
             return self.screen.show(self.frame(0))
         if self._is_new(0) or self._episodes.batch.time[0] == 0.0:
             self.screen.begin(self.stage(0))
-        self.screen.show(live_row(view.state[0, : model.n_dof], view.target[0], view.tip_error[0], view.action[0]))
+        self.screen.show(view.state[0, : model.n_dof], view.target[0], view.tip_error[0], view.action[0])
 
     def close(self) -> None:
         """Closes window or page."""

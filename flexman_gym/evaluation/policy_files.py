@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.common.checks import READ_ERRORS, regular_file, short_path, value_error
-from flexman_gym.common.files import existing_file, parse_json, write_atomically
+from flexman_gym.common.checks import short_path, value_error
+from flexman_gym.common.files import READ_ERRORS, existing_file, parse_json, regular_file, write_atomically
 from flexman_gym.common.safetensors import MAX_BYTES, read_tensors, write_tensors
 from flexman_gym.control.network import Network, policy_parameters
 

@@ -1,12 +1,15 @@
 """League page: recommendation, tables and charts, made from the rows."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from flexman_gym.common.arrays import Array
 from flexman_gym.common.computer import computer_text
 from flexman_gym.common.markdown import bullets, introduced_table, markdown_table
-from flexman_gym.draw.evaluation import ScoreCurve, score_chart
+from flexman_gym.draw.style import LIGHT, LINK_COLOURS, MIDDLE, new_figure
 from flexman_gym.envs.config.named_environments import DEFAULT
 from flexman_gym.evaluation.agent import BASELINES
 from flexman_gym.evaluation.agent_info import describe_agent, required_information, training_seconds
@@ -24,6 +27,17 @@ IDLE = ("zero", "random")
 THRESHOLDS = np.linspace(-0.2, 1.4, 81)
 TEXT = Path(__file__).parent / "league.md"  # with names in braces
 HEADS = ("entrant", "needs", "score", "venues", "better", "action, us", "start, ms", "training, min")
+MARKS = "osD^vP"  # markers of entrants in a chart
+SHIFT = 0.05  # distance of two entrants in a chart, as a part of that of two scenarios
+
+
+class _ScoreCurve(NamedTuple):
+    """Scores of an entrant at k places and their intervals, (k,) each; nan for no score."""
+
+    places: Array
+    middle: Array
+    low: Array
+    high: Array
 
 
 def write_page(book: LeagueRows, folder: Path) -> None:
@@ -242,20 +256,20 @@ def draw_charts(standing: Standings, folder: Path, sweeps_only: bool = False) ->
         profiles = {
             each: (THRESHOLDS, performance_profile(own, THRESHOLDS)) for each, own in scores.items() if own.size
         }
-        score_chart(curves, "", folder / CHART, counted, profiles)
+        _score_chart(curves, "", folder / CHART, counted, profiles)
         paths.append(folder / CHART)
     for name, venues in standing.sweeps.items():
         places = np.array([sweep_value(venue) for venue in venues])
         there = [each for each in standing.entrants if any(standing.score(each, venue) for venue in venues)]
         curves = {each: _curve(standing, each, venues, places) for each in there}
         paths.append(folder / _file(name))
-        score_chart(curves, SWEEPS[name.rpartition("/")[2]].what, paths[-1])
+        _score_chart(curves, SWEEPS[name.rpartition("/")[2]].what, paths[-1])
     return paths
 
 
-def _curve(standing: Standings, entrant: str, venues: list[str], places: np.ndarray) -> ScoreCurve:
+def _curve(standing: Standings, entrant: str, venues: list[str], places: np.ndarray) -> _ScoreCurve:
     found = np.array([standing.score(entrant, venue) or (np.nan,) * 3 for venue in venues]).reshape(-1, 3)
-    return ScoreCurve(places, *found.T)
+    return _ScoreCurve(places, *found.T)
 
 
 def _figures(venue: str) -> tuple[Metric, ...]:
@@ -299,3 +313,49 @@ def _short(venue: str) -> str:
 
 def _file(name: str) -> str:
     return f"league-{name.replace('/', '-')}.png"
+
+
+def _score_chart(
+    curves: Mapping[str, _ScoreCurve], what: str, path: str | Path, names: Sequence[str] = (),
+    profiles: Mapping[str, tuple[Array, Array]] | None = None,
+) -> None:  # fmt: skip
+    """Draw the scores of entrants, with their performance profiles if there are any.
+
+    Args:
+        curves: entrant -> its scores.
+        what: the places are, the label of their axis.
+        path: of the picture.
+        names: of the places 0, 1 and so on; without them the places are numbers, and lines join them.
+        profiles: entrant -> thresholds and parts of the episodes above them.
+
+    Raises:
+        ImportError: without Matplotlib.
+    """
+    figure = new_figure((11.0 if profiles else 7.5, 5.0), 120.0, layout="constrained")
+    panels = figure.subplots(1, 2, width_ratios=(2.0, 1.0)) if profiles else [figure.add_subplot()]
+    for number, (entrant, curve) in enumerate(curves.items()):
+        look, shift = _look(number), SHIFT * (number - 0.5 * (len(curves) - 1)) if names else 0.0
+        spread = [curve.middle - curve.low, curve.high - curve.middle]
+        line = {"linestyle": "none"} if names else {}
+        panels[0].errorbar(curve.places + shift, curve.middle, spread, label=entrant, capsize=2, **(look | line))
+        if profiles and entrant in profiles:
+            panels[1].plot(*profiles[entrant], **(look | {"marker": ""}))
+    panels[0].set(ylabel="score: 0 no torque, 1 told all", xlabel=what)
+    if names:
+        panels[0].set_xticks(range(len(names)), names, rotation=30, ha="right", rotation_mode="anchor")
+    if profiles:
+        panels[1].set(xlabel="score", ylabel="part of the episodes above it", ylim=(0.0, 1.02))
+    for axes in panels:
+        axes.grid(color=LIGHT, linewidth=0.6)
+        axes.spines[["top", "right"]].set_visible(False)
+    for level in (0.0, 1.0):
+        panels[0].axhline(level, color=MIDDLE, linewidth=0.8)
+    panels[0].set_ylim(bottom=max(-1.0, panels[0].get_ylim()[0]))  # who drops the arm drops out of the picture
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False)
+    figure.savefig(path)
+
+
+def _look(number: int) -> dict[str, Any]:
+    again, colour = divmod(number, len(LINK_COLOURS))
+    look = {"color": LINK_COLOURS[colour], "marker": MARKS[(colour + again) % len(MARKS)]}
+    return look | {"linestyle": ("-", "--", ":")[again % 3], "linewidth": 1.4, "markersize": 5}

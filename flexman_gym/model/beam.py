@@ -26,7 +26,8 @@ from flexman_gym.model.element import (
     find_element,
     section_points,
 )
-from flexman_gym.scene.link import Link, LumpedMass, NonUniformLink
+from flexman_gym.scene.link import Link, NonUniformLink
+from flexman_gym.scene.rigid_body import LumpedMass
 
 BLOCK = 2 * NODE_COORDINATES  # coordinates of an element
 GROUP = 4  # for foreshortening, the tip and the stations of a link fill groups of this size

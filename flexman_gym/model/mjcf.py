@@ -22,9 +22,10 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import instance, whole_number
 from flexman_gym.model.beam import build_beam
 from flexman_gym.model.component_modes import outboard_inertias, spatial_inertia
-from flexman_gym.scene.arm import Arm, Payload
+from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.joint import Joint
-from flexman_gym.scene.link import Link, LumpedMass, NonUniformLink
+from flexman_gym.scene.link import Link, NonUniformLink
+from flexman_gym.scene.rigid_body import LumpedMass, Payload
 
 PIECES, MOST_PIECES = 8, 64  # of a section
 STEP = 1.5  # over the largest natural frequency (rad/s); "implicitfast" and "Euler" are stable up to 2

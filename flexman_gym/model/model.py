@@ -14,12 +14,14 @@ from flexman_gym.kernels.layout import LANES
 from flexman_gym.model.beam import Beam, ShapeIntegrals, build_beam, shape_integrals
 from flexman_gym.model.component_modes import loaded_modes, outboard_inertias, zero_pose_rotations
 from flexman_gym.model.element import Element, beam_elements
-from flexman_gym.scene.arm import Arm, Payload
-from flexman_gym.scene.mistakes import warn_of_modes
+from flexman_gym.scene.arm import Arm
+from flexman_gym.scene.mistakes import warn_caller
+from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.scene.scene import MAX_ELEMENTS, ModelChoice, Scene
 from flexman_gym.scene.serialization import ArmLike, find_arm
 
 VANISHING = 1e-14  # a mass integral this small beside the masses of its two coordinates is a zero with rounding
+MIN_FREQUENCY, MAX_FREQUENCY = 0.01, 1e4  # Hz; usual range of the first mode of a link
 
 
 def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: ModelChoice) -> layout.Constants:
@@ -337,7 +339,7 @@ def build_model(
     whole = _remembered if sum(len(link.sections) for link in arm.links) * max(counts) <= REMEMBERED else _whole_links
     bases, dampings, reduced = [], [], []
     beams = whole(arm, counts, flexible, choice.rotary_inertia)
-    warn_of_modes([modes_[0][0] for _, modes_ in beams if len(modes_[0])])
+    _warn_of_modes([modes_[0][0] for _, modes_ in beams if len(modes_[0])])
     for i, (beam, modes_) in enumerate(beams):
         basis = _select_modes(modes_[1], kept[i] if flexible[i] else None, f"modes[{i}]")
         bases.append(basis)
@@ -424,3 +426,15 @@ def _each(name: str, value: object, n: int) -> tuple:
     if len(value) != n:
         raise value_error(name, value, f"one value, or {n}, one per link")
     return value
+
+
+def _warn_of_modes(rates: list[float]) -> None:
+    """Warn (UserWarning) of an arm whose links bend, with the bodies on them, at unusual frequencies.
+
+    Args:
+        rates: angular frequency of the first mode of each link that bends, rad/s.
+    """
+    frequency = min(rates, default=2.0 * np.pi) / (2.0 * np.pi)
+    if not MIN_FREQUENCY <= frequency <= MAX_FREQUENCY:
+        usual = f"usual is {MIN_FREQUENCY:g} to {MAX_FREQUENCY:g} Hz; look at the units of moduli, sizes and masses"
+        warn_caller(f"arm: its links first bend at {frequency:.3g} Hz, which looks like a slip of units; {usual}")

@@ -1,13 +1,13 @@
 """Vibration: how an arm rings about a posture, with its motors held or free."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray, Vector
-from flexman_gym.common.checks import check_solvable, one_of
-from flexman_gym.model.dynamics import stiffness_matrix
+from flexman_gym.common.checks import check_solvable, one_of, vector
+from flexman_gym.model.dynamics import inertial_forces, mass_matrix, stiffness_matrix
 from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import Model, checked_model
 from flexman_gym.model.natural_modes import natural_modes
@@ -17,6 +17,7 @@ SLOWEST = 1e-6  # of the lowest natural frequency: what is slower only turns
 TURNING = 1e-7  # part of an eigenvalue that must be imaginary for it to ring
 ROUNDING = 1e-12  # of a damping ratio
 SHOWN = 3  # modes in the repr
+SPIN_ITERATIONS, MAX_COORDINATE = 200, 1e3  # of the search for the equilibrium of a spin; m and rad, where it stops
 
 
 class EquilibriumMatrices(NamedTuple):
@@ -194,3 +195,56 @@ def _shares(model: Model, shapes: Array) -> Array:
     energies = elastic_energies(model, shapes)
     total = energies.sum(axis=1, keepdims=True)
     return np.divide(energies, total, out=np.zeros_like(energies), where=total > 0.0)
+
+
+def spin_frequencies(model: Model, rates: Vector, joint_angles: Vector | None = None) -> Array:
+    """Return the natural frequencies (r, k) of an arm that spins about its first joint, Hz, ascending.
+
+    The motors keep their rates: the first turns, the others stand still; gravity is left out. The arm is in the
+    equilibrium of the spin, and its links stiffen if the model has foreshortening. A row is nan without such an
+    equilibrium, and its last entries are nan for modes that do not oscillate.
+
+    Args:
+        model: model of the arm.
+        rates: (r,) rad/s.
+        joint_angles: (n,) rad, zero by default.
+
+    Raises:
+        ValueError: for wrong shapes and values that are not finite.
+    """
+    d, n, result = checked_model(model).n_dof, model.n_joints, []
+    light = replace(model, constants=model.constants._replace(gravity=np.zeros(3)))
+    others = np.setdiff1d(np.arange(d), model.motor_columns)
+    kept, k = np.concatenate([others, d + others]), len(others)
+    for rate in vector("rates", rates, unit="rad/s"):
+        row = np.full(k, np.nan)
+        spinning = _spin_equilibrium(light, np.zeros(n) if joint_angles is None else joint_angles, rate)
+        if spinning is not None:
+            state, torque = spinning
+            mass = mass_matrix(light, state)
+            with np.errstate(over="ignore"):  # of the slope of friction, which spin leaves behind
+                whole = linearize(light, state=state, torque=torque).A[d:]
+            demands = (mass @ whole)[np.ix_(others, kept)]
+            slopes = np.linalg.solve(mass[np.ix_(others, others)], demands)  # whatever torques hold the motors
+            rings = np.linalg.eigvals(np.block([[np.zeros((k, k)), np.eye(k)], [slopes]])).imag
+            found = np.sort(rings[rings > 0.0]) / (2 * np.pi)  # of each pair its upper half
+            row[: len(found)] = found
+        result.append(row)
+    return np.array(result).reshape(-1, k)
+
+
+def _spin_equilibrium(model: Model, angles: Vector, rate: float) -> tuple[Array, Array] | None:
+    """Return the equilibrium state (2 d,) of a spin and its torques (n,) N m; None without one."""
+    d, n = model.n_dof, model.n_joints
+    state, motors = model.initial_state(angles, np.eye(n)[0] * rate), model.motor_columns
+    others, stiffness, forces = np.setdiff1d(np.arange(d), motors), stiffness_matrix(model), inertial_forces(model)
+    inner = stiffness[np.ix_(others, others)]
+    for _ in range(SPIN_ITERATIONS):
+        balance = forces(state[:d], state[d:], np.zeros(d)) + stiffness @ state[:d]
+        moved = np.linalg.solve(inner, balance[others])
+        state[others] -= moved
+        if not np.isfinite(state).all() or np.abs(state).max() > MAX_COORDINATE:
+            return None
+        if np.abs(moved).max(initial=0.0) < 1e-12 * max(1.0, float(np.abs(state).max())):
+            return state, balance[motors]
+    return None

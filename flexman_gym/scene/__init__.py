@@ -1,9 +1,10 @@
 """Scene: an arm and its drive, as a person describes them, and the files that keep them."""
 
 from flexman_gym.scene import catalog
-from flexman_gym.scene.arm import Arm, Payload
+from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.joint import Joint, Motor
-from flexman_gym.scene.link import Link, LumpedMass, NonUniformLink
+from flexman_gym.scene.link import Link, NonUniformLink
+from flexman_gym.scene.rigid_body import LumpedMass, Payload
 from flexman_gym.scene.scene import Initial, ModelChoice, Scene
 from flexman_gym.scene.signals import ConstantTorque, SampledAngles, SampledSignal, SampledTorque, Signal, SineTorque
 

@@ -1,53 +1,27 @@
-"""Arm: a serial chain of links and revolute joints with a payload, as a person describes it, in SI units."""
+"""Arm: a serial chain of links and revolute joints with a payload, in SI units."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from flexman_gym.common.arrays import Matrix, Vector
+from flexman_gym.common.arrays import Vector
 from flexman_gym.common.checks import (
     MAX_SIZE,
     check_magnitudes,
+    instances,
     non_negative,
-    physical,
     set_fields,
     value_error,
     vector,
 )
 from flexman_gym.scene.joint import Joint
-from flexman_gym.scene.link import Link, LumpedMass, NonUniformLink, instances, rigid_body_fields, total_mass
-from flexman_gym.scene.mistakes import check_keywords, warn_of_gravity, warn_of_loads, warn_of_units
+from flexman_gym.scene.link import Link, NonUniformLink
+from flexman_gym.scene.mistakes import check_keywords, warn_caller, warn_of_units
+from flexman_gym.scene.rigid_body import LumpedMass, Payload
 
-
-@check_keywords
-@dataclass(frozen=True)
-class Payload:
-    """A point mass or a rigid body at the tip of the last link.
-
-    Inertia and offset are in the frame that a next joint would have: parallel to the base frame at zero angles.
-
-    Attributes:
-        mass: kg.
-        inertia: (3, 3) about the centre of mass, kg m^2; None for a point mass.
-        offset: (3,) from the tip to the centre of mass, m; None for a centre of mass at the tip.
-
-    Raises:
-        ValueError: for a mass that is negative or not finite, for an inertia or an offset without a mass, and for an
-            inertia that no rigid body has.
-
-    Examples:
-        >>> fm.Payload(0.1, offset=(0.0, 0.02, 0.0)).mass
-        0.1
-    """
-
-    mass: float
-    inertia: Matrix | None = None
-    offset: Vector | None = None
-
-    def __post_init__(self) -> None:
-        set_fields(self, mass=physical("Payload.mass", self.mass, "kg", zero=True))
-        if self.mass == 0.0 and (self.inertia is not None or self.offset is not None):
-            raise value_error("Payload.mass", self.mass, "a number > 0 (kg) where inertia or offset is given")
-        set_fields(self, **rigid_body_fields("Payload", self.inertia, self.offset))
+MAX_GRAVITY = 300.0  # m/s^2
+MAX_MASS_RATIO, MAX_REACH_RATIO = 100.0, 20.0  # of a carried body to the links: mass, and distance to their length
 
 
 @check_keywords
@@ -105,9 +79,9 @@ class Arm:
 
     def _warn_of_slips(self) -> None:
         warn_of_units("Arm", vars(self))
-        warn_of_gravity(tuple(self.gravity))
+        _warn_of_gravity(tuple(self.gravity))
         length = sum(link.length for link in self.links)
-        beams = sum(link.mass - total_mass(link.masses) for link in self.links)
+        beams = sum(link.mass - sum(each.mass for each in link.masses) for link in self.links)
         carried: list[tuple[str, LumpedMass | Payload]] = [
             (f"Arm.links[{i}].masses[{j}]", each)
             for i, link in enumerate(self.links)
@@ -116,7 +90,7 @@ class Arm:
         if self.payload:
             carried.append(("Arm.payload", self.payload))
         for name, each in carried:
-            warn_of_loads(name, each.mass, each.inertia, each.offset, (beams, length))
+            _warn_of_loads(name, each.mass, each.inertia, each.offset, (beams, length))
 
     def _checked_ratio(self) -> float | Vector:
         """One damping ratio, or one for each link."""
@@ -137,3 +111,33 @@ class Arm:
     def n_joints(self) -> int:
         """Number of joints, equal to the number of links."""
         return len(self.joints)
+
+
+def _warn_of_loads(name: str, mass: float, inertia: Any, offset: Any, arm: tuple[float, float]) -> None:
+    """Warn (UserWarning) of a body that is far too heavy or too large for an arm.
+
+    Args:
+        name: of the body.
+        mass: kg.
+        inertia: (3, 3) kg m^2, None where there is none.
+        offset: (3,) m, None where there is none.
+        arm: mass of its links (kg) and their length (m).
+    """
+    size = math.sqrt(max(inertia[i][i] for i in range(3)) / mass) if inertia is not None and mass > 0.0 else 0.0
+    away = max(map(abs, offset)) if offset is not None else 0.0
+    if mass > MAX_MASS_RATIO * arm[0]:
+        said = f"{name}.mass: {mass:g} (kg) is {mass / arm[0]:.3g} times what the links weigh, a slip of units; in g?"
+    elif away > MAX_REACH_RATIO * arm[1]:
+        said = f"{name}.offset: {away:g} (m) is far beyond an arm of {arm[1]:g} m, a slip of units; was it in mm?"
+    elif size > MAX_REACH_RATIO * arm[1]:
+        said = f"{name}.inertia: the body would reach {size:.3g} m, a slip of units; was it in g cm^2 or kg mm^2?"
+    else:
+        return
+    warn_caller(said)
+
+
+def _warn_of_gravity(gravity: tuple[float, ...]) -> None:
+    """Warn (UserWarning) of a gravity (m/s^2) that no place has where arms are."""
+    size = math.hypot(*gravity)
+    if size > MAX_GRAVITY:
+        warn_caller(f"Arm.gravity: {size:g} (m/s^2) looks like a slip of units; was it in mm/s^2? 9810 mm/s^2 are 9.81")

@@ -8,7 +8,7 @@ prints the names, `help(fm.catalog.paper_rrr)` prints the options of an arm and 
 """
 
 from flexman_gym.common.checks import one_of
-from flexman_gym.scene.arm import Payload
+from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.scene.scene import Initial, ModelChoice, Scene
 from flexman_gym.scene.serialization import named_arm
 from flexman_gym.scene.signals import ConstantTorque

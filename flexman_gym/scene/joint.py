@@ -1,9 +1,10 @@
 """Revolute joints, rigid or elastic, and the geared motors that drive them."""
 
+import math
 from dataclasses import dataclass
 
 from flexman_gym.common.arrays import Vector
-from flexman_gym.common.checks import instance, physical, set_fields, unit_vector, value_error
+from flexman_gym.common.checks import UNIT_TOLERANCE, instance, physical, set_fields, value_error, vector
 from flexman_gym.scene.mistakes import check_keywords, warn_of_units
 
 
@@ -127,7 +128,7 @@ class Joint:
             self._take_from_motor(instance("Joint.motor", self.motor, Motor, "a Motor or None"))
         set_fields(
             self,
-            axis=unit_vector("Joint.axis", self.axis),
+            axis=_unit_vector("Joint.axis", self.axis),
             rotor_inertia=physical("Joint.rotor_inertia", self.rotor_inertia, "kg m^2", zero=True),
             damping=physical("Joint.damping", self.damping, "N m s/rad", zero=True),
             viscous_friction=physical("Joint.viscous_friction", self.viscous_friction, "N m s/rad", zero=True),
@@ -162,3 +163,16 @@ class Joint:
     def speed_limit(self) -> float | None:
         """The most speed that its motor gives the joint, rad/s; None where it is unknown."""
         return None if self.motor is None else self.motor.joint_speed_limit
+
+
+def _unit_vector(name: str, value: object) -> tuple[float, ...]:
+    """Return a (3,) vector of length 1 within 1e-9 as a tuple of floats; it is not normalised.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    entries = vector(name, value, 3)
+    length = math.hypot(*entries)
+    if not abs(length - 1.0) <= UNIT_TOLERANCE:
+        raise value_error(name, value, f"a vector of length 1 (the length of this one is {length:.12g})")
+    return entries

@@ -1,96 +1,188 @@
-"""Links: uniform and stepped beams, with lumped masses clamped to them."""
+"""Links: cross-sections and materials, uniform and stepped beams, and the lumped masses clamped to them."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
-import numpy as np
-
-from flexman_gym.common.arrays import Matrix, Vector
+from flexman_gym.common.arrays import Matrix
 from flexman_gym.common.checks import (
-    MAX_SIZE,
-    check_magnitudes,
-    non_negative,
+    instance,
+    instances,
+    mapping,
+    one_of,
     physical,
     rotation,
     sequence,
     set_fields,
     value_error,
-    vector,
 )
-from flexman_gym.scene.mistakes import check_keywords, warn_caller, warn_of_section, warn_of_units
-from flexman_gym.scene.section import Outline, check_outline, find_material, round_outline, strip_outline
+from flexman_gym.scene.mistakes import check_keywords, warn_caller, warn_of_units
+from flexman_gym.scene.rigid_body import LumpedMass
+
+SHAPES = ("strip", "tube", "rod")
+ACROSS = {"y": "z", "z": "y"}
+MATCHING = 1e-6  # part by which the numbers of a link may differ from those of its outline
+TERMS = 60  # of the series for a rectangle, whose rest is below rounding from some 30 on
 
 
-def rigid_body_fields(name: str, inertia: Matrix | None, offset: Vector | None) -> dict[str, Any]:
-    """Gives the inertia and the offset of a rigid body as they are stored; None stays None.
+class _Material(NamedTuple):
+    """What a link is made of: Young's modulus and shear modulus in Pa, density in kg/m^3."""
+
+    youngs_modulus: float
+    shear_modulus: float
+    density: float
+
+
+MATERIALS = {
+    "aluminium": _Material(68.9e9, 26.0e9, 2700.0),
+    "steel": _Material(205.0e9, 80.0e9, 7850.0),
+    "titanium": _Material(113.8e9, 44.0e9, 4430.0),
+}
+
+
+def _find_material(value: object) -> _Material:
+    """Return a material by its name, or by its three numbers as a list or a mapping.
+
+    The names are typical alloys with the numbers of the data sheets of ASM (Aerospace Specification Metals): aluminium
+    6061-T6 (68.9 GPa, 26 GPa, 2700 kg/m^3), steel 4130 (205 GPa, 80 GPa, 7850 kg/m^3) and titanium Ti-6Al-4V (113.8
+    GPa, 44 GPa, 4430 kg/m^3). A measured modulus is better than any of them.
 
     Raises:
-        ValueError: for an inertia that no rigid body has, and for an offset that is not three numbers up to 1e30.
+        ValueError: for another name, and for anything but three numbers from 1e-30 to 1e30.
     """
-    if inertia is not None:
-        inertia = _inertia_matrix(f"{name}.inertia", inertia)
-    if offset is not None:
-        offset = vector(f"{name}.offset", offset, 3, "m")
-        check_magnitudes(f"{name}.offset", offset, MAX_SIZE, "m")
-    return {"inertia": inertia, "offset": offset}
-
-
-def _inertia_matrix(name: str, value: object) -> tuple[tuple[float, ...], ...]:
-    """Gives the (3, 3) inertia of a rigid body in kg m^2 as a tuple of rows.
-
-    It is symmetric, its principal moments are not negative, and none exceeds the sum of the other two.
-
-    Raises:
-        ValueError: for anything else.
-    """
-    allowed = "a symmetric inertia (kg m^2) whose principal moments are >= 0, none above the sum of the others"
-    rows = sequence(name, value, "3 rows of 3 numbers")
-    if len(rows) != 3:
-        raise value_error(name, value, "3 rows of 3 numbers")
-    rows = tuple(vector(f"{name}[{i}]", row, 3) for i, row in enumerate(rows))
-    matrix = np.array(rows)
-    if not np.array_equal(matrix, matrix.T):
-        raise value_error(name, value, allowed)
-    moments = np.linalg.eigvalsh(matrix)
-    rounding = 1e-12 * max(abs(moments))
-    if moments[0] < -rounding or moments[2] > moments[0] + moments[1] + rounding:
-        raise value_error(name, value, allowed)
-    return rows
-
-
-MAX_MASSES = 64  # on a link
+    if isinstance(value, str):
+        return MATERIALS[one_of("Link.material", value, MATERIALS)]
+    if isinstance(value, dict):
+        value = tuple(mapping("Link.material", value, _Material._fields).get(name) for name in _Material._fields)
+    allowed = f"youngs_modulus (Pa), shear_modulus (Pa) and density (kg/m^3), or one of {', '.join(MATERIALS)}"
+    numbers = sequence("Link.material", value, allowed)
+    if len(numbers) != 3:
+        raise value_error("Link.material", value, allowed)
+    units = ("Pa", "Pa", "kg/m^3")
+    named = zip(_Material._fields, numbers, units, strict=True)
+    return _Material(*(physical(f"Link.{name}", number, unit) for name, number, unit in named))
 
 
 @dataclass(frozen=True)
-class LumpedMass:
-    """A point mass or a rigid body that is clamped to one section of a link.
-
-    Inertia and offset are in the link's own frame. The body stiffens nothing.
+class Outline:
+    """The outline of a cross-section, centred on the axis of its link, in the link's own y and z.
 
     Attributes:
-        mass: kg.
-        position: of its section along the link, from the joint, m.
-        inertia: (3, 3) about the centre of mass, kg m^2; None for a point mass.
-        offset: (3,) from the axis at its section to the centre of mass, m; None for a centre on the axis.
+        shape: "strip", a rectangle; "tube" or "rod", hollow and solid and round.
+        y, z: its outer sizes along y and z, m; equal for a round one.
+        wall: thickness of the wall of a tube, m; None for the others.
 
     Raises:
-        ValueError: for a mass that is not positive, a position that is negative, and an inertia that no rigid body has.
+        ValueError: for another shape, for sizes that are not positive, and for a wall that does not fit.
     """
 
-    mass: float
-    position: float
-    inertia: Matrix | None = None
-    offset: Vector | None = None
+    shape: str
+    y: float
+    z: float
+    wall: float | None = None
 
     def __post_init__(self) -> None:
-        set_fields(
-            self,
-            mass=physical("LumpedMass.mass", self.mass, "kg"),
-            position=non_negative("LumpedMass.position", self.position, "m"),
-            **rigid_body_fields("LumpedMass", self.inertia, self.offset),
-        )
+        one_of("Outline.shape", self.shape, SHAPES)
+        set_fields(self, y=physical("Outline.y", self.y, "m"), z=physical("Outline.z", self.z, "m"))
+        if self.shape != "strip" and self.y != self.z:
+            raise value_error("Outline.z", self.z, f"{self.y} (m), the diameter along y")
+        if self.shape == "tube":
+            set_fields(self, wall=physical("Outline.wall", self.wall, "m"))
+            if not 2.0 * self.wall <= self.y:  # type: ignore[operator]
+                raise value_error("Outline.wall", self.wall, f"at most half of the diameter {self.y} (m)")
+        elif self.wall is not None:
+            raise value_error("Outline.wall", self.wall, f"None for a {self.shape}")
+
+    @property
+    def hollow(self) -> float:
+        """Diameter of the hole of a tube, m; 0 for the others."""
+        return self.y - 2.0 * self.wall if self.wall else 0.0
+
+    @property
+    def area(self) -> float:
+        """Area, m^2."""
+        if self.shape == "strip":
+            return self.y * self.z
+        return math.pi / 4.0 * (self.y + self.hollow) * (self.y - self.hollow)
+
+    @property
+    def second_moment_y(self) -> float:
+        """Integral of z^2 over the area, m^4."""
+        return self.area * (self.z**2 / 12.0 if self.shape == "strip" else (self.y**2 + self.hollow**2) / 16.0)
+
+    @property
+    def second_moment_z(self) -> float:
+        """Integral of y^2 over the area, m^4."""
+        return self.area * (self.y**2 / 12.0 if self.shape == "strip" else (self.y**2 + self.hollow**2) / 16.0)
+
+    @property
+    def torsion_constant(self) -> float:
+        """Torsion constant J of St Venant, m^4.
+
+        That of a rectangle is the series of Timoshenko and Goodier (Theory of Elasticity, article on the torsion of
+        rectangular bars); that of a round section is its polar moment.
+        """
+        if self.shape != "strip":
+            return 2.0 * self.second_moment_y
+        thin, wide = sorted((self.y, self.z))
+        odd = range(1, 2 * TERMS, 2)
+        lost = sum(math.tanh(n * math.pi * wide / (2.0 * thin)) / n**5 for n in odd)
+        return wide * thin**3 * (1.0 - 192.0 * thin * lost / (math.pi**5 * wide)) / 3.0
+
+    @property
+    def words(self) -> str:
+        """Its sizes in plain words, and for a strip which way it is thin."""
+        if self.shape != "strip":
+            return f"{self.y:g} m across" + (f", wall {self.wall:g} m" if self.wall else "")
+        sizes = f"{self.y:g} m along y, {self.z:g} m along z"
+        if self.y == self.z:
+            return sizes
+        thin = "y" if self.y < self.z else "z"
+        return f"{sizes}: thin along {thin}, it bends easily in its x-{thin} plane"
+
+
+def _strip_outline(width: float, thickness: float, thin: str) -> Outline:
+    """Return the outline of a strip that is thin along "y" or "z".
+
+    Raises:
+        ValueError: for sizes that are not positive, a thickness above the width, and another axis.
+    """
+    width, thickness = physical("Link.width", width, "m"), physical("Link.thickness", thickness, "m")
+    if thickness > width:
+        raise value_error("Link.thickness", thickness, f"at most the width {width} (m); thin says which way it is thin")
+    sizes = {one_of("Link.thin", thin, ACROSS): thickness, ACROSS[thin]: width}
+    return Outline("strip", sizes["y"], sizes["z"])
+
+
+def _round_outline(diameter: float, wall: float | None = None) -> Outline:
+    """Return the outline of a rod, or of a tube with a wall.
+
+    Raises:
+        ValueError: for sizes that are not positive, and for a wall above half of the diameter.
+    """
+    diameter = physical("Link.diameter", diameter, "m")
+    if wall is None:
+        return Outline("rod", diameter, diameter)
+    if physical("Link.wall", wall, "m") > diameter / 2.0:
+        raise value_error("Link.wall", wall, f"at most half of the diameter {diameter} (m)")
+    return Outline("tube", diameter, diameter, wall)
+
+
+def _check_outline(outline: object, numbers: dict[str, float]) -> None:
+    """Raise a ValueError for an outline that has not the area and the second moments of area of its link.
+
+    Raises:
+        ValueError: one line with the first number that differs; also for something else than an Outline.
+    """
+    own = instance("Link.outline", outline, Outline, "an Outline or None")
+    for name in ("area", "second_moment_y", "second_moment_z"):
+        if not math.isclose(numbers[name], getattr(own, name), rel_tol=MATCHING):
+            allowed = f"{getattr(own, name):.6g}, that of its outline, or the link without an outline"
+            raise value_error(f"Link.{name}", numbers[name], allowed)
+
+
+MAX_MASSES = 64  # on a link
 
 
 def _lumped_masses(name: str, value: object, length: float) -> tuple[LumpedMass, ...]:
@@ -110,11 +202,13 @@ def _lumped_masses(name: str, value: object, length: float) -> tuple[LumpedMass,
     return masses
 
 
-def total_mass(masses: Sequence[LumpedMass]) -> float:
-    """Gives the mass of them all, kg."""
+def _total_mass(masses: Sequence[LumpedMass]) -> float:
+    """Return the mass of all lumped masses, kg."""
     return sum(mass.mass for mass in masses)
 
 
+MAX_WIDTH = 5.0  # lengths of a link that no section exceeds
+MAX_TORSION = 10.0  # polar moments of area that no torsion constant exceeds
 MAX_SECTIONS = 64  # of a link, as a model has at most so many finite elements of it
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 UP = ((0.0, 0.0, -1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))  # turns the x axis of a beam to +Z
@@ -182,7 +276,7 @@ class Link:
         set_fields(self, orientation=rotation("Link.orientation", self.orientation))
         set_fields(self, masses=_lumped_masses("Link.masses", self.masses, self.length))
         if self.outline is not None:
-            check_outline(self.outline, vars(self))
+            _check_outline(self.outline, vars(self))
         warn_of_units("Link", vars(self))
         polar, least = self.second_moment_y + self.second_moment_z, self.area * self.area / (2.0 * math.pi)
         if polar < (1.0 - 1e-9) * least:
@@ -190,7 +284,7 @@ class Link:
                 f"Link.second_moment_y + second_moment_z: {polar:.6g} is less than any section of the area "
                 f"{self.area:.6g} m^2 has; the least is {least:.6g} (m^4), area^2 / (2 pi) of a solid disc"
             )
-        warn_of_section(self.length, self.area, polar, self.torsion_constant)
+        _warn_of_section(self.length, self.area, polar, self.torsion_constant)
 
     @classmethod
     def strip(
@@ -213,8 +307,9 @@ class Link:
             width: larger size of the section, m.
             thickness: smaller size of the section, m.
             thin: "y" or "z", the axis of the link along which it is thin.
-            material: "aluminium", "steel" or "titanium", whose numbers `scene.section.find_material` gives with their
-                source; or three numbers: Young's modulus (Pa), shear modulus (Pa) and density (kg/m^3).
+            material: "aluminium" 6061-T6, "steel" 4130 or "titanium" Ti-6Al-4V, with the numbers of the data sheets of
+                ASM (Aerospace Specification Metals); or three numbers: Young's modulus (Pa), shear modulus (Pa) and
+                density (kg/m^3).
             orientation: as of any Link.
             masses: as of any Link.
 
@@ -226,7 +321,7 @@ class Link:
             >>> round(ruler.mass, 3)
             0.108
         """
-        return cls._outlined(length, strip_outline(width, thickness, thin), material, orientation, masses)
+        return cls._outlined(length, _strip_outline(width, thickness, thin), material, orientation, masses)
 
     @classmethod
     def tube(
@@ -251,7 +346,7 @@ class Link:
         Raises:
             ValueError: for a size that is not positive, and for a wall above half of the diameter.
         """
-        return cls._outlined(length, round_outline(diameter, wall), material, orientation, masses)
+        return cls._outlined(length, _round_outline(diameter, wall), material, orientation, masses)
 
     @classmethod
     def rod(
@@ -274,7 +369,7 @@ class Link:
         Raises:
             ValueError: for a size that is not positive.
         """
-        return cls._outlined(length, round_outline(diameter), material, orientation, masses)
+        return cls._outlined(length, _round_outline(diameter), material, orientation, masses)
 
     @classmethod
     def _outlined(
@@ -282,7 +377,7 @@ class Link:
     ) -> Self:
         names = ("area", "second_moment_y", "second_moment_z", "torsion_constant")
         numbers = {name: getattr(outline, name) for name in names}
-        whole = find_material(material)._asdict()
+        whole = _find_material(material)._asdict()
         return cls(length, orientation=orientation, masses=masses, outline=outline, **numbers, **whole)
 
     def __repr__(self) -> str:
@@ -290,18 +385,41 @@ class Link:
             shown = (each for each in fields(self) if getattr(self, each.name) != each.default)
             return f"Link({', '.join(f'{each.name}={getattr(self, each.name)!r}' for each in shown)})"
         moduli = f"E {self.youngs_modulus:g} Pa, G {self.shear_modulus:g} Pa, {self.density:g} kg/m^3"
-        carried = f", lumped masses of {total_mass(self.masses):g} kg" if self.masses else ""
+        carried = f", lumped masses of {_total_mass(self.masses):g} kg" if self.masses else ""
         return f"<Link: a {self.outline.shape} {self.length:g} m long, {self.outline.words}\n  {moduli}{carried}>"
 
     @property
     def mass(self) -> float:
         """Mass of the link with its lumped masses, kg."""
-        return self.density * self.area * self.length + total_mass(self.masses)
+        return self.density * self.area * self.length + _total_mass(self.masses)
 
     @property
     def sections(self) -> tuple["Link", ...]:
         """The link itself, as its only section."""
         return (self,)
+
+
+def _warn_of_section(length: float, area: float, polar: float, torsion: float) -> None:
+    """Warn (UserWarning) of a section that is far too large for the length (m) of its link.
+
+    Args:
+        length: m.
+        area: m^2.
+        polar: sum of both second moments of area, m^4.
+        torsion: torsion constant, m^4.
+    """
+    radius, size = math.sqrt(polar / area), math.sqrt(area)
+    if size > MAX_WIDTH * length:
+        said = f"Link.area: {area:g} (m^2) is wider than the link is long, a slip of units; in mm^2, sizes in mm?"
+    elif radius > MAX_WIDTH * length:
+        said = (
+            f"Link.second_moment_y + second_moment_z: {polar:g} (m^4) reaches {radius:.3g} m, a slip of units; in mm^4?"
+        )
+    elif torsion > MAX_TORSION * polar:
+        said = f"Link.torsion_constant: {torsion:g} (m^4) exceeds the polar moment {polar:g}, a slip of units?"
+    else:
+        return
+    warn_caller(said)
 
 
 @dataclass(frozen=True)
@@ -346,16 +464,4 @@ class NonUniformLink:
     @property
     def mass(self) -> float:
         """Mass of the link with its lumped masses, kg."""
-        return sum(section.mass for section in self.sections) + total_mass(self.masses)
-
-
-def instances(name: str, value: object, *kinds: type) -> tuple[Any, ...]:
-    """Gives a list of at least one item, each of one of the `kinds`, as a tuple."""
-    names = " or ".join(kind.__name__ for kind in kinds)
-    items = sequence(name, value, f"at least one {names}")
-    if not items:
-        raise value_error(name, value, f"at least one {names}")
-    for i, item in enumerate(items):
-        if not isinstance(item, kinds):
-            raise value_error(f"{name}[{i}]", item, f"a {names}")
-    return tuple(items)
+        return sum(section.mass for section in self.sections) + _total_mass(self.masses)

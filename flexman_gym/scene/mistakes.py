@@ -3,7 +3,7 @@
 import math
 import sys
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from difflib import get_close_matches
 from functools import wraps
@@ -116,16 +116,11 @@ USUAL_RANGES: dict[str, tuple[float, float, str, str]] = {
     "control_period": (0.0, 1.0, "s", "ms"),
     "horizon": (0.0, 300.0, "s", "steps; 500 steps of 0.02 s are 10 s"),
 }
-FAT = 5.0  # lengths of a link to which no section reaches
-WOUND = 10.0  # polar moments of area, of which the torsion constant has at most one
-GRAVITY = 300.0  # m/s^2
-HEAVY, FAR = 100.0, 20.0  # masses and reaches of an arm
 OWN = ("flexman_gym", "gymnasium")  # packages whose lines are not the cause of a slip
-SLOWEST, QUICKEST = 0.01, 1e4  # Hz, of the first mode
 
 
 def warn_of_units(owner: str, values: Mapping[str, Any]) -> None:
-    """Warns (UserWarning) of the first of some values by name that is not usual, in one line.
+    """Warn (UserWarning) of the first of some values by name that is not usual, in one line.
 
     Args:
         owner: whose values they are, such as "Link"; "" for none.
@@ -138,71 +133,6 @@ def warn_of_units(owner: str, values: Mapping[str, Any]) -> None:
             usual = f"at most {most:g}" if value > most else f"at least {least:g}"
             warn_caller(f"{field}: {value:g} ({unit}) looks like a slip of units, usual is {usual}; was it in {other}?")
             return
-
-
-def warn_of_section(length: float, area: float, polar: float, torsion: float) -> None:
-    """Warns (UserWarning) of a section that is far too large for the length (m) of its link.
-
-    Args:
-        length: m.
-        area: m^2.
-        polar: sum of both second moments of area, m^4.
-        torsion: torsion constant, m^4.
-    """
-    radius, size = math.sqrt(polar / area), math.sqrt(area)
-    if size > FAT * length:
-        said = f"Link.area: {area:g} (m^2) is wider than the link is long, a slip of units; in mm^2, sizes in mm?"
-    elif radius > FAT * length:
-        said = (
-            f"Link.second_moment_y + second_moment_z: {polar:g} (m^4) reaches {radius:.3g} m, a slip of units; in mm^4?"
-        )
-    elif torsion > WOUND * polar:
-        said = f"Link.torsion_constant: {torsion:g} (m^4) exceeds the polar moment {polar:g}, a slip of units?"
-    else:
-        return
-    warn_caller(said)
-
-
-def warn_of_loads(name: str, mass: float, inertia: Any, offset: Any, arm: tuple[float, float]) -> None:
-    """Warns (UserWarning) of a body that is far too heavy or too large for an arm.
-
-    Args:
-        name: of the body.
-        mass: kg.
-        inertia: (3, 3) kg m^2, None where there is none.
-        offset: (3,) m, None where there is none.
-        arm: mass of its links (kg) and their length (m).
-    """
-    size = math.sqrt(max(inertia[i][i] for i in range(3)) / mass) if inertia is not None and mass > 0.0 else 0.0
-    away = max(map(abs, offset)) if offset is not None else 0.0
-    if mass > HEAVY * arm[0]:
-        said = f"{name}.mass: {mass:g} (kg) is {mass / arm[0]:.3g} times what the links weigh, a slip of units; in g?"
-    elif away > FAR * arm[1]:
-        said = f"{name}.offset: {away:g} (m) is far beyond an arm of {arm[1]:g} m, a slip of units; was it in mm?"
-    elif size > FAR * arm[1]:
-        said = f"{name}.inertia: the body would reach {size:.3g} m, a slip of units; was it in g cm^2 or kg mm^2?"
-    else:
-        return
-    warn_caller(said)
-
-
-def warn_of_gravity(gravity: tuple[float, ...]) -> None:
-    """Warns (UserWarning) of a gravity (m/s^2) that no place has where arms are."""
-    size = math.hypot(*gravity)
-    if size > GRAVITY:
-        warn_caller(f"Arm.gravity: {size:g} (m/s^2) looks like a slip of units; was it in mm/s^2? 9810 mm/s^2 are 9.81")
-
-
-def warn_of_modes(rates: Sequence[float]) -> None:
-    """Warns (UserWarning) of an arm whose links bend, with what they carry, at angular frequencies that none has.
-
-    Args:
-        rates: rad/s, of the first mode of each link that bends.
-    """
-    frequency = min(rates, default=2.0 * math.pi) / (2.0 * math.pi)
-    if not SLOWEST <= frequency <= QUICKEST:
-        usual = f"usual is {SLOWEST:g} to {QUICKEST:g} Hz; look at the units of moduli, sizes and masses"
-        warn_caller(f"arm: its links first bend at {frequency:.3g} Hz, which looks like a slip of units; {usual}")
 
 
 def warn_caller(line: str) -> None:

@@ -1,7 +1,9 @@
 """Scene: an arm, its model choice, its torque, its initial state and a duration, kept in a JSON or YAML file."""
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -13,6 +15,8 @@ from flexman_gym.common.arrays import Vector
 from flexman_gym.common.checks import (
     WHOLE_TOLERANCE,
     flag,
+    mapping,
+    one_of,
     positive,
     sequence,
     set_fields,
@@ -22,17 +26,13 @@ from flexman_gym.common.checks import (
     vector,
     whole_number,
 )
+from flexman_gym.common.time_series import TimeSeries, read_time_series, write_columns
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.mistakes import check_keywords
 from flexman_gym.scene.serialization import (
-    build_part,
-    check_entries,
     find_arm,
     part_from_plain,
-    signal_from_plain,
     to_plain,
-    torque_from_plain,
-    write_samples,
 )
 from flexman_gym.scene.signals import (
     ConstantTorque,
@@ -42,10 +42,10 @@ from flexman_gym.scene.signals import (
     SampledTorque,
     Signal,
     SineTorque,
-    check_signals,
 )
 
-MAX_ELEMENTS = 64
+MAX_ELEMENTS = 64  # finite elements of a link
+MAX_INLINE_SAMPLES = 100  # samples in a scene file; more go to a CSV file beside it
 
 
 @dataclass(frozen=True)
@@ -204,8 +204,8 @@ class Scene:
             output_step=positive("Scene.output_step", self.output_step, "s"),
             note=text("Scene.note", self.note),
             prescribed=self._checked_motion(),
-            tip_force=check_signals("Scene.tip_force", self.tip_force, "N"),
-            base_acceleration=check_signals("Scene.base_acceleration", self.base_acceleration, "m/s^2"),
+            tip_force=_check_signals("Scene.tip_force", self.tip_force, "N"),
+            base_acceleration=_check_signals("Scene.base_acceleration", self.base_acceleration, "m/s^2"),
         )
         steps = self.duration / self.output_step
         if not 0.5 < steps <= MAX_OUTPUT_STEPS or abs(steps - round(steps)) > 1e-9 * steps:
@@ -291,15 +291,17 @@ class Scene:
             raise ValueError(f"{short_path(path)}: {error}") from None
 
     def save(self, path: str | Path) -> None:
-        """Writes the scene to a .json, .yaml or .yml file, from which `load` gives an equal one.
+        """Write the scene to a .json, .yaml or .yml file, from which `load` returns an equal one.
 
-        More than a hundred samples go to CSV files beside it, such as scene_torque.csv beside scene.json.
+        More than a hundred samples go to CSV files next to it, such as scene_torque.csv for scene.json.
 
         Raises:
             ValueError: for another suffix.
         """
-        scene_file.check_suffix(Path(path))
-        scene_file.write_data(Path(path), write_samples(Path(path), self.to_dict()))
+        data, tables = _split_samples(Path(path), self.to_dict())
+        scene_file.write_data(Path(path), data)
+        for file, columns in tables.items():
+            write_columns(file, columns)
 
     @classmethod
     def from_dict(cls, data: object, folder: Path = Path()) -> Self:
@@ -312,16 +314,27 @@ class Scene:
             FileNotFoundError: where a CSV file is missing.
             ValueError: one line that names the field (`arm.links[1].length`), the value and what is allowed.
         """
-        entries = check_entries(Scene, "", data)
-        entries["arm"] = find_arm(entries["arm"])
-        entries["model"] = part_from_plain(ModelChoice, "model", entries["model"])
-        entries["torque"] = torque_from_plain(entries["torque"], folder)
-        entries["initial"] = part_from_plain(Initial, "initial", entries["initial"])
-        for name in ("prescribed", "tip_force", "base_acceleration"):
-            if entries.get(name) is not None:
-                items = enumerate(sequence(name, entries[name], "a list of mappings"))
-                entries[name] = [signal_from_plain(f"{name}[{i}]", item, UNITS[name], folder) for i, item in items]
-        return build_part(cls, "", entries)
+
+        def signals(name: str) -> Callable[[Any], Any]:
+            return lambda value: (
+                None
+                if value is None
+                else [
+                    _signal_from_plain(f"{name}[{i}]", item, UNITS[name], folder)
+                    for i, item in enumerate(sequence(name, value, "a list of mappings"))
+                ]
+            )
+
+        return part_from_plain(
+            cls,
+            "",
+            data,
+            arm=find_arm,
+            model=partial(part_from_plain, ModelChoice, "model"),
+            torque=partial(_torque_from_plain, folder=folder),
+            initial=partial(part_from_plain, Initial, "initial"),
+            **{name: signals(name) for name in UNITS},
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Gives the scene as the mapping of a scene file, of dicts, lists, numbers and texts."""
@@ -329,3 +342,119 @@ class Scene:
         if self.arm.payload is None:
             data["arm"]["payload"] = {"mass": 0.0}
         return {"note": self.note} | data
+
+
+def _torque_from_plain(data: object, folder: Path) -> ConstantTorque | SineTorque | SampledTorque:
+    """Return the torque that a mapping with a `kind` describes; of a sampled one "csv" may stand for times and values.
+
+    Raises:
+        FileNotFoundError: where a CSV file is missing in the folder.
+        ValueError: for entries that are not allowed; it names the field (`torque.value`).
+    """
+    if not isinstance(data, dict):
+        raise value_error("torque", data, "a mapping with the key kind")
+    kinds: dict[str, Any] = {kind.kind: kind for kind in (ConstantTorque, SineTorque, SampledTorque)}
+    kind = kinds[one_of("torque.kind", data.get("kind"), kinds)]
+    entries = {name: value for name, value in data.items() if name != "kind"}
+    if kind is SampledTorque and "csv" in entries:
+        given = mapping("torque", entries, ("csv", "columns", "hold"))
+        name = text("torque.csv", given.pop("csv"))
+        torque = SampledTorque.from_csv(folder / name, **given)
+        _warn_outside("torque.csv", name, folder)
+        return torque
+    return part_from_plain(kind, "torque", entries)
+
+
+def _signal_from_plain(
+    path: str, data: object, units: tuple[str, ...], folder: Path
+) -> Signal | SampledSignal | SampledAngles | None:
+    """Return the signal of a mapping: None of None, samples of one with times, or with "csv" and a "column" in it.
+
+    Args:
+        path: the name of the field of the file that holds the mapping.
+        data: the mapping.
+        units: in which a column may be.
+        folder: against which the name of a CSV file is meant.
+
+    Raises:
+        FileNotFoundError: where the CSV file is missing.
+        ValueError: for entries that are not allowed; it names the field.
+    """
+    if data is None:
+        return None
+    keys = data if isinstance(data, dict) else {}
+    if "csv" in keys:
+        more = dict(mapping(path, data, ("csv", "column", "hold", "deviation")))
+        name = text(f"{path}.csv", more.pop("csv"))
+        record = read_time_series(folder / name)
+        _warn_outside(f"{path}.csv", name, folder)
+        return _sampled_signal(record, text(f"{path}.column", more.pop("column", None)), units, more)
+    if "angles" in keys and "rad" in units:
+        return part_from_plain(SampledAngles, path, data)
+    return part_from_plain(SampledSignal, path, data) if "times" in keys else part_from_plain(Signal, path, data)
+
+
+def _warn_outside(field: str, name: str, folder: Path) -> None:
+    """Warn of a CSV file outside the folder of the scene file that names it, which may be somebody else's."""
+    if not (folder / name).resolve().is_relative_to(folder.resolve()):
+        said = f"{field}: {short_path(name)} is outside the folder of the scene file"
+        warnings.warn(f"{said}; the next release reads it only where this is asked for", FutureWarning, stacklevel=2)
+
+
+def _split_samples(path: Path, data: dict[str, Any]) -> tuple[dict[str, Any], dict[Path, dict[str, Any]]]:
+    """Return a scene's mapping with CSV files next to the path for many samples, and the columns of these files."""
+    result, tables = dict(data), {}
+
+    def kept(label: str, item: dict[str, Any], columns: dict[str, Any]) -> dict[str, Any]:
+        file = path.with_name(f"{path.stem}_{label}.csv")
+        tables[file] = {"time (s)": item["times"], **columns}
+        more = {name: value for name, value in item.items() if name not in ("times", "values", "angles")}
+        return more | {"csv": file.name}
+
+    if len(data["torque"].get("times", ())) > MAX_INLINE_SAMPLES:
+        heads = [f"torque_{i} (N m)" for i in range(1, len(data["torque"]["values"][0]) + 1)]
+        columns = dict(zip(heads, zip(*data["torque"]["values"], strict=True), strict=True))
+        result["torque"] = kept("torque", data["torque"], columns)
+    for name, unit in (("prescribed", "rad/s^2"), ("tip_force", "N"), ("base_acceleration", "m/s^2")):
+        for i, item in enumerate(data.get(name) or ()):
+            if item is not None and len(item.get("times", ())) > MAX_INLINE_SAMPLES:
+                label, turned = f"{name}_{i}", "angles" in item
+                columns = {f"{label} ({'rad' if turned else unit})": item["angles" if turned else "values"]}
+                result[name] = list(result[name])
+                result[name][i] = kept(label, item, columns) | {"column": label}
+    return result, tables
+
+
+def _sampled_signal(record: TimeSeries, column: str, units: tuple[str, ...], more: dict[str, Any]) -> Any:
+    """Return the signal that a column holds: SampledAngles of one in rad where that is allowed, else a SampledSignal.
+
+    Raises:
+        ValueError: one line, for another column, or settings that the signal does not have.
+    """
+    values = record.values(units, [column])[:, 0]
+    kind: Any = SampledAngles if record.columns[column][0] == "rad" else SampledSignal
+    try:
+        return kind(record.times, values, **more)
+    except TypeError:
+        own = "deviation" if kind is SampledAngles else "hold"
+        raise value_error(column, sorted(more), f"only the keys csv, column and {own}") from None
+
+
+def _check_signals(name: str, value: object, units: str) -> tuple[Signal | SampledSignal, ...] | None:
+    """Return the three signals of the components of a vector in the base frame, or None.
+
+    Args:
+        name: of the field, for the error.
+        value: None, or three of Signal or SampledSignal along x, y and z; they come back as a tuple.
+        units: of the vector, for the error.
+
+    Raises:
+        ValueError: for any other value.
+    """
+    if value is None:
+        return None
+    allowed = f"None or three of Signal or SampledSignal, along x, y and z ({units})"
+    items = tuple(sequence(name, value, allowed))
+    if len(items) != 3 or not all(isinstance(item, Signal | SampledSignal) for item in items):
+        raise value_error(name, value, allowed)
+    return items

@@ -1,33 +1,23 @@
 """Plain form of arms, signals and model choices (dicts, lists, numbers, texts), and arms by name or file."""
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from functools import cache
+from functools import cache, partial
 from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import Any, TypeVar
 
 from flexman_gym.common import files
 from flexman_gym.common.checks import mapping, one_of, sequence, short_path, text, value_error, whole_number
-from flexman_gym.common.time_series import read_time_series, write_time_series
-from flexman_gym.scene.arm import Arm, Payload
+from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.joint import Joint, Motor
-from flexman_gym.scene.link import IDENTITY, Link, LumpedMass, NonUniformLink
+from flexman_gym.scene.link import IDENTITY, SHAPES, Link, NonUniformLink, Outline
 from flexman_gym.scene.mistakes import keyword_hint
-from flexman_gym.scene.section import SHAPES, Outline
-from flexman_gym.scene.signals import (
-    ConstantTorque,
-    SampledAngles,
-    SampledSignal,
-    SampledTorque,
-    Signal,
-    SineTorque,
-    sampled_signal,
-)
+from flexman_gym.scene.rigid_body import LumpedMass, Payload
+from flexman_gym.scene.signals import Signal
 
 Part = TypeVar("Part")
-MAX_INLINE_SAMPLES = 100  # samples in a scene file; more go to a CSV file beside it
 
 # Sections of arms in the catalog that no section can have; each says why there, and a file of it need not warn again.
 SECTION = ("area", "second_moment_y", "second_moment_z")
@@ -55,22 +45,27 @@ OPTIONAL: dict[str, tuple[str, ...]] = {
 
 
 def arm_from_plain(data: object) -> Arm:
-    """Builds the arm that a mapping describes.
+    """Return the arm that a mapping describes.
 
     Raises:
         ValueError: for entries that are not allowed; it names the field (`arm.links[1].length`).
     """
-    entries = check_entries(Arm, "arm", data)
-    for name, part in (("links", _link), ("joints", _joint)):
-        items = sequence(f"arm.{name}", entries[name], "mappings")
-        entries[name] = [part(f"arm.{name}[{i}]", item) for i, item in enumerate(items)]
-    if entries.get("payload") is not None:
-        entries["payload"] = part_from_plain(Payload, "arm.payload", entries["payload"])
-    return build_part(Arm, "arm", entries)
+    links, joints = partial(_items, "arm.links", _link), partial(_items, "arm.joints", _joint)
+    return part_from_plain(Arm, "arm", data, links=links, joints=joints, payload=_optional(Payload, "arm.payload"))
+
+
+def _items(path: str, build: Callable[[str, object], Any], data: object) -> list[Any]:
+    """Return a list with a part built from each mapping of a list."""
+    return [build(f"{path}[{i}]", item) for i, item in enumerate(sequence(path, data, "mappings"))]
+
+
+def _optional(kind: type[Part], path: str) -> Callable[[object], Part | None]:
+    """Return a function that builds a `kind` from its mapping, None from None."""
+    return lambda data: None if data is None else part_from_plain(kind, path, data)
 
 
 def _link(path: str, data: object) -> Link | NonUniformLink:
-    """Builds a Link from a mapping, or a NonUniformLink from one with `sections`, which have no orientation.
+    """Return a Link from a mapping, or a NonUniformLink from one with `sections`, which have no orientation.
 
     A mapping with a `shape` has the sizes and the material of `Link.strip`, `Link.tube` or `Link.rod`.
     """
@@ -89,155 +84,62 @@ def _link(path: str, data: object) -> Link | NonUniformLink:
             raise ValueError(path + str(error).removeprefix("Link")) from None
     if "sections" not in entries:
         return _uniform(path, entries)
-    entries = check_entries(NonUniformLink, path, entries)
-    items = sequence(f"{path}.sections", entries["sections"], "mappings")
-    entries["sections"] = [
-        _uniform(f"{path}.sections[{i}]", _bare(item), "orientation", "masses") for i, item in enumerate(items)
-    ]
-    return build_part(NonUniformLink, path, entries)
+    return part_from_plain(NonUniformLink, path, entries, sections=partial(_items, f"{path}.sections", _section))
 
 
 def _with_masses(path: str, data: object) -> dict[str, Any]:
-    """Gives a copy of the mapping of a link with its lumped masses built."""
-    entries = dict(data) if isinstance(data, dict) else check_entries(Link, path, data)
+    """Return a copy of the mapping of a link with its lumped masses built."""
+    entries = dict(data) if isinstance(data, dict) else _check_entries(Link, path, data)
     if "masses" in entries:
-        items = enumerate(sequence(f"{path}.masses", entries["masses"], "mappings"))
-        entries["masses"] = [part_from_plain(LumpedMass, f"{path}.masses[{i}]", item) for i, item in items]
+        entries["masses"] = _items(f"{path}.masses", partial(part_from_plain, LumpedMass), entries["masses"])
     return entries
 
 
-def _bare(section: object) -> object:
-    """Gives a section without the entries that it cannot have, where they say nothing, as `dataclasses.asdict` does."""
+def _section(path: str, data: object) -> Link:
+    """Return a section, which has no orientation and no masses; `dataclasses.asdict` writes them as they are here."""
     nothing = {"orientation": [list(row) for row in IDENTITY], "masses": []}
-    if not isinstance(section, dict):
-        return section
-    return {name: value for name, value in section.items() if name not in nothing or value != nothing[name]}
+    if isinstance(data, dict):
+        data = {name: value for name, value in data.items() if name not in nothing or value != nothing[name]}
+    return _uniform(path, data, *nothing)
 
 
 def _uniform(path: str, data: object, *left_out: str) -> Link:
-    entries = check_entries(Link, path, data, *left_out)
-    if entries.get("outline") is not None:
-        entries["outline"] = part_from_plain(Outline, f"{path}.outline", entries["outline"])
-    return build_part(Link, path, entries)
+    return part_from_plain(Link, path, data, left_out, outline=_optional(Outline, f"{path}.outline"))
 
 
 def _joint(path: str, data: object) -> Joint:
-    """Builds a Joint from a mapping; one with a motor has its rotor inertia from there."""
+    """Return a Joint from a mapping; a motor defines its rotor inertia."""
     if not isinstance(data, dict) or data.get("motor") is None:
         return part_from_plain(Joint, path, data)
-    entries = check_entries(Joint, path, {"rotor_inertia": 0.0} | data)
-    entries["motor"] = part_from_plain(Motor, f"{path}.motor", entries["motor"])
-    return build_part(Joint, path, entries)
+    motor = partial(part_from_plain, Motor, f"{path}.motor")
+    return part_from_plain(Joint, path, {"rotor_inertia": 0.0} | data, motor=motor)
 
 
-def torque_from_plain(data: object, folder: Path) -> ConstantTorque | SineTorque | SampledTorque:
-    """Builds the torque that a mapping with a `kind` describes; of a sampled one "csv" may stand for times and values.
-
-    Raises:
-        FileNotFoundError: where a CSV file is missing in the folder.
-        ValueError: for entries that are not allowed; it names the field (`torque.value`).
-    """
-    if not isinstance(data, dict):
-        raise value_error("torque", data, "a mapping with the key kind")
-    kinds: dict[str, Any] = {kind.kind: kind for kind in (ConstantTorque, SineTorque, SampledTorque)}
-    kind = kinds[one_of("torque.kind", data.get("kind"), kinds)]
-    entries = {name: value for name, value in data.items() if name != "kind"}
-    if kind is SampledTorque and "csv" in entries:
-        given = mapping("torque", entries, ("csv", "columns", "hold"))
-        name = text("torque.csv", given.pop("csv"))
-        torque = SampledTorque.from_csv(folder / name, **given)
-        _warn_outside("torque.csv", name, folder)
-        return torque
-    return part_from_plain(kind, "torque", entries)
-
-
-def signal_from_plain(
-    path: str, data: object, units: tuple[str, ...], folder: Path
-) -> Signal | SampledSignal | SampledAngles | None:
-    """Builds the signal of a mapping: None of None, samples of one with times, or with "csv" and a "column" in it.
-
-    Args:
-        path: the name of the field of the file that holds the mapping.
-        data: the mapping.
-        units: in which a column may be.
-        folder: against which the name of a CSV file is meant.
-
-    Raises:
-        FileNotFoundError: where the CSV file is missing.
-        ValueError: for entries that are not allowed; it names the field.
-    """
-    if data is None:
-        return None
-    keys = data if isinstance(data, dict) else {}
-    if "csv" in keys:
-        more = dict(mapping(path, data, ("csv", "column", "hold", "deviation")))
-        name = text(f"{path}.csv", more.pop("csv"))
-        record = read_time_series(folder / name)
-        _warn_outside(f"{path}.csv", name, folder)
-        return sampled_signal(record, text(f"{path}.column", more.pop("column", None)), units, more)
-    if "angles" in keys and "rad" in units:
-        return part_from_plain(SampledAngles, path, data)
-    return part_from_plain(SampledSignal, path, data) if "times" in keys else part_from_plain(Signal, path, data)
-
-
-def _warn_outside(field: str, name: str, folder: Path) -> None:
-    """Warn of a CSV file outside the folder of the scene file that names it, which may be somebody else's."""
-    if not (folder / name).resolve().is_relative_to(folder.resolve()):
-        said = f"{field}: {short_path(name)} is outside the folder of the scene file"
-        warnings.warn(f"{said}; the next release reads it only where this is asked for", FutureWarning, stacklevel=2)
-
-
-def write_samples(path: Path, data: dict[str, Any]) -> dict[str, Any]:
-    """Writes samples of a scene's mapping, where they are many, to CSV files beside the path; gives what is left."""
-    result = dict(data)
-    if len(data["torque"].get("times", ())) > MAX_INLINE_SAMPLES:
-        heads = [f"torque_{i} (N m)" for i in range(1, len(data["torque"]["values"][0]) + 1)]
-        columns = dict(zip(heads, zip(*data["torque"]["values"], strict=True), strict=True))
-        result["torque"] = _kept(path, "torque", data["torque"], columns)
-    for name, unit in (("prescribed", "rad/s^2"), ("tip_force", "N"), ("base_acceleration", "m/s^2")):
-        for i, item in enumerate(data.get(name) or ()):
-            if item is not None and len(item.get("times", ())) > MAX_INLINE_SAMPLES:
-                label, turned = f"{name}_{i}", "angles" in item
-                columns = {f"{label} ({'rad' if turned else unit})": item["angles" if turned else "values"]}
-                result[name] = list(result[name])
-                result[name][i] = _kept(path, label, item, columns) | {"column": label}
-    return result
-
-
-def _kept(path: Path, label: str, item: dict[str, Any], columns: dict[str, Any]) -> dict[str, Any]:
-    """Writes columns to a CSV file; gives the item with its name in their place."""
-    file = path.with_name(f"{path.stem}_{label}.csv")
-    write_time_series(file, item["times"], columns)
-    more = {name: value for name, value in item.items() if name not in ("times", "values", "angles")}
-    return more | {"csv": file.name}
-
-
-def part_from_plain(kind: type[Part], path: str, data: object) -> Part:
-    """Builds a `kind` from the mapping of its fields.
+def part_from_plain(
+    kind: type[Part], path: str, data: object, left_out: Sequence[str] = (), **parts: Callable[[Any], Any]
+) -> Part:
+    """Return a `kind` from the mapping of its fields.
 
     Args:
         kind: a dataclass.
-        path: the name of the field of the file that holds the mapping.
-        data: the mapping.
-
-    Raises:
-        ValueError: for entries that are not allowed; it names the field.
-    """
-    return build_part(kind, path, check_entries(kind, path, data))
-
-
-def check_entries(kind: Any, path: str, data: object, *left_out: str) -> dict[str, Any]:
-    """Gives a copy of a mapping after a check of its keys.
-
-    Args:
-        kind: the dataclass whose fields the keys must be.
-        path: the name of the field of the file that holds the mapping.
+        path: name of the field of the file that holds the mapping.
         data: the mapping.
         left_out: names of fields that must not be keys.
+        parts: functions that build the values of fields from their plain form, by the name of the field.
 
     Raises:
-        ValueError: for something else than a mapping, for other keys and for missing ones; it names the field.
+        ValueError: for something else than a mapping, for unknown and missing keys, and for values that are not
+            allowed; one line with the name of the field.
     """
+    entries = _check_entries(kind, path, data, *left_out)
+    for name, build in parts.items():
+        if name in entries:
+            entries[name] = build(entries[name])
+    return _build_part(kind, path, entries)
+
+
+def _check_entries(kind: Any, path: str, data: object, *left_out: str) -> dict[str, Any]:
+    """Return a copy of a mapping after a check of its keys, the fields of a dataclass without those left out."""
     names = [field.name for field in fields(kind) if field.name not in left_out]
     if not isinstance(data, dict):
         raise value_error(path or "scene", data, "a mapping with the keys " + ", ".join(names))
@@ -252,12 +154,8 @@ def check_entries(kind: Any, path: str, data: object, *left_out: str) -> dict[st
     return dict(data)
 
 
-def build_part(kind: type[Part], path: str, entries: dict[str, Any]) -> Part:
-    """Builds a `kind` from its entries; an error names the field as the file does.
-
-    Raises:
-        ValueError: for entries that `kind` refuses; it names arm.links[1].length, for example, in place of Link.length.
-    """
+def _build_part(kind: type[Part], path: str, entries: dict[str, Any]) -> Part:
+    """Return a `kind` from its entries; an error names arm.links[1].length, for example, in place of Link.length."""
     try:
         with warnings.catch_warnings():
             if tuple(entries.get(name) for name in SECTION) in KNOWN_SECTIONS:
@@ -268,7 +166,7 @@ def build_part(kind: type[Part], path: str, entries: dict[str, Any]) -> Part:
 
 
 def to_plain(value: Any) -> Any:
-    """Gives dataclasses as dicts and tuples as lists, all the way down."""
+    """Return dataclasses as dicts and tuples as lists, all the way down."""
     if isinstance(value, tuple):
         return [to_plain(entry) for entry in value]
     if not is_dataclass(value):
@@ -295,7 +193,7 @@ ArmLike = Arm | Mapping[str, Any] | str
 
 
 def find_arm(value: object, folder: Path = Path()) -> Arm:
-    """Gives an Arm, or the arm that something else stands for.
+    """Return an Arm, or the arm that a name, a file or a mapping stands for.
 
     Args:
         value: an Arm; the name of an arm of the catalog; a mapping with that name at "catalog" and its arguments; the
@@ -398,5 +296,5 @@ def _changed(arm: Arm, name: str, changes: dict[str, dict[str, Any]]) -> Arm:
         whole, indices = _chosen(arm, part)
         parts = own[whole] = list(getattr(arm, whole))
         for i in indices:
-            parts[i] = build_part(type(parts[i]), type(parts[i]).__name__, vars(parts[i]) | entries)
-    return build_part(Arm, "Arm", vars(arm) | own)
+            parts[i] = _build_part(type(parts[i]), type(parts[i]).__name__, vars(parts[i]) | entries)
+    return _build_part(Arm, "Arm", vars(arm) | own)

@@ -19,12 +19,11 @@ from flexman_gym.common.checks import (
     number_array,
     one_of,
     positive,
-    sequence,
     set_fields,
     value_error,
     vector,
 )
-from flexman_gym.common.time_series import TimeSeries, read_time_series, write_time_series
+from flexman_gym.common.time_series import read_time_series, write_columns
 
 HOLDS = ("zero", "linear")
 LEAST_OF_SPLINE = 4  # samples
@@ -151,7 +150,7 @@ class SampledTorque:
 
     def to_csv(self, path: str | Path) -> None:
         """Writes a file from which `from_csv` gives an equal one, but for the hold."""
-        write_time_series(path, self.times, _heads("torque", "N m", self.values))
+        write_columns(path, {"time (s)": self.times, **_heads("torque", "N m", self.values)})
 
     def signals(self) -> list[Any]:
         """Gives the torque of each motor, n of them."""
@@ -225,21 +224,6 @@ class SampledAngles:
         """Gives angle (rad) and rate (rad/s) of the spline at a time (s)."""
         spline, _ = self._spline
         return float(spline(time)), float(spline.derivative()(time))
-
-
-def sampled_signal(record: TimeSeries, column: str, units: tuple[str, ...], more: dict[str, Any]) -> Any:
-    """Gives the signal that a column holds: SampledAngles of one in rad where that is allowed, else a SampledSignal.
-
-    Raises:
-        ValueError: one line, for another column, or settings that the signal does not have.
-    """
-    values = record.values(units, [column])[:, 0]
-    kind: Any = SampledAngles if record.columns[column][0] == "rad" else SampledSignal
-    try:
-        return kind(record.times, values, **more)
-    except TypeError:
-        own = "deviation" if kind is SampledAngles else "hold"
-        raise value_error(column, sorted(more), f"only the keys csv, column and {own}") from None
 
 
 def _heads(name: str, unit: str, values: Sequence[Vector]) -> dict[str, Any]:
@@ -376,26 +360,6 @@ class SineTorque:
     def at(self, time: float) -> NDArray[np.float64]:
         """Gives the torques (n,) in N m at a time in s."""
         return self.amplitude * np.sin(2.0 * np.pi * time * np.array(self.frequency_hz) + self.phase)
-
-
-def check_signals(name: str, value: object, units: str) -> tuple[Signal | SampledSignal, ...] | None:
-    """Checks the three signals of the components of a vector in the base frame, or None.
-
-    Args:
-        name: of the field, for the error.
-        value: None, or three of Signal or SampledSignal along x, y and z; they come back as a tuple.
-        units: of the vector, for the error.
-
-    Raises:
-        ValueError: for any other value.
-    """
-    if value is None:
-        return None
-    allowed = f"None or three of Signal or SampledSignal, along x, y and z ({units})"
-    items = tuple(sequence(name, value, allowed))
-    if len(items) != 3 or not all(isinstance(item, Signal | SampledSignal) for item in items):
-        raise value_error(name, value, allowed)
-    return items
 
 
 def signal_table(drives: Sequence[Signal | None]) -> NDArray[np.float64]:

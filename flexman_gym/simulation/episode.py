@@ -12,7 +12,8 @@ from typing import Any, Self
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import READ_ERRORS, open_arrays, short_path
+from flexman_gym.common.checks import short_path
+from flexman_gym.common.files import READ_ERRORS, open_arrays
 from flexman_gym.common.time_series import write_columns
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.scene import ModelChoice

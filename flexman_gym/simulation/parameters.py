@@ -10,8 +10,9 @@ import numpy as np
 from flexman_gym.common.arrays import Array, Flags
 from flexman_gym.common.checks import MAX_SIZE, number_array, one_of, value_error
 from flexman_gym.model.model import Model
-from flexman_gym.scene.arm import Arm, Payload
+from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.link import NonUniformLink
+from flexman_gym.scene.rigid_body import Payload
 
 ARM, JOINT, LINK = "arm", "joint", "link"
 

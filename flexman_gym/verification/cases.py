@@ -9,9 +9,10 @@ from flexman_gym.model.beam import build_beam
 from flexman_gym.model.dynamics import frequencies, mass_matrix, stiffness_matrix
 from flexman_gym.model.model import build_model
 from flexman_gym.scene import catalog
-from flexman_gym.scene.arm import Arm, Payload
+from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link, NonUniformLink
+from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.verification.closed_forms import (
     bar_eigenvalues,
     beam_eigenvalues,

@@ -15,11 +15,11 @@ from flexman_gym.draw.frequency_diagrams import (
     frequency_map,
     loop_margins,
     mode_pictures,
-    spin_frequencies,
 )
 from flexman_gym.draw.video import side_by_side, write_picture
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import build
+from flexman_gym.model.vibration import spin_frequencies
 from flexman_gym.simulation.episode import Episode
 
 from oracles.chains import slender_link

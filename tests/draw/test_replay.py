@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 import flexman_gym as fm
 from flexman_gym.draw.frames import FramePainter
 from flexman_gym.draw.mesh import section_outlines
-from flexman_gym.draw.replay import arm_data, encode_array, replay_page
+from flexman_gym.draw.replay import replay_page
 from flexman_gym.draw.video import Window
 from flexman_gym.simulation.episode import Episode, episode_metadata
 
@@ -149,8 +149,8 @@ def drawn_tip(arm, q, gain):
 @pytest.mark.parametrize("stiffening", [False, True])
 def test_a_page_holds_all_that_places_the_tip(stiffening):
     """With joints that wind up, axes that lie across one another, and foreshortening; three times enlarged, too."""
-    model = fm.build_model(fm.catalog.paper_rrr(joint_stiffness=5000.0), 1, modes=4, stiffening=stiffening)
-    page, random = arm_data(model), np.random.default_rng(0)
+    one, random = episode(stiffening=stiffening), np.random.default_rng(0)
+    model, (page,) = one.model, embedded(replay_page([one]))["arms"]
     for gain in (1.0, 3.0):
         state = 0.1 * random.normal(size=2 * model.n_dof)
         tip = fm.curves(model, state, 2, gain).positions[-1, -1]
@@ -186,8 +186,9 @@ def test_targets_are_seen_from_where_a_picture_is_seen():
 
 
 def test_a_page_holds_the_outlines_of_the_links():
-    model = episode().model
-    for link, section in zip(arm_data(model)["links"], section_outlines(model, 24), strict=True):
+    one = episode()
+    (arm,) = embedded(replay_page([one]))["arms"]
+    for link, section in zip(arm["links"], section_outlines(one.model, 24), strict=True):
         for name, values in section._asdict().items():
             assert np.array_equal(np.frombuffer(base64.b64decode(link[name]), "<f4"), values.astype("f4").ravel()), name
 
@@ -226,7 +227,9 @@ def test_the_command_writes_a_page_and_says_what_is_wrong(tmp_path):
 
 
 def test_numbers_are_packed_little_endian():
-    assert base64.b64decode(encode_array(np.array([1.0]))) == b"\0\0\x80\x3f"
+    one = episode()
+    (run,) = embedded(replay_page([replace(one, errors=np.ones_like(one.errors))]))["runs"]
+    assert base64.b64decode(run["error"]) == ROWS * b"\0\0\x80\x3f"
 
 
 @pytest.mark.skipif(not (ROOT / "scripts" / "web" / "node_modules").is_dir(), reason="needs npm ci in scripts/web")

@@ -12,9 +12,10 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 import flexman_gym as fm
-from flexman_gym.scene.arm import Arm, Payload
+from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import MAX_SECTIONS, Link, NonUniformLink
+from flexman_gym.scene.rigid_body import Payload
 
 from oracles.assertions import offenders
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.scene.arm import Payload
 from flexman_gym.scene.catalog import one_link, paper_rrr, paper_scene, planar_2r
+from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.scene.scene import Scene
 from flexman_gym.scene.serialization import ARM_FOLDER, ARMS, find_arm
 

@@ -13,9 +13,10 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexman_gym.scene.arm import Arm, Payload
+from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import IDENTITY, Link, NonUniformLink
+from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.scene.scene import Initial, ModelChoice, Scene
 from flexman_gym.scene.signals import ConstantTorque, SineTorque
 

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray, Vector, pad_rows, row_dots
-from flexman_gym.common.checks import MAX_SHOWN, READ_ERRORS, open_arrays, short_path, value_error
+from flexman_gym.common.checks import MAX_SHOWN, short_path, value_error
+from flexman_gym.common.files import READ_ERRORS, open_arrays
 from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.lqr import LQR, SHARE
 from flexman_gym.control.references.trajectories import plan_slew

@@ -6,8 +6,9 @@ from typing import Any
 
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.tasks import Hold, Slew, Task, Track, plain_task
-from flexman_gym.scene.arm import Arm, Payload
+from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.catalog import one_joint, paper_rrr, quanser_2dsfl, vertical_2r
+from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.scene.serialization import to_plain
 
 Gains = dict[str, tuple[float, ...]]

@@ -17,9 +17,10 @@ from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.model.statics import rest_states
 from flexman_gym.model.vibration import modes
-from flexman_gym.scene.arm import Arm, Payload
+from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link
+from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.simulation.batch import Batch
 
 ENVIRONMENTS = ("FlexRRR-v0", "FlexPlanar-v0", "FlexOne-v0")

@@ -12,7 +12,7 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.model.dynamics import frequencies, mass_matrix, stiffness_matrix
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene import catalog
-from flexman_gym.scene.arm import Payload
+from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.scene.scene import Initial, Scene
 from flexman_gym.scene.signals import ConstantTorque, Signal
 from flexman_gym.simulation.amplification import stability_limit

@@ -11,9 +11,10 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import scene_model
 from flexman_gym.scene import catalog
-from flexman_gym.scene.arm import Arm, Payload
+from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link, NonUniformLink
+from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.scene.scene import Initial, ModelChoice, Scene
 from flexman_gym.scene.signals import ConstantTorque, Signal
 from flexman_gym.simulation.scenes import simulate

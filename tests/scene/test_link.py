@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import flexman_gym as fm
-from flexman_gym.scene.section import MATERIALS, Outline
+from flexman_gym.scene.link import MATERIALS, Outline
 from flexman_gym.scene.serialization import arm_from_plain, to_plain
 
 from oracles.assertions import refusal
