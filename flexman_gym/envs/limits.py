@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import mapping, positive, set_fields
+from flexman_gym.common.checks import mapping, positive, set_fields, value_error
 from flexman_gym.envs.view import View
 
 
@@ -68,4 +68,7 @@ def find_limits(value: object) -> Limits:
     Raises:
         ValueError: for anything else.
     """
-    return Limits(**mapping("limits", value, [each.name for each in fields(Limits)]))
+    names = [each.name for each in fields(Limits)]
+    if not isinstance(value, dict):
+        raise value_error("limits", value, f"a mapping with some of {', '.join(names)}, or Limits")
+    return Limits(**mapping("limits", value, names))

@@ -333,7 +333,7 @@ class Scene:
             model=partial(part_from_plain, ModelChoice, "model"),
             torque=partial(_torque_from_plain, folder=folder),
             initial=partial(part_from_plain, Initial, "initial"),
-            **{name: signals(name) for name in UNITS},
+            **{name: signals(name) for name in UNITS},  # type: ignore[arg-type]
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -52,7 +52,7 @@ def is_plain(value: object) -> bool:
 
 def checked_task(value: object) -> Task:
     """Return a task, or that of a name or a mapping."""
-    result = find_task(value) if isinstance(value, str | dict) else value
+    result = find_task(value) if is_plain(value) else value
     if not isinstance(result, Task) or isinstance(result, type):
         allowed = "a task: an object with sensors, moves, draw, goal, reward_terms and info, such as Slew()"
         raise value_error("task", value, allowed)
@@ -62,7 +62,7 @@ def checked_task(value: object) -> Task:
 
 def checked_limits(value: object) -> Limits:
     """Return Limits, or those of a mapping."""
-    result = find_limits(value) if isinstance(value, str | dict) else value
+    result = find_limits(value) if is_plain(value) else value
     if not isinstance(result, Limits):
         raise value_error("limits", value, "Limits")
     return result

@@ -17,7 +17,7 @@ def find_task(value: object) -> Any:
     """Gives the task of a name, or of a mapping with its name at "kind" and its arguments; raises ValueError."""
     entries = {"kind": value} if isinstance(value, str) else value
     if not isinstance(entries, dict) or "kind" not in entries:
-        raise value_error("task", value, f"one of {', '.join(TASKS)}, or a mapping with that at kind")
+        raise value_error("task", value, f"one of {', '.join(TASKS)}, or a mapping with that at kind, or a task")
     kind = TASKS[one_of("task", text("task.kind", entries["kind"]), TASKS)]
     arguments = {name: each for name, each in entries.items() if name != "kind"}
     return kind(**mapping("task", arguments, [each.name for each in fields(kind)]))
