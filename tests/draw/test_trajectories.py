@@ -113,6 +113,7 @@ def test_without_a_path_the_figure_is_shown(monkeypatch):
     """In a window, or below the cell of a notebook, as Matplotlib is set."""
     from matplotlib import pyplot
 
+    pyplot.close("all")  # figures of other tests in this process
     shown = []
     monkeypatch.setattr(pyplot, "show", lambda: shown.extend(pyplot.get_fignums()))
     assert trajectory_figure(run()) is None
