@@ -272,16 +272,16 @@ class Episodes:
         """
         self.agent.command = commands
         begun = playing = ~self.over
-        repeat, rewards, count = self.agent.action_repeat, np.zeros(len(commands)), np.zeros(len(commands))
-        for period in range(repeat):
-            moving = self._all if repeat == 1 or playing.all() else playing
+        rewards, count, due = np.zeros(len(commands)), np.zeros(len(commands)), False
+        while not due:
+            moving = self._all if self.agent.action_repeat == 1 or playing.all() else playing
             self._period(moving)
-            self._judge(moving, last=period == repeat - 1)
+            due = bool(self.agent.due(moving).any())
+            self._judge(moving, due)
             rewards[moving] += self.rewards()[moving]
             count += moving
             playing = ~self.over
-            if not np.count_nonzero(playing):
-                break
+            due |= not np.count_nonzero(playing)
         self._observe(begun & ~self.view.failed)
         return rewards / np.maximum(count, 1.0)
 

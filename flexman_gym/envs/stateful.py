@@ -96,7 +96,7 @@ class StatefulEnv:
 
 def _renamed(state: Any, command: Array) -> Any:
     """Return a state of version 0.2, where the observations stand beside the sensors, under the names of today."""
-    if not isinstance(state, dict) or "acting" not in state or not isinstance(state.get("episodes"), dict):
+    if not isinstance(state, dict) or not all(isinstance(state.get(name), dict) for name in ("acting", "episodes")):
         return state
     episodes, state = dict(state["episodes"]), dict(state)
     try:
