@@ -112,7 +112,7 @@ class Agent:
         self.mode, self.base, self.law, self.action_repeat = mode, base, law, action_repeat
         self.sensors: Any = (*sensors, *mode.sensors)
         self.shows = mode_observation_size(mode) > 0
-        self._size, self._kind = size, history
+        self._size, self._kind, self._counts = size, history, action_repeat > 1 or history != 1
         self._row = size + mode_observation_size(mode)
         self._history: History | None = None
         self.observations: NDArray[np.float32] = np.zeros((0, history_length(history) * self._row), dtype=np.float32)
@@ -169,7 +169,7 @@ class Agent:
 
     def due(self, playing: Flags) -> Flags:
         """Return the arms (b,) among those playing whose next command begins in this period."""
-        result: Flags = playing & (self._ages % self.action_repeat == 0)
+        result: Flags = playing if self.action_repeat == 1 else playing & (self._ages % self.action_repeat == 0)
         return result
 
     def observe(self, observed: Array, readings: Readings, applied: Array, due: Flags) -> None:
@@ -185,7 +185,7 @@ class Agent:
         if self.shows:
             now = np.concatenate([observed, self.mode.look(readings, applied, due)], axis=1)  # type: ignore[attr-defined]
         if self._history is None:
-            rows: Any = slice(None) if due.all() else due
+            rows: Any = slice(None) if np.count_nonzero(due) == len(due) else due
             self.observations[rows] = now[rows]
             return
         first = self._ages == 0
@@ -204,7 +204,8 @@ class Agent:
             self.observe(self._observed(readings), readings, applied, due)
             arms = np.flatnonzero(due)
             self.command[arms] = np.asarray(self.law(self.observations[arms]), dtype=np.float32)
-        self._ages += playing
+        if self._counts:
+            self._ages += playing
         return np.asarray(self.mode.act(self.command, readings, applied, playing))
 
     def _observed(self, readings: Readings) -> Array:

@@ -107,7 +107,6 @@ class Episodes:
         failures: of the last step, arm -> what happened.
         over, truncated: (b,) whether an arm's episode is over, by a failure or because it has lasted `longest` control
             periods; and whether by the latter.
-        terms: name -> (b,) reward terms of the present state, a number each for one arm; None until they are needed.
         watch: called after every control period, also those within an action that is kept; None for nothing.
     """
 
@@ -116,7 +115,8 @@ class Episodes:
     def __init__(self, setup: Configuration, batch: Batch) -> None:
         self.batch, self.task, self.view = batch, setup.task, View(batch)
         self._reward_terms = reward_terms(setup.task, setup.reward)
-        self.terms: dict[str, Number] | None = None
+        self._terms: dict[str, Number] | None = None  # of the present state, once they are needed
+        self._present: View | None = None
         arms = len(batch.rows)
         self._limits = np.concatenate(list(setup.limits.bounds(self.view).values()))
         self.motors = _Motors(setup.torque_limit, arms, setup.lag)
@@ -181,7 +181,7 @@ class Episodes:
         if self.effects is not None:
             self.effects.follow(randoms)
         view.renew()
-        self.terms = None
+        self.forget()
         self.measurements.renew(randoms)
 
     @property
@@ -226,7 +226,7 @@ class Episodes:
         self.view.effort[arms], self.view.failed[arms], self.view.action[arms] = 0.0, False, 0.0
         self._ages[arms], self.truncated[arms] = 0, False
         self.view.read()
-        self.terms = None
+        self.forget()
         self.measurements.begin(arms, randoms)
         self._check_start(arms, options)
         self._begin_agent(arms, plan, self.view.goal_angles[arms])
@@ -271,10 +271,15 @@ class Episodes:
         as it was then. One whose episode was over has no outcome worth reading before it is reset.
         """
         self.agent.command = commands
+        if self.agent.action_repeat == 1:
+            self._period(self._all)
+            self._judge(self._all, last=True)
+            self._observe(~self.view.failed if np.count_nonzero(self.view.failed) else self._all)
+            return self.rewards()
         begun = playing = ~self.over
         rewards, count, due = np.zeros(len(commands)), np.zeros(len(commands)), False
         while not due:
-            moving = self._all if self.agent.action_repeat == 1 or playing.all() else playing
+            moving = self._all if playing.all() else playing
             self._period(moving)
             due = bool(self.agent.due(moving).any())
             self._judge(moving, due)
@@ -299,8 +304,8 @@ class Episodes:
         if self.task.moves:
             self._move_goals(playing)
         view.read()
+        self.forget()
         self.measurements.sample(None if everyone else np.flatnonzero(playing))
-        self.terms = None
 
     def _judge(self, playing: Flags, last: bool) -> None:
         """Ends the episodes of arms that are playing and have left their limits or lasted long enough.
@@ -353,18 +358,28 @@ class Episodes:
     @property
     def present(self) -> View:
         """View of all arms, or of the only one, whose numbers take less time than arrays of one."""
-        return self.view if len(self.over) > 1 else self.view.alone()
+        if self._present is None:
+            self._present = self.view if len(self.over) > 1 else self.view.alone()
+        return self._present
+
+    @property
+    def terms(self) -> dict[str, Number]:
+        """Reward terms of the control period just over, name -> (b,), or a number for one arm."""
+        if self._terms is None:
+            self._terms = self._reward_terms(self.present)
+        return self._terms
+
+    def forget(self) -> None:
+        """Forget what was derived from the state before."""
+        self._terms = self._present = None
 
     def rewards(self) -> Array:
         """Return the rewards (b,) of the control period just over."""
-        if self.terms is None:
-            self.terms = self._reward_terms(self.present)
-        rewards = np.asarray(total(self.terms))
-        return rewards if rewards.ndim else np.full(len(self.over), rewards)
+        result = total(self.terms)
+        return result if isinstance(result, np.ndarray) and result.ndim else np.array([result] * len(self.over))
 
     def info(self) -> dict[str, Any]:
         """Return the numbers of the info, with an axis for the arms unless there is only one."""
-        self.rewards()
         view = self.present
         residual = view.energy_residual
         return {
@@ -373,7 +388,7 @@ class Episodes:
             "elastic_energy": view.elastic_energy,
             "energy_residual": residual,
             "energy_alarm": energy_alarm(residual, view.energy_turnover, self._energy_alarm),
-            "reward_terms": dict(self.terms or {}),
+            "reward_terms": dict(self.terms),
             **{name: copy(value) for name, value in self.task.info(view).items()},  # what a view has goes on
             **{name: copy(getattr(view, name)) for name in self._told},
         }
