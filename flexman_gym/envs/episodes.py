@@ -283,8 +283,9 @@ class Episodes:
             self._period(moving)
             due = bool(self.agent.due(moving).any())
             self._judge(moving, due)
-            rewards[moving] += self.rewards()[moving]
-            count += moving
+            rows = slice(None) if moving is self._all else moving
+            rewards[rows] += self.rewards()[rows]
+            count[rows] += 1.0
             playing = ~self.over
             due |= not np.count_nonzero(playing)
         self._observe(begun & ~self.view.failed)

@@ -185,11 +185,15 @@ def test_a_held_action_never_reaches_the_next_episode(mode):
     assert (infos["reward_terms"]["effort"] == 0.1).all(), "no torque was asked for since the reset"
 
 
+SHAPED = {"base": "privileged-lqr", "actions": "shaping", "sensors": ()}  # the mode reads before the agent acts, too
+
+
+@pytest.mark.parametrize("settings", [{"base": "pd"}, SHAPED], ids=["torque", "shaping"])
 @pytest.mark.parametrize("hold", [1, 4])
-def test_sensors_are_read_once_a_period_at_most(hold, monkeypatch):
+def test_sensors_are_read_once_a_period_at_most(hold, settings, monkeypatch):
     """Those of the agent once an action, those of the base once a period; also where an episode ends on the way."""
     reads = []
-    env = FlexManEnv(hold=hold, base="pd", horizon=0.3)
+    env = FlexManEnv(action_repeat=hold, horizon=0.3, **settings)
     for part in (env.sensors, env.episodes.measurements._base_sensors):
         inner = part.read
         monkeypatch.setattr(part, "read", lambda part=part, inner=inner: (reads.append(part), inner()))
@@ -197,7 +201,7 @@ def test_sensors_are_read_once_a_period_at_most(hold, monkeypatch):
     reads.clear()
     steps = -(-15 // hold)
     for _ in range(steps):
-        *_, truncated, _ = env.step(np.zeros(3))
+        *_, truncated, _ = env.step(np.zeros(env.action_space.shape))
     assert truncated and [part is env.sensors for part in reads].count(True) == steps and len(reads) == steps + 15
 
 
