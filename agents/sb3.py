@@ -1,4 +1,4 @@
-"""Stable-Baselines3: models made from settings, and policies read from its own files where these are trusted."""
+"""Stable-Baselines3: models from settings, policies from its own files, and recipes as files of rl_zoo3."""
 
 import pickle
 import zipfile
@@ -18,8 +18,17 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-from flexman_agents.settings import HYPERPARAMETERS, Settings
+from flexman_agents.settings import (
+    EXPLORATION,
+    HYPERPARAMETERS,
+    RECIPE_FOLDER,
+    RECIPES,
+    Schedule,
+    Settings,
+    find_recipe,
+)
 from flexman_agents.vector import Arms
+from flexman_gym.common import files
 from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.common.files import existing_file
 from flexman_gym.common.run_folder import SETTINGS, read_settings_text
@@ -156,3 +165,64 @@ def load_sb3_zip(path: Path, described: Configuration | None = None) -> AgentSpe
         said = " ".join(str(error).split())[:120] or type(error).__name__
         raise ValueError(f"{path}: this is not a policy of Stable-Baselines3 ({said})") from None
     return replace(entrant, name=path.stem)
+
+
+ZOO = RECIPE_FOLDER / "rl_zoo3"
+CALLBACK = "flexman_agents.callbacks.Exploration"
+
+
+def zoo_hyperparameters(settings: Settings) -> dict[str, Any]:
+    """Return settings in the form of rl_zoo3: id of the environment -> hyperparameters.
+
+    The schedule of the exploration becomes a callback. The seed is an argument of rl_zoo3, which evaluates in its own
+    way.
+
+    Raises:
+        ValueError: for a learning rate that is neither constant nor falls to zero at the end.
+    """
+    chosen = algorithm_arguments(settings)
+    policy = chosen.pop("policy_kwargs")
+    words = [f"{name}={_word(value)}" for name, value in policy.items()]
+    chosen["learning_rate"] = _rate(chosen["learning_rate"])
+    described = settings.environment
+    result = {
+        "n_envs": settings.envs,
+        "n_timesteps": settings.steps,
+        "policy": "MlpPolicy",
+        "normalize": {"norm_obs": True, "norm_reward": settings.normalise_reward},
+        **chosen,
+        "policy_kwargs": f"dict({', '.join(words)})",
+        "env_kwargs": _difference(described.to_plain(), type(described)(described.id).to_plain()),
+    }
+    for name in EXPLORATION:
+        if name in settings.schedules:
+            result["callback"] = {CALLBACK: {"schedule": dict(settings.schedules[name]), "steps": settings.steps}}
+    return {described.id: result}
+
+
+def write_zoo_files(folder: Path = ZOO) -> None:
+    """Write each recipe whose algorithm rl_zoo3 has to a file in a folder."""
+    folder.mkdir(exist_ok=True)
+    for name in RECIPES:
+        settings = find_recipe(name)
+        if settings.algo in ALGORITHMS:
+            files.write_data(folder / f"{name}.yml", zoo_hyperparameters(settings))
+
+
+def _rate(rate: object) -> object:
+    if not isinstance(rate, Schedule):
+        return rate
+    if rate.end == rate.start:
+        return rate.start
+    if rate.end != 0.0 or rate.until != 1.0:
+        raise value_error("schedules.learning_rate", rate, "one that stays, or falls to zero at the end, for rl_zoo3")
+    return f"lin_{rate.start}"
+
+
+def _word(value: object) -> str:
+    return f"nn.{value.__name__}" if isinstance(value, type) else repr(value)
+
+
+def _difference(settings: dict[str, Any], named: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings that differ from those of the named environment."""
+    return {name: value for name, value in settings.items() if name != "id" and named.get(name) != value}

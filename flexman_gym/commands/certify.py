@@ -1,8 +1,12 @@
-"""Certify a policy: where it fails, written beside it."""
+"""Certify a policy: `league --agent`, where it fails, written beside it."""
 
 import argparse
+from typing import TYPE_CHECKING
 
 from flexman_gym.commands import CommandLine
+
+if TYPE_CHECKING:
+    from flexman_gym.common.grid import Workers
 
 
 def _arguments(result: argparse.ArgumentParser) -> None:
@@ -13,12 +17,17 @@ def _arguments(result: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Writes the certificate; returns 0, or 1 where something fails."""
+    """Write the certificate; return 0, or 1 where something fails."""
+    return print_certificate(options.policy)
+
+
+def print_certificate(policy: str, jobs: "Workers | int" = 1) -> int:
+    """Write the certificate of a policy and print its rows; return 0, or 1 where something fails."""
     import json
 
     from flexman_gym.league.certificate import certify
 
-    path = certify(options.policy, say=lambda said: print(said, flush=True))
+    path = certify(policy, jobs=jobs, say=lambda line: print(line, flush=True))
     fails = json.loads(path.read_bytes())["fails"]
     print(f"{path}: {'not recommended, it fails ' + ', '.join(fails) if fails else 'recommended'}")
     return 1 if fails else 0

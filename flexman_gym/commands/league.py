@@ -1,10 +1,10 @@
-"""Play the league: all entrants in the same episodes."""
+"""Run the league: all agents in the same episodes."""
 
 import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flexman_gym.commands import CommandLine
+from flexman_gym.commands import CommandLine, certify
 
 if TYPE_CHECKING:
     from flexman_gym.league.rows import LeagueRows
@@ -20,9 +20,16 @@ def _arguments(result: argparse.ArgumentParser) -> None:
     from flexman_gym.evaluation.rollout import TEST_SEEDS
     from flexman_gym.league.scenarios import SWEEPS
 
-    result.add_argument("--entrants", nargs="+", help=f"folders of runs, or {', '.join(AGENTS)}; without it these")
     result.add_argument(
-        "--environments", nargs="+", help="ids, ids and conditions, or files; without it the usual ones"
+        "--agents", "--entrants", nargs="+", help=f"folders of runs, or {', '.join(AGENTS)}; without it these"
+    )
+    result.add_argument(
+        "--scenarios", "--environments", nargs="+",
+        help="ids, ids and conditions, files, or these with a change, such as FlexRRR-v0/delay=3+given; without "
+        "it the usual ones",
+    )  # fmt: skip
+    result.add_argument(
+        "--agent", metavar="POLICY", help="an exported policy alone: its certificate, see flexman certify"
     )
     result.add_argument("--sweep", nargs="+", default=[], metavar="NAME", help=f"of {', '.join(SWEEPS)}, instead")
     result.add_argument(
@@ -31,55 +38,60 @@ def _arguments(result: argparse.ArgumentParser) -> None:
     result.add_argument("--episodes", type=int, help=f"without it {len(TEST_SEEDS)}, or as many as there are")
     result.add_argument("--seed", type=int, default=TEST_SEEDS.start, help="of the first episode; the next follow")
     Workers.arguments(result)
-    result.add_argument("--folder", type=Path, default=FOLDER, help="of rows, page and charts; what it has is kept")
-    result.add_argument(
-        "--add", nargs="+", metavar="RUN", help="play these alone, where the folder's others have played"
-    )
+    result.add_argument("--folder", type=Path, help=f"of rows, page and charts, without it {FOLDER}; its rows are kept")
+    result.add_argument("--add", nargs="+", metavar="RUN", help="run these alone, in the scenarios of the folder")
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Plays what the folder does not have yet; returns the exit code."""
+    """Run what the folder does not have yet; return the exit code."""
     from flexman_gym.common.grid import Workers
+    from flexman_gym.common.markdown import markdown_table
     from flexman_gym.evaluation.agent import AGENTS
-    from flexman_gym.league.page import PAGE, write_page
+    from flexman_gym.league.page import PAGE, glance, write_page
     from flexman_gym.league.rows import LeagueRows, run_league
+    from flexman_gym.league.standings import Standings
 
     workers = Workers.of(options)
     for name, least in (("episodes", 1), ("seed", 0)):
         given = getattr(options, name)
         if given is not None and given < least:
             options.parser.error(f"--{name}: {given} is not allowed; give a whole number >= {least}")
-    entrants = options.add or options.entrants or AGENTS
-    for episodes, venues in _scenarios(options, LeagueRows.load(options.folder)).items():
+    if options.agent:
+        return certify.print_certificate(options.agent, jobs=workers)
+    agents, folder = options.add or options.agents or AGENTS, options.folder or FOLDER
+    groups = _scenarios(options, LeagueRows.load(folder))
+    for episodes, scenarios in groups.items():
         seeds = range(options.seed, options.seed + episodes)
-        book = run_league(entrants, venues, seeds, options.folder, workers, lambda said: print(said, flush=True))
-    write_page(book, options.folder)
-    print(f"{options.folder / PAGE} has the tables.")
+        results = run_league(agents, scenarios, seeds, folder, workers, lambda line: print(line, flush=True))
+    names = [name for scenarios in groups.values() for name in scenarios]
+    print("\n".join(markdown_table(["agent", *names], glance(Standings(results), names))))
+    write_page(results, folder)
+    print(f"{folder / PAGE} has all tables." if (folder / PAGE).exists() else f"{folder} has the rows.")
     return 0
 
 
-def _scenarios(options: argparse.Namespace, book: "LeagueRows") -> dict[int, list[str]]:
-    """Numbers of episodes, and the venues in which so many are played."""
+def _scenarios(options: argparse.Namespace, results: "LeagueRows") -> dict[int, list[str]]:
+    """Return numbers of episodes, and the scenarios that have this number."""
     from flexman_gym.envs.config.named_environments import DEFAULT
     from flexman_gym.evaluation.rollout import TEST_SEEDS
     from flexman_gym.league.scenarios import USUAL_SCENARIOS, plant_scenarios, sweep_scenarios
 
-    venues = options.environments or USUAL_SCENARIOS
+    scenarios = options.scenarios or USUAL_SCENARIOS
     episodes = options.episodes or (PHYSICAL if options.physical else len(TEST_SEEDS))
     if options.physical:
-        venues = plant_scenarios()
+        scenarios = plant_scenarios()
     elif options.sweep:
-        venues = [each for id in options.environments or [DEFAULT] for sweep in options.sweep
-                  for each in sweep_scenarios(id, sweep)]  # fmt: skip
-    elif options.add and not options.environments and book.cells:
-        last = {
-            venue: max(cell.end for cell in book.cells.values() if cell.venue == venue) for venue, _, _ in book.cells
-        }
+        scenarios = [each for id in options.scenarios or [DEFAULT] for sweep in options.sweep
+                     for each in sweep_scenarios(id, sweep)]  # fmt: skip
+    elif options.add and not options.scenarios and results.cells:
+        last: dict[str, int] = {}
+        for cell in results.cells.values():
+            last[cell.scenario] = max(cell.end, last.get(cell.scenario, 0))
         groups: dict[int, list[str]] = {}
-        for venue, end in last.items():
-            groups.setdefault(options.episodes or max(1, end - options.seed), []).append(venue)
+        for scenario, end in last.items():
+            groups.setdefault(options.episodes or max(1, end - options.seed), []).append(scenario)
         return groups
-    return {episodes: [venue.removesuffix("/nominal") for venue in venues]}
+    return {episodes: [scenario.removesuffix("/nominal") for scenario in scenarios]}
 
 
 COMMAND = CommandLine(_arguments, _run)

@@ -13,6 +13,7 @@ MODULES = {
     "flexman_agents.algorithm": "flexman_agents.sb3",
     "flexman_agents.memory": "flexman_agents.training",
     "flexman_agents.recipes": "flexman_agents.settings",
+    "flexman_agents.zoo": "flexman_agents.sb3",
     "flexman_gym.control.reference": "flexman_gym.control.references.trajectories",
     "flexman_gym.control.shaper": "flexman_gym.control.input_shaping.shapers",
     "flexman_gym.envs.description": "flexman_gym.envs.config.configuration",
@@ -27,6 +28,7 @@ MODULES = {
 }
 """Old module -> present module."""
 NAMES = {
+    "flexman_agents.sb3": {"zoo": "zoo_hyperparameters", "write_zoo": "write_zoo_files"},
     "flexman_agents.training": {"take_policy": "policy_state"},
     "flexman_gym.control": {
         "Episode": "EpisodeInfo", "Optimised": "OptimisedController", "Shaped": "InputShapedController",

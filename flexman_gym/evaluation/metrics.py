@@ -51,9 +51,12 @@ class Metric:
     everywhere: bool = True
 
     def sum_up(self, records: Sequence[EpisodeRecord]) -> float:
-        """Gives the mean or the median of episodes; of an even number of them the upper of the middle two."""
-        result = self.each(records)
-        return upper_median(result) if self.many == MEDIAN else float(np.mean(result))
+        """Return the mean or the median over episodes; of an even number of them the upper of the middle two."""
+        return self.summary(self.each(records))
+
+    def summary(self, values: Array) -> float:
+        """Return the mean or the median of the numbers (b,) of episodes, see `sum_up`."""
+        return upper_median(values) if self.many == MEDIAN else float(np.mean(values))
 
     def each(self, records: Sequence[EpisodeRecord]) -> Array:
         """Gives the number of each of the episodes, (b,)."""

@@ -24,7 +24,8 @@ KEYS = (
     "environment_hash", "settings_hash", "observation", "league", "arrays_hash",
 )  # fmt: skip
 STATISTICS, CHECKS = ("statistics.mean", "statistics.var"), ("check.observations", "check.actions")
-CERTIFIED = (("arrays_hash", str), ("fails", list), ("trials", list))  # keys of a certificate, and their types
+CERTIFIED = (("arrays_hash", str), ("fails", list), ("rows", list))  # keys of a certificate, and their types
+FORMER_KEYS = {"trials": "rows", "name": "scenario"}  # keys in certificates of version 0.2 -> keys
 CHECK_ROWS, CHECK_TOLERANCE = (
     64,
     1e-9,
@@ -94,21 +95,27 @@ def json_hash(data: object) -> str:
 
 
 def read_certificate(folder: Path) -> dict[str, Any] | None:
-    """Gives what the certificate beside a policy says, None where it has none, or one of other arrays.
+    """Return the certificate beside a policy; None where it has none, or one of other arrays.
 
     Raises:
-        ValueError: one line, for a broken file, and for one without arrays_hash, fails and trials.
+        ValueError: one line, for a broken file, and for one without arrays_hash, fails and rows.
     """
     path = folder / CERTIFICATE
     if not path.is_file():
         return None
     try:
-        result = parse_json(_content(path))
+        result = _present_keys(parse_json(_content(path)))
         if not isinstance(result, dict) or not all(isinstance(result.get(name), kind) for name, kind in CERTIFIED):
             raise ValueError(f"give a mapping with {', '.join(name for name, _ in CERTIFIED)}")
     except ValueError as error:
         raise ValueError(f"{short_path(path)}: this is no certificate ({error})") from None
+    result["rows"] = [_present_keys(row) for row in result["rows"]]
     return result if result["arrays_hash"] == parse_json(_content(folder / ABOUT)).get("arrays_hash") else None
+
+
+def _present_keys(data: Any) -> Any:
+    """Return a mapping with the present names of its keys, see FORMER_KEYS; anything else as it is."""
+    return {FORMER_KEYS.get(name, name): value for name, value in data.items()} if isinstance(data, dict) else data
 
 
 def describe_policy(name: str) -> str:

@@ -1,207 +1,191 @@
-"""Certificate of a policy: tests with other physics, parameters, delays and noise, and the worst episodes."""
+"""Certificate of a policy: a league of one agent under other physics, parameters, delays and noise, with a verdict."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import computer_info
 from flexman_gym.common.files import write_atomically
+from flexman_gym.common.grid import Workers
+from flexman_gym.envs.config.conditions import NOMINAL
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED
-from flexman_gym.evaluation.agent import AgentSpec, design_for, find_agent
+from flexman_gym.envs.tasks import plain_task
+from flexman_gym.evaluation.agent import INTERFACE, find_agent
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.policy_files import CERTIFICATE, policy_folder, read_policy
-from flexman_gym.evaluation.rollout import TEST_SEEDS, EpisodeRecord, rollout
-from flexman_gym.league.scenarios import PLANTS, find_plant
-from flexman_gym.simulation.integrator import default_step
+from flexman_gym.evaluation.rollout import TEST_SEEDS
+from flexman_gym.league.rows import VALUES, EpisodeRow, run_league
+from flexman_gym.league.scenarios import GIVEN, PLANTS, drawn_ranges, find_scenario
 
-USUAL, PHYSICS, FAR = 0.95, 0.95, 0.9  # least share of episodes that settle: as trained, otherwise moved, elsewhere
-LOUDER, LOUDER_BY = 1.2, 1e-4  # vibration otherwise moved: times that as trained, or so much above it, in m
-DRAWS, WORST, FIRST_DRAW, BLOCK = 1000, 5, 50_000, 100  # of the search: episodes, kept ones, seeds, side by side
-SHOWN = ("settled", "settling_time", "vibration", "error", "roughness", "failed")
-METHOD = "gauss_2_sweeps"  # beside the default, which has another order
-FEW = {"mujoco": 8}  # episodes on a plant that takes long
-DELAYS, NOISES = (0, 1, 2, 3), (0.001, 0.003)  # control periods, and parts of the ranges of instruments
-TOLD, NOT_TOLD = "told", "not told"  # whether the controller is designed for what is changed
-BEYOND = 0.25  # of the range of the training, for what was drawn there
-
-
-class CertificateTrial(NamedTuple):
-    """Where a policy is tried: a name, what is other there, and the changes of its environment.
-
-    Attributes:
-        kind: "usual", "physics" or "far", the least that has to be reached.
-        plant: what moves the arms, see `physical.PLANTS`.
-        told: whether the controller of the policy is designed for the changed environment; otherwise it is the one
-            for the environment of the policy.
-    """
-
-    name: str
-    what: str
-    kind: str
-    changes: Mapping[str, Any]
-    plant: str = "usual"
-    told: bool = True
+FOLDER = Path("out/certificates")  # of the rows, a folder for each policy
+SETTLED, SETTLED_CHANGED = 0.95, 0.9  # least share of episodes that settle: same arm, and changed arm
+LOUDER, LOUDER_BY = 1.2, 1e-4  # most vibration under other physics: factor of that as trained, or m above it
+DRAWS, WORST, FIRST_DRAW = 1000, 5, 50_000  # of the search: episodes, episodes that are listed, first seed
+METRIC_NAMES = ("settled", "settling_time", "vibration", "error", "roughness", "failed")
+METHOD = "gauss_2_sweeps"  # of another order than the default
+OTHER_PLANTS = {"finer": len(TEST_SEEDS), "mujoco": 8}  # plant -> most episodes
+DELAYS, NOISES = (0, 1, 2, 3), (0.001, 0.003)  # control periods, and parts of the ranges of sensors
+BEYOND = 0.25  # part of a range of the training by which a scenario goes beyond it
 
 
 def certify(
-    name: str, seeds: Sequence[int] = TEST_SEEDS, draws: int = DRAWS, say: Callable[[str], None] = print
-) -> Path:
-    """Tries a policy and writes what came out beside it, as `certificate.json`; gives the path.
+    name: str, seeds: range = TEST_SEEDS, draws: int = DRAWS, folder: Path = FOLDER, jobs: Workers | int = 1,
+    say: Callable[[str], None] = print,
+) -> Path:  # fmt: skip
+    """Run a policy in the scenarios of its certificate and write `certificate.json` beside it; return the path.
 
-    What fails is under "fails": a policy is recommended where that is empty.
+    The scenarios and seeds that fail are under "fails": a policy is recommended where that is empty.
 
     Args:
         name: of a shipped policy, or the folder of an exported one.
-        seeds: of the episodes of each trial.
+        seeds: of the episodes of each scenario.
         draws: episodes of the search for the worst ones.
-        say: is told of each trial.
+        folder: of the rows, in a folder with the name of the policy; rows that it has are not run again.
+        jobs: see `run_league`.
+        say: function that takes one line of text for each scenario.
 
     Raises:
         ValueError: one line, for anything else, and for a task in which nothing settles.
     """
-    folder = policy_folder(name)
-    if folder is None:
+    place = policy_folder(name)
+    if place is None:
         raise value_error("name", name, "an exported policy, by its name or folder")
-    entrant, about = find_agent(name), read_policy(folder).about
-    assert entrant.environment is not None
-    if "settling_time" not in getattr(entrant.environment.task, "figures", SHOWN):
+    about, environment = read_policy(place).about, environment_name(name)
+    if "settling_time" not in getattr(find_scenario(environment).environment.task, "figures", METRIC_NAMES):
         raise value_error("name", name, "a policy for a task in which the arm settles")
-    rows: list[dict[str, Any]] = []
-    usual: list[EpisodeRecord] = []
-    played: list[EpisodeRecord] = []
-    trained = Configuration.from_plain(about["recipe"]["settings"]["environment"])
-    for trial in policy_trials(entrant.environment, trained):
-        if trial.told or isinstance((entrant.interface or {}).get("base"), str | dict):  # else the trial before, again
-            played = _run_trial(entrant, trial, seeds[: FEW.get(trial.plant)])
-        usual = usual or played
-        rows.append(_row(trial, played, usual[: len(played)]))
-        say(_row_text(rows[-1]))
-    search = _search(entrant, draws)
-    rows.append(search)
-    say(_row_text(search))
-    result = {
-        "arrays_hash": about["arrays_hash"],
-        "machine": computer_info(),
-        "seeds": [seeds[0], seeds[-1] + 1],
-        "fails": [row["name"] for row in rows if row["fails"]],
-        "trials": rows,
-    }
-    write_atomically(folder / CERTIFICATE, lambda file: file.write((json.dumps(result, indent=1) + "\n").encode()))
-    return folder / CERTIFICATE
+    trials = [(each, seeds[: OTHER_PLANTS.get(each.partition("@")[2])]) for each in certificate_scenarios(name)]
+    trials.append((environment, range(FIRST_DRAW, FIRST_DRAW + draws)))
+    result: list[dict[str, Any]] = []
+    usual: list[EpisodeRow] = []
+    for scenario, each in trials:
+        rows = _run(name, scenario, each, folder / place.name, jobs)
+        usual = usual or rows
+        result.append(certificate_row(scenario, each, rows, usual[: len(rows)]))
+        say(_row_text(result[-1]))
+    result[-1]["worst"] = _worst(rows)
+    about = {"arrays_hash": about["arrays_hash"], "machine": computer_info(), "fails": failures(result), "rows": result}
+    write_atomically(place / CERTIFICATE, lambda file: file.write((json.dumps(about, indent=1) + "\n").encode()))
+    return place / CERTIFICATE
 
 
-def policy_trials(environment: Configuration, trained: Configuration) -> list[CertificateTrial]:
-    """Gives the trials of a policy for an environment, which was trained in another or the same."""
-    setup = environment
-    step = (setup.step or default_step(setup.control_period, NAMED[setup.id].longest_step)) / 4.0
-    result = [
-        CertificateTrial("as trained", "nothing is other", "usual", {}),
-        *(CertificateTrial(plant, PLANTS[plant][0], "physics", {}, plant) for plant in ("finer",
-        "mujoco") if plant in PLANTS),
-        CertificateTrial("method", f"{METHOD} at a quarter of the step", "physics", {"method": METHOD, "step": step}),
-    ]  # fmt: skip
-    far: list[tuple[str, str, dict[str, Any]]] = []
-    for what, drawn in _unseen(environment, trained).items():
-        ends = "; ".join(f"{name} {low:.3g} to {high:.3g}" for name, (low, high) in drawn.items())
-        far.append((what, ends, _with(environment, drawn)))
+def certificate_scenarios(name: str) -> list[str]:
+    """Return the names of the scenarios of a policy: as trained, under other physics, and with a changed arm."""
+    about, where = read_policy(policy_folder(name) or Path(name)).about, environment_name(name)
+    environment = find_scenario(where).environment
+    changes = _unseen(environment, Configuration.from_plain(about["recipe"]["settings"]["environment"]))
     if NAMED[environment.id].conditions and environment.arm == NAMED[environment.id].arm():
-        arm = Configuration(environment.id, {"condition": "friction"}).settings["arm"]
-        far.append(("friction", "friction of the motors, as of the condition", {"arm": arm}))
-    for delay in DELAYS:
-        changes = _with(environment, {"delay": (delay, delay)})
-        far.append((f"delay {delay}", f"torques come {delay} control periods late", changes))
-    for noise in NOISES:
-        changes = _with(environment, {"sensor_noise": (noise, noise)})
-        far.append((f"noise {noise:g}", f"noise of {noise:g} of the range of each sensor", changes))
-    for name, what, changes in far:
-        result += [
-            CertificateTrial(f"{name} ({words})", what, "far", changes, told=words == TOLD)
-            for words in (TOLD, NOT_TOLD)
-        ]
-    return result
+        changes.append("friction=1")
+    changes += [*(f"delay={delay}" for delay in DELAYS), *(f"noise={noise:g}" for noise in NOISES)]
+    base = f"{where}/{NOMINAL}" if where in NAMED else where  # an id alone stands for the condition of the change
+    physics = [*(f"{where}@{plant}" for plant in OTHER_PLANTS if plant in PLANTS), f"{base}/method={METHOD}"]
+    return [where, *physics, *(f"{base}/{change}{given}" for change in changes for given in (GIVEN, ""))]
 
 
-def _row_text(row: Mapping[str, Any]) -> str:
-    """Gives a row in words."""
-    values = ", ".join(f"{name} {row[name]:.3g}" for name in SHOWN if row[name] is not None)
-    said = f"FAILS ({row['fails']})" if row["fails"] else "passes"
-    return f"{row['name']:<22}{said}: {values}"
+def environment_name(name: str) -> str:
+    """Return the named environment for which a policy was exported, or the policy where it is for another one.
+
+    Gains of a PD and the reward may differ: a policy has its own gains, and nothing is trained here.
+    """
+    agent, about = find_agent(name), read_policy(policy_folder(name) or Path(name)).about
+    assert agent.environment is not None
+    named = about["league"].get("environment", agent.environment.id)
+    known = named.partition("/")[0] in NAMED and _same_arms(agent.environment, find_scenario(named).environment)
+    return str(named) if known else name
 
 
-def _unseen(environment: Configuration, trained: Configuration) -> dict[str, dict[str, tuple[float, float]]]:
-    """Payload and stiffness that no training drew: the range of the condition, or beyond that of the training."""
-    conditions = ("payload", "stiffness") if NAMED[environment.id].conditions else ()
-    seen = _drawn(trained)
-    result = {}
-    for condition in conditions:
-        spans = _drawn(Configuration(environment.id, {"condition": condition}))
-        for name in spans.keys() & seen.keys():
-            low, high = seen[name]
-            wide = BEYOND * (high - low)
-            spans[name] = (low - wide, low) if condition == "stiffness" else (high, high + wide)
-        result[condition] = spans
-    return result
+def certificate_row(
+    scenario: str, seeds: range, rows: Sequence[EpisodeRow], usual: Sequence[EpisodeRow]
+) -> dict[str, Any]:
+    """Return the metrics of the rows of a scenario, and the reasons for which they fail, "" for none.
 
-
-def _with(environment: Configuration, drawn: Mapping[str, tuple[float, float]]) -> dict[str, Any]:
-    """The randomisation of an environment with other ranges of what is drawn."""
-    return {"randomisation": {**_drawn(environment), **{name: list(span) for name, span in drawn.items()}}}
-
-
-def _drawn(environment: Configuration) -> dict[str, Any]:
-    """The ranges of what the episodes of an environment draw."""
-    own = environment.randomisation
-    return dict(own.given) if own else {}
-
-
-def _run_trial(entrant: AgentSpec, trial: CertificateTrial, seeds: Sequence[int]) -> list[EpisodeRecord]:
-    """Return the episodes of a trial."""
-    environment = entrant.environment
-    assert environment is not None
-    changed = environment.replace(**trial.changes)
-    player = entrant if trial.told else design_for(entrant, environment)
-    return rollout(player, changed, seeds, moved=find_plant(trial.plant)).records
-
-
-def _row(trial: CertificateTrial, records: Sequence[EpisodeRecord], usual: Sequence[EpisodeRecord]) -> dict[str, Any]:
-    """What came out of a trial, and why it fails, "" where it does not."""
-    values = _values(SHOWN, records)
-    least = {"usual": USUAL, "physics": PHYSICS, "far": FAR}[trial.kind]
+    Args:
+        scenario: name.
+        seeds: of the rows.
+        rows: of the scenario.
+        usual: rows of the same seeds as trained.
+    """
+    values = _summaries(METRIC_NAMES, rows)
+    physics = "@" in scenario or f"/method={METHOD}" in scenario
+    least = SETTLED if physics or "=" not in scenario else SETTLED_CHANGED
     why = []
     if values["failed"]:
         why.append("an episode ended at a limit")
     if not (values["settled"] or 0.0) >= least:
         why.append(f"less than {least:.0%} settle")
-    if trial.kind == "physics":
-        before, now = METRICS["vibration"].sum_up(usual), values["vibration"]
+    if physics:
+        before, now = METRICS["vibration"].summary(_values("vibration", usual)), values["vibration"]
         most = max(LOUDER * before, before + LOUDER_BY)
         if now is None or now > most:
             why.append(f"the tip moves by more than {1e3 * most:.2g} mm")
-    return {"name": trial.name, "what": trial.what, "episodes": len(records), **values, "fails": ", ".join(why)}
+    return {"scenario": scenario, "seeds": [seeds.start, seeds.stop], **values, "fails": ", ".join(why)}
 
 
-def _search(entrant: AgentSpec, draws: int) -> dict[str, Any]:
-    """The worst of so many episodes, those of the lowest reward, to which a failure adds its penalty."""
-    assert entrant.environment is not None
-    found: list[tuple[float, int]] = []
-    records: list[EpisodeRecord] = []
-    for first in range(FIRST_DRAW, FIRST_DRAW + draws, BLOCK):
-        seeds = range(first, min(first + BLOCK, FIRST_DRAW + draws))
-        played = rollout(entrant, entrant.environment, seeds).records
-        found += [(METRICS["reward"].of(record), seed) for seed, record in zip(seeds, played, strict=True)]
-        records += played
-    row = _row(CertificateTrial("search", f"the {WORST} worst of {draws} draws", "usual", {}), records, records)
-    worst = {seed: [records[seed - FIRST_DRAW]] for _, seed in sorted(found)[:WORST]}
-    row["worst"] = [{"seed": seed, **_values(("reward", *SHOWN[1:]), each)} for seed, each in worst.items()]
-    return row
+def failures(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Return the scenarios that fail, with their seeds where these are not those of the first row."""
+    first = rows[0]["seeds"][0]
+    return [
+        row["scenario"] + (f" on seeds {row['seeds'][0]} to {row['seeds'][1] - 1}" if row["seeds"][0] != first else "")
+        for row in rows
+        if row["fails"]
+    ]
 
 
-def _values(names: Sequence[str], records: Sequence[EpisodeRecord]) -> dict[str, float | None]:
-    """Figures as JSON has them, None for one that is infinite."""
-    values = {name: float(METRICS[name].sum_up(records)) for name in names}
-    return {name: value if np.isfinite(value) else None for name, value in values.items()}
+def _run(name: str, scenario: str, seeds: range, folder: Path, jobs: Workers | int) -> list[EpisodeRow]:
+    """Return the rows of a policy in a scenario."""
+    results = run_league([name], [scenario], seeds, folder, jobs, lambda line: None)
+    for cell in results.cells.values():
+        if cell.why and cell.scenario == scenario:
+            raise ValueError(f"{scenario}: {cell.why}")
+    return [results.rows[scenario, name, seed] for seed in seeds]
+
+
+def _same_arms(one: Configuration, two: Configuration) -> bool:
+    """Return whether the motion of the arms is the same: settings of the agent, gains and reward may differ."""
+    others = (*INTERFACE, "gains", "reward", "task")
+    tasks = [{**plain_task(each.task), "reward": None} for each in (one, two)]
+    return one.without(others) == two.without(others) and tasks[0] == tasks[1]
+
+
+def _unseen(environment: Configuration, trained: Configuration) -> list[str]:
+    """Return changes of payload and stiffness beyond the training: the range of the condition, or beyond the drawn."""
+    seen, result = drawn_ranges(trained), []
+    for condition in ("payload", "stiffness") if NAMED[environment.id].conditions else ():
+        spans = drawn_ranges(Configuration(environment.id, {"condition": condition}))
+        ranges = [seen[name] for name in spans if name in seen]
+        low, high = next(iter(spans.values()))
+        if ranges:
+            low, high = min(low for low, _ in ranges), max(high for _, high in ranges)
+            wide = BEYOND * (high - low)
+            low, high = (low - wide, low) if condition == "stiffness" else (high, high + wide)
+        result.append(f"{condition}={low:g}:{high:g}")
+    return result
+
+
+def _row_text(row: dict[str, Any]) -> str:
+    """Return a row as a line of text."""
+    values = ", ".join(f"{name} {row[name]:.3g}" for name in METRIC_NAMES if row[name] is not None)
+    verdict = f"FAILS ({row['fails']})" if row["fails"] else "passes"
+    return f"{row['scenario']:<42}{verdict}: {values}"
+
+
+def _worst(rows: Sequence[EpisodeRow]) -> list[dict[str, Any]]:
+    """Return the metrics of the episodes with the lowest reward, which includes the penalty of a failure."""
+    at = VALUES.index("reward")
+    worst = sorted(rows, key=lambda row: (row.values[at], row.seed))[:WORST]
+    return [{"seed": row.seed, **_summaries(("reward", *METRIC_NAMES[1:]), [row])} for row in worst]
+
+
+def _summaries(names: Sequence[str], rows: Sequence[EpisodeRow]) -> dict[str, float | None]:
+    """Return means, medians and shares as JSON has them, None for an infinite one."""
+    values = {name: METRICS[name].summary(_values(name, rows)) for name in names}
+    return {name: float(value) if np.isfinite(value) else None for name, value in values.items()}
+
+
+def _values(name: str, rows: Sequence[EpisodeRow]) -> Array:
+    return np.array([row.values[VALUES.index(name)] for row in rows])

@@ -42,35 +42,36 @@ BLOCK = 25  # episodes side by side in a cell
 MULTIPLE = "multiple"  # of the settling time of the optimised slew
 DAMPING = "damping"  # equivalent ratio of the tip's swings from its first arrival on
 VALUES = (*METRICS, MULTIPLE, DAMPING)
+FORMER_HEADS = {"entrant": "agent", "venue": "scenario"}  # heads of columns in rows of version 0.2 -> heads
 FORMER: tuple[str, ...] = ()  # metrics of earlier versions, no longer in VALUES; the columns of older rows are skipped
-# what a row follows from beside entrant, venue and packages; texts of pages are not among it
+# code that determines a row, beside agent, scenario and packages; texts of pages are not among it
 SOURCES = ("common/arrays.py", "kernels", "scene", "model", "simulation", "control", "envs", "metrics",
            *(f"evaluation/{name}.py" for name in ("agent", "metrics", "rollout")), "league/rows.py",
            "league/scenarios.py")  # fmt: skip
-SCALE = ("zero", "privileged-lqr")  # whose rewards mean 0 and 1, so that they are played everywhere
+SCALE = ("zero", "privileged-lqr")  # agents whose mean rewards are the scores 0 and 1; run in every scenario
 
 
 class EpisodeRow(NamedTuple):
-    """An episode: what it follows from, as a hash, who, where, its seed, and its VALUES; nan where there is none."""
+    """Episode: hash of all that determines it, agent, scenario, seed, and its VALUES; nan for a missing one."""
 
     key: str
-    entrant: str
-    venue: str
+    agent: str
+    scenario: str
     seed: int
     values: tuple[float, ...]
 
 
 class EpisodeBlock(NamedTuple):
-    """A block of episodes: who, where, and the seeds from the first to the one before `end`.
+    """Block of episodes of an agent in a scenario: the seeds from `first` to the one before `end`.
 
     Attributes:
         action, design: CPU time of an action of an arm and of the start of an episode, microseconds.
-        why: it was not played, "" where it was.
+        why: reason for which it was not run, "" where it was.
     """
 
     key: str
-    entrant: str
-    venue: str
+    agent: str
+    scenario: str
     first: int
     end: int
     action: float = np.nan
@@ -79,15 +80,15 @@ class EpisodeBlock(NamedTuple):
 
 
 class LeagueRows:
-    """What is played so far: rows by venue, entrant and seed, and cells by venue, entrant and first seed."""
+    """Results of a league: rows by scenario, agent and seed, and cells by scenario, agent and first seed."""
 
     def __init__(self, rows: Iterable[EpisodeRow] = (), cells: Iterable[EpisodeBlock] = ()) -> None:
-        self.rows = {(row.venue, row.entrant, row.seed): row for row in rows}
-        self.cells = {(cell.venue, cell.entrant, cell.first): cell for cell in cells}
+        self.rows = {(row.scenario, row.agent, row.seed): row for row in rows}
+        self.cells = {(cell.scenario, cell.agent, cell.first): cell for cell in cells}
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """Read the rows and cells of a folder by the heads of their columns; an empty book where there are none.
+        """Read the rows and cells of a folder by the heads of their columns; empty where there are none.
 
         The order of the columns is free. A metric that older rows do not have is nan in them, and a column of FORMER
         is skipped, so that the other values stay right whatever VALUES is.
@@ -103,7 +104,7 @@ class LeagueRows:
         return cls(_read(folder / ROWS, _row, EpisodeRow._fields[:4], (*VALUES, *FORMER)), cells)
 
     def save(self, folder: Path) -> None:
-        """Writes both, sorted, so that the order in which they were played leaves no trace."""
+        """Write both, sorted, so that the files do not depend on the order of the runs."""
         rows = ([*row[:4], *map(repr, row.values)] for _, row in sorted(self.rows.items()))
         _write(folder / ROWS, (*EpisodeRow._fields[:4], *VALUES), rows)
         _write(
@@ -111,13 +112,13 @@ class LeagueRows:
         )  # last: a cell has rows
 
     def has(self, cell: EpisodeBlock) -> bool:
-        """Whether a cell was played, or could not be, with what would play it now."""
-        known = self.cells.get((cell.venue, cell.entrant, cell.first))
+        """Return whether a cell was run, or refused, with the present agent, scenario and code."""
+        known = self.cells.get((cell.scenario, cell.agent, cell.first))
         return known is not None and known.key == cell.key and known.end >= cell.end
 
     def add(self, cell: EpisodeBlock, rows: Iterable[EpisodeRow]) -> None:
-        """Takes what was played, in place of all that another version of the entrant or the venue did."""
-        who = cell.venue, cell.entrant
+        """Add a cell and its rows, in place of all rows of another version of the agent or the scenario."""
+        who = cell.scenario, cell.agent
         self.rows = {place: row for place, row in self.rows.items() if place[:2] != who or row.key == cell.key}
         self.cells = {place: each for place, each in self.cells.items() if place[:2] != who or each.key == cell.key}
         self.cells[*who, cell.first] = cell
@@ -125,57 +126,57 @@ class LeagueRows:
 
 
 def run_league(
-    entrants: Sequence[str], venues: Sequence[str], seeds: range, folder: Path, jobs: Workers | int = 1,
+    agents: Sequence[str], scenarios: Sequence[str], seeds: range, folder: Path, jobs: Workers | int = 1,
     say: Callable[[str], None] = print,
 ) -> LeagueRows:  # fmt: skip
-    """Plays the cells that a folder does not have yet, and writes its files after each.
+    """Run the cells that a folder does not have yet, and write its files after each.
 
     Args:
-        entrants: see `find_agent` and `find_scenario`.
-        venues: see `find_agent` and `find_scenario`.
-        seeds: of the episodes, one after the other.
+        agents: names, see `find_agent`.
+        scenarios: names, see `find_scenario`.
+        seeds: of the episodes, consecutive.
         folder: of the files.
-        jobs: who plays, see `Workers`, or so many processes; rows are the same for all of them.
-        say: is told of each cell.
+        jobs: `Workers`, or a number of processes; rows are the same for all of them.
+        say: function that takes one line of text for each cell.
 
     Raises:
-        FileNotFoundError, ValueError: one line, also for a run that was trained on some of the seeds, and for a
-            baseline without the words that the page needs; nothing is played then.
+        FileNotFoundError, ValueError: one line, also for a run that was trained on some of the seeds; nothing is
+            run then.
     """
-    for entrant in entrants:
-        check_unseen(entrant, seeds)
-        describe_agent(entrant)
-    book = LeagueRows.load(folder)
-    keys = {(who, venue): row_key(who, venue) for venue in venues for who in entrants}
+    for agent in agents:
+        check_unseen(agent, seeds)
+        describe_agent(agent)
+    results = LeagueRows.load(folder)
+    keys = {(who, scenario): row_key(who, scenario) for scenario in scenarios for who in agents}
     blocks = [(first, min(first + BLOCK, seeds.stop)) for first in range(seeds.start, seeds.stop, BLOCK)]
     cells = [EpisodeBlock(key, *place, *block) for place, key in keys.items() for block in blocks]
-    left = [cell for cell in cells if not book.has(cell)]
+    left = [cell for cell in cells if not results.has(cell)]
     folder.mkdir(parents=True, exist_ok=True)
     for count, (_, (cell, rows)) in enumerate(run_cells(run_block, left, jobs, prepare=compile_kernels), 1):
-        book.add(cell, rows)
-        book.save(folder)
+        results.add(cell, rows)
+        results.save(folder)
         what = cell.why or f"{cell.action:.0f} us an action"
-        say(f"{count} of {len(left)}: {cell.entrant} on {cell.venue}, {cell.first} to {cell.end - 1}: {what}")
-    return book
+        say(f"{count} of {len(left)}: {cell.agent} on {cell.scenario}, {cell.first} to {cell.end - 1}: {what}")
+    return results
 
 
 def run_block(cell: EpisodeBlock) -> tuple[EpisodeBlock, list[EpisodeRow]]:
-    """Plays a cell; one that is refused says why and has no rows."""
+    """Run the episodes of a cell; a cell that is refused has the reason and no rows."""
     try:
-        venue, entrant = find_scenario(cell.venue), find_agent(cell.entrant)
-        if _is_lab(cell.venue) and not is_realisable(cell.entrant) and cell.entrant not in SCALE:
+        scenario, agent = find_scenario(cell.scenario), find_agent(cell.agent)
+        if _is_lab(cell.scenario) and not is_realisable(cell.agent) and cell.agent not in SCALE:
             return cell._replace(why="it needs more than a laboratory can tell it"), []
-        seeds, (player, watch) = range(cell.first, cell.end), _timed(entrant, venue.told)
-        result = rollout(player, venue.environment, seeds, moved=find_plant(venue.plant))
+        seeds, (player, watch) = range(cell.first, cell.end), _timed(agent, scenario.given)
+        result = rollout(player, scenario.environment, seeds, moved=find_plant(scenario.plant))
     except ValueError as error:
         words, _, allowed = str(error).splitlines()[0].partition(" is not allowed; give ")
         return cell._replace(why=f"{words.split(':')[0]}: only {allowed}" if allowed else words), []
-    times, rows = optimised_times(venue.environment), []
+    times, rows = optimised_times(scenario.environment), []
     for seed, record in zip(seeds, result.records, strict=True):
         values = {name: figure.of(record) for name, figure in METRICS.items()}
         multiple = values["settling_time"] / times.get(seed, np.nan)
         values |= {MULTIPLE: multiple, DAMPING: equivalent_damping(record)}
-        rows.append(EpisodeRow(cell.key, cell.entrant, cell.venue, seed, tuple(values.values())))
+        rows.append(EpisodeRow(cell.key, cell.agent, cell.scenario, seed, tuple(values.values())))
     action, design = (watch.acting, watch.designing) if watch else (0.0, 0.0)
     return cell._replace(action=1e6 * action / float(np.sum(result.lengths)), design=1e6 * design / len(seeds)), rows
 
@@ -225,14 +226,14 @@ def _is_text(statement: ast.stmt) -> bool:
     return isinstance(statement, ast.Expr) and isinstance(getattr(statement.value, "value", None), str)
 
 
-def row_key(entrant: str, venue: str) -> str:
-    """Hash of all that rows follow from: settings of venue and entrant, files of a run, the code, and versions."""
-    *both, plant = find_scenario(venue)
+def row_key(agent: str, scenario: str) -> str:
+    """Hash of all that rows follow from: settings of scenario and agent, files of a run, the code, and versions."""
+    *both, plant = find_scenario(scenario)
     parts: list[Any] = [*(each.to_plain() for each in both), plant, code_hash()]
-    parts += [computer_info(("mujoco",) if plant == "mujoco" else ()) | {"processor": ""}, _is_lab(venue)]
-    folder = policy_folder(entrant) or Path(entrant)
-    files = [] if entrant in BASELINES else [folder / name for name in (SETTINGS, BEST, NEWEST, ABOUT, ARRAYS)]
-    known = [hashlib.sha256(path.read_bytes()).hexdigest() for path in files if path.is_file()] or [entrant]
+    parts += [computer_info(("mujoco",) if plant == "mujoco" else ()) | {"processor": ""}, _is_lab(scenario)]
+    folder = policy_folder(agent) or Path(agent)
+    files = [] if agent in BASELINES else [folder / name for name in (SETTINGS, BEST, NEWEST, ABOUT, ARRAYS)]
+    known = [hashlib.sha256(path.read_bytes()).hexdigest() for path in files if path.is_file()] or [agent]
     return hashlib.sha256(json.dumps([parts, known], sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -270,20 +271,22 @@ class _TimedMode:
         return call
 
 
-def _timed(entrant: AgentSpec, told: Configuration) -> tuple[AgentSpec, _TimedMode | None]:
-    """Return an agent designed for what is told of the environment, and its clock; "zero" takes no time."""
-    if entrant.interface is None or (entrant.law is None and "base" not in entrant.interface):
-        return entrant, None
-    designed = design_for(entrant, told)
+def _timed(agent: AgentSpec, given: Configuration) -> tuple[AgentSpec, _TimedMode | None]:
+    """Return an agent designed for an environment, and its clock; "zero" takes no time."""
+    if agent.interface is None or (agent.law is None and "base" not in agent.interface):
+        return agent, None
+    designed = design_for(agent, given)
     assert designed.interface is not None
     watch = _TimedMode(designed.interface["actions"])
     law: Law | None = watch.timed(designed.law) if designed.law else None
     return replace(designed, law=law, interface={**designed.interface, "base": None, "actions": watch}), watch
 
 
-def _is_lab(venue: str) -> bool:
-    """Whether only what a laboratory measures may be known there."""
-    return "=" not in venue and Configuration.find(venue.partition("@")[0]).settings.get("sensors") == "lab"
+def _is_lab(scenario: str) -> bool:
+    """Return whether agents of a scenario may need only what a laboratory measures."""
+    where, _, change = scenario.partition("@")[0].rpartition("/")
+    name = where if "=" in change else scenario.partition("@")[0]
+    return policy_folder(name) is None and Configuration.find(name).settings.get("sensors") == "lab"
 
 
 def _read(
@@ -291,7 +294,7 @@ def _read(
 ) -> list[Kind]:
     """Return what is made of each line of a table with these heads and some of the metrics."""
     lines = read_csv_lines(path)
-    found = next(lines, [])
+    found = [FORMER_HEADS.get(name, name) for name in next(lines, [])]
     unknown, missing = [name for name in found if name not in (*heads, *metrics)], set(heads) - {*found}
     if unknown or missing or len(set(found)) < len(found):
         allowed = f"{', '.join(heads)}{' and the metrics of the league' if metrics else ''}, each once"
@@ -308,7 +311,7 @@ def _read(
 
 def _row(entries: Mapping[str, str]) -> EpisodeRow:
     values = tuple(float(entries.get(name, "nan")) for name in VALUES)
-    return EpisodeRow(entries["key"], entries["entrant"], entries["venue"], int(entries["seed"]), values)
+    return EpisodeRow(entries["key"], entries["agent"], entries["scenario"], int(entries["seed"]), values)
 
 
 def _cell(entries: Mapping[str, str]) -> EpisodeBlock:

@@ -8,13 +8,15 @@ from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.control.controller import Controller
 from flexman_gym.envs.config.conditions import NOMINAL
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.named_environments import DEFAULT
-from flexman_gym.evaluation.agent import AgentSpec, split_interface
+from flexman_gym.envs.config.named_environments import DEFAULT, NAMED
+from flexman_gym.evaluation.agent import INTERFACE, AgentSpec
 from flexman_gym.evaluation.metrics import METRICS
+from flexman_gym.evaluation.policy_files import policy_folder, read_policy
 from flexman_gym.evaluation.rollout import rollout
+from flexman_gym.scene.serialization import to_plain
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.batch_integrators import SequentialIntegrator
-from flexman_gym.simulation.integrator import Integrator
+from flexman_gym.simulation.integrator import Integrator, default_step
 from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.resimulation import ExternalIntegrator, ExternalSimulator, RefinedSimulator
 
@@ -52,7 +54,7 @@ PLANTS: dict[str, tuple[str, Callable[[Batch], None]]] = {
 
 
 def find_plant(name: str) -> Callable[[Batch], None]:
-    """Gives what lets a plant of PLANTS move the arms of a batch; `rollout` takes it as `moved`.
+    """Return the function that hands a batch over to a plant of PLANTS; the argument `moved` of `rollout`.
 
     Raises:
         ValueError: for another name.
@@ -61,15 +63,15 @@ def find_plant(name: str) -> Callable[[Batch], None]:
 
 
 def evaluate_on_plants(
-    entrant: str | AgentSpec | Controller,
+    agent: str | AgentSpec | Controller,
     environment: str | Configuration,
     seeds: Sequence[int],
     plants: Sequence[str] = tuple(PLANTS),
 ) -> dict[str, dict[str, float]]:
-    """Gives every figure of FIGURES, as `evaluate` does, for each of the plants: plant -> name -> number.
+    """Evaluate an agent on several plants: plant -> name of a metric -> number, as of `evaluate`.
 
     Args:
-        entrant: see `rollout`.
+        agent: see `rollout`.
         environment: see `rollout`.
         seeds: see `rollout`.
         plants: names in PLANTS.
@@ -79,7 +81,7 @@ def evaluate_on_plants(
     """
     result = {}
     for plant in plants:
-        records = rollout(entrant, environment, seeds, moved=find_plant(plant)).records
+        records = rollout(agent, environment, seeds, moved=find_plant(plant)).records
         result[plant] = {name: figure.sum_up(records) for name, figure in METRICS.items()}
     return result
 
@@ -89,55 +91,117 @@ TASKS = ("FlexRRR-Track-v0", "FlexRRR-Hold-v0", "FlexRRR-Gravity-v0", "FlexPlana
 USUAL_SCENARIOS = (DEFAULT, *(f"{DEFAULT}/{condition}" for condition in CONDITIONS), *TASKS)
 LAB_SCENARIO = f"{DEFAULT}/unknown-lab"  # where an arm is as a laboratory has it
 CHECKED = (DEFAULT, LAB_SCENARIO)  # on other plants too, see `physical`
-KNOWN_NOISE = 0.001  # of the ranges, which controllers are told in the sweep of noise
+KNOWN_NOISE = 0.001  # part of the range of each sensor; given in the sweep of noise
+GIVEN = "+given"  # end of the name of a scenario whose change is given to the design of controllers
 
 
-class _ParameterSweep(NamedTuple):
-    """A number that is changed over a range, beyond what controllers are told.
+class ParameterChange(NamedTuple):
+    """Change of an environment that the name of a scenario may state, such as "delay=3".
 
     Attributes:
-        what: of an axis.
-        values: that are played.
-        setting: gives the settings that are played, for a value.
-        condition: whose settings these change.
-        told: what controllers are told instead; None for the truth.
+        text: quantity and unit, label of an axis.
+        settings: function of an environment and the text after "=" that returns the changed settings.
+        values: of a sweep.
+        condition: of the environment that is changed where the name of the scenario has an id alone.
+        background: settings that are laid over this condition.
+        always_given: whether controllers are always designed for the changed environment.
     """
 
-    what: str
-    values: tuple[float, ...]
-    setting: Callable[[float], dict[str, Any]]
+    text: str
+    settings: Callable[[Configuration, str], dict[str, Any]]
+    values: tuple[float, ...] = ()
     condition: str = NOMINAL
-    told: Mapping[str, Any] | None = {}
+    background: Mapping[str, Any] = {}
+    always_given: bool = False
 
 
-def _drawn(*names: str) -> Callable[[float], dict[str, Any]]:
-    return lambda value: {"randomisation": {name: [value, value] for name in names}}
+def _number(text: str) -> int | float:
+    return int(text) if text.isdecimal() else float(text)
 
 
-SWEEPS = {
-    "payload": _ParameterSweep("payload, kg", (0.0, 5.0, 10.0, 15.0, 20.0, 25.0), _drawn("payload_mass"), "payload"),
-    "stiffness": _ParameterSweep("stiffness of joints and links, parts of the nominal one", (0.5, 0.7, 0.85, 1.0,
-        1.15, 1.3, 1.5),
-                       _drawn("joint_stiffness_factor", "link_stiffness_factor"), "stiffness"),
-    "delay": _ParameterSweep("delay, control periods", (0.0, 1.0, 2.0, 3.0), _drawn("delay"), "random-delay"),
-    "noise": _ParameterSweep("noise of sensors, parts of their ranges", (0.0, 0.001, 0.003, 0.01),
+def drawn_ranges(environment: Configuration) -> dict[str, Any]:
+    """Return the ranges from which the episodes of an environment draw, by name."""
+    own = environment.randomisation
+    return dict(own.given) if own else {}
+
+
+def _drawn(*names: str) -> Callable[[Configuration, str], dict[str, Any]]:
+    """Return the settings of `ParameterChange` in which these names are drawn from "value" or "low:high"."""
+
+    def settings(environment: Configuration, value: str) -> dict[str, Any]:
+        low, colon, high = value.partition(":")
+        span = [_number(low), _number(high if colon else low)]
+        return {"randomisation": {**drawn_ranges(environment), **{name: list(span) for name in names}}}
+
+    return settings
+
+
+def _friction(environment: Configuration, value: str) -> dict[str, Any]:
+    """Return the arm with a multiple of the motor friction that the condition of its named environment has."""
+    frictional = to_plain(Configuration(environment.id, {"condition": "friction"}).arm)
+    factor, plain = _number(value), to_plain(environment.arm)
+    if len(plain["joints"]) != len(frictional["joints"]):
+        raise value_error("arm", f"one of {len(plain['joints'])} joints", f"one of {len(frictional['joints'])}")
+    scaled = [{name: each[name] * factor for name in ("viscous_friction", "coulomb_friction")}
+              | {"coulomb_rate": each["coulomb_rate"]} for each in frictional["joints"]]  # fmt: skip
+    joints = [{**own, **each} for own, each in zip(plain["joints"], scaled, strict=True)]
+    return {"arm": {**plain, "joints": joints}}
+
+
+def _method(environment: Configuration, value: str) -> dict[str, Any]:
+    """Return a method of integration and a quarter of the step (s) of the environment."""
+    step = environment.step or default_step(environment.control_period, NAMED[environment.id].longest_step)
+    return {"method": one_of("method", value, METHODS), "step": step / 4.0}
+
+
+CHANGES = {
+    "payload": ParameterChange("payload, kg", _drawn("payload_mass"), (0.0, 5.0, 10.0, 15.0, 20.0, 25.0), "payload"),
+    "stiffness": ParameterChange(
+        "stiffness of joints and links, parts of the nominal one",
+        _drawn("joint_stiffness_factor", "link_stiffness_factor"),
+        (0.5, 0.7, 0.85, 1.0, 1.15, 1.3, 1.5),
+        "stiffness",
+    ),
+    "delay": ParameterChange("delay, control periods", _drawn("delay"), (0.0, 1.0, 2.0, 3.0), "random-delay"),
+    "noise": ParameterChange(
+        "noise of sensors, parts of their ranges",
         _drawn("sensor_noise"),
-                   told=_drawn("sensor_noise")(KNOWN_NOISE)),
-    "period": _ParameterSweep("control period, s", (0.005, 0.01, 0.02, 0.04), lambda value: {"control_period": value},
-        told=None),
-}  # fmt: skip
+        (0.0, 0.001, 0.003, 0.01),
+        background={"randomisation": {"sensor_noise": [KNOWN_NOISE, KNOWN_NOISE]}},
+    ),
+    "period": ParameterChange(
+        "control period, s",
+        lambda _, value: {"control_period": _number(value)},
+        (0.005, 0.01, 0.02, 0.04),
+        always_given=True,
+    ),
+    "friction": ParameterChange("friction of motors, parts of that of the condition", _friction),
+    "method": ParameterChange("method of integration, at a quarter of the step", _method, always_given=True),
+}
+SWEEPS = {name: change for name, change in CHANGES.items() if change.values}
 
 
 class Scenario(NamedTuple):
-    """Where episodes are played, the environment that controllers are made for, and the plant that moves its arms."""
+    """Trial of an agent.
+
+    Attributes:
+        environment: of the episodes.
+        given: environment for which controllers are designed: all that is given of the trial.
+        plant: simulation of the arms, a name in PLANTS.
+    """
 
     environment: Configuration
-    told: Configuration
+    given: Configuration
     plant: str = "usual"
 
 
 def find_scenario(name: str) -> Scenario:
-    """Gives the venue of an environment, of a value of a sweep such as "FlexRRR-v0/payload=25", or "FlexRRR-v0@mujoco".
+    """Return the scenario of a name: ENVIRONMENT[/CHANGE=VALUE[+given]][@PLANT].
+
+    ENVIRONMENT is an id, an id and a condition, a file, or a policy, whose environment it then is. CHANGE is one of
+    CHANGES; VALUE is a number or, where it is drawn, a range "low:high". Controllers are designed for ENVIRONMENT
+    without the change, with "+given" for the changed environment. An id alone stands for the condition of the change:
+    in "FlexRRR-v0/delay=3" that is "random-delay", in "FlexRRR-v0/nominal/delay=3" the nominal environment.
 
     Raises:
         FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
@@ -145,24 +209,36 @@ def find_scenario(name: str) -> Scenario:
     name, at, plant = name.partition("@")
     if at:
         return find_scenario(name)._replace(plant=one_of("plant", plant, PLANTS))
-    id, _, tail = name.rpartition("/")
-    sweep, equals, value = tail.partition("=")
+    where, _, tail = name.removesuffix(GIVEN).rpartition("/")
+    parameter, equals, value = tail.partition("=")
     if not equals:
-        described = split_interface(Configuration.find(name))[0]
-        return Scenario(described, described)
-    swept = SWEEPS[one_of("sweep", sweep, SWEEPS)]
+        environment = _find_environment(name)
+        return Scenario(environment, environment)
+    change = CHANGES[one_of("sweep", parameter, CHANGES)]
+    known = _find_environment(f"{where}/{change.condition}" if where in NAMED else where)
+    if where in NAMED:
+        known = known.replace(**change.background)
     try:
-        played = swept.setting(int(value) if value.isdecimal() else float(value))
-    except ValueError:
-        raise value_error("sweep", name, f"a number after {sweep}=") from None
-    told = split_interface(Configuration(id, {"condition": swept.condition}))[0].settings
-    heard = played if swept.told is None else swept.told
-    environment, known = (Configuration.from_plain({"id": id, **told, **each}) for each in (played, heard))
-    return Scenario(environment, known)
+        settings = change.settings(known, value)
+    except ValueError as error:
+        if " is not allowed" in str(error):
+            raise
+        raise value_error("sweep", name, f"a number after {parameter}=") from None
+    changed = known.replace(**settings)
+    return Scenario(changed, changed if change.always_given or name.endswith(GIVEN) else known)
+
+
+def _find_environment(name: str) -> Configuration:
+    """Return the environment of a policy, an id, an id and a condition, or a file, without settings of the agent."""
+    if folder := policy_folder(name):
+        whole = Configuration.from_plain(read_policy(folder).about["environment"])
+    else:
+        whole = Configuration.find(name.removesuffix(f"/{NOMINAL}"))
+    return whole.without(INTERFACE)
 
 
 def sweep_scenarios(id: str, sweep: str) -> list[str]:
-    """Gives the names of the venues of a sweep of an environment.
+    """Return the names of the scenarios of a sweep of an environment.
 
     Raises:
         ValueError: for another sweep.
@@ -171,5 +247,5 @@ def sweep_scenarios(id: str, sweep: str) -> list[str]:
 
 
 def plant_scenarios() -> list[str]:
-    """Gives the names of the venues of the physical check."""
-    return [f"{venue}@{plant}" for venue in CHECKED for plant in PLANTS if plant != "usual"]
+    """Return the names of the scenarios of the physical check."""
+    return [f"{scenario}@{plant}" for scenario in CHECKED for plant in PLANTS if plant != "usual"]

@@ -155,10 +155,10 @@ def test_the_league_is_played_and_grows(tmp_path, capsys):
                 *where,
                 "--episodes",
                 "2",
-                "--entrants",
+                "--agents",
                 "zero",
                 "privileged-lqr",
-                "--environments",
+                "--scenarios",
                 "FlexOne-v0",
             ]
         )
@@ -171,11 +171,21 @@ def test_the_league_is_played_and_grows(tmp_path, capsys):
     ]  # fmt: skip
     assert len((tmp_path / "rows.csv").read_text().splitlines()) == 1 + 3 * 2, "as many episodes as the others"
     page = (tmp_path / "league.md").read_text()
-    assert all(f"| `{entrant}` |" in page for entrant in ("zero", "privileged-lqr", "pd"))
+    assert all(f"| `{agent}` |" in page for agent in ("zero", "privileged-lqr", "pd"))
+
+
+def test_a_league_takes_the_options_of_version_0_2_and_prints_its_table_without_jinja(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    old = ["--entrants", "zero", "--environments", "FlexOne-v0"]
+    assert main(["league", "--folder", str(tmp_path), "--episodes", "1", *old]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1:4] == ["| agent | FlexOne-v0 |", "| --- | --- |", "| `zero` | 0 % |"]
+    assert "no page: it needs Jinja2: pip install 'flexman_gym[render]'" in lines
+    assert lines[-1] == f"{tmp_path} has the rows." and not (tmp_path / "league.md").exists()
 
 
 def test_a_league_takes_few_episodes_on_other_plants_and_those_of_others_for_one_more():
-    plain = Namespace(environments=None, episodes=None, physical=False, sweep=[], add=None, seed=9000)
+    plain = Namespace(scenarios=None, episodes=None, physical=False, sweep=[], add=None, seed=9000)
     assert league._scenarios(plain, LeagueRows()) == {100: [*USUAL_SCENARIOS]}
     assert league._scenarios(Namespace(**vars(plain) | {"physical": True}), LeagueRows()) == {10: plant_scenarios()}
     cells = [EpisodeBlock("", "pd", *each) for each in (("a", 9000, 9025), ("a", 9025, 9050), ("b@finer", 9000, 9010))]
@@ -232,8 +242,9 @@ def test_the_exit_status_says_whether_a_policy_is_recommended(fails, status, wor
     path = tmp_path / "certificate.json"
     path.write_text(json.dumps({"arrays_hash": "", "fails": fails}))
     monkeypatch.setattr(certificate, "certify", lambda *_, **__: path)
-    assert main(["certify", "lab-flexrrr"]) == status
-    assert capsys.readouterr().out == f"{path}: {words}\n"
+    for command in (["certify", "lab-flexrrr"], ["league", "--agent", "lab-flexrrr"]):
+        assert main(command) == status
+        assert capsys.readouterr().out == f"{path}: {words}\n"
 
 
 LEAGUE = Path(__file__).parents[2] / "docs" / "league"

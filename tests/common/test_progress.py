@@ -8,7 +8,6 @@ import flexman_gym as fm
 from flexman_gym.common import progress
 from flexman_gym.common.progress import Progress
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation import policy_files
 from flexman_gym.league import certificate
 from flexman_gym.league.rows import run_league
 
@@ -73,15 +72,11 @@ def test_a_long_league_says_how_far_it_is(impatient, capsys, tmp_path):
 
 
 def test_a_long_certificate_says_how_far_it_is(impatient, capsys, tmp_path, monkeypatch):
-    """Of each trial, and of the search, which plays many episodes and says nothing until its end."""
+    """Of each scenario, and of the search, which runs many episodes and prints nothing until its end."""
     write_still(tmp_path / "still")
-    monkeypatch.setattr(policy_files, "FOLDER", tmp_path)
-    monkeypatch.setattr(certificate, "policy_trials", lambda *given: certificate_trials(*given)[:1])
-    path = certificate.certify(str(tmp_path / "still"), range(9000, 9002), 6, lambda line: None)
+    monkeypatch.setattr(certificate, "certificate_scenarios", lambda name: [name])
+    path = certificate.certify(str(tmp_path / "still"), range(9000, 9002), 6, tmp_path / "rows", say=list)
     lines = capsys.readouterr().err.splitlines()
-    assert json.loads(path.read_text())["trials"]
+    assert json.loads(path.read_text())["rows"]
     for count in (2, 6):
         assert any(f"control periods of {count} episodes, about" in line for line in lines)
-
-
-certificate_trials = certificate.policy_trials

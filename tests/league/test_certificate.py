@@ -1,26 +1,31 @@
-"""Certificate: each trial plays the episodes that it names, what fails is said, and it belongs to one policy."""
+"""Certificate: a league of one agent, whose scenarios are those of the league, with the reasons of each failure."""
 
+import csv
 import json
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.envs import episodes
+from flexman_gym.envs import episodes as environment_episodes
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation import policy_files
+from flexman_gym.envs.env import FlexManEnv
+from flexman_gym.evaluation import METRICS, policy_files
 from flexman_gym.evaluation.agent import design_for, find_agent
-from flexman_gym.evaluation.policy_files import ABOUT, write_policy
-from flexman_gym.evaluation.rollout import EpisodeRecord
-from flexman_gym.league import certificate
-from flexman_gym.league.certificate import PHYSICS, SHOWN, certify, policy_trials
-from flexman_gym.league.scenarios import evaluate_on_plants
+from flexman_gym.evaluation.policy_files import ABOUT, CERTIFICATE, FOLDER, POLICIES, read_certificate, write_policy
+from flexman_gym.evaluation.rollout import rollout
+from flexman_gym.league import certificate, rows, scenarios
+from flexman_gym.league.certificate import METRIC_NAMES, certificate_row, certificate_scenarios, certify
+from flexman_gym.league.rows import VALUES, EpisodeBlock, EpisodeRow, run_block
+from flexman_gym.league.scenarios import evaluate_on_plants, find_plant, find_scenario
 
 from oracles.assertions import refusal
 from oracles.shipped import DESCRIBED, made_up, write_still
 
 SEEDS = range(9000, 9002)
+LEAGUE = Path(__file__).parents[2] / "docs" / "league" / "rows.csv"
 
 
 @pytest.fixture
@@ -33,110 +38,165 @@ def folder(tmp_path, monkeypatch):
     return tmp_path / "still"
 
 
-def test_trials_are_played_where_they_say_and_kept_beside_the_policy(folder):
+def test_scenarios_are_run_as_their_names_say_and_kept_beside_the_policy(folder, tmp_path):
     assert policy_files.describe_policy("still") == "Made up. It has no certificate."
     said = []
-    path = certify(str(folder), SEEDS, 6, said.append)
+    path = certify(str(folder), SEEDS, 6, tmp_path / "rows", say=said.append)
     result = json.loads(path.read_text())
-    rows = {row["name"]: row for row in result["trials"]}
-    assert len(said) == len(rows) and list(rows)[:3] == ["as trained", "finer", "method"]
-    assert rows["finer"]["error"] == evaluate_on_plants("pd", DESCRIBED, SEEDS, ("finer",))["finer"]["error"]
-    far = ("payload", "stiffness", "friction", "delay 0", "delay 3", "noise 0.003")
-    assert {"search", *(f"{name} ({words})" for name in far for words in ("told", "not told"))} <= rows.keys()
+    assert len(said) == len(result["rows"])
+    *known, search = result["rows"]
+    found = {row["scenario"].removeprefix(str(folder)): row for row in known}
+    assert list(found)[:3] == ["", "@finer", "/method=midpoint_2_sweeps"]
+    assert found["@finer"]["error"] == evaluate_on_plants("pd", DESCRIBED, SEEDS, ("finer",))["finer"]["error"]
+    far = ("payload=0:0.2", "stiffness=0.7:1.3", "friction=1", "delay=0", "delay=3", "noise=0.003")
+    assert {f"/{name}{given}" for name in far for given in ("+given", "")} <= found.keys()
     for name, changes in (
-        ("as trained", {}),
-        ("payload (told)", {"randomisation": {"payload_mass": [0.0, 0.2]}}),
-        ("delay 1 (not told)", {"randomisation": {"delay": [1, 1]}}),
-        ("friction (told)", Configuration.find("FlexPlanar-v0/friction").settings),
+        ("", {}),
+        ("/payload=0:0.2+given", {"randomisation": {"payload_mass": [0.0, 0.2]}}),
+        ("/delay=1", {"randomisation": {"delay": [1, 1]}}),
+        ("/friction=1+given", Configuration.find("FlexPlanar-v0/friction").settings),
     ):
         expected = fm.evaluate("pd", Configuration("FlexPlanar-v0", {**DESCRIBED.settings, **changes}), SEEDS)
-        shown = {each: expected[each] if np.isfinite(expected[each]) else None for each in SHOWN}
-        assert {each: rows[name][each] for each in SHOWN} == shown, name
-    search = range(certificate.FIRST_DRAW, certificate.FIRST_DRAW + 6)
-    rewards = {seed: fm.evaluate("pd", DESCRIBED, [seed])["reward"] for seed in search}
-    worst = [each["seed"] for each in rows["search"]["worst"]]
-    assert worst == sorted(search, key=rewards.__getitem__)[:5]
-    assert result["fails"] == [row["name"] for row in result["trials"] if row["fails"]]
-    assert "delay 3 (told)" in result["fails"], "the arm then never settles in its second"
+        shown = {each: expected[each] if np.isfinite(expected[each]) else None for each in METRIC_NAMES}
+        assert {each: found[name][each] for each in METRIC_NAMES} == shown, name
+    draws = range(certificate.FIRST_DRAW, certificate.FIRST_DRAW + 6)
+    rewards = {seed: fm.evaluate("pd", DESCRIBED, [seed])["reward"] for seed in draws}
+    assert [each["seed"] for each in search["worst"]] == sorted(draws, key=rewards.__getitem__)[:5]
+    assert len(result["fails"]) == sum(bool(row["fails"]) for row in result["rows"])
+    assert f"{folder}/delay=3+given" in result["fails"], "the arm then never settles in its second"
+    assert f"{folder} on seeds 50000 to 50005" in result["fails"]
     assert policy_files.describe_policy("still").startswith("Made up. Not recommended: it fails ")
+
+
+def test_rows_of_a_certificate_are_kept_and_a_refused_cell_says_why(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(certificate, "certificate_scenarios", lambda name: [name])
+    first = certify(str(folder), SEEDS, 2, tmp_path / "rows", say=list).read_bytes()
+    monkeypatch.setattr(rows, "rollout", lambda *_, **__: pytest.fail("the rows are there"))
+    assert certify(str(folder), SEEDS, 2, tmp_path / "rows", say=list).read_bytes() == first
+
+    def refuse(name):
+        raise ValueError("plant: 'finer' is not allowed; give a plant that is installed")
+
+    monkeypatch.setattr(certificate, "certificate_scenarios", lambda name: [f"{name}@finer"])
+    monkeypatch.setattr(rows, "find_plant", refuse)
+    line = refusal(certify, str(folder), SEEDS, 2, tmp_path / "rows")
+    assert line == f"{folder}@finer: plant: only a plant that is installed"
 
 
 def test_a_policy_without_failures_is_recommended_and_another_has_no_certificate_of_it(folder):
     about = json.loads((folder / ABOUT).read_text())
-    empty = {"arrays_hash": about["arrays_hash"], "fails": [], "trials": []}
-    (folder / policy_files.CERTIFICATE).write_text(json.dumps(empty))
+    empty = {"arrays_hash": about["arrays_hash"], "fails": [], "rows": []}
+    (folder / CERTIFICATE).write_text(json.dumps(empty))
     assert policy_files.describe_policy("still") == "Made up. Recommended."
-    (folder / policy_files.CERTIFICATE).write_text(json.dumps({**empty, "arrays_hash": "another"}))
+    (folder / CERTIFICATE).write_text(json.dumps({**empty, "arrays_hash": "another"}))
     assert policy_files.describe_policy("still") == "Made up. It has no certificate."
 
 
-def record(vibration=0.0, failure="", error=0.0):
-    """An episode of 4 s, in which the tip moves along an axis at its end."""
-    tips = np.zeros((401, 3))
-    tips[200::2, 0] = vibration
-    return EpisodeRecord(tips, np.full(401, error), np.zeros((400, 2)), np.zeros(400), failure, 0.01, 0.01)
+def test_a_certificate_of_version_0_2_is_read(folder):
+    about = json.loads((folder / ABOUT).read_text())
+    old = {"arrays_hash": about["arrays_hash"], "fails": ["finer"], "trials": [{"name": "finer", "settled": 1.0}]}
+    (folder / CERTIFICATE).write_text(json.dumps(old))
+    assert read_certificate(folder)["rows"] == [{"scenario": "finer", "settled": 1.0}]
+    assert policy_files.describe_policy("still") == "Made up. Not recommended: it fails finer."
+
+
+def episodes(vibration=0.0, failed=0.0, settled=1.0, count=1):
+    """Rows with these metrics, 0 for all others."""
+    values = dict.fromkeys(VALUES, 0.0) | {"vibration": vibration, "failed": failed, "settled": settled}
+    return [EpisodeRow("", "a", "b", 9000 + i, tuple(values.values())) for i in range(count)]
 
 
 @pytest.mark.parametrize(
-    ("kind", "records", "said"),
+    ("scenario", "found", "said"),
     [
-        ("usual", [record()] * 20, ""),
-        ("usual", [record()] * 18 + [record(error=1.0)] * 2, "less than 95% settle"),
-        ("far", [record()] * 18 + [record(error=1.0)] * 2, ""),
-        ("far", [record()] * 17 + [record(error=1.0)] * 3, "less than 90% settle"),
-        ("far", [record()] * 99 + [record(failure="angle")], "an episode ended at a limit"),
-        ("physics", [record(1.19e-3)] * 3, ""),
-        ("physics", [record(1.21e-3)] * 3, "the tip moves by more than 1.2 mm"),
+        ("a", episodes(count=20), ""),
+        ("a", episodes(count=18) + episodes(settled=0.0, count=2), "less than 95% settle"),
+        ("a/delay=3", episodes(count=18) + episodes(settled=0.0, count=2), ""),
+        ("a/delay=3", episodes(count=17) + episodes(settled=0.0, count=3), "less than 90% settle"),
+        ("a/delay=3", episodes(count=99) + episodes(failed=1.0), "an episode ended at a limit"),
+        ("a@finer", episodes(1.19e-3), ""),
+        ("a@finer", episodes(1.21e-3), "the tip moves by more than 1.2 mm"),
+        ("a@mujoco", episodes(3e-3), "the tip moves by more than 1.2 mm"),
+        ("a/method=gauss_2_sweeps", episodes(3e-3), "the tip moves by more than 1.2 mm"),
+        ("a/method=gauss_2_sweeps", episodes(np.inf), "the tip moves by more than 1.2 mm"),
+        ("a/payload=3", episodes(3e-3), ""),
     ],
 )
-def test_a_row_fails_for_what_it_says(kind, records, said):
-    trial = certificate.CertificateTrial("a", "b", kind, {})
-    assert certificate._row(trial, records, [record(1e-3)])["fails"] == said
-    assert PHYSICS == 0.95
+def test_a_row_fails_for_what_it_says(scenario, found, said):
+    assert certificate_row(scenario, SEEDS, found, episodes(1e-3))["fails"] == said
 
 
 def test_small_vibration_may_grow_by_a_tenth_of_a_millimetre():
-    trial = certificate.CertificateTrial("a", "b", "physics", {})
     for vibration, fails in ((9e-5, False), (1.2e-4, True)):
-        assert bool(certificate._row(trial, [record(vibration)], [record()])["fails"]) == fails
+        row = certificate_row("a@finer", SEEDS, episodes(vibration), episodes())
+        assert bool(row["fails"]) == fails
 
 
-def test_what_the_training_drew_is_left(monkeypatch):
-    """A policy that learned with payloads and stiffness is tried beyond them."""
-    trained = Configuration.find("FlexRRR-v0/unknown")
-    changes = {each.name: each.changes for each in policy_trials(Configuration(), trained)}
-    assert changes["payload (told)"] == {"randomisation": {"payload_mass": [20.0, 25.0]}}
-    assert changes["payload (not told)"] == changes["payload (told)"]
-    both = changes["stiffness (told)"]["randomisation"]
-    assert both["joint_stiffness_factor"] == both["link_stiffness_factor"] == pytest.approx([0.55, 0.7])
-    kept = {each.name: each.changes for each in policy_trials(trained, trained)}["delay 3 (told)"]["randomisation"]
-    assert kept["delay"] == [3, 3] and kept["payload_mass"] == [0.0, 20.0]
+def test_other_physics_are_compared_with_the_episodes_as_trained(folder, tmp_path, monkeypatch):
+    """Of the same seeds: the first row of the certificate."""
+    louder = {"": 1e-3, "@finer": 3e-3, "/method=midpoint_2_sweeps": 3e-3}
+
+    def league(agents, names, seeds, *_):
+        vibration = louder.get(names[0].removeprefix(str(folder)), 1e-3)
+        found = [row._replace(seed=seed) for seed in seeds for row in episodes(vibration)]
+        return SimpleNamespace(cells={}, rows={(names[0], agents[0], row.seed): row for row in found})
+
+    monkeypatch.setattr(certificate, "run_league", league)
+    result = json.loads(certify(str(folder), SEEDS, 1, tmp_path, say=list).read_text())
+    assert result["fails"] == [f"{folder}{each}" for each in louder if each]
 
 
-def test_friction_is_that_of_the_named_arm_and_no_other_arm_is_tried_with_it():
-    own = Configuration("FlexRRR-v0", {"arm": {**dict(Configuration().to_plain()["arm"]), "payload": {"mass": 5.0}}})
-    tried = [[each.name for each in policy_trials(what, what)] for what in (Configuration(), own)]
-    assert ["friction (told)" in names for names in tried] == [True, False]
+def test_another_method_takes_a_quarter_of_the_step():
+    usual, other = find_scenario("FlexPlanar-v0").environment, find_scenario("FlexPlanar-v0/method=gauss_2_sweeps")
+    batch = FlexManEnv(name=usual.id).episodes.batch
+    assert other.given == other.environment and other.environment.method == "gauss_2_sweeps"
+    assert 4.0 * batch.substeps * other.environment.step == pytest.approx(batch.control_period)
 
 
-@pytest.mark.parametrize(("words", "delay"), [("told", (3, 3)), ("not told", (1, 1))])
-def test_a_controller_is_designed_for_the_delay_that_it_is_told_and_else_for_its_own(words, delay, monkeypatch):
+def test_what_the_training_drew_is_left(folder):
+    """A policy that learned with payloads and stiffness is run beyond them."""
+    about, arrays = made_up()
+    drawn = {"payload_mass": [0.0, 0.2], "joint_stiffness_factor": [0.7, 1.3], "link_stiffness_factor": [0.8, 1.3]}
+    about["recipe"]["settings"]["environment"] = {**DESCRIBED.to_plain(), "randomisation": drawn}
+    write_policy(folder, about, arrays)
+    names = certificate_scenarios(str(folder))
+    assert {f"{folder}/payload=0.2:0.25+given", f"{folder}/stiffness=0.55:0.7"} <= {*names}
+    changed = find_scenario("FlexRRR-v0/unknown/delay=3")
+    assert changed.environment.randomisation.given["delay"] == [3, 3]
+    assert changed.environment.disturbed.payload_mass == (0.0, 20.0)
+
+
+def test_friction_is_that_of_the_named_arm_and_no_other_arm_is_run_with_it(tmp_path):
+    named, own = find_scenario("FlexRRR-v0/friction"), find_scenario("FlexRRR-v0/nominal/friction=1")
+    assert own.environment.arm == named.environment.arm and own.given == Configuration()
+    half = find_scenario("FlexRRR-v0/unknown/friction=0.5").environment
+    assert [joint.coulomb_friction for joint in half.arm.joints] == [53.0, 11.4, 14.25]
+    data = DESCRIBED.to_plain()
+    data["arm"] = {**data["arm"], "payload": {"mass": 0.15}}
+    about, arrays = made_up(Configuration.from_plain(data))
+    about["recipe"]["settings"]["environment"] = data
+    write_policy(tmp_path / "own", about, arrays)
+    write_still(tmp_path / "still")
+    assert [any("/friction=" in each for each in certificate_scenarios(str(tmp_path / name)))
+            for name in ("still", "own")] == [True, False]  # fmt: skip
+
+
+@pytest.mark.parametrize(("end", "delay"), [("+given", (3, 3)), ("", (1, 1))])
+def test_a_controller_is_designed_for_the_delay_that_is_given_and_else_for_its_own(end, delay, monkeypatch):
     """Torques come 3 periods late in both; the observer of `lab-flexrrr` fits its own simulations at `delay`."""
-    entrant, plants = find_agent("lab-flexrrr"), []
-    made = episodes.make_action_mode
+    plants, made = [], environment_episodes.make_action_mode
     monkeypatch.setattr(
-        episodes, "make_action_mode", lambda value, plant, base: plants.append(plant) or made(value, plant, base)
-    )
+        environment_episodes, "make_action_mode",
+        lambda value, plant, base: plants.append(plant) or made(value, plant, base),
+    )  # fmt: skip
 
-    def rollout(player, environment, seeds, **_):
+    def stop(agent, environment, *_, **__):
         assert environment.randomisation.given["delay"] == [3, 3]
-        design_for(player, environment)  # as the environment does with a controller that is not built yet
-        return SimpleNamespace(records=[])
+        raise ValueError("that is enough")
 
-    monkeypatch.setattr(certificate, "rollout", rollout)
-    (trial,) = (each for each in policy_trials(*[entrant.environment] * 2) if each.name == f"delay 3 ({words})")
-    certificate._run_trial(entrant, trial, SEEDS)
-    assert plants[0].delay == delay
+    monkeypatch.setattr(rows, "rollout", stop)
+    run_block(EpisodeBlock("", "lab-flexrrr", f"FlexRRR-v0/unknown-lab/delay=3{end}", 9000, 9001))
+    assert plants[-1].delay == delay
 
 
 def test_only_policies_of_tasks_in_which_something_settles(tmp_path):
@@ -144,3 +204,56 @@ def test_only_policies_of_tasks_in_which_something_settles(tmp_path):
     path = Configuration.from_plain({"id": "FlexPlanar-Track-v0", "base": "pd", "sensors": "full", "horizon": 1.0})
     write_policy(tmp_path, *made_up(path))
     assert "a policy for a task in which the arm settles" in refusal(certify, str(tmp_path))
+
+
+def test_shipped_certificates_have_the_scenarios_of_a_league():
+    for name in POLICIES:
+        *known, search = read_certificate(FOLDER / name)["rows"]
+        assert [row["scenario"] for row in known] == certificate_scenarios(name)
+        assert search["scenario"] == known[0]["scenario"] and len(search["worst"]) == 5
+
+
+def test_certificates_and_the_league_have_the_same_numbers():
+    """Of each shipped policy and scenario whose episodes stand in both."""
+    with LEAGUE.open(newline="") as file:
+        found = [row for row in csv.DictReader(file) if row["agent"] in POLICIES]
+    compared = 0
+    for name in POLICIES:
+        for row in read_certificate(FOLDER / name)["rows"]:
+            episodes = {int(each["seed"]): each for each in found
+                        if each["agent"] == name and each["scenario"] == row["scenario"]}  # fmt: skip
+            seeds = range(*row["seeds"])
+            if not set(seeds) <= episodes.keys():
+                continue
+            compared += 1
+            for metric in METRIC_NAMES:
+                value = METRICS[metric].summary(np.array([float(episodes[seed][metric]) for seed in seeds]))
+                assert row[metric] == pytest.approx(value, rel=1e-3, abs=1e-8), (name, row["scenario"], metric)
+    assert compared >= 2 * len(POLICIES) - 1, "the environment of each, and MuJoCo"
+
+
+@pytest.mark.parametrize("number", range(10))
+def test_a_cell_of_a_certificate_is_the_episode_of_the_policy_in_its_own_changed_environment(number):
+    """Ten cells by seed; the expected environment is that in the file of the policy, changed without a name."""
+    random = np.random.default_rng(number)
+    name = str(random.choice(POLICIES))
+    scenario = str(random.choice([each for each in certificate_scenarios(name) if "mujoco" not in each]))
+    agent, seed = find_agent(name), int(random.integers(9000, 9100))
+    change = scenario.removesuffix("+given").partition("@")[0].rpartition("/")[2]
+    own = changed = agent.environment
+    if "=" in change:
+        known, _, value = change.partition("=")
+        span = [float(each) if "." in each or known != "delay" else int(each) for each in (value.split(":") * 2)[:2]]
+        ranges = {"payload": ("payload_mass",), "delay": ("delay",), "noise": ("sensor_noise",),
+                  "stiffness": ("joint_stiffness_factor", "link_stiffness_factor")}  # fmt: skip
+        settings = {"friction": lambda: {"arm": Configuration.find(f"{own.id}/friction").settings["arm"]},
+                    "method": lambda: {"method": value, "step": find_scenario(scenario).environment.step},
+                    }.get(known, lambda: {"randomisation": scenarios.drawn_ranges(own) | dict.fromkeys(ranges[known],
+                        span)})()  # fmt: skip
+        changed = own.replace(**settings)
+    given = changed if scenario.endswith("+given") or "method" in change else own
+    moved = find_plant(scenario.partition("@")[2] or "usual")
+    (record,) = rollout(design_for(agent, given), changed, [seed], moved=moved).records
+    _, (row,) = run_block(EpisodeBlock("", name, scenario, seed, seed + 1))
+    values = dict(zip(VALUES, row.values, strict=True))
+    assert {each: values[each] for each in METRIC_NAMES} == {each: METRICS[each].of(record) for each in METRIC_NAMES}

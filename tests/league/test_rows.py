@@ -36,11 +36,11 @@ from flexman_gym.league.scenarios import SWEEPS, USUAL_SCENARIOS, Scenario, find
 
 from oracles.assertions import refusal
 
-ENTRANTS, SEEDS = ["zero", "random", "pd", "lqr-tracking"], range(9000, 9005)
+AGENTS, SEEDS = ["zero", "random", "pd", "lqr-tracking"], range(9000, 9005)
 
 
 @pytest.fixture
-def venue(tmp_path):
+def scenario(tmp_path):
     """An environment that takes little time, as a file."""
     path = tmp_path / "one.yaml"
     path.write_text("id: FlexOne-v0\nhorizon: 1.5\nrandomisation: {sensor_noise: [0.001, 0.001]}\n")
@@ -53,70 +53,70 @@ def small_blocks(monkeypatch):
     monkeypatch.setattr(league, "BLOCK", 2)
 
 
-def played(venue, folder, entrants=ENTRANTS, jobs=1, seeds=SEEDS):
+def played(scenario, folder, agents=AGENTS, jobs=1, seeds=SEEDS):
     """What a league said, and its rows as bytes."""
     said = []
-    run_league(entrants, [venue], seeds, folder, jobs, said.append)
+    run_league(agents, [scenario], seeds, folder, jobs, said.append)
     return said, (folder / ROWS).read_bytes()
 
 
-def test_rows_hold_the_figures_of_a_rollout_to_the_bit(venue, tmp_path):
-    played(venue, tmp_path, ["pd", "privileged-lqr"])
+def test_rows_hold_the_figures_of_a_rollout_to_the_bit(scenario, tmp_path):
+    played(scenario, tmp_path, ["pd", "privileged-lqr"])
     with (tmp_path / ROWS).open(newline="") as file:
         rows = [*csv.DictReader(file)]
     assert len(rows) == 10
-    for entrant in ("pd", "privileged-lqr"):
-        ours = [row for row in rows if row["entrant"] == entrant]
+    for agent in ("pd", "privileged-lqr"):
+        ours = [row for row in rows if row["agent"] == agent]
         assert [int(row["seed"]) for row in ours] == [*SEEDS]
-        records = rollout(entrant, venue, SEEDS).records
+        records = rollout(agent, scenario, SEEDS).records
         for name, figure in METRICS.items():
             assert [float(row[name]) for row in ours] == figure.each(records).tolist(), name
     assert all(row[MULTIPLE] == "nan" for row in rows), "no table has slews of this one"
 
 
-def test_rows_are_the_same_in_repeats_and_over_two_processes(venue, tmp_path, small_blocks):
-    said, rows = played(venue, tmp_path / "a")
+def test_rows_are_the_same_in_repeats_and_over_two_processes(scenario, tmp_path, small_blocks):
+    said, rows = played(scenario, tmp_path / "a")
     assert len(said) == 4 * 3, "cells of two, two and one episode"
-    assert played(venue, tmp_path / "b")[1] == rows
-    assert played(venue, tmp_path / "c", jobs=2)[1] == rows
-    assert played(venue, tmp_path / "a") == ([], rows), "nothing is left"
+    assert played(scenario, tmp_path / "b")[1] == rows
+    assert played(scenario, tmp_path / "c", jobs=2)[1] == rows
+    assert played(scenario, tmp_path / "a") == ([], rows), "nothing is left"
 
 
-def test_a_killed_league_goes_on(venue, tmp_path, small_blocks):
+def test_a_killed_league_goes_on(scenario, tmp_path, small_blocks):
     def kill(said):
         if said.startswith("5 of"):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_league(ENTRANTS, [venue], SEEDS, tmp_path / "a", 1, kill)
-    said, rows = played(venue, tmp_path / "a")
-    assert len(said) == 12 - 5 and rows == played(venue, tmp_path / "b")[1]
+        run_league(AGENTS, [scenario], SEEDS, tmp_path / "a", 1, kill)
+    said, rows = played(scenario, tmp_path / "a")
+    assert len(said) == 12 - 5 and rows == played(scenario, tmp_path / "b")[1]
 
 
-def test_a_new_entrant_plays_alone_and_more_episodes_are_those_that_miss(venue, tmp_path, small_blocks):
-    played(venue, tmp_path, ["zero"], seeds=range(9000, 9004))
-    said, _ = played(venue, tmp_path, ["zero", "pd"], seeds=range(9000, 9006))
+def test_a_new_entrant_plays_alone_and_more_episodes_are_those_that_miss(scenario, tmp_path, small_blocks):
+    played(scenario, tmp_path, ["zero"], seeds=range(9000, 9004))
+    said, _ = played(scenario, tmp_path, ["zero", "pd"], seeds=range(9000, 9006))
     assert [each.split(": ")[1].partition(" on")[0] for each in said] == ["zero", "pd", "pd", "pd"]
     assert len(LeagueRows.load(tmp_path).rows) == 12
 
 
-def test_a_block_that_was_short_is_played_whole(venue, tmp_path):
-    played(venue, tmp_path, ["pd"], seeds=range(9000, 9002))
-    said, rows = played(venue, tmp_path, ["pd"])
+def test_a_block_that_was_short_is_played_whole(scenario, tmp_path):
+    played(scenario, tmp_path, ["pd"], seeds=range(9000, 9002))
+    said, rows = played(scenario, tmp_path, ["pd"])
     assert len(said) == 1 and len(LeagueRows.load(tmp_path).rows) == 5
-    assert played(venue, tmp_path, ["pd"], seeds=range(9000, 9002)) == ([], rows), "fewer are there already"
+    assert played(scenario, tmp_path, ["pd"], seeds=range(9000, 9002)) == ([], rows), "fewer are there already"
 
 
-def test_another_environment_by_the_same_name_is_played_anew(venue, tmp_path):
-    before = played(venue, tmp_path / "a", ["zero", "pd"])[1]
+def test_another_environment_by_the_same_name_is_played_anew(scenario, tmp_path):
+    before = played(scenario, tmp_path / "a", ["zero", "pd"])[1]
     (tmp_path / "one.yaml").write_text("id: FlexOne-v0\nhorizon: 1.0\n")
-    said, after = played(venue, tmp_path / "a", ["pd"], seeds=range(9000, 9002))
+    said, after = played(scenario, tmp_path / "a", ["pd"], seeds=range(9000, 9002))
     assert len(said) == 1 and after != before
-    kept = {(row.entrant, row.seed) for row in LeagueRows.load(tmp_path / "a").rows.values()}
+    kept = {(row.agent, row.seed) for row in LeagueRows.load(tmp_path / "a").rows.values()}
     assert kept == {("zero", seed) for seed in SEEDS} | {("pd", 9000), ("pd", 9001)}, "no row of the old one"
 
 
-def test_a_league_that_is_killed_between_its_files_misses_no_row(venue, tmp_path, monkeypatch):
+def test_a_league_that_is_killed_between_its_files_misses_no_row(scenario, tmp_path, monkeypatch):
     """Rows come first: a cell that is told to be played has them."""
 
     def write(path, fill):
@@ -127,22 +127,22 @@ def test_a_league_that_is_killed_between_its_files_misses_no_row(venue, tmp_path
     true_write = league.write_atomically
     monkeypatch.setattr(league, "write_atomically", write)
     with pytest.raises(KeyboardInterrupt):
-        played(venue, tmp_path / "a", ["pd"])
+        played(scenario, tmp_path / "a", ["pd"])
     monkeypatch.undo()
-    assert played(venue, tmp_path / "a", ["pd"])[1] == played(venue, tmp_path / "b", ["pd"])[1]
+    assert played(scenario, tmp_path / "a", ["pd"])[1] == played(scenario, tmp_path / "b", ["pd"])[1]
 
 
-def test_another_version_of_a_package_plays_anew(venue, tmp_path, monkeypatch):
-    played(venue, tmp_path, ["zero"])
-    assert played(venue, tmp_path, ["zero"])[0] == []
+def test_another_version_of_a_package_plays_anew(scenario, tmp_path, monkeypatch):
+    played(scenario, tmp_path, ["zero"])
+    assert played(scenario, tmp_path, ["zero"])[0] == []
     monkeypatch.setattr(league, "computer_info", lambda *_: {"numpy": "0.1"})
-    assert len(played(venue, tmp_path, ["zero"])[0]) == 1
+    assert len(played(scenario, tmp_path, ["zero"])[0]) == 1
 
 
-def test_other_code_plays_anew(venue, tmp_path, monkeypatch):
-    played(venue, tmp_path, ["zero"])
+def test_other_code_plays_anew(scenario, tmp_path, monkeypatch):
+    played(scenario, tmp_path, ["zero"])
     monkeypatch.setattr(league, "code_hash", lambda: "another")
-    assert len(played(venue, tmp_path, ["zero"])[0]) == 1
+    assert len(played(scenario, tmp_path, ["zero"])[0]) == 1
 
 
 def test_the_hash_of_the_code_is_that_of_what_plays(tmp_path, monkeypatch):
@@ -191,15 +191,15 @@ def test_a_book_reads_what_it_wrote(tmp_path):
     values = (np.inf, np.nan, 0.1 + 0.2, *map(float, range(3, len(VALUES))))
     rows = [league.EpisodeRow("k", "pd", "a, b", seed, values) for seed in (3, 2)]
     cells = [EpisodeBlock("k", "pd", "a, b", 2, 4, 1.5, 0.0), EpisodeBlock("k", "lqr", "a, b", 2, 4, why='it, "that"')]
-    book = LeagueRows(rows, cells)
-    book.save(tmp_path)
+    results = LeagueRows(rows, cells)
+    results.save(tmp_path)
     again = LeagueRows.load(tmp_path)
-    assert repr(sorted(again.rows.items())) == repr(sorted(book.rows.items())), "infinite ones and nan, too"
-    assert repr(sorted(again.cells.items())) == repr(sorted(book.cells.items()))
+    assert repr(sorted(again.rows.items())) == repr(sorted(results.rows.items())), "infinite ones and nan, too"
+    assert repr(sorted(again.cells.items())) == repr(sorted(results.cells.items()))
     assert LeagueRows.load(tmp_path / "nowhere").rows == {}
 
 
-ROW, CELL = "key,entrant,venue,seed", "key,entrant,venue,first,end,action,design,why"
+ROW, CELL = "key,agent,scenario,seed", "key,agent,scenario,first,end,action,design,why"
 
 
 def book_of(folder, rows=ROW, cells=CELL):
@@ -207,6 +207,15 @@ def book_of(folder, rows=ROW, cells=CELL):
     for name, text in ((ROWS, rows), (league.CELLS, cells)):
         (folder / name).write_text(text + "\n")
     return LeagueRows.load(folder)
+
+
+def test_rows_with_the_heads_of_version_0_2_are_read(tmp_path):
+    old = [text.replace("agent", "entrant").replace("scenario", "venue") for text in (ROW, CELL)]
+    found = book_of(tmp_path, f"{old[0]},reward\nk,pd,a,7,0.5", f"{old[1]}\nk,pd,a,7,8,0,0,")
+    assert [*found.rows] == [("a", "pd", 7)] and [*found.cells] == [("a", "pd", 7)]
+    found.save(tmp_path)
+    assert (tmp_path / ROWS).read_text().startswith(f"{ROW},reward,")
+    assert LeagueRows.load(tmp_path).rows.keys() == found.rows.keys()
 
 
 def test_values_of_old_rows_stay_right_whatever_metrics_a_league_has_now(tmp_path, monkeypatch):
@@ -220,20 +229,20 @@ def test_values_of_old_rows_stay_right_whatever_metrics_a_league_has_now(tmp_pat
     with pytest.raises(ValueError, match=r"rows\.csv: its heads are not those of a league"):
         LeagueRows.load(tmp_path)
     monkeypatch.setattr(league, "FORMER", (VALUES[1],))
-    book = LeagueRows.load(tmp_path)
+    results = LeagueRows.load(tmp_path)
     for _ in range(2):
-        (row,) = book.rows.values()
+        (row,) = results.rows.values()
         assert repr(row.values) == repr(tuple(written.get(name, float("nan")) for name in now))
-        book.save(tmp_path)
-        book = LeagueRows.load(tmp_path)
+        results.save(tmp_path)
+        results = LeagueRows.load(tmp_path)
 
 
 @pytest.mark.parametrize(
     ("rows", "cells", "said"),
     [
-        ("", CELL, "rows.csv: its heads are not those of a league; give key, entrant, venue, seed and the metrics"),
-        (ROW, "", "cells.csv: its heads are not those of a league; give key, entrant, venue, first, end"),
-        ("key,entrant,venue", CELL, "rows.csv: its heads"),
+        ("", CELL, "rows.csv: its heads are not those of a league; give key, agent, scenario, seed and the metrics"),
+        (ROW, "", "cells.csv: its heads are not those of a league; give key, agent, scenario, first, end"),
+        ("key,agent,scenario", CELL, "rows.csv: its heads"),
         (f"{ROW},seed", CELL, "rows.csv: its heads"),
         (f"{ROW},root:x:0", CELL, "rows.csv: its heads"),
         (ROW, CELL.removesuffix(",why"), "cells.csv: its heads"),
@@ -258,29 +267,29 @@ def test_a_controller_without_a_description_fails_at_import():
         type(entry)(entry.make, entry.information, entry.takes)
 
 
-def test_who_cannot_play_says_why(venue):
-    cell, rows = run_block(EpisodeBlock("", "optimised", venue, 9000, 9001))
+def test_who_cannot_play_says_why(scenario):
+    cell, rows = run_block(EpisodeBlock("", "optimised", scenario, 9000, 9001))
     assert rows == [] and cell.why.startswith("table: only one of this arm") and np.isnan(cell.action)
-    for entrant, words in (("lqr", "it needs more than a laboratory can tell it"), ("optimised", "it needs more")):
-        assert run_block(EpisodeBlock("", entrant, "FlexPlanar-v0/unknown-lab", 9000, 9001))[0].why.startswith(words)
+    for agent, words in (("lqr", "it needs more than a laboratory can tell it"), ("optimised", "it needs more")):
+        assert run_block(EpisodeBlock("", agent, "FlexPlanar-v0/unknown-lab", 9000, 9001))[0].why.startswith(words)
 
 
-def test_times_of_a_cell_are_of_a_start_and_of_an_action_of_one_arm(venue, monkeypatch):
+def test_times_of_a_cell_are_of_a_start_and_of_an_action_of_one_arm(scenario, monkeypatch):
     """Ten milliseconds of starts in five episodes, and a second of actions in all of their periods."""
     watch = SimpleNamespace(designing=0.01, acting=1.0)
-    monkeypatch.setattr(league, "_timed", lambda entrant, told: (entrant, watch))
-    cell, _ = run_block(EpisodeBlock("", "zero", venue, 9000, 9005))
+    monkeypatch.setattr(league, "_timed", lambda agent, told: (agent, watch))
+    cell, _ = run_block(EpisodeBlock("", "zero", scenario, 9000, 9005))
     assert cell.design == pytest.approx(1e6 * 0.01 / 5)
-    assert cell.action == pytest.approx(1e6 * 1.0 / rollout("zero", venue, SEEDS).lengths.sum())
+    assert cell.action == pytest.approx(1e6 * 1.0 / rollout("zero", scenario, SEEDS).lengths.sum())
 
 
-def test_the_multiple_is_the_settling_time_in_those_of_the_slew(venue, monkeypatch):
+def test_the_multiple_is_the_settling_time_in_those_of_the_slew(scenario, monkeypatch):
     """A tip that arrives after 1 s, where the slew takes 0.5 s, and in an episode of which there is no slew."""
     errors = np.where(np.arange(301) < 100, 1.0, 0.0)
     record = EpisodeRecord(np.zeros((301, 3)), errors, np.zeros((300, 1)), np.zeros(300), "", 0.01, 0.01)
     monkeypatch.setattr(league, "rollout", lambda *_, **__: SimpleNamespace(records=[record] * 2, lengths=[300] * 2))
     monkeypatch.setattr(league, "optimised_times", lambda environment: {9000: 0.5})
-    _, rows = run_block(EpisodeBlock("", "zero", venue, 9000, 9002))
+    _, rows = run_block(EpisodeBlock("", "zero", scenario, 9000, 9002))
     multiples = [row.values[VALUES.index(MULTIPLE)] for row in rows]
     assert multiples == pytest.approx([2.0, np.nan], nan_ok=True)
 
@@ -288,7 +297,7 @@ def test_the_multiple_is_the_settling_time_in_those_of_the_slew(venue, monkeypat
 def test_both_ends_of_the_score_are_played_in_a_laboratory(monkeypatch):
     """Rewards are scaled between them; who else needs the true state is left out."""
 
-    def refuse(entrant, told):
+    def refuse(agent, told):
         raise ValueError("it is made")
 
     monkeypatch.setattr(league, "_timed", refuse)
@@ -308,8 +317,8 @@ def test_arms_of_a_venue_are_moved_by_its_plant(monkeypatch):
         raise ValueError("that is enough")
 
     monkeypatch.setattr(league, "rollout", rollout)
-    for venue in ("FlexRRR-v0", "FlexRRR-v0@finer"):
-        run_block(EpisodeBlock("", "zero", venue, 9000, 9001))
+    for scenario in ("FlexRRR-v0", "FlexRRR-v0@finer"):
+        run_block(EpisodeBlock("", "zero", scenario, 9000, 9001))
     assert moved == ["usual", "finer"]
 
 
@@ -317,29 +326,29 @@ def test_rows_follow_from_what_is_played_and_from_what_controllers_are_told(monk
     one, other = Configuration("FlexOne-v0"), Configuration("FlexOne-v0", {"control_period": 0.02})
     monkeypatch.setattr(league, "code_hash", lambda: "")
     keys = set()
-    for venue in (Scenario(one, one), Scenario(one, other), Scenario(other, one), Scenario(one, one, "finer")):
-        monkeypatch.setattr(league, "find_scenario", lambda name: venue)  # noqa: B023
+    for scenario in (Scenario(one, one), Scenario(one, other), Scenario(other, one), Scenario(one, one, "finer")):
+        monkeypatch.setattr(league, "find_scenario", lambda name: scenario)  # noqa: B023
         keys.add(league.row_key("pd", "FlexOne-v0"))
     assert len(keys) == 4
 
 
-def test_rows_follow_from_every_file_of_a_run(venue, tmp_path, monkeypatch):
+def test_rows_follow_from_every_file_of_a_run(scenario, tmp_path, monkeypatch):
     monkeypatch.setattr(league, "code_hash", lambda: "")
-    keys = [league.row_key(str(tmp_path), venue)]
+    keys = [league.row_key(str(tmp_path), scenario)]
     for name in (league.SETTINGS, league.BEST, league.NEWEST):
         for content in (b"one", b"two"):
             (tmp_path / name).write_bytes(content)
-            keys.append(league.row_key(str(tmp_path), venue))
+            keys.append(league.row_key(str(tmp_path), scenario))
     assert len(set(keys)) == 7
 
 
-def test_rows_of_another_processor_count(venue, monkeypatch):
+def test_rows_of_another_processor_count(scenario, monkeypatch):
     """Versions of packages change rows, the processor does not."""
     monkeypatch.setattr(league, "code_hash", lambda: "")
     keys = set()
     for processor, version in (("one", "1"), ("two", "1"), ("one", "2")):
         monkeypatch.setattr(league, "computer_info", lambda *_: {"processor": processor, "numpy": version})  # noqa: B023
-        keys.add(league.row_key("pd", venue))
+        keys.add(league.row_key("pd", scenario))
     assert len(keys) == 2
 
 
@@ -373,10 +382,10 @@ def test_times_of_slews_belong_to_the_environment_of_their_table():
 def test_the_multiple_is_that_of_the_optimised_slew():
     """Whose own is 1."""
     at = VALUES.index(MULTIPLE)
-    for entrant in ("optimised", "lqr-tracking"):
-        rows = run_block(EpisodeBlock("", entrant, "FlexRRR-v0", 9000, 9003))[1]
+    for agent in ("optimised", "lqr-tracking"):
+        rows = run_block(EpisodeBlock("", agent, "FlexRRR-v0", 9000, 9003))[1]
         multiples = np.array([row.values[at] for row in rows])
-        assert (multiples == 1.0 if entrant == "optimised" else multiples > 1.2).all()
+        assert (multiples == 1.0 if agent == "optimised" else multiples > 1.2).all()
 
 
 def test_every_baseline_says_what_it_is_and_a_run_who_trained_it(tmp_path):
@@ -399,10 +408,10 @@ def test_only_who_is_not_told_the_truth_could_be_built():
 
 @pytest.mark.parametrize("truth", ["true state", "true parameters", "its episodes"])
 def test_one_truth_is_enough_not_to_be_buildable(truth, monkeypatch):
-    monkeypatch.setattr(agent_info, "required_information", lambda entrant: ("model", truth))
+    monkeypatch.setattr(agent_info, "required_information", lambda agent: ("model", truth))
     assert not is_realisable("mine")
     monkeypatch.setattr(
-        agent_info, "required_information", lambda entrant: ("model", "training", "structure of the model")
+        agent_info, "required_information", lambda agent: ("model", "training", "structure of the model")
     )
     assert is_realisable("mine")
 
@@ -425,14 +434,14 @@ def test_in_a_sweep_controllers_are_told_the_range_and_arms_have_the_value():
 def test_who_plays_a_sweep_is_made_for_what_it_is_told(tmp_path, monkeypatch):
     """No observer is made for one payload: its range has a width."""
     made = []
-    monkeypatch.setattr(league, "_timed", lambda entrant, told: made.append(told) or (entrant, None))
+    monkeypatch.setattr(league, "_timed", lambda agent, told: made.append(told) or (agent, None))
     run_block(EpisodeBlock("", "zero", "FlexRRR-v0/payload=25", 9000, 9001))
     assert [each.disturbed.payload_mass for each in made] == [(0.0, 20.0)]
 
 
 def test_every_venue_has_an_environment():
     for name in [*USUAL_SCENARIOS, *(each for sweep in SWEEPS for each in sweep_scenarios("FlexRRR-v0", sweep))]:
-        assert find_scenario(name).environment.base is None, "what acts is the entrant's"
+        assert find_scenario(name).environment.base is None, "what acts is the agent's"
     assert refusal(find_scenario, "FlexRRR-v0/mass=3").startswith("sweep: 'mass' is not allowed; give one of payload")
     assert "a number after payload=" in refusal(find_scenario, "FlexRRR-v0/payload=much")
 

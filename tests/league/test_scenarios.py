@@ -48,3 +48,31 @@ def test_plants_have_names(monkeypatch):
     assert "give one of usual, method, finer, mujoco" in refusal(find_scenario, "FlexRRR-v0@webots")
     monkeypatch.setattr(scenarios, "find_spec", lambda name: None)
     assert "pip install mujoco" in refusal(evaluate_on_plants, "pd", ONE, SEEDS, ["mujoco"])
+
+
+def test_what_is_given_is_part_of_the_name():
+    """One name is one trial: an id alone stands for the condition of the change, a condition for itself."""
+    ids, lab = find_scenario("FlexRRR-v0/delay=3"), find_scenario("FlexRRR-v0/unknown-lab/delay=3")
+    assert ids.given.disturbed.delay == (0, 2) and lab.given.disturbed.delay == (1, 1)
+    assert find_scenario("FlexRRR-v0/nominal/delay=3").given.disturbed is None
+    assert lab.given == find_scenario("FlexRRR-v0/unknown-lab").environment
+    for name in ("FlexRRR-v0/delay=3", "FlexRRR-v0/unknown-lab/delay=3"):
+        given = find_scenario(f"{name}+given@finer")
+        assert given.environment == given.given == find_scenario(name).environment and given.plant == "finer"
+    ranged = find_scenario("FlexRRR-v0/unknown-lab/payload=20:25").environment.disturbed
+    assert ranged.payload_mass == (20.0, 25.0) and ranged.link_stiffness_factor == (0.7, 1.3)
+    assert find_scenario("lab-flexrrr/delay=3").environment == lab.environment, "that of a policy"
+
+
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("FlexRRR-v0/delay+given", "condition: 'delay+given' is not allowed; give one of nominal, delay, "),
+        ("FlexRRR-v0/payload=5:3", "Randomisation.payload_mass: [5, 3] is not allowed; give a range (low, high)"),
+        ("FlexRRR-v0/payload=5:", "sweep: 'FlexRRR-v0/payload=5:' is not allowed; give a number after payload="),
+        ("FlexRRR-v0/method=rk5", "method: 'rk5' is not allowed; give one of "),
+        ("FlexOne-v0/nominal/friction=1", "condition: 'FlexOne-v0/friction' is not allowed; give one for FlexRRR-v0"),
+    ],
+)
+def test_names_of_no_scenario_are_refused_in_one_line(name, line):
+    assert refusal(find_scenario, name).startswith(line)

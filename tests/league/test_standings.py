@@ -1,4 +1,4 @@
-"""Standing: made-up rows of known answer, venue by venue and on the whole, and the page that is made of them."""
+"""Standing: made-up rows of known answer, scenario by scenario and on the whole, and the page that is made of them."""
 
 import numpy as np
 import pytest
@@ -13,20 +13,20 @@ NOMINAL, UNKNOWN, FRICTION = "FlexRRR-v0", "FlexRRR-v0/unknown", "FlexRRR-v0/fri
 REWARDS = {"zero": 100.0, "privileged-lqr": 300.0, "pd": 150.0, "lqg": 250.0, "lqr": 280.0}
 
 
-def book(rewards=REWARDS, venues=(NOMINAL, UNKNOWN, LAB_SCENARIO), settled=None, count=12, spread=10.0):
-    """Episodes whose rewards lie evenly around those given; `settled`, (entrant, venue) -> time (s), 3 s without."""
+def book(rewards=REWARDS, scenarios=(NOMINAL, UNKNOWN, LAB_SCENARIO), settled=None, count=12, spread=10.0):
+    """Episodes whose rewards lie evenly around those given; `settled`, (agent, scenario) -> time (s), 3 s without."""
     rows, cells = [], []
-    for venue in venues:
-        for entrant, reward in rewards.items():
+    for scenario in scenarios:
+        for agent, reward in rewards.items():
             if reward is None:
-                cells.append(EpisodeBlock("k", entrant, venue, 9000, 9000 + count, why="it has no model"))
+                cells.append(EpisodeBlock("k", agent, scenario, 9000, 9000 + count, why="it has no model"))
                 continue
-            cells.append(EpisodeBlock("k", entrant, venue, 9000, 9000 + count, 12.0, 3000.0))
+            cells.append(EpisodeBlock("k", agent, scenario, 9000, 9000 + count, 12.0, 3000.0))
             for i, part in enumerate(np.linspace(-1.0, 1.0, count)):
-                time = (settled or {}).get((entrant, venue), 3.0)
+                time = (settled or {}).get((agent, scenario), 3.0)
                 values = dict.fromkeys(VALUES, 0.0) | {"reward": reward + spread * part, "settling_time": time}
                 values |= {"settled": float(np.isfinite(time)), "multiple": time / 2.0}
-                rows.append(EpisodeRow("k", entrant, venue, 9000 + i, tuple(values[name] for name in VALUES)))
+                rows.append(EpisodeRow("k", agent, scenario, 9000 + i, tuple(values[name] for name in VALUES)))
     return LeagueRows(rows, cells)
 
 
@@ -41,11 +41,11 @@ def test_scores_lie_between_who_does_nothing_and_who_knows_all():
     assert known.score("privileged-lqr", NOMINAL)[0] == pytest.approx(1.0)
     assert known.score("pd", NOMINAL) == pytest.approx((0.25, 0.25, 0.25)), "episodes differ alike for all"
     assert known.whole["lqg"][0] == pytest.approx(0.75)
-    assert known.entrants == ["privileged-lqr", "lqr", "lqg", "pd", "zero"]
+    assert known.agents == ["privileged-lqr", "lqr", "lqg", "pd", "zero"]
 
 
 def test_of_two_venues_with_the_same_episodes_one_counts():
-    assert standing().venues == [NOMINAL, UNKNOWN, LAB_SCENARIO] and standing().counted == [NOMINAL, UNKNOWN]
+    assert standing().scenarios == [NOMINAL, UNKNOWN, LAB_SCENARIO] and standing().counted == [NOMINAL, UNKNOWN]
 
 
 def test_there_is_no_scale_where_its_ends_are_close_or_missing():
@@ -67,7 +67,7 @@ def test_better_is_asked_in_the_same_episode():
 def test_who_misses_a_venue_stands_after_the_others():
     one, two = book(), book({"optimised": 400.0}, [NOMINAL])
     known = Standings(LeagueRows([*one.rows.values(), *two.rows.values()], [*one.cells.values(), *two.cells.values()]))
-    assert known.entrants[-1] == "optimised" and known.missed("optimised") == [UNKNOWN]
+    assert known.agents[-1] == "optimised" and known.missed("optimised") == [UNKNOWN]
     assert known.why("optimised", UNKNOWN) == "it was not played there" and known.why("optimised", NOMINAL) == ""
     assert known.whole["optimised"][0] == pytest.approx(1.5), "above 1 is shown"
 
@@ -83,7 +83,7 @@ def test_who_played_other_episodes_is_beside_no_other():
 def test_the_one_to_take_settles_most_and_first_and_is_told_no_truth():
     times = {("pd", LAB_SCENARIO): np.inf, ("lqg", LAB_SCENARIO): 4.0, ("lqr", LAB_SCENARIO): 2.0}
     times["lqg", FRICTION] = np.inf
-    known = standing(venues=(NOMINAL, UNKNOWN, LAB_SCENARIO, FRICTION), settled=times)
+    known = standing(scenarios=(NOMINAL, UNKNOWN, LAB_SCENARIO, FRICTION), settled=times)
     assert known.buildable(LAB_SCENARIO) == ["lqg", "pd"]
     said = conclusion(known)
     assert said.startswith("Take `lqg` for an arm whose payload, stiffness and delay nobody knows")
@@ -93,17 +93,17 @@ def test_the_one_to_take_settles_most_and_first_and_is_told_no_truth():
         assert words in said, words
     quicker = standing(settled={("pd", LAB_SCENARIO): 2.9})
     assert quicker.buildable(LAB_SCENARIO) == ["pd", "lqg"] and "breaks in none" in conclusion(quicker)
-    assert "Nobody who could act" in conclusion(standing(venues=(NOMINAL,)))
+    assert "Nobody who could act" in conclusion(standing(scenarios=(NOMINAL,)))
 
 
 def test_no_cell_of_the_page_is_empty_without_a_sentence(tmp_path):
     rows = book(REWARDS | {"lqr-tracking": None}, [NOMINAL, LAB_SCENARIO, "FlexRRR-Track-v0", "FlexRRR-v0/payload=25"])
     write_page(rows, tmp_path)
     text = (tmp_path / PAGE).read_text()
-    for venue in (NOMINAL, LAB_SCENARIO, "FlexRRR-Track-v0"):
-        section = text.split(f"### {venue}\n")[1].split("\n#")[0]
-        for entrant in REWARDS:
-            assert f"| `{entrant}` |" in section
+    for scenario in (NOMINAL, LAB_SCENARIO, "FlexRRR-Track-v0"):
+        section = text.split(f"### {scenario}\n")[1].split("\n#")[0]
+        for agent in REWARDS:
+            assert f"| `{agent}` |" in section
         assert "`lqr-tracking` has no row: it has no model." in section
     assert "Nothing was played by `lqr-tracking`." in text.split("## Sweep: FlexRRR-v0/payload")[1]
     cells = [cell.strip() for line in text.splitlines() if line.startswith("|") for cell in line.split("|")[1:-1]]
@@ -113,14 +113,14 @@ def test_no_cell_of_the_page_is_empty_without_a_sentence(tmp_path):
 
 
 def test_each_is_compared_with_the_next():
-    lines = page_text(standing(REWARDS | {"lqg": 280.0})).split("| entrant | needs |")[1].splitlines()[2:7]
+    lines = page_text(standing(REWARDS | {"lqg": 280.0})).split("| agent | needs |")[1].splitlines()[2:7]
     assert [line.split("|")[1].strip(" `") for line in lines] == ["privileged-lqr", "lqg", "lqr", "pd", "zero"]
     assert [line.split("|")[5].strip() for line in lines] == ["100 %", "50 %", "100 %", "100 %", "-"]
 
 
 def test_the_charts_are_there(tmp_path):
     pytest.importorskip("matplotlib")
-    write_page(book(venues=(NOMINAL, UNKNOWN, "FlexRRR-v0/delay=0", "FlexRRR-v0/delay=1")), tmp_path)
+    write_page(book(scenarios=(NOMINAL, UNKNOWN, "FlexRRR-v0/delay=0", "FlexRRR-v0/delay=1")), tmp_path)
     assert {path.name for path in tmp_path.glob("*.png")} == {CHART, "league-FlexRRR-v0-delay.png"}
     text = (tmp_path / PAGE).read_text()
     assert all(f"]({path.name})" in text for path in tmp_path.glob("*.png"))
@@ -128,21 +128,25 @@ def test_the_charts_are_there(tmp_path):
 
 def test_sweeps_go_from_the_smallest_value():
     names = [f"FlexRRR-v0/payload={value}" for value in (10, 5, 25)]
-    assert standing(venues=names).sweeps == {"FlexRRR-v0/payload": [names[1], names[0], names[2]]}
+    assert standing(scenarios=names).sweeps == {"FlexRRR-v0/payload": [names[1], names[0], names[2]]}
+    more = [f"FlexRRR-v0/delay={value}+given" for value in (3, 0)]
+    others = ["FlexRRR-v0/payload=5@finer", "FlexRRR-v0/payload=5:10", "FlexRRR-v0/friction=1"]
+    assert standing(scenarios=[*more, *others]).sweeps == {"FlexRRR-v0/delay+given": more[::-1]}
+    assert "## Sweep: FlexRRR-v0/delay+given" in page_text(standing(scenarios=more))
 
 
 def test_other_plants_stand_beside_the_same_episodes_and_count_nowhere():
     names = [f"{NOMINAL}@{plant}" for plant in ("finer", "method")]
-    one, two = book(settled={("lqr", NOMINAL): np.inf}, venues=[NOMINAL]), book(venues=names, count=4)
+    one, two = book(settled={("lqr", NOMINAL): np.inf}, scenarios=[NOMINAL]), book(scenarios=names, count=4)
     at = VALUES.index("settling_time")
     for place, row in one.rows.items():
-        if row.entrant == "pd" and row.seed >= 9004:  # of episodes that no other plant has
+        if row.agent == "pd" and row.seed >= 9004:  # of episodes that no other plant has
             one.rows[place] = row._replace(values=(*row.values[:at], np.inf, *row.values[at + 1 :]))
     known = Standings(LeagueRows([*one.rows.values(), *two.rows.values()], [*one.cells.values(), *two.cells.values()]))
-    assert known.venues == known.counted == [NOMINAL] and known.sweeps == {}
+    assert known.scenarios == known.counted == [NOMINAL] and known.sweeps == {}
     assert known.physical == {NOMINAL: [NOMINAL, names[1], names[0]]}
     text = page_text(known).split("## Physical check")[1]
-    assert "| entrant | usual | method | finer |" in text and "4 episodes." in text
+    assert "| agent | usual | method | finer |" in text and "4 episodes." in text
     assert "| `lqr` | 0 % | 100 %, 3.00 s | 100 %, 3.00 s |" in text
     assert "| `pd` | 100 %, 3.00 s | 100 %, 3.00 s | 100 %, 3.00 s |" in text
     assert "It was not played." in page_text(standing())
@@ -156,8 +160,8 @@ def test_baselines_without_a_row_are_named():
 
 def test_every_entrant_has_a_card():
     text = page_text(standing()).split("## Cards")[1].split("## On the whole")[0]
-    for entrant in REWARDS:
-        card = text.split(f"### Card: {entrant}\n")[1].split("###")[0]
+    for agent in REWARDS:
+        card = text.split(f"### Card: {agent}\n")[1].split("###")[0]
         for words in ("It is ", "It needs to know: ", "Tuning or training: ", "It breaks in"):
-            assert words in card, (entrant, words)
-        assert ("An action takes" in card) == (entrant != "zero")
+            assert words in card, (agent, words)
+        assert ("An action takes" in card) == (agent != "zero")

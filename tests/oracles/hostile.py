@@ -62,13 +62,13 @@ def with_about(folder):
 
 def with_cells(folder):
     """A folder with the cells of a league."""
-    (folder / "cells.csv").write_text("key,entrant,venue,first,end,action,design,why\n")
+    (folder / "cells.csv").write_text("key,agent,scenario,first,end,action,design,why\n")
     return folder
 
 
 def with_rows(folder):
     """A folder with the rows of a league."""
-    (folder / "rows.csv").write_text("key,entrant,venue,seed\n")
+    (folder / "rows.csv").write_text("key,agent,scenario,seed\n")
     return folder
 
 

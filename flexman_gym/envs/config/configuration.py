@@ -6,11 +6,22 @@ import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn, Self
 
 from flexman_gym.common import files
-from flexman_gym.common.checks import mapping, one_of, positive, sequence, short_path, text, value_error, vector
+from flexman_gym.common.checks import (
+    mapping,
+    one_of,
+    positive,
+    sequence,
+    short_path,
+    text,
+    value_error,
+    vector,
+    whole_number,
+)
 from flexman_gym.common.renamed import old_names
 from flexman_gym.control.agent import checked_history
 from flexman_gym.control.margins import first_order_lag
@@ -19,7 +30,7 @@ from flexman_gym.envs.config import setting as checks
 from flexman_gym.envs.config.conditions import NOMINAL, condition_settings
 from flexman_gym.envs.config.named_environments import DEFAULT, NAMED, Gains
 from flexman_gym.envs.config.randomisation import Randomisation, find_randomisation
-from flexman_gym.envs.config.setting import Setting, is_plain, lists
+from flexman_gym.envs.config.setting import Setting, is_plain, links_and_motors, lists, put
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.sensors import find_sensors, plain_sensors
 from flexman_gym.envs.tasks import Task, plain_task
@@ -33,7 +44,7 @@ from flexman_gym.simulation.trajectory import ENERGY_ALARM
 CHOSEN = ("elements", "modes", "method", "step", "stiffening")  # settings that fidelity="auto" chooses
 PARTS = ("arm", "task", "limits")  # settings of a named environment of which a change may name a part
 LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")  # packages between a user and a configuration
-MOST_PERIODS = 10**9  # control periods of an episode
+MOST_REPEATS, MOST_PERIODS = 1000, 10**9  # control periods; of an action, of an episode
 
 
 def _setting(*arguments: Any, **columns: Any) -> Any:
@@ -103,7 +114,7 @@ class Configuration:
         "of the integrator"),
     )
     horizon: float = _setting(
-        "Time after which an episode is truncated.", checks.checked_horizon, unit="s", named=True,
+        "Time after which an episode is truncated.", partial(positive, "horizon", unit="s"), unit="s", named=True,
         elsewhere=dict.fromkeys(("max_steps", "max_episode_length"), "horizon, the time in s after which an episode is "
         "truncated"),
     )
@@ -132,12 +143,12 @@ class Configuration:
     action_repeat: int = _setting(
         "Control periods for which the action of the agent is kept. A step of the environment spans them: its reward "
         "is their mean, its info that of the last one; an episode may end before the last one.",
-        checks.checked_repeat, 1, formerly=("hold",),
+        partial(whole_number, "action_repeat", low=1, high=MOST_REPEATS), 1, formerly=("hold",),
         elsewhere={"frame_skip": "action_repeat, the control periods for which an action is kept"},
     )
     fidelity: str = _setting(
         f"Choice of the model. 'auto' chooses {', '.join(CHOSEN)} for a tolerance; 'default' takes them as given.",
-        checks.checked_fidelity, "default",
+        partial(one_of, "fidelity", allowed=("default", "auto")), "default",
     )
     tolerance: float | None = _setting("Largest error of the tip in a slew, of fidelity='auto'.", checks.keep, unit="m")
     elements: int | tuple[int, ...] = _setting("Elements of each link, see build_model.", checks.tuples, 2)
@@ -161,7 +172,7 @@ class Configuration:
     energy_alarm: float = _setting(
         "Energy residual that raises the alarm, as a part of the energy turnover. The turnover is the largest of "
         "kinetic + elastic energy, work and dissipation.",
-        checks.checked_alarm, ENERGY_ALARM,
+        partial(positive, "energy_alarm"), ENERGY_ALARM,
     )
     randomisation: Randomisation | None = _setting(
         "Ranges of parameters and disturbances, drawn in each episode. A Randomisation, or a mapping of its arguments.",
@@ -397,7 +408,7 @@ class Configuration:
                 given = find_arm(data["arm"], folder) if first == "arm" and first in data else data.get(first)
                 assert form.plain is not None
                 data[first] = form.plain(form.check(given)) if first in data else named.plain(first)
-            _put(data, [first, *rest], value)
+            put(data, [first, *rest], value)
         return cls.from_plain(data, folder)
 
     @property
@@ -433,7 +444,7 @@ class Configuration:
         """
         named, gains = NAMED[self.id], self.gains
         if gains is None:
-            if _links_and_motors(self.arm) != _links_and_motors(named.arm()):
+            if links_and_motors(self.arm) != links_and_motors(named.arm()):
                 allowed = f"those of this arm, which flexman tune finds: {self.id} has other links or motors"
                 raise value_error("gains", None, allowed)
             return dict(named.pd)
@@ -482,19 +493,6 @@ def _refuse_unknown(settings: Mapping[str, Any], others: Collection[str] = ()) -
             near = current_name(get_close_matches(name, sorted(known), 1, 0.0)[0], False)
             allowed = f"a known setting: the nearest is {near}; all: {' '.join(sorted([*SETTINGS, *others]))}"
             raise value_error(name, value, HINTS.get(name, allowed))
-
-
-def _put(data: dict[str, Any], path: list[str], value: object) -> None:
-    """Write a value into a mapping of mappings; anything else on the path becomes a mapping."""
-    for part in path[:-1]:
-        inner = data.get(part)
-        data[part] = data = dict(inner) if isinstance(inner, dict) else {}
-    data[path[-1]] = value
-
-
-def _links_and_motors(arm: Arm) -> tuple[object, ...]:
-    """Return the parts of an arm for which gains of a PD are tuned."""
-    return arm.links, [(joint.axis, joint.rotor_inertia, joint.stiffness) for joint in arm.joints]
 
 
 __getattr__ = old_names(__name__)

@@ -4,16 +4,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from flexman_gym.common.checks import one_of, physical, positive, sequence, text, value_error, whole_number
+from flexman_gym.common.checks import physical, positive, sequence, text, value_error
 from flexman_gym.control.actions import ActionMode, checked_action_mode
 from flexman_gym.control.base_controllers import BASES, checked_base
 from flexman_gym.control.controller import checked_controller
 from flexman_gym.envs.limits import Limits, find_limits
 from flexman_gym.envs.tasks import Task, check_task, find_task
+from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.mistakes import warn_of_units
 
 SHORTEST_PERIOD, LONGEST_PERIOD = 1e-9, 100.0  # s; control period
-MOST_REPEATS = 1000  # control periods of an action
 
 
 @dataclass(frozen=True)
@@ -77,11 +77,6 @@ def checked_period(value: object) -> float:
     return period
 
 
-def checked_horizon(value: object) -> float:
-    """Return a duration of episodes, s."""
-    return positive("horizon", value, "s")
-
-
 def checked_base_setting(value: Any) -> Any:
     """Return None, a name or a mapping of BASES as it is, or a Controller that takes the number of arms."""
     if isinstance(value, str | dict):
@@ -98,24 +93,9 @@ def checked_actions(value: Any) -> Any:
     return value
 
 
-def checked_alarm(value: object) -> float:
-    """Return a part of the energy turnover."""
-    return positive("energy_alarm", value)
-
-
 def checked_bandwidth(value: object) -> float | None:
     """Return a bandwidth, Hz, or None."""
     return None if value is None else physical("drive_bandwidth", value, "Hz")
-
-
-def checked_repeat(value: object) -> int:
-    """Return a number of control periods."""
-    return whole_number("action_repeat", value, 1, MOST_REPEATS)
-
-
-def checked_fidelity(value: object) -> str:
-    """Return the name of a fidelity."""
-    return one_of("fidelity", value, ("default", "auto"))
 
 
 def checked_names(value: object) -> tuple[str, ...]:
@@ -133,6 +113,19 @@ def lists(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: lists(each) for name, each in value.items()}
     return [lists(each) for each in value] if isinstance(value, list | tuple) else value
+
+
+def put(data: dict[str, Any], path: list[str], value: object) -> None:
+    """Write a value into a mapping of mappings; anything else on the path becomes a mapping."""
+    for part in path[:-1]:
+        inner = data.get(part)
+        data[part] = data = dict(inner) if isinstance(inner, dict) else {}
+    data[path[-1]] = value
+
+
+def links_and_motors(arm: Arm) -> tuple[object, ...]:
+    """Return the parts of an arm for which gains of a PD are tuned."""
+    return arm.links, [(joint.axis, joint.rotor_inertia, joint.stiffness) for joint in arm.joints]
 
 
 def keep(value: Any) -> Any:
