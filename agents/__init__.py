@@ -4,7 +4,7 @@ from importlib.util import find_spec
 
 from flexman_gym.common import renamed  # noqa: F401  finds modules under their old names
 
-EXTRA = ("stable_baselines3", "torch", "rich", "tqdm", "tensorboard")
+TRAINING_PACKAGES = ("stable_baselines3", "torch", "rich", "tqdm", "tensorboard")
 
-if _missing := [name for name in EXTRA if find_spec(name) is None]:
+if _missing := [name for name in TRAINING_PACKAGES if find_spec(name) is None]:
     raise ImportError(f"training needs {', '.join(_missing)}: pip install 'flexman_gym[train]'")

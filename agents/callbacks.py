@@ -17,8 +17,9 @@ from stable_baselines3.common.logger import CSVOutputFormat, Logger, TensorBoard
 from torch.utils.tensorboard import SummaryWriter
 
 from flexman_agents.settings import Schedule, Settings
-from flexman_gym.common.checks import is_count
-from flexman_gym.common.time_series import read_csv_lines
+from flexman_gym.common.checks import is_decimal_integer
+from flexman_gym.common.renamed import deprecated_names
+from flexman_gym.common.time_series import read_csv_rows
 from flexman_gym.control.agent import Law
 from flexman_gym.evaluation.agent import AgentSpec, split_interface
 from flexman_gym.evaluation.metrics import METRICS, evaluate
@@ -70,7 +71,7 @@ def open_logger(folder: Path, before: int, steps: int) -> Logger:
     """
     for path in folder.glob("progress*.csv"):
         first = path.stem.removeprefix("progress").removeprefix("-") or "0"
-        if is_count(first) and before <= int(first) < before + steps and not path.is_symlink():
+        if is_decimal_integer(first) and before <= int(first) < before + steps and not path.is_symlink():
             _cut(path, steps)
     path = folder / (f"progress-{before + steps}.csv" if before + steps else "progress.csv")
     path.unlink(missing_ok=True)  # it may be a link to a file of somebody's
@@ -80,7 +81,7 @@ def open_logger(folder: Path, before: int, steps: int) -> Logger:
 
 def _cut(path: Path, steps: int) -> None:
     """Takes the rows after so many steps out of a file."""
-    names, *rows = [*read_csv_lines(path)] or [[]]
+    names, *rows = [*read_csv_rows(path)] or [[]]
     if STEPS_COLUMN not in names:
         return
     column = names.index(STEPS_COLUMN)
@@ -89,11 +90,11 @@ def _cut(path: Path, steps: int) -> None:
         csv.writer(file, lineterminator="\n").writerows([names, *rows])
 
 
-CURVES = ("settling_time", "vibration", "error", "reward", "settled", "roughness", "failed")
-WORSE = 0.2  # share of settled episodes that may be lost before a warning
+CURVE_METRICS = ("settling_time", "vibration", "error", "reward", "settled", "roughness", "failed")
+WARNING_DROP = 0.2  # share of settled episodes that may be lost before a warning
 
 
-class Report(NamedTuple):
+class TrainingReport(NamedTuple):
     """What a hook is told where a rollout begins, and at the end.
 
     Attributes:
@@ -107,7 +108,7 @@ class Report(NamedTuple):
     save: Callable[[], None]
 
 
-Hook = Callable[[Report], bool | None]
+Hook = Callable[[TrainingReport], bool | None]
 
 
 class Exploration(BaseCallback):
@@ -220,14 +221,17 @@ class Evaluation(BaseCallback):
     def _compare(self) -> None:
         """Evaluates the policy as it is and keeps it where it is the best."""
         self.latest = result = evaluate(self._entrant, self._environment, SELECTION_SEEDS)
-        for name in CURVES:
+        for name in CURVE_METRICS:
             unit = METRICS[name].unit
             self.logger.record(f"selection/{name}_{unit}" if unit else f"selection/{name}", result[name])
         if result["reward"] > self._best[0]:
             self._best, self._warned = [result["reward"], result["settled"]], False
             self._keep()
-        elif result["settled"] < self._best[1] - WORSE and not self._warned:
+        elif result["settled"] < self._best[1] - WARNING_DROP and not self._warned:
             self._warned = True
             share = f"{result['settled']:.0%} settle instead of {self._best[1]:.0%}"
             said = f"after {self.num_timesteps} steps the policy is worse than before: {share}; the best one is kept"
             print(said, file=sys.stderr)
+
+
+__getattr__ = deprecated_names(__name__)

@@ -12,31 +12,34 @@ import torch
 from numpy.typing import NDArray
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from flexman_agents.callbacks import STEPS_COLUMN, Hook, Interrupted, Report, open_logger, stop_on_interrupt
-from flexman_agents.sb3 import LAYERS
-from flexman_agents.settings import HYPERPARAMETERS, Settings
-from flexman_gym.common.arrays import Array, Flags, IntArray
+from flexman_agents.callbacks import STEPS_COLUMN, Hook, Interrupted, TrainingReport, open_logger, stop_on_interrupt
+from flexman_agents.sb3 import ACTIVATION_LAYERS
+from flexman_agents.settings import DEFAULT_HYPERPARAMETERS, Settings
+from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import one_of, value_error
-from flexman_gym.common.run_folder import NEWEST, write_data
+from flexman_gym.common.run_folder import NEWEST, write_npz
 from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.agent import history_length
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
-from flexman_gym.control.network import LARGEST, LEAST, Network
-from flexman_gym.envs.config.fidelity import build
+from flexman_gym.control.network import MAX_INPUT, VARIANCE_OFFSET, Network
+from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_controller
-from flexman_gym.envs.episodes import design_mode
+from flexman_gym.envs.episodes import make_base_and_mode
 from flexman_gym.evaluation.agent import AgentSpec, observation_layout, split_interface
 from flexman_gym.evaluation.agent_info import TIME_COLUMN
 from flexman_gym.evaluation.rollout import Rollout, rollout, training_seed
 
 BETA = (1.0, 0.5, 0.25)  # share of the arms that the teacher leads, in the first rounds
-SCALE = 10.0  # of actions while they are learned: most are small beside 1
-FLOOR, HEAVIEST = 0.15, 10.0  # beside the mean size of actions of an instant, by which it is weighed; largest weight
-AVERAGED = 0.995  # of the weights that act, after each step
-STEEPEST = 5.0  # norm of a gradient
+ACTION_SCALE = 10.0  # of actions while they are learned: most are small beside 1
+WEIGHT_FLOOR, MAX_WEIGHT = (
+    0.15,
+    10.0,
+)  # beside the mean size of actions of an instant, by which it is weighed; largest weight
+EMA_DECAY = 0.995  # of the weights that act, after each step
+MAX_GRADIENT_NORM = 5.0  # norm of a gradient
 
 
-class Student:
+class _StudentMode:
     """Action mode of a student, with a teacher that labels the states that it visits.
 
     The environment's agent observes, keeps a history and repeats actions; the law of the student gives its commands.
@@ -57,11 +60,11 @@ class Student:
         self.network, self._mode, self._strength, self._teacher = network, mode, strength, teacher
         self.joints, self.names, self.sensors = mode.joints, mode.names, (*mode.sensors, *teacher.sensors)
         self.shown: Mapping[str, int] = getattr(mode, "shown", {})
-        self.led: Flags = np.zeros(0, dtype=bool)
+        self.led: BoolArray = np.zeros(0, dtype=bool)
         self._observations: NDArray[np.float32] | None = None
-        self.notes: list[tuple[NDArray[np.float32], Array, Flags]] = []
+        self.notes: list[tuple[NDArray[np.float32], Array, BoolArray]] = []
 
-    def __deepcopy__(self, memo: object) -> "Student":
+    def __deepcopy__(self, memo: object) -> "_StudentMode":
         return self  # a rollout copies what acts; this one keeps its notes, and the teacher its designs
 
     def law(self, observations: NDArray[np.float32]) -> Array:
@@ -74,12 +77,12 @@ class Student:
         self._teacher.reset(arms, episode, count)
         self._mode.reset(arms, episode, count)
 
-    def look(self, readings: Readings, applied: Array, playing: Flags) -> Array:
+    def look(self, readings: Readings, applied: Array, playing: BoolArray) -> Array:
         """Return what the mode shows the student, (b, size)."""
         shown: Array = self._mode.look(readings, applied, playing)  # type: ignore[attr-defined]
         return shown
 
-    def act(self, actions: Array, readings: Readings, applied: Array, playing: Flags) -> Array:
+    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
         """Return the torques (b, n) of the teacher where it leads, of the student elsewhere, parts of the limits."""
         wanted = np.clip(self._teacher.act(readings, applied, playing), -1.0, 1.0)
         asked = self._mode.act(actions, readings, applied, playing)
@@ -119,9 +122,9 @@ class DAgger:
     """
 
     def __init__(self, settings: Settings) -> None:
-        chosen = HYPERPARAMETERS["dagger"] | dict(settings.hyperparameters)
+        chosen = DEFAULT_HYPERPARAMETERS["dagger"] | dict(settings.hyperparameters)
         for name in chosen:
-            one_of("hyperparameters", name, sorted(HYPERPARAMETERS["dagger"]))
+            one_of("hyperparameters", name, sorted(DEFAULT_HYPERPARAMETERS["dagger"]))
         torch.set_num_threads(1)
         torch.manual_seed(settings.seed)
         self._settings, self._chosen, self._described = settings, chosen, settings.environment
@@ -131,20 +134,20 @@ class DAgger:
             history_length(described.history) * sum(each["size"] for each in observation_layout(described)),
             *chosen["net_arch"],
         ]
-        pairs, between = pairwise(widths), LAYERS[chosen["activation"]]
+        pairs, between = pairwise(widths), ACTIVATION_LAYERS[chosen["activation"]]
         inner = [layer for k, m in pairs for layer in (torch.nn.Linear(k, m), between())]
         self._layers = torch.nn.Sequential(*inner, torch.nn.Linear(widths[-1], len(described.torque_limit)))
         for values in self._layers[-1].parameters():
             torch.nn.init.zeros_(values)
         self._moments = {"mean": np.zeros(widths[0]), "var": np.ones(widths[0])}
         self._optimizer = torch.optim.Adam(self._layers.parameters(), fused=True)
-        averaged = get_ema_multi_avg_fn(AVERAGED)  # type: ignore[no-untyped-call]
+        averaged = get_ema_multi_avg_fn(EMA_DECAY)  # type: ignore[no-untyped-call]
         self._mean = AveragedModel(self._layers, multi_avg_fn=averaged)
-        model = build(described).model
-        mode = design_mode(described, model)[1]
+        model = resolve_fidelity(described).model
+        mode = make_base_and_mode(described, model)[1]
         strength = _strength(mode)  # refuses a mode of something else before a teacher is made
         teacher = make_controller(described, chosen["teacher"], model)
-        self._student = Student(self._network(), mode, strength, teacher)
+        self._student = _StudentMode(self._network(), mode, strength, teacher)
         self._per_round = settings.envs * -(-described.longest // described.action_repeat)
         self.steps = self._per_round * -(-settings.steps // self._per_round)
         self._rounds: list[list[NDArray[np.float32]]] = []  # what was seen, what is wanted, and how much it counts
@@ -178,7 +181,7 @@ class DAgger:
                   for name, layer in {**names, "action_net": layers[-1]}.items()
                   for part, value in layer.named_parameters()}  # fmt: skip
         for part in ("weight", "bias"):
-            arrays[f"action_net.{part}"] /= SCALE
+            arrays[f"action_net.{part}"] /= ACTION_SCALE
         return {"policy": arrays, "statistics": dict(self._moments)}
 
     def _agent(self) -> AgentSpec:
@@ -187,8 +190,8 @@ class DAgger:
         own = {name: value for name, value in interface.items() if name not in ("base", "gains")}
         return AgentSpec("Student", self._student.law, {**own, "actions": self._student})
 
-    def _network(self) -> "_Quick":
-        return _Quick("dagger", self._chosen["activation"], *self.policy().values())
+    def _network(self) -> "_FastNetwork":
+        return _FastNetwork("dagger", self._chosen["activation"], *self.policy().values())
 
     def _play(self, number: int) -> dict[str, float]:
         """Plays a round, and remembers what it teaches."""
@@ -202,7 +205,7 @@ class DAgger:
         if number == 0:
             seen = self._rounds[0][0]
             self._moments = {"mean": seen.mean(axis=0, dtype=np.float64), "var": seen.var(axis=0, dtype=np.float64)}
-        return _figures(played)
+        return _rollout_metrics(played)
 
     def _update(self) -> float:
         """Takes a step along the gradient of a batch; gives its loss."""
@@ -211,13 +214,15 @@ class DAgger:
                   for place, (seen, _, _) in enumerate(self._rounds)]  # fmt: skip
         parts = [[part[rows] for part in lesson] for lesson, rows in zip(self._rounds, chosen, strict=True)]
         seen, wanted, weights = (np.concatenate(part) for part in zip(*parts, strict=True))
-        scaled = np.clip((seen - self._moments["mean"]) / np.sqrt(self._moments["var"] + LEAST), -LARGEST, LARGEST)
-        counts = torch.as_tensor(np.minimum(weights / self._usual, HEAVIEST).astype(np.float32))
+        scaled = np.clip(
+            (seen - self._moments["mean"]) / np.sqrt(self._moments["var"] + VARIANCE_OFFSET), -MAX_INPUT, MAX_INPUT
+        )
+        counts = torch.as_tensor(np.minimum(weights / self._usual, MAX_WEIGHT).astype(np.float32))
         errors = self._layers(torch.as_tensor(scaled.astype(np.float32))) - torch.as_tensor(wanted)
         loss = (counts[:, None] * errors**2).mean()
         self._optimizer.zero_grad()
         loss.backward()
-        torch.nn.utils.clip_grad_norm_(self._layers.parameters(), STEEPEST)
+        torch.nn.utils.clip_grad_norm_(self._layers.parameters(), MAX_GRADIENT_NORM)
         self._optimizer.step()
         self._mean.update_parameters(self._layers)
         return float(loss.item())
@@ -251,36 +256,36 @@ class DAggerRun:
             if progress and figures:
                 said = ", ".join(f"{name.split('/')[1]} {value:.3g}" for name, value in figures.items())
                 print(f"{steps:,} of {self._imitation.steps:,} actions: {said}", file=sys.stderr)
-            return asked.is_set() or bool(hook and hook(Report(steps, {}, lambda: None)))
+            return asked.is_set() or bool(hook and hook(TrainingReport(steps, {}, lambda: None)))
 
         with stop_on_interrupt() as asked:
             learned = self._imitation.learn(stop)
         curves.close()
         if learned:
             told = {"settings": self._settings.plain(), "training": {"counts": {"num_timesteps": taken}}}
-            write_data(self._folder / NEWEST, self._imitation.policy() | told)
+            write_npz(self._folder / NEWEST, self._imitation.policy() | told)
         elif asked.is_set():
             raise Interrupted(f"{self._folder}: stopped after {taken} steps, of which an imitation keeps none")
 
 
-class _Quick(Network):
+class _FastNetwork(Network):
     """A network by products of BLAS: quicker, but the last digits of a row depend on the others."""
 
     def product(self, values: Array, weights: Array) -> Array:
         return values @ weights.T
 
 
-def _training_set(notes: list[tuple[NDArray[np.float32], Array, Flags]], odd: int) -> list[NDArray[np.float32]]:
+def _training_set(notes: list[tuple[NDArray[np.float32], Array, BoolArray]], odd: int) -> list[NDArray[np.float32]]:
     """Every second one of the notes: what was seen (r, size), actions wanted (r, n), how much they count (r,)."""
     parts = []
     for seen, wanted, due in notes[odd::2]:
-        scaled = SCALE * wanted[due]
-        weight = 1.0 / (FLOOR + np.abs(scaled).mean()) ** 2
+        scaled = ACTION_SCALE * wanted[due]
+        weight = 1.0 / (WEIGHT_FLOOR + np.abs(scaled).mean()) ** 2
         parts.append((seen[due], scaled, np.full(len(scaled), weight)))
     return [np.concatenate(part).astype(np.float32) for part in zip(*parts, strict=True)]
 
 
-def _figures(played: Rollout) -> dict[str, float]:
+def _rollout_metrics(played: Rollout) -> dict[str, float]:
     return {
         "rollout/ep_rew_mean": float(np.nansum(played.rewards, axis=1).mean()),
         "rollout/failed": float(np.mean([bool(failure) for failure in played.failures])),

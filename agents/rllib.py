@@ -18,18 +18,18 @@ from ray.rllib.env.single_agent_episode import SingleAgentEpisode
 from ray.rllib.env.utils.infinite_lookback_buffer import InfiniteLookbackBuffer
 from ray.tune.registry import register_env
 
-from flexman_agents.settings import EXPLORATION, HYPERPARAMETERS, Settings, write_settings
+from flexman_agents.settings import DEFAULT_HYPERPARAMETERS, EXPLORATION_SCHEDULES, Settings, write_settings
 from flexman_gym.common.checks import value_error, whole_number
-from flexman_gym.common.grid import python_path, ray_cluster
-from flexman_gym.common.run_folder import NEWEST, lock_folder, write_data
+from flexman_gym.common.parallel import python_path, ray_cluster
+from flexman_gym.common.run_folder import NEWEST, lock_folder, write_npz
 from flexman_gym.control.normalisation import RunningMeanStd
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.rollout import training_seed
 
-MOST = 10.0  # magnitude of what is normalised
+CLIP = 10.0  # magnitude of what is normalised
 
 
-class Moments(ConnectorV2):
+class NormalisationConnector(ConnectorV2):
     """Scales of observations and returns: those that all runners share, and what this one has seen since."""
 
     def __init__(self, size: int) -> None:
@@ -64,7 +64,7 @@ class Moments(ConnectorV2):
 
     def merge_states(self, states: list[dict[str, Any]]) -> dict[str, Any]:
         """What all runners have seen, counted once."""
-        result = Moments(len(self.own["seen"].mean))
+        result = NormalisationConnector(len(self.own["seen"].mean))
         for part, several in (("shared", states[:1]), ("own", states)):
             for name, scales in result.shared.items():
                 for state in several:
@@ -74,7 +74,7 @@ class Moments(ConnectorV2):
         return result.get_state()
 
 
-class ArrayRunner(SingleAgentEnvRunner):
+class ArrayEnvRunner(SingleAgentEnvRunner):
     """Rolls all arms out as arrays and cuts them into episodes once; the stock runner handles arm after arm."""
 
     _needs_initial_reset: bool
@@ -88,14 +88,14 @@ class ArrayRunner(SingleAgentEnvRunner):
         steps = -(-num_timesteps // self.num_envs)
         if self._needs_initial_reset or force_reset:
             self._begin()
-        moments = next(each for each in self._env_to_module if isinstance(each, Moments))
+        moments = next(each for each in self._env_to_module if isinstance(each, NormalisationConnector))
         seen, spread = moments.now("seen"), moments.now("returns").deviation
         scale = spread if self.config.env_config["normalise_reward"] else 1.0
         rows: dict[str, list[Any]] = {name: [] for name in ("raw", "acts", "logits", "logp", "rewards", "returns")}
         ends: list[tuple[int, int, Any, bool]] = []
         for step in range(1, steps + 1):
             with torch.no_grad():
-                batch = {Columns.OBS: torch.from_numpy(seen.apply(self._seen, MOST))}
+                batch = {Columns.OBS: torch.from_numpy(seen.apply(self._seen, CLIP))}
                 logits = self.module.forward_exploration(batch)[Columns.ACTION_DIST_INPUTS]
                 chance = self.module.get_exploration_action_dist_cls().from_logits(logits)
                 acts = chance.sample()
@@ -105,19 +105,19 @@ class ArrayRunner(SingleAgentEnvRunner):
             self._return = self._return * self.config.gamma + reward
             self._score += reward
             self._length += 1
-            reward = np.clip(reward / scale, -MOST, MOST)
+            reward = np.clip(reward / scale, -CLIP, CLIP)
             for name, each in zip(("acts", "logits", "logp", "rewards", "returns"),
                                   (acts.numpy(), logits.numpy(), logp.numpy(), reward, self._return.copy()),
                                   strict=True):  # fmt: skip
                 rows[name].append(each)
             for arm in np.flatnonzero(ended | cut).tolist():
-                ends.append((arm, step, seen.apply(infos["final_obs"][arm], MOST), bool(ended[arm])))
+                ends.append((arm, step, seen.apply(infos["final_obs"][arm], CLIP), bool(ended[arm])))
                 self._log_episode_metrics(int(self._length[arm]), float(self._score[arm]), 0.0)
                 self._return[arm] = self._score[arm] = self._length[arm] = 0
         moments.own["seen"].add(np.array(rows["raw"]))
         moments.own["returns"].add(np.array(rows.pop("returns")))
         arrays = {name: np.stack(values, 1) for name, values in rows.items()}
-        arrays["obs"] = np.concatenate([seen.apply(arrays.pop("raw"), MOST), seen.apply(self._seen, MOST)[:, None]], 1)
+        arrays["obs"] = np.concatenate([seen.apply(arrays.pop("raw"), CLIP), seen.apply(self._seen, CLIP)[:, None]], 1)
         self._log_env_steps(metric=self._metrics_num_env_steps_sampled, num_steps=self.num_envs * steps)
         self._increase_sampled_metrics(self.num_envs * steps, len(ends))
         return self._episodes(arrays, ends, steps)
@@ -178,15 +178,15 @@ def _make_environment(context: Any) -> Any:
                         infos="at end", **described.keywords())  # fmt: skip
 
 
-CHECKPOINTS = "rllib"  # the folder of them
+CHECKPOINT_FOLDER = "rllib"  # the folder of them
 RLLIB_NAMES = {"n_steps": "", "batch_size": "minibatch_size", "n_epochs": "num_epochs", "gamma": "gamma",
          "gae_lambda": "lambda_", "clip_range": "clip_param", "ent_coef": "entropy_coeff",
          "vf_coef": "vf_loss_coeff", "max_grad_norm": "grad_clip"}  # fmt: skip
-POLICY = ("net_arch", "activation", "log_std_init", "learning_rate", "ortho_init")
-OURS = {"encoder.actor_encoder.net.mlp.": "mlp_extractor.policy_net.", "pi.net.mlp.0.": "action_net."}
+POLICY_HYPERPARAMETERS = ("net_arch", "activation", "log_std_init", "learning_rate", "ortho_init")
+SB3_PREFIXES = {"encoder.actor_encoder.net.mlp.": "mlp_extractor.policy_net.", "pi.net.mlp.0.": "action_net."}
 
 
-def configure(settings: Settings, runners: int) -> PPOConfig:
+def ppo_config(settings: Settings, runners: int) -> PPOConfig:
     """Translates the settings of a run.
 
     Raises:
@@ -199,10 +199,12 @@ def configure(settings: Settings, runners: int) -> PPOConfig:
     for name in ("judge_every", "value_first"):
         if getattr(settings, name):
             raise value_error(name, getattr(settings, name), "0 with RLlib")
-    chosen = HYPERPARAMETERS["ppo"] | {"clip_range": 0.2, "ent_coef": 0.0, "vf_coef": 0.5, "max_grad_norm": 0.5}
+    chosen = DEFAULT_HYPERPARAMETERS["ppo"] | {"clip_range": 0.2, "ent_coef": 0.0, "vf_coef": 0.5, "max_grad_norm": 0.5}
     chosen |= dict(settings.hyperparameters)
-    if unknown := chosen.keys() - {*RLLIB_NAMES, *POLICY}:
-        raise value_error("hyperparameters", sorted(unknown), f"some of {', '.join([*RLLIB_NAMES, *POLICY])}")
+    if unknown := chosen.keys() - {*RLLIB_NAMES, *POLICY_HYPERPARAMETERS}:
+        raise value_error(
+            "hyperparameters", sorted(unknown), f"some of {', '.join([*RLLIB_NAMES, *POLICY_HYPERPARAMETERS])}"
+        )
     rate, gain = settings.schedule("learning_rate"), {"gain": 2.0**0.5}
     fixed = chosen.get("learning_rate", 2e-4)
     points = [[0, fixed]] if rate is None else [[0, rate.start], [int(rate.until * settings.steps), rate.end + 1e-12]]
@@ -222,7 +224,7 @@ def configure(settings: Settings, runners: int) -> PPOConfig:
         .environment("flexman", env_config=context, disable_env_checking=True, normalize_actions=False,
                      clip_actions=False)
         .env_runners(num_env_runners=runners, num_envs_per_env_runner=settings.envs // max(1, runners),
-                     gym_env_vectorize_mode="vector_entry_point", env_runner_cls=ArrayRunner,
+                     gym_env_vectorize_mode="vector_entry_point", env_runner_cls=ArrayEnvRunner,
                      rollout_fragment_length=chosen["n_steps"], episode_lookback_horizon=0,
                      env_to_module_connector=_moments)
         .learners(num_learners=0)
@@ -234,9 +236,9 @@ def configure(settings: Settings, runners: int) -> PPOConfig:
     )  # fmt: skip
 
 
-def _moments(env: Any, spaces: Any, device: Any) -> Moments:
+def _moments(env: Any, spaces: Any, device: Any) -> NormalisationConnector:
     space = env.single_observation_space if env is not None else spaces["__env_single__"][0]
-    return Moments(space.shape[0])
+    return NormalisationConnector(space.shape[0])
 
 
 def train_rllib(settings: Settings, folder: Path, runners: int = 0, every: int = 100_000, resume: bool = False) -> None:
@@ -254,7 +256,7 @@ def train_rllib(settings: Settings, folder: Path, runners: int = 0, every: int =
         FileNotFoundError, ValueError: one line.
     """
     runners, every = whole_number("runners", runners, 0, 10_000), whole_number("checkpoint_every", every, 0, 10**10)
-    config, place = configure(settings, runners), Path(folder).absolute() / CHECKPOINTS
+    config, place = ppo_config(settings, runners), Path(folder).absolute() / CHECKPOINT_FOLDER
     known = sorted(place.glob("[0-9]*"), key=lambda path: int(path.name))
     if resume and not known:
         raise FileNotFoundError(f"{place}: no checkpoint; give a folder that a training with RLlib has written")
@@ -270,7 +272,7 @@ def train_rllib(settings: Settings, folder: Path, runners: int = 0, every: int =
 def _learn(algorithm: Any, settings: Settings, place: Path, every: int, done: int) -> None:
     """Learns to the end of the steps, from a checkpoint after `done` of them."""
     torch.set_num_threads(1)
-    exploration = settings.schedule(EXPLORATION[0])
+    exploration = settings.schedule(EXPLORATION_SCHEDULES[0])
     if done:
         algorithm.restore_from_path(str(place / str(done)))
     elif exploration is None:
@@ -309,7 +311,9 @@ def _keep(algorithm: Any, settings: Settings, place: Path, done: int) -> None:
             shutil.rmtree(path)
     state = algorithm.learner_group.get_weights()["default_policy"]
     policy = {ours + name.removeprefix(theirs): np.asarray(values) for name, values in state.items()
-              for theirs, ours in OURS.items() if name.startswith(theirs)}  # fmt: skip
-    scales = next(each for each in algorithm.env_runner._env_to_module if isinstance(each, Moments)).now("seen")
+              for theirs, ours in SB3_PREFIXES.items() if name.startswith(theirs)}  # fmt: skip
+    scales = next(each for each in algorithm.env_runner._env_to_module if isinstance(each, NormalisationConnector)).now(
+        "seen"
+    )
     statistics = {"mean": scales.mean, "var": scales.squares / scales.count, "count": np.array(scales.count)}
-    write_data(place.parent / NEWEST, {"policy": policy, "statistics": statistics, "settings": settings.plain()})
+    write_npz(place.parent / NEWEST, {"policy": policy, "statistics": statistics, "settings": settings.plain()})

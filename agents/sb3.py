@@ -19,15 +19,15 @@ from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from flexman_agents.settings import (
-    EXPLORATION,
-    HYPERPARAMETERS,
+    DEFAULT_HYPERPARAMETERS,
+    EXPLORATION_SCHEDULES,
     RECIPE_FOLDER,
     RECIPES,
     Schedule,
     Settings,
     find_recipe,
 )
-from flexman_agents.vector import Arms
+from flexman_agents.vector import SB3VecEnv
 from flexman_gym.common import files
 from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.common.files import existing_file
@@ -37,9 +37,9 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import SB3_MODEL, AgentSpec, predictor_agent, split_interface
 from flexman_gym.evaluation.rollout import training_seed
 
-LAYERS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}  # by the names of settings.ACTIVATIONS
+ACTIVATION_LAYERS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}  # by the names of settings.ACTIVATIONS
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": sb3.PPO, "sac": sb3.SAC}
-NET_ARCH, LOG_STD = [128, 128], {"ppo": -3.0, "sac": -3.0}  # louder noise shakes the arm for seconds
+DEFAULT_NET_ARCH, DEFAULT_LOG_STD = [128, 128], {"ppo": -3.0, "sac": -3.0}  # louder noise shakes the arm for seconds
 
 
 def make_model(settings: Settings, device: str = "cpu") -> BaseAlgorithm:
@@ -69,7 +69,7 @@ def make_environments(settings: Settings) -> VecMonitor:
     """Makes the arms of a training."""
     described = settings.environment
     keywords = described.keywords() | {"autoreset_mode": AutoresetMode.SAME_STEP, "infos": "at end"}
-    return VecMonitor(Arms(gym.make_vec(described.id, settings.envs, "vector_entry_point", **keywords)))
+    return VecMonitor(SB3VecEnv(gym.make_vec(described.id, settings.envs, "vector_entry_point", **keywords)))
 
 
 def algorithm_arguments(settings: Settings) -> dict[str, Any]:
@@ -78,13 +78,13 @@ def algorithm_arguments(settings: Settings) -> dict[str, Any]:
     Raises:
         ValueError: for a name that the algorithm does not know.
     """
-    chosen = HYPERPARAMETERS[settings.algo] | dict(settings.hyperparameters)
-    policy = {"net_arch": chosen.pop("net_arch", NET_ARCH)}
-    policy["log_std_init"] = chosen.pop("log_std_init", LOG_STD[settings.algo])
+    chosen = DEFAULT_HYPERPARAMETERS[settings.algo] | dict(settings.hyperparameters)
+    policy = {"net_arch": chosen.pop("net_arch", DEFAULT_NET_ARCH)}
+    policy["log_std_init"] = chosen.pop("log_std_init", DEFAULT_LOG_STD[settings.algo])
     if "ortho_init" in chosen:
         policy["ortho_init"] = chosen.pop("ortho_init")
     if "activation" in chosen:
-        policy["activation_fn"] = LAYERS[chosen.pop("activation")]
+        policy["activation_fn"] = ACTIVATION_LAYERS[chosen.pop("activation")]
     rate = settings.schedule("learning_rate")
     if rate is not None:
         chosen["learning_rate"] = rate
@@ -107,10 +107,10 @@ def action_function(model: BaseAlgorithm, statistics: VecNormalize) -> Law:
     return law
 
 
-STATISTICS, BEST = "normalisation.pkl", "best"
+STATISTICS_FILE, BEST_FOLDER = "normalisation.pkl", "best"
 # by which a zip is told apart
-POLICIES: dict[str, type[BaseAlgorithm]] = {"ActorCriticPolicy": PPO, "SACPolicy": SAC, "TD3Policy": TD3}
-BROKEN = (
+POLICY_CLASSES: dict[str, type[BaseAlgorithm]] = {"ActorCriticPolicy": PPO, "SACPolicy": SAC, "TD3Policy": TD3}
+LOADING_ERRORS = (
     ValueError, KeyError, TypeError, AttributeError, EOFError, OSError, RuntimeError, AssertionError, ImportError,
     pickle.UnpicklingError, zipfile.BadZipFile,
 )  # fmt: skip
@@ -125,14 +125,14 @@ def load_sb3_run(folder: Path) -> AgentSpec:
         FileNotFoundError, ValueError: one clear line.
     """
     settings = Settings.from_json(folder / SETTINGS, read_settings_text(folder))
-    place = folder / BEST if (folder / BEST / SB3_MODEL).is_file() else folder
+    place = folder / BEST_FOLDER if (folder / BEST_FOLDER / SB3_MODEL).is_file() else folder
     try:
         model = ALGORITHMS[settings.algo].load(existing_file(place / SB3_MODEL), device="cpu")
         arms = make_environments(replace(settings, envs=1))
-        statistics = VecNormalize.load(str(existing_file(place / STATISTICS)), arms)
+        statistics = VecNormalize.load(str(existing_file(place / STATISTICS_FILE)), arms)
     except FileNotFoundError:
         raise
-    except BROKEN as error:
+    except LOADING_ERRORS as error:
         said = " ".join(str(error).split())[:120] or type(error).__name__
         raise ValueError(f"{place}: this is not a run of Stable-Baselines3 ({said})") from None
     environment, interface = split_interface(settings.environment)
@@ -154,21 +154,21 @@ def load_sb3_zip(path: Path, described: Configuration | None = None) -> AgentSpe
     statistics = existing_file(path).with_suffix(".pkl")
     try:
         kind = load_from_zip_file(path)[0]["policy_class"].__name__  # type: ignore[index]
-        model: BaseAlgorithm = POLICIES[one_of("policy", kind, POLICIES)].load(path, device="cpu")
+        model: BaseAlgorithm = POLICY_CLASSES[one_of("policy", kind, POLICY_CLASSES)].load(path, device="cpu")
         entrant = predictor_agent(model, described)
         if statistics.is_file():
             with statistics.open("rb") as file:
                 normaliser = pickle.load(file)
             law: Any = entrant.law
             return replace(entrant, name=path.stem, law=lambda seen: law(normaliser.normalize_obs(seen)))
-    except BROKEN as error:
+    except LOADING_ERRORS as error:
         said = " ".join(str(error).split())[:120] or type(error).__name__
         raise ValueError(f"{path}: this is not a policy of Stable-Baselines3 ({said})") from None
     return replace(entrant, name=path.stem)
 
 
-ZOO = RECIPE_FOLDER / "rl_zoo3"
-CALLBACK = "flexman_agents.callbacks.Exploration"
+ZOO_FOLDER = RECIPE_FOLDER / "rl_zoo3"
+EXPLORATION_CALLBACK = "flexman_agents.callbacks.Exploration"
 
 
 def zoo_hyperparameters(settings: Settings) -> dict[str, Any]:
@@ -194,13 +194,15 @@ def zoo_hyperparameters(settings: Settings) -> dict[str, Any]:
         "policy_kwargs": f"dict({', '.join(words)})",
         "env_kwargs": _difference(described.to_plain(), type(described)(described.id).to_plain()),
     }
-    for name in EXPLORATION:
+    for name in EXPLORATION_SCHEDULES:
         if name in settings.schedules:
-            result["callback"] = {CALLBACK: {"schedule": dict(settings.schedules[name]), "steps": settings.steps}}
+            result["callback"] = {
+                EXPLORATION_CALLBACK: {"schedule": dict(settings.schedules[name]), "steps": settings.steps}
+            }
     return {described.id: result}
 
 
-def write_zoo_files(folder: Path = ZOO) -> None:
+def write_zoo_files(folder: Path = ZOO_FOLDER) -> None:
     """Write each recipe whose algorithm rl_zoo3 has to a file in a folder."""
     folder.mkdir(exist_ok=True)
     for name in RECIPES:

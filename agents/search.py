@@ -10,18 +10,18 @@ from typing import Any
 
 import yaml
 
-from flexman_agents.callbacks import Report
+from flexman_agents.callbacks import TrainingReport
 from flexman_agents.settings import Settings
 from flexman_agents.training import train_or_resume
 from flexman_gym.common.checks import finite, mapping, one_of, sequence, value_error, whole_number
 from flexman_gym.common.computer import computer_text
 from flexman_gym.common.files import write_atomically
-from flexman_gym.common.grid import Workers, run_cells
+from flexman_gym.common.parallel import Workers, parallel_map_unordered
 from flexman_gym.evaluation.rollout import compile_kernels
 
-JOURNAL, BEST, NAME = "study.log", "best.yaml", "flexman"
-MOST_TRIALS, PARTS = 100_000, 10  # evaluations of a trial where the recipe asks for none
-STARTED = 4  # trials that are not pruned, against which others are
+JOURNAL_FILE, BEST_FILE, STUDY_NAME = "study.log", "best.yaml", "flexman"
+MAX_TRIALS, EVALUATIONS = 100_000, 10  # evaluations of a trial where the recipe asks for none
+STARTUP_TRIALS = 4  # trials that are not pruned, against which others are
 
 
 def search(
@@ -48,9 +48,9 @@ def search(
         ValueError: one line; also where no trial came to its end.
         ImportError: without Optuna.
     """
-    trials = whole_number("trials", trials, 1, MOST_TRIALS)
+    trials = whole_number("trials", trials, 1, MAX_TRIALS)
     if not recipe.judge_every:
-        recipe = replace(recipe, judge_every=max(1, recipe.steps // PARTS))
+        recipe = replace(recipe, judge_every=max(1, recipe.steps // EVALUATIONS))
     for path in over:
         _check(path, over[path], recipe)
     folder.mkdir(parents=True, exist_ok=True)
@@ -64,7 +64,7 @@ def search(
         if not begun:
             return _keep_best(study, recipe, folder)
         cells = [(change_settings(recipe, _proposed(study, number, over)), str(folder), number) for number in begun]
-        for _ in run_cells(run_trial, cells, workers, prepare=compile_kernels):
+        for _ in parallel_map_unordered(run_trial, cells, workers, prepare=compile_kernels):
             pass
 
 
@@ -75,7 +75,7 @@ def run_trial(cell: tuple[Settings, str, int]) -> None:
     trial, known = _trial(study, number), [dict[str, float]()]
     pruned = bool(trial._cached_frozen_trial.intermediate_values) and bool(trial.should_prune())  # and then killed
 
-    def hook(report: Report) -> bool:
+    def hook(report: TrainingReport) -> bool:
         nonlocal pruned
         if report.figures and report.figures != known[-1]:
             known.append(dict(report.figures))
@@ -163,8 +163,8 @@ def _keep_best(study: Any, recipe: Settings, folder: Path) -> Path:
              *(f"{path}: {value!r}" for path, value in best.params.items()),
              computer_text(("optuna", "torch"))]  # fmt: skip
     text = "".join(f"# {line}\n" for line in words) + yaml.safe_dump(json.loads(json.dumps(settings.plain())))
-    write_atomically(folder / BEST, lambda file: file.write(text.encode()))
-    return folder / BEST
+    write_atomically(folder / BEST_FILE, lambda file: file.write(text.encode()))
+    return folder / BEST_FILE
 
 
 def _trial(study: Any, number: int) -> Any:
@@ -176,10 +176,10 @@ def _study(folder: Path) -> Any:
     """The study in a folder, whose journal several processes may write."""
     optuna = _optuna()
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    backend = optuna.storages.journal.JournalFileBackend(str(folder / JOURNAL))
+    backend = optuna.storages.journal.JournalFileBackend(str(folder / JOURNAL_FILE))
     return optuna.create_study(
-        storage=optuna.storages.JournalStorage(backend), study_name=NAME, direction="maximize", load_if_exists=True,
-        pruner=optuna.pruners.MedianPruner(n_startup_trials=STARTED),
+        storage=optuna.storages.JournalStorage(backend), study_name=STUDY_NAME, direction="maximize", load_if_exists=True,
+        pruner=optuna.pruners.MedianPruner(n_startup_trials=STARTUP_TRIALS),
     )  # fmt: skip
 
 

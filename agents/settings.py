@@ -25,18 +25,26 @@ from flexman_gym.common.checks import (
     whole_number,
 )
 from flexman_gym.common.run_folder import SETTINGS, read_settings
-from flexman_gym.control.base_controllers import checked_base
+from flexman_gym.control.base_controllers import parse_base
 from flexman_gym.envs.config.configuration import Configuration
 
 ALGORITHMS = ("ppo", "sac", "dagger")
-ENVS = {"ppo": 64, "sac": 16, "dagger": 128}
-MOST_ENVS, MOST_STEPS, MOST_SEED, WIDEST = 4096, 10**10, 2**31, 10**5
-COUNTS = ("n_steps", "batch_size", "n_epochs", "learning_starts", "buffer_size", "updates", "rounds_kept")
-PARTS = ("gamma", "gae_lambda", "tau")
+DEFAULT_ENVS = {"ppo": 64, "sac": 16, "dagger": 128}
+MAX_ENVS, MAX_STEPS, MAX_SEED, MAX_WIDTH = 4096, 10**10, 2**31, 10**5
+WHOLE_HYPERPARAMETERS = (
+    "n_steps",
+    "batch_size",
+    "n_epochs",
+    "learning_starts",
+    "buffer_size",
+    "updates",
+    "rounds_kept",
+)
+FRACTION_HYPERPARAMETERS = ("gamma", "gae_lambda", "tau")
 ACTIVATIONS = ("tanh", "relu")
-SCHEDULED = {"learning_rate": ALGORITHMS, "log_std": ("ppo",), "target_entropy": ("sac",)}  # name -> algorithms
-EXPLORATION = ("log_std", "target_entropy")  # of PPO, of SAC
-HYPERPARAMETERS: dict[str, dict[str, Any]] = {
+SCHEDULES = {"learning_rate": ALGORITHMS, "log_std": ("ppo",), "target_entropy": ("sac",)}  # name -> algorithms
+EXPLORATION_SCHEDULES = ("log_std", "target_entropy")  # of PPO, of SAC
+DEFAULT_HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     # one batch a large part of the rollout: with small ones the optimiser, not the simulator, takes the time
     "ppo": {"n_steps": 128, "batch_size": 1024, "n_epochs": 5, "gamma": 0.999, "gae_lambda": 0.99},
     "sac": {"batch_size": 256, "gamma": 0.99, "learning_starts": 2000},
@@ -129,11 +137,11 @@ class Settings:
             if not isinstance(getattr(self, name), dict):
                 raise value_error(name, getattr(self, name), "a mapping")
         for name in self.schedules:
-            if self.algo not in SCHEDULED[one_of("schedules", name, SCHEDULED)]:
-                raise value_error(f"schedules.{name}", self.algo, f"it with {' and '.join(SCHEDULED[name])} only")
+            if self.algo not in SCHEDULES[one_of("schedules", name, SCHEDULES)]:
+                raise value_error(f"schedules.{name}", self.algo, f"it with {' and '.join(SCHEDULES[name])} only")
             self.schedule(name)
         if self.base_in_use is not None:
-            checked_base(self.base_in_use)
+            parse_base(self.base_in_use)
         for name, value in self.hyperparameters.items():
             _check(f"hyperparameters.{name}", name, value)
         environment = self.environment
@@ -142,12 +150,12 @@ class Settings:
         set_fields(
             self,
             environment=environment,
-            steps=whole_number("steps", self.steps, 1, MOST_STEPS),
-            seed=whole_number("seed", self.seed, 0, MOST_SEED),
-            envs=whole_number("envs", ENVS[self.algo] if self.envs is None else self.envs, 1, MOST_ENVS),
+            steps=whole_number("steps", self.steps, 1, MAX_STEPS),
+            seed=whole_number("seed", self.seed, 0, MAX_SEED),
+            envs=whole_number("envs", DEFAULT_ENVS[self.algo] if self.envs is None else self.envs, 1, MAX_ENVS),
             normalise_reward=flag("normalise_reward", self.normalise_reward),
-            judge_every=whole_number("judge_every", self.judge_every, 0, MOST_STEPS if self.algo != "dagger" else 0),
-            value_first=whole_number("value_first", self.value_first, 0, MOST_STEPS if self.algo == "ppo" else 0),
+            judge_every=whole_number("judge_every", self.judge_every, 0, MAX_STEPS if self.algo != "dagger" else 0),
+            value_first=whole_number("value_first", self.value_first, 0, MAX_STEPS if self.algo == "ppo" else 0),
         )
 
     def schedule(self, name: str) -> Schedule | None:
@@ -208,9 +216,9 @@ class Settings:
 
 def _check(field: str, name: str, value: object) -> None:
     """Refuses a hyperparameter that would stop a training after it has begun; their names belong to the algorithm."""
-    if name in COUNTS:
-        whole_number(field, value, 1 - (name == "learning_starts"), MOST_STEPS)
-    elif name in PARTS and not positive(field, value) <= 1.0:
+    if name in WHOLE_HYPERPARAMETERS:
+        whole_number(field, value, 1 - (name == "learning_starts"), MAX_STEPS)
+    elif name in FRACTION_HYPERPARAMETERS and not positive(field, value) <= 1.0:
         raise value_error(field, value, "a number > 0, at most 1")
     elif name == "learning_rate":
         positive(field, value)
@@ -219,10 +227,10 @@ def _check(field: str, name: str, value: object) -> None:
     elif name == "ortho_init":
         flag(field, value)
     elif name == "teacher":
-        checked_base(value)
+        parse_base(value)
     elif name == "net_arch" and not isinstance(value, dict):
         for i, width in enumerate(sequence(field, value, "widths of layers")):
-            whole_number(f"{field}[{i}]", width, 1, WIDEST)
+            whole_number(f"{field}[{i}]", width, 1, MAX_WIDTH)
 
 
 RECIPE_FOLDER = Path(__file__).parent / "recipes"
@@ -244,7 +252,7 @@ def find_recipe(name: str) -> Settings:
     return Settings.recipe(name)
 
 
-PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
+RECORDED_PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
 
 
 def check_new_folder(folder: Path) -> None:
@@ -255,7 +263,7 @@ def check_new_folder(folder: Path) -> None:
 
 def write_settings(settings: Settings, folder: Path, done: int) -> None:
     """Writes the settings of a run that goes on after `done` steps, with the versions of all its parts."""
-    now = {name: version(name) for name in PACKAGES} | {"python": platform.python_version()}
+    now = {name: version(name) for name in RECORDED_PACKAGES} | {"python": platform.python_version()}
     path = folder / SETTINGS
     kept = read_settings(folder) if path.is_file() else {}
     earlier, last = kept.get("earlier_versions", []), kept.get("versions", now)

@@ -23,35 +23,35 @@ from flexman_agents.callbacks import (
     Exploration,
     Hook,
     Interrupted,
-    Report,
+    TrainingReport,
     ValueWarmup,
     open_logger,
     stop_on_interrupt,
 )
 from flexman_agents.imitation import DAggerRun
 from flexman_agents.sb3 import action_function, make_model
-from flexman_agents.settings import EXPLORATION, MOST_STEPS, Settings, check_new_folder, write_settings
-from flexman_agents.vector import Arms
+from flexman_agents.settings import EXPLORATION_SCHEDULES, MAX_STEPS, Settings, check_new_folder, write_settings
+from flexman_agents.vector import SB3VecEnv
 from flexman_gym.common.checks import value_error, whole_number
 from flexman_gym.common.run_folder import (
     BEST,
     NEWEST,
     SETTINGS,
     lock_folder,
-    read_data,
+    read_npz,
     read_settings,
     read_settings_text,
-    write_data,
+    write_npz,
 )
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.evaluation.agent import check_settings
 
-COUNTS = ("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining")
-LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts")
-SEEN = ("old_obs", "old_reward")
-RETURNS = ("episode_returns", "episode_lengths", "episode_count")
-REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
-MOMENTS = ("mean", "var", "count")
+COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining")
+LAST_FIELDS = ("_last_obs", "_last_original_obs", "_last_episode_starts")
+NORMALISER_FIELDS = ("old_obs", "old_reward")
+MONITOR_FIELDS = ("episode_returns", "episode_lengths", "episode_count")
+REPLAY_FIELDS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+STATISTICS_FIELDS = ("mean", "var", "count")
 
 
 def policy_state(model: BaseAlgorithm) -> dict[str, Any]:
@@ -74,15 +74,15 @@ def _training_state(model: BaseAlgorithm) -> dict[str, Any]:
     """Gives all that a model remembers at the beginning of a rollout, beside its policy."""
     result: dict[str, Any] = {
         "counts": {name: getattr(model, name) for name in _counts(model)},
-        "last": {name: get_state(getattr(model, name)) for name in LAST},
+        "last": {name: get_state(getattr(model, name)) for name in LAST_FIELDS},
         "optimizers": {name: _of_optimizer(each) for name, each in _optimizers(model).items()},
         "episodes": [[float(each[key]) for key in "rlt"] for each in model.ep_info_buffer or ()],
         "random": _of_random(),
     }
     normaliser, monitor, arms = _layers(model)
     result["returns"] = {"statistics": _of_statistics(normaliser.ret_rms), "running": normaliser.returns.copy()}
-    result["seen"] = {name: get_state(getattr(normaliser, name)) for name in SEEN}
-    result["monitor"] = {name: get_state(getattr(monitor, name)) for name in RETURNS}
+    result["seen"] = {name: get_state(getattr(normaliser, name)) for name in NORMALISER_FIELDS}
+    result["monitor"] = {name: get_state(getattr(monitor, name)) for name in MONITOR_FIELDS}
     result["environment"] = arms.env.unwrapped.get_state()  # type: ignore[attr-defined]
     if isinstance(model, SAC):
         learned = model.log_ent_coef
@@ -100,12 +100,17 @@ def _set_training_state(model: BaseAlgorithm, data: Any) -> None:
     names = ["counts", "last", "optimizers", "episodes", "random", "returns", "seen", "monitor", "environment"]
     _check(data, names + ["entropy", "replay"] * isinstance(model, SAC))
     normaliser, monitor, arms = _layers(model)
-    for part, wanted in (("counts", _counts(model)), ("last", LAST), ("seen", SEEN), ("monitor", RETURNS)):
+    for part, wanted in (
+        ("counts", _counts(model)),
+        ("last", LAST_FIELDS),
+        ("seen", NORMALISER_FIELDS),
+        ("monitor", MONITOR_FIELDS),
+    ):
         _check(data[part], wanted, part)
     arms.env.unwrapped.set_state(data["environment"])  # type: ignore[attr-defined]
     for name in _counts(model):
         setattr(model, name, data["counts"][name])
-    for name in LAST:
+    for name in LAST_FIELDS:
         setattr(model, name, get_state(data["last"][name]))
     for name, optimizer in _optimizers(model).items():
         _give_optimizer(name, optimizer, data["optimizers"].get(name))
@@ -114,9 +119,9 @@ def _set_training_state(model: BaseAlgorithm, data: Any) -> None:
     model.ep_success_buffer = deque(maxlen=model._stats_window_size)  # no task of ours says success
     _give_statistics("returns", normaliser.ret_rms, data["returns"]["statistics"])
     set_state("returns", normaliser.returns, data["returns"]["running"])
-    for name in SEEN:
+    for name in NORMALISER_FIELDS:
         setattr(normaliser, name, get_state(data["seen"][name]))
-    for name in RETURNS:
+    for name in MONITOR_FIELDS:
         setattr(monitor, name, get_state(data["monitor"][name]))
     if isinstance(model, SAC):
         if model.log_ent_coef is not None:
@@ -126,7 +131,7 @@ def _set_training_state(model: BaseAlgorithm, data: Any) -> None:
     _give_random(data["random"])
 
 
-def _layers(model: BaseAlgorithm) -> tuple[VecNormalize, VecMonitor, Arms]:
+def _layers(model: BaseAlgorithm) -> tuple[VecNormalize, VecMonitor, SB3VecEnv]:
     """What stands between a model and its arms."""
     normaliser = _normaliser(model)
     monitor: Any = normaliser.venv
@@ -140,7 +145,7 @@ def _normaliser(model: BaseAlgorithm) -> VecNormalize:
 
 
 def _counts(model: BaseAlgorithm) -> list[str]:
-    return [name for name in COUNTS if hasattr(model, name)]
+    return [name for name in COUNTERS if hasattr(model, name)]
 
 
 def _check(data: Any, names: Collection[str], field: str = "run") -> None:
@@ -170,7 +175,7 @@ def _finite(field: str, old: NDArray[Any], data: Any, least: float = -np.inf) ->
 
 
 def _of_statistics(moments: Any) -> dict[str, Any]:
-    return {name: np.array(getattr(moments, name), dtype=np.float64) for name in MOMENTS}
+    return {name: np.array(getattr(moments, name), dtype=np.float64) for name in STATISTICS_FIELDS}
 
 
 def _give_statistics(field: str, moments: Any, data: Any) -> None:
@@ -205,13 +210,15 @@ def _give_optimizer(field: str, optimizer: torch.optim.Optimizer, data: Any) -> 
 def _of_replay(model: SAC) -> dict[str, Any]:
     buffer: Any = model.replay_buffer
     rows = buffer.buffer_size if buffer.full else buffer.pos
-    return {"pos": int(buffer.pos), "full": bool(buffer.full)} | {name: getattr(buffer, name)[:rows] for name in REPLAY}
+    return {"pos": int(buffer.pos), "full": bool(buffer.full)} | {
+        name: getattr(buffer, name)[:rows] for name in REPLAY_FIELDS
+    }
 
 
 def _give_replay(model: SAC, data: Any) -> None:
     buffer: Any = model.replay_buffer
     rows = buffer.buffer_size if data["full"] else data["pos"]
-    for name in REPLAY:
+    for name in REPLAY_FIELDS:
         set_state(f"replay.{name}", getattr(buffer, name)[:rows], data[name])
     buffer.pos, buffer.full = data["pos"], data["full"]
 
@@ -266,7 +273,7 @@ def train(
     """
     folder = Path(folder)
     check_new_folder(folder)
-    checkpoint_every = whole_number("checkpoint_every", checkpoint_every, 0, MOST_STEPS)
+    checkpoint_every = whole_number("checkpoint_every", checkpoint_every, 0, MAX_STEPS)
     run = _new_run(settings, folder, device)
     folder.mkdir(parents=True, exist_ok=True)
     with lock_folder(folder):
@@ -296,10 +303,10 @@ def resume(
             is what acts, and would not be judged any more; and as `train`.
         OSError, Interrupted: as `train`.
     """
-    checkpoint_every = whole_number("checkpoint_every", checkpoint_every, 0, MOST_STEPS)
+    checkpoint_every = whole_number("checkpoint_every", checkpoint_every, 0, MAX_STEPS)
     settings = load_settings(folder)
     with lock_folder(folder):
-        data = read_data(folder / NEWEST) if (folder / NEWEST).is_file() else None
+        data = read_npz(folder / NEWEST) if (folder / NEWEST).is_file() else None
         if data is not None:
             check_settings(folder / NEWEST, data, read_settings(folder))
         done = 0 if data is None else _steps_done(folder / NEWEST, data)
@@ -338,7 +345,7 @@ def train_or_resume(cell: tuple[Settings, str, Mapping[str, Any]]) -> str:
         return folder
     if load_settings(path) != settings:
         raise value_error("folder", folder, "one without a run of other settings")
-    if not (path / NEWEST).is_file() or _steps_done(path / NEWEST, read_data(path / NEWEST)) < settings.steps:
+    if not (path / NEWEST).is_file() or _steps_done(path / NEWEST, read_npz(path / NEWEST)) < settings.steps:
         resume(path, **how)
     return folder
 
@@ -384,7 +391,7 @@ class _Run:
             _set_training_state(self.model, data["training"])
             if self._judge and data["judge"] is not None:
                 set_state("judge", self._judge, data["judge"])
-            self._before = whole_number("before", data["before"], 0, MOST_STEPS)
+            self._before = whole_number("before", data["before"], 0, MAX_STEPS)
         except (KeyError, TypeError, AttributeError, IndexError, ValueError) as error:
             said = " ".join(str(error).split()) or type(error).__name__
             raise ValueError(f"{path}: {said}") from None
@@ -402,7 +409,7 @@ class _Run:
         """Learns to the end of the steps, or until it is told to stop."""
         model, settings = self.model, self.settings
         callbacks: list[BaseCallback] = []
-        for exploration in filter(None, map(settings.schedule, EXPLORATION)):
+        for exploration in filter(None, map(settings.schedule, EXPLORATION_SCHEDULES)):
             callbacks.append(Exploration(exploration, settings.steps))
         if settings.value_first:
             callbacks.append(ValueWarmup(settings.value_first))
@@ -425,16 +432,16 @@ class _Run:
                 hook(self._report())
         return model
 
-    def _report(self) -> Report:
-        return Report(self.done, dict(self._judge.latest) if self._judge else {}, self._save)
+    def _report(self) -> TrainingReport:
+        return TrainingReport(self.done, dict(self._judge.latest) if self._judge else {}, self._save)
 
     def _save(self) -> None:
         judge = get_state(self._judge) if self._judge else None
         data = {"training": _training_state(self.model), "judge": judge, "before": self._before}
-        write_data(self.folder / NEWEST, self._policy() | data)
+        write_npz(self.folder / NEWEST, self._policy() | data)
 
     def _keep_best(self) -> None:
-        write_data(self.folder / BEST, self._policy())
+        write_npz(self.folder / BEST, self._policy())
 
     def _policy(self) -> dict[str, Any]:
         """The policy with the settings that it belongs to."""
@@ -443,7 +450,7 @@ class _Run:
 
 def _steps_done(path: Path, data: Any) -> int:
     try:
-        return whole_number("num_timesteps", data["training"]["counts"]["num_timesteps"], 0, MOST_STEPS)
+        return whole_number("num_timesteps", data["training"]["counts"]["num_timesteps"], 0, MAX_STEPS)
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: {' '.join(str(error).split())} is wrong in what the run remembers") from None
 

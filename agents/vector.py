@@ -10,11 +10,12 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
 from flexman_gym.common.checks import value_error
+from flexman_gym.common.renamed import deprecated_names
 
 Infos = dict[str, Any]
 
 
-class Arms(VecEnv):
+class SB3VecEnv(VecEnv):
     """A vector environment of Gymnasium, with autoreset_mode="SameStep", for algorithms of Stable-Baselines3.
 
     The infos of arms whose episode goes on are empty, so that they cost nothing. Those of an arm whose episode ended
@@ -90,3 +91,6 @@ def _of_arm(infos: Infos, arm: int) -> Infos:
         if not key.startswith("_"):
             info[key] = _of_arm(value, arm) if isinstance(value, dict) else value[arm]
     return info
+
+
+__getattr__ = deprecated_names(__name__)

@@ -5,8 +5,8 @@ from importlib.metadata import PackageNotFoundError, version
 from gymnasium.envs.registration import register
 
 from flexman_gym import control, draw, metrics
-from flexman_gym.envs import NAMED, Limits, Randomisation, Slew
-from flexman_gym.envs.config.conditions import CONDITIONS
+from flexman_gym.envs import NAMED_ENVIRONMENTS, Limits, Randomisation, Slew
+from flexman_gym.envs.config.named_environments import CONDITIONS
 from flexman_gym.evaluation import evaluate, rollout, tune
 from flexman_gym.fidelity import Choice, choose_model
 from flexman_gym.identification import Filter, Fit, Measurement, Ringing, fit
@@ -114,17 +114,17 @@ try:
 except PackageNotFoundError:  # a checkout that is not installed
     __version__ = "0+unknown"
 
-for _name in NAMED:
+for _name in NAMED_ENVIRONMENTS:
     register(
         id=_name,
         entry_point="flexman_gym.envs:FlexManEnv",
         vector_entry_point="flexman_gym.envs:FlexManVectorEnv",
         kwargs={"name": _name},
     )
-    for _condition in CONDITIONS if NAMED[_name].conditions else ():
+    for _condition in CONDITIONS if NAMED_ENVIRONMENTS[_name].conditions else ():
         register(
             id=f"{_name}/{_condition}",
-            entry_point="flexman_gym.envs.config.conditions:refuse_condition",
-            vector_entry_point="flexman_gym.envs.config.conditions:refuse_condition",
+            entry_point="flexman_gym.envs.config.named_environments:refuse_condition",
+            vector_entry_point="flexman_gym.envs.config.named_environments:refuse_condition",
             kwargs={"name": _name, "condition": _condition},
         )

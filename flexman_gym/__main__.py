@@ -11,7 +11,7 @@ from pathlib import Path
 
 from flexman_gym import __version__, commands
 
-GROUPS = {  # commands in the order of the help
+COMMAND_GROUPS = {  # commands in the order of the help
     "start": ("demo", "check", "compile", "list", "verify"),
     "learn": ("train", "imitate", "search", "enjoy"),
     "evaluate": ("evaluate", "league", "certify", "why"),
@@ -19,7 +19,7 @@ GROUPS = {  # commands in the order of the help
     "control": ("tune", "optimise", "resonance"),
     "data": ("record", "replay", "export"),
 }
-WIDTH = 65  # letters of what a command does, on a screen of 80 columns
+MAX_SUMMARY = 65  # letters of what a command does, on a screen of 80 columns
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -66,12 +66,12 @@ def main(arguments: list[str] | None = None) -> int:
 def _overview() -> str:
     """Return the commands in groups, a line for each."""
     lines = []
-    for group, names in GROUPS.items():
+    for group, names in COMMAND_GROUPS.items():
         lines.append(f"{group}:")
         for name in names:
             words = command_summary(name).rstrip(".")
-            words = words if len(words) <= WIDTH else words.partition(": ")[0]
-            words = words if len(words) <= WIDTH else words.partition(", ")[0]
+            words = words if len(words) <= MAX_SUMMARY else words.partition(": ")[0]
+            words = words if len(words) <= MAX_SUMMARY else words.partition(", ")[0]
             lines.append(f"    {name:<11}{words[0].lower()}{words[1:]}")
     return "\n".join(lines)
 

@@ -5,7 +5,7 @@ import argparse
 from gymnasium.vector import AutoresetMode
 
 import flexman_gym as fm
-from flexman_gym.envs import NAMED
+from flexman_gym.envs import NAMED_ENVIRONMENTS
 from studies.benchmark.endurance import ALLOWED, SETTLED, alike, all_conditions, endure, publish
 from studies.files import folder
 
@@ -20,7 +20,7 @@ def every(steps: int, arms: int) -> None:
 
     It fails with an alarm too many.
     """
-    for name, named in NAMED.items():
+    for name, named in NAMED_ENVIRONMENTS.items():
         for sensors in SENSORS:
             conditions = all_conditions(name) if named.conditions else {}
             count = endure(steps, arms, steps, name, sensors=sensors, **conditions)

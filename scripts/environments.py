@@ -2,7 +2,7 @@
 
 import argparse
 
-from flexman_gym.envs import NAMED
+from flexman_gym.envs import NAMED_ENVIRONMENTS
 from studies.environments.measure import BASES, draw, run
 from studies.environments.page import baselines, page
 from studies.files import folder
@@ -11,11 +11,11 @@ from studies.files import folder
 def main() -> None:
     """Reads the command line, runs the baselines, draws and writes."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", choices=sorted(NAMED), help="one of them")
+    parser.add_argument("--only", choices=sorted(NAMED_ENVIRONMENTS), help="one of them")
     parser.add_argument("--folder", type=folder, default="out/environments", help="where pages and pictures go")
     parser.add_argument("--text", action="store_true", help="write the pages alone; the pictures stay as they are")
     options = parser.parse_args()
-    for name in [options.only] if options.only else NAMED:
+    for name in [options.only] if options.only else NAMED_ENVIRONMENTS:
         runs = {base: run(name, base) for base in BASES}
         if not options.text:
             draw(runs, options.folder / f"{name}.png")

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from flexman_gym.common.grid import Workers, collect_cells
+from flexman_gym.common.parallel import Workers, parallel_map
 from flexman_gym.evaluation.rollout import compile_kernels
 from studies.fidelity.measure import SCENES, FidelityRow, rows_of
 from studies.fidelity.page import page
@@ -22,7 +22,7 @@ def main() -> None:
     options = parser.parse_args()
     files = {file: make() for file, make in SCENES.items()}
     for file, cases in files.items() if not options.redraw else ():
-        done = collect_cells(
+        done = parallel_map(
             rows_of, [(file, name) for name in cases], Workers.of(options), options.kept, compile_kernels
         )
         result = [FidelityRow(**row) for rows in done for row in rows]

@@ -7,7 +7,7 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from flexman_gym.draw.overlay import GLYPHS, SIZES
+from flexman_gym.draw.overlay import FONT_SIZES, GLYPHS
 
 LETTERS = "".join(map(chr, range(32, 127))) + "".join(
     map(chr, (0xB0, 0xB1, 0xB2, 0xB5, 0xB7, 0xD7, 0xE4, 0xF6, 0xFC, 0xDF, 0xE9, 0xF1, 0x3B5, 0x2026))
@@ -18,7 +18,7 @@ FONT = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
 def main() -> None:
     """Writes the coverage (0 to 255) of all letters of a size side by side, and where each one begins."""
     data: dict[str, Any] = {"letters": np.array([ord(letter) for letter in LETTERS])}
-    for size in SIZES:
+    for size in FONT_SIZES:
         font = ImageFont.truetype(str(FONT), size)
         height = sum(font.getmetrics())
         ends = np.cumsum([0, *(round(font.getlength(letter)) for letter in LETTERS)])

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from flexman_gym.common.computer import computer_text
-from flexman_gym.common.grid import Workers
+from flexman_gym.common.parallel import Workers
 from studies.files import folder, read_comment, read_rows, write_rows
 from studies.learning.measure import (
     LearningCase,

@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from flexman_gym.common.grid import Workers, run_cells
+from flexman_gym.common.parallel import Workers, parallel_map_unordered
 from studies.files import folder, write_rows
 from studies.planted.measure import CAUGHT, CHECKOUT, ROOMS, SURVIVED, kept, misplaced, planted
 from studies.planted.page import counts, page
@@ -28,7 +28,7 @@ def main() -> int:
     ]
     if faults := misplaced(CHECKOUT, chosen):
         parser.error("; ".join(faults))
-    for _, row in run_cells(planted, chosen, Workers.of(options)):
+    for _, row in parallel_map_unordered(planted, chosen, Workers.of(options)):
         print(f"{row.outcome:10} {row.seconds:4.0f} s  {row.room}: {row.error} ({row.by})", flush=True)
         rows[row.room, row.error] = row
         result = [rows[change.room, change.error] for room in ROOMS.values() for change in room

@@ -4,7 +4,7 @@ import argparse
 
 from flexman_gym.common.computer import computer_text
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.fidelity import resolve_fidelity
 from studies.files import folder, read_comment, read_rows, write_rows
 from studies.ringdown.measure import RingDownRow, errors_of_default, rows
 from studies.ringdown.page import TITLES, draw, page
@@ -39,7 +39,7 @@ def main() -> None:
     file = options.folder / "ring_down.csv"
     if not options.redraw:
         write_rows(compute(options.quick), file, comment=computer_text())
-    chosen, result = build(Configuration()), read_rows(file, RingDownRow)
+    chosen, result = resolve_fidelity(Configuration()), read_rows(file, RingDownRow)
     default = str(chosen.method), chosen.step
     draw(result, options.folder, default)
     (options.folder / "ring_down.md").write_text(page(result, read_comment(file), default), encoding="utf-8")

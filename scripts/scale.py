@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 
 import flexman_gym  # noqa: F401  registers the environments
-from flexman_gym.common.grid import Workers, collect_cells
+from flexman_gym.common.parallel import Workers, parallel_map
 
 ARMS, PERIODS, UPDATES = 256, 12, 20
 RECIPE = "ppo_on_pd_minute"
@@ -94,7 +94,7 @@ def started(number: int) -> float:
 
 def worker() -> float:
     """CPU seconds that the start of a worker takes, kernels from the disk included."""
-    return max(collect_cells(started, range(2), Workers(2)))
+    return max(parallel_map(started, range(2), Workers(2)))
 
 
 PARTS: dict[str, Callable[[], float]] = {

@@ -7,7 +7,7 @@ from pathlib import Path
 from time import perf_counter
 
 from flexman_gym.common.computer import computer_text
-from flexman_gym.common.grid import Workers
+from flexman_gym.common.parallel import Workers
 from studies.files import folder, read_comment, read_rows, write_rows
 from studies.stability.measure import StabilityRow
 from studies.stability.page import page, summary

@@ -4,7 +4,7 @@ import argparse
 import sys
 import warnings
 
-from flexman_gym.verification.table import exit_code, text_table
+from flexman_gym.verification.table import exit_code, format_table
 from studies.files import folder
 from studies.verification.motions import REFERENCE, rows
 from studies.verification.page import markdown_page
@@ -18,7 +18,7 @@ def main() -> int:
     options = parser.parse_args()
     warnings.filterwarnings("ignore", "Link.second_moment_y", UserWarning)  # of the paper's printed area of link 1
     result = rows(REFERENCE, options.quick)
-    print(text_table(result))
+    print(format_table(result))
     (options.folder / "verification.md").write_text(markdown_page(result), encoding="utf-8")
     return exit_code(result)
 

@@ -4,7 +4,7 @@ import argparse
 import warnings
 from pathlib import Path
 
-from flexman_gym.common.grid import Workers
+from flexman_gym.common.parallel import Workers
 from studies.files import folder
 from studies.precision.page import compute, publish
 from studies.verification.motions import REFERENCE

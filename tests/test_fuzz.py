@@ -10,9 +10,9 @@ import flexman_gym as fm
 from flexman_gym import metrics
 from flexman_gym.control import LQR, PD
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.fidelity.choose import assembled_modes
-from flexman_gym.fidelity.mesh import MeshSearch
-from flexman_gym.fidelity.search import TRIED
+from flexman_gym.fidelity.mesh_search import MeshSearch
+from flexman_gym.fidelity.model_search import CANDIDATE_METHODS
+from flexman_gym.fidelity.model_selection import assembled_modes
 
 from oracles import fuzz
 from oracles.fuzz import arguments, described, outcome, too_much
@@ -25,7 +25,7 @@ CALLS, FILES = 8, 100  # of each target, and in all
 @pytest.fixture(scope="module", autouse=True)
 def compiled():
     """The methods that `choose_model` tries: to compile one takes longer than a call may."""
-    for method in {*TRIED, *MeshSearch.tried}:
+    for method in {*CANDIDATE_METHODS, *MeshSearch.tried}:
         fm.simulate(SCENE, method=method, step=1e-3)
 
 

@@ -7,7 +7,7 @@ import pytest
 from flexman_gym.common.time_series import read_time_series
 from flexman_gym.control.normalisation import RunningMeanStd
 from flexman_gym.control.references.optimised_slews import SlewTable
-from flexman_gym.draw.evaluation import read_progress
+from flexman_gym.draw.learning_curves import read_progress
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.league.rows import LeagueRows

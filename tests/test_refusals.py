@@ -13,16 +13,16 @@ from hypothesis import strategies as st
 import flexman_gym as fm
 from flexman_gym.common import checks
 from flexman_gym.control.input_shaping.shaped_controller import InputShapedController
-from flexman_gym.control.input_shaping.shapers import design_shaper, ringing_modes
+from flexman_gym.control.input_shaping.shapers import design_shaper, excited_modes
 from flexman_gym.control.lqr import LQR, TrackingLQR
 from flexman_gym.control.pd import PD
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from flexman_gym.fidelity.choose import assembled_modes
+from flexman_gym.fidelity.model_selection import assembled_modes
 from flexman_gym.kernels.layout import LARGEST_STATE
 from flexman_gym.model.model import scene_model
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.integrator import MOST_STEPS
+from flexman_gym.simulation.integrator import MAX_STEPS
 
 from oracles import odd_values
 from oracles.assertions import offenders
@@ -125,7 +125,7 @@ CALLS = {
     "design.shaper": lambda value: design_shaper(value, 1.0),
     "design.frequency": lambda value: design_shaper("ei", value),
     "design.ratio": lambda value: design_shaper("ei", 1.0, value),
-    "ringing_modes.posture": lambda value: ringing_modes(MODEL, value),
+    "ringing_modes.posture": lambda value: excited_modes(MODEL, value),
     "Slew.start": lambda value: fm.Slew(start=value),
     "Randomisation.payload_mass": lambda value: fm.Randomisation(payload_mass=value),
     "Randomisation.delay": lambda value: fm.Randomisation(delay=value),
@@ -208,10 +208,10 @@ def test_a_simulator_starts_nowhere_beyond_its_bounds(value, method):
 
 @pytest.mark.parametrize("made", [fm.Simulator, Batch], ids=["Simulator", "Batch"])
 def test_a_control_period_has_a_bounded_number_of_steps(made):
-    assert made(MODEL, "ros2", 1e-6, MOST_STEPS * 1e-6).substeps == MOST_STEPS
-    for step, period in ((1e-6, (MOST_STEPS + 1) * 1e-6), (1e-300, 0.02), (0.005, 1e6), (0.005, 1e9), (5e-324, 1e308)):
+    assert made(MODEL, "ros2", 1e-6, MAX_STEPS * 1e-6).substeps == MAX_STEPS
+    for step, period in ((1e-6, (MAX_STEPS + 1) * 1e-6), (1e-300, 0.02), (0.005, 1e6), (0.005, 1e9), (5e-324, 1e308)):
         line = line_of(lambda step, period=period: made(MODEL, "ros2", step, period), step)
-        assert line.startswith(f"step: {step} is not allowed; give at least ") and str(MOST_STEPS) in line
+        assert line.startswith(f"step: {step} is not allowed; give at least ") and str(MAX_STEPS) in line
 
 
 def test_a_refused_reset_leaves_nothing_behind():

@@ -11,7 +11,7 @@ import torch
 from flexman_agents.sb3 import make_model
 from flexman_agents.settings import Settings
 from flexman_agents.training import policy_state
-from flexman_gym.common.run_folder import NEWEST, SETTINGS, write_data
+from flexman_gym.common.run_folder import NEWEST, SETTINGS, write_npz
 from flexman_gym.control.normalisation import RunningMeanStd
 
 BATCH, RATE = 1024, 1e-3
@@ -42,7 +42,7 @@ def clone(dataset: str, folder: Path, steps: int = 5000) -> float:
         loss.backward()
         adam.step()
     folder.mkdir(parents=True)
-    write_data(folder / NEWEST, policy_state(model) | {"settings": settings.plain()})
+    write_npz(folder / NEWEST, policy_state(model) | {"settings": settings.plain()})
     (folder / SETTINGS).write_text(json.dumps(settings.plain()))
     return float(loss.detach())
 

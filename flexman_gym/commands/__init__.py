@@ -30,12 +30,14 @@ def add_options(parser: argparse.ArgumentParser, *names: str, **changes: dict[st
         names: "scene", "entrant", "--env", "--episodes", "--seed", "--set" or "--trust".
         changes: settings of `add_argument` that differ in this command, by the name without dashes.
     """
-    from flexman_gym.envs import NAMED
+    from flexman_gym.envs import NAMED_ENVIRONMENTS
     from flexman_gym.envs.config.configuration import SET_HELP
     from flexman_gym.evaluation.agent import AGENTS
     from flexman_gym.evaluation.rollout import TEST_SEEDS
 
-    environment = f"a file, an id and a condition such as FlexRRR-v0/delay, or one of {', '.join(sorted(NAMED))}"
+    environment = (
+        f"a file, an id and a condition such as FlexRRR-v0/delay, or one of {', '.join(sorted(NAMED_ENVIRONMENTS))}"
+    )
     shared: dict[str, dict[str, Any]] = {
         "scene": {"type": Path, "help": "a scene as a .json or .yaml file"},
         "entrant": {"help": f"folder of a run or a policy, a zip, or {', '.join(AGENTS)}"},

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from flexman_gym.commands import CommandLine
 
 if TYPE_CHECKING:
-    from flexman_gym.common.grid import Workers
+    from flexman_gym.common.parallel import Workers
 
 
 def _arguments(result: argparse.ArgumentParser) -> None:

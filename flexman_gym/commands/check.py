@@ -5,11 +5,11 @@ import time
 from pathlib import Path
 
 from flexman_gym.commands import CommandLine
-from flexman_gym.commands.compile import KINDS
+from flexman_gym.commands.compile import KERNEL_KINDS
 
-KERNELS = {"one": "advance_one", "abreast": "advance_arms"}
+KERNEL_FUNCTIONS = {"one": "advance_one", "abreast": "advance_arms"}
 PACKAGES = ("gymnasium", "torch", "stable-baselines3")
-STEPS = 500
+TIMED_STEPS = 500
 
 
 def _arguments(result: argparse.ArgumentParser) -> None:
@@ -19,13 +19,13 @@ def _arguments(result: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     """Print what a report of a problem needs, and step an environment; return 0."""
     from flexman_gym.common.computer import computer_info
-    from flexman_gym.kernels import FOLDER
+    from flexman_gym.kernels import CACHE_FOLDER
 
     for name, value in (computer_info(PACKAGES) | {"vector registers": f"{_vector_bits()} bits"}).items():
         print(f"{name}: {value}")
-    print(f"cache folder: {FOLDER or 'none that is yours alone can be written'}")
-    for kind, words in KINDS.items():
-        there = _is_compiled(KERNELS[kind])
+    print(f"cache folder: {CACHE_FOLDER or 'none that is yours alone can be written'}")
+    for kind, words in KERNEL_KINDS.items():
+        there = _is_compiled(KERNEL_FUNCTIONS[kind])
         print(f"kernels of {words}: {'compiled' if there else 'not compiled yet'}", flush=True)
     print(f"steps of FlexRRR-v0: {_steps_per_second():,.0f} a second")
     return 0
@@ -33,9 +33,9 @@ def _run(options: argparse.Namespace) -> int:
 
 def _is_compiled(name: str) -> bool:
     """Return whether a kernel of this installation is compiled; each installation has its own folder in the cache."""
-    from flexman_gym.kernels import arms
+    from flexman_gym.kernels import batch
 
-    folder = getattr(arms, name).stats.cache_path
+    folder = getattr(batch, name).stats.cache_path
     return folder is not None and any(Path(folder).glob(f"arms.{name}-*.nbc"))
 
 
@@ -58,11 +58,11 @@ def _steps_per_second() -> float:
     env.action_space.seed(0)
     env.step(env.action_space.sample())  # compiles what is not on disk
     started = time.perf_counter()
-    for _ in range(STEPS):
+    for _ in range(TIMED_STEPS):
         *_, terminated, truncated, _ = env.step(env.action_space.sample())
         if terminated or truncated:
             env.reset()
-    return STEPS / (time.perf_counter() - started)
+    return TIMED_STEPS / (time.perf_counter() - started)
 
 
 COMMAND = CommandLine(_arguments, _run)

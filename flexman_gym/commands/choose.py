@@ -13,7 +13,7 @@ def _arguments(result: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Print the choice, its estimated error and the parts of the model that were left out; return 0."""
-    from flexman_gym.fidelity.choose import choose_model
+    from flexman_gym.fidelity.model_selection import choose_model
     from flexman_gym.scene.scene import Scene
 
     choice = choose_model(Scene.load(options.scene), options.tolerance)

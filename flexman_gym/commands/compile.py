@@ -9,12 +9,14 @@ from typing import Any
 
 from flexman_gym.commands import CommandLine
 
-KINDS = {"one": "one arm alone", "abreast": "arms abreast"}  # how arms are moved: kernels/arms.py
+KERNEL_KINDS = {"one": "one arm alone", "abreast": "arms abreast"}  # how arms are moved: kernels/batch.py
 
 
 def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    result.add_argument("kind", nargs="?", choices=sorted(KINDS), help="only those of one arm, or of arms abreast")
+    result.add_argument(
+        "kind", nargs="?", choices=sorted(KERNEL_KINDS), help="only those of one arm, or of arms abreast"
+    )
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -24,12 +26,14 @@ def _run(options: argparse.Namespace) -> int:
 
 def _compile_both() -> int:
     """Compile both kinds of kernels at once, each in its own process; return 0, or 1 if one fails."""
-    from flexman_gym.kernels import FOLDER
+    from flexman_gym.kernels import CACHE_FOLDER
 
-    print(f"compiling {' and '.join(KINDS.values())}, into {FOLDER}", flush=True)
+    print(f"compiling {' and '.join(KERNEL_KINDS.values())}, into {CACHE_FOLDER}", flush=True)
     started, quiet = time.perf_counter(), os.environ | {"FLEXMAN_QUIET": "1"}
     command = [sys.executable, "-m", "flexman_gym", "compile"]
-    running = [subprocess.Popen([*command, kind], env=quiet, stderr=subprocess.PIPE, text=True) for kind in KINDS]
+    running = [
+        subprocess.Popen([*command, kind], env=quiet, stderr=subprocess.PIPE, text=True) for kind in KERNEL_KINDS
+    ]
     failed = 0
     for process in running:
         words = process.communicate()[1].strip()
@@ -51,7 +55,7 @@ def _compile_kind(kind: str) -> int:
     env: Any = gym.make("FlexRRR-v0") if kind == "one" else gym.make_vec("FlexRRR-v0", 2, "vector_entry_point")
     env.reset(seed=0)
     env.step(env.action_space.sample())
-    print(f"{KINDS[kind]}: {time.perf_counter() - started:.1f} s", flush=True)
+    print(f"{KERNEL_KINDS[kind]}: {time.perf_counter() - started:.1f} s", flush=True)
     return 0
 
 

@@ -13,13 +13,13 @@ from flexman_agents.settings import find_recipe
 from flexman_agents.training import train
 from flexman_gym import draw
 from flexman_gym.commands import CommandLine
-from flexman_gym.draw.evaluation import draw_episodes
-from flexman_gym.evaluation import find_agent, rollout, table
+from flexman_gym.draw.learning_curves import draw_episodes
+from flexman_gym.evaluation import find_agent, metrics_table, rollout
 from flexman_gym.evaluation.agent import common_environment
 from flexman_gym.evaluation.rollout import TEST_SEEDS
 from flexman_gym.model import scene_model
 
-OUT = Path("out")
+OUTPUT_FOLDER = Path("out")
 METHOD, RTOL = "dop853", 1e-7
 CASES = {
     "rr": "rigid links, rigid joints",
@@ -39,8 +39,8 @@ def _run(options: argparse.Namespace) -> int:
     print("1. The paper's scene: 2 s under 400 N m at each joint, by the adaptive reference method.")
     _draw_cases(_simulate_cases())
     print(f"2. Training: the recipe {RECIPE}, PPO that adds to a PD controller of the motors.")
-    shutil.rmtree(OUT / "ppo", ignore_errors=True)
-    train(find_recipe(RECIPE), OUT / "ppo")
+    shutil.rmtree(OUTPUT_FOLDER / "ppo", ignore_errors=True)
+    train(find_recipe(RECIPE), OUTPUT_FOLDER / "ppo")
     print(f"3. Evaluation: {len(TEST_SEEDS)} test episodes of FlexRRR-v0 each, the same for all.")
     _compare()
     print(f"Done in {time.perf_counter() - started:.0f} s.")
@@ -62,23 +62,25 @@ def _simulate_cases() -> dict[str, fm.Trajectory]:
 
 def _draw_cases(trajectories: dict[str, fm.Trajectory]) -> None:
     """Draw Figures 6 to 11, and the arm at the time of the largest deflection of its flexible links."""
-    paths = draw.paper_figures(trajectories["rr"], trajectories["fr"], trajectories["ff"], OUT)
+    paths = draw.paper_figures(trajectories["rr"], trajectories["fr"], trajectories["ff"], OUTPUT_FOLDER)
     model, trajectory = scene_model(fm.catalog.paper_scene("fr")), trajectories["fr"]
     row = np.linalg.norm(trajectory.deflection, axis=1).argmax()
-    imsave(OUT / "arm.png", draw.arm_frame(model, trajectory.states[row], size=(960, 720)))
-    print(f"   Figures 6 to 11 are in {OUT}/, together in {paths[-1]}.")
-    print(f"   {OUT}/arm.png shows the arm at {trajectory.time[row]:.2f} s, its links bent most, its joints rigid.")
+    imsave(OUTPUT_FOLDER / "arm.png", draw.arm_frame(model, trajectory.states[row], size=(960, 720)))
+    print(f"   Figures 6 to 11 are in {OUTPUT_FOLDER}/, together in {paths[-1]}.")
+    print(
+        f"   {OUTPUT_FOLDER}/arm.png shows the arm at {trajectory.time[row]:.2f} s, its links bent most, its joints rigid."
+    )
 
 
 def _compare() -> None:
     """Print the metrics of all agents, and draw the first test episode of each."""
-    entrants = {"PPO on PD": find_agent(str(OUT / "ppo"))}
+    entrants = {"PPO on PD": find_agent(str(OUTPUT_FOLDER / "ppo"))}
     entrants |= {name: find_agent(name) for name in ("lqr-tracking", "lqr", "pd", "zero")}
     environment = common_environment(list(entrants.values()), None)
     records = {name: rollout(each, environment, TEST_SEEDS).records for name, each in entrants.items()}
-    print(table(records, environment))
-    draw_episodes({name: each[0] for name, each in records.items()}, OUT / "episode.png")
-    print(f"   {OUT}/episode.png shows the first of them: tip error over time, and the torques.")
+    print(metrics_table(records, environment))
+    draw_episodes({name: each[0] for name, each in records.items()}, OUTPUT_FOLDER / "episode.png")
+    print(f"   {OUTPUT_FOLDER}/episode.png shows the first of them: tip error over time, and the torques.")
 
 
 COMMAND = CommandLine(_arguments, _run)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    result.add_argument("what", choices=sorted(PICTURES), help="the picture")
+    result.add_argument("what", choices=sorted(PLOTS), help="the picture")
     where = "an environment, an arm or its file (modes, map, bode, campbell); folders of runs (learning); the folder "
     result.add_argument("subject", nargs="+", help=f"{where}of a league (league, robustness); episodes that were saved")
     result.add_argument("--out", type=Path, help="file, or folder of a league's pictures; else as they are called")
@@ -27,7 +27,7 @@ def _arguments(result: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     """Draw the pictures and print their paths; return 0."""
     out = options.out or Path(f"{options.what}.{'gif' if options.what == 'side' else 'png'}")
-    for path in PICTURES[options.what](options, out):
+    for path in PLOTS[options.what](options, out):
         print(path)
     return 0
 
@@ -36,22 +36,22 @@ def _find_model(name: str, stiffening: bool = False) -> "Model":
     """Return the model of an environment, an arm or a file."""
     from flexman_gym.common import files
     from flexman_gym.envs.config.configuration import Configuration
-    from flexman_gym.envs.config.fidelity import build
+    from flexman_gym.envs.config.fidelity import resolve_fidelity
     from flexman_gym.model.model import build_model
     from flexman_gym.scene.serialization import ARMS, SUFFIXES, find_arm
 
     data = files.read_data(Path(name)) if name.endswith(SUFFIXES) else {}
     if name in ARMS or "arm" in data or "links" in data:
         return build_model(find_arm(name), stiffening=stiffening)
-    model = build(Configuration.find(name)).model
+    model = resolve_fidelity(Configuration.find(name)).model
     return build_model(model.arm, **vars(model.choice) | {"stiffening": stiffening}) if stiffening else model
 
 
 def _modes(options: argparse.Namespace, out: Path) -> list[Path]:
-    from flexman_gym.draw.frequency_diagrams import mode_pictures
+    from flexman_gym.draw.frequency_diagrams import draw_mode_shapes
     from flexman_gym.draw.video import write_picture
 
-    return [write_picture(mode_pictures(_find_model(options.subject[0]), options.angles, options.count), out)]
+    return [write_picture(draw_mode_shapes(_find_model(options.subject[0]), options.angles, options.count), out)]
 
 
 def _map(options: argparse.Namespace, out: Path) -> list[Path]:
@@ -79,10 +79,10 @@ def _bode(options: argparse.Namespace, out: Path) -> list[Path]:
     from flexman_gym.control.margins import describe_stuck_motors, margins, open_loop_responses, sampled_loops
     from flexman_gym.draw.frequency_diagrams import bode_diagram
     from flexman_gym.envs.config.configuration import Configuration
-    from flexman_gym.envs.config.fidelity import build
+    from flexman_gym.envs.config.fidelity import resolve_fidelity
 
     setup = Configuration.find(options.subject[0])
-    model, period, gains = build(setup).model, setup.control_period, setup.pd_gains
+    model, period, gains = resolve_fidelity(setup).model, setup.control_period, setup.pd_gains
     angles = options.angles or [0.0] * model.n_joints
     places = np.geomspace(0.01, 0.5 / period, 1200)
     loops = sampled_loops(model, angles, period, setup.latest_delay, setup.drive_bandwidth)
@@ -95,7 +95,7 @@ def _bode(options: argparse.Namespace, out: Path) -> list[Path]:
 
 
 def _learning(options: argparse.Namespace, out: Path) -> list[Path]:
-    from flexman_gym.draw.evaluation import learning_curves, read_progress
+    from flexman_gym.draw.learning_curves import draw_learning_curves, read_progress
 
     runs, label = {}, options.column
     for folder in map(Path, options.subject):
@@ -103,7 +103,7 @@ def _learning(options: argparse.Namespace, out: Path) -> list[Path]:
         found = [read_progress(seed, label) for seed in seeds]
         label = found[0][2]
         runs[folder.name] = [(steps, values) for steps, values, _ in found]
-    return [learning_curves(runs, out, str(label))]
+    return [draw_learning_curves(runs, out, str(label))]
 
 
 def _league(options: argparse.Namespace, out: Path) -> list[Path]:
@@ -124,7 +124,7 @@ def _league(options: argparse.Namespace, out: Path) -> list[Path]:
 
 
 def _episode(options: argparse.Namespace, out: Path) -> list[Path]:
-    from flexman_gym.draw.evaluation import draw_episodes
+    from flexman_gym.draw.learning_curves import draw_episodes
     from flexman_gym.simulation.episode import Episode
 
     loaded = [Episode.load(path) for path in options.subject]
@@ -142,7 +142,7 @@ def _side(options: argparse.Namespace, out: Path) -> list[Path]:
     return [write_video(frames, out, fps)]
 
 
-PICTURES: dict[str, Callable[[argparse.Namespace, Path], list[Path]]] = {
+PLOTS: dict[str, Callable[[argparse.Namespace, Path], list[Path]]] = {
     "modes": _modes, "map": _map, "bode": _bode, "campbell": _campbell, "learning": _learning, "league": _league,
     "robustness": _league, "episode": _episode, "side": _side,
 }  # fmt: skip

@@ -15,7 +15,7 @@ def _arguments(result: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Run one episode, print its metrics and draw it; return 0."""
-    from flexman_gym.draw.evaluation import draw_episodes
+    from flexman_gym.draw.learning_curves import draw_episodes
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation import rollout
     from flexman_gym.evaluation.agent import common_environment

@@ -15,7 +15,7 @@ def _arguments(result: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     """Print one table of all agents; return 0."""
     from flexman_gym.envs.config.configuration import Configuration
-    from flexman_gym.evaluation import rollout, table
+    from flexman_gym.evaluation import metrics_table, rollout
     from flexman_gym.evaluation.agent import change_environment, common_environment
 
     if options.episodes < 1:
@@ -25,7 +25,7 @@ def _run(options: argparse.Namespace) -> int:
     environment = change_environment(common_environment(list(entrants.values()), named), options.set)
     seeds = range(options.seed, options.seed + options.episodes)
     results = {name: rollout(each, environment, seeds) for name, each in entrants.items()}
-    print(table({name: each.records for name, each in results.items()}, environment))
+    print(metrics_table({name: each.records for name, each in results.items()}, environment))
     if options.save is not None:
         files = [path for each in results.values() for path in each.save(options.save)]
         print(f"{len(files)} episodes are in {options.save}; see some: flexman replay {files[0]} --out page.html")

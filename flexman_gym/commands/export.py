@@ -39,9 +39,9 @@ def _policy_arguments(result: argparse.ArgumentParser) -> None:
 
 
 def _policy(options: argparse.Namespace) -> str:
-    from flexman_gym.evaluation.export import export_policy, package_folder
+    from flexman_gym.evaluation.export import export_policy, shipped_policy_folder
 
-    folder = options.folder if len(options.folder.parts) > 1 else package_folder(str(options.folder))
+    folder = options.folder if len(options.folder.parts) > 1 else shipped_policy_folder(str(options.folder))
     figures = export_policy(options.run, folder, options.words, options.recipe, options.env, options.licence)
     reached = ", ".join(f"{name} {figures[name]:.3g}" for name in ("settled", "settling_time", "vibration"))
     return f"{folder} holds the policy: {reached}"
@@ -60,10 +60,10 @@ def _onnx(options: argparse.Namespace) -> str:
 
 
 def _mujoco_arguments(result: argparse.ArgumentParser) -> None:
-    from flexman_gym.envs.config.named_environments import DEFAULT
+    from flexman_gym.envs.config.named_environments import DEFAULT_ID
     from flexman_gym.model.mjcf import PIECES
 
-    result.add_argument("arm", nargs="?", default=DEFAULT, help="an id, an id and a condition, a name in the "
+    result.add_argument("arm", nargs="?", default=DEFAULT_ID, help="an id, an id and a condition, a name in the "
                         "catalog, or a file of an environment, an arm or a scene")  # fmt: skip
     result.add_argument("--pieces", type=int, default=PIECES, help="of each section of a link")
     result.add_argument("--out", type=Path, default=Path("arm.xml"))
@@ -72,7 +72,7 @@ def _mujoco_arguments(result: argparse.ArgumentParser) -> None:
 def _mujoco(options: argparse.Namespace) -> str:
     from flexman_gym.common import files
     from flexman_gym.envs.config.configuration import Configuration
-    from flexman_gym.envs.config.named_environments import NAMED
+    from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
     from flexman_gym.model.mjcf import mjcf
     from flexman_gym.scene.serialization import ARMS, SUFFIXES, find_arm
 
@@ -80,7 +80,7 @@ def _mujoco(options: argparse.Namespace) -> str:
     alone = name in ARMS or (name.endswith(SUFFIXES) and "id" not in files.read_data(Path(name)))
     arm = find_arm(name) if alone else Configuration.find(name).arm
     options.out.write_text(mjcf(arm, options.pieces), encoding="utf-8")
-    known = f" of {name}" if name.partition("/")[0] in NAMED else ""
+    known = f" of {name}" if name.partition("/")[0] in NAMED_ENVIRONMENTS else ""
     return f"{options.out} has the arm{known}: {arm.n_joints} links of {options.pieces} pieces a section."
 
 

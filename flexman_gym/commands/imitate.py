@@ -7,7 +7,14 @@ import yaml
 from flexman_gym.commands import CommandLine, train
 from flexman_gym.common.checks import value_error
 
-OTHERS = ("algo", "engine", "runners", "device", "judge_every", "checkpoint_every")  # that only a training has
+TRAIN_ONLY_OPTIONS = (
+    "algo",
+    "engine",
+    "runners",
+    "device",
+    "judge_every",
+    "checkpoint_every",
+)  # that only a training has
 
 
 def _arguments(result: argparse.ArgumentParser) -> None:
@@ -18,7 +25,7 @@ def _arguments(result: argparse.ArgumentParser) -> None:
     result.add_argument("teacher", type=yaml.safe_load, help=f"one of {known}, or a mapping with one at kind")
     train.COMMAND.arguments(result)
     for action in result._actions:
-        if action.dest in OTHERS:
+        if action.dest in TRAIN_ONLY_OPTIONS:
             action.help = argparse.SUPPRESS
 
 

@@ -9,13 +9,13 @@ from flexman_gym.commands import CommandLine, certify
 if TYPE_CHECKING:
     from flexman_gym.league.rows import LeagueRows
 
-FOLDER = Path("out/league")
-PHYSICAL = 10  # episodes
+DEFAULT_FOLDER = Path("out/league")
+PHYSICAL_EPISODES = 10  # episodes
 
 
 def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    from flexman_gym.common.grid import Workers
+    from flexman_gym.common.parallel import Workers
     from flexman_gym.evaluation.agent import AGENTS
     from flexman_gym.evaluation.rollout import TEST_SEEDS
     from flexman_gym.league.scenarios import SWEEPS
@@ -38,16 +38,18 @@ def _arguments(result: argparse.ArgumentParser) -> None:
     result.add_argument("--episodes", type=int, help=f"without it {len(TEST_SEEDS)}, or as many as there are")
     result.add_argument("--seed", type=int, default=TEST_SEEDS.start, help="of the first episode; the next follow")
     Workers.arguments(result)
-    result.add_argument("--folder", type=Path, help=f"of rows, page and charts, without it {FOLDER}; its rows are kept")
+    result.add_argument(
+        "--folder", type=Path, help=f"of rows, page and charts, without it {DEFAULT_FOLDER}; its rows are kept"
+    )
     result.add_argument("--add", nargs="+", metavar="RUN", help="run these alone, in the scenarios of the folder")
 
 
 def _run(options: argparse.Namespace) -> int:
     """Run what the folder does not have yet; return the exit code."""
-    from flexman_gym.common.grid import Workers
     from flexman_gym.common.markdown import markdown_table
+    from flexman_gym.common.parallel import Workers
     from flexman_gym.evaluation.agent import AGENTS
-    from flexman_gym.league.page import PAGE, glance, write_page
+    from flexman_gym.league.page import PAGE, summary_rows, write_page
     from flexman_gym.league.rows import LeagueRows, run_league
     from flexman_gym.league.standings import Standings
 
@@ -58,13 +60,13 @@ def _run(options: argparse.Namespace) -> int:
             options.parser.error(f"--{name}: {given} is not allowed; give a whole number >= {least}")
     if options.agent:
         return certify.print_certificate(options.agent, jobs=workers)
-    agents, folder = options.add or options.agents or AGENTS, options.folder or FOLDER
+    agents, folder = options.add or options.agents or AGENTS, options.folder or DEFAULT_FOLDER
     groups = _scenarios(options, LeagueRows.load(folder))
     for episodes, scenarios in groups.items():
         seeds = range(options.seed, options.seed + episodes)
         results = run_league(agents, scenarios, seeds, folder, workers, lambda line: print(line, flush=True))
     names = [name for scenarios in groups.values() for name in scenarios]
-    print("\n".join(markdown_table(["agent", *names], glance(Standings(results), names))))
+    print("\n".join(markdown_table(["agent", *names], summary_rows(Standings(results), names))))
     write_page(results, folder)
     print(f"{folder / PAGE} has all tables." if (folder / PAGE).exists() else f"{folder} has the rows.")
     return 0
@@ -72,16 +74,16 @@ def _run(options: argparse.Namespace) -> int:
 
 def _scenarios(options: argparse.Namespace, results: "LeagueRows") -> dict[int, list[str]]:
     """Return numbers of episodes, and the scenarios that have this number."""
-    from flexman_gym.envs.config.named_environments import DEFAULT
+    from flexman_gym.envs.config.named_environments import DEFAULT_ID
     from flexman_gym.evaluation.rollout import TEST_SEEDS
     from flexman_gym.league.scenarios import USUAL_SCENARIOS, plant_scenarios, sweep_scenarios
 
     scenarios = options.scenarios or USUAL_SCENARIOS
-    episodes = options.episodes or (PHYSICAL if options.physical else len(TEST_SEEDS))
+    episodes = options.episodes or (PHYSICAL_EPISODES if options.physical else len(TEST_SEEDS))
     if options.physical:
         scenarios = plant_scenarios()
     elif options.sweep:
-        scenarios = [each for id in options.scenarios or [DEFAULT] for sweep in options.sweep
+        scenarios = [each for id in options.scenarios or [DEFAULT_ID] for sweep in options.sweep
                      for each in sweep_scenarios(id, sweep)]  # fmt: skip
     elif options.add and not options.scenarios and results.cells:
         last: dict[str, int] = {}

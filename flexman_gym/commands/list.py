@@ -8,22 +8,25 @@ from pathlib import Path
 
 from flexman_gym.commands import CommandLine
 
-WHAT = ("environments", "conditions", "controllers", "policies", "sensors", "methods", "arms", "recipes", "examples")
-PACKAGE = Path(__file__).parents[1]
-EXAMPLES = (PACKAGE / "examples", PACKAGE.parent / "docs" / "examples")  # of a wheel, and of a checkout
+KINDS = ("environments", "conditions", "controllers", "policies", "sensors", "methods", "arms", "recipes", "examples")
+PACKAGE_FOLDER = Path(__file__).parents[1]
+EXAMPLE_FOLDERS = (
+    PACKAGE_FOLDER / "examples",
+    PACKAGE_FOLDER.parent / "docs" / "examples",
+)  # of a wheel, and of a checkout
 
 
 def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    result.add_argument("what", nargs="*", help=f"some of {', '.join(WHAT)}; all of them without it")
+    result.add_argument("what", nargs="*", help=f"some of {', '.join(KINDS)}; all of them without it")
 
 
 def _run(options: argparse.Namespace) -> int:
     """Print names with a few words for each; return 0."""
     for what in options.what:
-        if what not in WHAT:
-            options.parser.error(f"what: {what} is not allowed; give some of {', '.join(WHAT)}")
-    for what in options.what or WHAT:
+        if what not in KINDS:
+            options.parser.error(f"what: {what} is not allowed; give some of {', '.join(KINDS)}")
+    for what in options.what or KINDS:
         entries = dict(_entries(what))
         print(f"{what}:")
         width = max(map(len, entries), default=0)
@@ -35,15 +38,14 @@ def _run(options: argparse.Namespace) -> int:
 def _entries(what: str) -> Iterable[tuple[str, str]]:
     """Yield the names of a kind, each with a few words."""
     from flexman_gym.control.base_controllers import BASES
-    from flexman_gym.envs.config.conditions import CONDITION_FOLDER, CONDITIONS
-    from flexman_gym.envs.config.named_environments import NAMED
-    from flexman_gym.envs.sensors import SENSORS, SETS
+    from flexman_gym.envs.config.named_environments import CONDITION_FOLDER, CONDITIONS, NAMED_ENVIRONMENTS
+    from flexman_gym.envs.sensors import SENSOR_SETS, SENSORS
     from flexman_gym.scene import catalog
     from flexman_gym.scene.serialization import ARMS
     from flexman_gym.simulation.methods import METHODS
 
     if what == "environments":
-        for id, each in NAMED.items():
+        for id, each in NAMED_ENVIRONMENTS.items():
             yield id, f"{type(each.task).__name__.lower()}, {each.control_period:g} s a period, {each.horizon:g} s"
     elif what == "conditions":
         words = {path.stem: _first_sentence(path) for path in sorted(CONDITION_FOLDER.glob("*/*.yaml"))}
@@ -55,14 +57,16 @@ def _entries(what: str) -> Iterable[tuple[str, str]]:
 
         yield from ((name, describe_policy(name)) for name in POLICIES)
     elif what == "sensors":
-        parts: Mapping[str, object] = {name: "" for name in SENSORS} | {name: " + ".join(SETS[name]) for name in SETS}
+        parts: Mapping[str, object] = {name: "" for name in SENSORS} | {
+            name: " + ".join(SENSOR_SETS[name]) for name in SENSOR_SETS
+        }
         yield from ((name, str(words)) for name, words in parts.items())
     elif what == "methods":
         yield from ((name, f"{method.kind}, order {method.order}") for name, method in METHODS.items())
     elif what == "arms":
         yield from ((name, (getattr(catalog, name).__doc__ or "").splitlines()[0]) for name in ARMS)
     elif what == "examples":
-        folder = next(path for path in EXAMPLES if path.is_dir())
+        folder = next(path for path in EXAMPLE_FOLDERS if path.is_dir())
         yield from ((str(path), _first_sentence(path)) for path in sorted(folder.glob("*.*")))
     else:
         try:

@@ -6,9 +6,9 @@ import numpy as np
 
 from flexman_gym.commands import CommandLine, add_options
 
-METHODS = ("rk4", "dopri5", "ros2", "midpoint_2_sweeps", "midpoint_3_sweeps", "extrapolated_euler_5")
+DEFAULT_METHODS = ("rk4", "dopri5", "ros2", "midpoint_2_sweeps", "midpoint_3_sweeps", "extrapolated_euler_5")
 HALVINGS = 5
-REFERENCE, RTOL = "dop853", 1e-9
+REFERENCE_METHOD, REFERENCE_RTOL = "dop853", 1e-9
 
 
 def _arguments(result: argparse.ArgumentParser) -> None:
@@ -22,12 +22,12 @@ def _run(options: argparse.Namespace) -> int:
     """Print a line for each method and step, with errors against the reference method; return 0."""
     from flexman_gym.scene.scene import Scene
     from flexman_gym.simulation.methods import METHODS as KNOWN
-    from flexman_gym.simulation.scenes import simulate
+    from flexman_gym.simulation.scene_simulation import simulate
 
-    names = options.method or [name for name in METHODS if name in KNOWN]
+    names = options.method or [name for name in DEFAULT_METHODS if name in KNOWN]
     scene = Scene.load(options.scene)
-    truth = simulate(scene, method=REFERENCE, rtol=RTOL)
-    print(f"{REFERENCE}, rtol {RTOL:g}: {truth.status}, {truth.wall_seconds:.3g} s")
+    truth = simulate(scene, method=REFERENCE_METHOD, rtol=REFERENCE_RTOL)
+    print(f"{REFERENCE_METHOD}, rtol {REFERENCE_RTOL:g}: {truth.status}, {truth.wall_seconds:.3g} s")
     print(f"{'method':<22}{'step, ms':>10}{'status':>16}{'error, m':>12}{'evaluations':>13}{'time, s':>10}")
     for name in names:
         for step in options.step / 2.0 ** np.arange(HALVINGS + 1):

@@ -8,7 +8,7 @@ from flexman_gym.commands import CommandLine, add_options
 
 def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    from flexman_gym.common.grid import Workers
+    from flexman_gym.common.parallel import Workers
 
     result.add_argument("entrants", nargs="+", help="as of flexman evaluate; a dataset each")
     env = {"default": "FlexRRR-v0", "help": "an id, an id and a condition, or the path of a file"}
@@ -22,7 +22,7 @@ def _arguments(result: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     """Write the datasets; return 0."""
     from flexman_gym.common.checks import whole_number
-    from flexman_gym.common.grid import Workers
+    from flexman_gym.common.parallel import Workers
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation.dataset import record_dataset
 

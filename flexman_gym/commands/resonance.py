@@ -14,9 +14,12 @@ if TYPE_CHECKING:
     from flexman_gym.control.input_shaping.shapers import OperatingPoint, ShaperEvaluation
     from flexman_gym.model.model import Model
 
-POSTURES, ANGLE = 8, 1.2  # how many are looked at; rad, up to which they are drawn for an arm without a task
-HIGHEST = 25.0  # Hz, of the vibrations that the model of an arm without an environment has to show
-MOTORS = ("held", "free")
+DEFAULT_POSTURES, MAX_ANGLE = (
+    8,
+    1.2,
+)  # how many are looked at; rad, up to which they are drawn for an arm without a task
+MAX_FREQUENCY = 25.0  # Hz, of the vibrations that the model of an arm without an environment has to show
+MOTOR_STATES = ("held", "free")
 
 
 def _arguments(result: argparse.ArgumentParser) -> None:
@@ -29,7 +32,9 @@ def _arguments(result: argparse.ArgumentParser) -> None:
     result.add_argument("arm", help=where)
     ends = ("LOW", "HIGH")
     result.add_argument("--payload", type=float, nargs=2, metavar=ends, help="kg; else what the environment draws")
-    result.add_argument("--postures", type=int, default=POSTURES, help="goals of an environment's first episodes")
+    result.add_argument(
+        "--postures", type=int, default=DEFAULT_POSTURES, help="goals of an environment's first episodes"
+    )
     result.add_argument("--csv", type=Path, metavar="FILE", help="a table of all modes and what is left of them")
 
 
@@ -58,15 +63,15 @@ def _find_model(name: str, count: int) -> "tuple[Model, np.ndarray, list[float]]
     """Return the model of an arm, postures (count, n) rad and payloads (kg)."""
     from flexman_gym.common import files
     from flexman_gym.envs.config.configuration import Configuration
-    from flexman_gym.fidelity.choose import assembled_modes
+    from flexman_gym.fidelity.model_selection import assembled_modes
     from flexman_gym.model.model import build_model
     from flexman_gym.scene.serialization import ARMS, SUFFIXES, find_arm
 
     data = files.read_data(Path(name)) if name.endswith(SUFFIXES) else None
     if name in ARMS or (isinstance(data, dict) and ("arm" in data or "links" in data) and "id" not in data):
         arm = find_arm(name)
-        model = build_model(arm, 2, assembled_modes(arm, 2, HIGHEST))
-        postures = np.random.default_rng(0).uniform(-ANGLE, ANGLE, (count, arm.n_joints))
+        model = build_model(arm, 2, assembled_modes(arm, 2, MAX_FREQUENCY))
+        postures = np.random.default_rng(0).uniform(-MAX_ANGLE, MAX_ANGLE, (count, arm.n_joints))
         drawn = None
     else:
         model, postures, drawn = _environment_model(Configuration.find(name), count)
@@ -93,7 +98,7 @@ def _environment_model(environment: object, count: int) -> "tuple[Model, np.ndar
 def _mode_lines(cases: "Sequence[OperatingPoint]") -> list[str]:
     """Return a line for each mode: its frequencies and damping ratios over all cases."""
     result = [f"{'mode':<18}{'Hz, least':>12}{'median':>10}{'most':>10}{'damping ratio':>22}{'tip, m/rad':>12}"]
-    for motors in MOTORS:
+    for motors in MOTOR_STATES:
         found = [getattr(case, motors) for case in cases]
         for number in range(min(map(len, found))):
             frequency, ratio, tip = np.array([modes[number] for modes in found]).T
@@ -159,7 +164,7 @@ def _write_table(path: Path, cases: "Sequence[OperatingPoint]", answers: "Sequen
         table = csv.writer(stream)
         table.writerow(heads)
         for row, case in enumerate(cases):
-            for motors in MOTORS:
+            for motors in MOTOR_STATES:
                 for number, (frequency, ratio, _) in enumerate(getattr(case, motors).tolist()):
                     known = motors == "held" and number < answers[0].left.shape[1]
                     left = [f"{each.left[row, number]:.6g}" if known else "" for each in answers]

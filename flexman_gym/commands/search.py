@@ -8,7 +8,7 @@ from flexman_gym.commands import CommandLine
 
 def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    from flexman_gym.common.grid import Workers
+    from flexman_gym.common.parallel import Workers
 
     result.add_argument("recipe", help="a file of settings, or the name of a recipe")
     result.add_argument("--over", type=Path, required=True, metavar="FILE", help="settings, each with what it may be")
@@ -24,7 +24,7 @@ def _run(options: argparse.Namespace) -> int:
     from flexman_agents.settings import find_recipe
     from flexman_gym.common import files
     from flexman_gym.common.checks import value_error
-    from flexman_gym.common.grid import Workers
+    from flexman_gym.common.parallel import Workers
 
     over = files.read_data(options.over)
     if not isinstance(over, dict) or not over:

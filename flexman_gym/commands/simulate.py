@@ -21,7 +21,7 @@ def _run(options: argparse.Namespace) -> int:
     """Simulate; return 0, or 1 if the simulation stops before its end."""
     from flexman_gym.scene.scene import Scene
     from flexman_gym.simulation.episode import Episode
-    from flexman_gym.simulation.scenes import simulate
+    from flexman_gym.simulation.scene_simulation import simulate
 
     scene = Scene.load(options.scene)
     result = simulate(scene, method=options.method, step=options.step, rtol=options.rtol)

@@ -13,14 +13,14 @@ from flexman_gym.common.checks import value_error
 if TYPE_CHECKING:
     from flexman_agents.settings import Settings
 
-LEARNED_WITH = ("base", "action_repeat", "sensors")  # settings of an environment without which a recipe learns little
-INTERRUPTED = 130  # what a shell says of a process that Ctrl-C has ended
+AGENT_SETTINGS = ("base", "action_repeat", "sensors")  # settings of an environment without which a recipe learns little
+EXIT_INTERRUPTED = 130  # what a shell says of a process that Ctrl-C has ended
 
 
 def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     from flexman_agents.settings import ALGORITHMS
-    from flexman_gym.common.grid import Workers
+    from flexman_gym.common.parallel import Workers
 
     result.add_argument("recipe", nargs="?", help="a file of settings, or a name: flexman list recipes")
     words = f"{', '.join(ALGORITHMS)}; without it the recipe's, or ppo"
@@ -58,10 +58,10 @@ def _run(options: argparse.Namespace) -> int:
             folders = _train_runs(options)
     except Interrupted as stop:
         print(f"{stop}; go on with: flexman train --resume --folder {options.folder}", file=sys.stderr)
-        return INTERRUPTED
+        return EXIT_INTERRUPTED
     except KeyboardInterrupt:
         print("Interrupted; what was saved before stays.", file=sys.stderr)
-        return INTERRUPTED
+        return EXIT_INTERRUPTED
     for folder in folders:
         print(f"The run is in {folder}; see it with: flexman evaluate {folder} pd")
     return 0
@@ -76,7 +76,7 @@ def _refuse_settings(options: argparse.Namespace) -> None:
 
 def _warn_of_missing_settings(recipe: Mapping[str, Any], own: Mapping[str, Any], env: str) -> None:
     """Print the settings of a recipe for the agent that an environment in its place does not have."""
-    lost = [f"{name}: {recipe[name]}" for name in LEARNED_WITH if name in recipe and name not in own]
+    lost = [f"{name}: {recipe[name]}" for name in AGENT_SETTINGS if name in recipe and name not in own]
     if lost:
         print(f"{env} does not have what the recipe learned with: {', '.join(lost)}", file=sys.stderr)
 
@@ -126,7 +126,7 @@ def _make_settings(options: argparse.Namespace) -> "Settings":
 def _train_runs(options: argparse.Namespace) -> list[Path]:
     """Train one run for each seed; return their folders."""
     from flexman_agents.training import train, train_or_resume
-    from flexman_gym.common.grid import Workers, collect_cells
+    from flexman_gym.common.parallel import Workers, parallel_map
     from flexman_gym.evaluation.rollout import compile_kernels
 
     settings, how = _make_settings(options), _training_options(options)
@@ -137,7 +137,7 @@ def _train_runs(options: argparse.Namespace) -> list[Path]:
     if workers != Workers():
         how |= {"progress": False}  # bars of several runs would be one tangle
     cells = [(settings.with_seed(seed), str(options.folder / f"seed-{seed}"), how) for seed in seeds]
-    return [Path(folder) for folder in collect_cells(train_or_resume, cells, workers, prepare=compile_kernels)]
+    return [Path(folder) for folder in parallel_map(train_or_resume, cells, workers, prepare=compile_kernels)]
 
 
 COMMAND = CommandLine(_arguments, _run)

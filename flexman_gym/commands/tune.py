@@ -8,7 +8,7 @@ from flexman_gym.commands import CommandLine
 
 def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    from flexman_gym.common.grid import Workers
+    from flexman_gym.common.parallel import Workers
 
     result.add_argument("env", help="an id, an id and a condition such as FlexRRR-v0/delay, or the path of a file")
     result.add_argument("--no-margins", action="store_true", help="try gains without a gain and a phase margin, too")
@@ -18,7 +18,7 @@ def _arguments(result: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Print the gains and their margins; return the exit status."""
-    from flexman_gym.common.grid import Workers
+    from flexman_gym.common.parallel import Workers
     from flexman_gym.control.margins import describe_stuck_motors
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation.optimisation import tune

@@ -6,7 +6,7 @@ from time import perf_counter
 
 from flexman_gym.commands import CommandLine
 
-FULL_TABLE = (
+FULL_TABLE_HINT = (
     "These are the closed forms. docs/verification.md has the full table, with trajectories of independent codes; "
     "`make verify` in the repository computes it."
 )
@@ -21,16 +21,16 @@ def _arguments(result: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     """Print one table; return 0, or 1 if a row fails."""
     from flexman_gym.verification.cases import closed_form_rows
-    from flexman_gym.verification.table import as_json, exit_code, text_table
+    from flexman_gym.verification.table import exit_code, format_json, format_table
 
     started = perf_counter()
     result = closed_form_rows()
-    print(text_table(result))
+    print(format_table(result))
     print(f"{perf_counter() - started:.0f} s")
     if not options.quick:
-        print(FULL_TABLE)
+        print(FULL_TABLE_HINT)
     if options.json is not None:
-        options.json.write_text(as_json(result), encoding="utf-8")
+        options.json.write_text(format_json(result), encoding="utf-8")
     return exit_code(result)
 
 

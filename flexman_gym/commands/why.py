@@ -10,13 +10,13 @@ from flexman_gym.commands import CommandLine, add_options, load_agent
 if TYPE_CHECKING:
     from flexman_gym.evaluation.diagnosis import Diagnosis
 
-EPISODES = 20
+DEFAULT_EPISODES = 20
 
 
 def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     names = "entrant", "--episodes", "--seed", "--env", "--set", "--trust"
-    add_options(result, *names, entrant={"nargs": "+"}, episodes={"default": EPISODES})
+    add_options(result, *names, entrant={"nargs": "+"}, episodes={"default": DEFAULT_EPISODES})
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -42,11 +42,11 @@ def diagnosis_lines(title: str, results: "Sequence[Diagnosis]") -> list[str]:
     """Return the lines of a report on the diagnoses of some episodes."""
     import numpy as np
 
-    from flexman_gym.evaluation.diagnosis import HELP
+    from flexman_gym.evaluation.diagnosis import REMEDIES
 
     failures = Counter(each.failure for each in results if each.failure)
     rms = 1e3 * np.array([each.rms for each in results if not each.failure] or [np.nan])
-    shares = {cause: float(np.mean([each.shares[cause] for each in results])) for cause in HELP}
+    shares = {cause: float(np.mean([each.shares[cause] for each in results])) for cause in REMEDIES}
     largest = Counter(each.cause for each in results)
     left = f"RMS error after arrival {np.median(rms):.3g} mm (to {rms.max():.3g})"
     failed = f"{failures.total()} failed ({', '.join(failures)})"
@@ -58,7 +58,7 @@ def diagnosis_lines(title: str, results: "Sequence[Diagnosis]") -> list[str]:
             f"episodes{_dominant_tone(results, cause)}"
         )
     worst = max(shares, key=lambda cause: shares[cause])
-    words = "nothing is needed, so little is left" if all(each.quiet for each in results) else HELP[worst]
+    words = "nothing is needed, so little is left" if all(each.quiet for each in results) else REMEDIES[worst]
     return [*said, f"  what would help: {words}"]
 
 

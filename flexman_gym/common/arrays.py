@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-Flags = NDArray[np.bool_]
+BoolArray = NDArray[np.bool_]
 Vector = Sequence[float] | NDArray[Any]  # what a person may give where numbers are wanted
 Matrix = Sequence[Sequence[float]] | NDArray[Any]
 

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 Kind = TypeVar("Kind")
 UNIT_TOLERANCE = 1e-9  # how far a unit vector or a rotation may be from exact
 MIN_SIZE, MAX_SIZE = 1e-30, 1e30  # of the size of anything, in SI units
-LONGEST_NAME = 60  # characters of a field in an error
-LONGEST_PATH = 160  # characters of a path in an error
-MAX_SHOWN = 80  # characters of a value in an error, and so entries of a list
+MAX_FIELD_LENGTH = 60  # characters of a field in an error
+MAX_PATH_LENGTH = 160  # characters of a path in an error
+MAX_VALUE_LENGTH = 80  # characters of a value in an error, and so entries of a list
 MAX_ENTRIES = 10**6  # of any list
-NEAR = 0.75  # likeness of a name to that of a member, from which on it is taken for a slip
+MIN_SIMILARITY = 0.75  # likeness of a name to that of a member, from which on it is taken for a slip
 MAX_DIGITS = 18  # of a whole number in a name
-WHOLE_TOLERANCE = 1e-9  # how far a ratio of two times may be from a whole number, relative to itself
+RATIO_TOLERANCE = 1e-9  # how far a ratio of two times may be from a whole number, relative to itself
 
 
 def short_repr(value: object) -> str:
@@ -28,17 +28,17 @@ def short_repr(value: object) -> str:
         text = " ".join(repr(_shortened(value)).split())
     except Exception:  # an integer of thousands of digits, a list nested without end, a repr of somebody's own
         text = f"this {type(value).__name__}"
-    return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."
+    return text if len(text) <= MAX_VALUE_LENGTH else text[: MAX_VALUE_LENGTH - 3] + "..."
 
 
-def short_path(path: object, most: int = LONGEST_PATH) -> str:
+def short_path(path: object, most: int = MAX_PATH_LENGTH) -> str:
     """Return a path on one line of at most `most` characters; a longer one is cut in its middle."""
     text = str(path) if str(path).isprintable() else repr(str(path))
     half = (most - 3) // 2
     return text if len(text) <= most else f"{text[:half]}...{text[-half:]}"
 
 
-def is_count(text: str) -> bool:
+def is_decimal_integer(text: str) -> bool:
     """Return whether a text is a whole number of 1 to 18 digits 0 to 9; `str.isdigit` is true of superscripts too."""
     return text.isascii() and text.isdecimal() and len(text) <= MAX_DIGITS
 
@@ -46,14 +46,14 @@ def is_count(text: str) -> bool:
 def value_error(name: str, value: object, allowed: str) -> ValueError:
     """Builds the error that says on one line that the field `name` may not be `value`, and what is `allowed`."""
     field = name if name.isprintable() else repr(name)  # a key of somebody's file may be in it
-    return ValueError(f"{field[:LONGEST_NAME]}: {short_repr(value)} is not allowed; give {allowed}")
+    return ValueError(f"{field[:MAX_FIELD_LENGTH]}: {short_repr(value)} is not allowed; give {allowed}")
 
 
 def _shortened(value: Any) -> Any:
     """Gives a long list, tuple or text without its end, which nobody would see, and everything else as it is."""
     if type(value) in (list, tuple):
-        return type(value)(_shortened(entry) for entry in value[:MAX_SHOWN])
-    return value[:MAX_SHOWN] if type(value) in (str, bytes) else value
+        return type(value)(_shortened(entry) for entry in value[:MAX_VALUE_LENGTH])
+    return value[:MAX_VALUE_LENGTH] if type(value) in (str, bytes) else value
 
 
 def _real(value: object) -> float:
@@ -138,7 +138,7 @@ def check_magnitudes(name: str, values: Iterable[float], most: float, unit: str 
             raise value_error(f"{name}[{i}]", value, f"a number from {-most:g} to {most:g}" + _in(unit))
 
 
-def count_parts(name: str, part: float, total: float, allowed: str, most: int = 10**9) -> int:
+def whole_ratio(name: str, part: float, total: float, allowed: str, most: int = 10**9) -> int:
     """Gives the whole number of times, at most `most`, that the time `part` (s) goes into `total` (s).
 
     Raises:
@@ -148,7 +148,7 @@ def count_parts(name: str, part: float, total: float, allowed: str, most: int = 
     if not ratio < most + 0.5:
         raise value_error(name, part, f"at least {total / most:g} (s): at most {most} go into {total} s")
     count = round(ratio)
-    if count < 1 or abs(ratio - count) > WHOLE_TOLERANCE * ratio:
+    if count < 1 or abs(ratio - count) > RATIO_TOLERANCE * ratio:
         raise value_error(name, part, f"{allowed}, {total} s")
     return count
 
@@ -285,14 +285,14 @@ def rotation(name: str, value: object) -> tuple[tuple[float, ...], ...]:
     return rows
 
 
-def check_members(field: str, value: object, optional: Collection[str], others: Collection[str]) -> None:
+def check_member_names(field: str, value: object, optional: Collection[str], others: Collection[str]) -> None:
     """Refuses an object one of whose members is nearly named as an optional one; it would never be used.
 
     Raises:
         ValueError: one line with field, member and the name that may be meant.
     """
     for name in sorted({*dir(value)} - {*optional, *others}):
-        near = [] if name.startswith("_") else get_close_matches(name, optional, 1, NEAR)
+        near = [] if name.startswith("_") else get_close_matches(name, optional, 1, MIN_SIMILARITY)
         if near:
             raise value_error(f"{field}.{name}", getattr(value, name), f"{near[0]}, if it is meant, or another name")
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-OURS = ("flexman_gym", "numba", "numpy", "scipy")
+CORE_PACKAGES = ("flexman_gym", "numba", "numpy", "scipy")
 
 
 def computer_info(more: Iterable[str] = ()) -> dict[str, str]:
@@ -14,7 +14,7 @@ def computer_info(more: Iterable[str] = ()) -> dict[str, str]:
     information = Path("/proc/cpuinfo")
     result = re.search(r"model name\s*: (.*)", information.read_text() if information.exists() else "")
     processor = result[1] if result else platform.processor() or platform.machine()
-    return {"processor": processor, "python": platform.python_version()} | _versions((*OURS, *more))
+    return {"processor": processor, "python": platform.python_version()} | _versions((*CORE_PACKAGES, *more))
 
 
 def computer_text(more: Iterable[str] = ()) -> str:

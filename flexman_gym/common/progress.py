@@ -4,7 +4,7 @@ import os
 import sys
 from time import monotonic
 
-PATIENCE = 10.0  # s between two lines
+INTERVAL = 10.0  # s between two lines
 
 
 class Progress:
@@ -25,7 +25,7 @@ class Progress:
         """Count a part that is done."""
         self._done += 1
         now = monotonic()
-        if now - self._said < PATIENCE or self._done == self._total or os.environ.get("FLEXMAN_QUIET"):
+        if now - self._said < INTERVAL or self._done == self._total or os.environ.get("FLEXMAN_QUIET"):
             return
         self._said, elapsed = now, now - self._begun
         if self._total is None:

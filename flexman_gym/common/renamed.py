@@ -28,27 +28,39 @@ MODULES = {
 }
 """Old module -> present module."""
 NAMES = {
-    "flexman_agents.sb3": {"zoo": "zoo_hyperparameters", "write_zoo": "write_zoo_files"},
+    "flexman_agents.callbacks": {"Report": "TrainingReport"},
+    "flexman_agents.sb3": {"write_zoo": "write_zoo_files", "zoo": "zoo_hyperparameters"},
     "flexman_agents.training": {"take_policy": "policy_state"},
+    "flexman_agents.vector": {"Arms": "SB3VecEnv"},
     "flexman_gym.control": {
         "Episode": "EpisodeInfo", "Optimised": "OptimisedController", "Shaped": "InputShapedController",
         "Truth": "Oracle",
     },
     "flexman_gym.control.input_shaping.shapers": {"design": "design_shaper", "residual": "shaper_residual"},
     "flexman_gym.control.normalisation": {"Scales": "RunningMeanStd"},
+    "flexman_gym.envs": {"NAMED": "NAMED_ENVIRONMENTS"},
     "flexman_gym.envs.config.configuration": {"Description": "Configuration", "Setup": "Configuration"},
+    "flexman_gym.envs.effects": {"Stage": "EffectContext"},
+    "flexman_gym.envs.sensors": {
+        "Action": "LastAction", "Command": "GoalCommand", "Fine": "FineScale", "Sensors": "SensorArray",
+        "Servo": "ServoErrors", "State": "ModelState",
+    },
     "flexman_gym.evaluation": {
-        "Entrant": "AgentSpec", "FIGURES": "METRICS", "Figure": "Metric", "Record": "EpisodeRecord",
-        "Tuned": "TunedGains", "find_entrant": "find_agent",
+        "Entrant": "AgentSpec", "Figure": "Metric", "FIGURES": "METRICS", "find_entrant": "find_agent",
+        "Record": "EpisodeRecord", "table": "metrics_table", "Tuned": "TunedGains",
     },
     "flexman_gym.evaluation.agent": {"find_entrant": "find_agent"},
     "flexman_gym.evaluation.policy_files": {"described": "describe_policy"},
-    "flexman_gym.simulation.amplification": {"amplitude_kept": "remaining_amplitude"},
+    "flexman_gym.metrics": {
+        "band_of_move": "move_band", "energy_left": "remaining_energy", "power_above": "high_frequency_power",
+        "STAY": "SETTLING_WINDOW", "VIBRATING": "VIBRATION_WINDOW",
+    },
+    "flexman_gym.simulation.stability": {"amplitude_kept": "remaining_amplitude"},
 }  # fmt: skip
 """Present module -> old name in it -> present name."""
 
 
-def old_names(module: str, old: str = "") -> Callable[[str], Any]:
+def deprecated_names(module: str, old: str = "") -> Callable[[str], Any]:
     """Return the `__getattr__` of a module that still answers to old names, with a DeprecationWarning.
 
     Args:
@@ -74,7 +86,7 @@ class _OldModules(MetaPathFinder, Loader):
         return ModuleSpec(name, self) if name in MODULES else None
 
     def exec_module(self, module: ModuleType) -> None:
-        module.__dict__["__getattr__"] = old_names(MODULES[module.__name__], module.__name__)
+        module.__dict__["__getattr__"] = deprecated_names(MODULES[module.__name__], module.__name__)
 
 
 if not any(isinstance(finder, _OldModules) for finder in sys.meta_path):

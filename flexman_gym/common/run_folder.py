@@ -19,7 +19,7 @@ SETTINGS, NEWEST, BEST, LOCK = "settings.json", "newest.npz", "best.npz", "lock"
 TEXT = "data.json"  # the name of the plain data among the arrays of a file
 
 
-def write_data(path: Path, data: dict[str, Any]) -> None:
+def write_npz(path: Path, data: dict[str, Any]) -> None:
     """Writes dicts and lists of arrays and plain data, as arrays and JSON in one file (npz); see `write_atomically`."""
     arrays: dict[str, np.ndarray] = {}
     text = json.dumps(split_arrays(data, arrays)).encode()
@@ -27,7 +27,7 @@ def write_data(path: Path, data: dict[str, Any]) -> None:
     write_atomically(path, lambda file: np.savez(file, allow_pickle=False, **named))
 
 
-def read_data(path: Path) -> Any:
+def read_npz(path: Path) -> Any:
     """Reads such a file; nothing in it is run.
 
     Raises:

@@ -67,11 +67,11 @@ def read_time_series(path: str | Path) -> TimeSeries:
 
     Raises:
         FileNotFoundError: when there is none.
-        ValueError: for what `read_csv_lines` refuses, for a head without a time, with a name given twice or with an
+        ValueError: for what `read_csv_rows` refuses, for a head without a time, with a name given twice or with an
             unknown unit, and for a line that has not a finite number in each column; one line names file, line and
             what is allowed. The text of a file in whose head no column has a unit is not shown.
     """
-    file, lines, numbers = _name(path), read_csv_lines(path), array("d")
+    file, lines, numbers = _name(path), read_csv_rows(path), array("d")
     heads = _heads(file, next(lines, []))
     names = [name for name, _, _ in heads]
     if "time" not in names or len(set(names)) < len(names) or len(names) < 2:
@@ -89,7 +89,7 @@ def read_time_series(path: str | Path) -> TimeSeries:
     return TimeSeries(Path(path), times, columns)
 
 
-def read_csv_lines(path: str | Path) -> Iterator[list[str]]:
+def read_csv_rows(path: str | Path) -> Iterator[list[str]]:
     """Yield the lines of a CSV file, the head first, as lists of texts.
 
     Raises:
@@ -110,7 +110,7 @@ def read_csv_lines(path: str | Path) -> Iterator[list[str]]:
         raise ValueError(f"{_name(path)}: {error}") from None
 
 
-def write_columns(path: str | Path, columns: Mapping[str, Vector]) -> None:
+def write_csv(path: str | Path, columns: Mapping[str, Vector]) -> None:
     """Write columns of the same length under their heads, such as "time (s)", with all digits of their numbers.
 
     Raises:

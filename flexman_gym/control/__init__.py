@@ -1,6 +1,6 @@
 """Control: controllers with one call signature, and the observers and laws that some are made of."""
 
-from flexman_gym.common.renamed import old_names
+from flexman_gym.common.renamed import deprecated_names
 from flexman_gym.control.agent import Agent
 from flexman_gym.control.base_controllers import BASES
 from flexman_gym.control.controller import Controller, EpisodeInfo, Plant
@@ -34,4 +34,4 @@ __all__ = [
     "TrackingLQR",
 ]
 
-__getattr__ = old_names(__name__)
+__getattr__ = deprecated_names(__name__)

@@ -8,18 +8,18 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, Flags, IntArray, Vector, pad_rows
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows
 from flexman_gym.common.checks import non_negative, physical, value_error, vector
-from flexman_gym.control.base_controllers import checked_kind, make_base
+from flexman_gym.control.base_controllers import make_base, parse_kind
 from flexman_gym.control.controller import Controller, EpisodeInfo, Plant, Readings
 from flexman_gym.control.margins import describe_stuck_motors, sampled_loops, spectral_radius
 from flexman_gym.control.observers.observer import Estimate
 from flexman_gym.control.pd import PD
-from flexman_gym.control.reference_shaping import Authority, ReferenceShape
+from flexman_gym.control.reference_shaping import ReferenceShaping, ShapingLimits
 from flexman_gym.control.tracking import OutputFeedback
-from flexman_gym.model.linearization import LinearReadings as Quantities
+from flexman_gym.model.linearization import LinearMeasurements as Quantities
 
-UNSTABLE = 1.0 + 1e-6  # spectral radius; modes without damping that no motor moves have 1, to rounding
+UNSTABLE_RADIUS = 1.0 + 1e-6  # spectral radius; modes without damping that no motor moves have 1, to rounding
 
 
 class _ServoMode:
@@ -55,7 +55,7 @@ class _ServoMode:
         self._reference = pad_rows(self._reference, count)
         self._reference[arms] = episode.start
 
-    def act(self, actions: Array, readings: Readings, applied: Array, playing: Flags) -> Array:
+    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
         """Gives the torques (b, n) for references (b, n), parts of the torque limits from -1 to 1."""
         angles, asked = readings["motor_angles"], actions * self._span
         if self._moves:
@@ -101,7 +101,7 @@ def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) 
     loops = sampled_loops(plant.model, np.zeros(n), plant.period, plant.delay[1], plant.bandwidth)
     radii = [spectral_radius(loop, gains.stiffness, gains.damping) for loop in loops]
     radius, stuck = max(radii), loops[int(np.argmax(radii))].stuck
-    if radius > UNSTABLE:
+    if radius > UNSTABLE_RADIUS:
         warnings.warn(
             f"actions: a servo with stiffness {gains.stiffness.tolist()} and damping {gains.damping.tolist()} is not "
             f"stable with a period of {plant.period:g} s{describe_stuck_motors(stuck)} (spectral radius "
@@ -112,8 +112,11 @@ def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) 
     return _ServoMode(kind, gains, spans, plant.period)
 
 
-DEPARTURE, ANGLE = 1.0 / 30.0, 0.01  # of a range, and rad: up to where departures and errors of angles are small
-LARGEST = 100.0  # number that is shown
+SMALL_DEPARTURE, SMALL_ANGLE = (
+    1.0 / 30.0,
+    0.01,
+)  # of a range, and rad: up to where departures and errors of angles are small
+MAX_OBSERVATION = 100.0  # number that is shown
 
 
 class _ReferenceShapingMode:
@@ -125,7 +128,7 @@ class _ReferenceShapingMode:
     Args:
         plant: the arm.
         base: an observer and a law that tracks references.
-        authority: pace, offset, torque and fading, see `Authority`.
+        authority: pace, offset, torque and fading, see `ShapingLimits`.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
@@ -136,10 +139,10 @@ class _ReferenceShapingMode:
             allowed = "torque, or it with a base that has an observer and tracks: adaptive-lqr, lqg or privileged-lqr"
             raise value_error("actions", "shaping", allowed)
         self._base, self._law, self._plant = base, base.law, plant
-        far = Authority(**{name: non_negative(f"actions.{name}", value) for name, value in authority.items()})
+        far = ShapingLimits(**{name: non_negative(f"actions.{name}", value) for name, value in authority.items()})
         self.strength = far.torque if far.fading == 0.0 else None
         n = self.joints = len(plant.torque_limit)
-        self._shape = self._law.shape = ReferenceShape(self._law.slews, self._law.limits, plant.period, far)
+        self._shape = self._law.shape = ReferenceShaping(self._law.slews, self._law.limits, plant.period, far)
         every = ("pace", *(f"{part}_{joint + 1}" for part in ("offset", "torque") for joint in range(n)))
         self._columns = np.flatnonzero(np.repeat([far.pace, far.offset, far.torque], [1, n, n]) > 0.0)
         self.names = tuple(every[column] for column in self._columns)
@@ -165,13 +168,13 @@ class _ReferenceShapingMode:
         self._shape.reset(arms, count)
         self._base.reset(arms, episode, count)
 
-    def act(self, actions: Array, readings: Readings, applied: Array, playing: Flags) -> Array:
+    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
         """Gives what the motors (b, n) are asked for, parts of the torque limits."""
         arms = np.flatnonzero(playing)
         self._shape.wanted[arms[:, None], self._columns] = actions[arms]
         return self._base.act(readings, applied, playing)
 
-    def look(self, readings: Readings, applied: Array, playing: Flags) -> Array:
+    def look(self, readings: Readings, applied: Array, playing: BoolArray) -> Array:
         """Gives what it shows of all arms, (b, sum of the sizes in `shown`), anew of those that are playing (b,)."""
         if len(self._seen) < len(playing):
             self._seen = np.zeros((len(playing), self._seen.shape[1]))
@@ -179,7 +182,7 @@ class _ReferenceShapingMode:
             estimate, arms = self._base.look(readings, applied, playing), np.flatnonzero(playing)
             self._law.plan(estimate, playing)
             shown = np.concatenate(list(self._parts(estimate, applied, arms).values()), axis=1)
-            self._seen[arms] = np.clip(np.nan_to_num(shown), -LARGEST, LARGEST)
+            self._seen[arms] = np.clip(np.nan_to_num(shown), -MAX_OBSERVATION, MAX_OBSERVATION)
         return self._seen
 
     def _parts(self, estimate: Estimate, applied: Array, arms: IntArray) -> dict[str, Array]:
@@ -189,13 +192,13 @@ class _ReferenceShapingMode:
         motors, (place, speed, change) = model.motor_columns, slews.at(now, arms)
         way, left = slews.way[arms], slews.begun[arms] + slews.lasting[arms] - now
         errors = slews.start[arms] + way + slews.shift[arms] - states[:, motors]
-        departures = np.arcsinh(self._read(states - reference) / (DEPARTURE * self._ranges))
+        departures = np.arcsinh(self._read(states - reference) / (SMALL_DEPARTURE * self._ranges))
         ways = [way * (1.0 - place)[:, None], way * speed[:, None], way * change[:, None]]
         clock = [place, speed, change, np.maximum(left, 0.0), slews.pace[arms], slews.begun[arms] + slews.lasting[arms]]
         return {
             "estimate": self._read(states),
             "departures": departures,
-            "angle_errors": np.concatenate([errors, np.arcsinh(errors / ANGLE)], axis=1),
+            "angle_errors": np.concatenate([errors, np.arcsinh(errors / SMALL_ANGLE)], axis=1),
             "reference": np.concatenate([reference[:, motors], reference[:, d + motors]], axis=1),
             "way": np.concatenate(ways, axis=1),
             "clock": np.stack(clock, axis=1),
@@ -271,7 +274,7 @@ class ActionMode(Protocol):
         """Starts new episodes of the arms with the indices (r,), of its base too."""
         ...
 
-    def act(self, actions: Array, readings: Readings, applied: Array, playing: Flags) -> Array:
+    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
         """Gives what the motors (b, n) are asked for, parts of the torque limits from -1 to 1.
 
         Args:
@@ -302,7 +305,7 @@ class TorqueMode:
         if self._base:
             self._base.reset(arms, episode, count)
 
-    def act(self, actions: Array, readings: Readings, applied: Array, playing: Flags) -> Array:
+    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
         """Gives the sum (b, n) of actions (b, n) and what the base asks for."""
         if self._base is None:
             return actions
@@ -325,7 +328,7 @@ class CurrentMode(TorqueMode):
         self._largest = self.strength = largest
         self.names = tuple(f"current_{joint + 1}" for joint in range(joints))
 
-    def act(self, actions: Array, readings: Readings, applied: Array, playing: Flags) -> Array:
+    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
         """Gives the torques (b, n) of currents (b, n), with those of a base."""
         return super().act(np.clip(actions * self._largest, -1.0, 1.0), readings, applied, playing)
 
@@ -353,13 +356,13 @@ def _make_current(plant: Plant, base: Controller | None) -> CurrentMode:
     return CurrentMode(len(limits), base, np.array(limits) / plant.torque_limit)
 
 
-SERVO = ("stiffness", "damping", "range")
+SERVO_ARGUMENTS = ("stiffness", "damping", "range")
 ACTIONS: dict[str, ActionModeEntry] = {
     "torque": ActionModeEntry(lambda plant, base: TorqueMode(len(plant.torque_limit), base)),
     "current": ActionModeEntry(_make_current),
-    "velocity": ActionModeEntry(partial(_make_servo, "velocity"), SERVO),
-    "position": ActionModeEntry(partial(_make_servo, "position"), SERVO),
-    "shaping": ActionModeEntry(_ReferenceShapingMode, Authority._fields),
+    "velocity": ActionModeEntry(partial(_make_servo, "velocity"), SERVO_ARGUMENTS),
+    "position": ActionModeEntry(partial(_make_servo, "position"), SERVO_ARGUMENTS),
+    "shaping": ActionModeEntry(_ReferenceShapingMode, ShapingLimits._fields),
 }
 
 
@@ -368,22 +371,22 @@ def mode_observation_size(mode: ActionMode) -> int:
     return sum(getattr(mode, "shown", {}).values())
 
 
-def checked_action_mode(value: object) -> tuple[str, dict[str, Any]]:
+def parse_action_mode(value: object) -> tuple[str, dict[str, Any]]:
     """Gives name and arguments of a mode that is a name, or a mapping with one at "kind" and its arguments.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
     """
-    return checked_kind("actions", value, {name: mode.takes for name, mode in ACTIONS.items()})
+    return parse_kind("actions", value, {name: mode.takes for name, mode in ACTIONS.items()})
 
 
 def make_action_mode(value: object, plant: Plant, base: Controller | None) -> ActionMode:
-    """Make an action mode for a plant and a base; see `checked_action_mode`. One that is made already is returned.
+    """Make an action mode for a plant and a base; see `parse_action_mode`. One that is made already is returned.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
     """
     if isinstance(value, ActionMode):
         return value
-    name, arguments = checked_action_mode(value)
+    name, arguments = parse_action_mode(value)
     return ACTIONS[name].make(plant, base, **arguments)

@@ -6,16 +6,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.common.arrays import Array, Flags, IntArray, pad_rows
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
 from flexman_gym.common.checks import positive, sequence, value_error, whole_number
-from flexman_gym.control.actions import LARGEST, ActionMode, mode_observation_size
+from flexman_gym.control.actions import MAX_OBSERVATION, ActionMode, mode_observation_size
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
 
 Law = Callable[[NDArray[np.float32]], NDArray[Any]]  # observations (b, size) -> commands (b, k) from -1 to 1
-MOST = 1000  # observations of a history
+MAX_HISTORY = 1000  # observations of a history
 
 
-class History:
+class _History:
     """The last k observations of b arms, the newest first, or the present one and exponential averages of all.
 
     In an episode that has just begun the first observation stands for those before it.
@@ -34,7 +34,7 @@ class History:
         self.parts = history_length(kind)
         self._memory = np.zeros((arms, self.parts, size))
 
-    def following(self, earlier: "History") -> "History":
+    def following(self, earlier: "_History") -> "_History":
         """Gives itself with what an earlier one of fewer arms remembers."""
         self._memory[: len(earlier._memory)] = earlier._memory
         return self
@@ -65,13 +65,13 @@ def history_length(kind: int | tuple[float, ...]) -> int:
     return kind if isinstance(kind, int) else 1 + len(kind)
 
 
-def checked_history(value: object) -> int | tuple[float, ...]:
+def parse_history(value: object) -> int | tuple[float, ...]:
     """A number of observations, or the times of averages; raises ValueError for anything else."""
     if not isinstance(value, list | tuple) and not (isinstance(value, np.ndarray) and value.ndim):
-        return whole_number("history", value, 1, MOST)
+        return whole_number("history", value, 1, MAX_HISTORY)
     times = sequence("history", value, "times (s)")
-    if not 0 < len(times) <= MOST:
-        raise value_error("history", value, f"a whole number, or 1 to {MOST} times (s)")
+    if not 0 < len(times) <= MAX_HISTORY:
+        raise value_error("history", value, f"a whole number, or 1 to {MAX_HISTORY} times (s)")
     return tuple(positive(f"history[{i}]", time, "s") for i, time in enumerate(times))
 
 
@@ -88,7 +88,7 @@ class Agent:
         size: numbers that these sensors give of an arm at an instant.
         mode: action mode, made for the base.
         base: controller inside the mode; None without one.
-        history: observations, or times (s) of averages, see `History`.
+        history: observations, or times (s) of averages, see `_History`.
         action_repeat: control periods for which a command is kept.
         law: commands (b, k) from -1 to 1 for observations (b, size), such as a Network; None for commands from outside.
 
@@ -114,7 +114,7 @@ class Agent:
         self.shows = mode_observation_size(mode) > 0
         self._size, self._kind, self._counts = size, history, action_repeat > 1 or history != 1
         self._row = size + mode_observation_size(mode)
-        self._history: History | None = None
+        self._history: _History | None = None
         self.observations: NDArray[np.float32] = np.zeros((0, history_length(history) * self._row), dtype=np.float32)
         self.command, self._ages = np.zeros((0, len(mode.names))), np.zeros(0, dtype=np.int64)
         if law is not None:
@@ -127,7 +127,7 @@ class Agent:
 
     def bound(self, sensors: Array) -> NDArray[np.float32]:
         """Return the largest magnitude (size,) of each number of an observation, from those of the sensors."""
-        row = np.append(sensors, np.full(self._row - self._size, LARGEST))
+        row = np.append(sensors, np.full(self._row - self._size, MAX_OBSERVATION))
         return np.tile(row, history_length(self._kind)).astype(np.float32)
 
     def check_law(self, law: object) -> None:
@@ -152,7 +152,7 @@ class Agent:
         for name in ("observations", "command", "_ages"):
             setattr(self, name, pad_rows(getattr(self, name), count))
         if self._kind != 1:
-            longer = History(self._kind, self.action_repeat * period, count, self._row)
+            longer = _History(self._kind, self.action_repeat * period, count, self._row)
             self._history = longer.following(self._history) if self._history else longer
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
@@ -167,12 +167,12 @@ class Agent:
         self._ages[arms] = 0
         self.mode.reset(arms, episode, count)
 
-    def due(self, playing: Flags) -> Flags:
+    def due(self, playing: BoolArray) -> BoolArray:
         """Return the arms (b,) among those playing whose next command begins in this period."""
-        result: Flags = playing if self.action_repeat == 1 else playing & (self._ages % self.action_repeat == 0)
+        result: BoolArray = playing if self.action_repeat == 1 else playing & (self._ages % self.action_repeat == 0)
         return result
 
-    def observe(self, observed: Array, readings: Readings, applied: Array, due: Flags) -> None:
+    def observe(self, observed: Array, readings: Readings, applied: Array, due: BoolArray) -> None:
         """Update the observations of the arms (b,) that are due, once a command.
 
         Args:
@@ -194,7 +194,7 @@ class Agent:
             if len(arms):
                 self.observations[arms] = see(now[arms], arms)
 
-    def act(self, readings: Readings, applied: Array, playing: Flags) -> Array:
+    def act(self, readings: Readings, applied: Array, playing: BoolArray) -> Array:
         """Return the torques (b, n), parts of the torque limits; see `Controller.act`.
 
         Raises:

@@ -12,11 +12,11 @@ from flexman_gym.control.observers.estimator import Estimator
 from flexman_gym.control.observers.kalman_filter import KalmanFilter
 from flexman_gym.control.observers.oracle import Oracle
 from flexman_gym.control.pd import PD
-from flexman_gym.control.references.optimised_slews import SHIPPED, OptimisedController, SlewTable
+from flexman_gym.control.references.optimised_slews import SHIPPED_TABLE, OptimisedController, SlewTable
 from flexman_gym.control.tracking import OutputFeedback, Tracking
 
 
-def checked_kind(name: str, value: object, known: Mapping[str, Collection[str]]) -> tuple[str, dict[str, Any]]:
+def parse_kind(name: str, value: object, known: Mapping[str, Collection[str]]) -> tuple[str, dict[str, Any]]:
     """Gives name and arguments of a value that is a name, or a mapping with one at "kind" and its arguments.
 
     Args:
@@ -36,7 +36,7 @@ def checked_kind(name: str, value: object, known: Mapping[str, Collection[str]])
     return chosen, mapping(name, given, known[chosen])
 
 
-PLAIN = "none: usual weights for every arm"  # tuning of the controllers that are designed from a model
+DEFAULT_TUNING = "none: usual weights for every arm"  # tuning of the controllers that are designed from a model
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class _BaseEntry:
     information: tuple[str, ...]
     takes: tuple[str, ...]
     description: str
-    tuning: str = PLAIN
+    tuning: str = DEFAULT_TUNING
 
 
 def _pd(plant: Plant, **gains: Any) -> PD:
@@ -84,7 +84,7 @@ def _mpc(plant: Plant) -> Controller:
 
 
 def _optimised(plant: Plant, table: object = None) -> OptimisedController:
-    slews = SlewTable.load(SHIPPED if table is None else text("base.table", table))
+    slews = SlewTable.load(SHIPPED_TABLE if table is None else text("base.table", table))
     return OptimisedController(slews, plant.model, plant.torque_limit, plant.period)
 
 
@@ -176,20 +176,20 @@ BASES: dict[str, _BaseEntry] = {
 """Controllers that have a name: name -> construction, required information, arguments and description."""
 
 
-def checked_base(value: object) -> tuple[str, dict[str, Any]]:
+def parse_base(value: object) -> tuple[str, dict[str, Any]]:
     """Gives name and arguments of a base that is a name, or a mapping with one at "kind" and its arguments.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
     """
-    return checked_kind("base", value, {name: base.takes for name, base in BASES.items()})
+    return parse_kind("base", value, {name: base.takes for name, base in BASES.items()})
 
 
 def make_base(value: object, plant: Plant) -> Controller:
-    """Makes a base for a plant; see `checked_base`.
+    """Makes a base for a plant; see `parse_base`.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
     """
-    name, arguments = checked_base(value)
+    name, arguments = parse_base(value)
     return BASES[name].make(plant, **arguments)

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from numpy.typing import NDArray
 
-from flexman_gym.common.arrays import Array, Flags, IntArray, Vector
-from flexman_gym.common.checks import check_members, value_error
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector
+from flexman_gym.common.checks import check_member_names, value_error
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 
@@ -49,8 +49,8 @@ class Plant(NamedTuple):
 
 
 Readings = Mapping[str, NDArray[Any]]
-OPTIONAL = ("kept", "estimates")  # members that a controller may leave out
-CALLS = {"reset": ("arms", "episode", "count"), "act": ("readings", "applied", "playing")}
+OPTIONAL_MEMBERS = ("kept", "estimates")  # members that a controller may leave out
+METHOD_ARGUMENTS = {"reset": ("arms", "episode", "count"), "act": ("readings", "applied", "playing")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ class Controller(Protocol):
         """Start new episodes of the arms with the indices (r,), of `count` arms in all."""
         ...
 
-    def act(self, readings: Readings, applied: Array, playing: Flags) -> NDArray[Any]:
+    def act(self, readings: Readings, applied: Array, playing: BoolArray) -> NDArray[Any]:
         """Gives the actions (b, n), parts of the torque limits from -1 to 1.
 
         Args:
@@ -127,13 +127,13 @@ def checked_controller(field: str, value: object, others: str = "") -> Controlle
     if not isinstance(value, Controller) or isinstance(value, type):
         raise value_error(field, value, f"{others}a Controller: an object with sensors, reset and act")
     former = False
-    for name, wanted in CALLS.items():
+    for name, wanted in METHOD_ARGUMENTS.items():
         takes = signature(getattr(value, name))
         if not _takes(takes, wanted):
             former = name == "reset" and _takes(takes, wanted[:2])
             if not former:
                 raise value_error(f"{field}.{name}", str(takes), f"({', '.join(wanted)})")
-    check_members(field, value, OPTIONAL, (*CALLS, "sensors"))
+    check_member_names(field, value, OPTIONAL_MEMBERS, (*METHOD_ARGUMENTS, "sensors"))
     return _FormerController(value, field) if former else value
 
 

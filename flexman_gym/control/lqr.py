@@ -11,15 +11,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.common.arrays import Array, Flags, IntArray, Vector, pad_rows, row_dots
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
 from flexman_gym.common.checks import check_solvable, one_of, positive
 from flexman_gym.common.files import READ_ERRORS, open_arrays
 from flexman_gym.control.controller import EpisodeInfo, Readings
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.control.references.trajectories import TIMING_LAWS, plan_path, plan_slew
-from flexman_gym.kernels.cache import find_folder
+from flexman_gym.kernels.cache import find_cache_folder
 from flexman_gym.model.linearization import SLIDING, linearize
-from flexman_gym.model.model import Model, checked_model
+from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.state_space import LinearModel, discretize
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.parameters import varied_model
@@ -41,7 +41,7 @@ def zero_order_hold(linear: LinearModel, period: float) -> tuple[Array, Array]:
     return discretize(linear.A, linear.B, period)
 
 
-def optimal_gain(linear: LinearModel, motors: Array, limits: Array, weights: CostWeights, period: float) -> Array:
+def lqr_gain(linear: LinearModel, motors: Array, limits: Array, weights: CostWeights, period: float) -> Array:
     """Gives the gain K (n, 2 d) of the sampled LQR: torques -K x, for departures x from the place of the model.
 
     Args:
@@ -58,7 +58,7 @@ def optimal_gain(linear: LinearModel, motors: Array, limits: Array, weights: Cos
         return _riccati_gain(linear, motors, limits, weights, period)
 
 
-def weighted_outputs(linear: LinearModel, motors: Array, weights: CostWeights) -> Array:
+def performance_outputs(linear: LinearModel, motors: Array, weights: CostWeights) -> Array:
     """Gives what a cost squares (6 + n, 2 d): tip, its velocity and motor angles, parts of their weights."""
     d, n = len(linear.A) // 2, len(motors)
     tip, outputs = linear.C[:, :d], np.zeros((6 + n, 2 * d))
@@ -71,7 +71,7 @@ def _riccati_gain(linear: LinearModel, motors: Array, limits: Array, weights: Co
     from scipy.linalg import solve_discrete_are
 
     transition, inputs = zero_order_hold(linear, period)
-    n, outputs = len(limits), weighted_outputs(linear, motors, weights)
+    n, outputs = len(limits), performance_outputs(linear, motors, weights)
     cost = np.diag(1.0 / limits**2)
     # torques in parts of their limits, so that the equation is well scaled
     scaled = inputs * limits
@@ -80,8 +80,8 @@ def _riccati_gain(linear: LinearModel, motors: Array, limits: Array, weights: Co
     return limits[:, None] * gain
 
 
-SPACING = 0.17  # rad between postures; with 0.43 the gains between two of them let a folded arm shake
-UNSAVED = 50  # designs, of 15 ms each, that a killed process may lose
+POSTURE_SPACING = 0.17  # rad between postures; with 0.43 the gains between two of them let a folded arm shake
+SAVE_INTERVAL = 50  # designs, of 15 ms each, that a killed process may lose
 
 
 class GainTable:
@@ -117,7 +117,7 @@ class GainTable:
 
     def __call__(self, arms: IntArray, postures: Array, payloads: Array) -> Array:
         """Gives the gains (r, n, 2 d) of the arms (r,) at motor angles (r, n) rad and payloads (r,) kg."""
-        places = np.column_stack([self._between(payloads), postures[:, self._joints] / SPACING])
+        places = np.column_stack([self._between(payloads), postures[:, self._joints] / POSTURE_SPACING])
         cells = np.floor(places).astype(np.int64)
         cells[:, 0] = np.minimum(cells[:, 0], max(len(self._payloads) - 2, 0))
         self._find(arms, cells)
@@ -143,7 +143,7 @@ class GainTable:
         if count > len(self._cells):
             far = np.full((count - len(self._cells), cells.shape[1]), np.iinfo(np.int64).min)
             self._cells, self._corners = np.concatenate([self._cells, far]), pad_rows(self._corners, count)
-        moved: Flags = (cells != self._cells[arms]).any(axis=1)
+        moved: BoolArray = (cells != self._cells[arms]).any(axis=1)
         for arm, cell in zip(arms[moved], cells[moved], strict=True):
             key = cell.tobytes()
             if key not in self._rows_of:
@@ -156,24 +156,24 @@ class GainTable:
         key = (min(key[0], len(self._payloads) - 1), *key[1:])
         if key not in self._rows:
             model, posture = self._models[key[0]], np.zeros(self._gains.shape[1])
-            posture[self._joints] = SPACING * np.array(key[1:])
+            posture[self._joints] = POSTURE_SPACING * np.array(key[1:])
             limits, period, weights = self._design
             linear = linearize(model, state=rest_state(model, posture), torque=holding_torques(model, posture))
-            gain = optimal_gain(linear, model.motor_columns, limits, weights, period)
+            gain = lqr_gain(linear, model.motor_columns, limits, weights, period)
             self._rows[key] = len(self._gains)
             self._gains = np.concatenate([self._gains, gain[None]])
             self._unsaved += 1
-            if self._unsaved >= UNSAVED:
+            if self._unsaved >= SAVE_INTERVAL:
                 self.save()
         return self._rows[key]
 
     def _file(self, model: Model) -> Path | None:
         """Where designs for this arm are kept, beside the kernels that they were calculated with."""
-        folder = find_folder()
+        folder = find_cache_folder()
         if folder is None:
             return None
         seal = hashlib.sha256(SLIDING.encode())  # designs of motors that stick were kept before
-        for values in (*model.constants, *map(np.array, self._design), self._payloads, np.array(SPACING)):
+        for values in (*model.constants, *map(np.array, self._design), self._payloads, np.array(POSTURE_SPACING)):
             seal.update(np.ascontiguousarray(values).tobytes())
         return Path(folder) / f"gains-{seal.hexdigest()[:16]}.npz"
 
@@ -202,16 +202,20 @@ class GainTable:
         self._unsaved = 0
 
 
-TIP, TIP_SPEED, MOTOR = 0.2 / 8.5, 1.0 / 8.5, 0.5  # of the reach, reaches a second, rad: stiffer ones saturate and fail
-HOLDING = 0.25  # of the weight of the tip, where an arm starts at its goal
-SHARE = 0.95  # of the torque limits, for the feed-forward
-GAINS, PATH_GAINS = 3, 25  # postures along a slew, and along a path, for which gains are designed
+TIP_WEIGHT, TIP_SPEED_WEIGHT, MOTOR_WEIGHT = (
+    0.2 / 8.5,
+    1.0 / 8.5,
+    0.5,
+)  # of the reach, reaches a second, rad: stiffer ones saturate and fail
+HOLDING_FACTOR = 0.25  # of the weight of the tip, where an arm starts at its goal
+TORQUE_SHARE = 0.95  # of the torque limits, for the feed-forward
+SLEW_POSTURES, PATH_POSTURES = 3, 25  # postures along a slew, and along a path, for which gains are designed
 
 
 def default_weights(model: Model) -> CostWeights:
     """Gives 20 cm of tip, 1 m/s and 0.5 rad for 8.5 m of reach, and as large parts of other reaches."""
     reach = float(model.constants.length.sum())
-    return CostWeights(TIP * reach, TIP_SPEED * reach, MOTOR)
+    return CostWeights(TIP_WEIGHT * reach, TIP_SPEED_WEIGHT * reach, MOTOR_WEIGHT)
 
 
 class LQR:
@@ -234,7 +238,7 @@ class LQR:
     def __init__(
         self, model: Model, torque_limit: float | Vector, period: float, weights: CostWeights | None = None
     ) -> None:
-        checked_model(model)
+        check_model(model)
         n, d = model.n_joints, model.n_dof
         self.model, self.period = model, positive("period", period, "s")
         self.limits = np.array(torque_limits("torque_limit", torque_limit, n))
@@ -245,7 +249,7 @@ class LQR:
         """Designs K (n, 2 d) for a posture (n,) rad of the motors; weights of None are its own."""
         state, held = rest_state(self.model, posture), holding_torques(self.model, posture)
         linear = linearize(self.model, state=state, torque=held)
-        return optimal_gain(linear, self.model.motor_columns, self.limits, weights or self.weights, self.period)
+        return lqr_gain(linear, self.model.motor_columns, self.limits, weights or self.weights, self.period)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Designs for new episodes of the arms (r,)."""
@@ -257,7 +261,7 @@ class LQR:
             self._rest[arm], self._held[arm] = rest_state(self.model, angles), holding_torques(self.model, angles)
 
     def act(
-        self, readings: Readings, applied: Array | None = None, playing: Flags | None = None
+        self, readings: Readings, applied: Array | None = None, playing: BoolArray | None = None
     ) -> NDArray[np.floating]:
         """Gives actions (b, n), or (n,), for the state."""
         state = readings["state"]
@@ -323,16 +327,18 @@ class TrackingLQR(LQR):
             if np.array_equal(first, last):
                 self._keep(int(arm), self._holding(last))
                 continue
-            slew = plan_slew(self.model, first, last, self.limits, SHARE, self.period, self.law)
-            gains = np.array([self.gain(first + way * (last - first)) for way in np.linspace(0.0, 1.0, GAINS)])
+            slew = plan_slew(self.model, first, last, self.limits, TORQUE_SHARE, self.period, self.law)
+            gains = np.array([self.gain(first + way * (last - first)) for way in np.linspace(0.0, 1.0, SLEW_POSTURES)])
             moved = slew.states[:, motors] - slew.states[0, motors]
             way = row_dots(moved, moved[-1]) / max(moved[-1] @ moved[-1], 1e-12)
             torques = np.vstack([slew.torques, holding_torques(self.model, last)])
-            self._keep(int(arm), _GainSchedule(slew.states, torques, gains, (GAINS - 1) * np.clip(way, 0.0, 1.0)))
+            self._keep(
+                int(arm), _GainSchedule(slew.states, torques, gains, (SLEW_POSTURES - 1) * np.clip(way, 0.0, 1.0))
+            )
 
     def _holding(self, posture: Array) -> _GainSchedule:
         """Stays at a posture; nothing has to be saved for a slew, so that the tip weighs more."""
-        tight = self.weights._replace(tip=HOLDING * self.weights.tip)
+        tight = self.weights._replace(tip=HOLDING_FACTOR * self.weights.tip)
         held = holding_torques(self.model, posture)[None]
         return _GainSchedule(rest_state(self.model, posture)[None], held, self.gain(posture, tight)[None], np.zeros(1))
 
@@ -340,7 +346,7 @@ class TrackingLQR(LQR):
         """Plans how the arms (r,) follow goal postures (r, T + 1, n) rad, one for each control period."""
         for arm, path in zip(arms, postures, strict=True):
             slew = plan_path(self.model, path, self.period)
-            rows = np.linspace(0, len(path) - 1, min(PATH_GAINS, len(path))).round().astype(int)
+            rows = np.linspace(0, len(path) - 1, min(PATH_POSTURES, len(path))).round().astype(int)
             gains = np.array([self.gain(path[row]) for row in rows])
             places = np.interp(np.arange(len(path)), rows, np.arange(len(rows)))
             self._keep(

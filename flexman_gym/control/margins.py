@@ -22,9 +22,12 @@ from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel
 from flexman_gym.model.statics import holding_torques, rest_state
 
-FACTORS, PHASES = np.geomspace(1.0, 16.0, 25), np.linspace(0.0, 90.0, 19)  # degrees, at which margins are looked for
-TURN = 1j * np.pi / 180.0  # by a degree
-STEADY = 1.0 + 1e-9  # spectral radius; undamped modes that no motor moves have 1, to rounding
+GAIN_FACTORS, PHASE_SHIFTS = (
+    np.geomspace(1.0, 16.0, 25),
+    np.linspace(0.0, 90.0, 19),
+)  # degrees, at which margins are looked for
+IMAGINARY_DEGREE = 1j * np.pi / 180.0  # by a degree
+STABLE_RADIUS = 1.0 + 1e-9  # spectral radius; undamped modes that no motor moves have 1, to rounding
 Response = NDArray[np.complex128]
 
 
@@ -153,7 +156,7 @@ def margins(loops: Sequence[SampledLoop], stiffness: Vector, damping: Vector) ->
         damping: (n,) N m s/rad.
     """
     each, stable = [], np.ones(len(loops), dtype=bool)
-    for values, changes in ((FACTORS, FACTORS), (PHASES, np.exp(TURN * PHASES))):
+    for values, changes in ((GAIN_FACTORS, GAIN_FACTORS), (PHASE_SHIFTS, np.exp(IMAGINARY_DEGREE * PHASE_SHIFTS))):
         good = np.array([[_stable(loop, stiffness, damping, change) for change in changes] for loop in loops])
         first = np.argmin(np.column_stack([good, np.zeros(len(loops), dtype=bool)]), axis=1)  # of the changes too large
         each.append(values[np.maximum(first - 1, 0)])
@@ -165,7 +168,7 @@ def margins(loops: Sequence[SampledLoop], stiffness: Vector, damping: Vector) ->
 
 def has_margins(loops: Sequence[SampledLoop], stiffness: Vector, damping: Vector, least: Margins) -> bool:
     """Return whether loops are stable as they are and with both of the changes at the end of the least margins."""
-    changes = (1.0, least.gain, np.exp(TURN * least.phase))
+    changes = (1.0, least.gain, np.exp(IMAGINARY_DEGREE * least.phase))
     return all(_stable(loop, stiffness, damping, change) for change in changes for loop in loops)
 
 
@@ -191,7 +194,7 @@ def _stable(loop: SampledLoop, stiffness: Vector, damping: Vector, change: compl
     n, gain = loop.inputs.shape[1], _gain(loop, stiffness, damping)
     motors = np.ones((1, n)) if n == 1 or change == 1.0 else np.vstack([np.eye(n), np.ones(n)])
     closed = loop.transition - (loop.inputs * (1.0 + motors[:, None] * (change - 1.0))) @ gain
-    return bool((np.abs(np.linalg.eigvals(closed)) < STEADY).all())
+    return bool((np.abs(np.linalg.eigvals(closed)) < STABLE_RADIUS).all())
 
 
 def open_loop_responses(

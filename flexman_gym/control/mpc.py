@@ -6,26 +6,29 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, Flags, IntArray, Vector, pad_rows, row_dots
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
 from flexman_gym.common.checks import value_error
 from flexman_gym.control.controller import EpisodeInfo, Readings
-from flexman_gym.control.lqr import MOTOR, CostWeights, weighted_outputs, zero_order_hold
+from flexman_gym.control.lqr import MOTOR_WEIGHT, CostWeights, performance_outputs, zero_order_hold
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.control.references.trajectories import plan_slew
 from flexman_gym.kernels.layout import TIP, TIP_VELOCITY
 from flexman_gym.model.linearization import linearize
-from flexman_gym.model.model import Model, checked_model
+from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 
-TIP_PART, SPEED_PART = 0.05 / 8.5, 0.5 / 8.5  # of the reach, reaches a second: a quarter and half of those of the LQR
-SHARE = 1.3  # of the torque limits, for the slew that it follows as well as they allow
-TRUST = 0.05  # of the torque limits, by which planned torques change at most in a period, so that slopes hold
-AHEAD = 20  # periods, where the arm is looked at for how it is linearised
-POSTURES = 5  # along a slew, at which the arm is linearised
-TINY = 1e-12  # rad^2
-BLOCKS = (1, 2, 3, 4, 5, 5, 5, 6, 7, 7, 8, 10)  # control periods for which a change of the planned torques lasts
+TIP_WEIGHT, TIP_SPEED_WEIGHT = (
+    0.05 / 8.5,
+    0.5 / 8.5,
+)  # of the reach, reaches a second: a quarter and half of those of the LQR
+SLEW_SHARE = 1.3  # of the torque limits, for the slew that it follows as well as they allow
+MAX_CHANGE = 0.05  # of the torque limits, by which planned torques change at most in a period, so that slopes hold
+LINEARISATION_PERIOD = 20  # periods, where the arm is looked at for how it is linearised
+LINEARISATION_POSTURES = 5  # along a slew, at which the arm is linearised
+MIN_SQUARED_LENGTH = 1e-12  # rad^2
+MOVE_BLOCKS = (1, 2, 3, 4, 5, 5, 5, 6, 7, 7, 8, 10)  # control periods for which a change of the planned torques lasts
 
 
 class _Horizon(NamedTuple):
@@ -54,7 +57,7 @@ def design_horizon(
     linear = linearize(model, state=rest_state(model, posture), torque=holding_torques(model, posture))
     transition, inputs = zero_order_hold(linear, period)
     inputs, d, n = inputs * limits, model.n_dof, len(limits)
-    outputs = weighted_outputs(linear, model.motor_columns, weights)
+    outputs = performance_outputs(linear, model.motor_columns, weights)
     squares, axes = np.linalg.eigh(solve_discrete_are(transition, inputs, outputs.T @ outputs, np.eye(n)))
     ending = np.sqrt(np.maximum(squares, 0.0))[:, None] * axes.T
     state, rows = np.zeros((2 * d, n * len(blocks))), []
@@ -111,12 +114,12 @@ class MPC:
         moved: tuple[str | Method, float | str] = (DEFAULT_METHOD, "auto"),
     ) -> None:
         self._daqp = _import_solver()
-        reach = float(checked_model(model).constants.length.sum())
+        reach = float(check_model(model).constants.length.sum())
         self.model, self.period, self._moved = model, period, moved
         self.limits = np.array(torque_limits("torque_limit", torque_limit, model.n_joints))
-        self._weights = CostWeights(TIP_PART * reach, SPEED_PART * reach, MOTOR)
+        self._weights = CostWeights(TIP_WEIGHT * reach, TIP_SPEED_WEIGHT * reach, MOTOR_WEIGHT)
         self._plans: list[_Plan] = []
-        self._planned, self._now = np.zeros((0, sum(BLOCKS), model.n_joints)), np.zeros(0, dtype=np.int64)
+        self._planned, self._now = np.zeros((0, sum(MOVE_BLOCKS), model.n_joints)), np.zeros(0, dtype=np.int64)
         self._batch = self._arms(1)
 
     def _arms(self, count: int) -> Batch:
@@ -131,20 +134,22 @@ class MPC:
             plan = self._plan(start, goal)
             self._plans += [plan] * (arm + 1 - len(self._plans))
             self._plans[arm] = plan
-            self._planned[arm], self._now[arm] = np.clip(plan.torques[: sum(BLOCKS)], -1.0, 1.0), 0
+            self._planned[arm], self._now[arm] = np.clip(plan.torques[: sum(MOVE_BLOCKS)], -1.0, 1.0), 0
 
     def _plan(self, start: Array, goal: Array) -> _Plan:
-        slew, rest = plan_slew(self.model, start, goal, self.limits, SHARE, self.period), sum(BLOCKS) + 1
+        slew, rest = plan_slew(self.model, start, goal, self.limits, SLEW_SHARE, self.period), sum(MOVE_BLOCKS) + 1
         states = np.vstack([slew.states, np.repeat(slew.states[-1:], rest, axis=0)])
         torques = np.vstack([slew.torques, np.repeat(holding_torques(self.model, goal)[None], rest + 1, axis=0)])
         batch = self._arms(len(states))
         batch.reset(np.arange(len(states)), states)
-        postures = start + np.linspace(0.0, 1.0, POSTURES)[:, None] * (goal - start)
-        each = [design_horizon(self.model, one, self.limits, self._weights, self.period, BLOCKS) for one in postures]
+        postures = start + np.linspace(0.0, 1.0, LINEARISATION_POSTURES)[:, None] * (goal - start)
+        each = [
+            design_horizon(self.model, one, self.limits, self._weights, self.period, MOVE_BLOCKS) for one in postures
+        ]
         horizons = _Horizon(*(np.array(parts) for parts in zip(*each, strict=True)))
         return _Plan(horizons, start, goal - start, states, batch.outputs, torques / self.limits)
 
-    def act(self, readings: Readings, applied: Array, playing: Flags) -> Array:
+    def act(self, readings: Readings, applied: Array, playing: BoolArray) -> Array:
         """Gives actions (b, n) for the state; 0 for arms that do not play."""
         states = np.asarray(readings["state"], dtype=np.float64)
         if len(self._batch.rows) != len(states):
@@ -161,17 +166,17 @@ class MPC:
     def _step(self, arm: int, states: Array, outputs: Array) -> Array:
         """The action (n,) of an arm whose planned torques lead to states (N, 2 d) and outputs (N, OUTPUTS)."""
         plan, now, n = self._plans[arm], int(self._now[arm]), len(self.limits)
-        rows = np.minimum(now + np.arange(sum(BLOCKS) + 1), len(plan.states) - 1)
-        planned, firsts = self._planned[arm], np.cumsum((0, *BLOCKS[:-1]))
+        rows = np.minimum(now + np.arange(sum(MOVE_BLOCKS) + 1), len(plan.states) - 1)
+        planned, firsts = self._planned[arm], np.cumsum((0, *MOVE_BLOCKS[:-1]))
         if np.isfinite(states).all():  # it cannot be told where an arm goes that comes apart
-            horizon = self._between(plan, states[AHEAD])
+            horizon = self._between(plan, states[LINEARISATION_PERIOD])
             gap = self._gap(horizon, states - plan.states[rows[1:]], outputs - plan.outputs[rows[1:]])
             beyond = np.add.reduceat(planned - plan.torques[rows[:-1]], firsts).ravel()
-            mean = (np.add.reduceat(planned, firsts) / np.array(BLOCKS)[:, None]).ravel()
+            mean = (np.add.reduceat(planned, firsts) / np.array(MOVE_BLOCKS)[:, None]).ravel()
             slope = row_dots(horizon.slopes, gap) + beyond
-            low, high = np.maximum(-1.0 - mean, -TRUST), np.minimum(1.0 - mean, TRUST)
+            low, high = np.maximum(-1.0 - mean, -MAX_CHANGE), np.minimum(1.0 - mean, MAX_CHANGE)
             changes = solve_quadratic_program(self._daqp, horizon.curvature, slope, low, high)
-            planned = np.clip(planned + np.repeat(changes.reshape(-1, n), BLOCKS, axis=0), -1.0, 1.0)
+            planned = np.clip(planned + np.repeat(changes.reshape(-1, n), MOVE_BLOCKS, axis=0), -1.0, 1.0)
         self._planned[arm] = np.vstack([planned[1:], np.clip(plan.torques[rows[-1]], -1.0, 1.0)])
         self._now[arm] += 1
         return planned[0]
@@ -179,10 +184,10 @@ class MPC:
     def _between(self, plan: _Plan, state: Array) -> _Horizon:
         """The horizon of the place on its way that an arm has come to."""
         come = row_dots(state[self.model.motor_columns] - plan.start, plan.way) / max(
-            row_dots(plan.way, plan.way), TINY
+            row_dots(plan.way, plan.way), MIN_SQUARED_LENGTH
         )
-        place = float(np.clip(come, 0.0, 1.0)) * (POSTURES - 1)
-        lower = min(int(place), POSTURES - 2)
+        place = float(np.clip(come, 0.0, 1.0)) * (LINEARISATION_POSTURES - 1)
+        lower = min(int(place), LINEARISATION_POSTURES - 2)
         part = place - lower
         return _Horizon(*(each[lower] + part * (each[lower + 1] - each[lower]) for each in plan.horizons))
 

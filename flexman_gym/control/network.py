@@ -7,12 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, row_dots
-from flexman_gym.common.checks import is_count, one_of, value_error
+from flexman_gym.common.checks import is_decimal_integer, one_of, value_error
 
-FUNCTIONS: dict[str, Callable[[Array], Array]] = {"tanh": np.tanh, "relu": lambda values: np.maximum(values, 0.0)}
-LARGEST, LEAST = 10.0, 1e-8  # of what is normalised, and variance beside the one that was seen
+ACTIVATION_FUNCTIONS: dict[str, Callable[[Array], Array]] = {
+    "tanh": np.tanh,
+    "relu": lambda values: np.maximum(values, 0.0),
+}
+MAX_INPUT, VARIANCE_OFFSET = 10.0, 1e-8  # of what is normalised, and variance beside the one that was seen
 # algorithm -> where its layers begin, its last one, the function between them where none is named, and at the end
-NAMES: dict[str, tuple[str, str, str, Callable[[Array], Array]]] = {
+LAYER_NAMES: dict[str, tuple[str, str, str, Callable[[Array], Array]]] = {
     "ppo": ("mlp_extractor.policy_net.", "action_net", "tanh", lambda values: np.clip(values, -1.0, 1.0)),
     "dagger": ("mlp_extractor.policy_net.", "action_net", "tanh", lambda values: np.clip(values, -1.0, 1.0)),
     "sac": ("actor.latent_pi.", "actor.mu", "relu", np.tanh),
@@ -43,13 +46,16 @@ class Network:
     """
 
     def __init__(self, algo: str, activation: str | None, parameters: object, statistics: object) -> None:
-        first, last, usual, self._end = NAMES[one_of("algo", algo, NAMES)]
-        self.activation, self.bent = one_of("activation", activation or usual, FUNCTIONS), self._end is np.tanh
-        self._function = FUNCTIONS[self.activation]
+        first, last, usual, self._end = LAYER_NAMES[one_of("algo", algo, LAYER_NAMES)]
+        self.activation, self.bent = (
+            one_of("activation", activation or usual, ACTIVATION_FUNCTIONS),
+            self._end is np.tanh,
+        )
+        self._function = ACTIVATION_FUNCTIONS[self.activation]
         result = {name: _finite(f"policy.{name}", each) for name, each in _mapping("policy", parameters).items()}
         moments = _mapping("statistics", statistics)
         self.mean = _finite("statistics.mean", moments.get("mean"))
-        self.scale = 1.0 / np.sqrt(_finite("statistics.var", moments.get("var"), 0.0) + LEAST)
+        self.scale = 1.0 / np.sqrt(_finite("statistics.var", moments.get("var"), 0.0) + VARIANCE_OFFSET)
         numbers = sorted({int(name[len(first) :].split(".")[0]) for name in result if _is_layer(name, first)})
         self.layers = [_layer(result, name) for name in (*(f"{first}{number}" for number in numbers), last)]
         sizes = [self.mean.size, *(len(bias) for _, bias in self.layers)]
@@ -62,7 +68,7 @@ class Network:
 
     def __call__(self, observations: NDArray[np.floating]) -> Array:
         """Gives the actions (b, n) for observations (b, size)."""
-        values = np.clip((observations - self.mean) * self.scale, -LARGEST, LARGEST)
+        values = np.clip((observations - self.mean) * self.scale, -MAX_INPUT, MAX_INPUT)
         for weights, bias in self.layers[:-1]:
             values = self._function(self.product(values, weights) + bias)
         weights, bias = self.layers[-1]
@@ -81,12 +87,12 @@ def policy_parameters(algo: str, parameters: Mapping[str, Any]) -> dict[str, Any
     Raises:
         ValueError: for another algorithm.
     """
-    first, last, *_ = NAMES[one_of("algo", algo, NAMES)]
+    first, last, *_ = LAYER_NAMES[one_of("algo", algo, LAYER_NAMES)]
     return {name: each for name, each in parameters.items() if _is_layer(name, first) or name.startswith(f"{last}.")}
 
 
 def _is_layer(name: str, first: str) -> bool:
-    return name.startswith(first) and is_count(name[len(first) :].split(".")[0])
+    return name.startswith(first) and is_decimal_integer(name[len(first) :].split(".")[0])
 
 
 def _mapping(field: str, value: object) -> Mapping[str, Any]:

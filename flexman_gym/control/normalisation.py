@@ -11,7 +11,7 @@ from flexman_gym.common.checks import finite, short_path, value_error
 from flexman_gym.common.files import open_arrays
 from flexman_gym.common.snapshot import get_state, set_state
 
-TINY = 1e-8  # added to a variance, so that what never changes can be divided by
+VARIANCE_OFFSET = 1e-8  # added to a variance, so that what never changes can be divided by
 
 
 class RunningMeanStd:
@@ -36,7 +36,7 @@ class RunningMeanStd:
         """Standard deviation (...); 1 before anything was added."""
         if self.count == 0.0:
             return np.ones_like(self.mean)
-        result: Array = np.sqrt(self.squares / self.count + TINY)
+        result: Array = np.sqrt(self.squares / self.count + VARIANCE_OFFSET)
         return result
 
     def add(self, values: NDArray[Any]) -> None:

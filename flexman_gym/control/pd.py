@@ -3,11 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.common.arrays import Array, Flags, IntArray, Vector, pad_rows
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows
 from flexman_gym.common.checks import non_negative, physical, vector
 from flexman_gym.control.controller import EpisodeInfo, Readings
 from flexman_gym.model.dynamics import mass_matrix
-from flexman_gym.model.model import Model, checked_model
+from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import holding_torques
 
 
@@ -45,7 +45,7 @@ class PD:
             for i, gain in enumerate(getattr(self, name).tolist()):
                 non_negative(f"PD.{name}[{i}]", gain)
         self.torque_limit = np.array(torque_limits("PD.torque_limit", torque_limit, n))
-        self.gravity_model = None if gravity_model is None else checked_model(gravity_model)
+        self.gravity_model = None if gravity_model is None else check_model(gravity_model)
         self._holding = np.zeros((1, n))  # torques of each arm
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
@@ -82,7 +82,7 @@ class PD:
         return ""
 
     def act(
-        self, readings: Readings, applied: Array | None = None, playing: Flags | None = None
+        self, readings: Readings, applied: Array | None = None, playing: BoolArray | None = None
     ) -> NDArray[np.float32]:
         """Gives the action (n,), or (b, n), for angle_errors, motor_rates and, where there are any, goal_rates."""
         error, rate = readings["angle_errors"], readings["motor_rates"]

@@ -7,11 +7,11 @@ import numpy as np
 from flexman_gym.common.arrays import Array, IntArray, pad_rows
 from flexman_gym.control.references.adaptive_references import SlewReferences
 
-PURSUIT = 0.35  # of the way to the pace that is wanted, in each control period
-SMOOTHNESS = 12.0  # rad/s, natural frequency of the critically damped way to an offset that is wanted
+TIME_SCALING_GAIN = 0.35  # of the way to the pace that is wanted, in each control period
+OFFSET_FREQUENCY = 12.0  # rad/s, natural frequency of the critically damped way to an offset that is wanted
 
 
-class Authority(NamedTuple):
+class ShapingLimits(NamedTuple):
     """How far an agent may go.
 
     Attributes:
@@ -27,7 +27,7 @@ class Authority(NamedTuple):
     fading: float = 0.05
 
 
-class ReferenceShape:
+class ReferenceShaping:
     """How the slews of b arms of n joints are shaped. Where nothing is wanted it changes no bit.
 
     Args:
@@ -44,7 +44,7 @@ class ReferenceShape:
 
     kept = ("ahead", "offsets", "wanted")
 
-    def __init__(self, slews: SlewReferences, limits: Array, period: float, authority: Authority) -> None:
+    def __init__(self, slews: SlewReferences, limits: Array, period: float, authority: ShapingLimits) -> None:
         self._slews, self._limits, self._period, self._authority = slews, limits, period, authority
         n = self._joints = len(limits)
         self.ahead, self.offsets, self.wanted = np.zeros(0), np.zeros((0, 2, n)), np.zeros((0, 1 + 2 * n))
@@ -58,7 +58,7 @@ class ReferenceShape:
     def quicken(self, arms: IntArray) -> None:
         """Lets the clocks of the arms (r,) run nearer to the pace that is wanted."""
         slews, wanted = self._slews, np.exp(self._authority.pace * self.wanted[arms, 0])
-        change = PURSUIT * (wanted - slews.pace[arms])
+        change = TIME_SCALING_GAIN * (wanted - slews.pace[arms])
         slews.pace[arms] += change
         slews.quickening[arms] = 0.5 * change / self._period  # the bending follows later than a step of the pace
 
@@ -68,7 +68,7 @@ class ReferenceShape:
         left = np.clip((1.0 - places) / fading, 0.0, 1.0)[:, None] if fading else np.ones((len(arms), 1))
         offsets, rates = self.offsets[arms, 0], self.offsets[arms, 1]
         wanted = left * self._authority.offset * self.wanted[arms, 1 : 1 + n]
-        rates = rates + self._period * (SMOOTHNESS**2 * (wanted - offsets) - 2.0 * SMOOTHNESS * rates)
+        rates = rates + self._period * (OFFSET_FREQUENCY**2 * (wanted - offsets) - 2.0 * OFFSET_FREQUENCY * rates)
         self.offsets[arms, 0], self.offsets[arms, 1] = offsets + self._period * rates, rates
         self.ahead[arms] += self._period * (self._slews.pace[arms] - 1.0)
         result: Array = left * self._authority.torque * self._limits * self.wanted[arms, 1 + n :]

@@ -5,16 +5,22 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, Flags, IntArray, pad_rows, row_dots
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows, row_dots
 from flexman_gym.control.controller import Controller, EpisodeInfo, Plant, Readings
-from flexman_gym.control.lqr import HOLDING, SHARE, CostWeights, GainTable, default_weights
+from flexman_gym.control.lqr import HOLDING_FACTOR, TORQUE_SHARE, CostWeights, GainTable, default_weights
 from flexman_gym.control.observers.observer import Estimate, Observer
-from flexman_gym.control.reference_shaping import ReferenceShape
+from flexman_gym.control.reference_shaping import ReferenceShaping
 from flexman_gym.control.references.adaptive_references import PathReferences, SlewReferences, estimated_payloads
 
-RETIMED = (6, 12, 20, 30, 45)  # control periods after which a slew is timed anew with the parameters as estimated
-ARRIVING = 0.75  # of a path, from which on it is not timed anew
-ADAPTED = 5  # control periods between two looks at the parameters
+RETIMING_PERIODS = (
+    6,
+    12,
+    20,
+    30,
+    45,
+)  # control periods after which a slew is timed anew with the parameters as estimated
+LAST_RETIMING = 0.75  # of a path, from which on it is not timed anew
+ADAPTATION_INTERVAL = 5  # control periods between two looks at the parameters
 
 
 class Tracking:
@@ -36,17 +42,17 @@ class Tracking:
     kept = ("slews", "_following", "_ages", "_tight", "_goal", "_planned", "shape")
 
     def __init__(self, plant: Plant, weights: CostWeights | None = None, retimed: bool = True) -> None:
-        model, self._retimed = plant.model, RETIMED if retimed else ()
+        model, self._retimed = plant.model, RETIMING_PERIODS if retimed else ()
         weights = weights or default_weights(model)
         low, high = plant.unknown.get("payload_mass", (model.constants.payload_mass[0],) * 2)
         self._payloads = (low, 0.5 * (low + high), high) if high > low else (low,)
         self.limits, self._period = np.array(plant.torque_limit), plant.period
         self._following = PathReferences(model, plant.period, self._payloads)
-        self.slews = SlewReferences(model, self.limits, SHARE, self._payloads)
-        tight = weights._replace(tip=HOLDING * weights.tip)
+        self.slews = SlewReferences(model, self.limits, TORQUE_SHARE, self._payloads)
+        tight = weights._replace(tip=HOLDING_FACTOR * weights.tip)
         self._gains = [GainTable(model, self.limits, plant.period, each, self._payloads) for each in (weights, tight)]
         self._motors = model.motor_columns
-        self.shape: ReferenceShape | None = None
+        self.shape: ReferenceShaping | None = None
         self._planned = np.zeros(0, dtype=bool)  # in this period
         self._ages, self._tight = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
         self._goal, self._follows = np.zeros((0, model.n_joints)), np.zeros(0, dtype=bool)  # whether goals move
@@ -65,7 +71,7 @@ class Tracking:
         for table in self._gains:
             table.save()
 
-    def torques(self, estimate: Estimate, playing: Flags) -> Array:
+    def torques(self, estimate: Estimate, playing: BoolArray) -> Array:
         """Gives torques (b, n) N m, within the limits, and moves on by a period; 0 for arms that do not play."""
         arms, result = np.flatnonzero(playing), np.zeros((len(playing), len(self.limits)))
         if not len(arms):
@@ -93,7 +99,7 @@ class Tracking:
         now = (self._ages[arms] + estimate.lead[arms]).astype(float) * self._period
         return now + self.shape.ahead[arms] if self.shape else now
 
-    def plan(self, estimate: Estimate, playing: Flags) -> None:
+    def plan(self, estimate: Estimate, playing: BoolArray) -> None:
         """Plans for the arms (b,) that are playing, once in a period; `torques` does it where nobody has."""
         due = playing & ~self._planned
         if due.any():
@@ -120,7 +126,7 @@ class Tracking:
 
     def _plan(self, arms: IntArray, estimate: Estimate) -> None:
         """Plans for arms (r,) that begin, and looks at the parameters of the others now and then."""
-        due, follows = self._ages[arms] % ADAPTED == 0, self._follows[arms]
+        due, follows = self._ages[arms] % ADAPTATION_INTERVAL == 0, self._follows[arms]
         self._following.adapt(arms[follows & due], estimate.parameters)
         arms, due = arms[~follows], due[~follows] & (self._ages[arms[~follows]] > 0)
         first = arms[self._ages[arms] == 0]
@@ -132,7 +138,7 @@ class Tracking:
         again = arms[np.isin(self._ages[arms], self._retimed)] if estimate.parameters else arms[:0]
         self.slews.adapt(np.union1d(arms[due], again), estimate.parameters)
         if len(again):
-            again = again[self.slews.at(self.clock(estimate, again), again)[0] < ARRIVING]
+            again = again[self.slews.at(self.clock(estimate, again), again)[0] < LAST_RETIMING]
             self.slews.time(again, self.clock(estimate, again), first=False)
 
 
@@ -171,7 +177,7 @@ class OutputFeedback:
             setattr(self, name, pad_rows(getattr(self, name), count))
             getattr(self, name)[arms] = False
 
-    def look(self, readings: Readings, applied: Array, playing: Flags) -> Estimate:
+    def look(self, readings: Readings, applied: Array, playing: BoolArray) -> Estimate:
         """Gives what the observer says of the arms (b,) that are playing, who is asked once a period of each."""
         due = playing & ~self._looked
         if self._known and not due.any():
@@ -184,7 +190,7 @@ class OutputFeedback:
         self._known, self._looked = estimate._asdict(), self._looked | due
         return estimate
 
-    def act(self, readings: Readings, applied: Array, playing: Flags) -> Array:
+    def act(self, readings: Readings, applied: Array, playing: BoolArray) -> Array:
         """Gives actions (b, n), parts of the torque limits."""
         estimate = self.look(readings, applied, playing)
         self._looked &= ~playing

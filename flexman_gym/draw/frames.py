@@ -10,16 +10,23 @@ from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import flag, non_negative, number_array, positive, value_error, vector, whole_number
 from flexman_gym.draw.mesh import Mesh, cylinder, ring, section_outlines, sphere, tube_faces, tube_surfaces
 from flexman_gym.draw.overlay import Caption, draw_caption, strain_colours
-from flexman_gym.draw.style import rgb, round_number
+from flexman_gym.draw.style import rgb, round_up
 from flexman_gym.kernels import raster
 from flexman_gym.model.deformation import curves
-from flexman_gym.model.model import Model, checked_model
+from flexman_gym.model.model import Model, check_model
 
 AZIMUTH, ELEVATION = -58.0, 24.0  # degrees, as seen from the base; +X points to the right and +Y away
-ASIDE, LOW, HIGH = 28.0, 14.0, 48.0  # degrees: beside the axes of a plane arm that stands, and above one that lies
-ALIKE = 1e-6  # how far unit vectors of one direction may be apart
-LENS = 15.0  # degrees from the middle to the upper edge
-SLACK, NEAREST = 1e-3, 0.05  # part of the distance beyond what is needed; of the depth of the points in front of them
+SIDE_ANGLE, LOW_ELEVATION, HIGH_ELEVATION = (
+    28.0,
+    14.0,
+    48.0,
+)  # degrees: beside the axes of a plane arm that stands, and above one that lies
+PARALLEL_TOLERANCE = 1e-6  # how far unit vectors of one direction may be apart
+HALF_FIELD_OF_VIEW = 15.0  # degrees from the middle to the upper edge
+DISTANCE_SLACK, MIN_CLEARANCE = (
+    1e-3,
+    0.05,
+)  # part of the distance beyond what is needed; of the depth of the points in front of them
 
 
 class _Camera(NamedTuple):
@@ -41,7 +48,7 @@ class _Camera(NamedTuple):
         return self.lens[1:] + self.lens[0] * seen[..., :2] * (1.0, -1.0) / seen[..., 2:]
 
 
-def view_direction(model: Model, angles: object = None) -> tuple[float, float, float]:
+def camera_direction(model: Model, angles: object = None) -> tuple[float, float, float]:
     """Gives azimuth and elevation in degrees, and how much nearer than needed the camera stands.
 
     Args:
@@ -62,9 +69,9 @@ def view_direction(model: Model, angles: object = None) -> tuple[float, float, f
     if axis is None:
         return AZIMUTH, ELEVATION, 1.0
     if abs(axis[2]) > 0.5:
-        return AZIMUTH, HIGH, 1.0
+        return AZIMUTH, HIGH_ELEVATION, 1.0
     along = np.degrees(np.arctan2(-abs(axis[1]), -abs(axis[0])))  # the side that has +X to its right
-    return along + ASIDE, LOW, 1.0
+    return along + SIDE_ANGLE, LOW_ELEVATION, 1.0
 
 
 def _fit_camera(points: Array, towards: tuple[float, float, float], size: tuple[int, int], clear: Array) -> _Camera:
@@ -80,7 +87,7 @@ def _fit_camera(points: Array, towards: tuple[float, float, float], size: tuple[
     back = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     axes = np.array([right, np.cross(back, right), -back])
-    half = np.tan(np.radians(LENS)) * np.array([size[0] / size[1], 1.0])
+    half = np.tan(np.radians(HALF_FIELD_OF_VIEW)) * np.array([size[0] / size[1], 1.0])
     low, high = (
         half * (2.0 * clear[[0, 3]] - 1.0),
         half * (1.0 - 2.0 * clear[[1, 2]]),
@@ -89,11 +96,11 @@ def _fit_camera(points: Array, towards: tuple[float, float, float], size: tuple[
     across, depth = seen[:, :2], seen[:, 2:]
     # low (depth - eye) <= across - eye <= high (depth - eye) for all points: the eye lies between two lines
     least, most = (across - high * depth).max(axis=0), (across - low * depth).min(axis=0)
-    nearest = min(((most - least) / (high - low)).min(), depth.min() - NEAREST * np.ptp(depth) - 1e-9)
-    place = nearest - SLACK * (depth.mean() - nearest)
+    nearest = min(((most - least) / (high - low)).min(), depth.min() - MIN_CLEARANCE * np.ptp(depth) - 1e-9)
+    place = nearest - DISTANCE_SLACK * (depth.mean() - nearest)
     eye = np.append((least + high * place + most + low * place) / 2, place)
     eye[2] += (depth.mean() - place) * (1.0 - 1.0 / towards[2])
-    focal = size[1] / 2 / np.tan(np.radians(LENS))
+    focal = size[1] / 2 / np.tan(np.radians(HALF_FIELD_OF_VIEW))
     return _Camera(eye @ axes, axes, np.array([focal, size[0] / 2, size[1] / 2]))
 
 
@@ -103,7 +110,7 @@ def _common_axis(model: Model) -> Array | None:
     for mount, axis in zip(model.constants.mount.reshape(-1, 3, 3), model.constants.axis, strict=True):
         frame = frame @ mount
         axes.append(frame @ axis)
-    return axes[0] if all(abs(abs(axes[0] @ axis) - 1.0) < ALIKE for axis in axes) else None
+    return axes[0] if all(abs(abs(axes[0] @ axis) - 1.0) < PARALLEL_TOLERANCE for axis in axes) else None
 
 
 def _reachable_points(model: Model) -> Array:
@@ -113,20 +120,22 @@ def _reachable_points(model: Model) -> Array:
     around = np.array([[np.cos(a) * np.cos(b), np.sin(a) * np.cos(b), np.sin(b)] for a in turn for b in turn])
     if axis is not None:
         around = around - (around @ axis)[:, None] * axis
-        around /= np.maximum(np.linalg.norm(around, axis=1), ALIKE)[:, None]
+        around /= np.maximum(np.linalg.norm(around, axis=1), PARALLEL_TOLERANCE)[:, None]
     return reach * around
 
 
 POINTS = 24  # of the curve of a link
-SAMPLES = 2  # of a pixel, each way
-LARGEST_PICTURE = 4096  # pixels a side
-CLEAR, CLEAR_WITH_OVERLAY = np.full(4, 0.06), np.array([0.06, 0.06, 0.15, 0.15])  # parts at left, right, top, bottom
-BELOW = 0.05  # of the reach, from the lowest thing to the floor
-BENT = 0.01  # deflection of a link as a part of its length, whose strain ends the scale of colours without limits
+SUPERSAMPLING = 2  # of a pixel, each way
+MAX_SIDE = 4096  # pixels a side
+MARGINS, OVERLAY_MARGINS = np.full(4, 0.06), np.array([0.06, 0.06, 0.15, 0.15])  # parts at left, right, top, bottom
+FLOOR_GAP = 0.05  # of the reach, from the lowest thing to the floor
+REFERENCE_DEFLECTION = (
+    0.01  # deflection of a link as a part of its length, whose strain ends the scale of colours without limits
+)
 GHOST, MOTOR, TIP, TARGET, POST = "#5b6b82", "#334155", "#1e293b", "#e11d48", "#64748b"
-LOAD, TRAIL, PLUMB = "#8a6d3b", "#6d28d9", "#e58ba0"
+PAYLOAD, TRAIL, PLUMB_LINE = "#8a6d3b", "#6d28d9", "#e58ba0"
 GHOST_SHARE, SHADOW_SHARE, TRAIL_START = 0.42, 0.34, 0.05
-STEEL = 7800.0  # kg/m^3, of the ball that a payload is drawn as
+PAYLOAD_DENSITY = 7800.0  # kg/m^3, of the ball that a payload is drawn as
 
 
 class Shot(NamedTuple):
@@ -182,18 +191,18 @@ class FramePainter:
     ) -> None:
         if not isinstance(size, tuple | list) or len(size) != 2:
             raise value_error("size", size, "two numbers of pixels, width and height")
-        width, height = (whole_number(f"size[{i}]", side, 16, LARGEST_PICTURE) for i, side in enumerate(size))
-        self.model, self.size = checked_model(model), (width, height)
+        width, height = (whole_number(f"size[{i}]", side, 16, MAX_SIDE) for i, side in enumerate(size))
+        self.model, self.size = check_model(model), (width, height)
         self.gain, self.overlays = non_negative("gain", gain), flag("overlays", overlays)
         self._shadow = flag("shadow", shadow)
-        self._direction = view_direction(model, camera)
+        self._direction = camera_direction(model, camera)
         self.reach = float(model.constants.length.sum())
         self._sections = section_outlines(model, POINTS)
         self.radii = np.clip([1.3 * each.radius for each in self._sections], 0.012 * self.reach, 0.05 * self.reach)
         self._tubes = tube_faces(model.n_joints, POINTS)
-        self._grid = round_number(self.reach / 10)
+        self._grid = round_up(self.reach / 10)
         self.scale = _strain_scale(model) if model.n_elastic else 0.0
-        samples, memory = (height * SAMPLES, width * SAMPLES), (height, width)
+        samples, memory = (height * SUPERSAMPLING, width * SUPERSAMPLING), (height, width)
         self._canvas = raster.Canvas(
             *(np.zeros(each, dtype=kind) for each, kind in (
                 ((*samples, 3), "u1"), (samples, "f4"), (samples, "u1"), ((*samples, 3), "u1"), (memory, "f4"),
@@ -209,9 +218,12 @@ class FramePainter:
         camera, floor = self.camera(_reachable_points(self.model) if points is None else points)
         canvas, (width, height) = self._canvas, self.size
         back, plain = np.zeros_like(canvas.back), np.zeros_like(canvas.plain)
-        raster.draw_floor(back, camera.eye, camera.axes, camera.lens * SAMPLES, floor, self.reach, self._grid)
+        raster.draw_floor(back, camera.eye, camera.axes, camera.lens * SUPERSAMPLING, floor, self.reach, self._grid)
         whole = canvas._replace(
-            colour=back, back=back, picture=plain, box=np.array([0, SAMPLES * width - 1, 0, SAMPLES * height - 1])
+            colour=back,
+            back=back,
+            picture=plain,
+            box=np.array([0, SUPERSAMPLING * width - 1, 0, SUPERSAMPLING * height - 1]),
         )
         raster.resolve(whole._replace(mask=np.zeros_like(canvas.mask)), np.zeros(3), 0.0)
         return Shot(camera, floor, back, plain)
@@ -219,9 +231,9 @@ class FramePainter:
     def camera(self, points: Array) -> tuple[_Camera, float]:
         """Gives the camera of a `shot`, and the height of the floor, m; points as there."""
         places = np.concatenate([np.asarray(points, dtype=float).reshape(-1, 3), np.zeros((1, 3))])
-        floor = float(places[:, 2].min()) - BELOW * self.reach
+        floor = float(places[:, 2].min()) - FLOOR_GAP * self.reach
         places = np.concatenate([places, [[0.0, 0.0, floor]]])
-        return _fit_camera(places, self._direction, self.size, CLEAR_WITH_OVERLAY if self.overlays else CLEAR), floor
+        return _fit_camera(places, self._direction, self.size, OVERLAY_MARGINS if self.overlays else MARGINS), floor
 
     def paint(
         self,
@@ -261,11 +273,11 @@ class FramePainter:
             way = number_array("trail", trail, (len(trail), 3), "places (t, 3), m")
             self._line(way, 1.2, TRAIL_START, TRAIL)
         if place is not None:
-            self._line(np.array([[*place[:2], self._shown.floor], place]), 0.5, 1.0, PLUMB)
+            self._line(np.array([[*place[:2], self._shown.floor], place]), 0.5, 1.0, PLUMB_LINE)
         if self.gain != 1.0:
             true = curves(self.model, x, 2).positions[-1, -1]
             self._line(np.array([true, true + 1e-6]), 3.0, 1.0, TRAIL)
-        canvas, ghost = self._canvas, self._seen(tube_surfaces(rigid, self._sections)[0], SAMPLES)
+        canvas, ghost = self._canvas, self._seen(tube_surfaces(rigid, self._sections)[0], SUPERSAMPLING)
         raster.mark_coverage(ghost, self._tubes, canvas.mask, canvas.depth, canvas.box)
         raster.resolve(canvas, rgb(GHOST), GHOST_SHARE)
         picture = canvas.picture.copy()
@@ -284,7 +296,10 @@ class FramePainter:
         if right >= left:
             drawn = slice(top, bottom + 1), slice(left, right + 1)
             canvas.colour[drawn], canvas.depth[drawn], canvas.mask[drawn] = shot.back[drawn], 0.0, 0
-            pixels = slice(top // SAMPLES, bottom // SAMPLES + 1), slice(left // SAMPLES, right // SAMPLES + 1)
+            pixels = (
+                slice(top // SUPERSAMPLING, bottom // SUPERSAMPLING + 1),
+                slice(left // SUPERSAMPLING, right // SUPERSAMPLING + 1),
+            )
             canvas.picture[pixels] = shot.plain[pixels]
         canvas.box[:] = 1 << 30, -1, 1 << 30, -1
 
@@ -298,7 +313,7 @@ class FramePainter:
     def _draw(self, mesh: Mesh, colours: Array) -> None:
         """Draws a mesh and its shadow on the floor; colours (p, 3)."""
         assert self._shown is not None
-        canvas, sun, box = self._canvas, np.array(raster.SUN), np.array([1 << 30, -1, 1 << 30, -1])
+        canvas, sun, box = self._canvas, np.array(raster.KEY_DIRECTION), np.array([1 << 30, -1, 1 << 30, -1])
         if self._shadow:
             fallen = mesh.points - (mesh.points[:, 2:] - self._shown.floor) / sun[2] * sun
             raster.mark_coverage(
@@ -307,13 +322,13 @@ class FramePainter:
         if box[1] >= 0:
             raster.blur_shadow(canvas.shadow, canvas.scratch, box, max(2, self.size[1] // 180))
             raster.apply_shadow(canvas, box, SHADOW_SHARE)
-        screen = self._seen(mesh.points, SAMPLES)
+        screen = self._seen(mesh.points, SUPERSAMPLING)
         raster.draw_triangles(canvas, screen, mesh.points, mesh.normals, colours, mesh.faces, self._shown.camera.eye)
 
     def _line(self, points: Array, radius: float, faintest: float, colour: str) -> None:
         """Draws a line with a radius in pixels of a picture of 480 rows."""
-        thick = radius * SAMPLES * max(self.size[1] / 480, 0.5)
-        raster.draw_line(self._canvas, self._seen(points, SAMPLES), thick, faintest, rgb(colour))
+        thick = radius * SUPERSAMPLING * max(self.size[1] / 480, 0.5)
+        raster.draw_line(self._canvas, self._seen(points, SUPERSAMPLING), thick, faintest, rgb(colour))
 
     def _parts(self, positions: Array, frames: Array, target: Array | None) -> list[tuple[Mesh, str]]:
         """Gives motors, post, tip with payload and target, each with its colour."""
@@ -332,9 +347,9 @@ class FramePainter:
         load, end = model.arm.payload, positions[-1, -1]
         result.append((sphere().placed(end, up, radii[-1], radii[-1]), TIP))
         if load is not None:
-            ball = max((load.mass / STEEL * 0.75 / np.pi) ** (1 / 3), radii[-1])
+            ball = max((load.mass / PAYLOAD_DENSITY * 0.75 / np.pi) ** (1 / 3), radii[-1])
             held = frames[-1, -1] @ (np.array(model.arm.links[-1].orientation).T @ (load.offset or np.zeros(3)))
-            result.append((sphere().placed(end + held, up, ball, ball), LOAD))
+            result.append((sphere().placed(end + held, up, ball, ball), PAYLOAD))
         if target is not None:
             result.append((sphere().placed(target, up, 0.55 * radii[-1], 0.55 * radii[-1]), TARGET))
             facing = -self._shown.camera.axes[2]
@@ -396,11 +411,11 @@ def _strain_scale(model: Model) -> float:
         moment = min(section.second_moment_y, section.second_moment_z)
         known = section.outline
         radius = np.sqrt(3.0 * moment / section.area) if known is None else min(known.y, known.z) / 2
-        bent = 3 * BENT / link.length
+        bent = 3 * REFERENCE_DEFLECTION / link.length
         if joint.torque_limit:
             bent = 0.5 * joint.torque_limit / (section.youngs_modulus * moment)
         result.append(float(radius * bent))
-    return round_number(max(result))
+    return round_up(max(result))
 
 
 def _join_meshes(meshes: Sequence[Mesh]) -> Mesh:

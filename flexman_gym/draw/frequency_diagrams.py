@@ -13,14 +13,14 @@ from flexman_gym.draw.overlay import write_title
 from flexman_gym.draw.style import DARK, LIGHT, LINK_COLOURS, MIDDLE, new_figure
 from flexman_gym.model.deformation import curves
 from flexman_gym.model.dynamics import frequencies
-from flexman_gym.model.model import Model, checked_model
+from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import rest_state
 from flexman_gym.model.vibration import modes, spin_frequencies
 
 AMPLITUDE = 0.08  # of the reach, the largest displacement that is drawn
 
 
-def mode_pictures(
+def draw_mode_shapes(
     model: Model, joint_angles: Vector | None = None, count: int = 6, size: tuple[int, int] = (480, 360)
 ) -> NDArray[np.uint8]:
     """Draws the lowest modes with held motors (`modes`), each beside the arm at rest, as one picture.
@@ -36,7 +36,7 @@ def mode_pictures(
     Raises:
         ValueError: for what `modes` and a FramePainter refuse, and an arm that does not ring.
     """
-    angles = np.zeros(checked_model(model).n_joints) if joint_angles is None else joint_angles
+    angles = np.zeros(check_model(model).n_joints) if joint_angles is None else joint_angles
     found, rest = modes(model, angles), rest_state(model, angles)
     number = min(whole_number("count", count, 1, 64), len(found))
     if number == 0:
@@ -59,8 +59,8 @@ def mode_pictures(
     return grid(frames)
 
 
-FINE = 41  # postures along an axis of the map
-MULTIPLES = (1, 2, 3)  # of the spin rate, which a rotating arm is excited with
+GRID_POINTS = 41  # postures along an axis of the map
+EXCITATION_ORDERS = (1, 2, 3)  # of the spin rate, which a rotating arm is excited with
 
 
 def frequency_map(model: Model, path: str | Path, mode: int = 1, span: float = np.pi) -> Path:
@@ -78,7 +78,7 @@ def frequency_map(model: Model, path: str | Path, mode: int = 1, span: float = n
         ImportError: without Matplotlib.
         ValueError: for a mode that does not exist.
     """
-    n, path, angles = checked_model(model).n_joints, Path(path), np.linspace(-span, span, FINE)
+    n, path, angles = check_model(model).n_joints, Path(path), np.linspace(-span, span, GRID_POINTS)
     number = whole_number("mode", mode, 1, max(model.n_dof - n, 1)) - 1
     two = min(n, 2)
     places = np.stack(np.meshgrid(*[angles] * two, indexing="ij"), axis=-1).reshape(-1, two)
@@ -92,7 +92,7 @@ def frequency_map(model: Model, path: str | Path, mode: int = 1, span: float = n
         axes.plot(np.degrees(angles), values, color=DARK)
         axes.set(xlabel="joint 1 (degrees)", ylabel="frequency (Hz)")
     else:
-        table, ends = values.reshape(FINE, FINE), np.degrees([-span, span] * 2)
+        table, ends = values.reshape(GRID_POINTS, GRID_POINTS), np.degrees([-span, span] * 2)
         shown = axes.imshow(table.T, origin="lower", extent=ends, cmap="viridis", interpolation="bilinear")
         if np.ptp(table) > 1e-6 * table.max():
             lines = axes.contour(np.degrees(angles), np.degrees(angles), table.T, 8, colors="white", linewidths=0.7)
@@ -124,7 +124,7 @@ def campbell_diagram(model: Model, rates: Vector, path: str | Path, count: int =
     axes = figure.add_subplot()
     axes.plot(turns, values, color=DARK, linewidth=1.5)
     top = float(np.nanmax(values)) * 1.08 if np.isfinite(values).any() else 1.0
-    for multiple in MULTIPLES:
+    for multiple in EXCITATION_ORDERS:
         axes.plot(turns, multiple * turns, "--", color=MIDDLE, linewidth=0.9)
         if multiple * turns[-1] < top:
             axes.annotate(f"{multiple}x", (turns[-1], multiple * turns[-1]), color=MIDDLE, fontsize=9)

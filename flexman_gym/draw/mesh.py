@@ -12,8 +12,8 @@ from flexman_gym.model.element import find_element
 from flexman_gym.model.model import Model
 
 SIDES = 16  # points around a section
-THINNEST, SLIMMEST = 0.008, 0.0025  # of the reach: radius of a round link and half a side of a strip, at least
-ROUND = 0.02  # how far the radii of gyration of a section that is drawn round may be apart
+MIN_RADIUS, MIN_HALF_SIDE = 0.008, 0.0025  # of the reach: radius of a round link and half a side of a strip, at least
+ROUND_TOLERANCE = 0.02  # how far the radii of gyration of a section that is drawn round may be apart
 
 
 class Mesh(NamedTuple):
@@ -79,19 +79,19 @@ def section_outlines(model: Model, places: int) -> tuple[_SectionOutlines, ...]:
 def _section(section: Any, reach: float) -> tuple[Array, Array, Array]:
     """Points, normals and gauges (16, 2) of a section."""
     gyration = np.sqrt(np.array([section.second_moment_z, section.second_moment_y]) / section.area)
-    known, alike = section.outline, abs(gyration[0] / gyration[1] - 1.0) < ROUND
+    known, alike = section.outline, abs(gyration[0] / gyration[1] - 1.0) < ROUND_TOLERANCE
     half = np.sqrt(3.0) * gyration if known is None else np.array([known.y, known.z]) / 2
     if alike if known is None else known.shape != "strip":
         turn = (np.arange(SIDES) + 0.5) * 2 * np.pi / SIDES
         circle = np.column_stack([np.cos(turn), np.sin(turn)])
         radius = 2.0 * float(gyration.mean()) if known is None else half[0]
-        return max(radius, THINNEST * reach) * circle, circle, radius * circle
+        return max(radius, MIN_RADIUS * reach) * circle, circle, radius * circle
     along = np.linspace(-1.0, 1.0, SIDES // 4)
     one = np.ones_like(along)
     sides = [np.column_stack(each) for each in ((one, along), (-along, one), (-one, -along), (along, -one))]
     flat = [np.column_stack(each) for each in ((one, 0 * one), (0 * one, one), (-one, 0 * one), (0 * one, -one))]
     square = np.concatenate(sides)
-    return square * np.maximum(half, SLIMMEST * reach), np.concatenate(flat), square * half
+    return square * np.maximum(half, MIN_HALF_SIDE * reach), np.concatenate(flat), square * half
 
 
 def tube_faces(links: int, places: int) -> IntArray:

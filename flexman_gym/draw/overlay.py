@@ -11,9 +11,9 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.draw.style import LINK_COLOURS, rgb
 
 GLYPHS = Path(__file__).parent / "glyphs.npz"  # of scripts/glyphs.py
-SIZES = (10, 12, 14, 18, 24, 32)  # pixels of the letters there are
+FONT_SIZES = (10, 12, 14, 18, 24, 32)  # pixels of the letters there are
 TIMES = "\N{MULTIPLICATION SIGN}"
-INK, SOFT, WARNING = "#1f2937", "#6b7280", "#b91c1c"
+INK, GREY, WARNING = "#1f2937", "#6b7280", "#b91c1c"
 Picture = NDArray[np.uint8]
 
 
@@ -35,7 +35,7 @@ class Caption(NamedTuple):
     torques: Array | None = None
 
 
-@lru_cache(maxsize=len(SIZES))
+@lru_cache(maxsize=len(FONT_SIZES))
 def _font(size: int) -> tuple[dict[str, int], NDArray[np.uint8], list[int]]:
     with np.load(GLYPHS) as data:
         letters = {chr(letter): place for place, letter in enumerate(data["letters"].tolist())}
@@ -53,7 +53,7 @@ def _text_mask(text: str, size: int) -> NDArray[np.float32]:
 
 def _font_size(height: int) -> int:
     """Gives the size of letters that a picture of so many rows takes."""
-    return max(size for size in SIZES if size <= max(height / 33.0, SIZES[0]))
+    return max(size for size in FONT_SIZES if size <= max(height / 33.0, FONT_SIZES[0]))
 
 
 def _write_text(picture: Picture, text: str, place: tuple[int, int], size: int, colour: str = INK) -> None:
@@ -117,13 +117,13 @@ def draw_caption(picture: Picture, caption: Caption, gain: float, scale: float, 
     if scale > 0.0:
         unit, factor = ("µε", 1e6) if scale < 1e-3 else ("%", 1e2)
         said = f"strain ±{factor * scale:g} {unit}   {said}"
-        _colour_bar(picture, (edge, height - edge), small)
+        _draw_colour_bar(picture, (edge, height - edge), small)
     _write_text(picture, said, (edge, height - edge - max(small // 2, 5) - round(1.4 * small)), small)
     if caption.torques is not None:
-        _bars(picture, caption.torques, (width - edge, height - edge), small)
+        _draw_torque_bars(picture, caption.torques, (width - edge, height - edge), small)
 
 
-def _colour_bar(picture: Picture, place: tuple[int, int], size: int) -> None:
+def _draw_colour_bar(picture: Picture, place: tuple[int, int], size: int) -> None:
     """Draws the scale of strain, its lower left corner at a place."""
     column, row = place
     wide, high = min(9 * size, picture.shape[1] - 2 * column), max(size // 2, 5)
@@ -131,18 +131,18 @@ def _colour_bar(picture: Picture, place: tuple[int, int], size: int) -> None:
     picture[row - high : row, column : column + wide] = np.rint(strain_colours(share))
 
 
-def _bars(picture: Picture, torques: Array, place: tuple[int, int], size: int) -> None:
+def _draw_torque_bars(picture: Picture, torques: Array, place: tuple[int, int], size: int) -> None:
     """Draws a bar for each motor from the middle up or down, the lower right corner at a place."""
     wide, half, gap = size, round(2.3 * size), size // 2
     column, middle = place[0] - len(torques) * (wide + gap) + gap, place[1] - half
     _write_text(picture, "torque / limit", (place[0] - picture.shape[1], middle - half - round(1.5 * size)), size)
     for i, torque in enumerate(np.clip(torques, -1.0, 1.0)):
         first = column + i * (wide + gap)
-        _fill_rectangle(picture, (first, first + wide), (middle - half, middle + half), SOFT, 0.8)
+        _fill_rectangle(picture, (first, first + wide), (middle - half, middle + half), GREY, 0.8)
         _fill_rectangle(picture, (first + 1, first + wide - 1), (middle - half + 1, middle + half - 1), "#ffffff", 0.9)
         rows = sorted((middle, middle - round(half * torque)))
         _fill_rectangle(picture, (first + 1, first + wide - 1), (rows[0], rows[1]), LINK_COLOURS[i % len(LINK_COLOURS)])
-        _fill_rectangle(picture, (first - 2, first + wide + 2), (middle, middle + 1), SOFT)
+        _fill_rectangle(picture, (first - 2, first + wide + 2), (middle, middle + 1), GREY)
 
 
 def strain_colours(share: Array) -> Array:

@@ -18,19 +18,19 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
-from flexman_gym.draw.frames import BELOW, FramePainter, view_direction
+from flexman_gym.draw.frames import FLOOR_GAP, FramePainter, camera_direction
 from flexman_gym.draw.mesh import section_outlines
-from flexman_gym.draw.style import BLUE, GREEN, ORANGE, RED, SKY, round_number
+from flexman_gym.draw.style import BLUE, GREEN, ORANGE, RED, SKY, round_up
 from flexman_gym.model.deformation import curves, link_shapes
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.episode import Episode
 
-PLACES = Path(__file__).parent
+TEMPLATE_FOLDER = Path(__file__).parent
 POINTS = 24  # of the curve of a link
 COLOURS = (BLUE, RED, GREEN, ORANGE, SKY, "#CC79A7", "#555555", "#8a6d3b")
-SHOWN = 60  # states of an episode by which camera and scales are chosen
-STEPS = 2**15 - 1  # of a reading, either way from the middle
-GAP = -STEPS - 1  # step of a reading that is no finite number: its curve has a gap there
+VIEW_STATES = 60  # states of an episode by which camera and scales are chosen
+QUANTISATION_STEPS = 2**15 - 1  # of a reading, either way from the middle
+MISSING_VALUE = -QUANTISATION_STEPS - 1  # step of a reading that is no finite number: its curve has a gap there
 
 
 def replay_page(episodes: Sequence[Episode], title: str = "") -> str:
@@ -51,7 +51,7 @@ def replay_page(episodes: Sequence[Episode], title: str = "") -> str:
         arm = _arm_data(episode.model)
         if arm not in arms:
             arms.append(arm)
-        runs.append(_run(episode, colour) | {"arm": arms.index(arm)})
+        runs.append(_episode_data(episode, colour) | {"arm": arms.index(arm)})
     names = [episode.name for episode in episodes]
     for i, name in enumerate(names):
         if names.count(name) > 1:
@@ -73,7 +73,7 @@ def _html_page(data: dict[str, Any], title: str, words: str) -> str:
     """
     text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     script, style, frame = (
-        (PLACES / f"replay.{suffix}").read_text(encoding="utf-8") for suffix in ("js", "css", "html")
+        (TEMPLATE_FOLDER / f"replay.{suffix}").read_text(encoding="utf-8") for suffix in ("js", "css", "html")
     )
     return Template(frame).substitute(
         title=html.escape(title), about=html.escape(words), data=text, style=style,
@@ -109,13 +109,13 @@ def _view_data(models: Sequence[Model], points: Array, strain: float) -> dict[st
     """
     reach = max(float(model.constants.length.sum()) for model in models)
     points = np.concatenate([points[np.isfinite(points).all(axis=1)], np.zeros((1, 3))])
-    floor = float(points[:, 2].min()) - BELOW * reach
+    floor = float(points[:, 2].min()) - FLOOR_GAP * reach
     points = np.concatenate([points, [[0.0, 0.0, floor]]])
-    azimuth, elevation = np.radians(view_direction(models[0])[:2])
+    azimuth, elevation = np.radians(camera_direction(models[0])[:2])
     towards = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     return {"reach": reach, "points": np.round(points, 6).tolist(), "distance": 3.0 * size, "floor": floor,
-            "towards": towards.tolist(), "step": round_number(reach / 10), "strain": strain}  # fmt: skip
+            "towards": towards.tolist(), "step": round_up(reach / 10), "strain": strain}  # fmt: skip
 
 
 def _encode_array(values: NDArray[Any], kind: str = "<f4") -> str:
@@ -123,7 +123,7 @@ def _encode_array(values: NDArray[Any], kind: str = "<f4") -> str:
     return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode("ascii")
 
 
-def _run(episode: Episode, colour: str) -> dict[str, Any]:
+def _episode_data(episode: Episode, colour: str) -> dict[str, Any]:
     """What the page shows of an episode."""
     torques = np.vstack([episode.actions, episode.actions[-1:]]) if len(episode.actions) else np.zeros((1, 1))
     return {
@@ -131,17 +131,19 @@ def _run(episode: Episode, colour: str) -> dict[str, Any]:
         "dt": episode.period, "rows": len(episode.time),
         "x": _encode_array(episode.states[:, : episode.states.shape[1] // 2]), "target": _encode_array(episode.targets),
         "error": _encode_array(episode.errors), "torque": _encode_array(torques),
-        "readings": [_reading(name, values) for name, values in episode.readings.items()],
+        "readings": [_reading_data(name, values) for name, values in episode.readings.items()],
     }  # fmt: skip
 
 
-def _reading(name: str, values: Array) -> dict[str, Any]:
+def _reading_data(name: str, values: Array) -> dict[str, Any]:
     """Return a reading in steps of a part of its finite range; they are more than enough for a curve."""
     known = np.isfinite(values)
     low, high = np.where(known, values, np.inf).min(axis=0), np.where(known, values, -np.inf).max(axis=0)
     low, high = np.where(known.any(axis=0), (low, high), 0.0) / 2  # the difference of two large numbers may be infinite
-    middle, scale = low + high, np.maximum((high - low) / STEPS, 1e-30)
-    steps = _encode_array(np.where(known, np.rint((np.where(known, values, middle) - middle) / scale), GAP), "<i2")
+    middle, scale = low + high, np.maximum((high - low) / QUANTISATION_STEPS, 1e-30)
+    steps = _encode_array(
+        np.where(known, np.rint((np.where(known, values, middle) - middle) / scale), MISSING_VALUE), "<i2"
+    )
     return {"name": name, "size": values.shape[1], "values": steps, "scale": scale.tolist(), "middle": middle.tolist()}
 
 
@@ -149,15 +151,15 @@ def _episodes_view(episodes: Sequence[Episode]) -> dict[str, Any]:
     """Camera and scales by what happens in the episodes."""
     points, largest = [], 0.0
     for episode in episodes:
-        some = np.unique(np.linspace(0, len(episode.time) - 1, SHOWN).astype(int))
+        some = np.unique(np.linspace(0, len(episode.time) - 1, VIEW_STATES).astype(int))
         bent = curves(episode.model, episode.states[some], POINTS)
         points += [bent.positions[:, :, -1].reshape(-1, 3), episode.targets[some]]
         largest = max(largest, 2.0 * float(np.percentile(np.abs(bent.strains[..., :3]).max(axis=(1, 2, 3)), 90)))
-    strain = round_number(largest) if largest > 0.0 else 0.0
-    return _view_data([episode.model for episode in episodes], _corners(np.concatenate(points)), strain)
+    strain = round_up(largest) if largest > 0.0 else 0.0
+    return _view_data([episode.model for episode in episodes], _outermost_points(np.concatenate(points)), strain)
 
 
-def _corners(points: Array) -> Array:
+def _outermost_points(points: Array) -> Array:
     """Some of the points (p, 3): those that are outermost in one of many directions."""
     known = points[np.isfinite(points).all(axis=1)]
     turn = np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
@@ -170,7 +172,7 @@ def _percent(strain: float) -> str:
     return f"{1e6 * strain:g} µε" if strain < 1e-3 else f"{1e2 * strain:g} %"
 
 
-WAITING = 200  # rows that a slow browser may be behind before it misses some
+QUEUE_SIZE = 200  # rows that a slow browser may be behind before it misses some
 
 
 class LivePage:
@@ -237,7 +239,7 @@ class LivePage:
     def listen(self) -> "tuple[bytes, queue.Queue[bytes]]":
         """Gives what the episode has had so far, and a queue of what follows."""
         with self._lock:
-            client: queue.Queue[bytes] = queue.Queue(WAITING)
+            client: queue.Queue[bytes] = queue.Queue(QUEUE_SIZE)
             self._clients.append(client)
             return b"".join(self._rows), client
 

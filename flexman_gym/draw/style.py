@@ -17,7 +17,7 @@ def rgb(colour: str) -> Array:
     return np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)], dtype=float)
 
 
-def round_number(value: float) -> float:
+def round_up(value: float) -> float:
     """Gives the least of 1, 2, 5, 10, ... times a power of ten that is not below a value > 0."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(next(power * step for step in (1, 2, 5, 10) if power * step >= value))

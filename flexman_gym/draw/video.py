@@ -17,8 +17,8 @@ from flexman_gym.draw.overlay import Caption
 from flexman_gym.model.deformation import curves
 from flexman_gym.simulation.episode import Episode
 
-STILL = 6  # levels by which a colour of a GIF may be off before it is drawn anew
-COLOURS, GRAIN = 64, 4  # of a GIF; levels of a channel that count as one when they are chosen
+COLOUR_TOLERANCE = 6  # levels by which a colour of a GIF may be off before it is drawn anew
+COLOURS, COLOUR_STEP = 64, 4  # of a GIF; levels of a channel that count as one when they are chosen
 SUFFIXES = (".mp4", ".gif")
 
 
@@ -96,7 +96,7 @@ def _write_gif(frames: Sequence[NDArray[np.uint8]], path: Path, rate: float) -> 
     from PIL import Image
 
     some = np.concatenate([frame.reshape(-1, 3) for frame in frames[:: max(1, len(frames) // 8)]])
-    coarse, counts = np.unique(some // GRAIN * GRAIN + GRAIN // 2, axis=0, return_counts=True)
+    coarse, counts = np.unique(some // COLOUR_STEP * COLOUR_STEP + COLOUR_STEP // 2, axis=0, return_counts=True)
     # by the root of how often they are: else a large background leaves no colours for what is small and matters
     known = np.repeat(coarse, np.ceil(np.sqrt(counts)).astype(int), axis=0)[None].astype(np.uint8)
     palette = Image.fromarray(known).quantize(COLOURS - 1, Image.Quantize.MEDIANCUT)  # and one for what stays
@@ -106,7 +106,7 @@ def _write_gif(frames: Sequence[NDArray[np.uint8]], path: Path, rate: float) -> 
     for frame in frames:
         now = np.array(Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE))
         if shown:  # what has hardly changed stays, and needs no bytes
-            still = np.abs(colours[shown[-1]] - frame).max(axis=2) <= STILL
+            still = np.abs(colours[shown[-1]] - frame).max(axis=2) <= COLOUR_TOLERANCE
             now[still] = shown[-1][still]
         shown.append(now)
     first, *rest = images = [Image.fromarray(now) for now in shown]
@@ -157,9 +157,9 @@ class Window:
             print(f"{self.late} of {self.shown} frames came late", file=sys.stderr)
 
 
-SMALL, LARGE = (480, 360), (1280, 720)  # pixels of a moving picture and of a film, all arms together
-SECONDS, SMALL_RATE, RATE = 5.0, 10.0, 50.0  # of a moving picture; frames a second
-TRAIL = 1.5  # s
+GIF_SIZE, FILM_SIZE = (480, 360), (1280, 720)  # pixels of a moving picture and of a film, all arms together
+GIF_SECONDS, GIF_RATE, FILM_RATE = 5.0, 10.0, 50.0  # of a moving picture; frames a second
+TRAIL_SECONDS = 1.5  # s
 
 
 def side_by_side(
@@ -180,9 +180,9 @@ def side_by_side(
     """
     if not episodes:
         raise value_error("episodes", episodes, "at least one")
-    whole = size or (SMALL if small else LARGE)
-    cell, rate = (whole[0] // len(episodes), whole[1]), SMALL_RATE if small else RATE
-    end = min(max(float(each.time[-1]) for each in episodes), SECONDS if small else np.inf)
+    whole = size or (GIF_SIZE if small else FILM_SIZE)
+    cell, rate = (whole[0] // len(episodes), whole[1]), GIF_RATE if small else FILM_RATE
+    end = min(max(float(each.time[-1]) for each in episodes), GIF_SECONDS if small else np.inf)
     stage = np.concatenate([
         points for each in episodes
         for points in (curves(each.model, each.states[:: max(1, len(each.time) // 60)], 4).positions.reshape(-1, 3),
@@ -195,7 +195,7 @@ def side_by_side(
         row = [min(round(time / each.period), len(each.time) - 1) for each in episodes]
         frames.append(grid([
             painter.paint(each.states[k], each.targets[k] if np.isfinite(each.targets[k]).all() else None,
-                          _caption(each, k), each.tips[max(0, k - round(TRAIL / each.period)) : k + 1], shot)
+                          _caption(each, k), each.tips[max(0, k - round(TRAIL_SECONDS / each.period)) : k + 1], shot)
             for painter, each, k, shot in zip(painters, episodes, row, shots, strict=True)
         ], len(episodes)))  # fmt: skip
     return frames, rate

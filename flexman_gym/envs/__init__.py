@@ -1,10 +1,13 @@
 """Environments: arms in episodes behind Gymnasium's interfaces, one or many."""
 
-from flexman_gym.envs.config.named_environments import NAMED
+from flexman_gym.common.renamed import deprecated_names
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.tasks import Slew
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 
-__all__ = ["NAMED", "FlexManEnv", "FlexManVectorEnv", "Limits", "Randomisation", "Slew"]
+__all__ = ["NAMED_ENVIRONMENTS", "FlexManEnv", "FlexManVectorEnv", "Limits", "Randomisation", "Slew"]
+
+__getattr__ = deprecated_names(__name__)

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.common.arrays import Array, Flags, IntArray
-from flexman_gym.common.checks import check_members, value_error
+from flexman_gym.common.arrays import Array, BoolArray, IntArray
+from flexman_gym.common.checks import check_member_names, value_error
 from flexman_gym.envs.config.randomisation import Randomisation, range_name
-from flexman_gym.envs.effects import HOOKS, SIGNALS, Stage
+from flexman_gym.envs.effects import HOOKS, SIGNALS, EffectContext
 from flexman_gym.envs.random_streams import RandomStreams
 from flexman_gym.model.model import Model
-from flexman_gym.simulation.parameters import LINK, PARAMETERS, RENAMED
+from flexman_gym.simulation.parameters import LINK, PARAMETERS, RENAMED_PARAMETERS
 
 
 class ActiveEffects:
@@ -34,7 +34,7 @@ class ActiveEffects:
 
     kept = ("drawn", "_streams", "_signals")
 
-    def __init__(self, randomisation: Randomisation, stage: Stage) -> None:
+    def __init__(self, randomisation: Randomisation, stage: EffectContext) -> None:
         self._batch, self._ranges = stage.batch, randomisation.ranges
         model, arms, period = stage.batch.model, len(stage.batch.rows), stage.batch.control_period
         if stage.impulse_gap < period:
@@ -49,7 +49,7 @@ class ActiveEffects:
                 shapes[name] = PARAMETERS[name].shape(model.n_joints)
             else:
                 signal = self._signals[name] = SIGNALS[name](stage, span)
-                check_members(name, signal, HOOKS, ("checked", "shape", "draw"))
+                check_member_names(name, signal, HOOKS, ("checked", "shape", "draw"))
                 if signal.shape is not None:
                     shapes[name] = signal.shape
         kinds = {name: signal.kind for name, signal in self._signals.items()}
@@ -64,7 +64,9 @@ class ActiveEffects:
 
     @drawn.setter
     def drawn(self, values: dict[str, NDArray[Any]]) -> None:
-        self._drawn = {RENAMED.get(name, name): each for name, each in values.items()}  # states of release 0.2
+        self._drawn = {
+            RENAMED_PARAMETERS.get(name, name): each for name, each in values.items()
+        }  # states of release 0.2
 
     def _with(self, hook: str) -> list[Any]:
         """The hooks of that name of the effects that have one, with the effect's name for `begin`."""
@@ -118,7 +120,7 @@ class ActiveEffects:
             actions = arriving(actions)
         return actions
 
-    def disturb(self, forces: Array, accelerations: Array, over: Flags) -> None:
+    def disturb(self, forces: Array, accelerations: Array, over: BoolArray) -> None:
         """Writes forces (b, 3) N on the tips and accelerations (b, 3) m/s^2 of the bases during this period.
 
         Nothing disturbs arms whose episode is over.

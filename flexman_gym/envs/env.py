@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 from flexman_gym.common.arrays import Vector
 from flexman_gym.common.checks import whole_number
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.reset_options import check_parameters
-from flexman_gym.envs.episodes import Episodes, action_space, checked_actions
-from flexman_gym.envs.rendering import MODES, RENDER, make_rendering
+from flexman_gym.envs.episodes import Episodes, action_space, validate_actions
+from flexman_gym.envs.rendering import RENDER_KEYWORDS, RENDER_MODES, make_renderer
 from flexman_gym.envs.stateful import StatefulEnv
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.simulator import Simulator
 
 Observation = NDArray[np.float32]
-ONLY = np.zeros(1, dtype=np.int64)  # the index of the arm
-LARGEST_SEED = 2**128 - 1
+SINGLE_ARM = np.zeros(1, dtype=np.int64)  # the index of the arm
+MAX_SEED = 2**128 - 1
 
 
 class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
@@ -34,7 +34,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         FlexPlanar-v0  two strips, 1 m together, that lift 0.1 kg in a vertical plane under gravity, 100 Hz
         FlexOne-v0     the textbook case: one strip of 0.8 m on one elastic joint, in a horizontal plane, 50 Hz
         FlexQuanser-v0 a real machine: two steel strips in a horizontal plane with its motors and sensors, 100 Hz
-        `envs.config.named_environments.NAMED` has what each is made of. The latter three are rewarded by distance (see
+        `envs.config.named_environments.NAMED_ENVIRONMENTS` has what each is made of. The latter three are rewarded by distance (see
         `Slew`).
 
     Arm
@@ -107,7 +107,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         render_gain: by which the deflection is multiplied in a frame, which says so.
         render_overlays: whether time, tip error, reward, torques and scales are written over a frame.
         settings: the attributes of `Configuration`: arm, task, limits, fidelity and so on; and "condition", one of
-            `envs.config.conditions.CONDITIONS`, which changes some of those that are not given.
+            `envs.config.named_environments.CONDITIONS`, which changes some of those that are not given.
 
     Raises:
         ValueError: one line with field, value and what is allowed.
@@ -122,7 +122,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
 
     _spec: EnvSpec | None = None
     kept, spaces = ("_np_random", "_np_random_seed"), ("action_space",)
-    metadata = {"render_modes": list(MODES), "render_fps": 50}  # noqa: RUF012
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 50}  # noqa: RUF012
 
     def __init__(
         self,
@@ -135,9 +135,9 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         **settings: Any,
     ) -> None:
         self.render_mode, given = render_mode, (render_size, render_camera, render_gain, render_overlays)
-        self._made = dict(zip(RENDER, (render_mode, *given), strict=True)) | settings
-        setup = Configuration.from_keywords(settings, RENDER)
-        model, method, step, self.choice = build(setup)
+        self._made = dict(zip(RENDER_KEYWORDS, (render_mode, *given), strict=True)) | settings
+        setup = Configuration.from_keywords(settings, RENDER_KEYWORDS)
+        model, method, step, self.choice = resolve_fidelity(setup)
         self.simulator = Simulator(model, method, step, setup.control_period)
         self.setup, self.task, self.torque_limit = setup, setup.task, np.array(setup.torque_limit)
         self.episodes = Episodes(setup, self.simulator.batch)
@@ -148,7 +148,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         self.metadata = FlexManEnv.metadata | {"render_fps": round(1 / self.simulator.control_period)}
         self._shape = (size,)
         self._allowed = f"{size} numbers from -1 to 1"
-        self._rendering = make_rendering(render_mode, self.episodes, setup.id, given)
+        self._rendering = make_renderer(render_mode, self.episodes, setup.id, given)
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -169,11 +169,11 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
             ValueError: one line, for a seed or options that are not allowed. The next reset gives what it would have
                 given, but the episode may be over.
         """
-        whole = None if seed is None else whole_number("seed", seed, 0, LARGEST_SEED)
+        whole = None if seed is None else whole_number("seed", seed, 0, MAX_SEED)
         check_parameters(options, self.simulator.batch)
         with self._undoing(options):
             super().reset(seed=whole)
-            self.episodes.reset(ONLY, [self.np_random], options)
+            self.episodes.reset(SINGLE_ARM, [self.np_random], options)
         self._show()
         return self.episodes.agent.observations[0].copy(), self._info()
 
@@ -187,7 +187,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         episodes = self.episodes
         if episodes.over[0]:
             raise RuntimeError("the episode is over: reset the environment first")
-        values = checked_actions("action", action, self._shape, self._allowed)
+        values = validate_actions("action", action, self._shape, self._allowed)
         reward, info = episodes.step(values[None]).item(), self._info()
         self._show()
         seen = episodes.agent.observations[0].copy()

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from flexman_gym.common.arrays import Array, Flags, IntArray
+from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import number_array, one_of, value_error
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.control.actions import ActionMode, make_action_mode
@@ -16,18 +16,18 @@ from flexman_gym.control.agent import Agent
 from flexman_gym.control.controller import Controller, EpisodeInfo
 from flexman_gym.envs.active_effects import ActiveEffects
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.reset_options import parse_options, replace_tip_positions
+from flexman_gym.envs.config.reset_options import parse_reset_options, replace_tip_positions
 from flexman_gym.envs.config.specification import make_base_controller, make_plant
-from flexman_gym.envs.effects import Stage
+from flexman_gym.envs.effects import EffectContext
 from flexman_gym.envs.limits import limit_violation
 from flexman_gym.envs.measurements import Measurements
-from flexman_gym.envs.sensors import Sensors, find_sensors, measured_names
+from flexman_gym.envs.sensors import SensorArray, find_sensors, measured_names
 from flexman_gym.envs.sensors.sensor import MeasuredView
-from flexman_gym.envs.tasks.rewards import reward_terms, total
+from flexman_gym.envs.tasks.rewards import reward_terms, sum_terms
 from flexman_gym.envs.tasks.task import goal_path
 from flexman_gym.envs.view import Number, View
 from flexman_gym.kernels import layout
-from flexman_gym.kernels.control_period import advance_ages, all_within, flag_violations, request_torques
+from flexman_gym.kernels.control_period import all_within, apply_actions, count_episode_periods, flag_violations
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.trajectory import energy_alarm
@@ -40,13 +40,13 @@ def action_space(size: int) -> spaces.Space[Any]:
     return spaces.Box(-1.0, 1.0, (size,), dtype=np.float32)
 
 
-def design_mode(setup: Configuration, model: Model) -> tuple[Controller | None, ActionMode]:
+def make_base_and_mode(setup: Configuration, model: Model) -> tuple[Controller | None, ActionMode]:
     """Return base controller and action mode of the agent of an environment, designed for a model of its arm."""
     base = make_base_controller(setup, model)
     return base, make_action_mode(setup.actions, make_plant(setup, model), base)
 
 
-def checked_actions(name: str, value: object, shape: tuple[int, ...], allowed: str) -> Array:
+def validate_actions(name: str, value: object, shape: tuple[int, ...], allowed: str) -> Array:
     """The actions as a new array of floats; raises ValueError for another shape and for numbers outside -1 to 1.
 
     Numbers beyond by what float32 may round, less than 1e-6, count as -1 or 1.
@@ -120,7 +120,7 @@ class Episodes:
         arms = len(batch.rows)
         self._limits = np.concatenate(list(setup.limits.bounds(self.view).values()))
         self.motors = _Motors(setup.torque_limit, arms, setup.lag)
-        base, mode = design_mode(setup, batch.model)
+        base, mode = make_base_and_mode(setup, batch.model)
         observed, inner = [*setup.sensors, *setup.task.sensors], find_sensors(mode.sensors)
         self.effects = self._effects(setup, [*observed, *inner])
         self.measurements = Measurements(self.view, setup.limits, observed, inner, self.effects)
@@ -145,7 +145,7 @@ class Episodes:
             return None
         bound = MeasuredView(self.view, setup.limits, measured_names(sensors)).bound
         nominal = np.array(setup.torque_limit)
-        stage = Stage(self.batch, setup.limits, bound, self.motors.limits, nominal, randomisation.impulse_gap)
+        stage = EffectContext(self.batch, setup.limits, bound, self.motors.limits, nominal, randomisation.impulse_gap)
         return ActiveEffects(randomisation, stage)
 
     @property
@@ -154,7 +154,7 @@ class Episodes:
         return self.agent.base
 
     @property
-    def sensors(self) -> Sensors:
+    def sensors(self) -> SensorArray:
         """What is seen of the arms."""
         return self.measurements.sensors
 
@@ -210,7 +210,7 @@ class Episodes:
         for each in drawn:
             self._check_plan(each)
         plan = {name: np.array([each[name] for each in drawn]) for name in drawn[0]} if drawn else {}
-        given = parse_options(options, plan, (len(self.over), self.batch.model.n_joints))
+        given = parse_reset_options(options, plan, (len(self.over), self.batch.model.n_joints))
         parameters = {name: values[arms] for name, values in given.pop("parameters", {}).items()}
         if self.effects is not None:
             parameters = self.effects.draw(arms, randoms, parameters)
@@ -291,7 +291,7 @@ class Episodes:
         self._observe(begun & ~self.view.failed)
         return rewards / np.maximum(count, 1.0)
 
-    def _period(self, playing: Flags) -> None:
+    def _period(self, playing: BoolArray) -> None:
         """Moves the arms that are playing by one control period."""
         view, motors, everyone = self.view, self.motors, playing is self._all
         actions = np.ascontiguousarray(self.agent.act(self._readings(), view.action.copy(), ~self.over))
@@ -300,7 +300,7 @@ class Episodes:
             arriving = np.ascontiguousarray(self.effects.motor_actions(actions))
             self.effects.disturb(motors.forces, motors.accelerations, self.over)
         arriving = motors.followed(arriving)
-        request_torques(actions, arriving, motors.limits, playing, motors.drive, view.action, view.effort)
+        apply_actions(actions, arriving, motors.limits, playing, motors.drive, view.action, view.effort)
         self.batch.step(motors.drive, None if everyone else playing)
         if self.task.moves:
             self._move_goals(playing)
@@ -308,7 +308,7 @@ class Episodes:
         self.forget()
         self.measurements.sample(None if everyone else np.flatnonzero(playing))
 
-    def _judge(self, playing: Flags, last: bool) -> None:
+    def _judge(self, playing: BoolArray, last: bool) -> None:
         """Ends the episodes of arms that are playing and have left their limits or lasted long enough.
 
         After the last period of an action it reads the sensors too, whose numbers have bounds of their own.
@@ -321,12 +321,12 @@ class Episodes:
             observations, bound = self.measurements.read(), self.sensors.bound
         if flag_violations(view.motion, self._limits, observations, bound, self.batch.status, self._beyond):
             self._fail(np.flatnonzero(self._beyond & playing))
-        if advance_ages(self._ages, playing, self.longest, self.truncated):
+        if count_episode_periods(self._ages, playing, self.longest, self.truncated):
             self.over |= self.truncated
         if self.watch is not None:
             self.watch()
 
-    def _move_goals(self, playing: Flags) -> None:
+    def _move_goals(self, playing: BoolArray) -> None:
         """Sets the goals of this moment, and how fast the targets have come there, of the arms that are playing."""
         view, arms = self.view, slice(None) if playing is self._all else playing
         goal = self.task.goal(view.plan, self.batch.time, view)
@@ -338,7 +338,7 @@ class Episodes:
         """Return the readings of the agent's mode, name -> (b, size)."""
         return self.measurements.readings if self.agent.mode.sensors else {}
 
-    def _observe(self, arms: Flags) -> None:
+    def _observe(self, arms: BoolArray) -> None:
         """Update the observations of the arms (b,)."""
         observed = self.measurements.read()
         self.agent.observe(observed, self._readings() if self.agent.shows else {}, self.view.action.copy(), arms)
@@ -376,7 +376,7 @@ class Episodes:
 
     def rewards(self) -> Array:
         """Return the rewards (b,) of the control period just over."""
-        result = total(self.terms)
+        result = sum_terms(self.terms)
         return result if isinstance(result, np.ndarray) and result.ndim else np.array([result] * len(self.over))
 
     def info(self) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.envs.active_effects import ActiveEffects
 from flexman_gym.envs.limits import Limits
-from flexman_gym.envs.sensors import Sensors, measured_names
+from flexman_gym.envs.sensors import SensorArray, measured_names
 from flexman_gym.envs.sensors.sensor import MeasuredView
 from flexman_gym.envs.view import View
 
@@ -41,8 +41,8 @@ class Measurements:
         if effects is not None and effects.measures:
             self._measured = MeasuredView(view, limits, measured_names([*observed, *inner]))
         source = self._measured or view
-        self.sensors = Sensors(observed, source, limits)  # type: ignore[arg-type]
-        self._base_sensors = Sensors(inner, source, limits, "base", self.sensors)  # type: ignore[arg-type]
+        self.sensors = SensorArray(observed, source, limits)  # type: ignore[arg-type]
+        self._base_sensors = SensorArray(inner, source, limits, "base", self.sensors)  # type: ignore[arg-type]
         self._read, self._base_read = False, False  # in this control period
 
     def begin(self, arms: IntArray, randoms: Sequence[np.random.Generator]) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
 
-BLOCK = 32  # samples whose noise is drawn at once
+BLOCK_SIZE = 32  # samples whose noise is drawn at once
 TRUNCATION = 4.0  # standard deviations; noise beyond it is drawn again
 
 
@@ -44,15 +44,15 @@ class TruncatedNoise:
 
     def __init__(self, arms: int, size: int) -> None:
         self._inner: list[Any] = [None] * arms
-        self._block, self._used = np.zeros((arms, BLOCK, size)), np.zeros(arms, dtype=np.int64)
+        self._block, self._used = np.zeros((arms, BLOCK_SIZE, size)), np.zeros(arms, dtype=np.int64)
 
     def begin(self, arm: int, stream: np.random.Generator) -> None:
         """Starts the noise of an episode by one draw of a stream."""
-        self._inner[arm], self._used[arm] = np.random.default_rng(stream.integers(2**63)), BLOCK
+        self._inner[arm], self._used[arm] = np.random.default_rng(stream.integers(2**63)), BLOCK_SIZE
 
     def sample(self, arms: IntArray) -> Array:
         """The next numbers (r, size) of the arms (r,)."""
-        for arm in arms[self._used[arms] == BLOCK].tolist():
+        for arm in arms[self._used[arms] == BLOCK_SIZE].tolist():
             self._block[arm], self._used[arm] = _normal(self._inner[arm], self._block.shape[1:]), 0
         result = self._block[arms, self._used[arms]]
         self._used[arms] += 1

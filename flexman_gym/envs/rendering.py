@@ -12,9 +12,9 @@ from flexman_gym.draw.overlay import Caption
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.model.deformation import curves
 
-RENDER = ("render_mode", "render_size", "render_camera", "render_gain", "render_overlays")
-MODES = ("human", "rgb_array")
-TRAIL = 1.5  # s of the way of the tip
+RENDER_KEYWORDS = ("render_mode", "render_size", "render_camera", "render_gain", "render_overlays")
+RENDER_MODES = ("human", "rgb_array")
+TRAIL_DURATION = 1.5  # s of the way of the tip
 PLACES, BETWEEN, TIMES = 5, 7, 24  # on each link; postures from start to goal; moments of a goal that moves
 
 
@@ -47,7 +47,7 @@ class _Renderer:
         if self._is_new(arm):
             self._trails[arm], self._shots[arm] = [], self._painter.shot(self.stage(arm))
         time = float(episodes.batch.time[arm])
-        trail = [entry for entry in self._trails[arm] if time - TRAIL <= entry[0] < time]
+        trail = [entry for entry in self._trails[arm] if time - TRAIL_DURATION <= entry[0] < time]
         self._trails[arm] = [*trail, (time, view.tip[arm].copy())]
         reward = float(episodes.rewards()[arm]) if time > 0.0 else None
         caption = Caption(self._title, time, float(view.tip_error[arm]), reward, view.action[arm].copy())
@@ -99,8 +99,8 @@ class _Renderer:
         return np.concatenate([places, goal.target, view.target[arm : arm + 1]])
 
 
-def make_rendering(
-    mode: str | None, episodes: Episodes, title: str, look: tuple[Any, ...], modes: tuple[str, ...] = MODES
+def make_renderer(
+    mode: str | None, episodes: Episodes, title: str, look: tuple[Any, ...], modes: tuple[str, ...] = RENDER_MODES
 ) -> _Renderer | None:
     """Gives what renders in a mode, None for none.
 

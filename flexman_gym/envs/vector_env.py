@@ -10,17 +10,17 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from flexman_gym.common.arrays import Array, Flags, IntArray, Vector
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector
 from flexman_gym.common.checks import one_of, sequence, value_error, whole_number
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.reset_options import check_parameters
-from flexman_gym.envs.env import LARGEST_SEED, FlexManEnv, observation_space
-from flexman_gym.envs.episodes import Episodes, action_space, checked_actions
-from flexman_gym.envs.rendering import RENDER, make_rendering
+from flexman_gym.envs.env import MAX_SEED, FlexManEnv, observation_space
+from flexman_gym.envs.episodes import Episodes, action_space, validate_actions
+from flexman_gym.envs.rendering import RENDER_KEYWORDS, make_renderer
 from flexman_gym.envs.stateful import Observations, StatefulEnv
 from flexman_gym.kernels import layout
-from flexman_gym.simulation.batch import MOST_ARMS, Batch
+from flexman_gym.simulation.batch import MAX_ARMS, Batch
 
 Infos = dict[str, Any]
 
@@ -30,7 +30,7 @@ def _batched(info: Infos) -> Infos:
     return {key: _batched(value) if isinstance(value, dict) else np.array([value]) for key, value in info.items()}
 
 
-def _with_masks(infos: Infos, mask: Flags) -> Infos:
+def _with_masks(infos: Infos, mask: BoolArray) -> Infos:
     """The infos with a mask for each key, those of dicts inside too."""
     result = {}
     for key, value in infos.items():
@@ -39,7 +39,7 @@ def _with_masks(infos: Infos, mask: Flags) -> Infos:
     return result
 
 
-def _masked(infos: Infos, mask: Flags) -> Infos:
+def _masked(infos: Infos, mask: BoolArray) -> Infos:
     """Infos of the arms of a mask alone, zero (None for objects) elsewhere."""
     result: Infos = {}
     for key, value in infos.items():
@@ -52,11 +52,11 @@ def _masked(infos: Infos, mask: Flags) -> Infos:
     return result
 
 
-LONGEST = 10**9  # steps of an episode
-INFOS = ("always", "at end")
-LARGEST_STRIDE = 10**12
-OWN = ("num_envs", "threads", "max_episode_steps", "autoreset_mode", "infos", "seed_stride", *RENDER)
-EACH = ("render", "np_random", "np_random_seed")  # what has an entry for each arm already
+MAX_STEPS = 10**9  # steps of an episode
+INFO_MODES = ("always", "at end")
+MAX_SEED_STRIDE = 10**12
+OWN_KEYWORDS = ("num_envs", "threads", "max_episode_steps", "autoreset_mode", "infos", "seed_stride", *RENDER_KEYWORDS)
+INDEXED_ATTRIBUTES = ("render", "np_random", "np_random_seed")  # what has an entry for each arm already
 
 
 class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
@@ -112,22 +112,22 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         modes = {mode.value: mode for mode in AutoresetMode}
         chosen = autoreset_mode.value if isinstance(autoreset_mode, AutoresetMode) else autoreset_mode
         self.autoreset_mode = modes[one_of("autoreset_mode", chosen, modes)]
-        self.num_envs = whole_number("num_envs", num_envs, 1, MOST_ARMS)
-        self._at_end = one_of("infos", infos, INFOS) == "at end"
-        self._stride = whole_number("seed_stride", seed_stride, 1, LARGEST_STRIDE)
+        self.num_envs = whole_number("num_envs", num_envs, 1, MAX_ARMS)
+        self._at_end = one_of("infos", infos, INFO_MODES) == "at end"
+        self._stride = whole_number("seed_stride", seed_stride, 1, MAX_SEED_STRIDE)
         self.render_mode, look = render_mode, (render_size, render_camera, render_gain, render_overlays)
         given = num_envs, threads, max_episode_steps, autoreset_mode, infos, seed_stride, render_mode, *look
-        self._made = dict(zip(OWN, given, strict=True)) | settings
-        setup = Configuration.from_keywords(settings, OWN)
-        model, method, step, self.choice = build(setup)
+        self._made = dict(zip(OWN_KEYWORDS, given, strict=True)) | settings
+        setup = Configuration.from_keywords(settings, OWN_KEYWORDS)
+        model, method, step, self.choice = resolve_fidelity(setup)
         period = setup.control_period
         self.batch = Batch(model, method, step, period, arms=num_envs, threads=threads)
         self.setup, self.task, self.torque_limit = setup, setup.task, np.array(setup.torque_limit)
         self.episodes = Episodes(setup, self.batch)
-        self._rendering = make_rendering(render_mode, self.episodes, setup.id, look, ("rgb_array",))
+        self._rendering = make_renderer(render_mode, self.episodes, setup.id, look, ("rgb_array",))
         if max_episode_steps is not None:
             self.episodes.longest = setup.action_repeat * whole_number(
-                "max_episode_steps", max_episode_steps, 1, LONGEST
+                "max_episode_steps", max_episode_steps, 1, MAX_STEPS
             )
         self.max_episode_steps = -(-self.episodes.longest // setup.action_repeat)
         self.sensors = self.episodes.sensors
@@ -168,7 +168,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         infos = {} if self._at_end else self._infos()
         return self.episodes.agent.observations.copy(), infos if mask is None else _masked(infos, mask)
 
-    def step(self, actions: NDArray[Any]) -> tuple[Observations, Array, Flags, Flags, Infos]:
+    def step(self, actions: NDArray[Any]) -> tuple[Observations, Array, BoolArray, BoolArray, Infos]:
         """Applies actions (num_envs, k) for `action_repeat` control periods, and resets as the autoreset mode says.
 
         Raises:
@@ -176,7 +176,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
             RuntimeError: before a reset and, with autoreset_mode="Disabled", for an arm whose episode is over.
         """
         episodes, over = self.episodes, self.episodes.over
-        values = checked_actions("actions", actions, self._shape, self._allowed)
+        values = validate_actions("actions", actions, self._shape, self._allowed)
         late = np.flatnonzero(over) if np.count_nonzero(over) else None
         if late is not None and (self.autoreset_mode != AutoresetMode.NEXT_STEP or None in self._randoms):
             raise RuntimeError(f"the episodes of arms {late.tolist()} are over: reset them first")
@@ -219,13 +219,13 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
             )
         value = getattr(self, f"single_{name}" if name in ("observation_space", "action_space") else name)
         value = value(*args, **named) if callable(value) else value
-        return tuple(value) if name in EACH and value is not None else (value,) * self.num_envs
+        return tuple(value) if name in INDEXED_ATTRIBUTES and value is not None else (value,) * self.num_envs
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
         """Gives an attribute once for each arm, see `call`."""
         return self.call(name)
 
-    def _finish(self, ended: Flags, infos: Infos) -> Infos:
+    def _finish(self, ended: BoolArray, infos: Infos) -> Infos:
         """Resets the arms that have ended; returns the infos of all, with what the ended ones were."""
         final = np.full(self.num_envs, None, dtype=object)
         arms = np.flatnonzero(ended)
@@ -276,16 +276,15 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         if seed is None:
             return [None] * self.num_envs
         if isinstance(seed, int | np.integer):
-            first = whole_number("seed", seed, 0, LARGEST_SEED)
+            first = whole_number("seed", seed, 0, MAX_SEED)
             return [first * self._stride + arm for arm in range(self.num_envs)]
         if not isinstance(seed, list | tuple | np.ndarray) or len(sequence("seed", seed)) != self.num_envs:
             raise value_error("seed", seed, f"a whole number, or a list of {self.num_envs}")
         return [
-            each if each is None else whole_number(f"seed[{arm}]", each, 0, LARGEST_SEED)
-            for arm, each in enumerate(seed)
+            each if each is None else whole_number(f"seed[{arm}]", each, 0, MAX_SEED) for arm, each in enumerate(seed)
         ]
 
-    def _checked_mask(self, mask: object) -> Flags:
+    def _checked_mask(self, mask: object) -> BoolArray:
         if isinstance(mask, np.ndarray) and mask.shape == (self.num_envs,) and mask.dtype == bool and mask.any():
             return mask
         raise value_error("options['reset_mask']", mask, f"an array ({self.num_envs},) of bool, not all of them False")

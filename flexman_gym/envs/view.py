@@ -8,11 +8,11 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.kernels import layout
-from flexman_gym.kernels.control_period import fill_views, linear_readings
+from flexman_gym.kernels.control_period import fill_views, sparse_product
 from flexman_gym.kernels.rigid_arm import inverse_kinematics
 from flexman_gym.model.deformation import gauge_radii
 from flexman_gym.model.dynamics import frequencies
-from flexman_gym.model.linearization import UNITS, LinearReadings
+from flexman_gym.model.linearization import MEASUREMENT_UNITS, LinearMeasurements
 from flexman_gym.model.statics import rest_states, rest_tips
 from flexman_gym.simulation.batch import Batch
 
@@ -77,10 +77,10 @@ class View:
         self.lengths, self.reach = constants.length, float(constants.length.sum())
         self.heavy = bool(constants.gravity.any())
         self.gauge_radii = gauge_radii(model)
-        self._readings = LinearReadings(model)
+        self._readings = LinearMeasurements(model)
         end = 8 * self.n_joints
         self.places = self._readings.places | {"tip_velocity": slice(end, end + 3)}
-        self.units = UNITS | {
+        self.units = MEASUREMENT_UNITS | {
             "joint_angles": "rad", "joint_rates": "rad/s", "tip": "m", "tip_velocity": "m/s", "deflection": "m",
             "deflection_rate": "m/s", "tip_acceleration": "m/s^2", "specific_force": "m/s^2",
         }  # fmt: skip
@@ -124,9 +124,9 @@ class View:
 
     @property
     def root_strains(self) -> Array:
-        """Strains (b, 3 n) at the root of each link, see `model.deformation.root_gauges`; worked out when asked for."""
+        """Strains (b, 3 n) at the root of each link, see `model.deformation.root_strain_matrix`; worked out when asked for."""
         result = np.zeros((len(self._batch.rows), 3 * self.n_joints))
-        linear_readings(self._batch.rows, *self._readings.strains, result)
+        sparse_product(self._batch.rows, *self._readings.strains, result)
         return result if self.motion.ndim > 1 else result[0]
 
     @property

@@ -1,8 +1,8 @@
 """Evaluation: what judges controllers and policies: one loop, figures of what happened, and a table."""
 
-from flexman_gym.common.renamed import old_names
+from flexman_gym.common.renamed import deprecated_names
 from flexman_gym.evaluation.agent import BASELINES, AgentSpec, find_agent
-from flexman_gym.evaluation.metrics import METRICS, Metric, evaluate, table
+from flexman_gym.evaluation.metrics import METRICS, Metric, evaluate, metrics_table
 from flexman_gym.evaluation.optimisation import TunedGains, tune
 from flexman_gym.evaluation.rollout import EpisodeRecord, Rollout, rollout
 
@@ -16,9 +16,9 @@ __all__ = [
     "TunedGains",
     "evaluate",
     "find_agent",
+    "metrics_table",
     "rollout",
-    "table",
     "tune",
 ]
 
-__getattr__ = old_names(__name__)
+__getattr__ = deprecated_names(__name__)

@@ -11,22 +11,25 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.common.arrays import Array, Flags, IntArray
+from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import short_path, value_error
 from flexman_gym.common.files import existing_file
-from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_data, read_settings
+from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_npz, read_settings
 from flexman_gym.control.agent import Law
-from flexman_gym.control.base_controllers import BASES, checked_base
+from flexman_gym.control.base_controllers import BASES, parse_base
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
 from flexman_gym.control.network import Network
 from flexman_gym.envs.config.configuration import Configuration, current_name
-from flexman_gym.envs.config.fidelity import build
-from flexman_gym.envs.episodes import design_mode
+from flexman_gym.envs.config.fidelity import resolve_fidelity
+from flexman_gym.envs.episodes import make_base_and_mode
 from flexman_gym.evaluation.policy_files import ABOUT, POLICIES, policy_folder, read_policy
 
 INTERFACE = ("base", "action_repeat", "sensors", "history", "actions")  # settings of what acts, not of what is moved
-IDLE = {"zero": "no torque at all", "random": "random torques"}  # agents without a controller: name -> description
-BASELINES = (*BASES, *IDLE)
+LAWLESS_AGENTS = {
+    "zero": "no torque at all",
+    "random": "random torques",
+}  # agents without a controller: name -> description
+BASELINES = (*BASES, *LAWLESS_AGENTS)
 """Agents that need no training, by name."""
 AGENTS = (*BASELINES, *POLICIES)  # all that have a name
 
@@ -63,7 +66,7 @@ def find_agent(entrant: object) -> AgentSpec:
     if isinstance(entrant, Controller) and not isinstance(entrant, type):
         return AgentSpec(type(entrant).__name__, None, {"base": entrant})
     if isinstance(entrant, dict):
-        return AgentSpec(checked_base(entrant)[0], None, {"base": entrant})
+        return AgentSpec(parse_base(entrant)[0], None, {"base": entrant})
     if hasattr(entrant, "predict") and not isinstance(entrant, type):
         return predictor_agent(entrant)
     name = str(entrant)
@@ -76,7 +79,7 @@ def find_agent(entrant: object) -> AgentSpec:
     if name == "random":
         return AgentSpec(name, None, {"base": _RandomTorques()})
     if name.endswith(".zip"):
-        raise _untrusted(name)
+        raise _untrusted_file_error(name)
     if not os.path.isdir(name):  # whatever the name is
         allowed = f"the folder of a training run, or one of {', '.join(AGENTS)}"
         raise FileNotFoundError(f"entrant: {short_path(name)} is not allowed; give {allowed}")
@@ -96,7 +99,7 @@ def load_policy(folder: Path) -> AgentSpec:
             raise value_error(
                 "observation", about["observation"], "the names, units and sizes that its sensors read here"
             )
-        return learned_agent(folder.name, network, described, about["recipe"]["settings"].get("base_in_use"))
+        return network_agent(folder.name, network, described, about["recipe"]["settings"].get("base_in_use"))
     except ValueError as error:
         raise ValueError(f"{short_path(folder / ABOUT)}: {error}") from None
 
@@ -150,7 +153,7 @@ def load_run(folder: Path) -> AgentSpec:
         FileNotFoundError, ValueError: one clear line.
     """
     if is_sb3_folder(folder):
-        raise _untrusted(folder)
+        raise _untrusted_file_error(folder)
     settings = read_settings(folder)
     try:
         described = Configuration.from_plain(settings["environment"])
@@ -160,21 +163,21 @@ def load_run(folder: Path) -> AgentSpec:
         said = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ValueError(f"{short_path(folder / SETTINGS)}: {said}; give the settings of a training run") from None
     path = folder / BEST if (folder / BEST).is_file() else existing_file(folder / NEWEST)
-    data = read_data(path)
+    data = read_npz(path)
     check_settings(path, data, settings)
     try:
         network = Network(algo, activation, data.get("policy"), data.get("statistics"))
     except ValueError as error:
         raise ValueError(f"{short_path(path)}: {error}") from None
-    return learned_agent(folder.name, network, described, in_use)
+    return network_agent(folder.name, network, described, in_use)
 
 
-def _untrusted(place: object) -> ValueError:
+def _untrusted_file_error(place: object) -> ValueError:
     allowed = "--trust, if you trust whoever made them: they are pickles, which run any code when they are read"
     return ValueError(f"entrant: the files of Stable-Baselines3 in {place} are not read; give {allowed}")
 
 
-def learned_agent(name: str, network: Law, described: Configuration, in_use: object = None) -> AgentSpec:
+def network_agent(name: str, network: Law, described: Configuration, in_use: object = None) -> AgentSpec:
     """Return the specification of a network with the environment of its training.
 
     Its base controller and action mode are those of that environment wherever it acts; a base in use is made for the
@@ -184,7 +187,7 @@ def learned_agent(name: str, network: Law, described: Configuration, in_use: obj
     agent = AgentSpec(name, network, interface, environment)
     if in_use is None:
         return design_for(agent, described)
-    checked_base(in_use)
+    parse_base(in_use)
     interface.pop("gains", None)
     return replace(agent, interface={**interface, "base": in_use})
 
@@ -209,7 +212,7 @@ def design_for(agent: AgentSpec, environment: Configuration) -> AgentSpec:
     if agent.interface is None:
         return agent
     whole = environment.replace(**agent.interface)
-    base, mode = design_mode(whole, build(whole).model)
+    base, mode = make_base_and_mode(whole, resolve_fidelity(whole).model)
     others = {name: value for name, value in agent.interface.items() if name != "gains"}
     return replace(agent, interface={**others, "base": base, "actions": mode})
 
@@ -257,13 +260,13 @@ class _RandomTorques:
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes."""
 
-    def act(self, readings: Readings, applied: Array, playing: Flags) -> Array:
+    def act(self, readings: Readings, applied: Array, playing: BoolArray) -> Array:
         """Return torques (b, n), parts of the limits."""
         return self._random.uniform(-1.0, 1.0, applied.shape).astype(np.float32).astype(np.float64)
 
 
 SB3_MODEL = "model.zip"  # of Stable-Baselines3
-FREE = ("steps", "judge_every")  # settings that a resumed run may change
+CHANGEABLE_SETTINGS = ("steps", "judge_every")  # settings that a resumed run may change
 
 
 def is_sb3_folder(folder: Path) -> bool:
@@ -282,14 +285,14 @@ def check_settings(path: Path, data: Any, settings: Mapping[str, Any]) -> None:
     kept = data.get("settings") if isinstance(data, dict) else None
     if not isinstance(kept, dict):
         raise ValueError(f"{path}: this is not what a training run has written (it has no settings)")
-    names = kept.keys() - set(FREE)
-    changed = [name for name in names if not _alike(settings.get(name), kept.get(name))]
+    names = kept.keys() - set(CHANGEABLE_SETTINGS)
+    changed = [name for name in names if not _is_equal(settings.get(name), kept.get(name))]
     if changed:
         allowed = f"the settings with which {path.name} was written: {', '.join(sorted(changed))} is another now"
         raise ValueError(f"{path.parent / SETTINGS}: this was changed; give {allowed}")
 
 
-def _alike(setting: object, kept: object) -> bool:
+def _is_equal(setting: object, kept: object) -> bool:
     """Return whether a setting equals the kept one, which is an array in a forged file."""
     try:
         return bool(setting == kept)

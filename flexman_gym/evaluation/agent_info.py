@@ -6,11 +6,11 @@ from typing import Any
 
 from flexman_gym.common.checks import short_path, value_error
 from flexman_gym.common.run_folder import SETTINGS, read_settings
-from flexman_gym.common.time_series import read_csv_lines
+from flexman_gym.common.time_series import read_csv_rows
 from flexman_gym.control.base_controllers import BASES
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.sensors import plain_sensors
-from flexman_gym.evaluation.agent import BASELINES, IDLE
+from flexman_gym.evaluation.agent import BASELINES, LAWLESS_AGENTS
 from flexman_gym.evaluation.policy_files import policy_folder, read_policy
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, training_seed
 
@@ -27,8 +27,8 @@ def describe_agent(agent: str) -> tuple[str, str]:
     """
     if agent in BASES:
         return BASES[agent].description, BASES[agent].tuning
-    if agent in IDLE:
-        return IDLE[agent], "none"
+    if agent in LAWLESS_AGENTS:
+        return LAWLESS_AGENTS[agent], "none"
     settings, seconds = _settings(agent), training_seconds(agent)
     base = settings.get("base_in_use") or (settings.get("environment") or {}).get("base")
     what = f"a policy that {str(settings.get('algo', 'a recipe')).upper()} has trained"
@@ -64,7 +64,7 @@ def training_seconds(agent: str) -> float | None:
         return float(read_policy(folder).about["training_seconds"])
     result = None
     for path in () if agent in BASELINES else sorted(Path(agent).glob("progress*.csv")):
-        names, *rows = [*read_csv_lines(path)] or [[]]
+        names, *rows = [*read_csv_rows(path)] or [[]]
         at = names.index(TIME_COLUMN) if TIME_COLUMN in names else len(names)
         try:
             times = [float(row[at]) for row in rows if row[at:] and row[at]]
@@ -74,7 +74,7 @@ def training_seconds(agent: str) -> float | None:
     return result
 
 
-def check_unseen(agent: str, seeds: Sequence[int]) -> None:
+def check_seeds_unseen(agent: str, seeds: Sequence[int]) -> None:
     """Check that a run was not trained or selected on the episodes of some seeds, according to its settings.
 
     Raises:

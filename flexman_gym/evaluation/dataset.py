@@ -7,12 +7,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from flexman_gym.common.grid import Workers, collect_cells
+from flexman_gym.common.parallel import Workers, parallel_map
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.rollout import compile_kernels, find_environment, rollout
 
 BLOCK = 50  # episodes side by side
-SEEN = ("sensors", "history")  # settings of an agent that the environment of a dataset keeps
+OBSERVATION_SETTINGS = ("sensors", "history")  # settings of an agent that the environment of a dataset keeps
 
 
 def record_dataset(
@@ -42,11 +42,11 @@ def record_dataset(
         from minari.data_collector import EpisodeBuffer
     except ImportError:
         raise ImportError("datasets need Minari: pip install 'flexman_gym[scale]'") from None
-    bare = bare_environment(find_environment(environment))
+    bare = dataset_environment(find_environment(environment))
     single = gym.make(bare.id, **bare.settings)
     cells = [(entrant, bare, tuple(seeds[i : i + BLOCK])) for i in range(0, len(seeds), BLOCK)]
     episodes = [
-        each for block in collect_cells(record_episodes, cells, workers, prepare=compile_kernels) for each in block
+        each for block in parallel_map(record_episodes, cells, workers, prepare=compile_kernels) for each in block
     ]
     buffers = [EpisodeBuffer(id=number, **episode) for number, episode in enumerate(episodes)]
     with warnings.catch_warnings():
@@ -57,7 +57,7 @@ def record_dataset(
         )  # fmt: skip
 
 
-def bare_environment(described: Configuration) -> Configuration:
+def dataset_environment(described: Configuration) -> Configuration:
     """Gives an environment without base, held actions and other meanings of these, as plain data without files."""
     whole = described.to_plain()
     names = (name for name in described.settings if name not in ("base", "gains", "action_repeat", "actions"))
@@ -67,7 +67,9 @@ def bare_environment(described: Configuration) -> Configuration:
 def record_episodes(cell: tuple[str, Configuration, tuple[int, ...]]) -> list[dict[str, Any]]:
     """Plays episodes side by side, then their actions alone; gives what Minari keeps of each."""
     entrant, bare, seeds = cell
-    moved = Configuration(bare.id, {name: value for name, value in bare.settings.items() if name not in SEEN})
+    moved = Configuration(
+        bare.id, {name: value for name, value in bare.settings.items() if name not in OBSERVATION_SETTINGS}
+    )
     actions = np.nan_to_num(rollout(entrant, moved, seeds).actions).astype(np.float32)
     venv = gym.make_vec(bare.id, len(seeds), "vector_entry_point", autoreset_mode="Disabled", infos="at end",
                         **bare.keywords())  # fmt: skip
@@ -81,10 +83,10 @@ def record_episodes(cell: tuple[str, Configuration, tuple[int, ...]]) -> list[di
         seen.append(observations)
         told.append(rest)
     venv.close()
-    return [*_cut(seeds, np.array(seen), actions, [np.array(each) for each in zip(*told, strict=True)])]
+    return [*_split_episodes(seeds, np.array(seen), actions, [np.array(each) for each in zip(*told, strict=True)])]
 
 
-def _cut(seeds: Sequence[int], seen: Any, actions: Any, told: Sequence[Any]) -> Iterator[dict[str, Any]]:
+def _split_episodes(seeds: Sequence[int], seen: Any, actions: Any, told: Sequence[Any]) -> Iterator[dict[str, Any]]:
     """Each episode to its end."""
     rewards, terminations, truncations = told
     for arm, seed in enumerate(seeds):

@@ -8,35 +8,46 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.control.controller import Controller
-from flexman_gym.control.input_shaping.shapers import ringing_modes
+from flexman_gym.control.input_shaping.shapers import excited_modes
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.evaluation.agent import AgentSpec
 from flexman_gym.evaluation.rollout import Rollout, find_environment, rollout
 
-WINDOW, PERIODS = (
+WINDOW, MIN_MODE_PERIODS = (
     3.0,
     2.0,
 )  # s at the end that are looked at, or so many periods of the slowest mode where that is longer
-MOST_WINDOW = 0.5  # of an episode
-LEAST = 32  # samples
-TONES = 4  # that are looked for
-TONE = 0.1  # of what is left beside the offset, that a tone must explain to be one
-FED = 0.5  # of the energy that the arm dissipates, from which on the motors keep its motion up
-PERIODIC = 0.5  # of the variance of actions, that lies in the tones of the tip where a controller answers these alone
-SLOW = 0.5  # part of the slowest mode's frequency; a slower tone with fewer than CYCLES cycles is a transient
-CYCLES = 1.9  # cycles in the window, from which on a slow tone is a vibration
-SWAY = 0.5  # part of the motion in the second half of the episode that a slow tone explains to lengthen the window
-SETTLED = 0.25  # RMS of the slow motion about the mean, as a part of the mean; with more the mean is no offset
-NEAR = (0.5, 1.2)  # parts of a mode's frequency, between which a tone is named after it: motors that yield lower it
-SLOWEST = 0.75  # cycles of a tone in the window; less is a drift
-STILL = 1e-12  # mean square of actions, below which nothing acts
-QUIET = 0.05  # of the band of settled tips
-FINER = 8  # places of the spectrum for each that the window tells apart
+MAX_WINDOW_SHARE = 0.5  # of an episode
+MIN_SAMPLES = 32  # samples
+MAX_TONES = 4  # that are looked for
+MIN_TONE_SHARE = 0.1  # of what is left beside the offset, that a tone must explain to be one
+MIN_FED_SHARE = 0.5  # of the energy that the arm dissipates, from which on the motors keep its motion up
+MIN_PERIODIC_SHARE = (
+    0.5  # of the variance of actions, that lies in the tones of the tip where a controller answers these alone
+)
+SLOW_FREQUENCY_RATIO = (
+    0.5  # part of the slowest mode's frequency; a slower tone with fewer than CYCLES cycles is a transient
+)
+MIN_CYCLES = 1.9  # cycles in the window, from which on a slow tone is a vibration
+MIN_SLOW_TONE_SHARE = (
+    0.5  # part of the motion in the second half of the episode that a slow tone explains to lengthen the window
+)
+MAX_TRANSIENT_RATIO = (
+    0.25  # RMS of the slow motion about the mean, as a part of the mean; with more the mean is no offset
+)
+MODE_FREQUENCY_RATIOS = (
+    0.5,
+    1.2,
+)  # parts of a mode's frequency, between which a tone is named after it: motors that yield lower it
+MIN_TONE_CYCLES = 0.75  # cycles of a tone in the window; less is a drift
+ZERO_ACTION = 1e-12  # mean square of actions, below which nothing acts
+NEGLIGIBLE_RATIO = 0.05  # of the band of settled tips
+ZERO_PADDING = 8  # places of the spectrum for each that the window tells apart
 
 RINGING, CYCLE, OFFSET, NOISE = "ringing", "limit cycle", "offset", "noise"
 TRANSIENT, FAILED = "transient", "failed"
-HELP = {
+REMEDIES = {
     RINGING: "shape the command (flexman resonance), slew more slowly, or damp by feedback of the links (lqr, lqg)",
     CYCLE: "lower the gains or the delay: flexman tune finds gains with margins for the delay of the environment",
     OFFSET: "add integral action or the torques that hold the true weight, or look for a bias of sensors",
@@ -164,71 +175,71 @@ def split_error(ending: EpisodeEnd, modes: Mapping[str, float]) -> Diagnosis:
     errors, count = ending.errors, len(ending.errors)
     rms = float(np.sqrt(_power(errors) / count))
     if ending.failure:
-        return Diagnosis(rms, False, dict.fromkeys(HELP, 0.0) | {FAILED: 1.0}, (), ending.failure)
-    parts, frequencies = _fitted(errors, ending.period)
-    coordinates = _projected(parts, errors)
+        return Diagnosis(rms, False, dict.fromkeys(REMEDIES, 0.0) | {FAILED: 1.0}, (), ending.failure)
+    parts, frequencies = _fit_tones(errors, ending.period)
+    coordinates = _project(parts, errors)
     whole = max(_power(errors), np.finfo(float).tiny)
     mean, drift = _power(coordinates[0][:1]) / whole, _power(coordinates[0][1:]) / whole
     shares = np.array([_power(each) for each in coordinates[1:]]) / whole
-    slow = min(SLOW * min(modes.values(), default=0.0), CYCLES / (count * ending.period))
+    slow = min(SLOW_FREQUENCY_RATIO * min(modes.values(), default=0.0), MIN_CYCLES / (count * ending.period))
     causes = [
         TRANSIENT if frequency < slow else cause
-        for frequency, cause in zip(frequencies, _causes(ending, parts, shares), strict=True)
+        for frequency, cause in zip(frequencies, _tone_causes(ending, parts, shares), strict=True)
     ]
     tones = [
-        (frequency, float(share), cause, _named(frequency, modes) if cause == RINGING else "")
+        (frequency, float(share), cause, _nearest_mode(frequency, modes) if cause == RINGING else "")
         for frequency, share, cause in zip(frequencies, shares, causes, strict=True)
     ]
-    sums = dict.fromkeys(HELP, 0.0) | {TRANSIENT: drift, NOISE: max(1.0 - mean - drift - float(shares.sum()), 0.0)}
+    sums = dict.fromkeys(REMEDIES, 0.0) | {TRANSIENT: drift, NOISE: max(1.0 - mean - drift - float(shares.sum()), 0.0)}
     for _, share, cause, _ in tones:
         sums[cause] += share
-    sums[OFFSET if sums[TRANSIENT] <= SETTLED**2 * mean else TRANSIENT] += mean
-    return Diagnosis(rms, rms < QUIET * ending.band, sums, tuple(sorted(tones, key=lambda tone: -tone[1])))
+    sums[OFFSET if sums[TRANSIENT] <= MAX_TRANSIENT_RATIO**2 * mean else TRANSIENT] += mean
+    return Diagnosis(rms, rms < NEGLIGIBLE_RATIO * ending.band, sums, tuple(sorted(tones, key=lambda tone: -tone[1])))
 
 
-def _fitted(errors: Array, period: float) -> tuple[list[Array], list[float]]:
+def _fit_tones(errors: Array, period: float) -> tuple[list[Array], list[float]]:
     """Mean and drift (T, 2) and the tones (T, 4) of errors (T, 3), and the frequencies (Hz) of the tones."""
     count = len(errors)
     parts = [np.stack([np.ones(count), np.linspace(-1.0, 1.0, count)], axis=1)]
-    swing = _power(errors) - _power(*_projected(parts, errors))
+    swing = _power(errors) - _power(*_project(parts, errors))
     frequencies: list[float] = []
-    for _ in range(TONES if count >= LEAST else 0):
-        frequency = _strongest(parts, errors, period)
+    for _ in range(MAX_TONES if count >= MIN_SAMPLES else 0):
+        frequency = _strongest_frequency(parts, errors, period)
         more = [*parts, _tone(frequency, count, period)]
-        if not _power(_projected(more, errors)[-1]) > TONE * swing:
+        if not _power(_project(more, errors)[-1]) > MIN_TONE_SHARE * swing:
             break
         frequencies, parts = [*frequencies, frequency], more
     return parts, frequencies
 
 
-def _sway(errors: Array, period: float) -> float:
+def _slow_tone_frequency(errors: Array, period: float) -> float:
     """The frequency (Hz) of a tone with two cycles in errors (T, 3) that explains most of their motion, else inf."""
     count = len(errors)
-    if count < LEAST:
+    if count < MIN_SAMPLES:
         return np.inf
     level = [np.ones((count, 1))]
-    frequency = _strongest(level, errors, period)
-    level_power, tone_power = (_power(each) for each in _projected([*level, _tone(frequency, count, period)], errors))
-    long = frequency * count * period >= CYCLES
-    return frequency if long and tone_power > SWAY * (_power(errors) - level_power) else np.inf
+    frequency = _strongest_frequency(level, errors, period)
+    level_power, tone_power = (_power(each) for each in _project([*level, _tone(frequency, count, period)], errors))
+    long = frequency * count * period >= MIN_CYCLES
+    return frequency if long and tone_power > MIN_SLOW_TONE_SHARE * (_power(errors) - level_power) else np.inf
 
 
-def _causes(ending: EpisodeEnd, parts: list[Array], shares: Array) -> list[str]:
+def _tone_causes(ending: EpisodeEnd, parts: list[Array], shares: Array) -> list[str]:
     """What keeps up each tone."""
     if not len(shares):
         return []
-    actions, torques, rates = (_projected(parts, each) for each in (ending.actions, ending.torques, ending.rates))
+    actions, torques, rates = (_project(parts, each) for each in (ending.actions, ending.torques, ending.rates))
     asked = _power(ending.actions) - _power(actions[0])
-    if asked > STILL * len(ending.actions) and _power(*actions[1:]) < PERIODIC * asked:
+    if asked > ZERO_ACTION * len(ending.actions) and _power(*actions[1:]) < MIN_PERIODIC_SHARE * asked:
         return [NOISE] * len(shares)
     time = ending.period * np.arange(len(ending.loss))
     lost = float(np.polyfit(time, ending.loss, 1)[0]) * len(time)
-    limits = FED * max(lost, 0.0) * shares / max(float(shares.sum()), np.finfo(float).tiny)
+    limits = MIN_FED_SHARE * max(lost, 0.0) * shares / max(float(shares.sum()), np.finfo(float).tiny)
     fed = [float(np.sum(torque * rate)) for torque, rate in zip(torques[1:], rates[1:], strict=True)]
     return [CYCLE if each > limit else RINGING for each, limit in zip(fed, limits.tolist(), strict=True)]
 
 
-def _strongest(parts: list[Array], errors: Array, period: float) -> float:
+def _strongest_frequency(parts: list[Array], errors: Array, period: float) -> float:
     """The frequency (Hz) of the tone that explains most of what parts leave of errors (T, 3)."""
     from scipy.optimize import minimize_scalar
 
@@ -236,13 +247,13 @@ def _strongest(parts: list[Array], errors: Array, period: float) -> float:
     basis = np.linalg.qr(np.hstack(parts))[0]
     window = np.sin(np.pi * (np.arange(count) + 0.5) / count)[:, None] ** 2
     left = window * (errors - basis @ (basis.T @ errors))
-    power = np.sum(np.abs(np.fft.rfft(left, FINER * count, axis=0)) ** 2, axis=1)
-    grid = np.fft.rfftfreq(FINER * count, period)
-    power[grid < SLOWEST * width] = 0.0  # slower is a drift
+    power = np.sum(np.abs(np.fft.rfft(left, ZERO_PADDING * count, axis=0)) ** 2, axis=1)
+    grid = np.fft.rfftfreq(ZERO_PADDING * count, period)
+    power[grid < MIN_TONE_CYCLES * width] = 0.0  # slower is a drift
     best = grid[power.argmax()]
 
     def unexplained(frequency: float) -> float:
-        return -_power(_projected([*parts, _tone(frequency, count, period)], errors)[-1])
+        return -_power(_project([*parts, _tone(frequency, count, period)], errors)[-1])
 
     bounds = (best - 0.25 * width, min(best + 0.25 * width, 0.5 / period))
     return float(minimize_scalar(unexplained, bounds=bounds, method="bounded").x)
@@ -254,7 +265,7 @@ def _tone(frequency: float, count: int, period: float) -> Array:
     return np.stack([np.cos(phase), np.sin(phase), line * np.cos(phase), line * np.sin(phase)], axis=1)
 
 
-def _projected(parts: list[Array], values: Array) -> list[Array]:
+def _project(parts: list[Array], values: Array) -> list[Array]:
     """Coordinates of values (T, k) along each of the parts (T, m), which are made orthogonal one after the other."""
     basis = np.linalg.qr(np.hstack(parts))[0]
     return np.split(basis.T @ values, np.cumsum([part.shape[1] for part in parts])[:-1])
@@ -264,9 +275,13 @@ def _power(*values: Array) -> float:
     return float(sum(np.sum(each**2) for each in values))
 
 
-def _named(frequency: float, modes: Mapping[str, float]) -> str:
+def _nearest_mode(frequency: float, modes: Mapping[str, float]) -> str:
     """The mode whose frequency is nearest, "" where none is near."""
-    near = {name: mode for name, mode in modes.items() if NEAR[0] <= frequency / mode <= NEAR[1]}
+    near = {
+        name: mode
+        for name, mode in modes.items()
+        if MODE_FREQUENCY_RATIOS[0] <= frequency / mode <= MODE_FREQUENCY_RATIOS[1]
+    }
     return min(near, key=lambda name: abs(np.log(near[name] / frequency)), default="")
 
 
@@ -289,13 +304,13 @@ class _EndRecorder:
         modes = {
             f"mode {number + 1}, motors {'held' if held else 'free'}": float(frequency)
             for held in (True, False)
-            for number, frequency in enumerate(ringing_modes(self._model, self._goals[arm], held)[:, 0])
+            for number, frequency in enumerate(excited_modes(self._model, self._goals[arm], held)[:, 0])
         }
         length, period = int(result.lengths[arm]), result.period
-        longest = max(MOST_WINDOW * length * period, WINDOW)
+        longest = max(MAX_WINDOW_SHARE * length * period, WINDOW)
         errors = result.tips[arm, 1 : length + 1] - np.array([row[0][arm] for row in self._rows[1 : length + 1]])
-        slowest = min(*modes.values(), _sway(errors[-round(longest / period) :], period), np.inf)
-        wanted = min(max(WINDOW, PERIODS / slowest), longest)
+        slowest = min(*modes.values(), _slow_tone_frequency(errors[-round(longest / period) :], period), np.inf)
+        wanted = min(max(WINDOW, MIN_MODE_PERIODS / slowest), longest)
         first = max(length - round(wanted / period), 0)
         kept = (np.array([row[i][arm] for row in self._rows[first : length + 1]]) for i in range(4))
         _, motors, torques, loss = kept

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.files import existing_file
-from flexman_gym.common.run_folder import BEST, NEWEST, read_data, read_settings
-from flexman_gym.control.network import LARGEST, Network, policy_parameters
+from flexman_gym.common.run_folder import BEST, NEWEST, read_npz, read_settings
+from flexman_gym.control.network import MAX_INPUT, Network, policy_parameters
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import (
     check_settings,
     find_agent,
-    learned_agent,
     load_policy,
+    network_agent,
     observation_layout,
     split_interface,
 )
@@ -27,12 +27,12 @@ from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.evaluation.policy_files import CHECK_ROWS, FOLDER, write_policy
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, TEST_SEEDS, rollout
 
-LICENCE = "MIT"
+DEFAULT_LICENCE = "MIT"
 CHECK_SEEDS = SELECTION_SEEDS[:16]  # episodes from which the observations are that are kept
 
 
 def export_policy(
-    run: Path, folder: Path, words: str, recipe: str, venue: str = "", licence: str = LICENCE
+    run: Path, folder: Path, words: str, recipe: str, venue: str = "", licence: str = DEFAULT_LICENCE
 ) -> dict[str, float]:
     """Exports the best policy of a run; gives the figures that it reaches in the test episodes.
 
@@ -52,13 +52,13 @@ def export_policy(
         raise value_error("folder", str(folder), "a new one")
     settings = read_settings(run)
     path = run / BEST if (run / BEST).is_file() else existing_file(run / NEWEST)
-    data = read_data(path)
+    data = read_npz(path)
     check_settings(path, data, settings)
-    described = _for(Configuration.from_plain(settings["environment"]), venue)
+    described = _target_environment(Configuration.from_plain(settings["environment"]), venue)
     layers = policy_parameters(settings["algo"], data["policy"])
     arrays = layers | {f"statistics.{name}": np.asarray(data["statistics"][name]) for name in ("mean", "var")}
     network = Network(settings["algo"], settings["hyperparameters"].get("activation"), layers, data["statistics"])
-    seen = _seen(network, described, settings.get("base_in_use"))
+    seen = _check_observations(network, described, settings.get("base_in_use"))
     about = {
         "words": words,
         "licence": licence,
@@ -81,7 +81,7 @@ def export_policy(
     return figures
 
 
-def package_folder(name: str) -> Path:
+def shipped_policy_folder(name: str) -> Path:
     """Gives the folder in the package for a policy of that name.
 
     Raises:
@@ -92,7 +92,7 @@ def package_folder(name: str) -> Path:
     return FOLDER / name
 
 
-def _for(trained: Configuration, venue: str) -> Configuration:
+def _target_environment(trained: Configuration, venue: str) -> Configuration:
     """The environment for which a policy is, with what acts as it was trained."""
     if not venue:
         return trained
@@ -111,10 +111,10 @@ class _RecordedNetwork:
         return self.network(observations)
 
 
-def _seen(network: Network, described: Configuration, in_use: object) -> NDArray[np.float32]:
+def _check_observations(network: Network, described: Configuration, in_use: object) -> NDArray[np.float32]:
     """Observations (COUNT, size) of episodes that the policy plays, evenly from their first to their last."""
     watching = _RecordedNetwork(network)
-    policy = learned_agent("", watching, described, in_use)
+    policy = network_agent("", watching, described, in_use)
     rollout(policy, split_interface(described)[0], CHECK_SEEDS)
     rows = np.concatenate(watching.seen)
     result: NDArray[np.float32] = rows[np.linspace(0, len(rows) - 1, CHECK_ROWS).astype(int)]
@@ -127,7 +127,7 @@ def _commit() -> str:
     return done.stdout.strip() if done.returncode == 0 else ""
 
 
-OPSET, IR = 13, 8  # of the operators used, and of the file, which programs of the last years read
+OPSET, IR_VERSION = 13, 8  # of the operators used, and of the file, which programs of the last years read
 ONNX_TOLERANCE, ONNX_ROWS = 1e-4, 64  # largest difference of an action in float32, and rows that are compared
 
 
@@ -158,7 +158,7 @@ def write_onnx(entrant: str, path: Path) -> float:
         allowed = "a policy whose network acts alone, such as ppo-flexrrr: a controller that is made for the arm turns"
         allowed += f' the output of this one into torques; run it by fm.rollout("{entrant}", id)'
         raise value_error("entrant", entrant, allowed)
-    model: Any = _graph(network, onnx)
+    model: Any = _onnx_model(network, onnx)
     onnx.checker.check_model(model, full_check=True)
     spread = np.random.default_rng(0).normal(0.0, 3.0, (ONNX_ROWS, network.size))
     seen = (network.mean + spread / network.scale).astype(np.float32)
@@ -173,10 +173,10 @@ def write_onnx(entrant: str, path: Path) -> float:
     return apart
 
 
-def _graph(network: Network, onnx: Any) -> Any:
+def _onnx_model(network: Network, onnx: Any) -> Any:
     """The graph of a network: what is observed, normalised and cut off, layer by layer, and cut off or bent at 1."""
     numbers: dict[str, NDArray[Any]] = {
-        "mean": network.mean, "scale": network.scale, "most": np.array(LARGEST), "least": np.array(-LARGEST),
+        "mean": network.mean, "scale": network.scale, "most": np.array(MAX_INPUT), "least": np.array(-MAX_INPUT),
         "one": np.array(1.0), "minus_one": np.array(-1.0),
     }  # fmt: skip
     nodes = [("Sub", ("observation", "mean"), "centred"), ("Mul", ("centred", "scale"), "scaled"),
@@ -195,4 +195,4 @@ def _graph(network: Network, onnx: Any) -> Any:
             for name, each in numbers.items()]  # fmt: skip
     made = [helper.make_node(kind, given, [gives]) for kind, given, gives in nodes]
     graph = helper.make_graph(made, "policy", *ends, held)
-    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR)
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)

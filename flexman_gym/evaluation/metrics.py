@@ -67,7 +67,7 @@ class Metric:
         return median_interval(self.each(records))
 
 
-def _settled(record: EpisodeRecord) -> float:
+def _settling_time(record: EpisodeRecord) -> float:
     return np.inf if record.failure else settling_time(record.errors, record.band, record.period)
 
 
@@ -78,8 +78,8 @@ def _vibration(record: EpisodeRecord) -> float:
 # One that failed never settles and vibrates without end.
 METRICS = {figure.name: figure for figure in (
     Metric("reward", "reward", "", "high", lambda record: float(record.rewards.sum()), MEAN),
-    Metric("settled", "settled", "", "high", lambda record: float(np.isfinite(_settled(record))), SHARE),
-    Metric("settling_time", "settling, s", "s", "low", _settled, MEDIAN, everywhere=False),
+    Metric("settled", "settled", "", "high", lambda record: float(np.isfinite(_settling_time(record))), SHARE),
+    Metric("settling_time", "settling, s", "s", "low", _settling_time, MEDIAN, everywhere=False),
     Metric("vibration", "p-p, mm", "m", "low", _vibration, MEDIAN, 1e3),
     Metric("error", "error, mm", "m", "low", lambda record: final_error(record.errors, record.period), MEDIAN, 1e3,
            everywhere=False),
@@ -89,12 +89,12 @@ METRICS = {figure.name: figure for figure in (
     Metric("failed", "failed", "", "low", lambda record: float(record.failure != ""), SHARE),
 )}  # fmt: skip
 """What `evaluate` gives: name -> `Metric`."""
-SETTLING = ("settling_time", "error")  # figures of a task that names none
+DEFAULT_TASK_METRICS = ("settling_time", "error")  # figures of a task that names none
 
 
 def task_metrics(task: Any) -> tuple[Metric, ...]:
     """Gives the figures that matter for a task: those of every task, and those that it names in `figures`."""
-    own = [one_of("task.figures", name, METRICS) for name in getattr(task, "figures", SETTLING)]
+    own = [one_of("task.figures", name, METRICS) for name in getattr(task, "figures", DEFAULT_TASK_METRICS)]
     return tuple(figure for name, figure in METRICS.items() if figure.everywhere or name in own)
 
 
@@ -127,11 +127,11 @@ def evaluate(
     return {name: figure.sum_up(records) for name, figure in METRICS.items()}
 
 
-LONGEST_NAME = 100  # letters in a line of the table
+MAX_NAME_LENGTH = 100  # letters in a line of the table
 CAPTION = "medians with 95 % bootstrap intervals; shares, reward, roughness and effort are means"
 
 
-def table(results: Mapping[str, Sequence[EpisodeRecord]], environment: Configuration) -> str:
+def metrics_table(results: Mapping[str, Sequence[EpisodeRecord]], environment: Configuration) -> str:
     """Gives a table with a row for each entrant; its head says on which environment all of them were run.
 
     Args:
@@ -144,7 +144,7 @@ def table(results: Mapping[str, Sequence[EpisodeRecord]], environment: Configura
     changes = ", ".join(sorted(environment.settings)) or "as it is"
     title = f"{len(first)} episodes of {environment.id} ({changes}), the same for all"
     heads = ["entrant", *(_head(figure, first[0].band) for figure in columns)]
-    rows = [[_short(name), *(_cell(figure, records) for figure in columns)] for name, records in results.items()]
+    rows = [[_shorten(name), *(_cell(figure, records) for figure in columns)] for name, records in results.items()]
     widths = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
     return "\n".join([title, *(_line(row, widths) for row in (heads, *rows)), CAPTION])
 
@@ -165,8 +165,8 @@ def _cell(figure: Metric, records: Sequence[EpisodeRecord]) -> str:
     return f"{result:.1f}" if abs(result) >= 10.0 else f"{result:.3f}"
 
 
-def _short(name: str) -> str:
-    return name if len(name) <= LONGEST_NAME else f"...{name[3 - LONGEST_NAME :]}"
+def _shorten(name: str) -> str:
+    return name if len(name) <= MAX_NAME_LENGTH else f"...{name[3 - MAX_NAME_LENGTH :]}"
 
 
 def _line(cells: Sequence[str], widths: Sequence[int]) -> str:

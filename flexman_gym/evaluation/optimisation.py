@@ -11,13 +11,18 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
-from flexman_gym.common.grid import Workers, collect_cells
+from flexman_gym.common.parallel import Workers, parallel_map
 from flexman_gym.control.lqr import LQR
 from flexman_gym.control.margins import Margins, SampledLoop, has_margins, margins, sampled_loops
 from flexman_gym.control.pd import PD, stability_limit
-from flexman_gym.control.references.optimised_slews import OptimisedController, Shooting, SlewTable, arm_parameters
+from flexman_gym.control.references.optimised_slews import (
+    OptimisedController,
+    SingleShooting,
+    SlewTable,
+    arm_fingerprint,
+)
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_controller
 from flexman_gym.evaluation.agent import split_interface
 from flexman_gym.evaluation.metrics import METRICS
@@ -26,8 +31,8 @@ from flexman_gym.simulation.batch import Batch
 
 MIN_MARGINS = Margins(2.0, 30.0)  # of all gains that are tried
 POSTURES = 4  # of goals, at which they have these margins
-STIFF, WEAK = (0.01, 25.0), 0.05  # torque limits a radian, and part of the largest damping
-NEAR = np.geomspace(0.5, 0.1, 8)  # standard deviations of the rounds around the best, in logarithms
+STIFFNESS_RANGE, MIN_DAMPING_SHARE = (0.01, 25.0), 0.05  # torque limits a radian, and part of the largest damping
+LOCAL_DEVIATIONS = np.geomspace(0.5, 0.1, 8)  # standard deviations of the rounds around the best, in logarithms
 CELL = 15  # gains that are judged side by side
 DRAWS = 1000  # for each of the gains that are looked for, before the search gives up
 
@@ -87,30 +92,30 @@ def tune(
         >>> env = gym.make("FlexOne-v0", base="pd", gains=found.gains)
     """
     environment = find_environment(environment)
-    random, setup, loops = np.random.default_rng(seed), environment, environment_loops(environment)
+    random, setup, loops = np.random.default_rng(seed), environment, motor_loops(environment)
     limits = np.array(setup.torque_limit)
     rotors = np.array([joint.rotor_inertia for joint in setup.arm.joints])
     most = stability_limit(setup.latest_delay) * rotors / (MIN_MARGINS.gain * setup.control_period)
-    low = np.log(np.concatenate([STIFF[0] * limits, WEAK * most]))
-    high = np.log(np.concatenate([STIFF[1] * limits, most]))
+    low = np.log(np.concatenate([STIFFNESS_RANGE[0] * limits, MIN_DAMPING_SHARE * most]))
+    high = np.log(np.concatenate([STIFFNESS_RANGE[1] * limits, most]))
     wanted = loops if margin else []
-    gains = _drawn(wanted, first, lambda: random.uniform(low, high))
+    gains = _draw_gains(wanted, first, lambda: random.uniform(low, high))
     rewards = _rewards(environment, gains, episodes, workers)
-    for deviation in NEAR:
+    for deviation in LOCAL_DEVIATIONS:
         best = np.log(gains[np.argmax(rewards)])
-        spread = partial(_near, random, best, float(deviation), low, high)
-        near = _drawn(wanted, around, spread)
+        spread = partial(_draw_near, random, best, float(deviation), low, high)
+        near = _draw_gains(wanted, around, spread)
         gains, rewards = np.vstack([gains, near]), np.append(rewards, _rewards(environment, near, episodes, workers))
     stiffness, damping = np.split(gains[np.argmax(rewards)], 2)
     reached = margins(loops, stiffness, damping)
     return TunedGains(tuple(stiffness.tolist()), tuple(damping.tolist()), float(rewards.max()), reached)
 
 
-def _near(random: np.random.Generator, best: Array, deviation: float, low: Array, high: Array) -> Array:
+def _draw_near(random: np.random.Generator, best: Array, deviation: float, low: Array, high: Array) -> Array:
     return np.clip(best + deviation * random.standard_normal(len(best)), low, high)
 
 
-def environment_loops(environment: Configuration) -> list[SampledLoop]:
+def motor_loops(environment: Configuration) -> list[SampledLoop]:
     """Return the loops of the motors of an environment, with its largest delay, at goals of its first episodes.
 
     Motors with Coulomb friction slide or stick, see `control.margins`: a posture has a loop for each set of these.
@@ -125,7 +130,7 @@ def environment_loops(environment: Configuration) -> list[SampledLoop]:
     return [loop for posture in postures for loop in sampled_loops(model, posture, *drive)]
 
 
-def _drawn(loops: Sequence[SampledLoop], count: int, draw: Callable[[], Array]) -> Array:
+def _draw_gains(loops: Sequence[SampledLoop], count: int, draw: Callable[[], Array]) -> Array:
     """Gains (count, 2 n) of drawn logarithms, all of which have the least margins in the loops."""
     result: list[Array] = []
     for _ in range(DRAWS * count):
@@ -142,7 +147,7 @@ def _drawn(loops: Sequence[SampledLoop], count: int, draw: Callable[[], Array]) 
 def _rewards(environment: Configuration, gains: Array, episodes: int, workers: Workers | int = 1) -> Array:
     """Mean reward (c,) of the first episodes with each of the gains (c, 2 n)."""
     parts = [(environment, gains[i : i + CELL], episodes) for i in range(0, len(gains), CELL)]
-    return np.concatenate(collect_cells(_cell_rewards, parts, workers, prepare=compile_kernels))
+    return np.concatenate(parallel_map(_cell_rewards, parts, workers, prepare=compile_kernels))
 
 
 def _cell_rewards(cell: tuple[Configuration, Array, int]) -> Array:
@@ -151,7 +156,7 @@ def _cell_rewards(cell: tuple[Configuration, Array, int]) -> Array:
     n = gains.shape[1] // 2
     stiffness, damping = np.split(np.repeat(gains, episodes, axis=0), 2, axis=1)
     setup, still = environment, [0.0] * n
-    base = make_controller(setup, {"kind": "pd", "stiffness": still, "damping": still}, build(setup).model)
+    base = make_controller(setup, {"kind": "pd", "stiffness": still, "damping": still}, resolve_fidelity(setup).model)
     assert isinstance(base, PD)
     base.stiffness, base.damping = stiffness, damping  # of each candidate its own, which no list of gains has
     rewards = rollout(base, environment, np.tile(np.arange(episodes), len(gains)).tolist()).rewards
@@ -173,12 +178,12 @@ class _SlewResult(NamedTuple):
 def empty_slew_table(environment: Configuration) -> SlewTable:
     """Gives a table without slews, which says what it is for."""
     setup = environment
-    model, method, step, _ = build(setup)
+    model, method, step, _ = resolve_fidelity(setup)
     about = {
         "environment": environment.to_plain(),
         "model": f"{model.n_dof} coordinates, method {getattr(method, 'name', method)}, step {step:.9g} s",
     }
-    return SlewTable(about, arm_parameters(model, np.array(setup.torque_limit), setup.control_period))
+    return SlewTable(about, arm_fingerprint(model, np.array(setup.torque_limit), setup.control_period))
 
 
 def optimise_slews(environment: Configuration, seeds: Sequence[int], table: SlewTable) -> Iterator[_SlewResult]:
@@ -201,7 +206,7 @@ def optimise_slews(environment: Configuration, seeds: Sequence[int], table: Slew
         )
     if table.about.get("environment") != environment.to_plain():
         raise value_error("table", table.about.get("environment"), "a table of this environment, or a new file")
-    model, method, step, _ = build(setup)
+    model, method, step, _ = resolve_fidelity(setup)
     regulator = LQR(model, setup.torque_limit, setup.control_period)
     player = OptimisedController(table, model, setup.torque_limit, setup.control_period)
 
@@ -209,10 +214,12 @@ def optimise_slews(environment: Configuration, seeds: Sequence[int], table: Slew
         return Batch(model, method, step, setup.control_period, arms=count)
 
     draws: list[Array] = []
-    tracked = rollout("lqr-tracking", environment, left, lambda episodes: _keep(draws, episodes.view.plan))
+    tracked = rollout(
+        "lqr-tracking", environment, left, lambda episodes: _record_start_and_goal(draws, episodes.view.plan)
+    )
     for seed, ends, record in zip(left, draws, tracked.records, strict=True):
         begun = time.process_time()
-        slew = Shooting(regulator, arms, record.band, setup.limits.rate, *ends).search()
+        slew = SingleShooting(regulator, arms, record.band, setup.limits.rate, *ends).search()
         seconds, reached = time.process_time() - begun, np.inf
         if slew is not None:
             table.found[seed] = ends, slew, reached
@@ -221,7 +228,7 @@ def optimise_slews(environment: Configuration, seeds: Sequence[int], table: Slew
         yield _SlewResult(seed, reached, SETTLING.sum_up([record]), seconds)
 
 
-def _keep(draws: list[Array], plan: Mapping[str, Array]) -> None:
+def _record_start_and_goal(draws: list[Array], plan: Mapping[str, Array]) -> None:
     """Keeps starts and goals (2, n) rad of the first episodes."""
     if not draws:
         draws += list(np.stack([plan["start"], plan["goal_angles"]], axis=1))

@@ -24,7 +24,7 @@ KEYS = (
     "environment_hash", "settings_hash", "observation", "league", "arrays_hash",
 )  # fmt: skip
 STATISTICS, CHECKS = ("statistics.mean", "statistics.var"), ("check.observations", "check.actions")
-CERTIFIED = (("arrays_hash", str), ("fails", list), ("rows", list))  # keys of a certificate, and their types
+CERTIFICATE_KEYS = (("arrays_hash", str), ("fails", list), ("rows", list))  # keys of a certificate, and their types
 FORMER_KEYS = {"trials": "rows", "name": "scenario"}  # keys in certificates of version 0.2 -> keys
 CHECK_ROWS, CHECK_TOLERANCE = (
     64,
@@ -56,12 +56,12 @@ def read_policy(folder: Path) -> _ExportedPolicy:
     """
     path = existing_file(folder / ABOUT)
     try:
-        about = _about(_content(path))
+        about = _check_description(_read_bytes(path))
         path = existing_file(folder / ARRAYS)
-        content = _content(path)
+        content = _read_bytes(path)
         if hashlib.sha256(content).hexdigest() != about["arrays_hash"]:
             raise value_error("arrays_hash", about["arrays_hash"], "that of the arrays: one of them was changed")
-        return _ExportedPolicy(about, _network(about, read_tensors(content)))
+        return _ExportedPolicy(about, _check_network(about, read_tensors(content)))
     except FileNotFoundError:
         raise
     except READ_ERRORS as error:
@@ -104,13 +104,15 @@ def read_certificate(folder: Path) -> dict[str, Any] | None:
     if not path.is_file():
         return None
     try:
-        result = _present_keys(parse_json(_content(path)))
-        if not isinstance(result, dict) or not all(isinstance(result.get(name), kind) for name, kind in CERTIFIED):
-            raise ValueError(f"give a mapping with {', '.join(name for name, _ in CERTIFIED)}")
+        result = _present_keys(parse_json(_read_bytes(path)))
+        if not isinstance(result, dict) or not all(
+            isinstance(result.get(name), kind) for name, kind in CERTIFICATE_KEYS
+        ):
+            raise ValueError(f"give a mapping with {', '.join(name for name, _ in CERTIFICATE_KEYS)}")
     except ValueError as error:
         raise ValueError(f"{short_path(path)}: this is no certificate ({error})") from None
     result["rows"] = [_present_keys(row) for row in result["rows"]]
-    return result if result["arrays_hash"] == parse_json(_content(folder / ABOUT)).get("arrays_hash") else None
+    return result if result["arrays_hash"] == parse_json(_read_bytes(folder / ABOUT)).get("arrays_hash") else None
 
 
 def _present_keys(data: Any) -> Any:
@@ -120,18 +122,18 @@ def _present_keys(data: Any) -> Any:
 
 def describe_policy(name: str) -> str:
     """Says in words what a shipped policy is, and whether its certificate recommends it."""
-    about, said = parse_json(_content(FOLDER / name / ABOUT)), read_certificate(FOLDER / name)
+    about, said = parse_json(_read_bytes(FOLDER / name / ABOUT)), read_certificate(FOLDER / name)
     if said is None:
         return f"{about['words']} It has no certificate."
     fails = ", ".join(map(str, said["fails"]))
     return f"{about['words']} {f'Not recommended: it fails {fails}.' if fails else 'Recommended.'}"
 
 
-def _content(path: Path) -> bytes:
+def _read_bytes(path: Path) -> bytes:
     return regular_file(path, MAX_BYTES).read_bytes()
 
 
-def _about(content: bytes) -> dict[str, Any]:
+def _check_description(content: bytes) -> dict[str, Any]:
     """What is said of a policy, once it is all there, and the environment is the one that it was exported with."""
     about = parse_json(content)
     if not isinstance(about, dict) or set(about) != set(KEYS):
@@ -144,7 +146,7 @@ def _about(content: bytes) -> dict[str, Any]:
     return about
 
 
-def _network(about: dict[str, Any], arrays: dict[str, NDArray[np.floating]]) -> Network:
+def _check_network(about: dict[str, Any], arrays: dict[str, NDArray[np.floating]]) -> Network:
     """The network of arrays, once it does what it did."""
     settings = about["recipe"]["settings"]
     algo, activation = settings["algo"], settings["hyperparameters"].get("activation")

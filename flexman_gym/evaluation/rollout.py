@@ -19,21 +19,21 @@ from flexman_gym.common.checks import value_error, whole_number
 from flexman_gym.common.progress import Progress
 from flexman_gym.control.controller import Controller
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.episodes import Episodes, checked_actions
+from flexman_gym.envs.episodes import Episodes, validate_actions
 from flexman_gym.evaluation.agent import AgentSpec, find_agent, split_interface
-from flexman_gym.kernels import FOLDER
+from flexman_gym.kernels import CACHE_FOLDER
 from flexman_gym.metrics import BAND
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.episode import Episode, episode_metadata
 
 SELECTION_SEEDS = range(5000, 5100)  # episodes on which the best policy of a run is chosen
 TEST_SEEDS = range(9000, 9100)  # episodes on which nothing is chosen: those of `flexman evaluate`
-TRAINING_SEED = 1_000_000  # arm i of a run with seed s begins with the seed TRAINING (s + 1) + i
+TRAINING_SEEDS_STRIDE = 1_000_000  # arm i of a run with seed s begins with the seed TRAINING (s + 1) + i
 
 
 def training_seed(seed: int) -> int:
     """Gives the seed of the first arm of a training run."""
-    return TRAINING_SEED * (seed + 1)
+    return TRAINING_SEEDS_STRIDE * (seed + 1)
 
 
 def _episode_seeds(seeds: Sequence[int] | int) -> list[int]:
@@ -50,8 +50,8 @@ def _episode_seeds(seeds: Sequence[int] | int) -> list[int]:
     return list(given)
 
 
-INSTANTS = ("tips", "errors", "states", "targets", "readings")  # what is recorded from the reset on
-PERIODS = ("actions", "torques", "rewards")  # what is recorded of each control period
+INSTANT_ARRAYS = ("tips", "errors", "states", "targets", "readings")  # what is recorded from the reset on
+PERIOD_ARRAYS = ("actions", "torques", "rewards")  # what is recorded of each control period
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,8 +188,8 @@ def rollout(
     while not recorder.ends.all():  # not by steps of `venv`, which would reset each arm whose episode has ended
         asked = np.zeros(size) if player.law is None else player.law(episodes.agent.observations.copy())
         commands = np.asarray(asked, dtype=np.float32)
-        episodes.step(checked_actions("actions", commands, size, "a number from -1 to 1 for each motor of each arm"))
-    told = _about(venv.unwrapped, player, described) | {"seeds": [int(seed) for seed in numbers]}
+        episodes.step(validate_actions("actions", commands, size, "a number from -1 to 1 for each motor of each arm"))
+    told = _metadata(venv.unwrapped, player, described) | {"seeds": [int(seed) for seed in numbers]}
     venv.close()
     return recorder.rollout(told)
 
@@ -227,7 +227,7 @@ def find_environment(environment: str | Configuration) -> Configuration:
     return environment if isinstance(environment, Configuration) else Configuration.find(environment)
 
 
-def _about(env: Any, player: AgentSpec, described: Configuration) -> dict[str, Any]:
+def _metadata(env: Any, player: AgentSpec, described: Configuration) -> dict[str, Any]:
     """What the episodes of an entrant on an environment have in common, plain."""
     sensors = env.episodes.sensors
     settings = {"environment": split_interface(described)[0].to_plain(strict=False), "interface": player.interface}
@@ -243,7 +243,7 @@ class _Recorder:
 
     def __init__(self, episodes: Episodes, watch: Callable[[Episodes], None] | None) -> None:
         self._episodes, self._watch = episodes, watch
-        self._rows: dict[str, list[Array]] = {name: [] for name in (*INSTANTS, *PERIODS)}
+        self._rows: dict[str, list[Array]] = {name: [] for name in (*INSTANT_ARRAYS, *PERIOD_ARRAYS)}
         self.ends = np.zeros(len(episodes.over), dtype=np.int64)
         self._failures = [""] * len(self.ends)
         self._progress = Progress(f"control periods of {len(self.ends)} episodes", episodes.longest)
@@ -278,7 +278,7 @@ class _Recorder:
         arrays = {name: np.array(rows).swapaxes(0, 1).copy() for name, rows in self._rows.items()}
         for name, values in arrays.items():
             for arm, end in enumerate(self.ends):
-                values[arm, end + (name in INSTANTS) :] = np.nan
+                values[arm, end + (name in INSTANT_ARRAYS) :] = np.nan
         view = self._episodes.view
         return Rollout(**arrays, lengths=self.ends, failures=tuple(self._failures), period=view.control_period,
                        band=BAND * view.reach, about=told)  # fmt: skip
@@ -287,7 +287,7 @@ class _Recorder:
 @cache
 def compile_kernels() -> None:
     """Compile the kernels of the environments; of several processes on a computer, one compiles and the rest wait."""
-    with (Path(FOLDER) / "lock").open("w") if FOLDER else nullcontext() as lock:
+    with (Path(CACHE_FOLDER) / "lock").open("w") if CACHE_FOLDER else nullcontext() as lock:
         if lock is not None:
             fcntl.flock(lock, fcntl.LOCK_EX)
         for env in (gym.make("FlexRRR-v0"), gym.make_vec("FlexRRR-v0", 2, "vector_entry_point")):

@@ -1,5 +1,5 @@
 """Fidelity: the smallest model and the longest step that a tolerance allows."""
 
-from flexman_gym.fidelity.choose import Choice, assembled_modes, choose_model
+from flexman_gym.fidelity.model_selection import Choice, assembled_modes, choose_model
 
 __all__ = ["Choice", "assembled_modes", "choose_model"]

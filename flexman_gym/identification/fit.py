@@ -13,7 +13,7 @@ from flexman_gym.common import files as scene_file
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import instance, mapping, positive, value_error, whole_number
 from flexman_gym.identification.least_squares import FreeParameters, LeastSquaresProblem, ResidualBlock
-from flexman_gym.identification.measurement import Measurement, Response, output_unit
+from flexman_gym.identification.measurement import Measurement, SimulatedResponse, output_unit
 from flexman_gym.identification.ringing import KEYS, Ringing
 from flexman_gym.model.model import build_model
 from flexman_gym.scene.arm import Arm
@@ -253,7 +253,7 @@ class Fit:
         """
         model = build_model(self.arm, **self.choice)
         nominal = {"payload_mass": nominal_parameters(model)["payload_mass"][None]}
-        signals = Response(self.arm, record, self.step).signals(model, nominal)[0]
+        signals = SimulatedResponse(self.arm, record, self.step).signals(model, nominal)[0]
         result = {}
         for name, values in zip(record.outputs, signals, strict=True):
             shown = values * self.gains.get(name, (1.0, 0.0))[0]
@@ -321,7 +321,7 @@ def fit(
     records = tuple(instance(f"records[{i}]", each, Measurement, "a Measurement") for i, each in enumerate(records))
     step = None if step is None else positive("step", step, "s")
     choice = {"elements": elements, "modes": modes}
-    responses = [Response(parameters.arm, each, step) for each in records]
+    responses = [SimulatedResponse(parameters.arm, each, step) for each in records]
     problem = LeastSquaresProblem(parameters, ringing, responses, choice)
     if (count := sum(len(part.measured) for part in problem.parts)) < len(parameters.numbers):
         allowed = f"at least as many as free numbers, {len(parameters.numbers)}"

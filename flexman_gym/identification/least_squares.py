@@ -6,14 +6,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import is_count, one_of, value_error, whole_number
+from flexman_gym.common.checks import is_decimal_integer, one_of, value_error, whole_number
 from flexman_gym.common.progress import Progress
-from flexman_gym.identification.measurement import Filter, Response
+from flexman_gym.identification.measurement import Filter, SimulatedResponse
 from flexman_gym.identification.ringing import Ringing
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.arm import Arm
-from flexman_gym.simulation.parameters import ARM, PARAMETERS, current_names, nominal_parameters, varied_arm
+from flexman_gym.simulation.parameters import ARM, PARAMETERS, nominal_parameters, rename_old_keys, varied_arm
 
 WIDEST = 7.0  # largest departure of a logarithm from its start: a factor of 1100
 CRITICAL = 0.99  # largest damping ratio of a link
@@ -103,7 +103,7 @@ class FreeParameters:
 def _numbers(name: str, model: Model) -> list[_FreeNumber]:
     """The numbers of a name, such as joint_stiffness or joint_stiffness[1]."""
     kind, _, place = name.partition("[")
-    kind = next(iter(current_names("free", {kind: None})))
+    kind = next(iter(rename_old_keys("free", {kind: None})))
     if PARAMETERS[one_of("free", kind, PARAMETERS)].of == ARM:
         if place:
             raise value_error("free", name, kind)
@@ -111,7 +111,7 @@ def _numbers(name: str, model: Model) -> list[_FreeNumber]:
     sprung = kind in ("joint_stiffness", "joint_damping")
     there = np.flatnonzero(model.constants.motor >= 0).tolist() if sprung else list(range(model.n_joints))
     if place:
-        if not (place.endswith("]") and is_count(place[:-1])):
+        if not (place.endswith("]") and is_decimal_integer(place[:-1])):
             raise value_error("free", name, f"{kind}, or {kind}[0] and so on")
         there = [each for each in there if each == whole_number("free", int(place[:-1]), 0, model.n_joints - 1)]
     if not there:
@@ -170,7 +170,7 @@ class LeastSquaresProblem:
         self,
         free: FreeParameters,
         ringing: list[Ringing],
-        responses: list[Response],
+        responses: list[SimulatedResponse],
         choice: dict[str, Any],
         corner: str = "",
     ) -> None:

@@ -16,7 +16,7 @@ from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import (
     MAX_ENTRIES,
     instance,
-    is_count,
+    is_decimal_integer,
     number_array,
     one_of,
     positive,
@@ -35,7 +35,7 @@ from flexman_gym.scene.scene import Initial, ModelChoice, Scene
 from flexman_gym.scene.signals import ConstantTorque, SampledAngles, SampledTorque
 from flexman_gym.simulation.integrator import prescribed_flags
 from flexman_gym.simulation.parameters import varied_constants
-from flexman_gym.simulation.scenes import prescribed_joints, simulate_all
+from flexman_gym.simulation.scene_simulation import prescribed_joints, simulate_all
 from flexman_gym.simulation.trajectory import Trajectory
 
 STEADY = 1e-3  # of the interval between samples: by how much one may differ from the next
@@ -189,7 +189,7 @@ class Measurement:
     def head(self, name: str) -> _InputChannel:
         """Gives kind and joint of an input; raises ValueError for what is none."""
         kind, _, number = name.rpartition("_")
-        if kind not in INPUTS or not is_count(number) or int(number) == 0:
+        if kind not in INPUTS or not is_decimal_integer(number) or int(number) == 0:
             allowed = "torque_1, current_1 or motor_angle_1, with the number of the joint from 1"
             raise value_error("Measurement.inputs", name, allowed)
         return _InputChannel(kind, int(number) - 1)
@@ -277,14 +277,14 @@ STACKED = (
     "time", "tip", "tip_velocity", "joint_angles", "motor_angles", "energy", "moving_energy", "work", "dissipation",
     "states", "deflection",
 )  # fmt: skip
-FELT = {  # column of `kernels.outputs.sense` by name
+FELT = {  # column of `kernels.outputs.compute_tip_accelerations` by name
     f"{name}_{axis}": part.start + i
     for name, part in (("tip_acceleration", layout.TIP_ACCELERATION), ("specific_force", layout.SPECIFIC_FORCE))
     for i, axis in enumerate("xyz")
 }
 
 
-class Response:
+class SimulatedResponse:
     """How an arm answers the inputs of a measurement.
 
     Attributes:

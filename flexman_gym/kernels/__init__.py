@@ -9,11 +9,11 @@ from typing import Any
 import numba
 from numba.core import event
 
-from flexman_gym.kernels.cache import find_folder, is_quiet
+from flexman_gym.kernels.cache import find_cache_folder, is_quiet
 
 # Seconds of a processor of 2024 from the start of each until it is done; of the first ones of an environment, until
 # this can take its first step. The others take less than two.
-SECONDS = {
+COMPILE_SECONDS = {
     "inertial_forces": 25, "advance_one": 17, "advance_arms": 20, "sense_one": 6, "sense_arms": 6, "run_arms": 16,
     "run_sequences": 18, "run_fixed_newton": 11, "run_linearly_implicit": 6, "run_explicit": 5, "run_implicit": 5,
 }  # fmt: skip
@@ -32,12 +32,12 @@ class _CompileMessages(event.Listener):
         if is_quiet() or self._depth > 1 or not function.__module__.startswith(f"{__name__}."):
             return
         if not self._said:
-            kept = f"each only once: they are kept in {FOLDER}"
-            if FOLDER is None:
+            kept = f"each only once: they are kept in {CACHE_FOLDER}"
+            if CACHE_FOLDER is None:
                 kept = "in every process: no folder that is yours alone can be written; set NUMBA_CACHE_DIR to one"
             print(f"flexman_gym compiles kernels, {kept} (FLEXMAN_QUIET=1 silences this)", file=sys.stderr)
             self._said = True
-        if left := SECONDS.get(function.__name__):
+        if left := COMPILE_SECONDS.get(function.__name__):
             print(f"  {function.__name__}: about {left} s left", file=sys.stderr, flush=True)
 
     def on_end(self, event: Any) -> None:
@@ -48,16 +48,16 @@ class _CompileMessages(event.Listener):
 if numba.config.DISABLE_JIT:
     raise ImportError("NUMBA_DISABLE_JIT: 1 is not allowed; give 0 or nothing: these kernels run compiled only")
 
-FOLDER = find_folder()
+CACHE_FOLDER = find_cache_folder()
 event.register("numba:compile", _CompileMessages())
 
 # Numba reads the setting when a kernel is decorated; it is put back so that other packages keep theirs.
 _setting = numba.config.CACHE_DIR
-numba.config.CACHE_DIR = FOLDER or ""
+numba.config.CACHE_DIR = CACHE_FOLDER or ""
 try:
     from flexman_gym.kernels import (
         arguments,
-        arms,
+        batch,
         compile,
         control_period,
         dynamics,
@@ -72,14 +72,14 @@ try:
         raster,
         rigid_arm,
         runge_kutta,
-        signals,
+        thread_sync,
     )
 finally:
     numba.config.CACHE_DIR = _setting
 
 __all__ = [
     "arguments",
-    "arms",
+    "batch",
     "compile",
     "control_period",
     "dynamics",
@@ -94,5 +94,5 @@ __all__ = [
     "raster",
     "rigid_arm",
     "runge_kutta",
-    "signals",
+    "thread_sync",
 ]

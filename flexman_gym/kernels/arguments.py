@@ -35,7 +35,7 @@ from numba.extending import (
 from numba.np import arrayobj
 
 from flexman_gym.kernels.lanes import ARMS, NUMBER, SEQUENCES, Lanes
-from flexman_gym.kernels.layout import ARMS_ABREAST, Array, Constants, IntArray, Own, Work
+from flexman_gym.kernels.layout import ARMS_PER_GROUP, Array, Constants, IntArray, PerArm, Work
 
 
 class _ArrayField(types.Array):
@@ -153,13 +153,13 @@ def _from_python(kind: Any, parts: Any, c: Any) -> NativeValue:
     return NativeValue(_store_struct(c.context, c.builder, kind, fields), native.is_error, native.cleanup)
 
 
-PER_ARM = frozenset(name for name, kind in Constants.__annotations__.items() if kind is Own)
+PER_ARM = frozenset(name for name, kind in Constants.__annotations__.items() if kind is PerArm)
 
 
 ALIGNMENT = 64  # bytes; of a group of eight numbers
 
 
-def arms_array(shape: tuple[int, ...], lanes: int = ARMS_ABREAST) -> Array:
+def aligned_zeros(shape: tuple[int, ...], lanes: int = ARMS_PER_GROUP) -> Array:
     """Zeros (..., lanes), aligned for vector registers."""
     count = math.prod(shape) * lanes
     memory = np.zeros(count + ALIGNMENT // 8)
@@ -192,7 +192,7 @@ def _address(values: Array) -> int:
 def _kind(parts: type, name: str, element: types.Type) -> _ArrayField:
     """The type of a field as the kernels see it; read-only are the constants that several arms share, see `lanes`."""
     annotation = parts.__annotations__[name]
-    dimensions = 1 if annotation is Own or not hasattr(annotation, "__metadata__") else 2
+    dimensions = 1 if annotation is PerArm or not hasattr(annotation, "__metadata__") else 2
     if annotation is IntArray:
         return _ArrayField(types.int64, dimensions, readonly=True)
     if parts is Work or element == NUMBER or (element == ARMS and name in PER_ARM):
@@ -204,7 +204,7 @@ def _kind(parts: type, name: str, element: types.Type) -> _ArrayField:
 def _columns(parts: type, name: str) -> int:
     """The number of columns of a field that has two axes, 0 where it depends on the model."""
     annotation = parts.__annotations__[name]
-    return 0 if annotation is Own else getattr(annotation, "__metadata__", (0,))[0]
+    return 0 if annotation is PerArm else getattr(annotation, "__metadata__", (0,))[0]
 
 
 def _view(context: Any, builder: Any, kind: _ArrayField, address: tuple[Any, int], columns: int) -> Any:

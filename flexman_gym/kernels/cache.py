@@ -25,12 +25,12 @@ from typing import Any
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
-NAME = re.compile("[0-9a-f]{16}")  # of a folder of kernels
-SEAL = hashlib.sha256().digest_size  # bytes in front of a file
-SETTINGS = ("BOUNDSCHECK", "CPU_NAME", "CPU_FEATURES", "OPT", "ENABLE_AVX", "LOOP_VECTORIZE", "SLP_VECTORIZE")
+FOLDER_NAME = re.compile("[0-9a-f]{16}")  # of a folder of kernels
+DIGEST_SIZE = hashlib.sha256().digest_size  # bytes in front of a file
+CODE_SETTINGS = ("BOUNDSCHECK", "CPU_NAME", "CPU_FEATURES", "OPT", "ENABLE_AVX", "LOOP_VECTORIZE", "SLP_VECTORIZE")
 
 
-def find_folder() -> str | None:
+def find_cache_folder() -> str | None:
     """Makes the folder of these kernels and these settings, or finds it; None where none is safe and can be written."""
     for place, strict in _places():
         ours = place / "flexman_gym"
@@ -124,9 +124,9 @@ class _ChecksummedCache(FunctionCache):
 def _read_checked(path: str) -> Any:
     """The content of a file; raises OSError where there is none or its digest is another."""
     content = Path(path).read_bytes()
-    if hashlib.sha256(content[SEAL:]).digest() != content[:SEAL]:
+    if hashlib.sha256(content[DIGEST_SIZE:]).digest() != content[:DIGEST_SIZE]:
         raise OSError(f"{path} is damaged")
-    return pickle.loads(content[SEAL:])
+    return pickle.loads(content[DIGEST_SIZE:])
 
 
 def _places() -> Iterator[tuple[Path, bool]]:
@@ -151,8 +151,8 @@ def _belongs_to_us(folder: Path, strict: bool) -> bool:
         if strict:
             return False
         folder.chmod(0o700)
-        for kernels in [folder] if NAME.fullmatch(folder.name) else list(folder.iterdir()):
-            if NAME.fullmatch(kernels.name):
+        for kernels in [folder] if FOLDER_NAME.fullmatch(folder.name) else list(folder.iterdir()):
+            if FOLDER_NAME.fullmatch(kernels.name):
                 kernels.unlink() if kernels.is_symlink() else shutil.rmtree(kernels)
         folder.mkdir(mode=0o700, exist_ok=True)
         if not is_quiet():
@@ -164,6 +164,6 @@ def _name() -> str:
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
-    for name in SETTINGS:
+    for name in CODE_SETTINGS:
         digest.update(f"{name}={getattr(numba.config, name, None)}\0".encode())
     return digest.hexdigest()[:16]

@@ -7,13 +7,20 @@ import math
 
 from flexman_gym.kernels.compile import kernel
 from flexman_gym.kernels.lanes import fma
-from flexman_gym.kernels.layout import DEFLECTION_RATE_AT, JOINT_ENERGY, LINK_ENERGY, OK, TIP_AT, TIP_VELOCITY_AT
+from flexman_gym.kernels.layout import (
+    DEFLECTION_RATE_COLUMN,
+    JOINT_ENERGY,
+    LINK_ENERGY,
+    OK,
+    TIP_COLUMN,
+    TIP_VELOCITY_COLUMN,
+)
 from flexman_gym.kernels.linalg import copy
-from flexman_gym.kernels.outputs import residuals, update_energy_scale
+from flexman_gym.kernels.outputs import energy_residuals, update_energy_scale
 
 
 @kernel
-def linear_readings(rows, start, source, value, out):
+def sparse_product(rows, start, source, value, out):
     """Linear readings: out[b, j] = sum of value[e] rows[b, source[e]] over start[j] <= e < start[j + 1]."""
     for b in range(len(rows)):
         for j in range(len(start) - 1):
@@ -28,23 +35,23 @@ def fill_views(rows, outputs, energies, turned, targets, readings, motion, vecto
     """What a `View` has of b arms, from rows (b, 2 d + 2), outputs (b, OUTPUTS), energies at the start and what is
     turned over (b,), and targets (b, 3).
 
-    motion (b, m) = the linear readings, as `linear_readings` takes them, and the velocity of the tip; vectors (b, 2,
+    motion (b, m) = the linear readings, as `sparse_product` takes them, and the velocity of the tip; vectors (b, 2,
     3) =
     target - tip and the deflection rate; numbers (5, b) = the lengths of both, the elastic energy, the residual of the
     energy and what is turned over.
     """
-    linear_readings(rows, readings[0], readings[1], readings[2], motion)
+    sparse_product(rows, readings[0], readings[1], readings[2], motion)
     last = motion.shape[1] - 3
     for b in range(len(rows)):
         for j in range(3):
-            motion[b, last + j] = outputs[b, TIP_VELOCITY_AT + j]
-            vectors[b, 0, j] = targets[b, j] - outputs[b, TIP_AT + j]
-            vectors[b, 1, j] = outputs[b, DEFLECTION_RATE_AT + j]
+            motion[b, last + j] = outputs[b, TIP_VELOCITY_COLUMN + j]
+            vectors[b, 0, j] = targets[b, j] - outputs[b, TIP_COLUMN + j]
+            vectors[b, 1, j] = outputs[b, DEFLECTION_RATE_COLUMN + j]
         for i in range(2):
             x, y, z = vectors[b, i, 0], vectors[b, i, 1], vectors[b, i, 2]
             numbers[i, b] = math.sqrt(x * x + y * y + z * z)
         numbers[2, b], numbers[4, b] = outputs[b, LINK_ENERGY] + outputs[b, JOINT_ENERGY], turned[b]
-    residuals(rows, outputs, energies, numbers[3])
+    energy_residuals(rows, outputs, energies, numbers[3])
 
 
 @kernel
@@ -91,7 +98,7 @@ def all_within(values, bound):
 
 
 @kernel
-def request_torques(actions, arriving, limits, playing, drive, asked, efforts):
+def apply_actions(actions, arriving, limits, playing, drive, asked, efforts):
     """The torques in drive (b, n + 6) = arriving actions (b, n) times limits; of arms that are playing (b,), asked =
     actions and efforts (b,) = the means of their squares."""
     n = actions.shape[1]
@@ -118,7 +125,7 @@ def close_period(rows, outputs, status, drive, periods, driven, turned):
 
 
 @kernel
-def advance_ages(ages, playing, longest, over):
+def count_episode_periods(ages, playing, longest, over):
     """Ages (b,) of arms that are playing grow by a control period; over (b,) = whether they have reached the longest.
 
     Returns how many have.

@@ -18,7 +18,7 @@ from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.forces import applied_forces
 from flexman_gym.kernels.kinematics import positions, velocities
 from flexman_gym.kernels.lanes import (
-    add_rows,
+    add_weighted_rows,
     fma,
     gather_lanes,
     group_size,
@@ -211,7 +211,7 @@ def _stretch_mass(constants, work, i, a, group, total):
     for s in range(0, constants.station_start[i + 1] - first, group_size(work.back)):
         j = constants.station_row[i] + s * width
         factors = load_lanes(constants.station_mass, first + s) * gather_lanes(stretch, j + a, width)
-        total = add_rows(total, (factors,), (stretch,), j + group, width)
+        total = add_weighted_rows(total, (factors,), (stretch,), j + group, width)
     return total
 
 
@@ -247,11 +247,11 @@ def _tip_coupling(constants, work, i, tip):
 def accelerations(constants, work, x, v, drive, out):
     """out (d,) = generalised accelerations at coordinates x (d,), speeds v (d,) under a drive (n + 6,)."""
     copy(drive, work.drive)
-    accelerate(constants, work, x, v, out)
+    compute_accelerations(constants, work, x, v, out)
 
 
 @inner
-def accelerate(constants, work, x, v, out):
+def compute_accelerations(constants, work, x, v, out):
     """out (d,) = generalised accelerations under work.drive; returns the power supplied and the power lost (W)."""
     positions(constants, work, x)
     velocities(constants, work, v)
@@ -354,7 +354,7 @@ def solve(constants, work, out):
         rate = _joint_acceleration(constants, work, i, (linear, angular), out)
         angular = add_scaled(angular, rate, load(constants.axis, i))
         _elastic_accelerations(constants, work, i, (linear, angular), out)
-        linear, angular = tip_acceleration(constants, work, i, (linear, angular), out)
+        linear, angular = link_tip_acceleration(constants, work, i, (linear, angular), out)
     return linear, angular
 
 
@@ -412,7 +412,7 @@ def _elastic_accelerations(constants, work, i, frame, out):
 
 
 @inner
-def tip_acceleration(constants, work, i, frame, rates):
+def link_tip_acceleration(constants, work, i, frame, rates):
     """Acceleration of the tip of link i for that of its frame and the accelerations `rates` (d,)."""
     elastic = len(rates) - len(constants.first_moment_shape)
     linear, angular = load_pair(work.tip_bias, i)

@@ -20,7 +20,7 @@ from flexman_gym.kernels.linalg import (
 
 
 @inner
-def drive_at(table, time, out):
+def evaluate_drive(table, time, out):
     """out (n + 6,) = the drive of a table (7, n + 6) at the time (s); without one (None) out holds it, constant."""
     if table is not None:
         for i in range(len(out)):

@@ -16,7 +16,7 @@ from flexman_gym.kernels.dynamics import factorise, prescribed_power, solve
 from flexman_gym.kernels.forces import (
     applied_forces,
     apply_disturbance,
-    drive_at,
+    evaluate_drive,
     motor_forces,
     secant_friction,
     shift_friction,
@@ -26,8 +26,8 @@ from flexman_gym.kernels.kinematics import positions, velocities
 from flexman_gym.kernels.lanes import fma
 from flexman_gym.kernels.layout import DIVERGED, NOT_CONVERGED, OK, PAUSED
 from flexman_gym.kernels.linalg import copy
-from flexman_gym.kernels.outputs import observe
-from flexman_gym.kernels.runge_kutta import out_of_bounds, pause, resume, step_time
+from flexman_gym.kernels.outputs import compute_outputs
+from flexman_gym.kernels.runge_kutta import out_of_bounds, pause, resume, step_start
 
 
 @inner
@@ -42,7 +42,7 @@ def _midpoint_step(constants, work, sweeps, table, moment, state):
     """
     d, (time, step) = len(state) // 2 - 1, moment
     g, w, x, v = 0.5 * step, work.rates, work.trial[:d], work.trial[d : 2 * d]
-    drive_at(table, time + g, work.drive)
+    evaluate_drive(table, time + g, work.drive)
     for k in range(d):
         work.stage_state[k], work.stage_state[d + k] = state[k] + g * state[d + k], state[d + k]
         w[k] = 0.0
@@ -112,13 +112,13 @@ def _gauss_step(constants, work, sweeps, table, moment, state):
     """
     d, (time, step) = len(state) // 2 - 1, moment
     x, v, first, second = work.trial[:d], work.trial[d : 2 * d], work.stages[0], work.stages[1]
-    drive_at(table, time + 0.5 * step, work.drive)
+    evaluate_drive(table, time + 0.5 * step, work.drive)
     _predict_stages(constants, work, step, state)
     g = DIAGONAL * step
     for n in range(sweeps):
         _sum_stages(work, d)
         for i in range(2):
-            drive_at(table, time + (0.5 + (2 * i - 1) * GAUSS_NODE) * step, work.drive)
+            evaluate_drive(table, time + (0.5 + (2 * i - 1) * GAUSS_NODE) * step, work.drive)
             _explicit_part(work, i, step, state)
             _update_midpoint(work, g, x, v)
             _newton_iteration(constants, work, g, x, v)
@@ -208,7 +208,7 @@ def run_fixed_newton(constants, work, sweeps, table, clock, state, rows, outputs
                 pause(work, n, done, 0.0)
                 return PAUSED, r, evaluations
             evaluations += fixed_newton_step(
-                constants, work, sweeps, table, (step_time(clock, r, n), clock.step), state
+                constants, work, sweeps, table, (step_start(clock, r, n), clock.step), state
             )
             if out_of_bounds(work.trial):
                 return DIVERGED, r, evaluations
@@ -216,7 +216,7 @@ def run_fixed_newton(constants, work, sweeps, table, clock, state, rows, outputs
             n += 1
         n = 0
         copy(state, rows[r])
-        observe(constants, work, state[:d], state[d : 2 * d], outputs[r])
+        compute_outputs(constants, work, state[:d], state[d : 2 * d], outputs[r])
     return OK, len(rows), evaluations
 
 
@@ -264,8 +264,8 @@ def run_implicit(constants, work, averages, table, clock, state, rows, outputs):
                 pause(work, n, done, 0.0)
                 return PAUSED, r, evaluations
             h = clock.step if n >= 0 else 0.0
-            time = step_time(clock, r, max(n, 0))
-            drive_at(table, time + (0.5 * h if averages.midpoint else h), work.drive)
+            time = step_start(clock, r, max(n, 0))
+            evaluate_drive(table, time + (0.5 * h if averages.midpoint else h), work.drive)
             by_rate, by_place = _predict(averages, work, h, state)
             count = _newton_solution(constants, work, by_rate, by_place, state)
             evaluations += abs(count)
@@ -278,7 +278,7 @@ def run_implicit(constants, work, averages, table, clock, state, rows, outputs):
             n += 1
         n = 0
         copy(state, rows[r])
-        observe(constants, work, state[:d], state[d : 2 * d], outputs[r])
+        compute_outputs(constants, work, state[:d], state[d : 2 * d], outputs[r])
     return OK, len(rows), evaluations
 
 

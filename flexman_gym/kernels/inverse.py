@@ -1,7 +1,7 @@
 """Inverse dynamics of the chain, M v' + h (left side of Eq. 44), and the static equilibrium that follows from it."""
 
 from flexman_gym.kernels.compile import inner, kernel
-from flexman_gym.kernels.dynamics import payload_force, tip_acceleration
+from flexman_gym.kernels.dynamics import link_tip_acceleration, payload_force
 from flexman_gym.kernels.kinematics import positions, velocities
 from flexman_gym.kernels.linalg import (
     ZERO,
@@ -35,7 +35,7 @@ def inertial_forces(constants, work, x, v, acceleration, out):
         angular = add(apply_transposed(c, angular), load(work.joint_bias, i))
         angular = add_scaled(angular, acceleration[i], load(constants.axis, i))
         store_pair(work.frame_acceleration, i, linear, angular)
-        linear, angular = tip_acceleration(constants, work, i, (linear, angular), acceleration)
+        linear, angular = link_tip_acceleration(constants, work, i, (linear, angular), acceleration)
     force, moment = payload_force(constants, work, (linear, angular))
     store_pair(work.reaction, n, force, moment)
     for i in range(n - 1, -1, -1):

@@ -12,7 +12,7 @@ import math
 from flexman_gym.kernels.compile import inner
 from flexman_gym.kernels.lanes import (
     add_products,
-    add_rows,
+    add_weighted_rows,
     fma,
     group_size,
     is_below,
@@ -328,11 +328,11 @@ def _foreshorten_mass(constants, work, i):
         for s in range(0, count, group_size(work.back)):
             weights, j = 4 * first + s, row + s * width + group
             shift = load_lanes(weight, weights)
-            moment = add_rows(moment, (load_lanes(constants.station_mass, first + s),), (work.bend,), j, width)
+            moment = add_weighted_rows(moment, (load_lanes(constants.station_mass, first + s),), (work.bend,), j, width)
             factors, rows = (load_lanes(weight, weights + count), shift), (work.bend, constants.station_shape[1])
-            across_y = add_rows(across_y, factors, rows, j, width)
+            across_y = add_weighted_rows(across_y, factors, rows, j, width)
             factors, rows = (load_lanes(weight, weights + 2 * count), shift), (work.bend, constants.station_shape[2])
-            across_z = add_rows(across_z, factors, rows, j, width)
+            across_z = add_weighted_rows(across_z, factors, rows, j, width)
         store_lanes(total, group, moment)
         store_lanes(total, width + group, across_z)
         store_lanes(total, 2 * width + group, across_y)
@@ -387,7 +387,7 @@ def _foreshorten_forces(constants, work, i, v, elastic):
                 load_lanes(weight, weights + 2 * count), load_lanes(weight, weights + 3 * count),
             )  # fmt: skip
             shapes = constants.station_shape
-            total = add_rows(total, factors, (shapes[0], shapes[1], shapes[2], work.bend), j, width)
+            total = add_weighted_rows(total, factors, (shapes[0], shapes[1], shapes[2], work.bend), j, width)
         store_lanes(work.total, group, total)
     start = constants.elastic_start[i]
     for a in range(constants.elastic_start[i + 1] - start):

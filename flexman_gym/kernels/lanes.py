@@ -18,7 +18,7 @@ from numba.core.typeconv import Conversion
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 
-from flexman_gym.kernels.layout import ARMS_ABREAST, LANES
+from flexman_gym.kernels.layout import ARMS_PER_GROUP, LANES
 
 INDEX = ir.IntType(32)
 
@@ -40,7 +40,7 @@ class Lanes(types.Type):
         return Conversion.safe if other == NUMBER else None
 
 
-NUMBER, NEIGHBOURS, ARMS = types.float64, Lanes(LANES, "neighbours"), Lanes(ARMS_ABREAST, "arms")
+NUMBER, NEIGHBOURS, ARMS = types.float64, Lanes(LANES, "neighbours"), Lanes(ARMS_PER_GROUP, "arms")
 SEQUENCES = Lanes(LANES, "sequences")
 
 
@@ -287,7 +287,7 @@ def scatter_lanes(typing_context, flat, i, stride, a):
 
 
 @intrinsic
-def add_rows(typing_context, total, factors, rows, j, stride):
+def add_weighted_rows(typing_context, total, factors, rows, j, stride):
     """total + the sum of the factors, groups, times as many groups of rows, from place j on every stride.
 
     Factors and arrays of rows are tuples: first all of them at the first number of a group, then at the next one.
@@ -341,7 +341,7 @@ def add_products(typing_context, total, a, b):
 
 
 @intrinsic
-def load_lane(typing_context, flat, i, k):
+def extract_lane(typing_context, flat, i, k):
     """Number k of the group at place i of a flat array of arms abreast."""
 
     def generate(context, builder, kinds, values):
@@ -351,7 +351,7 @@ def load_lane(typing_context, flat, i, k):
 
 
 @intrinsic
-def store_lane(typing_context, flat, i, k, value):
+def insert_lane(typing_context, flat, i, k, value):
     """Number k of the group at place i of a flat array of arms abreast = value."""
 
     def generate(context, builder, kinds, values):

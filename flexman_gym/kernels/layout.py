@@ -39,9 +39,9 @@ Array = NDArray[np.float64]
 # Arrays with two axes; the number of their columns, where it is always the same, helps the compiler (see `arms`).
 Rows = Annotated[NDArray[np.float64], 0]
 Vectors = Annotated[NDArray[np.float64], 3]
-Pairs = Annotated[NDArray[np.float64], 6]
+SixVectors = Annotated[NDArray[np.float64], 6]
 IntArray = NDArray[np.int64]
-Own = Annotated[NDArray[np.float64], "own"]  # one axis; each of several arms abreast has its own (see `arms`)
+PerArm = Annotated[NDArray[np.float64], "own"]  # one axis; each of several arms abreast has its own (see `arms`)
 
 OK, DIVERGED, NOT_CONVERGED = 0, 1, 2
 PAUSED = 3  # of a call that is not over, which nobody else sees
@@ -51,17 +51,17 @@ STATUS = ("ok", "diverged", "not converged")
 LARGEST_STATE = 1e6
 
 LANES = 4  # neighbours that are one group; rows that are eliminated are padded to whole groups
-ARMS_ABREAST = 8  # arms that one call moves at once
+ARMS_PER_GROUP = 8  # arms that one call moves at once
 
-STAGES = 16  # the most stages of a method, with the evaluation at the end of the step
-SEQUENCES = 8  # the most sequences of an extrapolation
+MAX_STAGES = 16  # the most stages of a method, with the evaluation at the end of the step
+MAX_SEQUENCES = 8  # the most sequences of an extrapolation
 
 OFFSET, AMPLITUDE, FREQUENCY, PHASE, START, STOP, SLOPE = 0, 1, 2, 3, 4, 5, 6
 
 # Columns of an output row.
-TIP_AT, TIP_VELOCITY_AT, DEFLECTION_AT, DEFLECTION_RATE_AT = 0, 3, 6, 9
+TIP_COLUMN, TIP_VELOCITY_COLUMN, DEFLECTION_COLUMN, DEFLECTION_RATE_COLUMN = 0, 3, 6, 9
 TIP, TIP_VELOCITY, DEFLECTION, DEFLECTION_RATE = (
-    slice(first, first + 3) for first in (TIP_AT, TIP_VELOCITY_AT, DEFLECTION_AT, DEFLECTION_RATE_AT)
+    slice(first, first + 3) for first in (TIP_COLUMN, TIP_VELOCITY_COLUMN, DEFLECTION_COLUMN, DEFLECTION_RATE_COLUMN)
 )
 KINETIC, LINK_ENERGY, JOINT_ENERGY, GRAVITATIONAL = 12, 13, 14, 15
 OUTPUTS = 16
@@ -80,12 +80,12 @@ class Constants(NamedTuple):
     gravity: Array  # (3,)
     mount: Array  # (9 n,) by rows: rotation between neighbouring beam frames at zero angle and no deflection
     axis: Vectors  # (n, 3) joint axis in the frame of the link that it turns
-    joint_stiffness: Own  # (n,)
-    joint_damping: Own  # (n,)
-    rotor_inertia: Own  # (n,)
-    carried_inertia: Own  # (n,) of rotors that spin with the link that carries them, 0 of the others (Eq. 23)
-    viscous_friction: Own  # (n,)
-    coulomb_friction: Own  # (n,), 0 for all arms where `rubbing` is
+    joint_stiffness: PerArm  # (n,)
+    joint_damping: PerArm  # (n,)
+    rotor_inertia: PerArm  # (n,)
+    carried_inertia: PerArm  # (n,) of rotors that spin with the link that carries them, 0 of the others (Eq. 23)
+    viscous_friction: PerArm  # (n,)
+    coulomb_friction: PerArm  # (n,), 0 for all arms where `rubbing` is
     coulomb_rate: Array  # (n,)
     rubbing: IntArray  # (n,) 1 where a joint has Coulomb friction
     prescribed: IntArray  # (n,) 1 where the motion of a motor is prescribed; set by a run, not by a model
@@ -110,8 +110,8 @@ class Constants(NamedTuple):
     turning: IntArray  # (n,) the first that does so without foreshortening; those before it move the tip along x alone
     # with LANES zeros behind, so that groups may reach past the last row
     elastic_mass: Array  # (q + LANES,) without the part of the stations
-    stiffness: Own  # (q + LANES,)
-    damping: Own  # (q + LANES,)
+    stiffness: PerArm  # (q + LANES,)
+    damping: PerArm  # (q + LANES,)
     # foreshortening of the centreline, u_x -= 1/2 q^T G q at the s_i stations of link i, tip first, in whole groups of
     # LANES; b numbers = s_i rows of station_width[i] for every link. Empty arrays without foreshortening
     station_start: IntArray  # (n + 1,)
@@ -134,9 +134,9 @@ class Constants(NamedTuple):
     bend_value: Array
     tip_translation: Vectors  # (k, 3)
     tip_rotation: Vectors  # (k, 3)
-    payload_mass: Own  # (1,)
+    payload_mass: PerArm  # (1,)
     payload_offset: Vectors  # (1, 3) of its centre of mass from the tip, in the frame of a next joint
-    payload_inertia: Own  # (9,) about its centre of mass, by rows
+    payload_inertia: PerArm  # (9,) about its centre of mass, by rows
     payload_mount: Array  # (9,) rotation from the beam frame of the last link to that frame without deflection
 
 
@@ -148,7 +148,7 @@ class Work(NamedTuple):
     tip: Vectors  # (n, 3) tip of the link from its origin
     deflected: Vectors  # (n, 3) rotation vector S_r q of the tip
     tangent: Rows  # (n, 4) coefficients of T and their derivatives
-    tip_shape: Pairs  # (k, 6) motion of the tip per unit elastic speed: S_t and T S_r
+    tip_shape: SixVectors  # (k, 6) motion of the tip per unit elastic speed: S_t and T S_r
     moment: Vectors  # (n, 3) integral of r dm
     inertia: Array  # (9 n,) J, by rows
     shape: Array  # (9 k,) U, by rows
@@ -166,23 +166,23 @@ class Work(NamedTuple):
     payload_rotary: Array  # (9,) its inertia about the tip, there
     # velocities
     payload_spin: Vectors  # (1, 3) angular velocity of the payload
-    payload_bias: Pairs  # (1, 6) quadratic velocity force and torque of the payload
+    payload_bias: SixVectors  # (1, 6) quadratic velocity force and torque of the payload
     spin: Vectors  # (n, 3) angular velocity
     velocity: Vectors  # (n, 3) velocity of the origin
     rotor_bias: Vectors  # (n, 3) gyroscopic torque of a carried rotor
     tip_velocity: Vectors  # (1, 3) of the last link
     joint_bias: Vectors  # (n, 3) angular acceleration of the link that no acceleration causes
-    tip_bias: Pairs  # (n, 6) acceleration of the tip that no acceleration causes
+    tip_bias: SixVectors  # (n, 6) acceleration of the tip that no acceleration causes
     rate: Array  # (s,) speed of the stations along x
     pulled: Array  # (s,) - q'^T G q'
-    bias: Pairs  # (n, 6) quadratic velocity force and torque, Eq. 14
+    bias: SixVectors  # (n, 6) quadratic velocity force and torque, Eq. 14
     elastic_bias: Array  # (k,) quadratic velocity force on elastic coordinates, Eq. 14
     # factorisation
     articulated: Array  # (27 n,) inertia of link and everything outboard, joint free: three 3x3 blocks by rows
     carried: Array  # (6 x largest station_width,) inertia beyond the tip of one link times tip_shape, by components
     # k_i rows of factor_width[i]: R of the shifted M = R^T D^-1 R, its diagonal D inverted, then 6 columns of coupling
     factor: Array
-    joint_column: Pairs  # (n, 6) articulated inertia times joint axis
+    joint_column: SixVectors  # (n, 6) articulated inertia times joint axis
     joint_pivot: Array  # (n,) what the joint torque accelerates
     spring: Array  # (n,) implicit stiffness of the joint spring
     motor_inertia: Array  # (n,) of a rotor with its implicit spring and friction
@@ -195,8 +195,8 @@ class Work(NamedTuple):
     elastic_force: Array  # (k,)
     joint_force: Array  # (n,)
     motor_torque: Array  # (n,) that a prescribed motion takes
-    frame_acceleration: Pairs  # (n, 6) of the link's frame, gravity as an upward acceleration of the base
-    reaction: Pairs  # (n + 1, 6) force and moment that each link needs at its origin, the payload at the last tip
+    frame_acceleration: SixVectors  # (n, 6) of the link's frame, gravity as an upward acceleration of the base
+    reaction: SixVectors  # (n + 1, 6) force and moment that each link needs at its origin, the payload at the last tip
     # integrators
     stages: Rows  # (STAGES, 2 d + 2)
     stage_state: Array  # (2 d + 2,)
@@ -232,8 +232,8 @@ def make_work(constants: Constants, zeros: Callable[[tuple[int, ...]], Array] = 
         "motor_inertia": (n,), "friction_slope": (n,), "drive": (n + 6,), "field": (1, 3), "tip_force": (1, 3),
         "force": (size // 2 - 1,), "elastic_force": (k,), "joint_force": (n,), "motor_torque": (n,),
         "frame_acceleration": (n, 6), "reaction": (n + 1, 6),
-        "stages": (STAGES, size), "stage_state": (size,), "shift": (size,), "trial": (size,),
-        "rates": (size // 2 - 1,), "extrapolated": (SEQUENCES, size), "estimate": (2, size), "row": (size,),
+        "stages": (MAX_STAGES, size), "stage_state": (size,), "shift": (size,), "trial": (size,),
+        "rates": (size // 2 - 1,), "extrapolated": (MAX_SEQUENCES, size), "estimate": (2, size), "row": (size,),
         "outputs": (OUTPUTS,), "pace": (1,), "progress": (3,), "table": (7, n + 6),
     }  # fmt: skip
     return Work(**{name: zeros(shape) for name, shape in shapes.items()})
@@ -271,7 +271,7 @@ class GeneralisedAlpha(NamedTuple):
     midpoint: bool
 
 
-class Clock(NamedTuple):
+class TimeGrid(NamedTuple):
     """When a run takes place: it starts at `time` (s) and records after every `substeps` steps of `step` (s).
 
     With rtol > 0 it chooses its steps by their error, beginning with `step`, and records at the same times. It pauses

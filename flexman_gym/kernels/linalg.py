@@ -8,17 +8,17 @@ the time of all positions of several arms, and its last digits depend on the com
 from flexman_gym.kernels.compile import inner
 from flexman_gym.kernels.lanes import fma
 
-HALF_TURN, HALF_TURN_REST = 3.141592653589793, 1.2246467991473532e-16  # pi and what its last digit leaves
-ROUNDING = 1.5 * 2.0**52  # added and taken away again it rounds to a whole number
+PI_HIGH, PI_LOW = 3.141592653589793, 1.2246467991473532e-16  # pi and what its last digit leaves
+ROUND_TO_INTEGER = 1.5 * 2.0**52  # added and taken away again it rounds to a whole number
 
 
 @inner
 def sine_versine(angle):
     """The sine and 1 - cosine of an angle (rad) up to 1e6, each within 4e-16; small versines keep their digits."""
-    turns = (angle * (1.0 / HALF_TURN) + ROUNDING) - ROUNDING
-    odd = turns - 2.0 * ((0.5 * turns + ROUNDING) - ROUNDING)  # -1, 0 or 1
+    turns = (angle * (1.0 / PI_HIGH) + ROUND_TO_INTEGER) - ROUND_TO_INTEGER
+    odd = turns - 2.0 * ((0.5 * turns + ROUND_TO_INTEGER) - ROUND_TO_INTEGER)  # -1, 0 or 1
     odd = odd * odd
-    rest = fma(-turns, HALF_TURN_REST, fma(-turns, HALF_TURN, angle))
+    rest = fma(-turns, PI_LOW, fma(-turns, PI_HIGH, angle))
     z = rest * rest
     # Taylor's series to rounding at a quarter turn
     sine = fma(z, 1 / 51090942171709440000, -1 / 121645100408832000)

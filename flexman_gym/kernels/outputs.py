@@ -6,14 +6,14 @@ from flexman_gym.kernels.forces import applied_forces
 from flexman_gym.kernels.kinematics import positions, tip_rotation, velocities
 from flexman_gym.kernels.lanes import fma, is_zero
 from flexman_gym.kernels.layout import (
-    DEFLECTION_AT,
-    DEFLECTION_RATE_AT,
+    DEFLECTION_COLUMN,
+    DEFLECTION_RATE_COLUMN,
     GRAVITATIONAL,
     JOINT_ENERGY,
     KINETIC,
     LINK_ENERGY,
-    TIP_AT,
-    TIP_VELOCITY_AT,
+    TIP_COLUMN,
+    TIP_VELOCITY_COLUMN,
 )
 from flexman_gym.kernels.linalg import (
     IDENTITY,
@@ -33,7 +33,7 @@ from flexman_gym.kernels.rigid_arm import rigid_tip
 
 
 @kernel
-def observe(constants, work, x, v, out):
+def compute_outputs(constants, work, x, v, out):
     """out (OUTPUTS,) = tip, its velocity, its deflection and deflection rate in the base frame, and energies (J).
 
     The deflection (m) is measured from the tip of the rigid arm at the motor angles, its rate (m/s) from that arm's tip
@@ -46,8 +46,8 @@ def observe(constants, work, x, v, out):
     position, velocity, kinetic, gravitational = _chain_outputs(constants, work, v, elastic)
     rigid, rate = rigid_tip(constants, x, v)
     for j in range(3):
-        out[TIP_AT + j], out[TIP_VELOCITY_AT + j] = position[j], velocity[j]
-        out[DEFLECTION_AT + j], out[DEFLECTION_RATE_AT + j] = position[j] - rigid[j], velocity[j] - rate[j]
+        out[TIP_COLUMN + j], out[TIP_VELOCITY_COLUMN + j] = position[j], velocity[j]
+        out[DEFLECTION_COLUMN + j], out[DEFLECTION_RATE_COLUMN + j] = position[j] - rigid[j], velocity[j] - rate[j]
     joints = 0.0
     for i in range(n):
         m = constants.motor[i]
@@ -66,7 +66,7 @@ def observe(constants, work, x, v, out):
 
 
 @inner
-def sense(constants, work, x, v, out):
+def compute_tip_accelerations(constants, work, x, v, out):
     """out = acceleration of the tip and the specific force on it, for coordinates and speeds (d,) under work.drive.
 
     The acceleration (m/s^2) is the second derivative of the tip's position: in the base frame and relative to the base,
@@ -92,13 +92,13 @@ def sense(constants, work, x, v, out):
 
 @kernel
 def tip_accelerations(constants, work, x, v, drive, out):
-    """out (TIP_ACCELERATIONS,) at coordinates x (d,), speeds v (d,) under a drive (n + 6,), see `sense`."""
+    """out (TIP_ACCELERATIONS,) at coordinates x (d,), speeds v (d,) under a drive (n + 6,), see `compute_tip_accelerations`."""
     copy(drive, work.drive)
-    sense(constants, work, x, v, out)
+    compute_tip_accelerations(constants, work, x, v, out)
 
 
 @kernel
-def energies(outputs, out):
+def total_energies(outputs, out):
     """out (b,) = kinetic + elastic + gravitational energy of arms with these outputs (b, OUTPUTS), J."""
     for b in range(len(out)):
         moving = outputs[b, KINETIC] + outputs[b, JOINT_ENERGY]
@@ -106,9 +106,9 @@ def energies(outputs, out):
 
 
 @kernel
-def residuals(rows, outputs, start, out):
+def energy_residuals(rows, outputs, start, out):
     """out (b,) = work - dissipation - change of energy since the energies (b,) of the start, J."""
-    energies(outputs, out)
+    total_energies(outputs, out)
     last = rows.shape[1] - 1
     for b in range(len(rows)):
         out[b] = rows[b, last - 1] - rows[b, last] - (out[b] - start[b])

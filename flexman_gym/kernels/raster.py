@@ -11,10 +11,10 @@ import numpy as np
 
 from flexman_gym.kernels.compile import inner, kernel
 
-AMBIENT, HIGH, KEY, FILL = 0.36, 0.10, 0.62, 0.22  # light from all sides, from above, from the sun and from opposite
+AMBIENT, SKY, KEY, FILL = 0.36, 0.10, 0.62, 0.22  # light from all sides, from above, from the sun and from opposite
 GLOSS, RIM = 0.35, 0.16  # of the highlight, and of the darker edge that sets a shape off its background
-SUN, OPPOSITE = (-0.2933, -0.4609, 0.8376), (0.8491, 0.4717, 0.2358)  # directions towards both lamps
-FAINT = 0.003  # shadow that nobody sees
+KEY_DIRECTION, FILL_DIRECTION = (-0.2933, -0.4609, 0.8376), (0.8491, 0.4717, 0.2358)  # directions towards both lamps
+SHADOW_THRESHOLD = 0.003  # shadow that nobody sees
 
 
 class Canvas(NamedTuple):
@@ -73,9 +73,9 @@ def _luminance(n0, n1, n2, e0, e1, e2):
     n0, n1, n2 = n0 * scale, n1 * scale, n2 * scale
     scale = 1.0 / np.sqrt(e0 * e0 + e1 * e1 + e2 * e2 + 1e-30)
     e0, e1, e2 = e0 * scale, e1 * scale, e2 * scale
-    factor = AMBIENT + HIGH * n2 + KEY * max(n0 * SUN[0] + n1 * SUN[1] + n2 * SUN[2], 0.0)
-    factor += FILL * max(n0 * OPPOSITE[0] + n1 * OPPOSITE[1] + n2 * OPPOSITE[2], 0.0)
-    h0, h1, h2 = e0 + SUN[0], e1 + SUN[1], e2 + SUN[2]
+    factor = AMBIENT + SKY * n2 + KEY * max(n0 * KEY_DIRECTION[0] + n1 * KEY_DIRECTION[1] + n2 * KEY_DIRECTION[2], 0.0)
+    factor += FILL * max(n0 * FILL_DIRECTION[0] + n1 * FILL_DIRECTION[1] + n2 * FILL_DIRECTION[2], 0.0)
+    h0, h1, h2 = e0 + KEY_DIRECTION[0], e1 + KEY_DIRECTION[1], e2 + KEY_DIRECTION[2]
     scale = 1.0 / np.sqrt(h0 * h0 + h1 * h1 + h2 * h2 + 1e-30)
     shine = max((n0 * h0 + n1 * h1 + n2 * h2) * scale, 0.0)
     shine *= shine
@@ -226,7 +226,7 @@ def apply_shadow(canvas, box, dark):
         for column in range(box[0], box[1] + 1):
             part = dark * canvas.shadow[row, column]
             canvas.shadow[row, column] = 0.0
-            if part <= FAINT:
+            if part <= SHADOW_THRESHOLD:
                 continue
             for y in range(row * samples, (row + 1) * samples):
                 for x in range(column * samples, (column + 1) * samples):

@@ -19,8 +19,8 @@ from flexman_gym.kernels.linalg import (
     store,
 )
 
-ITERATIONS = 8  # of Newton's method
-TURN, STEP = 0.5, 1e-7  # rad, at most in an iteration; of differences
+MAX_ITERATIONS = 8  # of Newton's method
+MAX_TURN, DIFFERENCE_STEP = 0.5, 1e-7  # rad, at most in an iteration; of differences
 
 
 @inner
@@ -58,7 +58,7 @@ def inverse_kinematics(constants, wanted, x, slopes, accuracy, damping, out):
     n, left = len(constants.mass), 0.0
     for r in range(len(wanted)):
         far = 2.0 * accuracy
-        for _ in range(ITERATIONS):
+        for _ in range(MAX_ITERATIONS):
             tip = _turned_tip(constants, out, r, -1, x)
             missing = (wanted[r, 0] - tip[0], wanted[r, 1] - tip[1], wanted[r, 2] - tip[2])
             far = math.sqrt(dot(missing, missing))
@@ -67,7 +67,11 @@ def inverse_kinematics(constants, wanted, x, slopes, accuracy, damping, out):
             rows = ((damping * damping, 0.0, 0.0), (0.0, damping * damping, 0.0), (0.0, 0.0, damping * damping))
             for i in range(n):
                 moved = _turned_tip(constants, out, r, i, x)
-                slope = ((moved[0] - tip[0]) / STEP, (moved[1] - tip[1]) / STEP, (moved[2] - tip[2]) / STEP)
+                slope = (
+                    (moved[0] - tip[0]) / DIFFERENCE_STEP,
+                    (moved[1] - tip[1]) / DIFFERENCE_STEP,
+                    (moved[2] - tip[2]) / DIFFERENCE_STEP,
+                )
                 slopes[i, 0], slopes[i, 1], slopes[i, 2] = slope
                 rows = (
                     add_scaled(rows[0], slope[0], slope),
@@ -77,7 +81,7 @@ def inverse_kinematics(constants, wanted, x, slopes, accuracy, damping, out):
             way = _solve_cramer(rows, missing)
             for i in range(n):
                 turn = slopes[i, 0] * way[0] + slopes[i, 1] * way[1] + slopes[i, 2] * way[2]
-                out[r, i] += min(max(turn, -TURN), TURN)
+                out[r, i] += min(max(turn, -MAX_TURN), MAX_TURN)
         left = max(left, far)
     return left
 
@@ -89,7 +93,7 @@ def _turned_tip(constants, angles, r, turned, x):
         m = constants.motor[i] if constants.motor[i] >= 0 else i
         x[m] = angles[r, i]
         if i == turned:
-            x[m] += STEP
+            x[m] += DIFFERENCE_STEP
     return rigid_tip(constants, x, x)[0]
 
 

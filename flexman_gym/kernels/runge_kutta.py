@@ -2,7 +2,7 @@
 
 Explicit methods include the semi-implicit Euler method; linearly implicit ones are W-methods and their
 extrapolation. A run fills rows (r, 2 d + 2) with the state and the ledger after every interval of the clock, and
-outputs (r, OUTPUTS) with the values of `observe` there. It returns a status, the number of valid rows and the
+outputs (r, OUTPUTS) with the values of `compute_outputs` there. It returns a status, the number of valid rows and the
 number of evaluations. The state that is passed in is advanced in place. `table` is that of the drive, see `layout`.
 A run that pauses (`Clock.most`) leaves in `work` the data to continue: the next call takes its state and the
 remaining rows, with `Clock.first`, and the bits are those of one call. Each family has its own loop, with one call
@@ -12,13 +12,19 @@ of the dynamics in it, because the compiler copies that call wherever it stands.
 import math
 
 from flexman_gym.kernels.compile import inner, kernel
-from flexman_gym.kernels.dynamics import accelerate, factorise, prescribed_power, solve
-from flexman_gym.kernels.forces import applied_forces, drive_at, secant_friction, shift_friction, structural_forces
+from flexman_gym.kernels.dynamics import compute_accelerations, factorise, prescribed_power, solve
+from flexman_gym.kernels.forces import (
+    applied_forces,
+    evaluate_drive,
+    secant_friction,
+    shift_friction,
+    structural_forces,
+)
 from flexman_gym.kernels.kinematics import positions, velocities
-from flexman_gym.kernels.lanes import fma, load_lane, store_lane
+from flexman_gym.kernels.lanes import extract_lane, fma, insert_lane
 from flexman_gym.kernels.layout import DIVERGED, LARGEST_STATE, NOT_CONVERGED, OK, PAUSED
 from flexman_gym.kernels.linalg import copy
-from flexman_gym.kernels.outputs import observe
+from flexman_gym.kernels.outputs import compute_outputs
 
 SAFETY, SMALLEST_FACTOR, LARGEST_FACTOR = 0.9, 0.2, 10.0  # step size control, Hairer, Norsett and Wanner I, II.4
 SMALLEST_STEP = 1e-14  # of the interval
@@ -47,7 +53,7 @@ def pause(work, n, done, pace):
 
 
 @inner
-def step_time(clock, r, n):
+def step_start(clock, r, n):
     """Start (s) of step n of interval r of a call."""
     return clock.time + (clock.first + r * clock.substeps + n) * clock.step
 
@@ -56,7 +62,7 @@ def step_time(clock, r, n):
 def _next_step(clock, r, n, done, pace):
     """Start and length of step n of interval r, of which `done` has passed, and whether it is the last one."""
     if clock.rtol == 0.0:
-        return step_time(clock, r, n), clock.step, n + 1 == clock.substeps
+        return step_start(clock, r, n), clock.step, n + 1 == clock.substeps
     interval = clock.step * clock.substeps
     last = done + 1.0001 * pace >= interval
     return clock.time + (clock.first // clock.substeps + r) * interval + done, (interval - done if last else pace), last
@@ -105,14 +111,14 @@ def _stage_derivative(constants, work, table, time, state, out):
     """out (2 d + 2,) = time derivative of state and ledger."""
     d = len(state) // 2 - 1
     x, v = state[:d], state[d : 2 * d]
-    drive_at(table, time, work.drive)
-    out[2 * d], out[2 * d + 1] = accelerate(constants, work, x, v, out[d : 2 * d])
+    evaluate_drive(table, time, work.drive)
+    out[2 * d], out[2 * d + 1] = compute_accelerations(constants, work, x, v, out[d : 2 * d])
     for j in range(d):
         out[j] = v[j]
 
 
 @kernel
-def derivative(constants, work, table, time, state, out):
+def state_derivative(constants, work, table, time, state, out):
     """out (2 d + 2,) = time derivative of state and ledger, for integrators outside the kernels."""
     _stage_derivative(constants, work, table, time, state, out)
 
@@ -175,7 +181,7 @@ def run_explicit(constants, work, tableau, table, clock, state, rows, outputs):
         n, done = 0, 0.0
         work.pace[0] = pace
         copy(state, rows[r])
-        observe(constants, work, state[:d], state[d : 2 * d], outputs[r])
+        compute_outputs(constants, work, state[:d], state[d : 2 * d], outputs[r])
     return OK, len(rows), evaluations
 
 
@@ -218,7 +224,7 @@ def run_w_method(constants, work, lanes, tableau, table, clock, state, rows, out
         n, done = 0, 0.0
         work.pace[0] = pace
         copy(state, rows[r])
-        observe(constants, work, state[:d], state[d : 2 * d], outputs[r])
+        compute_outputs(constants, work, state[:d], state[d : 2 * d], outputs[r])
     return OK, len(rows), evaluations
 
 
@@ -259,19 +265,19 @@ def _sequences_step(lanes, work, tableau, table, moment, state):
         for k in range(rounds.shape[1]):
             j, p = rounds[r, k, 0], rounds[r, k, 1]
             part = step / parts[j]
-            store_lane(steps, 0, k, part)
-            drive_at(table, time + p * part, work.drive)
+            insert_lane(steps, 0, k, part)
+            evaluate_drive(table, time + p * part, work.drive)
             for i in range(len(work.drive)):
-                store_lane(abreast.drive, i, k, work.drive[i])
+                insert_lane(abreast.drive, i, k, work.drive[i])
             for i in range(len(state) if p == 0 else 0):
-                store_lane(start, i, k, state[i])
+                insert_lane(start, i, k, state[i])
         _implicit_stage(constants, abreast, tableau, None, (0.0, steps[0]), start, 0, True)
         _add_stages(start, 1.0, tableau.b, abreast.stages, 1, start)
         for k in range(rounds.shape[1]):
             j = rounds[r, k, 0]
             if rounds[r, k, 1] + 1 == parts[j]:
                 for i in range(len(state)):
-                    work.extrapolated[j, i] = load_lane(start, i, k)
+                    work.extrapolated[j, i] = extract_lane(start, i, k)
     _extrapolate(work, tableau, state)
     evaluations = 0
     for j in range(len(parts)):
@@ -319,7 +325,7 @@ def _implicit_stage(constants, work, tableau, table, moment, state, i, moved):
         shift[k] = g * fma(g, stage[d + k], v[k] + stage[k])
         shift[d + k] = g * stage[d + k]
     if moved:
-        drive_at(table, time + tableau.abscissae[i] * step, work.drive)
+        evaluate_drive(table, time + tableau.abscissae[i] * step, work.drive)
         positions(constants, work, x)
         velocities(constants, work, v)
     supplied, lost = applied_forces(constants, work, x, v)

@@ -11,31 +11,37 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import computer_info
 from flexman_gym.common.files import write_atomically
-from flexman_gym.common.grid import Workers
-from flexman_gym.envs.config.conditions import NOMINAL
+from flexman_gym.common.parallel import Workers
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.named_environments import NAMED
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS, NOMINAL
 from flexman_gym.envs.tasks import plain_task
 from flexman_gym.evaluation.agent import INTERFACE, find_agent
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.policy_files import CERTIFICATE, policy_folder, read_policy
 from flexman_gym.evaluation.rollout import TEST_SEEDS
 from flexman_gym.league.rows import VALUES, EpisodeRow, run_league
-from flexman_gym.league.scenarios import GIVEN, PLANTS, drawn_ranges, find_scenario
+from flexman_gym.league.scenarios import GIVEN, PLANTS, find_scenario, randomised_ranges
 
 FOLDER = Path("out/certificates")  # of the rows, a folder for each policy
-SETTLED, SETTLED_CHANGED = 0.95, 0.9  # least share of episodes that settle: same arm, and changed arm
-LOUDER, LOUDER_BY = 1.2, 1e-4  # most vibration under other physics: factor of that as trained, or m above it
-DRAWS, WORST, FIRST_DRAW = 1000, 5, 50_000  # of the search: episodes, episodes that are listed, first seed
+MIN_SETTLED, MIN_SETTLED_CHANGED_ARM = 0.95, 0.9  # least share of episodes that settle: same arm, and changed arm
+MAX_VIBRATION_RATIO, MAX_VIBRATION_INCREASE = (
+    1.2,
+    1e-4,
+)  # most vibration under other physics: factor of that as trained, or m above it
+SEARCH_EPISODES, LISTED_EPISODES, SEARCH_SEED = (
+    1000,
+    5,
+    50_000,
+)  # of the search: episodes, episodes that are listed, first seed
 METRIC_NAMES = ("settled", "settling_time", "vibration", "error", "roughness", "failed")
 METHOD = "gauss_2_sweeps"  # of another order than the default
 OTHER_PLANTS = {"finer": len(TEST_SEEDS), "mujoco": 8}  # plant -> most episodes
 DELAYS, NOISES = (0, 1, 2, 3), (0.001, 0.003)  # control periods, and parts of the ranges of sensors
-BEYOND = 0.25  # part of a range of the training by which a scenario goes beyond it
+RANGE_EXTENSION = 0.25  # part of a range of the training by which a scenario goes beyond it
 
 
 def certify(
-    name: str, seeds: range = TEST_SEEDS, draws: int = DRAWS, folder: Path = FOLDER, jobs: Workers | int = 1,
+    name: str, seeds: range = TEST_SEEDS, draws: int = SEARCH_EPISODES, folder: Path = FOLDER, jobs: Workers | int = 1,
     say: Callable[[str], None] = print,
 ) -> Path:  # fmt: skip
     """Run a policy in the scenarios of its certificate and write `certificate.json` beside it; return the path.
@@ -56,11 +62,11 @@ def certify(
     place = policy_folder(name)
     if place is None:
         raise value_error("name", name, "an exported policy, by its name or folder")
-    about, environment = read_policy(place).about, environment_name(name)
+    about, environment = read_policy(place).about, _environment_name(name)
     if "settling_time" not in getattr(find_scenario(environment).environment.task, "figures", METRIC_NAMES):
         raise value_error("name", name, "a policy for a task in which the arm settles")
     trials = [(each, seeds[: OTHER_PLANTS.get(each.partition("@")[2])]) for each in certificate_scenarios(name)]
-    trials.append((environment, range(FIRST_DRAW, FIRST_DRAW + draws)))
+    trials.append((environment, range(SEARCH_SEED, SEARCH_SEED + draws)))
     result: list[dict[str, Any]] = []
     usual: list[EpisodeRow] = []
     for scenario, each in trials:
@@ -68,26 +74,35 @@ def certify(
         usual = usual or rows
         result.append(certificate_row(scenario, each, rows, usual[: len(rows)]))
         say(_row_text(result[-1]))
-    result[-1]["worst"] = _worst(rows)
-    about = {"arrays_hash": about["arrays_hash"], "machine": computer_info(), "fails": failures(result), "rows": result}
+    result[-1]["worst"] = _worst_episodes(rows)
+    about = {
+        "arrays_hash": about["arrays_hash"],
+        "machine": computer_info(),
+        "fails": _failed_scenarios(result),
+        "rows": result,
+    }
     write_atomically(place / CERTIFICATE, lambda file: file.write((json.dumps(about, indent=1) + "\n").encode()))
     return place / CERTIFICATE
 
 
 def certificate_scenarios(name: str) -> list[str]:
     """Return the names of the scenarios of a policy: as trained, under other physics, and with a changed arm."""
-    about, where = read_policy(policy_folder(name) or Path(name)).about, environment_name(name)
+    about, where = read_policy(policy_folder(name) or Path(name)).about, _environment_name(name)
     environment = find_scenario(where).environment
-    changes = _unseen(environment, Configuration.from_plain(about["recipe"]["settings"]["environment"]))
-    if NAMED[environment.id].conditions and environment.arm == NAMED[environment.id].arm():
+    changes = _changes_beyond_training(
+        environment, Configuration.from_plain(about["recipe"]["settings"]["environment"])
+    )
+    if NAMED_ENVIRONMENTS[environment.id].conditions and environment.arm == NAMED_ENVIRONMENTS[environment.id].arm():
         changes.append("friction=1")
     changes += [*(f"delay={delay}" for delay in DELAYS), *(f"noise={noise:g}" for noise in NOISES)]
-    base = f"{where}/{NOMINAL}" if where in NAMED else where  # an id alone stands for the condition of the change
+    base = (
+        f"{where}/{NOMINAL}" if where in NAMED_ENVIRONMENTS else where
+    )  # an id alone stands for the condition of the change
     physics = [*(f"{where}@{plant}" for plant in OTHER_PLANTS if plant in PLANTS), f"{base}/method={METHOD}"]
     return [where, *physics, *(f"{base}/{change}{given}" for change in changes for given in (GIVEN, ""))]
 
 
-def environment_name(name: str) -> str:
+def _environment_name(name: str) -> str:
     """Return the named environment for which a policy was exported, or the policy where it is for another one.
 
     Gains of a PD and the reward may differ: a policy has its own gains, and nothing is trained here.
@@ -95,7 +110,9 @@ def environment_name(name: str) -> str:
     agent, about = find_agent(name), read_policy(policy_folder(name) or Path(name)).about
     assert agent.environment is not None
     named = about["league"].get("environment", agent.environment.id)
-    known = named.partition("/")[0] in NAMED and _same_arms(agent.environment, find_scenario(named).environment)
+    known = named.partition("/")[0] in NAMED_ENVIRONMENTS and _is_same_motion(
+        agent.environment, find_scenario(named).environment
+    )
     return str(named) if known else name
 
 
@@ -112,7 +129,7 @@ def certificate_row(
     """
     values = _summaries(METRIC_NAMES, rows)
     physics = "@" in scenario or f"/method={METHOD}" in scenario
-    least = SETTLED if physics or "=" not in scenario else SETTLED_CHANGED
+    least = MIN_SETTLED if physics or "=" not in scenario else MIN_SETTLED_CHANGED_ARM
     why = []
     if values["failed"]:
         why.append("an episode ended at a limit")
@@ -120,13 +137,13 @@ def certificate_row(
         why.append(f"less than {least:.0%} settle")
     if physics:
         before, now = METRICS["vibration"].summary(_values("vibration", usual)), values["vibration"]
-        most = max(LOUDER * before, before + LOUDER_BY)
+        most = max(MAX_VIBRATION_RATIO * before, before + MAX_VIBRATION_INCREASE)
         if now is None or now > most:
             why.append(f"the tip moves by more than {1e3 * most:.2g} mm")
     return {"scenario": scenario, "seeds": [seeds.start, seeds.stop], **values, "fails": ", ".join(why)}
 
 
-def failures(rows: Sequence[dict[str, Any]]) -> list[str]:
+def _failed_scenarios(rows: Sequence[dict[str, Any]]) -> list[str]:
     """Return the scenarios that fail, with their seeds where these are not those of the first row."""
     first = rows[0]["seeds"][0]
     return [
@@ -145,23 +162,23 @@ def _run(name: str, scenario: str, seeds: range, folder: Path, jobs: Workers | i
     return [results.rows[scenario, name, seed] for seed in seeds]
 
 
-def _same_arms(one: Configuration, two: Configuration) -> bool:
+def _is_same_motion(one: Configuration, two: Configuration) -> bool:
     """Return whether the motion of the arms is the same: settings of the agent, gains and reward may differ."""
     others = (*INTERFACE, "gains", "reward", "task")
     tasks = [{**plain_task(each.task), "reward": None} for each in (one, two)]
     return one.without(others) == two.without(others) and tasks[0] == tasks[1]
 
 
-def _unseen(environment: Configuration, trained: Configuration) -> list[str]:
+def _changes_beyond_training(environment: Configuration, trained: Configuration) -> list[str]:
     """Return changes of payload and stiffness beyond the training: the range of the condition, or beyond the drawn."""
-    seen, result = drawn_ranges(trained), []
-    for condition in ("payload", "stiffness") if NAMED[environment.id].conditions else ():
-        spans = drawn_ranges(Configuration(environment.id, {"condition": condition}))
+    seen, result = randomised_ranges(trained), []
+    for condition in ("payload", "stiffness") if NAMED_ENVIRONMENTS[environment.id].conditions else ():
+        spans = randomised_ranges(Configuration(environment.id, {"condition": condition}))
         ranges = [seen[name] for name in spans if name in seen]
         low, high = next(iter(spans.values()))
         if ranges:
             low, high = min(low for low, _ in ranges), max(high for _, high in ranges)
-            wide = BEYOND * (high - low)
+            wide = RANGE_EXTENSION * (high - low)
             low, high = (low - wide, low) if condition == "stiffness" else (high, high + wide)
         result.append(f"{condition}={low:g}:{high:g}")
     return result
@@ -174,10 +191,10 @@ def _row_text(row: dict[str, Any]) -> str:
     return f"{row['scenario']:<42}{verdict}: {values}"
 
 
-def _worst(rows: Sequence[EpisodeRow]) -> list[dict[str, Any]]:
+def _worst_episodes(rows: Sequence[EpisodeRow]) -> list[dict[str, Any]]:
     """Return the metrics of the episodes with the lowest reward, which includes the penalty of a failure."""
     at = VALUES.index("reward")
-    worst = sorted(rows, key=lambda row: (row.values[at], row.seed))[:WORST]
+    worst = sorted(rows, key=lambda row: (row.values[at], row.seed))[:LISTED_EPISODES]
     return [{"seed": row.seed, **_summaries(("reward", *METRIC_NAMES[1:]), [row])} for row in worst]
 
 

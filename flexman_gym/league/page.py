@@ -9,24 +9,24 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.computer import computer_text
 from flexman_gym.draw.style import LIGHT, LINK_COLOURS, MIDDLE, new_figure
-from flexman_gym.envs.config.named_environments import DEFAULT
-from flexman_gym.evaluation.agent import BASELINES, IDLE
+from flexman_gym.envs.config.named_environments import DEFAULT_ID
+from flexman_gym.evaluation.agent import BASELINES, LAWLESS_AGENTS
 from flexman_gym.evaluation.agent_info import describe_agent, required_information, training_seconds
 from flexman_gym.evaluation.metrics import MEAN, MEDIAN, Metric, task_metrics
-from flexman_gym.league.rows import DAMPING, MULTIPLE, SCALE, LeagueRows, optimised_times
+from flexman_gym.league.rows import DAMPING, REFERENCE_AGENTS, TIME_RATIO, LeagueRows, optimised_settling_times
 from flexman_gym.league.scenarios import GIVEN, LAB_SCENARIO, PLANTS, SWEEPS, find_scenario
 from flexman_gym.league.standings import Interval, Standings, sweep_value
 from flexman_gym.metrics import mean, median_interval, performance_profile, stratified_interval
 from flexman_gym.simulation.parameters import PARAMETERS
 
 PAGE, CHART = "league.md", "league.png"
-LOADED = f"{DEFAULT}/payload"
-BROKEN = 0.5  # of the episodes that settle, or of the score where goals move: less is broken
+PAYLOAD_SCENARIO = f"{DEFAULT_ID}/payload"
+BREAKDOWN_LEVEL = 0.5  # of the episodes that settle, or of the score where goals move: less is broken
 THRESHOLDS = np.linspace(-0.2, 1.4, 81)
-TEXT = Path(__file__).parent / "league.md"  # template of Jinja2
+TEMPLATE = Path(__file__).parent / "league.md"  # template of Jinja2
 Section = dict[str, Any]  # values of a part of the template
 MARKS = "osD^vP"  # markers of agents in a chart
-SHIFT = 0.05  # distance of two agents in a chart, as a part of that of two scenarios
+MARKER_SPACING = 0.05  # distance of two agents in a chart, as a part of that of two scenarios
 
 
 class _ScoreCurve(NamedTuple):
@@ -64,63 +64,65 @@ def page_text(standing: Standings) -> str:
     environment = Environment(
         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
     )
-    return environment.from_string(TEXT.read_text(encoding="utf-8")).render(
-        conclusion=conclusion(standing),
+    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
+        conclusion=recommendation(standing),
         block=max((cell.end - cell.first for cell in standing.results.cells.values()), default=0),
-        glance=glance(standing, standing.scenarios),
+        glance=summary_rows(standing, standing.scenarios),
         absent=[f"`{each}`" for each in BASELINES if each not in standing.whole],
         cards=[_card(standing, agent) for agent in standing.agents],
         counted=[f"`{scenario}`" for scenario in standing.counted],
-        whole=_whole(standing),
+        whole=_overall_rows(standing),
         chart=CHART,
-        scenarios=[_scenario(standing, scenario) for scenario in standing.scenarios],
-        sweeps=[_sweep(standing, name) for name in standing.sweeps],
+        scenarios=[_scenario_section(standing, scenario) for scenario in standing.scenarios],
+        sweeps=[_sweep_section(standing, name) for name in standing.sweeps],
         plants=PLANTS,
-        physical=[_physical(standing, *each) for each in standing.physical.items()],
+        physical=[_plant_section(standing, *each) for each in standing.physical.items()],
         computer=computer_text(),
     )
 
 
-def conclusion(standing: Standings) -> str:
+def recommendation(standing: Standings) -> str:
     """Return the recommended agent for an arm with unknown parameters, its cost, and where it breaks."""
     if not (known := standing.buildable(LAB_SCENARIO)):
         return f"Nobody who could act on a real arm has played `{LAB_SCENARIO}`."
     best, *others = known
     said = [
         f"Take `{best}` for an arm whose payload, stiffness and delay nobody knows (`{LAB_SCENARIO}`).",
-        _settles(standing, best, LAB_SCENARIO),
+        _settling_sentence(standing, best, LAB_SCENARIO),
         f"It needs to know: {_needs(best)}.",
-        _costs(standing, best, [LAB_SCENARIO]),
-        *_breaks(standing, best),
+        _cost_sentence(standing, best, [LAB_SCENARIO]),
+        *_breakdown_sentences(standing, best),
     ]
     if others:
         won = standing.better(best, others[0], [LAB_SCENARIO])
-        said += [f"The next is `{others[0]}`. {_settles(standing, others[0], LAB_SCENARIO)}"]
+        said += [f"The next is `{others[0]}`. {_settling_sentence(standing, others[0], LAB_SCENARIO)}"]
         said += [f"The first has the larger reward in {_share(won)} of the same episodes."] if won else []
-    if one := standing.values(SCALE[1], LAB_SCENARIO, "settling_time"):
+    if one := standing.values(REFERENCE_AGENTS[1], LAB_SCENARIO, "settling_time"):
         said.append(f"An LQR that is told everything needs {median_interval(np.array([*one.values()]))[0]:.2f} s.")
-    if not standing.why(best, LOADED):
-        too = f"Where the payload alone is unknown (`{LOADED}`), take `{best}`, too."
-        said += [too, _settles(standing, best, LOADED)]
+    if not standing.why(best, PAYLOAD_SCENARIO):
+        too = f"Where the payload alone is unknown (`{PAYLOAD_SCENARIO}`), take `{best}`, too."
+        said += [too, _settling_sentence(standing, best, PAYLOAD_SCENARIO)]
     return "\n".join(said)
 
 
-def _settles(standing: Standings, agent: str, scenario: str) -> str:
+def _settling_sentence(standing: Standings, agent: str, scenario: str) -> str:
     """How many episodes of a scenario settle, and when."""
     settled, time = standing.settled(agent, scenario)
     when = f", half of them within {-time:.2f} s" if np.isfinite(time) else ""
     return f"It settles {100.0 * settled:.0f} % of the episodes{when}."
 
 
-def _costs(standing: Standings, agent: str, scenarios: list[str]) -> str:
+def _cost_sentence(standing: Standings, agent: str, scenarios: list[str]) -> str:
     action, start = standing.cost(agent, scenarios)
     return f"An action takes {_number(action)} microseconds, and the start of an episode {_number(1e-3 * start)} ms."
 
 
-def _breaks(standing: Standings, agent: str) -> list[str]:
+def _breakdown_sentences(standing: Standings, agent: str) -> list[str]:
     """Where an agent breaks, and where it did not play."""
-    broken = [f"`{_short(scenario)}`" for scenario in _everywhere(standing) if _is_broken(standing, agent, scenario)]
-    unplayed = [f"`{_short(scenario)}`" for scenario in _everywhere(standing) if standing.why(agent, scenario)]
+    broken = [
+        f"`{_short_name(scenario)}`" for scenario in _all_scenarios(standing) if _is_broken(standing, agent, scenario)
+    ]
+    unplayed = [f"`{_short_name(scenario)}`" for scenario in _all_scenarios(standing) if standing.why(agent, scenario)]
     said = f"It breaks in {', '.join(broken)}." if broken else "It breaks in none of the scenarios that it played."
     return [said, *([f"It did not play: {', '.join(unplayed)}."] if unplayed else [])]
 
@@ -128,12 +130,12 @@ def _breaks(standing: Standings, agent: str) -> list[str]:
 def _card(standing: Standings, agent: str) -> Section:
     """Return the values of the card of an agent."""
     description, tuning = describe_agent(agent)
-    costs = [] if agent in IDLE else [_costs(standing, agent, standing.scenarios)]
-    notes = [*costs, *_breaks(standing, agent)]
+    costs = [] if agent in LAWLESS_AGENTS else [_cost_sentence(standing, agent, standing.scenarios)]
+    notes = [*costs, *_breakdown_sentences(standing, agent)]
     return {"agent": agent, "description": description, "needs": _needs(agent), "tuning": tuning, "notes": notes}
 
 
-def glance(standing: Standings, scenarios: list[str]) -> list[list[str]]:
+def summary_rows(standing: Standings, scenarios: list[str]) -> list[list[str]]:
     """Return a row for each agent: its name, and its result in each scenario."""
     return [[f"`{each}`", *(_result(standing, each, name) for name in scenarios)] for each in standing.agents]
 
@@ -142,33 +144,33 @@ def _result(standing: Standings, agent: str, scenario: str, seeds: frozenset[int
     """The part of the episodes that settles and the median time; the score where goals move; of some seeds alone."""
     if standing.why(agent, scenario):
         return "no row"
-    if "settling_time" in {each.name for each in _figures(scenario)}:
+    if "settling_time" in {each.name for each in _scenario_metrics(scenario)}:
         settled, time = standing.settled(agent, scenario, seeds)
         return f"{100.0 * settled:.0f} %" + (f", {-time:.2f} s" if np.isfinite(time) else "")
     score = standing.score(agent, scenario)
     return "no scale" if score is None else f"score {_number(score[0])}"
 
 
-def _physical(standing: Standings, scenario: str, names: list[str]) -> Section:
+def _plant_section(standing: Standings, scenario: str, names: list[str]) -> Section:
     """Return the section of a scenario on other plants, beside the same episodes on the usual one."""
     heads = ["agent", *(name.partition("@")[2] or "usual" for name in names)]
-    compared = _compared(standing, names, names[1:], dict.fromkeys(names, "on another plant"))
+    compared = _comparison(standing, names, names[1:], dict.fromkeys(names, "on another plant"))
     return {"name": scenario, "heads": heads, **compared}
 
 
-def _sweep(standing: Standings, name: str) -> Section:
+def _sweep_section(standing: Standings, name: str) -> Section:
     """Return the section of a sweep."""
     values = {scenario: f"{sweep_value(scenario):g}" for scenario in standing.sweeps[name]}
-    compared = _compared(standing, [*values], [*values], {each: f"at {value}" for each, value in values.items()})
-    return {"name": name, "heads": [_sweep_text(name), *values.values()], "chart": _file(name), **compared}
+    compared = _comparison(standing, [*values], [*values], {each: f"at {value}" for each, value in values.items()})
+    return {"name": name, "heads": [_sweep_label(name), *values.values()], "chart": _chart_name(name), **compared}
 
 
-def _sweep_text(name: str) -> str:
+def _sweep_label(name: str) -> str:
     """Return quantity and unit of a sweep."""
     return SWEEPS[name.removesuffix(GIVEN).rpartition("/")[2]].text
 
 
-def _compared(standing: Standings, scenarios: list[str], own: list[str], places: dict[str, str]) -> Section:
+def _comparison(standing: Standings, scenarios: list[str], own: list[str], places: dict[str, str]) -> Section:
     """Return results in scenarios, of the agents and episodes that some of `own` have; `places` name them in notes."""
     seeds = frozenset(seed for name, _, seed in standing.results.rows if name in own)
     there = [each for each in standing.agents if any(not standing.why(each, name) for name in own)]
@@ -182,20 +184,20 @@ def _compared(standing: Standings, scenarios: list[str], own: list[str], places:
     }
 
 
-def _everywhere(standing: Standings) -> list[str]:
+def _all_scenarios(standing: Standings) -> list[str]:
     return [*standing.scenarios, *(scenario for each in standing.sweeps.values() for scenario in each)]
 
 
 def _is_broken(standing: Standings, agent: str, scenario: str) -> bool:
     if standing.why(agent, scenario):
         return False
-    if "settling_time" in {each.name for each in _figures(scenario)}:
-        return standing.settled(agent, scenario)[0] < BROKEN
+    if "settling_time" in {each.name for each in _scenario_metrics(scenario)}:
+        return standing.settled(agent, scenario)[0] < BREAKDOWN_LEVEL
     score = standing.score(agent, scenario)
-    return score is not None and score[0] < BROKEN
+    return score is not None and score[0] < BREAKDOWN_LEVEL
 
 
-def _whole(standing: Standings) -> list[list[str]]:
+def _overall_rows(standing: Standings) -> list[list[str]]:
     """Return a row for each agent over all scenarios that count."""
     count, rows = len(standing.counted), []
     for agent, after in zip(standing.agents, [*standing.agents[1:], ""], strict=True):
@@ -210,9 +212,9 @@ def _whole(standing: Standings) -> list[list[str]]:
     return rows
 
 
-def _scenario(standing: Standings, scenario: str) -> Section:
+def _scenario_section(standing: Standings, scenario: str) -> Section:
     """Return the section of a scenario."""
-    figures, times = _figures(scenario), optimised_times(find_scenario(scenario).environment)
+    figures, times = _scenario_metrics(scenario), optimised_settling_times(find_scenario(scenario).environment)
     there = [each for each in standing.agents if not standing.why(each, scenario)]
     scores = {each: standing.score(each, scenario) or (np.nan,) * 3 for each in there}
     there.sort(key=lambda each: -np.nan_to_num(scores[each][0], nan=0.0))
@@ -220,12 +222,12 @@ def _scenario(standing: Standings, scenario: str) -> Section:
     rows = []
     for agent in there:
         cells = [_cell(figure, standing.values(agent, scenario, figure.name)) for figure in figures]
-        for name in [DAMPING] * slews + [MULTIPLE] * bool(times):
+        for name in [DAMPING] * slews + [TIME_RATIO] * bool(times):
             cells.append(_interval(median_interval(np.array([*standing.values(agent, scenario, name).values()]))))
         rows.append([f"`{agent}`", _interval(scores[agent]), *cells, _number(standing.cost(agent, [scenario])[0])])
     return {
         "name": scenario,
-        "short": _short(scenario),
+        "short": _short_name(scenario),
         "episodes": len({seed for place, _, seed in standing.results.rows if place == scenario}),
         "heads": ["agent", "score", *(figure.head for figure in figures), *["damping"] * slews,
                   *["times optimised"] * bool(times), "action, us"],
@@ -272,8 +274,8 @@ def draw_charts(standing: Standings, folder: Path, sweeps_only: bool = False) ->
         places = np.array([sweep_value(scenario) for scenario in scenarios])
         there = [each for each in standing.agents if any(standing.score(each, scenario) for scenario in scenarios)]
         curves = {each: _curve(standing, each, scenarios, places) for each in there}
-        paths.append(folder / _file(name))
-        _score_chart(curves, _sweep_text(name), paths[-1])
+        paths.append(folder / _chart_name(name))
+        _score_chart(curves, _sweep_label(name), paths[-1])
     return paths
 
 
@@ -282,7 +284,7 @@ def _curve(standing: Standings, agent: str, scenarios: list[str], places: np.nda
     return _ScoreCurve(places, *found.T)
 
 
-def _figures(scenario: str) -> tuple[Metric, ...]:
+def _scenario_metrics(scenario: str) -> tuple[Metric, ...]:
     figures = task_metrics(find_scenario(scenario).environment.task)
     return tuple(each for each in figures if each.name != "reward")  # which the score shows
 
@@ -313,15 +315,15 @@ def _share(numbers: Interval) -> str:
 
 
 def _needs(agent: str) -> str:
-    return ", ".join(required_information(agent)) or ("nothing" if agent in IDLE else "its motors")
+    return ", ".join(required_information(agent)) or ("nothing" if agent in LAWLESS_AGENTS else "its motors")
 
 
-def _short(scenario: str) -> str:
+def _short_name(scenario: str) -> str:
     """A scenario without the usual environment."""
-    return scenario.removeprefix(f"{DEFAULT}/")
+    return scenario.removeprefix(f"{DEFAULT_ID}/")
 
 
-def _file(name: str) -> str:
+def _chart_name(name: str) -> str:
     return f"league-{name.replace('/', '-')}.png"
 
 
@@ -344,7 +346,7 @@ def _score_chart(
     figure = new_figure((11.0 if profiles else 7.5, 5.0), 120.0, layout="constrained")
     panels = figure.subplots(1, 2, width_ratios=(2.0, 1.0)) if profiles else [figure.add_subplot()]
     for number, (agent, curve) in enumerate(curves.items()):
-        look, shift = _look(number), SHIFT * (number - 0.5 * (len(curves) - 1)) if names else 0.0
+        look, shift = _line_style(number), MARKER_SPACING * (number - 0.5 * (len(curves) - 1)) if names else 0.0
         spread = [curve.middle - curve.low, curve.high - curve.middle]
         line = {"linestyle": "none"} if names else {}
         panels[0].errorbar(curve.places + shift, curve.middle, spread, label=agent, capsize=2, **(look | line))
@@ -365,7 +367,7 @@ def _score_chart(
     figure.savefig(path)
 
 
-def _look(number: int) -> dict[str, Any]:
+def _line_style(number: int) -> dict[str, Any]:
     again, colour = divmod(number, len(LINK_COLOURS))
     look = {"color": LINK_COLOURS[colour], "marker": MARKS[(colour + again) % len(MARKS)]}
     return look | {"linestyle": ("-", "--", ":")[again % 3], "linewidth": 1.4, "markersize": 5}

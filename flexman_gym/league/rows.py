@@ -15,20 +15,20 @@ from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, Flags, IntArray
+from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import short_path
 from flexman_gym.common.computer import computer_info
 from flexman_gym.common.files import write_atomically
-from flexman_gym.common.grid import Workers, run_cells
+from flexman_gym.common.parallel import Workers, parallel_map_unordered
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS
-from flexman_gym.common.time_series import read_csv_lines
+from flexman_gym.common.time_series import read_csv_rows
 from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.agent import Law
 from flexman_gym.control.controller import EpisodeInfo, Readings
-from flexman_gym.control.references.optimised_slews import SHIPPED, SlewTable
+from flexman_gym.control.references.optimised_slews import SHIPPED_TABLE, SlewTable
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import BASELINES, AgentSpec, design_for, find_agent
-from flexman_gym.evaluation.agent_info import check_unseen, describe_agent, is_realisable
+from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent, is_realisable
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.policy_files import ABOUT, ARRAYS, policy_folder
 from flexman_gym.evaluation.rollout import EpisodeRecord, compile_kernels, rollout
@@ -39,16 +39,18 @@ Kind = TypeVar("Kind")
 PACKAGE = Path(__file__).parents[1]
 ROWS, CELLS = "rows.csv", "cells.csv"
 BLOCK = 25  # episodes side by side in a cell
-MULTIPLE = "multiple"  # of the settling time of the optimised slew
+TIME_RATIO = "multiple"  # of the settling time of the optimised slew
 DAMPING = "damping"  # equivalent ratio of the tip's swings from its first arrival on
-VALUES = (*METRICS, MULTIPLE, DAMPING)
+VALUES = (*METRICS, TIME_RATIO, DAMPING)
 FORMER_HEADS = {"entrant": "agent", "venue": "scenario"}  # heads of columns in rows of version 0.2 -> heads
-FORMER: tuple[str, ...] = ()  # metrics of earlier versions, no longer in VALUES; the columns of older rows are skipped
+FORMER_METRICS: tuple[
+    str, ...
+] = ()  # metrics of earlier versions, no longer in VALUES; the columns of older rows are skipped
 # code that determines a row, beside agent, scenario and packages; texts of pages are not among it
 SOURCES = ("common/arrays.py", "kernels", "scene", "model", "simulation", "control", "envs", "metrics",
            *(f"evaluation/{name}.py" for name in ("agent", "metrics", "rollout")), "league/rows.py",
            "league/scenarios.py")  # fmt: skip
-SCALE = ("zero", "privileged-lqr")  # agents whose mean rewards are the scores 0 and 1; run in every scenario
+REFERENCE_AGENTS = ("zero", "privileged-lqr")  # agents whose mean rewards are the scores 0 and 1; run in every scenario
 
 
 class EpisodeRow(NamedTuple):
@@ -101,7 +103,7 @@ class LeagueRows:
         if not os.path.exists(folder / CELLS):  # whatever the name is
             return cls()
         cells = _read(folder / CELLS, _cell, EpisodeBlock._fields)
-        return cls(_read(folder / ROWS, _row, EpisodeRow._fields[:4], (*VALUES, *FORMER)), cells)
+        return cls(_read(folder / ROWS, _row, EpisodeRow._fields[:4], (*VALUES, *FORMER_METRICS)), cells)
 
     def save(self, folder: Path) -> None:
         """Write both, sorted, so that the files do not depend on the order of the runs."""
@@ -144,7 +146,7 @@ def run_league(
             run then.
     """
     for agent in agents:
-        check_unseen(agent, seeds)
+        check_seeds_unseen(agent, seeds)
         describe_agent(agent)
     results = LeagueRows.load(folder)
     keys = {(who, scenario): row_key(who, scenario) for scenario in scenarios for who in agents}
@@ -152,7 +154,9 @@ def run_league(
     cells = [EpisodeBlock(key, *place, *block) for place, key in keys.items() for block in blocks]
     left = [cell for cell in cells if not results.has(cell)]
     folder.mkdir(parents=True, exist_ok=True)
-    for count, (_, (cell, rows)) in enumerate(run_cells(run_block, left, jobs, prepare=compile_kernels), 1):
+    for count, (_, (cell, rows)) in enumerate(
+        parallel_map_unordered(run_block, left, jobs, prepare=compile_kernels), 1
+    ):
         results.add(cell, rows)
         results.save(folder)
         what = cell.why or f"{cell.action:.0f} us an action"
@@ -164,26 +168,26 @@ def run_block(cell: EpisodeBlock) -> tuple[EpisodeBlock, list[EpisodeRow]]:
     """Run the episodes of a cell; a cell that is refused has the reason and no rows."""
     try:
         scenario, agent = find_scenario(cell.scenario), find_agent(cell.agent)
-        if _is_lab(cell.scenario) and not is_realisable(cell.agent) and cell.agent not in SCALE:
+        if _is_lab(cell.scenario) and not is_realisable(cell.agent) and cell.agent not in REFERENCE_AGENTS:
             return cell._replace(why="it needs more than a laboratory can tell it"), []
         seeds, (player, watch) = range(cell.first, cell.end), _timed(agent, scenario.given)
         result = rollout(player, scenario.environment, seeds, moved=find_plant(scenario.plant))
     except ValueError as error:
         words, _, allowed = str(error).splitlines()[0].partition(" is not allowed; give ")
         return cell._replace(why=f"{words.split(':')[0]}: only {allowed}" if allowed else words), []
-    times, rows = optimised_times(scenario.environment), []
+    times, rows = optimised_settling_times(scenario.environment), []
     for seed, record in zip(seeds, result.records, strict=True):
         values = {name: figure.of(record) for name, figure in METRICS.items()}
         multiple = values["settling_time"] / times.get(seed, np.nan)
-        values |= {MULTIPLE: multiple, DAMPING: equivalent_damping(record)}
+        values |= {TIME_RATIO: multiple, DAMPING: equivalent_damping(record)}
         rows.append(EpisodeRow(cell.key, cell.agent, cell.scenario, seed, tuple(values.values())))
     action, design = (watch.acting, watch.designing) if watch else (0.0, 0.0)
     return cell._replace(action=1e6 * action / float(np.sum(result.lengths)), design=1e6 * design / len(seeds)), rows
 
 
-def optimised_times(environment: Configuration) -> dict[int, float]:
+def optimised_settling_times(environment: Configuration) -> dict[int, float]:
     """Settling times (s) of the optimised slews of an environment by seed, where the table that is shipped is its."""
-    table = SlewTable.load(SHIPPED)
+    table = SlewTable.load(SHIPPED_TABLE)
     same = table.about.get("environment") == environment.to_plain()
     return {seed: table.settling_time(seed) for seed in table.found} if same else {}
 
@@ -253,10 +257,10 @@ class _TimedMode:
         self.inner.reset(arms, episode, count)
         self.designing += process_time() - begun
 
-    def act(self, actions: Array, readings: Readings, applied: Array, playing: Flags) -> Array:
+    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
         return self.timed(self.inner.act)(actions, readings, applied, playing)
 
-    def look(self, readings: Readings, applied: Array, playing: Flags) -> Array:
+    def look(self, readings: Readings, applied: Array, playing: BoolArray) -> Array:
         return self.timed(self.inner.look)(readings, applied, playing)  # type: ignore[attr-defined]
 
     def timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -293,7 +297,7 @@ def _read(
     path: Path, make: Callable[[dict[str, str]], Kind], heads: Sequence[str], metrics: Sequence[str] = ()
 ) -> list[Kind]:
     """Return what is made of each line of a table with these heads and some of the metrics."""
-    lines = read_csv_lines(path)
+    lines = read_csv_rows(path)
     found = [FORMER_HEADS.get(name, name) for name in next(lines, [])]
     unknown, missing = [name for name in found if name not in (*heads, *metrics)], set(heads) - {*found}
     if unknown or missing or len(set(found)) < len(found):

@@ -6,9 +6,8 @@ from typing import Any, NamedTuple
 
 from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.control.controller import Controller
-from flexman_gym.envs.config.conditions import NOMINAL
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.named_environments import DEFAULT, NAMED
+from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS, NOMINAL
 from flexman_gym.evaluation.agent import INTERFACE, AgentSpec
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.policy_files import policy_folder, read_policy
@@ -16,40 +15,43 @@ from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.scene.serialization import to_plain
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.batch_integrators import SequentialIntegrator
+from flexman_gym.simulation.external_simulator import ExternalIntegrator, ExternalSimulator, RefinedSimulator
 from flexman_gym.simulation.integrator import Integrator, default_step
 from flexman_gym.simulation.methods import METHODS
-from flexman_gym.simulation.resimulation import ExternalIntegrator, ExternalSimulator, RefinedSimulator
 
 METHOD, TOLERANCE = "dop853", (1e-6, 1e-9)  # it chooses its steps, relative and absolute local error
-ELEMENTS, PARTS = 3, 4  # of a section; of the usual step
+ELEMENTS, STEP_DIVISOR = 3, 4  # of a section; of the usual step
 
 
-def _by_method(batch: Batch) -> None:
+def _set_method_plant(batch: Batch) -> None:
     runs = [Integrator(batch.model, METHODS[METHOD], TOLERANCE, []) for _ in batch.rows]
     batch.replace_integrator(lambda _: SequentialIntegrator(runs, (batch.control_period, 1)))
 
 
-def _by_finer(batch: Batch) -> None:
-    _by_double(batch, RefinedSimulator(batch, ELEMENTS, PARTS))
+def _set_finer_plant(batch: Batch) -> None:
+    _set_external_plant(batch, RefinedSimulator(batch, ELEMENTS, STEP_DIVISOR))
 
 
-def _by_mujoco(batch: Batch) -> None:
+def _set_mujoco_plant(batch: Batch) -> None:
     if find_spec("mujoco") is None:
         raise value_error("plant", "mujoco", "a plant that is installed (pip install mujoco)")
     from flexman_gym.simulation.mujoco import MuJoCoSimulator
 
-    _by_double(batch, MuJoCoSimulator(batch.model, batch.control_period, len(batch.rows)))
+    _set_external_plant(batch, MuJoCoSimulator(batch.model, batch.control_period, len(batch.rows)))
 
 
-def _by_double(batch: Batch, double: ExternalSimulator) -> None:
+def _set_external_plant(batch: Batch, double: ExternalSimulator) -> None:
     batch.replace_integrator(lambda mover: ExternalIntegrator(batch.model, mover, double))
 
 
 PLANTS: dict[str, tuple[str, Callable[[Batch], None]]] = {
     "usual": ("the simulator as it is", lambda batch: None),
-    "method": (f"the same model, moved by {METHOD}, which chooses its steps", _by_method),
-    "finer": (f"{ELEMENTS} elements a link, all coordinates, foreshortening, steps {PARTS} times as short", _by_finer),
-    "mujoco": ("MuJoCo, every link 3 rigid pieces between springs", _by_mujoco),
+    "method": (f"the same model, moved by {METHOD}, which chooses its steps", _set_method_plant),
+    "finer": (
+        f"{ELEMENTS} elements a link, all coordinates, foreshortening, steps {STEP_DIVISOR} times as short",
+        _set_finer_plant,
+    ),
+    "mujoco": ("MuJoCo, every link 3 rigid pieces between springs", _set_mujoco_plant),
 }
 
 
@@ -88,14 +90,14 @@ def evaluate_on_plants(
 
 CONDITIONS = ("payload", "stiffness", "delay", "random-delay", "friction", "unknown", "unknown-lab")
 TASKS = ("FlexRRR-Track-v0", "FlexRRR-Hold-v0", "FlexRRR-Gravity-v0", "FlexPlanar-v0")
-USUAL_SCENARIOS = (DEFAULT, *(f"{DEFAULT}/{condition}" for condition in CONDITIONS), *TASKS)
-LAB_SCENARIO = f"{DEFAULT}/unknown-lab"  # where an arm is as a laboratory has it
-CHECKED = (DEFAULT, LAB_SCENARIO)  # on other plants too, see `physical`
-KNOWN_NOISE = 0.001  # part of the range of each sensor; given in the sweep of noise
+USUAL_SCENARIOS = (DEFAULT_ID, *(f"{DEFAULT_ID}/{condition}" for condition in CONDITIONS), *TASKS)
+LAB_SCENARIO = f"{DEFAULT_ID}/unknown-lab"  # where an arm is as a laboratory has it
+PLANT_CHECKED_SCENARIOS = (DEFAULT_ID, LAB_SCENARIO)  # on other plants too, see `physical`
+GIVEN_NOISE = 0.001  # part of the range of each sensor; given in the sweep of noise
 GIVEN = "+given"  # end of the name of a scenario whose change is given to the design of controllers
 
 
-class ParameterChange(NamedTuple):
+class _ParameterChange(NamedTuple):
     """Change of an environment that the name of a scenario may state, such as "delay=3".
 
     Attributes:
@@ -119,24 +121,24 @@ def _number(text: str) -> int | float:
     return int(text) if text.isdecimal() else float(text)
 
 
-def drawn_ranges(environment: Configuration) -> dict[str, Any]:
+def randomised_ranges(environment: Configuration) -> dict[str, Any]:
     """Return the ranges from which the episodes of an environment draw, by name."""
     own = environment.randomisation
     return dict(own.given) if own else {}
 
 
-def _drawn(*names: str) -> Callable[[Configuration, str], dict[str, Any]]:
-    """Return the settings of `ParameterChange` in which these names are drawn from "value" or "low:high"."""
+def _range_settings(*names: str) -> Callable[[Configuration, str], dict[str, Any]]:
+    """Return the settings of `_ParameterChange` in which these names are drawn from "value" or "low:high"."""
 
     def settings(environment: Configuration, value: str) -> dict[str, Any]:
         low, colon, high = value.partition(":")
         span = [_number(low), _number(high if colon else low)]
-        return {"randomisation": {**drawn_ranges(environment), **{name: list(span) for name in names}}}
+        return {"randomisation": {**randomised_ranges(environment), **{name: list(span) for name in names}}}
 
     return settings
 
 
-def _friction(environment: Configuration, value: str) -> dict[str, Any]:
+def _friction_settings(environment: Configuration, value: str) -> dict[str, Any]:
     """Return the arm with a multiple of the motor friction that the condition of its named environment has."""
     frictional = to_plain(Configuration(environment.id, {"condition": "friction"}).arm)
     factor, plain = _number(value), to_plain(environment.arm)
@@ -148,35 +150,37 @@ def _friction(environment: Configuration, value: str) -> dict[str, Any]:
     return {"arm": {**plain, "joints": joints}}
 
 
-def _method(environment: Configuration, value: str) -> dict[str, Any]:
+def _method_settings(environment: Configuration, value: str) -> dict[str, Any]:
     """Return a method of integration and a quarter of the step (s) of the environment."""
-    step = environment.step or default_step(environment.control_period, NAMED[environment.id].longest_step)
+    step = environment.step or default_step(environment.control_period, NAMED_ENVIRONMENTS[environment.id].longest_step)
     return {"method": one_of("method", value, METHODS), "step": step / 4.0}
 
 
 CHANGES = {
-    "payload": ParameterChange("payload, kg", _drawn("payload_mass"), (0.0, 5.0, 10.0, 15.0, 20.0, 25.0), "payload"),
-    "stiffness": ParameterChange(
+    "payload": _ParameterChange(
+        "payload, kg", _range_settings("payload_mass"), (0.0, 5.0, 10.0, 15.0, 20.0, 25.0), "payload"
+    ),
+    "stiffness": _ParameterChange(
         "stiffness of joints and links, parts of the nominal one",
-        _drawn("joint_stiffness_factor", "link_stiffness_factor"),
+        _range_settings("joint_stiffness_factor", "link_stiffness_factor"),
         (0.5, 0.7, 0.85, 1.0, 1.15, 1.3, 1.5),
         "stiffness",
     ),
-    "delay": ParameterChange("delay, control periods", _drawn("delay"), (0.0, 1.0, 2.0, 3.0), "random-delay"),
-    "noise": ParameterChange(
+    "delay": _ParameterChange("delay, control periods", _range_settings("delay"), (0.0, 1.0, 2.0, 3.0), "random-delay"),
+    "noise": _ParameterChange(
         "noise of sensors, parts of their ranges",
-        _drawn("sensor_noise"),
+        _range_settings("sensor_noise"),
         (0.0, 0.001, 0.003, 0.01),
-        background={"randomisation": {"sensor_noise": [KNOWN_NOISE, KNOWN_NOISE]}},
+        background={"randomisation": {"sensor_noise": [GIVEN_NOISE, GIVEN_NOISE]}},
     ),
-    "period": ParameterChange(
+    "period": _ParameterChange(
         "control period, s",
         lambda _, value: {"control_period": _number(value)},
         (0.005, 0.01, 0.02, 0.04),
         always_given=True,
     ),
-    "friction": ParameterChange("friction of motors, parts of that of the condition", _friction),
-    "method": ParameterChange("method of integration, at a quarter of the step", _method, always_given=True),
+    "friction": _ParameterChange("friction of motors, parts of that of the condition", _friction_settings),
+    "method": _ParameterChange("method of integration, at a quarter of the step", _method_settings, always_given=True),
 }
 SWEEPS = {name: change for name, change in CHANGES.items() if change.values}
 
@@ -215,8 +219,8 @@ def find_scenario(name: str) -> Scenario:
         environment = _find_environment(name)
         return Scenario(environment, environment)
     change = CHANGES[one_of("sweep", parameter, CHANGES)]
-    known = _find_environment(f"{where}/{change.condition}" if where in NAMED else where)
-    if where in NAMED:
+    known = _find_environment(f"{where}/{change.condition}" if where in NAMED_ENVIRONMENTS else where)
+    if where in NAMED_ENVIRONMENTS:
         known = known.replace(**change.background)
     try:
         settings = change.settings(known, value)
@@ -248,4 +252,4 @@ def sweep_scenarios(id: str, sweep: str) -> list[str]:
 
 def plant_scenarios() -> list[str]:
     """Return the names of the scenarios of the physical check."""
-    return [f"{scenario}@{plant}" for scenario in CHECKED for plant in PLANTS if plant != "usual"]
+    return [f"{scenario}@{plant}" for scenario in PLANT_CHECKED_SCENARIOS for plant in PLANTS if plant != "usual"]

@@ -8,7 +8,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.evaluation.agent_info import is_realisable
-from flexman_gym.league.rows import SCALE, VALUES, EpisodeRow, LeagueRows
+from flexman_gym.league.rows import REFERENCE_AGENTS, VALUES, EpisodeRow, LeagueRows
 from flexman_gym.league.scenarios import GIVEN, PLANTS, SWEEPS, USUAL_SCENARIOS, find_scenario
 from flexman_gym.metrics import (
     improvements,
@@ -94,11 +94,11 @@ class Standings:
 
     def scale(self, scenario: str) -> tuple[float, float] | None:
         """The mean rewards that mean 0 and 1; None where they are too close, or not there."""
-        ends = [np.array([*self.values(each, scenario, "reward").values()]) for each in SCALE]
+        ends = [np.array([*self.values(each, scenario, "reward").values()]) for each in REFERENCE_AGENTS]
         if not all(map(len, ends)):
             return None
         zero, one = (float(each.mean()) for each in ends)
-        return None if normalised_scores(ends[0], zero, one, _longest(scenario)) is None else (zero, one)
+        return None if normalised_scores(ends[0], zero, one, _largest_reward(scenario)) is None else (zero, one)
 
     def scores(self, agents: Sequence[str], scenarios: Sequence[str]) -> Array:
         """Scores (E, N, M) of E agents in the N episodes that all of them have in each of M scenarios with a scale."""
@@ -117,7 +117,7 @@ class Standings:
         """The score of an agent's mean reward, and its interval; None without a row or a scale."""
         if not self.scale(scenario) or self.why(agent, scenario):
             return None
-        three = [self.values(each, scenario, "reward") for each in (agent, *SCALE)]
+        three = [self.values(each, scenario, "reward") for each in (agent, *REFERENCE_AGENTS)]
         seeds = sorted(set.intersection(*map(set, three)))
         ours, zeros, ones = (np.array([each[seed] for seed in seeds]) for each in three)
         return paired_score(ours, zeros, ones) if seeds else None
@@ -164,7 +164,7 @@ class Standings:
 
 
 @cache
-def _longest(scenario: str) -> float:
+def _largest_reward(scenario: str) -> float:
     """The largest reward of an episode: that of a control period is at most 1."""
     return float(find_scenario(scenario).environment.longest)
 

@@ -3,20 +3,21 @@
 Times begin with the first sample, which is that of the reset. Errors are distances of tip and target.
 """
 
+from flexman_gym.common.renamed import deprecated_names
 from flexman_gym.metrics.signals import (
     BAND,
     MOVE_BANDS,
-    STAY,
-    VIBRATING,
+    SETTLING_WINDOW,
+    VIBRATION_WINDOW,
     attained_distances,
-    band_of_move,
     damping_ratio,
     effort,
-    energy_left,
     final_error,
+    high_frequency_power,
+    move_band,
     overshoot,
     peak_to_peak,
-    power_above,
+    remaining_energy,
     residual_vibration,
     rms,
     roughness,
@@ -38,24 +39,24 @@ from flexman_gym.metrics.statistics import (
 __all__ = [
     "BAND",
     "MOVE_BANDS",
-    "STAY",
-    "VIBRATING",
+    "SETTLING_WINDOW",
+    "VIBRATION_WINDOW",
     "attained_distances",
-    "band_of_move",
     "damping_ratio",
     "effort",
-    "energy_left",
     "final_error",
+    "high_frequency_power",
     "improvements",
     "interquartile_mean",
     "mean",
     "median_interval",
+    "move_band",
     "normalised_scores",
     "overshoot",
     "paired_score",
     "peak_to_peak",
     "performance_profile",
-    "power_above",
+    "remaining_energy",
     "residual_vibration",
     "rms",
     "roughness",
@@ -64,3 +65,5 @@ __all__ = [
     "stratified_interval",
     "upper_median",
 ]
+
+__getattr__ = deprecated_names(__name__)

@@ -6,7 +6,7 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import MAX_SIZE, non_negative, one_of, physical, positive, value_error
 
 
-def checked_samples(name: str, values: object, *axes: int) -> Array:
+def check_samples(name: str, values: object, *axes: int) -> Array:
     """Gives values as an array of numbers (T, ...) with one of the allowed numbers of axes.
 
     Raises:
@@ -33,7 +33,7 @@ def _finite_samples(name: str, values: object, *axes: int, least: int = 1) -> Ar
     Raises:
         ValueError: for other arrays.
     """
-    array = checked_samples(name, values, *axes)
+    array = check_samples(name, values, *axes)
     if len(array) < least:
         raise value_error(name, values, f"at least {least} samples")
     if not np.isfinite(array).all():
@@ -60,7 +60,7 @@ BAND = 0.02 / 8.5
 """Part of the reach in which a tip has settled: 20 mm for 8.5 m."""
 MOVE_BANDS = (0.01, 0.05)
 """Parts of the distance of a move, the usual bands of settling times."""
-STAY = 1.0
+SETTLING_WINDOW = 1.0
 """Time for which a tip must have stayed in its band at least, s."""
 START, ENTRY = "start", "entry"
 
@@ -87,7 +87,7 @@ def settling_time(errors: Array, band: float, period: float, since: str = START)
     stayed = (len(inside) - 1 - settled) * period
     if one_of("since", since, (START, ENTRY)) == ENTRY and inside.any():
         settled -= int(np.flatnonzero(inside)[0])
-    return settled * period if stayed >= STAY - 1e-9 else np.inf
+    return settled * period if stayed >= SETTLING_WINDOW - 1e-9 else np.inf
 
 
 def overshoot(errors: Array, band: float) -> float:
@@ -126,10 +126,10 @@ def attained_distances(tips: Array, period: float) -> Array:
         ValueError: for tips that are no such array of finite numbers, and a period that is not > 0.
     """
     result = _finite_samples("tips", tips, 2)
-    return np.linalg.norm(result - _last_samples(result, period, STAY).mean(axis=0), axis=1)
+    return np.linalg.norm(result - _last_samples(result, period, SETTLING_WINDOW).mean(axis=0), axis=1)
 
 
-def band_of_move(errors: Array, part: float) -> float:
+def move_band(errors: Array, part: float) -> float:
     """Gives the band (m) that is a part of a move, as of `MOVE_BANDS`: of the distance of tip and target at its start.
 
     Args:
@@ -139,7 +139,7 @@ def band_of_move(errors: Array, part: float) -> float:
     Raises:
         ValueError: for errors without a sample, a move of no distance, and another part.
     """
-    distance = positive("errors[0]", float(checked_samples("errors", errors, 1)[0]), "m")
+    distance = positive("errors[0]", float(check_samples("errors", errors, 1)[0]), "m")
     if not positive("part", part) < 1.0:
         raise value_error("part", part, "a number > 0 and < 1")
     return float(part) * distance
@@ -147,21 +147,21 @@ def band_of_move(errors: Array, part: float) -> float:
 
 def final_error(errors: Array, period: float) -> float:
     """Gives the median error (m) over the last second of errors (T,) m sampled with a period (s)."""
-    return float(np.median(_last_samples(checked_samples("errors", errors, 1), period, STAY)))
+    return float(np.median(_last_samples(check_samples("errors", errors, 1), period, SETTLING_WINDOW)))
 
 
 def _inside(errors: Array, band: float) -> np.ndarray:
     """Whether each of the errors (T,) is within the band; what is no number is not."""
     positive("band", band, "m")
-    return checked_samples("errors", errors, 1) <= float(band)
+    return check_samples("errors", errors, 1) <= float(band)
 
 
-VIBRATING = 3.0
+VIBRATION_WINDOW = 3.0
 """Time at the end in which the vibration that is left is measured, s."""
-LEAST_SWING = 0.05  # of the largest swing of a decay; smaller ones are left out, with the noise and ripple in them
+MIN_SWING = 0.05  # of the largest swing of a decay; smaller ones are left out, with the noise and ripple in them
 
 
-def peak_to_peak(tips: Array, period: float, window: float = VIBRATING) -> float:
+def peak_to_peak(tips: Array, period: float, window: float = VIBRATION_WINDOW) -> float:
     """Gives the largest peak-to-peak motion (m) of the tip along an axis in the last seconds.
 
     Args:
@@ -169,7 +169,7 @@ def peak_to_peak(tips: Array, period: float, window: float = VIBRATING) -> float
         period: between samples, s.
         window: s, cut to what there is.
     """
-    return _range(_last_samples(checked_samples("tips", tips, 2), period, window))
+    return _range(_last_samples(check_samples("tips", tips, 2), period, window))
 
 
 def residual_vibration(
@@ -225,7 +225,7 @@ def damping_ratio(signal: Array) -> float:
     """
     result = _finite_samples("signal", signal, 1, least=3)
     result = np.ldexp(result, -np.frexp(np.abs(result).max())[1])  # of the size of 1, where nothing underflows
-    turns = _turning_points(result, LEAST_SWING * float(np.ptp(result)))
+    turns = _turning_points(result, MIN_SWING * float(np.ptp(result)))
     if len(turns) < 3:
         return np.nan
     swings = np.abs(np.diff([_vertex(result[place - 1 : place + 2]) for place in turns]))
@@ -233,7 +233,7 @@ def damping_ratio(signal: Array) -> float:
     return decrement / float(np.hypot(2.0 * np.pi, decrement))
 
 
-def energy_left(energies: Array, of: str = "largest") -> float:
+def remaining_energy(energies: Array, of: str = "largest") -> float:
     """Gives the part of an energy that is left at the end, such as of the elastic energy.
 
     Args:
@@ -324,7 +324,7 @@ ROUNDING = 1e-24  # of the mean square: a variance below is that of rounding
 
 def effort(actions: Array) -> float:
     """Gives the mean square of actions (T, n), parts of the torque limits."""
-    return float(np.mean(np.square(checked_samples("actions", actions, 2))))
+    return float(np.mean(np.square(check_samples("actions", actions, 2))))
 
 
 def roughness(actions: Array) -> float:
@@ -332,11 +332,11 @@ def roughness(actions: Array) -> float:
 
     A single action has none.
     """
-    result = checked_samples("actions", actions, 2)
+    result = check_samples("actions", actions, 2)
     return float(np.sqrt(np.mean(np.square(np.diff(result, axis=0))))) if len(result) > 1 else 0.0
 
 
-def power_above(actions: Array, period: float, frequency: float) -> float:
+def high_frequency_power(actions: Array, period: float, frequency: float) -> float:
     """Gives the part of the variance of actions that lies above a frequency, from 0 to 1.
 
     Above the first natural frequency of the arm it is what the controller does to the vibrations, or what excites them.

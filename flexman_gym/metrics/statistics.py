@@ -11,9 +11,9 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import finite, positive, value_error, whole_number
-from flexman_gym.metrics.signals import checked_samples
+from flexman_gym.metrics.signals import check_samples
 
-MOST_DRAWN = 10**8  # numbers in all samples of a bootstrap interval
+MAX_DRAWN = 10**8  # numbers in all samples of a bootstrap interval
 
 
 def upper_median(values: Array) -> float:
@@ -22,7 +22,7 @@ def upper_median(values: Array) -> float:
     Raises:
         ValueError: for values without a sample.
     """
-    return float(_medians(checked_samples("values", values, 1)[None])[0])
+    return float(_medians(check_samples("values", values, 1)[None])[0])
 
 
 def median_interval(values: Array, level: float = 0.95, draws: int = 2000) -> tuple[float, float, float]:
@@ -35,9 +35,9 @@ def median_interval(values: Array, level: float = 0.95, draws: int = 2000) -> tu
         ValueError: for values without a sample, a level that is not above 0 and below 1, and for draws that are no
             whole number from 1 on or hold more than a hundred million numbers together.
     """
-    result = checked_samples("values", values, 1)
+    result = check_samples("values", values, 1)
     level = _checked_level(level)
-    draws = whole_number("draws", draws, 1, max(1, MOST_DRAWN // len(result)))
+    draws = whole_number("draws", draws, 1, max(1, MAX_DRAWN // len(result)))
     picked = np.random.default_rng(0).integers(len(result), size=(draws, len(result)))
     medians = np.sort(_medians(result[picked]))
     cut = round((1.0 - level) / 2.0 * (draws - 1))
@@ -56,21 +56,21 @@ def _medians(rows: Array) -> Array:
 
 
 CUT = 0.25  # of the scores at each end, which the interquartile mean leaves out
-LEAST_APART = 0.05  # of the largest reward, by which the ends of the scale of scores must differ
+MIN_SPAN = 0.05  # of the largest reward, by which the ends of the scale of scores must differ
 
 Statistic = Callable[[Array], Array]
 
 
 def interquartile_mean(values: Array) -> Array:
     """Gives the mean of the middle half of values (..., K); a quarter of them, rounded down, is cut off at each end."""
-    result = np.sort(checked_samples("values", values, 1, 2), axis=-1)
+    result = np.sort(check_samples("values", values, 1, 2), axis=-1)
     cut = int(CUT * result.shape[-1])
     return np.mean(result[..., cut : result.shape[-1] - cut], axis=-1)
 
 
 def mean(values: Array) -> Array:
     """Gives the mean of values (..., K)."""
-    return np.mean(checked_samples("values", values, 1, 2), axis=-1)
+    return np.mean(check_samples("values", values, 1, 2), axis=-1)
 
 
 def stratified_interval(
@@ -90,8 +90,8 @@ def stratified_interval(
     Raises:
         ValueError: for scores without a sample, another level, and draws that hold more than a hundred million numbers.
     """
-    result = checked_samples("scores", scores, 2)
-    draws = whole_number("draws", draws, 1, max(1, MOST_DRAWN // result.size))
+    result = check_samples("scores", scores, 2)
+    draws = whole_number("draws", draws, 1, max(1, MAX_DRAWN // result.size))
     count, strata = result.shape
     picked = np.random.default_rng(0).integers(count, size=(draws, count, strata))
     return _interval(statistic(result[picked, np.arange(strata)].reshape(draws, -1)), level)
@@ -112,8 +112,8 @@ def paired_score(
     Raises:
         ValueError: as there.
     """
-    three = np.stack([checked_samples("rewards", each, 1) for each in (rewards, zeros, ones)])
-    draws = whole_number("draws", draws, 1, max(1, MOST_DRAWN // three.size))
+    three = np.stack([check_samples("rewards", each, 1) for each in (rewards, zeros, ones)])
+    draws = whole_number("draws", draws, 1, max(1, MAX_DRAWN // three.size))
     picked = np.random.default_rng(0).integers(three.shape[1], size=(draws, three.shape[1]))
     ours, zero, one = three[:, np.vstack([np.arange(three.shape[1]), picked])].mean(axis=-1)
     found = (ours - zero) / (one - zero)
@@ -128,7 +128,7 @@ def _interval(values: Array, level: float) -> tuple[float, float]:
 
 def performance_profile(scores: Array, thresholds: Array) -> Array:
     """Gives the part (T,) of scores (N, M) above each of the thresholds (T,) (Dolan and More 2002)."""
-    result, levels = checked_samples("scores", scores, 2), checked_samples("thresholds", thresholds, 1)
+    result, levels = check_samples("scores", scores, 2), check_samples("thresholds", thresholds, 1)
     above: Array = np.mean(result.ravel() > levels[:, None], axis=-1)
     return above
 
@@ -141,7 +141,7 @@ def improvements(scores: Array, others: Array) -> Array:
     Raises:
         ValueError: for others of another shape.
     """
-    ours, theirs = checked_samples("scores", scores, 2), checked_samples("others", others, 2)
+    ours, theirs = check_samples("scores", scores, 2), check_samples("others", others, 2)
     if ours.shape != theirs.shape:
         raise value_error("others", theirs.shape, f"scores of the same episodes, {ours.shape}")
     return np.where(ours == theirs, 0.5, ours > theirs)
@@ -158,6 +158,6 @@ def normalised_scores(rewards: Array, zero: float, one: float, most: float) -> A
         one: the reward that means 1.
         most: the largest reward that an episode can have.
     """
-    result = checked_samples("rewards", rewards, 0, 1, 2)
+    result = check_samples("rewards", rewards, 0, 1, 2)
     span = finite("one", one) - finite("zero", zero)
-    return None if span < LEAST_APART * positive("most", most) else (result - zero) / span
+    return None if span < MIN_SPAN * positive("most", most) else (result - zero) / span

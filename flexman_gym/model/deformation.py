@@ -9,7 +9,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import finite, non_negative, number_array, value_error, vector, whole_number
 from flexman_gym.model.element import NODE_COORDINATES, beam_shapes, beam_slopes, find_element
-from flexman_gym.model.model import Model, checked_model
+from flexman_gym.model.model import Model, check_model
 
 
 def curvature(model: Model, state: Vector, link: int, position: float) -> Array:
@@ -64,7 +64,7 @@ def gauge_radii(model: Model) -> Array:
     return np.sqrt(np.column_stack([along, along.sum(axis=1)]))
 
 
-def root_gauges(model: Model) -> Array:
+def root_strain_matrix(model: Model) -> Array:
     """Gives what strain gauges at the roots of all links read, (2 d, 3 n) per unit of a state.
 
     Three numbers of each link, at distances r of `gauge_radii`: half the difference of the axial strains at y = +-r,
@@ -89,7 +89,7 @@ def root_gauges(model: Model) -> Array:
 
 def _deformation(model: Model, state: Vector, link: int, position: float) -> Array:
     """Gives u', phi', -w'' and v'' (4,) at a position of a link."""
-    x = np.array(vector("state", state, 2 * checked_model(model).n_dof))
+    x = np.array(vector("state", state, 2 * check_model(model).n_dof))
     i = whole_number("link", link, 0, model.n_joints - 1)
     length, basis = model.arm.links[i].length, model.bases[i]
     place = finite("position", position, "m")
@@ -114,8 +114,8 @@ def _element_strains(xi: float, length: float) -> Array:
     return rows.reshape(4, -1)
 
 
-MOST_POINTS = 1000
-SLOPE_POINTS = 3  # Gauss points between two breaks, exact for the squares of quadratic slopes
+MAX_POINTS = 1000
+SLOPE_GAUSS_POINTS = 3  # Gauss points between two breaks, exact for the squares of quadratic slopes
 PLACE, TURN, STRAIN = slice(0, 3), slice(3, 6), slice(6, 10)  # rows of the shapes of a link
 
 
@@ -176,10 +176,10 @@ def curves(model: Model, states: Vector, points: int, gain: float = 1.0) -> Curv
         >>> shape.positions.shape, shape.positions[0, -1].round(3)
         ((1, 5, 3), array([0.8, 0. , 0. ]))
     """
-    d = checked_model(model).n_dof
+    d = check_model(model).n_dof
     shape = (*np.shape(states)[:-1], 2 * d)
     x = number_array("states", states, shape, f"numbers (..., {2 * d}), 2 d for each state").reshape(-1, 2 * d)
-    count, gain = whole_number("points", points, 2, MOST_POINTS), non_negative("gain", gain)
+    count, gain = whole_number("points", points, 2, MAX_POINTS), non_negative("gain", gain)
     constants, n = model.constants, model.n_joints
     mounts = constants.mount.reshape(n, 3, 3)
     places, frames = np.zeros((len(x), n, count, 3)), np.zeros((len(x), n, count, 3, 3))
@@ -233,7 +233,7 @@ def _shapes(model: Model, link: int, points: int) -> _LinkShapes:
     if not (k and model.choice.stiffening):
         return _LinkShapes(rows, np.zeros((0, 2, k)), np.zeros(points, dtype=int), radii)
     breaks = np.unique(np.append(places, [each.start for each in elements]))
-    abscissae, weights = np.polynomial.legendre.leggauss(SLOPE_POINTS)
+    abscissae, weights = np.polynomial.legendre.leggauss(SLOPE_GAUSS_POINTS)
     slopes = []
     for first, last in pairwise(breaks):
         element, _ = find_element(elements, (first + last) / 2)
@@ -241,7 +241,7 @@ def _shapes(model: Model, link: int, points: int) -> _LinkShapes:
             xi = (first + (1.0 + at) / 2 * (last - first) - element.start) / element.length
             part = np.sqrt(weight / 4 * (last - first))  # half of the integrand, and the weight of half an interval
             slopes.append(part * beam_slopes(xi, element.length) @ nodes[element.nodes])
-    return _LinkShapes(rows, np.array(slopes), SLOPE_POINTS * np.searchsorted(breaks, places), radii)
+    return _LinkShapes(rows, np.array(slopes), SLOPE_GAUSS_POINTS * np.searchsorted(breaks, places), radii)
 
 
 def _foreshortening(link: _LinkShapes, elastic: Array) -> Array:

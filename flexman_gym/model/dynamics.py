@@ -5,7 +5,7 @@ from typing import TypeGuard
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, Flags, Matrix, Vector
+from flexman_gym.common.arrays import Array, BoolArray, Matrix, Vector
 from flexman_gym.common.checks import check_magnitudes, flag, number_array, value_error, vector
 from flexman_gym.kernels import dynamics, inverse, outputs
 from flexman_gym.kernels.layout import (
@@ -16,7 +16,7 @@ from flexman_gym.kernels.layout import (
     TIP_VELOCITY,
     make_work,
 )
-from flexman_gym.model.model import Model, checked_model
+from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.natural_modes import natural_modes
 
 Forces = Callable[[Array, Array, Array], Array]
@@ -79,7 +79,7 @@ def stiffness_matrix(model: Model) -> Array:
     Raises:
         ValueError: for anything but a Model.
     """
-    return _structure(checked_model(model), model.constants.joint_stiffness, model.constants.stiffness)
+    return _structure(check_model(model), model.constants.joint_stiffness, model.constants.stiffness)
 
 
 def damping_matrix(model: Model) -> Array:
@@ -88,7 +88,7 @@ def damping_matrix(model: Model) -> Array:
     Raises:
         ValueError: for anything but a Model.
     """
-    matrix = _structure(checked_model(model), model.constants.joint_damping, model.constants.damping)
+    matrix = _structure(check_model(model), model.constants.joint_damping, model.constants.damping)
     matrix[model.motor_columns, model.motor_columns] += model.constants.viscous_friction
     return matrix
 
@@ -113,7 +113,7 @@ def frequencies(model: Model, joint_angles: Vector | Matrix | None = None, lock_
         >>> fm.frequencies(model, lock_joints=True)[:2].round(2)
         array([ 1.41, 11.26])
     """
-    n = checked_model(model).n_joints
+    n = check_model(model).n_joints
     angles = np.zeros(n) if joint_angles is None else joint_angles
     if _several(angles):
         angles = number_array("joint_angles", angles, (len(angles), n), f"numbers ({n},) or (k, {n}), rad")
@@ -184,7 +184,7 @@ def inverse_dynamics(
         ValueError: for wrong shapes, values that are not finite, missing jerks or snaps, a flexible link, and for a
             flexible joint with a damper, with friction of its motor or with a spinning rotor.
     """
-    n, constants = checked_model(model).n_joints, model.constants
+    n, constants = check_model(model).n_joints, model.constants
     motion = np.zeros((5, n))
     given = (joint_angles, joint_rates, joint_accelerations, joint_jerks, joint_snaps)
     names = ("joint_angles", "joint_rates", "joint_accelerations", "joint_jerks", "joint_snaps")
@@ -217,7 +217,7 @@ def _finite_torques(torques: Array, joint_accelerations: object) -> Array:
     return torques
 
 
-def _check_invertible(model: Model, sprung: Flags) -> None:
+def _check_invertible(model: Model, sprung: BoolArray) -> None:
     """Refuses a model whose joint motion alone does not decide the torques; `sprung` (n,) joints are flexible."""
     constants = model.constants
     if model.n_elastic > 0:
@@ -243,7 +243,7 @@ def split_state(model: Model, state: Vector) -> tuple[Array, Array]:
     Raises:
         ValueError: for a wrong shape, and values that are not finite or beyond 1e6.
     """
-    values = np.array(vector("state", state, 2 * checked_model(model).n_dof))
+    values = np.array(vector("state", state, 2 * check_model(model).n_dof))
     check_magnitudes("state", values.tolist(), LARGEST_STATE)
     return values[: model.n_dof], values[model.n_dof :]
 
@@ -284,7 +284,7 @@ def tip_jacobian(model: Model, x: Array) -> Array:
     rows = np.zeros((model.n_dof, OUTPUTS))
     work = make_work(model.constants)
     for row, unit in zip(rows, np.eye(model.n_dof), strict=True):
-        outputs.observe(model.constants, work, x, unit, row)
+        outputs.compute_outputs(model.constants, work, x, unit, row)
     return rows[:, TIP_VELOCITY].T
 
 

@@ -22,9 +22,9 @@ import numpy as np
 from flexman_gym.common.arrays import Array, IntArray, Vector
 from flexman_gym.common.checks import check_solvable, one_of, sequence, value_error
 from flexman_gym.kernels import outputs
-from flexman_gym.kernels.control_period import linear_readings
+from flexman_gym.kernels.control_period import sparse_product
 from flexman_gym.kernels.layout import OUTPUTS, TIP_VELOCITY, make_work
-from flexman_gym.model.deformation import root_gauges
+from flexman_gym.model.deformation import root_strain_matrix
 from flexman_gym.model.dynamics import (
     RICHARDSON,
     acceleration,
@@ -36,8 +36,8 @@ from flexman_gym.model.dynamics import (
     tip_jacobian,
 )
 from flexman_gym.model.element import NODE_COORDINATES
-from flexman_gym.model.model import Model, checked_model
-from flexman_gym.model.state_space import Balance, LinearModel
+from flexman_gym.model.model import Model, check_model
+from flexman_gym.model.state_space import LinearModel, SecondOrderForm
 
 FIRST_STEP = 0.005  # rad, for a first derivative: its truncation is just below rounding
 
@@ -74,12 +74,12 @@ def coordinate_scales(model: Model) -> Array:
     return sizes
 
 
-UNITS = {
+MEASUREMENT_UNITS = {
     "motor_angles": "rad", "motor_rates": "rad/s", "joint_twists": "rad", "joint_twist_rates": "rad/s",
     "link_deflections": "m", "link_deflection_rates": "m/s", "root_strains": "1",
 }  # fmt: skip
 ENDS = {1: ("",), 2: ("_y", "_z"), 3: ("_y", "_z", "_torsion")}  # of names, by how many numbers a joint or link has
-OUTPUT_UNITS = UNITS | {
+OUTPUT_UNITS = MEASUREMENT_UNITS | {
     "joint_angles": "rad", "joint_rates": "rad/s", "tip": "m", "tip_velocity": "m/s", "tip_acceleration": "m/s^2",
 }  # fmt: skip
 INPUT_UNITS = {"motor_torques": "N m", "tip_force": "N", "base_acceleration": "m/s^2"}
@@ -99,7 +99,7 @@ def _measurement_rows(model: Model) -> dict[str, Array]:
     angles = np.eye(2 * d)[model.motor_columns]
     twist = angles - np.eye(2 * d)[:n]
     parts = [each for part in (angles, twist, bending) for each in (part, np.roll(part, d, axis=1))]
-    return dict(zip(UNITS, [*parts, root_gauges(model).T], strict=True))
+    return dict(zip(MEASUREMENT_UNITS, [*parts, root_strain_matrix(model).T], strict=True))
 
 
 def column_names(name: str, unit: str, size: int, joints: int) -> list[str]:
@@ -113,27 +113,27 @@ def column_names(name: str, unit: str, size: int, joints: int) -> list[str]:
     ]
 
 
-INSTRUMENTS = {  # name of a sensor whose readings are linear in the state -> what it measures
+LINEAR_SENSORS = {  # name of a sensor whose readings are linear in the state -> what it measures
     "motor_encoders": ("motor_angles", "motor_rates"),
     "joint_encoders": ("joint_twists", "joint_twist_rates"),  # on both sides of a spring
     "strain": ("root_strains",),
 }
 
 
-class LinearReadings:
+class LinearMeasurements:
     """How a model of n links is read.
 
     Attributes:
         motion: what gives motor_angles, motor_rates, joint_twists, joint_twist_rates, (n,) each, link_deflections and
             link_deflection_rates, (2 n,) each, side by side.
         places: name -> slice of these 8 n numbers.
-        strains: what gives root_strains, (3 n,), see `model.deformation.root_gauges`.
+        strains: what gives root_strains, (3 n,), see `model.deformation.root_strain_matrix`.
     """
 
     def __init__(self, model: Model) -> None:
         *parts, strains = _measurement_rows(model).values()
         ends = np.cumsum([0, *map(len, parts)]).tolist()
-        self.places = {name: slice(*both) for name, *both in zip(UNITS, ends, ends[1:], strict=False)}
+        self.places = {name: slice(*both) for name, *both in zip(MEASUREMENT_UNITS, ends, ends[1:], strict=False)}
         self.motion = _entries(np.vstack(parts))
         self.strains = _entries(strains)
 
@@ -142,13 +142,13 @@ class LinearReadings:
         motion = np.zeros((len(states), max(place.stop for place in self.places.values())))
         strains = np.zeros((len(states), len(self.strains[0]) - 1))
         rows = np.ascontiguousarray(states)
-        linear_readings(rows, *self.motion, motion)
-        linear_readings(rows, *self.strains, strains)
+        sparse_product(rows, *self.motion, motion)
+        sparse_product(rows, *self.strains, strains)
         return {name: motion[:, place] for name, place in self.places.items()} | {"root_strains": strains}
 
 
 def _entries(rows: Array) -> tuple[IntArray, IntArray, Array]:
-    """The rows (m, 2 d) of a linear reading without their zeros, most of it, as `linear_readings` takes them."""
+    """The rows (m, 2 d) of a linear reading without their zeros, most of it, as `sparse_product` takes them."""
     start: IntArray = np.append(0, np.cumsum(np.count_nonzero(rows, axis=1)))
     source: IntArray = np.nonzero(rows)[1]
     return start, source, rows[rows != 0.0]
@@ -193,7 +193,7 @@ def _tip_rows(model: Model, name: str, x: Array, v: Array, rates: Array) -> Arra
         work, row = make_work(model.constants), np.zeros(OUTPUTS)
 
         def velocity(place: Array) -> Array:
-            outputs.observe(model.constants, work, place, moving, row)
+            outputs.compute_outputs(model.constants, work, place, moving, row)
             return row[TIP_VELOCITY].copy()
 
         rows[:, :d] += _coordinate_jacobian(model, velocity, x)
@@ -271,7 +271,7 @@ def linearize(
         >>> system.discrete(period=0.01).period
         0.01
     """
-    checked_model(model)
+    check_model(model)
     if state is None:
         state = model.initial_state(np.zeros(model.n_joints) if joint_angles is None else joint_angles)
     elif joint_angles is not None:
@@ -283,10 +283,12 @@ def linearize(
     if one_of("friction", friction, (SLIDING, AT_REST)) == AT_REST:
         _add_coulomb_slopes(model, state, demands)
     rows, read = _output_rows(model, state, caused, outputs)
-    return _linear_model(model, Balance(mass_matrix(model, state), demands, rows), tuple(driven), tuple(read))
+    return _linear_model(model, SecondOrderForm(mass_matrix(model, state), demands, rows), tuple(driven), tuple(read))
 
 
-def _linear_model(model: Model, balance: Balance, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> LinearModel:
+def _linear_model(
+    model: Model, balance: SecondOrderForm, inputs: tuple[str, ...], outputs: tuple[str, ...]
+) -> LinearModel:
     """Gives the linear model of a balance of forces."""
     from scipy.linalg import cho_factor, cho_solve
 

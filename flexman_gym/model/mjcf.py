@@ -27,7 +27,7 @@ from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link, NonUniformLink
 from flexman_gym.scene.rigid_body import LumpedMass, Payload
 
-PIECES, MOST_PIECES = 8, 64  # of a section
+PIECES, MAX_PIECES = 8, 64  # of a section
 STEP = 1.5  # over the largest natural frequency (rad/s); "implicitfast" and "Euler" are stable up to 2
 Grow = Callable[[Any, Any, Any], tuple[Any, dict[str, str]]]
 
@@ -107,7 +107,7 @@ def mjcf(
         ValueError: for anything but an arm, and for another number of pieces.
     """
     instance("arm", arm, Arm, "an Arm")
-    whole_number("pieces", pieces, 0, MOST_PIECES)
+    whole_number("pieces", pieces, 0, MAX_PIECES)
     cut = [rigid_pieces(link, pieces) for link in arm.links]
     sitting = [link.masses for link in arm.links]
     modes = [_modes(*each) for each in zip(cut, _tips(arm), sitting, strict=True)] if pieces else []

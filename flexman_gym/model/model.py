@@ -15,7 +15,7 @@ from flexman_gym.model.beam import Beam, ShapeIntegrals, build_beam, shape_integ
 from flexman_gym.model.component_modes import loaded_modes, outboard_inertias, zero_pose_rotations
 from flexman_gym.model.element import Element, beam_elements
 from flexman_gym.scene.arm import Arm
-from flexman_gym.scene.mistakes import warn_caller
+from flexman_gym.scene.input_checks import warn_caller
 from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.scene.scene import MAX_ELEMENTS, ModelChoice, Scene
 from flexman_gym.scene.serialization import ArmLike, find_arm
@@ -194,7 +194,9 @@ def _axial(tensors: Array) -> Array:
     return np.stack([turned[..., 1, 2], turned[..., 2, 0], turned[..., 0, 1]], axis=-1)
 
 
-REMEMBERED = 24  # finite elements of an arm, up to which its links are remembered whole, some megabytes of them
+MAX_CACHED_ELEMENTS = (
+    24  # finite elements of an arm, up to which its links are remembered whole, some megabytes of them
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -336,7 +338,11 @@ def build_model(
         most = MAX_ELEMENTS // len(link.sections)
         if count > most:
             raise value_error(f"elements[{i}]", count, f"at most {most} for each of the {len(link.sections)} sections")
-    whole = _remembered if sum(len(link.sections) for link in arm.links) * max(counts) <= REMEMBERED else _whole_links
+    whole = (
+        _remembered
+        if sum(len(link.sections) for link in arm.links) * max(counts) <= MAX_CACHED_ELEMENTS
+        else _whole_links
+    )
     bases, dampings, reduced = [], [], []
     beams = whole(arm, counts, flexible, choice.rotary_inertia)
     _warn_of_modes([modes_[0][0] for _, modes_ in beams if len(modes_[0])])
@@ -408,7 +414,7 @@ def scene_model(scene: Scene) -> Model:
     return build_model(scene.arm, **vars(scene.model))
 
 
-def checked_model(model: object) -> Model:
+def check_model(model: object) -> Model:
     """Gives a Model.
 
     Raises:

@@ -11,7 +11,7 @@ from flexman_gym.common.checks import check_solvable, non_negative, positive, se
 from flexman_gym.model.natural_modes import natural_modes
 
 
-class Balance(NamedTuple):
+class SecondOrderForm(NamedTuple):
     """Forces of d coordinates in balance, mass a = forces [q, v, u], and what is read, y = rows [q, v, a].
 
     Attributes:
@@ -48,7 +48,7 @@ class LinearModel:
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
     period: float | None = None
-    balance: Balance | None = field(default=None, repr=False)
+    balance: SecondOrderForm | None = field(default=None, repr=False)
 
     def __iter__(self) -> Any:
         return iter((self.A, self.B, self.C, self.D))
@@ -192,7 +192,7 @@ class LinearModel:
         given = {name: each for name, each in names.items() if each}
         return control.ss(self.A, self.B, self.C, self.D, 0 if self.period is None else self.period, **given)
 
-    def _own_balance(self) -> Balance:
+    def _own_balance(self) -> SecondOrderForm:
         if self.balance is None:
             raise value_error("model", "one that was changed", "the model that linearize gives")
         return self.balance

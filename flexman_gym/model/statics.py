@@ -9,7 +9,7 @@ from flexman_gym.common.checks import value_error, vector
 from flexman_gym.kernels import inverse, outputs
 from flexman_gym.kernels.layout import OUTPUTS, TIP, Work, make_work
 from flexman_gym.model.dynamics import inertial_forces, stiffness_matrix
-from flexman_gym.model.model import Model, checked_model
+from flexman_gym.model.model import Model, check_model
 
 
 def rest_states(model: Model, postures: Array) -> Array:
@@ -39,7 +39,7 @@ def rest_state(model: Model, motor_angles: Vector) -> Array:
     Raises:
         ValueError: for wrong angles, and for an arm too soft to find its rest so.
     """
-    angles = vector("motor_angles", motor_angles, checked_model(model).n_joints, "rad")
+    angles = vector("motor_angles", motor_angles, check_model(model).n_joints, "rad")
     result: Array = rest_states(model, np.array([angles]))[0]
     return result
 
@@ -69,6 +69,6 @@ def rest_tips(model: Model, postures: Array) -> Array:
     """(r, 3) m: tips, base frame, of the arm at rest with its motors at angles (r, n) rad."""
     work, row, tips = _rest_system(model)[0], np.zeros(OUTPUTS), np.zeros((len(postures), 3))
     for tip, state in zip(tips, rest_states(model, postures), strict=True):
-        outputs.observe(model.constants, work, state[: model.n_dof], state[model.n_dof :], row)
+        outputs.compute_outputs(model.constants, work, state[: model.n_dof], state[model.n_dof :], row)
         tip[:] = row[TIP]
     return tips

@@ -9,7 +9,7 @@ from flexman_gym.common.arrays import Array, IntArray, Vector
 from flexman_gym.common.checks import check_solvable, one_of, vector
 from flexman_gym.model.dynamics import inertial_forces, mass_matrix, stiffness_matrix
 from flexman_gym.model.linearization import linearize
-from flexman_gym.model.model import Model, checked_model
+from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.natural_modes import natural_modes
 from flexman_gym.model.statics import holding_torques, rest_state
 
@@ -109,7 +109,7 @@ def modes(model: Model, joint_angles: Vector | None = None, motors: str = "held"
         (array([ 1.41, 11.26]), array([0.004, 0.007]))
     """
     held = one_of("motors", motors, ("held", "free")) == "held"
-    n = checked_model(model).n_joints
+    n = check_model(model).n_joints
     resting = equilibrium_matrices(model, np.zeros(n) if joint_angles is None else joint_angles)
     kept = resting.others if held else np.arange(model.n_dof)
     found = oscillatory_modes(resting, kept)
@@ -212,7 +212,7 @@ def spin_frequencies(model: Model, rates: Vector, joint_angles: Vector | None = 
     Raises:
         ValueError: for wrong shapes and values that are not finite.
     """
-    d, n, result = checked_model(model).n_dof, model.n_joints, []
+    d, n, result = check_model(model).n_dof, model.n_joints, []
     light = replace(model, constants=model.constants._replace(gravity=np.zeros(3)))
     others = np.setdiff1d(np.arange(d), model.motor_columns)
     kept, k = np.concatenate([others, d + others]), len(others)

@@ -15,9 +15,9 @@ from flexman_gym.common.checks import (
     value_error,
     vector,
 )
+from flexman_gym.scene.input_checks import check_keywords, warn_caller, warn_unusual_units
 from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link, NonUniformLink
-from flexman_gym.scene.mistakes import check_keywords, warn_caller, warn_of_units
 from flexman_gym.scene.rigid_body import LumpedMass, Payload
 
 MAX_GRAVITY = 300.0  # m/s^2
@@ -78,7 +78,7 @@ class Arm:
         self._warn_of_slips()
 
     def _warn_of_slips(self) -> None:
-        warn_of_units("Arm", vars(self))
+        warn_unusual_units("Arm", vars(self))
         _warn_of_gravity(tuple(self.gravity))
         length = sum(link.length for link in self.links)
         beams = sum(link.mass - sum(each.mass for each in link.masses) for link in self.links)

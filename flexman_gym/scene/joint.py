@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from flexman_gym.common.arrays import Vector
 from flexman_gym.common.checks import UNIT_TOLERANCE, instance, physical, set_fields, value_error, vector
-from flexman_gym.scene.mistakes import check_keywords, warn_of_units
+from flexman_gym.scene.input_checks import check_keywords, warn_unusual_units
 
 
 @check_keywords
@@ -55,7 +55,7 @@ class Motor:
                 set_fields(self, **{name: physical(f"Motor.{name}", value, unit)})
         if self.efficiency > 1.0:
             raise value_error("Motor.efficiency", self.efficiency, "a number > 0 and <= 1")
-        warn_of_units("Motor", vars(self))
+        warn_unusual_units("Motor", vars(self))
 
     @property
     def reflected_inertia(self) -> float:
@@ -146,7 +146,7 @@ class Joint:
             raise value_error(
                 "Joint.damping", self.damping, "0 with stiffness None: the damper is parallel to the spring"
             )
-        warn_of_units("Joint", vars(self))
+        warn_unusual_units("Joint", vars(self))
 
     def _take_from_motor(self, motor: Motor) -> None:
         """Takes rotor inertia and torque limit from the motor; a copy of a joint gives them once more."""

@@ -17,7 +17,7 @@ from flexman_gym.common.checks import (
     set_fields,
     value_error,
 )
-from flexman_gym.scene.mistakes import check_keywords, warn_caller, warn_of_units
+from flexman_gym.scene.input_checks import check_keywords, warn_caller, warn_unusual_units
 from flexman_gym.scene.rigid_body import LumpedMass
 
 SHAPES = ("strip", "tube", "rod")
@@ -277,7 +277,7 @@ class Link:
         set_fields(self, masses=_lumped_masses("Link.masses", self.masses, self.length))
         if self.outline is not None:
             _check_outline(self.outline, vars(self))
-        warn_of_units("Link", vars(self))
+        warn_unusual_units("Link", vars(self))
         polar, least = self.second_moment_y + self.second_moment_z, self.area * self.area / (2.0 * math.pi)
         if polar < (1.0 - 1e-9) * least:
             warn_caller(

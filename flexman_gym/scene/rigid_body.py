@@ -16,7 +16,7 @@ from flexman_gym.common.checks import (
     value_error,
     vector,
 )
-from flexman_gym.scene.mistakes import check_keywords
+from flexman_gym.scene.input_checks import check_keywords
 
 
 def _checked_fields(name: str, inertia: Matrix | None, offset: Vector | None) -> dict[str, Any]:

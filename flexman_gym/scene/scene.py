@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from flexman_gym.common import files as scene_file
 from flexman_gym.common.arrays import Vector
 from flexman_gym.common.checks import (
-    WHOLE_TOLERANCE,
+    RATIO_TOLERANCE,
     flag,
     mapping,
     one_of,
@@ -26,14 +26,10 @@ from flexman_gym.common.checks import (
     vector,
     whole_number,
 )
-from flexman_gym.common.time_series import TimeSeries, read_time_series, write_columns
+from flexman_gym.common.time_series import TimeSeries, read_time_series, write_csv
 from flexman_gym.scene.arm import Arm
-from flexman_gym.scene.mistakes import check_keywords
-from flexman_gym.scene.serialization import (
-    find_arm,
-    part_from_plain,
-    to_plain,
-)
+from flexman_gym.scene.input_checks import check_keywords
+from flexman_gym.scene.serialization import find_arm, from_plain, to_plain
 from flexman_gym.scene.signals import (
     ConstantTorque,
     PiecewiseSignals,
@@ -251,7 +247,7 @@ class Scene:
                 if not isinstance(item, SampledSignal | SampledAngles):
                     continue
                 end = item.times[-1] if isinstance(item, SampledAngles) else item.end
-                if item.times[0] > 0.0 or end < self.duration * (1.0 - WHOLE_TOLERANCE):
+                if item.times[0] > 0.0 or end < self.duration * (1.0 - RATIO_TOLERANCE):
                     said = f"samples from {item.times[0]:g} to {end:g} s"
                     raise value_error(f"Scene.{name}[{i}]", said, f"samples from 0 to {self.duration:g} s or longer")
 
@@ -301,7 +297,7 @@ class Scene:
         data, tables = _split_samples(Path(path), self.to_dict())
         scene_file.write_data(Path(path), data)
         for file, columns in tables.items():
-            write_columns(file, columns)
+            write_csv(file, columns)
 
     @classmethod
     def from_dict(cls, data: object, folder: Path = Path()) -> Self:
@@ -325,14 +321,14 @@ class Scene:
                 ]
             )
 
-        return part_from_plain(
+        return from_plain(
             cls,
             "",
             data,
             arm=find_arm,
-            model=partial(part_from_plain, ModelChoice, "model"),
+            model=partial(from_plain, ModelChoice, "model"),
             torque=partial(_torque_from_plain, folder=folder),
-            initial=partial(part_from_plain, Initial, "initial"),
+            initial=partial(from_plain, Initial, "initial"),
             **{name: signals(name) for name in UNITS},  # type: ignore[arg-type]
         )
 
@@ -362,7 +358,7 @@ def _torque_from_plain(data: object, folder: Path) -> ConstantTorque | SineTorqu
         torque = SampledTorque.from_csv(folder / name, **given)
         _warn_outside("torque.csv", name, folder)
         return torque
-    return part_from_plain(kind, "torque", entries)
+    return from_plain(kind, "torque", entries)
 
 
 def _signal_from_plain(
@@ -390,8 +386,8 @@ def _signal_from_plain(
         _warn_outside(f"{path}.csv", name, folder)
         return _sampled_signal(record, text(f"{path}.column", more.pop("column", None)), units, more)
     if "angles" in keys and "rad" in units:
-        return part_from_plain(SampledAngles, path, data)
-    return part_from_plain(SampledSignal, path, data) if "times" in keys else part_from_plain(Signal, path, data)
+        return from_plain(SampledAngles, path, data)
+    return from_plain(SampledSignal, path, data) if "times" in keys else from_plain(Signal, path, data)
 
 
 def _warn_outside(field: str, name: str, folder: Path) -> None:

@@ -11,9 +11,9 @@ from typing import Any, TypeVar
 from flexman_gym.common import files
 from flexman_gym.common.checks import mapping, one_of, sequence, short_path, text, value_error, whole_number
 from flexman_gym.scene.arm import Arm
+from flexman_gym.scene.input_checks import keyword_hint
 from flexman_gym.scene.joint import Joint, Motor
 from flexman_gym.scene.link import IDENTITY, SHAPES, Link, NonUniformLink, Outline
-from flexman_gym.scene.mistakes import keyword_hint
 from flexman_gym.scene.rigid_body import LumpedMass, Payload
 from flexman_gym.scene.signals import Signal
 
@@ -51,7 +51,7 @@ def arm_from_plain(data: object) -> Arm:
         ValueError: for entries that are not allowed; it names the field (`arm.links[1].length`).
     """
     links, joints = partial(_items, "arm.links", _link), partial(_items, "arm.joints", _joint)
-    return part_from_plain(Arm, "arm", data, links=links, joints=joints, payload=_optional(Payload, "arm.payload"))
+    return from_plain(Arm, "arm", data, links=links, joints=joints, payload=_optional(Payload, "arm.payload"))
 
 
 def _items(path: str, build: Callable[[str, object], Any], data: object) -> list[Any]:
@@ -61,7 +61,7 @@ def _items(path: str, build: Callable[[str, object], Any], data: object) -> list
 
 def _optional(kind: type[Part], path: str) -> Callable[[object], Part | None]:
     """Return a function that builds a `kind` from its mapping, None from None."""
-    return lambda data: None if data is None else part_from_plain(kind, path, data)
+    return lambda data: None if data is None else from_plain(kind, path, data)
 
 
 def _link(path: str, data: object) -> Link | NonUniformLink:
@@ -84,14 +84,14 @@ def _link(path: str, data: object) -> Link | NonUniformLink:
             raise ValueError(path + str(error).removeprefix("Link")) from None
     if "sections" not in entries:
         return _uniform(path, entries)
-    return part_from_plain(NonUniformLink, path, entries, sections=partial(_items, f"{path}.sections", _section))
+    return from_plain(NonUniformLink, path, entries, sections=partial(_items, f"{path}.sections", _section))
 
 
 def _with_masses(path: str, data: object) -> dict[str, Any]:
     """Return a copy of the mapping of a link with its lumped masses built."""
     entries = dict(data) if isinstance(data, dict) else _check_entries(Link, path, data)
     if "masses" in entries:
-        entries["masses"] = _items(f"{path}.masses", partial(part_from_plain, LumpedMass), entries["masses"])
+        entries["masses"] = _items(f"{path}.masses", partial(from_plain, LumpedMass), entries["masses"])
     return entries
 
 
@@ -104,18 +104,18 @@ def _section(path: str, data: object) -> Link:
 
 
 def _uniform(path: str, data: object, *left_out: str) -> Link:
-    return part_from_plain(Link, path, data, left_out, outline=_optional(Outline, f"{path}.outline"))
+    return from_plain(Link, path, data, left_out, outline=_optional(Outline, f"{path}.outline"))
 
 
 def _joint(path: str, data: object) -> Joint:
     """Return a Joint from a mapping; a motor defines its rotor inertia."""
     if not isinstance(data, dict) or data.get("motor") is None:
-        return part_from_plain(Joint, path, data)
-    motor = partial(part_from_plain, Motor, f"{path}.motor")
-    return part_from_plain(Joint, path, {"rotor_inertia": 0.0} | data, motor=motor)
+        return from_plain(Joint, path, data)
+    motor = partial(from_plain, Motor, f"{path}.motor")
+    return from_plain(Joint, path, {"rotor_inertia": 0.0} | data, motor=motor)
 
 
-def part_from_plain(
+def from_plain(
     kind: type[Part], path: str, data: object, left_out: Sequence[str] = (), **parts: Callable[[Any], Any]
 ) -> Part:
     """Return a `kind` from the mapping of its fields.
@@ -220,7 +220,7 @@ def find_arm(value: object, folder: Path = Path()) -> Arm:
     arguments = {text("a key of arm", name): each for name, each in given.items() if name != "catalog"}
     name = one_of("arm", given["catalog"], ARMS)
     if isinstance(arguments.get("payload"), dict):
-        arguments["payload"] = part_from_plain(Payload, "arm.payload", arguments["payload"])
+        arguments["payload"] = from_plain(Payload, "arm.payload", arguments["payload"])
     try:
         return named_arm(name)(**arguments)
     except TypeError as error:

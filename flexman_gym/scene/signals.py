@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import (
     MAX_ENTRIES,
-    count_parts,
     finite,
     non_negative,
     number_array,
@@ -22,8 +21,9 @@ from flexman_gym.common.checks import (
     set_fields,
     value_error,
     vector,
+    whole_ratio,
 )
-from flexman_gym.common.time_series import read_time_series, write_columns
+from flexman_gym.common.time_series import read_time_series, write_csv
 
 HOLDS = ("zero", "linear")
 LEAST_OF_SPLINE = 4  # samples
@@ -142,7 +142,7 @@ class SampledTorque:
             ValueError: for a period that does not divide the duration, and for what is no torque.
         """
         allowed = "a number of seconds that divides the duration"
-        count = count_parts("period", positive("period", period, "s"), positive("duration", duration, "s"), allowed)
+        count = whole_ratio("period", positive("period", period, "s"), positive("duration", duration, "s"), allowed)
         if count >= MAX_ENTRIES:
             raise value_error("period", period, f"at most {MAX_ENTRIES} samples in {duration} s")
         times = np.linspace(0.0, duration, count + 1)
@@ -150,7 +150,7 @@ class SampledTorque:
 
     def to_csv(self, path: str | Path) -> None:
         """Writes a file from which `from_csv` gives an equal one, but for the hold."""
-        write_columns(path, {"time (s)": self.times, **_heads("torque", "N m", self.values)})
+        write_csv(path, {"time (s)": self.times, **_heads("torque", "N m", self.values)})
 
     def signals(self) -> list[Any]:
         """Gives the torque of each motor, n of them."""

@@ -3,7 +3,7 @@
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.episode import Episode
 from flexman_gym.simulation.methods import METHODS, generalised_alpha
-from flexman_gym.simulation.scenes import simulate, simulate_all
+from flexman_gym.simulation.scene_simulation import simulate, simulate_all
 from flexman_gym.simulation.simulator import Simulator
 from flexman_gym.simulation.trajectory import Trajectory
 

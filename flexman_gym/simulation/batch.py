@@ -5,15 +5,15 @@ from typing import NoReturn
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, Flags
-from flexman_gym.common.checks import check_magnitudes, count_parts, positive, value_error, whole_number
+from flexman_gym.common.arrays import Array, BoolArray
+from flexman_gym.common.checks import check_magnitudes, positive, value_error, whole_number, whole_ratio
 from flexman_gym.kernels import layout, outputs
 from flexman_gym.kernels.control_period import close_period
 from flexman_gym.kernels.rigid_arm import rigid_tips
-from flexman_gym.model.model import Model, checked_model
+from flexman_gym.model.model import Model, check_model
 from flexman_gym.simulation.batch_integrators import BatchIntegrator, LaneIntegrator, SequentialIntegrator
 from flexman_gym.simulation.integrator import (
-    MOST_STEPS,
+    MAX_STEPS,
     Integrator,
     default_step,
     find_method,
@@ -23,7 +23,7 @@ from flexman_gym.simulation.integrator import (
 from flexman_gym.simulation.methods import DEFAULT_METHOD, IteratedGauss, LinearlyImplicit, Method
 from flexman_gym.simulation.parameters import nominal_parameters, varied_constants
 
-MOST_ARMS, MOST_THREADS = 65536, 256
+MAX_ARMS, MAX_THREADS = 65536, 256
 RESTING = -1  # status of arms that are not to move; only batch integrators see it
 
 
@@ -69,12 +69,12 @@ class Batch:
         arms: int = 1,
         threads: int = 1,
     ) -> None:
-        self.model = checked_model(model)
+        self.model = check_model(model)
         self.method = find_method(method)
         self.control_period = positive("control_period", control_period, "s")
         self.substeps = _find_substeps(step, self.control_period)
-        n, count = model.n_joints, whole_number("arms", arms, 1, MOST_ARMS)
-        whole_number("threads", threads, 1, MOST_THREADS)
+        n, count = model.n_joints, whole_number("arms", arms, 1, MAX_ARMS)
+        whole_number("threads", threads, 1, MAX_THREADS)
         joints = _joints(prescribed, n)
         fixed = None if step is None else self.control_period / self.substeps
         tolerance = find_tolerance(self.method, fixed, rtol, atol)
@@ -111,7 +111,7 @@ class Batch:
         self._periods[arms] = self._drive[arms] = 0.0
         self._mover.observe(arms, self.rows, self.outputs)
         energy = np.empty(len(self.rows))
-        outputs.energies(self.outputs, energy)
+        outputs.total_energies(self.outputs, energy)
         self.start_energy[arms], self.energy_turnover[arms] = energy[arms], 0.0
         outputs.update_energy_scale(self.rows, self.outputs, self.energy_turnover)
 
@@ -126,7 +126,7 @@ class Batch:
         self._known = False
         self._mover.forget(arms)
 
-    def step(self, drive: Array, moving: Flags | None = None) -> None:
+    def step(self, drive: Array, moving: BoolArray | None = None) -> None:
         """Moves all arms that have not failed by one control period, during which their drive is constant.
 
         Args:
@@ -235,7 +235,7 @@ class Batch:
     def energy_residual(self) -> Array:
         """Work - dissipation - change of energy since the reset (b,), J; see `Trajectory`."""
         result = np.empty(len(self.rows))
-        outputs.residuals(self.rows, self.outputs, self.start_energy, result)
+        outputs.energy_residuals(self.rows, self.outputs, self.start_energy, result)
         return result
 
 
@@ -249,7 +249,7 @@ def _find_substeps(step: float | str | None, control_period: float) -> int:
         return 1
     if isinstance(step, str):
         step = default_step(control_period) if step == "auto" else step
-    return count_parts("step", step, control_period, "a number of seconds that divides the control period", MOST_STEPS)  # type: ignore[arg-type]
+    return whole_ratio("step", step, control_period, "a number of seconds that divides the control period", MAX_STEPS)  # type: ignore[arg-type]
 
 
 def _joints(prescribed: object, count: int) -> list[int]:

@@ -14,18 +14,20 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.kernels import arms as kernels
+from flexman_gym.kernels import batch as kernels
 from flexman_gym.kernels import layout
-from flexman_gym.kernels.arguments import PER_ARM, address_table, arms_array
+from flexman_gym.kernels.arguments import PER_ARM, address_table, aligned_zeros
 from flexman_gym.kernels.lanes import ARMS, NUMBER
-from flexman_gym.kernels.layout import ARMS_ABREAST, Clock, Constants, IntArray, Tableau, make_work
+from flexman_gym.kernels.layout import ARMS_PER_GROUP, Constants, IntArray, Tableau, TimeGrid, make_work
 from flexman_gym.kernels.outputs import tip_accelerations
-from flexman_gym.kernels.signals import spin_wait
+from flexman_gym.kernels.thread_sync import spin_wait
 from flexman_gym.scene.signals import signal_table
-from flexman_gym.simulation.integrator import ABREAST, Integrator, chunks, evaluations_of_a_call
+from flexman_gym.simulation.integrator import LANE_COST_RATIO, Integrator, chunks, evaluations_per_call
 from flexman_gym.simulation.methods import IteratedGauss, LinearlyImplicit
 
-LOOKS = 600_000  # of who waits before he falls asleep: 0.2 ms, in which a short control period comes after the last
+SPIN_CHECKS = (
+    600_000  # of who waits before he falls asleep: 0.2 ms, in which a short control period comes after the last
+)
 GIVEN, DONE = 0, 1
 
 
@@ -52,7 +54,7 @@ class WorkerThread:
         if not self._busy:
             return
         given = self._desk.counts[GIVEN]
-        spin_wait(self._desk.counts, GIVEN, given, given, LOOKS)
+        spin_wait(self._desk.counts, GIVEN, given, given, SPIN_CHECKS)
         self._desk.done.acquire()
         error, self._desk.error, self._busy = self._desk.error, None, False
         if error is not None:
@@ -81,7 +83,7 @@ def _serve(desk: _TaskSlot) -> None:
     """Does what is given, until there is nothing more to come."""
     done = 0
     while True:
-        spin_wait(desk.counts, DONE, done, done + 1, LOOKS)
+        spin_wait(desk.counts, DONE, done, done + 1, SPIN_CHECKS)
         desk.given.acquire()
         if desk.task is None:
             return
@@ -93,7 +95,7 @@ def _serve(desk: _TaskSlot) -> None:
         desk.done.release()
 
 
-Trail = tuple[Array, Array]  # rows (b, T, 2 d + 2) and outputs (b, T, OUTPUTS) after each of T periods
+PeriodRecord = tuple[Array, Array]  # rows (b, T, 2 d + 2) and outputs (b, T, OUTPUTS) after each of T periods
 
 
 class BatchIntegrator(Protocol):
@@ -128,7 +130,9 @@ class BatchIntegrator(Protocol):
         its rows and outputs stay.
         """
 
-    def roll(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray, trail: Trail) -> None:
+    def roll(
+        self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray, trail: PeriodRecord
+    ) -> None:
         """Integrate the arms whose status is OK over T control periods of drives (b, T, n + 6), and fill the trail."""
         for period in range(drives.shape[1]):
             self.move(drives[:, period], periods + period, rows, outputs, status)
@@ -203,7 +207,7 @@ def _own_constants(constants: Constants) -> dict[str, Any]:
     return {name: getattr(constants, name).copy() for name in PER_ARM}
 
 
-SHARE = 4  # groups that are worth a thread: to hand them over takes as long as to move one or two
+GROUPS_PER_THREAD = 4  # groups that are worth a thread: to hand them over takes as long as to move one or two
 
 
 class LaneIntegrator(BatchIntegrator):
@@ -226,22 +230,24 @@ class LaneIntegrator(BatchIntegrator):
         self._method = (None, method.counts) if isinstance(method, IteratedGauss) else (method.tableau, (0, None))
         self._step, self._substeps = period[0] / period[1], period[1]
         self._alone = arms == 1 and len(constants.station_mass) == 0
-        groups = -(-arms // ARMS_ABREAST)
+        groups = -(-arms // ARMS_PER_GROUP)
         if self._alone:
             self._constants = [constants._replace(**_own_constants(constants))]
             self._works = [make_work(constants)]
         else:
-            self._constants = [_for_arms(constants) for _ in range(groups)]
-            self._works = [make_work(constants, arms_array) for _ in range(min(threads, -(-groups // SHARE)))]
+            self._constants = [_lane_constants(constants) for _ in range(groups)]
+            self._works = [
+                make_work(constants, aligned_zeros) for _ in range(min(threads, -(-groups // GROUPS_PER_THREAD)))
+            ]
         stages = method.evaluations
-        self._most = max(1, evaluations_of_a_call(constants) // (ABREAST * stages))  # steps of a group in a call
+        self._most = max(1, evaluations_per_call(constants) // (LANE_COST_RATIO * stages))  # steps of a group in a call
         kind = NUMBER if self._alone else ARMS
         self._tables = np.array([address_table(each, kind) for each in self._constants])
         self._work_tables = [address_table(each, kind) for each in self._works]
         bounds = np.linspace(0, groups, len(self._works) + 1).round().astype(int)
         self._shares = [slice(int(first), int(end)) for first, end in pairwise(bounds)]
         self._observed = np.zeros(arms, dtype=np.int64)
-        self._no_trail: Trail = np.zeros((arms, 0, 1)), np.zeros((arms, 0, 1))
+        self._no_trail: PeriodRecord = np.zeros((arms, 0, 1)), np.zeros((arms, 0, 1))
         self._helpers: list[WorkerThread] = []
         self._process = 0
 
@@ -252,13 +258,13 @@ class LaneIntegrator(BatchIntegrator):
 
     def constants(self, arm: int) -> dict[str, Any]:
         """Return copies of the constants of one arm."""
-        own = self.own[arm // ARMS_ABREAST]
-        lane = () if self._alone else (..., arm % ARMS_ABREAST)
+        own = self.own[arm // ARMS_PER_GROUP]
+        lane = () if self._alone else (..., arm % ARMS_PER_GROUP)
         return {name: values[lane].copy() for name, values in own.items()}
 
     def vary(self, arms: IntArray, constants: dict[str, Array]) -> None:
         """Set constants of some arms."""
-        groups, lanes = np.divmod(arms, ARMS_ABREAST)
+        groups, lanes = np.divmod(arms, ARMS_PER_GROUP)
         for group in np.unique(groups).tolist():
             some = groups == group
             for name, values in constants.items():
@@ -282,14 +288,16 @@ class LaneIntegrator(BatchIntegrator):
         """Integrate the arms whose status is OK over one control period."""
         self._advance(drives, self._substeps, rows, outputs, status)
 
-    def roll(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray, trail: Trail) -> None:
+    def roll(
+        self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray, trail: PeriodRecord
+    ) -> None:
         """Integrate the arms whose status is OK over several control periods, in kernel calls of bounded length."""
         if self._substeps > self._most:
             super().roll(drives, periods, rows, outputs, status, trail)
             return
         for first, count in chunks(drives.shape[1], self._most // self._substeps):
             some = slice(first, first + count)
-            part: Trail = tuple(np.ascontiguousarray(each[:, some]) for each in trail)  # type: ignore[assignment]
+            part: PeriodRecord = tuple(np.ascontiguousarray(each[:, some]) for each in trail)  # type: ignore[assignment]
             given = np.ascontiguousarray(drives[:, some])
             self._move(given, [self._substeps], (rows, outputs, status), max(1, self._most // count), part)
             trail[0][:, some], trail[1][:, some] = part
@@ -297,12 +305,12 @@ class LaneIntegrator(BatchIntegrator):
     def sense(self, drives: Array, rows: Array, result: Array) -> None:
         """Compute the tip accelerations of all arms."""
         if self._alone:
-            kernels.sense_one(self._tables[0], self._work_tables[0], drives, rows, result)
+            kernels.tip_accelerations_single(self._tables[0], self._work_tables[0], drives, rows, result)
             return
 
         def share(groups: slice, work: IntArray) -> Iterator[None]:
-            arms = _arms(groups)
-            kernels.sense_arms(self._tables[groups], work, drives[arms], rows[arms], result[arms])
+            arms = _arm_slice(groups)
+            kernels.tip_accelerations_batch(self._tables[groups], work, drives[arms], rows[arms], result[arms])
             yield
 
         self._share(share)
@@ -310,23 +318,23 @@ class LaneIntegrator(BatchIntegrator):
     def run(
         self, drives: Array, rows: Array, outputs: Array, counts: IntArray, moment: tuple[float, float, int]
     ) -> None:
-        """Moves all arms from row to row, a period apart, each by its drive (b, 7, n + 6); as `kernels.arms.run_arms`.
+        """Moves all arms from row to row, a period apart, each by its drive (b, 7, n + 6); as `kernels.batch.run_batch`.
 
         The moment is the time of the first row (s), the step (s) and the steps in a period. Not for an arm that is
         moved alone.
         """
-        clock = Clock(*moment, 0.0, 0.0)
+        clock = TimeGrid(*moment, 0.0, 0.0)
 
         def share(groups: slice, work: IntArray) -> Iterator[None]:
             for group in range(groups.start, groups.stop):
-                arms = _arms(slice(group, group + 1))
+                arms = _arm_slice(slice(group, group + 1))
                 given = self._tables[group : group + 1], work, *self._method, drives[arms]
                 yield from self._run_group(given, clock, rows[arms], outputs[arms], counts[arms])
 
         self._share(share)
 
     def _run_group(
-        self, given: tuple[Any, ...], whole: Clock, rows: Array, outputs: Array, counts: IntArray
+        self, given: tuple[Any, ...], whole: TimeGrid, rows: Array, outputs: Array, counts: IntArray
     ) -> Iterator[None]:
         """Moves a group of arms from row to row in calls that are not too long."""
         last, well = rows[:, 0].copy(), np.ones(len(rows), dtype=bool)
@@ -334,7 +342,7 @@ class LaneIntegrator(BatchIntegrator):
             part, read = (np.zeros((len(rows), many + 1, each.shape[2])) for each in (rows, outputs))
             part[:, 0], now = last, np.zeros_like(counts)
             clock = whole._replace(substeps=steps, first=first)
-            kernels.run_arms(*given, clock, part, read, now)
+            kernels.run_batch(*given, clock, part, read, now)
             rows[:, row + 1 : row + many + 1], outputs[:, row + 1 : row + many + 1] = part[:, 1:], read[:, 1:]
             if first == 0:
                 outputs[:, 0] = read[:, 0]
@@ -362,7 +370,7 @@ class LaneIntegrator(BatchIntegrator):
         parts: list[int],
         moved: tuple[Array, Array, IntArray],
         together: int,
-        trail: Trail | None = None,
+        trail: PeriodRecord | None = None,
     ) -> None:
         """Moves rows, outputs and status of the arms, so many groups in a call, by some steps after others.
 
@@ -374,15 +382,15 @@ class LaneIntegrator(BatchIntegrator):
             given = self._tables[0], self._work_tables[0], self._method, drives
             for part in parts:
                 if status[0] == layout.OK:
-                    kernels.advance_one(*given, (self._step, part), *moved, kept)
+                    kernels.advance_single(*given, (self._step, part), *moved, kept)
             return
 
         def share(groups: slice, work: IntArray) -> Iterator[None]:
             for first, count in chunks(groups.stop - groups.start, together):
                 some = slice(groups.start + first, groups.start + first + count)
-                arms = _arms(some)
+                arms = _arm_slice(some)
                 for part in parts:
-                    kernels.advance_arms(
+                    kernels.advance_batch(
                         self._tables[some], work, self._method, drives[arms], (self._step, part),
                         rows[arms], outputs[arms], status[arms], (kept[0][arms], kept[1][arms]),
                     )  # fmt: skip
@@ -419,14 +427,14 @@ class LaneIntegrator(BatchIntegrator):
         return self._helpers
 
 
-def _arms(groups: slice) -> slice:
+def _arm_slice(groups: slice) -> slice:
     """The arms of groups."""
-    return slice(groups.start * ARMS_ABREAST, groups.stop * ARMS_ABREAST)
+    return slice(groups.start * ARMS_PER_GROUP, groups.stop * ARMS_PER_GROUP)
 
 
-def _for_arms(constants: Constants) -> Constants:
+def _lane_constants(constants: Constants) -> Constants:
     """Gives the constants of ARMS_ABREAST arms, all alike."""
-    own: dict[str, Any] = {name: arms_array(getattr(constants, name).shape) for name in PER_ARM}
+    own: dict[str, Any] = {name: aligned_zeros(getattr(constants, name).shape) for name in PER_ARM}
     for name, values in own.items():
         values[:] = getattr(constants, name)[..., None]
     return constants._replace(**own)

@@ -14,14 +14,14 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import short_path
 from flexman_gym.common.files import READ_ERRORS, open_arrays
-from flexman_gym.common.time_series import write_columns
+from flexman_gym.common.time_series import write_csv
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.scene import ModelChoice
-from flexman_gym.scene.serialization import arm_from_plain, part_from_plain, to_plain
+from flexman_gym.scene.serialization import arm_from_plain, from_plain, to_plain
 from flexman_gym.simulation.trajectory import Trajectory
 
 FORMAT = 1
-ABOUT = "about"  # the plain data among the arrays of a file
+METADATA_KEY = "about"  # the plain data among the arrays of a file
 AXES = "xyz"
 
 
@@ -79,7 +79,7 @@ class Episode:
         Raises:
             ValueError: one line, for an arm or a model that is not allowed.
         """
-        choice = part_from_plain(ModelChoice, "model", self.about["model"])
+        choice = from_plain(ModelChoice, "model", self.about["model"])
         return build_model(arm_from_plain(self.about["arm"]), **vars(choice))
 
     @property
@@ -104,11 +104,13 @@ class Episode:
             OSError: where it cannot be written.
         """
         path, text = Path(path), json.dumps(self.about).encode()
-        arrays = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in ("readings", ABOUT)}
+        arrays = {
+            each.name: getattr(self, each.name) for each in fields(self) if each.name not in ("readings", METADATA_KEY)
+        }
         arrays |= {f"readings/{name}": values for name, values in self.readings.items()}
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("wb") as file:
-            np.savez(file, allow_pickle=False, **arrays, **{ABOUT: np.frombuffer(text, dtype=np.uint8)})
+            np.savez(file, allow_pickle=False, **arrays, **{METADATA_KEY: np.frombuffer(text, dtype=np.uint8)})
         return path
 
     @classmethod
@@ -121,8 +123,8 @@ class Episode:
         """
         try:
             with open_arrays(path) as data:
-                told = json.loads(data[ABOUT].tobytes())
-                names = [each.name for each in fields(cls) if each.name not in ("readings", ABOUT)]
+                told = json.loads(data[METADATA_KEY].tobytes())
+                names = [each.name for each in fields(cls) if each.name not in ("readings", METADATA_KEY)]
                 arrays = {name: data[name] for name in names}
                 prefix = "readings/"
                 readings = {name.removeprefix(prefix): data[name] for name in data.files if name.startswith(prefix)}
@@ -154,11 +156,11 @@ class Episode:
         Actions, torques and rewards stand at the end of their period; the first row has none.
         """
         units, joints = self.about.get("units", {}), range(1, self.actions.shape[1] + 1)
-        result = {"time (s)": self.time, "error (m)": self.errors, "reward": _late(self.rewards)}
+        result = {"time (s)": self.time, "error (m)": self.errors, "reward": _shift_to_period_ends(self.rewards)}
         for name, values in (("tip", self.tips), ("target", self.targets)):
             result |= {f"{name}_{axis} (m)": values[:, i] for i, axis in enumerate(AXES)}
-        result |= {f"action_{i}": _late(self.actions[:, i - 1]) for i in joints}
-        result |= {f"torque_{i} (N m)": _late(self.torques[:, i - 1]) for i in joints}
+        result |= {f"action_{i}": _shift_to_period_ends(self.actions[:, i - 1]) for i in joints}
+        result |= {f"torque_{i} (N m)": _shift_to_period_ends(self.torques[:, i - 1]) for i in joints}
         for name, values in self.readings.items():
             unit = f" ({units[name]})" if units.get(name, "1") != "1" else ""
             result |= {f"{name}_{i + 1}{unit}": values[:, i] for i in range(values.shape[1])}
@@ -170,7 +172,7 @@ class Episode:
         Raises:
             OSError: where the file cannot be written.
         """
-        write_columns(path, self.columns())
+        write_csv(path, self.columns())
 
     def to_pandas(self) -> Any:
         """Gives `columns` as a pandas DataFrame; its `attrs` hold `episode_metadata`.
@@ -210,14 +212,14 @@ def episode_metadata(model: Model, settings: dict[str, Any] | None = None, **mor
         settings: of environment and entrant, plain.
         more: name, seed, failure and so on.
     """
-    text = json.dumps(settings or {}, sort_keys=True, default=_plainly)
+    text = json.dumps(settings or {}, sort_keys=True, default=_plain_value)
     return {
         "format": FORMAT, "settings": json.loads(text), "hash": hashlib.sha256(text.encode()).hexdigest()[:16],
         "arm": to_plain(model.arm), "model": to_plain(model.choice), "versions": _versions(), **more,
     }  # fmt: skip
 
 
-def _plainly(value: Any) -> Any:
+def _plain_value(value: Any) -> Any:
     """What stands in a file for an array, and for an object of one's own."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else type(value).__name__
 
@@ -232,7 +234,7 @@ def _versions() -> dict[str, str]:
     return result
 
 
-def _late(values: Array) -> Array:
+def _shift_to_period_ends(values: Array) -> Array:
     """Values (T,) of periods at their ends, (T + 1,), nan first."""
     result: Array = np.append(np.nan, values)
     return result

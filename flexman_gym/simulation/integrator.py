@@ -9,10 +9,10 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of, positive, value_error
-from flexman_gym.kernels import arms, implicit, layout, outputs, runge_kutta
-from flexman_gym.kernels.arguments import address_table, arms_array
+from flexman_gym.kernels import batch, implicit, layout, outputs, runge_kutta
+from flexman_gym.kernels.arguments import address_table, aligned_zeros
 from flexman_gym.kernels.lanes import SEQUENCES
-from flexman_gym.kernels.layout import Clock, Constants, GeneralisedAlpha, IntArray, Tableau, Work, make_work
+from flexman_gym.kernels.layout import Constants, GeneralisedAlpha, IntArray, Tableau, TimeGrid, Work, make_work
 from flexman_gym.model.model import Model
 from flexman_gym.scene.signals import signal_table
 from flexman_gym.simulation.methods import (
@@ -25,17 +25,17 @@ from flexman_gym.simulation.methods import (
     ScipyMethod,
 )
 
-WORK = 1e8  # of one call, in entries of matrices to the power of 3 / 2: a tenth of a second at most
-ABREAST = 4  # times as long takes an evaluation of ARMS_ABREAST arms, at most, as one of one arm
+MAX_CALL_COST = 1e8  # of one call, in entries of matrices to the power of 3 / 2: a tenth of a second at most
+LANE_COST_RATIO = 4  # times as long takes an evaluation of ARMS_ABREAST arms, at most, as one of one arm
 
 
-def evaluations_of_a_call(constants: Constants) -> int:
+def evaluations_per_call(constants: Constants) -> int:
     """Gives after how many evaluations of a model's accelerations a call ends or pauses.
 
     An evaluation costs about as much as the matrices of its links have entries, to the power of 3 / 2.
     """
     sides = np.diff(constants.elastic_start) + 6.0
-    return max(1, int(WORK / (sides**3).sum()))
+    return max(1, int(MAX_CALL_COST / (sides**3).sum()))
 
 
 def chunks(count: int, most: int) -> Iterator[tuple[int, int]]:
@@ -44,8 +44,8 @@ def chunks(count: int, most: int) -> Iterator[tuple[int, int]]:
         yield first, min(most, count - first)
 
 
-MOST_STEPS = 100_000  # between two outputs, and in a control period
-LONGEST_STEP = 0.005  # s, where none is named
+MAX_STEPS = 100_000  # between two outputs, and in a control period
+DEFAULT_MAX_STEP = 0.005  # s, where none is named
 # The kernel of each family; SciPy runs the others.
 KERNELS: dict[type, Callable[..., tuple[int, int, int]]] = {
     Explicit: runge_kutta.run_explicit,
@@ -54,7 +54,7 @@ KERNELS: dict[type, Callable[..., tuple[int, int, int]]] = {
     IteratedGauss: implicit.run_fixed_newton,
 }
 # Sequences of an extrapolation from which on it pays to run them side by side, of an arm that bends and of a rigid one.
-LEAST_SEQUENCES, LEAST_RIGID = 4, 6
+MIN_SEQUENCES, MIN_SEQUENCES_RIGID = 4, 6
 
 
 def find_method(method: object) -> Method:
@@ -84,7 +84,7 @@ def find_tolerance(method: Method, step: float | None, rtol: float, atol: float)
     return given if step is None or method.adaptive else None
 
 
-def default_step(control_period: float, longest: float = LONGEST_STEP) -> float:
+def default_step(control_period: float, longest: float = DEFAULT_MAX_STEP) -> float:
     """Gives the longest step (s) up to a `longest` one that divides a control period (s)."""
     return control_period / max(1, math.ceil(control_period / longest - 1e-9))
 
@@ -135,7 +135,7 @@ class Integrator:
         self.work: Work = make_work(model.constants)
         self.method = method
         self.tolerance = tolerance or (0.0, 0.0)
-        self._most = evaluations_of_a_call(model.constants)
+        self._most = evaluations_per_call(model.constants)
         self._at_rest = signal_table([None] * (model.n_joints + 6))
         self._coefficients: Tableau | GeneralisedAlpha | tuple[int, int | None] | None = None
         if isinstance(method, Implicit):
@@ -145,9 +145,9 @@ class Integrator:
         elif not isinstance(method, ScipyMethod):
             self._coefficients = method.tableau
         self._lanes: tuple[Constants, tuple[IntArray, ...]] | None = None
-        least = LEAST_SEQUENCES if model.n_elastic else LEAST_RIGID
+        least = MIN_SEQUENCES if model.n_elastic else MIN_SEQUENCES_RIGID
         if isinstance(method, LinearlyImplicit) and len(method.sequence) >= least:
-            self._abreast = make_work(model.constants, partial(arms_array, lanes=SEQUENCES.width))
+            self._abreast = make_work(model.constants, partial(aligned_zeros, lanes=SEQUENCES.width))
             tables = address_table(self.constants, SEQUENCES), address_table(self._abreast, SEQUENCES)
             self._lanes = self.constants, (*tables, extrapolation_schedule(method.sequence, SEQUENCES.width))
 
@@ -155,12 +155,14 @@ class Integrator:
         self, drive: Array, moment: tuple[float, float, int], state: Array, rows: Array, result: Array
     ) -> tuple[int, int, int]:
         """Integrate the state by the method; return the status, the valid rows and the evaluations."""
-        clock = Clock(*moment, *self.tolerance)
+        clock = TimeGrid(*moment, *self.tolerance)
         if isinstance(self.method, ScipyMethod):
             return self._by_scipy(drive, clock, state, rows, result)
         return self._in_calls(drive, clock, state, rows, result)
 
-    def _in_calls(self, drive: Array, clock: Clock, state: Array, rows: Array, result: Array) -> tuple[int, int, int]:
+    def _in_calls(
+        self, drive: Array, clock: TimeGrid, state: Array, rows: Array, result: Array
+    ) -> tuple[int, int, int]:
         """Calls the kernel, a long run in parts: Python looks for Ctrl-C between two calls only."""
         valid, evaluations, status = 0, 0, layout.PAUSED
         self.work.progress[:] = 0.0  # of a run that Ctrl-C ended
@@ -177,7 +179,7 @@ class Integrator:
             return KERNELS[type(self.method)](self.constants, self.work, *rest)
         if self._lanes[0] is not self.constants:
             self._lanes = self.constants, (address_table(self.constants, SEQUENCES), *self._lanes[1][1:])
-        return arms.run_sequences(self.constants, self.work, self._lanes[1], *rest)
+        return batch.run_extrapolation(self.constants, self.work, self._lanes[1], *rest)
 
     def forget(self) -> None:
         """Forgets what the method remembers from step to step."""
@@ -188,7 +190,9 @@ class Integrator:
         self.forget()
         self(self._at_rest, (0.0, 0.0, 0), state, row[None], result[None])
 
-    def _by_scipy(self, drive: Array, clock: Clock, state: Array, rows: Array, result: Array) -> tuple[int, int, int]:
+    def _by_scipy(
+        self, drive: Array, clock: TimeGrid, state: Array, rows: Array, result: Array
+    ) -> tuple[int, int, int]:
         """Advances the state by SciPy's Radau method, which differentiates the slopes numerically."""
         from scipy.integrate import solve_ivp  # its import takes long, and few use this method
 
@@ -198,7 +202,7 @@ class Integrator:
 
             def slope(time: float, values: Array) -> Array:
                 out = np.zeros(len(values))
-                runge_kutta.derivative(self.constants, self.work, drive, time, values, out)
+                runge_kutta.state_derivative(self.constants, self.work, drive, time, values, out)
                 return out
 
             span = (clock.time, times[-1])
@@ -208,7 +212,7 @@ class Integrator:
         else:
             rows[:] = state
         for row, out in zip(rows[:valid], result, strict=False):
-            outputs.observe(self.constants, self.work, row[:d], row[d : 2 * d], out)
+            outputs.compute_outputs(self.constants, self.work, row[:d], row[d : 2 * d], out)
         if valid:
             state[:] = rows[valid - 1]
         bounded = bool((np.abs(state[: 2 * d]) <= layout.LARGEST_STATE).all())

@@ -19,7 +19,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import finite, instance, value_error, whole_number
-from flexman_gym.kernels.layout import SEQUENCES, STAGES, GeneralisedAlpha, Tableau
+from flexman_gym.kernels.layout import MAX_SEQUENCES, MAX_STAGES, GeneralisedAlpha, Tableau
 
 A5 = (
     (1 / 5,),
@@ -59,11 +59,11 @@ ERROR8_3 = (-0.18980075407240762, *B8[1:8], -0.4226823213237919, *B8[9:11], 0.02
 
 EXPLICIT, LINEARLY_IMPLICIT, IMPLICIT, REFERENCE = "explicit", "linearly implicit", "implicit", "reference"
 KINDS = (EXPLICIT, LINEARLY_IMPLICIT, IMPLICIT, REFERENCE)
-ROUNDING = 1e-12
-MOST_ITERATIONS = 1000
+ORDER_TOLERANCE = 1e-12
+MAX_ITERATIONS = 1000
 
 
-def _none() -> Array:
+def _no_error_weights() -> Array:
     return np.zeros((0, 0))
 
 
@@ -88,7 +88,7 @@ class Explicit:
     source: str
     a: Array
     b: Array
-    error: Array = field(default_factory=_none)
+    error: Array = field(default_factory=_no_error_weights)
     semi_implicit: bool = False
     adaptive: bool = False
 
@@ -164,7 +164,7 @@ class LinearlyImplicit:
     b: Array
     gamma: float
     coupling: Array
-    error: Array = field(default_factory=_none)
+    error: Array = field(default_factory=_no_error_weights)
     sequence: tuple[int, ...] = (1,)
     kind = LINEARLY_IMPLICIT
     adaptive = False
@@ -176,8 +176,13 @@ class LinearlyImplicit:
         if self.coupling.shape != (s, s) or np.triu(self.coupling).any() or not self.gamma > 0.0:
             raise ValueError(f"{self.name}: coupling must be strictly lower triangular, {s} x {s}, and gamma positive")
         single = len(parts) == 1
-        if list(parts) != sorted({*parts}) or min(parts) < 1 or len(parts) > SEQUENCES or (single and parts != (1,)):
-            raise ValueError(f"{self.name}: sequence must be 1, or up to {SEQUENCES} ascending numbers of parts")
+        if (
+            list(parts) != sorted({*parts})
+            or min(parts) < 1
+            or len(parts) > MAX_SEQUENCES
+            or (single and parts != (1,))
+        ):
+            raise ValueError(f"{self.name}: sequence must be 1, or up to {MAX_SEQUENCES} ascending numbers of parts")
         if not single and s != 1:
             raise ValueError(f"{self.name}: only a method of one stage is extrapolated")
         _check_order(self.name, self.order, self.conditions)
@@ -277,7 +282,7 @@ class IteratedGauss:
     estimates = False
 
     def __post_init__(self) -> None:
-        whole_number(f"{self.name}.sweeps", self.sweeps, 1, MOST_ITERATIONS)
+        whole_number(f"{self.name}.sweeps", self.sweeps, 1, MAX_ITERATIONS)
         whole_number(f"{self.name}.stages", self.stages, 1, 2)
         most = min(self.sweeps + self.stages - 1, 2 * self.stages)
         if not 1 <= self.order <= most:
@@ -328,15 +333,15 @@ def _check_stages(name: str, a: Array, b: Array, error: Array) -> None:
     for part, value in (("a", a), ("b", b), ("error", error)):
         instance(f"{name}.{part}", value, np.ndarray, "an array")
     s = len(b)
-    if a.shape != (s, s) or np.triu(a).any() or not 0 < s < STAGES:
-        raise ValueError(f"{name}: a must be strictly lower triangular, {s} x {s}, with 0 < s < {STAGES}")
+    if a.shape != (s, s) or np.triu(a).any() or not 0 < s < MAX_STAGES:
+        raise ValueError(f"{name}: a must be strictly lower triangular, {s} x {s}, with 0 < s < {MAX_STAGES}")
     if error.size and error.shape not in ((1, s + 1), (2, s + 1)):
         raise ValueError(f"{name}: error must be 1 or 2 rows of weights, one for each of {s} stages")
 
 
 def _check_order(name: str, order: int, conditions: list[tuple[int, str, float]]) -> None:
     for least, condition, residual in conditions:
-        if least <= order and not abs(residual) <= ROUNDING:
+        if least <= order and not abs(residual) <= ORDER_TOLERANCE:
             raise ValueError(f"{name}: is not of order {order}: {condition} is off by {residual:.3g}")
 
 
@@ -350,37 +355,42 @@ def generalised_alpha(radius: float) -> Implicit:
     return Implicit("generalised_alpha", 2, source, radius)
 
 
-def _lower(size: int, rows: Sequence[Sequence[float]]) -> Array:
+def _lower_triangular(size: int, rows: Sequence[Sequence[float]]) -> Array:
     matrix = np.zeros((size, size))
     for i, row in enumerate(rows, start=1):
         matrix[i, : len(row)] = row
     return matrix
 
 
-def _explicit() -> tuple[Explicit, ...]:
+def _explicit_methods() -> tuple[Explicit, ...]:
     euler = Explicit(
         "semi_implicit_euler", 1, "symplectic Euler: Hairer, Lubich and Wanner, Geometric Numerical "
         "Integration, I.1", np.zeros((1, 1)), np.ones(1), semi_implicit=True,
     )  # fmt: skip
-    third = _lower(4, [[0.5], [0.0, 0.5], [0.0, 0.0, 1.0]])
+    third = _lower_triangular(4, [[0.5], [0.0, 0.5], [0.0, 0.0, 1.0]])
     rk4 = Explicit("rk4", 4, "Kutta 1901", third, np.array([1, 2, 2, 1]) / 6)
     pair = "Dormand and Prince 1980; Hairer, Norsett and Wanner, Solving ODEs I, II.5"
-    dopri5 = Explicit("dopri5", 5, pair, _lower(6, A5), np.array(B5), error=np.array([ERROR5]))
+    dopri5 = Explicit("dopri5", 5, pair, _lower_triangular(6, A5), np.array(B5), error=np.array([ERROR5]))
     source = "Dormand and Prince; Hairer, Norsett and Wanner, Solving ODEs I, II.10"
     errors = np.array([ERROR8_5, ERROR8_3])
-    return euler, rk4, dopri5, Explicit("dop853", 8, source, _lower(12, A8), np.array(B8), errors, adaptive=True)
+    return (
+        euler,
+        rk4,
+        dopri5,
+        Explicit("dop853", 8, source, _lower_triangular(12, A8), np.array(B8), errors, adaptive=True),
+    )
 
 
-def _linearly_implicit() -> tuple[LinearlyImplicit, ...]:
+def _linearly_implicit_methods() -> tuple[LinearlyImplicit, ...]:
     gamma = 1 - math.sqrt(0.5)  # L-stable
     ros2 = LinearlyImplicit(
         name="ros2",
         order=2,
         source="Verwer, Spee, Blom and Hundsdorfer 1999, SIAM J. Sci. Comput. 20, 1456",
-        a=_lower(2, [[1.0]]),
+        a=_lower_triangular(2, [[1.0]]),
         b=np.array([0.5, 0.5]),
         gamma=gamma,
-        coupling=_lower(2, [[-2 * gamma]]),
+        coupling=_lower_triangular(2, [[-2 * gamma]]),
         error=np.array([[-0.5, 0.5]]),  # difference from the first stage alone
     )
     source = "Deuflhard 1985, SIAM Review 27, 505; Hairer and Wanner, Solving ODEs II, IV.9"
@@ -391,7 +401,7 @@ def _linearly_implicit() -> tuple[LinearlyImplicit, ...]:
     )  # fmt: skip
 
 
-def _implicit() -> tuple[Method, ...]:
+def _implicit_methods() -> tuple[Method, ...]:
     source = "Hairer, Lubich and Wanner, Geometric Numerical Integration, II.1"
     midpoint = Implicit("implicit_midpoint", 2, source)
     sweeps = [IteratedGauss(f"midpoint_{n}_sweeps", 2, f"{source}; Newton's iterations: VIII.6", n) for n in (2, 3)]
@@ -414,5 +424,7 @@ class _Methods(dict[str, Method]):
     """
 
 
-METHODS = _Methods({method.name: method for method in (*_explicit(), *_linearly_implicit(), *_implicit())})
+METHODS = _Methods(
+    {method.name: method for method in (*_explicit_methods(), *_linearly_implicit_methods(), *_implicit_methods())}
+)
 """Methods that have a name: name -> Method, with its order, family and source."""

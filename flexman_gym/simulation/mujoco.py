@@ -6,15 +6,15 @@ from typing import Any, NamedTuple
 import mujoco  # type: ignore[import-not-found, import-untyped, unused-ignore]
 import numpy as np
 
-from flexman_gym.common.arrays import Array, Flags, IntArray
+from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import value_error
 from flexman_gym.model.mjcf import mjcf, rigid_pieces
 from flexman_gym.model.model import Model
+from flexman_gym.simulation.external_simulator import ArmShapes, Stations
 from flexman_gym.simulation.parameters import varied_arm
-from flexman_gym.simulation.resimulation import ArmShapes, Stations
 
-PIECES = 3  # of a section: natural frequencies of the named arms are then within 3 % up to the sixth
-MOMENT = 1e-5  # s, over which changes of places are taken for speeds
+PIECES_PER_SECTION = 3  # of a section: natural frequencies of the named arms are then within 3 % up to the sixth
+DIFFERENCE_STEP = 1e-5  # s, over which changes of places are taken for speeds
 
 
 class _LinkBodies(NamedTuple):
@@ -36,7 +36,7 @@ class _LinkBodies(NamedTuple):
 
 
 class MuJoCoSimulator:
-    """External simulator (see `simulation.resimulation`) in which each arm is a MuJoCo model.
+    """External simulator (see `simulation.external_simulator`) in which each arm is a MuJoCo model.
 
     Its places and speeds are those of MuJoCo's bodies, exactly: no small angles.
     """
@@ -45,18 +45,18 @@ class MuJoCoSimulator:
         if any(joint.coulomb_friction for joint in model.arm.joints):
             raise value_error("plant", "mujoco", "arms without Coulomb friction: its law is another one there")
         self._arm, self._period = model.arm, period
-        self._models: list[Any] = [mujoco.MjModel.from_xml_string(mjcf(model.arm, PIECES))] * arms
+        self._models: list[Any] = [mujoco.MjModel.from_xml_string(mjcf(model.arm, PIECES_PER_SECTION))] * arms
         self._datas = [mujoco.MjData(each) for each in self._models]
         one, numbers = self._models[0], np.arange(model.n_joints)
         self._motors: IntArray = np.array([one.joint(f"motor {i}").qposadr[0] for i in numbers])
         self._springs = self._motors + np.array([joint.stiffness is not None for joint in model.arm.joints])
-        self._links = [_find(one, i, link) for i, link in enumerate(model.arm.links)]
+        self._links = [_link_bodies(one, i, link) for i, link in enumerate(model.arm.links)]
         self.stations: Stations = [link.stations for link in self._links]
         mujoco.set_mju_user_warning(lambda message: None)  # else it writes a file about every divergence
 
     def start(self, arm: int, shape: Array, rate: Array, parameters: Mapping[str, Array]) -> None:
         """Puts an arm into a shape."""
-        model = mujoco.MjModel.from_xml_string(mjcf(varied_arm(self._arm, parameters), PIECES))
+        model = mujoco.MjModel.from_xml_string(mjcf(varied_arm(self._arm, parameters), PIECES_PER_SECTION))
         self._models[arm], data = model, mujoco.MjData(model)
         self._datas[arm] = data
         model.opt.timestep = self._period / np.ceil(self._period / model.opt.timestep)
@@ -72,7 +72,7 @@ class MuJoCoSimulator:
                 result[link.angles] = np.diff(turns, axis=0, prepend=0.0)
                 first += 6 * len(link.stations)
 
-    def move(self, drives: Array, moving: Flags) -> Flags:
+    def move(self, drives: Array, moving: BoolArray) -> BoolArray:
         """Moves arms by a control period."""
         n, well = len(self._motors), np.ones(len(moving), dtype=bool)
         for arm in np.flatnonzero(moving).tolist():
@@ -93,11 +93,11 @@ class MuJoCoSimulator:
             model, data = self._models[arm], self._datas[arm]
             places, speeds = data.qpos.copy(), data.qvel.copy()
             now = []
-            for ahead in (-MOMENT, MOMENT, 0.0):
+            for ahead in (-DIFFERENCE_STEP, DIFFERENCE_STEP, 0.0):
                 data.qpos[:] = places + ahead * speeds
                 mujoco.mj_kinematics(model, data)
                 now.append(np.concatenate([self._shape(data), data.site_xpos[0]]))
-            shape, rate = now[2], (now[1] - now[0]) / (2.0 * MOMENT)
+            shape, rate = now[2], (now[1] - now[0]) / (2.0 * DIFFERENCE_STEP)
             result.append([shape[:-3], rate[:-3], np.concatenate([shape[-3:], rate[-3:]])])
         columns = zip(*result, strict=True) if result else ([], [], [])
         width = 2 * len(self._motors) + 6 * sum(map(len, self.stations))
@@ -121,12 +121,14 @@ class MuJoCoSimulator:
         return np.concatenate(parts)
 
 
-def _find(model: Any, number: int, link: Any) -> _LinkBodies:
+def _link_bodies(model: Any, number: int, link: Any) -> _LinkBodies:
     """Where a link is in MuJoCo's model of its arm."""
-    cut = rigid_pieces(link, PIECES)
+    cut = rigid_pieces(link, PIECES_PER_SECTION)
     starts = np.array([piece.start for piece in cut[1:]])
-    ends = np.concatenate([np.arange(1, PIECES + 1) * section.length / PIECES for section in link.sections])
-    lengths = np.repeat(np.cumsum([0.0, *(section.length for section in link.sections[:-1])]), PIECES)
+    ends = np.concatenate(
+        [np.arange(1, PIECES_PER_SECTION + 1) * section.length / PIECES_PER_SECTION for section in link.sections]
+    )
+    lengths = np.repeat(np.cumsum([0.0, *(section.length for section in link.sections[:-1])]), PIECES_PER_SECTION)
     stations = ends + lengths
     name = f"link_{number}"
     angles = [[model.joint(f"{name}_{j}_{letter}").qposadr[0] for letter in "xyz"] for j in range(len(starts))]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, Flags
+from flexman_gym.common.arrays import Array, BoolArray
 from flexman_gym.common.checks import MAX_SIZE, number_array, one_of, value_error
 from flexman_gym.model.model import Model
 from flexman_gym.scene.arm import Arm
@@ -17,27 +17,27 @@ from flexman_gym.scene.rigid_body import Payload
 ARM, JOINT, LINK = "arm", "joint", "link"
 
 
-def _nowhere(model: Model) -> Flags:
+def _no_joints(model: Model) -> BoolArray:
     return np.zeros(model.n_joints, dtype=bool)
 
 
-def _rigid(model: Model) -> Flags:
+def _rigid_joints(model: Model) -> BoolArray:
     return model.constants.motor < 0
 
 
-def _flexible(model: Model) -> Flags:
+def _flexible_joints(model: Model) -> BoolArray:
     return model.constants.motor >= 0
 
 
-def _smooth(model: Model) -> Flags:
+def _joints_without_coulomb_friction(model: Model) -> BoolArray:
     return model.constants.rubbing == 0
 
 
-def _undamped(model: Model) -> Flags:
+def _links_without_modal_damping(model: Model) -> BoolArray:
     return np.array(model.arm.damping_ratios) == 0.0
 
 
-def _everywhere(model: Model) -> Flags:
+def _all_joints(model: Model) -> BoolArray:
     return np.ones(model.n_joints, dtype=bool)
 
 
@@ -62,8 +62,8 @@ class _Parameter:
     nominal: Callable[[Model], Array]
     constants: Callable[[Model, Mapping[str, Array]], dict[str, Array]]
     factor: bool = False
-    fixed: Callable[[Model], Flags] = _nowhere
-    needed: Callable[[Model], Flags] = _nowhere
+    fixed: Callable[[Model], BoolArray] = _no_joints
+    needed: Callable[[Model], BoolArray] = _no_joints
     lacking: str = "rigid"
 
     def shape(self, joints: int) -> tuple[int, ...]:
@@ -98,34 +98,38 @@ class _Parameter:
         return values
 
 
-def _payload(model: Model, given: Mapping[str, Array]) -> dict[str, Array]:
+def _payload_constants(model: Model, given: Mapping[str, Array]) -> dict[str, Array]:
     nominal, mass = model.constants, given["payload_mass"][:, None]
     heavier = mass / nominal.payload_mass[0] if nominal.payload_mass[0] > 0.0 else np.zeros_like(mass)
     return {"payload_mass": mass, "payload_inertia": heavier * nominal.payload_inertia}
 
 
-def _rotors(model: Model, given: Mapping[str, Array]) -> dict[str, Array]:
+def _rotor_constants(model: Model, given: Mapping[str, Array]) -> dict[str, Array]:
     inertia = given["rotor_inertia"]
     return {"rotor_inertia": inertia, "carried_inertia": inertia * model.choice.spinning_rotors}
 
 
-def _same(name: str) -> Callable[[Model, Mapping[str, Array]], dict[str, Array]]:
+def _constant_of_same_name(name: str) -> Callable[[Model, Mapping[str, Array]], dict[str, Array]]:
     return lambda model, given: {name: given[name]}
 
 
-def _links(model: Model, given: Mapping[str, Array]) -> dict[str, Array]:
+def _link_constants(model: Model, given: Mapping[str, Array]) -> dict[str, Array]:
     """Scales stiffness and modal damping of each link; proportional damping follows, modal damping keeps its ratio."""
     nominal = model.constants
-    factor = _of_blocks(model, given["link_stiffness_factor"]) if "link_stiffness_factor" in given else np.ones((1, 1))
+    factor = (
+        _expand_to_blocks(model, given["link_stiffness_factor"])
+        if "link_stiffness_factor" in given
+        else np.ones((1, 1))
+    )
     stiffness, modal = factor * nominal.stiffness, np.sqrt(factor) * model.modal_damping
     if "link_damping" in given:
         ratios = np.array(model.arm.damping_ratios)
-        modal = modal * _of_blocks(model, given["link_damping"] / np.where(ratios > 0.0, ratios, 1.0))
+        modal = modal * _expand_to_blocks(model, given["link_damping"] / np.where(ratios > 0.0, ratios, 1.0))
     damping = model.arm.stiffness_proportional_damping * stiffness + modal
     return {"stiffness": stiffness, "damping": damping} if "link_stiffness_factor" in given else {"damping": damping}
 
 
-def _of_blocks(model: Model, factors: Array) -> Array:
+def _expand_to_blocks(model: Model, factors: Array) -> Array:
     """Factors (r, n) of links for the entries of their packed blocks, (r, q + LANES)."""
     result = np.ones((len(factors), len(model.constants.stiffness)))
     result[:, : model.constants.square_start[-1]] = np.repeat(factors, np.diff(model.constants.square_start), axis=1)
@@ -133,43 +137,45 @@ def _of_blocks(model: Model, factors: Array) -> Array:
 
 
 PARAMETERS: dict[str, _Parameter] = {
-    "payload_mass": _Parameter("kg", ARM, lambda model: model.constants.payload_mass[0], _payload),
+    "payload_mass": _Parameter("kg", ARM, lambda model: model.constants.payload_mass[0], _payload_constants),
     "joint_stiffness": _Parameter(
-        "N m/rad", JOINT, lambda model: model.constants.joint_stiffness, _same("joint_stiffness"), factor=True,
-        fixed=_rigid, needed=_flexible,
+        "N m/rad", JOINT, lambda model: model.constants.joint_stiffness, _constant_of_same_name("joint_stiffness"), factor=True,
+        fixed=_rigid_joints, needed=_flexible_joints,
     ),
     "joint_damping": _Parameter(
-        "N m s/rad", JOINT, lambda model: model.constants.joint_damping, _same("joint_damping"), fixed=_rigid,
+        "N m s/rad", JOINT, lambda model: model.constants.joint_damping, _constant_of_same_name("joint_damping"), fixed=_rigid_joints,
     ),
     "rotor_inertia": _Parameter(
-        "kg m^2", JOINT, lambda model: model.constants.rotor_inertia, _rotors, factor=True, needed=_flexible,
+        "kg m^2", JOINT, lambda model: model.constants.rotor_inertia, _rotor_constants, factor=True, needed=_flexible_joints,
     ),
     "viscous_friction": _Parameter(
-        "N m s/rad", JOINT, lambda model: model.constants.viscous_friction, _same("viscous_friction"), factor=True,
+        "N m s/rad", JOINT, lambda model: model.constants.viscous_friction, _constant_of_same_name("viscous_friction"), factor=True,
     ),
     "coulomb_friction": _Parameter(
-        "N m", JOINT, lambda model: model.constants.coulomb_friction, _same("coulomb_friction"), factor=True,
-        fixed=_smooth, lacking="without Coulomb friction",
+        "N m", JOINT, lambda model: model.constants.coulomb_friction, _constant_of_same_name("coulomb_friction"), factor=True,
+        fixed=_joints_without_coulomb_friction, lacking="without Coulomb friction",
     ),
     "link_stiffness_factor": _Parameter(
-        "1, factor on the elastic moduli", LINK, lambda model: np.ones(model.n_joints), _links, factor=True,
-        needed=_everywhere,
+        "1, factor on the elastic moduli", LINK, lambda model: np.ones(model.n_joints), _link_constants, factor=True,
+        needed=_all_joints,
     ),
     "link_damping": _Parameter(
-        "damping ratio of every mode", LINK, lambda model: np.array(model.arm.damping_ratios), _links, factor=True,
-        fixed=_undamped, lacking="of links without modal damping",
+        "damping ratio of every mode", LINK, lambda model: np.array(model.arm.damping_ratios), _link_constants, factor=True,
+        fixed=_links_without_modal_damping, lacking="of links without modal damping",
     ),
 }  # fmt: skip
 
 
-RENAMED = {"link_stiffness": "link_stiffness_factor"}  # names until release 0.3
+RENAMED_PARAMETERS = {"link_stiffness": "link_stiffness_factor"}  # names until release 0.3
 UNCERTAIN = {f"{name.removesuffix('_factor')}_factor" if row.factor else name: name for name, row in PARAMETERS.items()}
 """Name of a range of a parameter -> the parameter: NAME_factor where the range is one of factors on the nominal
 value.
 """
 
 
-def current_names(field: str, given: Mapping[str, Any], names: Mapping[str, str] = RENAMED) -> dict[str, Any]:
+def rename_old_keys(
+    field: str, given: Mapping[str, Any], names: Mapping[str, str] = RENAMED_PARAMETERS
+) -> dict[str, Any]:
     """Return a mapping under the present names of its keys, with a DeprecationWarning for each old one.
 
     Args:
@@ -193,7 +199,7 @@ def varied_constants(model: Model, count: int, parameters: Mapping[str, object])
     Raises:
         ValueError: as `Batch.vary` does.
     """
-    parameters = current_names("parameters", parameters)
+    parameters = rename_old_keys("parameters", parameters)
     rows = {name: PARAMETERS[one_of("parameters", name, PARAMETERS)] for name in parameters}
     checked = {name: row.checked(name, parameters[name], model, count) for name, row in rows.items()}
     result: dict[str, Array] = {}
@@ -241,7 +247,7 @@ def varied_arm(arm: Arm, values: Mapping[str, Array]) -> Arm:
     links = arm.links
     if "link_stiffness_factor" in values:
         factors = values["link_stiffness_factor"]
-        links = [_stiffer(link, float(each)) for link, each in zip(links, factors, strict=True)]
+        links = [_scale_moduli(link, float(each)) for link, each in zip(links, factors, strict=True)]
     joints = [_varied_joint(joint, values, i) for i, joint in enumerate(arm.joints)]
     payload: Any = arm.payload
     if "payload_mass" in values:
@@ -266,10 +272,10 @@ def _varied_joint(joint: Any, values: Mapping[str, Array], i: int) -> Any:
     return replace(joint, **changes)
 
 
-def _stiffer(link: Any, factor: float) -> Any:
+def _scale_moduli(link: Any, factor: float) -> Any:
     """A link with so many times its elastic moduli."""
     if isinstance(link, NonUniformLink):
-        return replace(link, sections=[_stiffer(section, factor) for section in link.sections])
+        return replace(link, sections=[_scale_moduli(section, factor) for section in link.sections])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of its section, which was said when the link was made
         return replace(link, youngs_modulus=factor * link.youngs_modulus, shear_modulus=factor * link.shear_modulus)

@@ -11,7 +11,7 @@ from flexman_gym.kernels.layout import STATUS
 from flexman_gym.model.model import Model
 from flexman_gym.scene.signals import signal_table
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.explanation import Failure, explain, explain_energy
+from flexman_gym.simulation.diagnostics import Failure, explain_energy, explain_failure
 from flexman_gym.simulation.integrator import prescribed_flags
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 from flexman_gym.simulation.trajectory import Trajectory, build_trajectory, energy_alarm
@@ -194,7 +194,7 @@ class Simulator:
         table = signal_table([None] * (model.n_joints + 6))
         table[layout.OFFSET] = self.drive
         moment = (self.time, step, self.substeps)
-        return explain(Failure(run, model, table, moment, self.batch.rows[0], self.status))
+        return explain_failure(Failure(run, model, table, moment, self.batch.rows[0], self.status))
 
     @property
     def time(self) -> float:

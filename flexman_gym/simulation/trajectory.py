@@ -10,9 +10,9 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import positive, value_error, vector, whole_number
-from flexman_gym.common.time_series import write_columns
+from flexman_gym.common.time_series import write_csv
 from flexman_gym.kernels import layout
-from flexman_gym.model.linearization import UNITS, LinearReadings, column_names
+from flexman_gym.model.linearization import MEASUREMENT_UNITS, LinearMeasurements, column_names
 from flexman_gym.model.loads import FrameMotion, frame_motion, part_energies, section_forces
 from flexman_gym.model.model import Model
 
@@ -43,11 +43,11 @@ class Kinetics(NamedTuple):
     drives: Array
 
 
-def _nothing(result: "Trajectory") -> str:
+def _no_explanation(result: "Trajectory") -> str:
     return ""
 
 
-def _unknown(result: "Trajectory") -> Kinetics:
+def _no_kinetics(result: "Trajectory") -> Kinetics:
     raise value_error("trajectory", "one without a scene", "one of simulate or simulate_all, whose torques are known")
 
 
@@ -92,8 +92,8 @@ class Trajectory:
     evaluations: int
     wall_seconds: float
     model: Model
-    explained: Callable[["Trajectory"], str] = field(default=_nothing, repr=False)
-    moved: Callable[["Trajectory"], Kinetics] = field(default=_unknown, repr=False)
+    explained: Callable[["Trajectory"], str] = field(default=_no_explanation, repr=False)
+    moved: Callable[["Trajectory"], Kinetics] = field(default=_no_kinetics, repr=False)
 
     def __repr__(self) -> str:
         n = self.joint_angles.shape[1]
@@ -113,7 +113,7 @@ class Trajectory:
     @property
     def readings(self) -> dict[str, Array]:
         """What sensors of environments measure, (T, ...) by the names of `View`; UNITS of `model.linearization`."""
-        return LinearReadings(self.model).named(self.states)
+        return LinearMeasurements(self.model).named(self.states)
 
     @cached_property
     def _seen(self) -> tuple[Kinetics, FrameMotion]:
@@ -201,7 +201,7 @@ class Trajectory:
                 result[f"{name}_{end} ({unit})"] = column
         for name, values in self.readings.items():
             if name != "motor_angles":  # which are there
-                heads = column_names(name, UNITS[name], values.shape[1], len(joints))
+                heads = column_names(name, MEASUREMENT_UNITS[name], values.shape[1], len(joints))
                 result |= dict(zip(heads, values.T, strict=True))
         for name in ("energy", "moving_energy", "work", "dissipation", "energy_residual"):
             result[f"{name} (J)"] = getattr(self, name)
@@ -215,7 +215,7 @@ class Trajectory:
         Raises:
             OSError: where the file cannot be written.
         """
-        write_columns(path, self.columns())
+        write_csv(path, self.columns())
 
     def energy_alarm(self, level: float = ENERGY_ALARM) -> float | None:
         """Gives the first time (s) at which the energy residual is too large, or None.
@@ -236,8 +236,8 @@ def build_trajectory(
     states: Array,
     outputs: Array,
     outcome: tuple[str, int, float],
-    explained: Callable[[Trajectory], str] = _nothing,
-    moved: Callable[[Trajectory], Kinetics] = _unknown,
+    explained: Callable[[Trajectory], str] = _no_explanation,
+    moved: Callable[[Trajectory], Kinetics] = _no_kinetics,
 ) -> Trajectory:
     """Builds a trajectory from rows at equal intervals.
 

@@ -15,10 +15,10 @@ from flexman_gym.scene.link import Link, NonUniformLink
 from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.verification.closed_forms import (
     bar_eigenvalues,
-    beam_eigenvalues,
-    hub_eigenvalues,
-    joint_eigenvalues,
-    stepped_eigenvalues,
+    cantilever_eigenvalues,
+    flexible_joint_eigenvalues,
+    hub_beam_eigenvalues,
+    stepped_cantilever_eigenvalues,
 )
 from flexman_gym.verification.table import VerificationRow, series_rows
 
@@ -54,7 +54,7 @@ def node_columns(elements: int, coordinates: Sequence[int]) -> Array:
     return np.array([1 + 6 * node + each for node in range(elements) for each in coordinates])
 
 
-def bar_scale(link: Link, columns: Sequence[int]) -> float:
+def bar_frequency_scale(link: Link, columns: Sequence[int]) -> float:
     """c / (2 pi L) in Hz: of stretch, or of twist with the polar moment I_y + I_z."""
     modulus, moments = link.youngs_modulus, link.second_moment_y + link.second_moment_z
     if columns == TWIST:
@@ -81,7 +81,7 @@ def _cantilever_rows() -> Iterator[VerificationRow]:
     for ratio in (0.0, 0.1, 0.5, 1.0, 5.0):
         result = 2.0 * np.pi * link_frequencies(link, 24, BENDING_Y, ratio)[:3]
         name = f"cantilever, tip mass / beam mass {ratio:g}" if ratio else "cantilever"
-        yield from series_rows(name + ", lambda_{}", BEAM, beam_eigenvalues(3, ratio), result, 2e-5)
+        yield from series_rows(name + ", lambda_{}", BEAM, cantilever_eigenvalues(3, ratio), result, 2e-5)
 
 
 def _hub_rows() -> Iterator[VerificationRow]:
@@ -90,7 +90,7 @@ def _hub_rows() -> Iterator[VerificationRow]:
         model = build_model(Arm([slender_link()], [Joint((0.0, 0.0, 1.0), ratio)]), 32)
         result = 2.0 * np.pi * frequencies(model)[1:4]
         name = f"free hub, J / (rho A L^3) {ratio:g}, lambda_{{}}"
-        yield from series_rows(name, BEAM, hub_eigenvalues(3, ratio), result, 2e-5)
+        yield from series_rows(name, BEAM, hub_beam_eigenvalues(3, ratio), result, 2e-5)
 
 
 def _static_rows() -> Iterator[VerificationRow]:
@@ -128,7 +128,7 @@ def _stepped_rows() -> Iterator[VerificationRow]:
         yield VerificationRow(f"{name}, slope of the tip, rad/N", UNIT_LOAD, slope, beam.tip_rotation[2] @ bent, 1e-9)
         model = build_model(Arm([link], [Joint((0.0, 0.0, 1.0))]), 16, rotary_inertia=False)
         result = 2.0 * np.pi * frequencies(model, lock_joints=True)[:3]
-        expected = stepped_eigenvalues(3, place, rigidity, ratio)
+        expected = stepped_cantilever_eigenvalues(3, place, rigidity, ratio)
         yield from series_rows(f"{name}, lambda_{{}}", STEPPED, expected, result, 2e-5)
 
 
@@ -136,7 +136,7 @@ def _bar_rows() -> Iterator[VerificationRow]:
     """Axial and torsional cantilever frequencies in Hz of link 3 of the paper's arm, 24 linear elements."""
     link = catalog.paper_rrr().links[2].sections[0]
     for name, columns in (("axial", AXIAL), ("torsional", TWIST)):
-        scale = bar_scale(link, columns)
+        scale = bar_frequency_scale(link, columns)
         result = link_frequencies(link, 24, columns)
         yield from series_rows(
             f"{name} f_{{}}, link 3, Hz", "closed form: bar", scale * bar_eigenvalues(2), result[:2], 2e-3
@@ -153,7 +153,7 @@ def _elastic_joint_rows() -> Iterator[VerificationRow]:
         for name, ratio in (("free", rotor / (density * length**3)), ("clamped", None)):
             clamped = ratio is None
             result = frequencies(model, lock_joints=clamped)[0 if clamped else 1 :][:3]
-            lambdas = joint_eigenvalues(3, stiffness * length / rigidity, ratio, tip / (density * length))
+            lambdas = flexible_joint_eigenvalues(3, stiffness * length / rigidity, ratio, tip / (density * length))
             case = f"flexible link on elastic joint, rotor {name}, tip {tip:g} kg, f_{{}}, Hz"
             yield from series_rows(case, "closed form: beam, spring, rotor", scale * lambdas, result, 2e-5)
 

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from flexman_gym.common.arrays import Array
 
 
-def beam_eigenvalues(count: int, tip_mass_ratio: float = 0.0) -> Array:
+def cantilever_eigenvalues(count: int, tip_mass_ratio: float = 0.0) -> Array:
     """First lambda = omega sqrt(rho A L^4 / EI) (count,) of a cantilever; mu = tip_mass_ratio = tip mass / beam mass.
 
     With w a function of b x / L, b = sqrt(lambda), primes by that argument: w = w' = 0 at the base; w'' = 0 and
@@ -26,7 +26,7 @@ def beam_eigenvalues(count: int, tip_mass_ratio: float = 0.0) -> Array:
     return _squared_roots(characteristic, np.linspace(0.0, np.pi * count, count + 1))
 
 
-def hub_eigenvalues(count: int, hub_inertia_ratio: float) -> Array:
+def hub_beam_eigenvalues(count: int, hub_inertia_ratio: float) -> Array:
     """First elastic lambda (count,) of a beam turning freely with a hub; eta = hub inertia / (rho A L^3).
 
     The base has w = 0 and w'' + eta b^3 w' = 0. So sin b cosh b - cos b sinh b + eta b^3 (1 + cos b cosh b) = 0, once
@@ -37,10 +37,10 @@ def hub_eigenvalues(count: int, hub_inertia_ratio: float) -> Array:
         clamped = 1.0 / np.cosh(b) + np.cos(b)
         return np.sin(b) - np.cos(b) * np.tanh(b) + hub_inertia_ratio * b**3 * clamped
 
-    return _squared_roots(characteristic, np.sqrt(beam_eigenvalues(count + 1)))
+    return _squared_roots(characteristic, np.sqrt(cantilever_eigenvalues(count + 1)))
 
 
-def joint_eigenvalues(
+def flexible_joint_eigenvalues(
     count: int, stiffness_ratio: float, rotor_inertia_ratio: float | None, tip_mass_ratio: float
 ) -> Array:
     """First elastic lambda (count,) of a beam on a torsion spring that a rotor carries, with a mass at its tip.
@@ -48,7 +48,7 @@ def joint_eigenvalues(
     kappa = stiffness_ratio = K L / EI; eta = rotor inertia / (rho A L^3), None for a clamped rotor; mu = tip mass /
     beam mass. The spring turns the base by kappa b w'; a free rotor answers it with (kappa - eta b^4) theta_m =
     kappa b w'. So w = 0 and (kappa - eta b^4) w'' + kappa eta b^3 w' = 0 at the base, b w'' = kappa w' with the rotor
-    clamped; the tip is that of `beam_eigenvalues`.
+    clamped; the tip is that of `cantilever_eigenvalues`.
     """
 
     def characteristic(b: float) -> float:  # columns: w = sin, and cos - cosh and sinh divided by cosh b
@@ -65,7 +65,7 @@ def joint_eigenvalues(
     return _first_squared_roots(characteristic, count, np.arange(0.05, (count + 2) * np.pi, 0.01))
 
 
-def stepped_eigenvalues(count: int, place: float, rigidity_ratio: float, mass_ratio: float) -> Array:
+def stepped_cantilever_eigenvalues(count: int, place: float, rigidity_ratio: float, mass_ratio: float) -> Array:
     """First lambda (count,) of a stepped cantilever; lambda with L of the whole, rho A and EI of the inboard segment.
 
     place = length of the inboard segment / L; kappa = rigidity_ratio = EI and mu = mass_ratio = rho A of the outboard

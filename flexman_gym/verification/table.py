@@ -80,7 +80,7 @@ def summary(rows: Sequence[VerificationRow]) -> str:
     return SUMMARY.format(passed=passed, judged=passed + failed, failed=failed, shown=count[SHOWN])
 
 
-def text_table(rows: Sequence[VerificationRow]) -> str:
+def format_table(rows: Sequence[VerificationRow]) -> str:
     """Return the rows as a table for a terminal."""
     lines = [list(COLUMNS), *(row.cells() for row in rows)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(COLUMNS))]
@@ -88,7 +88,7 @@ def text_table(rows: Sequence[VerificationRow]) -> str:
     return "\n".join([*(text.rstrip() for text in texts), summary(rows)])
 
 
-def as_json(rows: Sequence[VerificationRow]) -> str:
+def format_json(rows: Sequence[VerificationRow]) -> str:
     """Return all rows with computer and versions as JSON; a number that is not finite is null."""
     clean = [{name: _finite(value) for name, value in row.values().items()} for row in rows]
     return json.dumps({"machine": computer_info(), "rule": RULE, "rows": clean}, indent=1, allow_nan=False) + "\n"

@@ -19,7 +19,7 @@ import numpy as np
 
 from flexman_gym.common import files
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.common.run_folder import NEWEST, SETTINGS, read_data
+from flexman_gym.common.run_folder import NEWEST, SETTINGS, read_npz
 from flexman_gym.common.snapshot import split_arrays
 
 TRAIN = "-m", "flexman_gym", "train"
@@ -89,7 +89,7 @@ def same(first: Path, second: Path) -> bool:
     """Whether two runs have the same bits, but for the times of the clock."""
     result = []
     for folder in (first, second):
-        data, arrays = read_data(folder / NEWEST), dict[str, np.ndarray]()
+        data, arrays = read_npz(folder / NEWEST), dict[str, np.ndarray]()
         del data["training"]["environment"]["action_space"]  # of all arms together: nobody draws from it
         data["training"]["episodes"] = [each[:2] for each in data["training"]["episodes"]]
         result.append((split_arrays(data, arrays), arrays))
@@ -142,7 +142,7 @@ def _steps(folder: Path) -> int:
     if not (folder / NEWEST).is_file():
         return 0
     try:
-        return int(read_data(folder / NEWEST)["training"]["counts"]["num_timesteps"])
+        return int(read_npz(folder / NEWEST)["training"]["counts"]["num_timesteps"])
     except ValueError:
         return -1
 

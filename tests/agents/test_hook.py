@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from flexman_agents.training import load_settings, resume, train, train_or_resume
-from flexman_gym.common.run_folder import BEST, NEWEST, read_data
+from flexman_gym.common.run_folder import BEST, NEWEST, read_npz
 
 from oracles.runs import RUNS
 
@@ -16,7 +16,7 @@ SETTINGS = RUNS["ppo"]  # 160 steps, 24 a rollout, judged after 72, 144 and at t
 
 def bits(folder):
     """The policy of a run."""
-    return {name: values.tobytes() for name, values in read_data(folder / NEWEST)["policy"].items()}
+    return {name: values.tobytes() for name, values in read_npz(folder / NEWEST)["policy"].items()}
 
 
 def test_a_hook_is_told_steps_and_figures_where_rollouts_begin_and_at_the_end(tmp_path):
@@ -66,7 +66,7 @@ def test_the_policy_of_the_end_is_judged_but_not_that_of_a_run_that_was_stopped(
     """Even where the run is shorter than the steps between judgements."""
     settings = replace(SETTINGS, judge_every=10 * SETTINGS.steps)
     train(settings, tmp_path / "whole", progress=False)
-    best = read_data(tmp_path / "whole" / BEST)["policy"]
+    best = read_npz(tmp_path / "whole" / BEST)["policy"]
     assert {name: values.tobytes() for name, values in best.items()} == bits(tmp_path / "whole")
     train(settings, tmp_path / "stopped", progress=False, hook=lambda report: report.steps > 0)
     assert not (tmp_path / "stopped" / BEST).exists()

@@ -10,11 +10,11 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from flexman_agents.callbacks import Interrupted
-from flexman_agents.imitation import AVERAGED, SCALE, DAgger, _strength
+from flexman_agents.imitation import ACTION_SCALE, EMA_DECAY, DAgger, _strength
 from flexman_agents.settings import Settings
 from flexman_agents.training import resume, train, train_or_resume
 from flexman_gym.__main__ import main
-from flexman_gym.common.run_folder import NEWEST, read_data
+from flexman_gym.common.run_folder import NEWEST, read_npz
 from flexman_gym.control.actions import CurrentMode, TorqueMode
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import find_agent
@@ -34,7 +34,7 @@ SHORT = Settings(
 
 def bits(folder):
     """The policy of a run."""
-    return {name: values.tobytes() for name, values in read_data(folder / NEWEST)["policy"].items()}
+    return {name: values.tobytes() for name, values in read_npz(folder / NEWEST)["policy"].items()}
 
 
 @pytest.mark.parametrize("base", [None, {"kind": "pd", "stiffness": [0.5 * STIFFNESS], "damping": [0.5 * DAMPING]}])
@@ -80,7 +80,7 @@ def test_the_last_rounds_are_kept_and_every_second_instant_of_each(kept):
     imitation, played = DAgger(replace(SHORT, hyperparameters={**SHORT.hyperparameters, "rounds_kept": kept})), []
     for number in range(4):
         imitation._play(number)
-        due = [(seen[begun], SCALE * wanted[begun]) for seen, wanted, begun in imitation._student.notes]
+        due = [(seen[begun], ACTION_SCALE * wanted[begun]) for seen, wanted, begun in imitation._student.notes]
         played.append([np.concatenate(part) for part in zip(*due[number % 2 :: 2], strict=True)])
         assert [len(seen) for seen, _, _ in imitation._rounds] == [len(seen) for seen, _ in played[-kept:]]
         for (seen, wanted, _), expected in zip(imitation._rounds, played[-kept:], strict=True):
@@ -114,8 +114,8 @@ def test_what_acts_is_a_mean_of_the_weights_in_which_older_ones_fade(monkeypatch
     assert imitation.learn(lambda steps, figures: False) and len(weights) == 3 * 5
     expected = weights[0]
     for each in weights[1:]:
-        expected = AVERAGED * expected + (1.0 - AVERAGED) * each
-    acts = SCALE * imitation.policy()["policy"]["action_net.weight"]
+        expected = EMA_DECAY * expected + (1.0 - EMA_DECAY) * each
+    acts = ACTION_SCALE * imitation.policy()["policy"]["action_net.weight"]
     assert acts == pytest.approx(expected, rel=1e-5) and np.abs(acts - weights[-1]).max() > 1e-4
 
 
@@ -130,7 +130,7 @@ def test_what_was_learned_acts_as_a_run_and_as_a_policy_that_is_shipped(tmp_path
     export_policy(tmp_path / "run", tmp_path / "policy", "A student of a PD.", "own")
     played = [rollout(str(tmp_path / name), SHORT.environment, range(2)).tips for name in ("run", "policy")]
     assert played[0].tobytes() == played[1].tobytes()
-    moments = read_data(tmp_path / "run" / NEWEST)["statistics"]
+    moments = read_npz(tmp_path / "run" / NEWEST)["statistics"]
     assert np.ptp(moments["var"]) > 0.0 and find_agent(str(tmp_path / "run")).interface
 
 

@@ -15,8 +15,8 @@ from tensorboard.backend.event_processing import event_accumulator
 
 from flexman_agents.callbacks import STEPS_COLUMN, Interrupted, open_logger
 from flexman_agents.training import resume, train
-from flexman_agents.vector import Arms
-from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_data, write_data
+from flexman_agents.vector import SB3VecEnv
+from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_npz, write_npz
 from flexman_gym.evaluation.agent import load_run
 from studies.faults import same
 
@@ -32,7 +32,7 @@ def few_episodes(monkeypatch):
 @pytest.fixture
 def interrupt(monkeypatch):
     """Lets Ctrl-C arrive during the step of that number."""
-    step_wait = Arms.step_wait
+    step_wait = SB3VecEnv.step_wait
 
     def at(number):
         steps = iter(range(10**6))
@@ -42,7 +42,7 @@ def interrupt(monkeypatch):
                 os.kill(os.getpid(), signal.SIGINT)
             return step_wait(self)
 
-        monkeypatch.setattr(Arms, "step_wait", step)
+        monkeypatch.setattr(SB3VecEnv, "step_wait", step)
 
     return at
 
@@ -55,7 +55,7 @@ def test_a_run_that_was_interrupted_twice_is_the_run_that_was_not(algo, tmp_path
     with pytest.raises(Interrupted, match=r"stopped after \d+ steps, all of which are kept"):
         train(RUNS[algo], parts, progress=False)
     assert "Stopping after this rollout; press Ctrl-C again" in capsys.readouterr().err
-    done = read_data(parts / NEWEST)["training"]["counts"]["num_timesteps"]
+    done = read_npz(parts / NEWEST)["training"]["counts"]["num_timesteps"]
     assert 57 <= done <= 75
     np.random.seed(99)  # noqa: NPY002, what happens in between does not matter
     random.seed(99)
@@ -65,8 +65,8 @@ def test_a_run_that_was_interrupted_twice_is_the_run_that_was_not(algo, tmp_path
     interrupt(-1)
     resume(parts, progress=False)
     assert same(whole, parts)
-    assert read_data(whole / NEWEST)["training"]["counts"]["num_timesteps"] >= RUNS[algo].steps
-    assert (whole / BEST).read_bytes() != b"" and sorted(read_data(whole / BEST)) == sorted(read_data(parts / BEST))
+    assert read_npz(whole / NEWEST)["training"]["counts"]["num_timesteps"] >= RUNS[algo].steps
+    assert (whole / BEST).read_bytes() != b"" and sorted(read_npz(whole / BEST)) == sorted(read_npz(parts / BEST))
     seen = np.linspace(-1.0, 1.0, 3 * 32).reshape(3, 32).astype(np.float32)
     one, other = (load_run(folder).law(seen) for folder in (whole, parts))
     assert np.array_equal(one, other)
@@ -80,7 +80,7 @@ def test_a_memory_that_is_full_is_drawn_from_whole_after_a_resumption(tmp_path, 
     interrupt(13)
     with pytest.raises(Interrupted):
         train(settings, tmp_path / "run", progress=False)
-    assert read_data(tmp_path / "run" / NEWEST)["training"]["replay"]["full"]
+    assert read_npz(tmp_path / "run" / NEWEST)["training"]["replay"]["full"]
     interrupt(-1)
     resume(tmp_path / "run", progress=False)
     assert same(tmp_path / "whole", tmp_path / "run")
@@ -106,10 +106,10 @@ def test_a_run_whose_last_steps_were_lost_repeats_them(tmp_path):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             "flexman_agents.training.write_data",
-            lambda path, data: saved.append(path) or write_data(path, data) if len(saved) < 2 else None,
+            lambda path, data: saved.append(path) or write_npz(path, data) if len(saved) < 2 else None,
         )
         train(RUNS["ppo"], tmp_path / "run", checkpoint_every=24, progress=False)
-    assert read_data(tmp_path / "run" / NEWEST)["training"]["counts"]["num_timesteps"] < 160
+    assert read_npz(tmp_path / "run" / NEWEST)["training"]["counts"]["num_timesteps"] < 160
     resume(tmp_path / "run", progress=False)
     assert same(tmp_path / "whole", tmp_path / "run")
 
@@ -125,8 +125,8 @@ def test_a_run_that_was_killed_before_it_kept_anything_begins_again(tmp_path, ca
 
 def test_pressed_twice_it_stops_at_once_and_what_was_saved_stays(tmp_path, interrupt, monkeypatch):
     interrupt(13)
-    step, before = Arms.step_wait, signal.getsignal(signal.SIGINT)
-    monkeypatch.setattr(Arms, "step_wait", lambda self: (step(self), os.kill(os.getpid(), signal.SIGINT))[0])
+    step, before = SB3VecEnv.step_wait, signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(SB3VecEnv, "step_wait", lambda self: (step(self), os.kill(os.getpid(), signal.SIGINT))[0])
     with pytest.raises(KeyboardInterrupt):
         train(RUNS["ppo"], tmp_path / "run", checkpoint_every=24, progress=False)
     assert signal.getsignal(signal.SIGINT) is before
@@ -155,10 +155,10 @@ def test_curves_of_a_run_whose_last_steps_were_lost_do_not_overlap(tmp_path, mon
     with monkeypatch.context() as patch:
         patch.setattr(
             "flexman_agents.training.write_data",
-            lambda path, data: saved.append(path) or write_data(path, data) if len(saved) < 3 else None,
+            lambda path, data: saved.append(path) or write_npz(path, data) if len(saved) < 3 else None,
         )
         train(RUNS["ppo"], run, checkpoint_every=24, progress=False)
-    done = read_data(run / NEWEST)["training"]["counts"]["num_timesteps"]
+    done = read_npz(run / NEWEST)["training"]["counts"]["num_timesteps"]
     assert max(steps_of(run / "progress.csv")) > done > 0
     resume(run, progress=False)
     first, second = steps_of(run / "progress.csv"), steps_of(run / f"progress-{done}.csv")

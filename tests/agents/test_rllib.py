@@ -13,9 +13,9 @@ pytest.importorskip("stable_baselines3")
 pytest.importorskip("ray.rllib.algorithms.ppo", reason="RLlib is not installed: requirements-rllib.txt")
 
 from flexman_agents import rllib
-from flexman_agents.rllib import Moments
+from flexman_agents.rllib import NormalisationConnector
 from flexman_agents.settings import Settings
-from flexman_gym.common.run_folder import NEWEST, read_data
+from flexman_gym.common.run_folder import NEWEST, read_npz
 from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.rollout import rollout, training_seed
 
@@ -38,40 +38,40 @@ def run(request, tmp_path_factory):
 
 
 def test_a_recipe_is_translated_and_what_cannot_be_is_refused():
-    config = rllib.configure(SETTINGS, 2)
+    config = rllib.ppo_config(SETTINGS, 2)
     assert config.train_batch_size_per_learner == 8 * 24 and config.minibatch_size == 64 and config.num_epochs == 2
     assert config.gamma == 0.95 and config.lambda_ == 0.99 and config.num_envs_per_env_runner == 4
     assert config.lr == [[0, 1e-3], [768, 1e-12]] and config.env_config["first_seed"] == training_seed(3)
-    assert refusal(rllib.configure, SETTINGS, 3).startswith("runners: 3 is not allowed; give a number that divides")
+    assert refusal(rllib.ppo_config, SETTINGS, 3).startswith("runners: 3 is not allowed; give a number that divides")
     for change in ({"judge_every": 5}, {"hyperparameters": {"use_sde": True}}):
-        assert refusal(rllib.configure, replace(SETTINGS, **change), 0).startswith(next(iter(change)))
-    assert refusal(rllib.configure, Settings("sac"), 0).startswith("algo: 'sac' is not allowed")
+        assert refusal(rllib.ppo_config, replace(SETTINGS, **change), 0).startswith(next(iter(change)))
+    assert refusal(rllib.ppo_config, Settings("sac"), 0).startswith("algo: 'sac' is not allowed")
 
 
 def test_a_run_is_a_folder_that_evaluate_reads_and_whose_scales_saw_every_observation_once(run):
-    data = read_data(run / NEWEST)
+    data = read_npz(run / NEWEST)
     assert data["statistics"]["count"] == LAST
     assert set(data["policy"]) == {f"{layer}.{part}" for part in ("weight", "bias") for layer in (
         "mlp_extractor.policy_net.0", "mlp_extractor.policy_net.2", "action_net")}  # fmt: skip
-    assert [path.name for path in (run / rllib.CHECKPOINTS).iterdir()] == [str(LAST)]
+    assert [path.name for path in (run / rllib.CHECKPOINT_FOLDER).iterdir()] == [str(LAST)]
     entrant = find_agent(str(run))
     assert np.isfinite(rollout(entrant, entrant.environment, [9000, 9001]).tips[:, -1]).all()
 
 
 def test_runners_begin_with_episodes_of_their_own():
     """Observations after a reset, of two runners as RLlib makes them, beside those of one."""
-    both = rllib.configure(SETTINGS, 2)
-    whole = rllib.configure(SETTINGS, 0)
+    both = rllib.ppo_config(SETTINGS, 2)
+    whole = rllib.ppo_config(SETTINGS, 0)
     seen = []
     for config, index in ((both, 1), (both, 2), (whole, 0)):
-        runner = rllib.ArrayRunner(config=config, worker_index=index)
+        runner = rllib.ArrayEnvRunner(config=config, worker_index=index)
         runner._begin()
         seen.append(runner._seen)
     assert np.array_equal(np.concatenate(seen[:2]), seen[2]) and len(np.unique(seen[2], axis=0)) == 8
 
 
 def test_a_sample_holds_what_the_environment_said_cut_into_episodes():
-    runner = rllib.ArrayRunner(config=rllib.configure(replace(SETTINGS, normalise_reward=False), 0), worker_index=0)
+    runner = rllib.ArrayEnvRunner(config=rllib.ppo_config(replace(SETTINGS, normalise_reward=False), 0), worker_index=0)
     episodes = runner.sample(num_timesteps=8 * 24)
     assert sum(map(len, episodes)) == 8 * 24 and sum(each.is_truncated for each in episodes) == 8
     for arm, first in enumerate(each for each in episodes if each.is_truncated):
@@ -87,7 +87,7 @@ def _last(runner, arm):
 
 def test_scales_that_runners_share_count_everything_once():
     values = np.random.default_rng(0).normal(2.0, 3.0, (60, 4))
-    runners = [Moments(4) for _ in range(3)]
+    runners = [NormalisationConnector(4) for _ in range(3)]
     for parts in (values[:30], values[30:]):
         for runner, part in zip(runners, np.split(parts, 3), strict=True):
             runner.own["seen"].add(part)
@@ -110,16 +110,16 @@ def test_a_run_that_was_killed_goes_on_from_its_checkpoint(tmp_path):
     )
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     process = subprocess.Popen([sys.executable, "study.py"], cwd=tmp_path, env=environment)
-    place = tmp_path / "run" / rllib.CHECKPOINTS
+    place = tmp_path / "run" / rllib.CHECKPOINT_FOLDER
     while not [*place.glob("[0-9]*")]:
         assert process.poll() is None
         time.sleep(0.2)
     process.kill()
     process.wait()
     (known,) = sorted(int(path.name) for path in place.glob("[0-9]*"))[-1:]
-    before = read_data(tmp_path / "run" / NEWEST)["statistics"]["count"] if (tmp_path / "run" / NEWEST).exists() else 0
+    before = read_npz(tmp_path / "run" / NEWEST)["statistics"]["count"] if (tmp_path / "run" / NEWEST).exists() else 0
     rllib.train_rllib(replace(SETTINGS, steps=known + 192), tmp_path / "run", 0, 0, resume=True)
     assert [path.name for path in place.iterdir()] == [str(known + 192)]
-    count = read_data(tmp_path / "run" / NEWEST)["statistics"]["count"]
+    count = read_npz(tmp_path / "run" / NEWEST)["statistics"]["count"]
     assert count == known + 192 > before >= 0
     assert refusal(rllib.train_rllib, SETTINGS, tmp_path / "run").startswith("folder: ")

@@ -14,8 +14,8 @@ from torch import nn
 
 from flexman_agents import callbacks
 from flexman_agents.sb3 import (
-    CALLBACK,
-    ZOO,
+    EXPLORATION_CALLBACK,
+    ZOO_FOLDER,
     action_function,
     algorithm_arguments,
     load_sb3_zip,
@@ -75,16 +75,16 @@ def test_a_model_brings_environment_interface_and_statistics(model, tmp_path, ca
 def test_the_files_are_those_of_the_recipes(tmp_path):
     write_zoo_files(tmp_path)
     assert {*RECIPES} - {path.stem for path in tmp_path.iterdir()} == {"lab_student"}, "an imitation"
-    assert sorted(path.name for path in ZOO.iterdir()) == sorted(path.name for path in tmp_path.iterdir())
+    assert sorted(path.name for path in ZOO_FOLDER.iterdir()) == sorted(path.name for path in tmp_path.iterdir())
     for path in tmp_path.iterdir():
-        assert path.read_text() == (ZOO / path.name).read_text(), "write_zoo_files() writes them anew"
+        assert path.read_text() == (ZOO_FOLDER / path.name).read_text(), "write_zoo_files() writes them anew"
 
 
-@pytest.mark.parametrize("name", sorted(path.stem for path in ZOO.glob("*.yml")))
+@pytest.mark.parametrize("name", sorted(path.stem for path in ZOO_FOLDER.glob("*.yml")))
 def test_an_entry_makes_the_same_environment_and_the_same_algorithm(name):
     """As rl_zoo3 reads it: env_kwargs go to `gym.make`, policy_kwargs are an expression, the rest goes to the class."""
     settings = find_recipe(name)
-    ((id, entry),) = yaml.safe_load((ZOO / f"{name}.yml").read_text()).items()
+    ((id, entry),) = yaml.safe_load((ZOO_FOLDER / f"{name}.yml").read_text()).items()
     env = gym.make(id, **entry.pop("env_kwargs"))
     ours = gym.make(settings.environment.id, **settings.environment.keywords())
     result, expected = (each.unwrapped.episodes for each in (env, ours))
@@ -98,7 +98,7 @@ def test_an_entry_makes_the_same_environment_and_the_same_algorithm(name):
     assert policy == chosen.pop("policy_kwargs")
     exploration, rate = entry.pop("callback", None), chosen.pop("learning_rate")
     if exploration is not None:
-        made = callbacks.Exploration(**exploration[CALLBACK])
+        made = callbacks.Exploration(**exploration[EXPLORATION_CALLBACK])
         assert made._schedule in map(settings.schedule, settings.schedules) and made._steps == settings.steps
     assert (exploration is None) == (settings.schedules.keys() == {"learning_rate"})
     said = entry.pop("learning_rate")

@@ -11,11 +11,11 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from flexman_agents.search import BEST, change_settings, search
+from flexman_agents.search import BEST_FILE, change_settings, search
 from flexman_agents.settings import find_recipe
 from flexman_agents.training import train
 from flexman_gym.__main__ import main
-from flexman_gym.common.run_folder import NEWEST, read_data
+from flexman_gym.common.run_folder import NEWEST, read_npz
 
 from oracles.assertions import refusal
 from oracles.runs import RUNS
@@ -32,7 +32,7 @@ OVER = {
 
 def bits(folder):
     """The policy of a run."""
-    return {name: values.tobytes() for name, values in read_data(folder / NEWEST)["policy"].items()}
+    return {name: values.tobytes() for name, values in read_npz(folder / NEWEST)["policy"].items()}
 
 
 def trials(folder):
@@ -100,6 +100,6 @@ def test_a_search_that_is_killed_goes_on_and_its_best_trial_is_a_recipe_of_the_s
     states = [state for state, *_ in trials(tmp_path / "whole")]
     assert len(states) == 12 and set(states) == {"COMPLETE", "PRUNED"}
     best = max((value, number) for number, (state, _, value) in enumerate(trials(path.parent)) if state == "COMPLETE")
-    assert path.name == BEST and f"# Found by flexman search: trial {best[1]} of 12" in path.read_text()
+    assert path.name == BEST_FILE and f"# Found by flexman search: trial {best[1]} of 12" in path.read_text()
     train(find_recipe(str(path)), tmp_path / "again", progress=False)
     assert bits(tmp_path / "again") == bits(tmp_path / "killed" / f"trial-{best[1]}")

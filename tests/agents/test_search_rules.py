@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from flexman_agents import search as module
-from flexman_agents.callbacks import Report
+from flexman_agents.callbacks import TrainingReport
 from flexman_agents.search import change_settings, flatten_ranges, run_trial, search
 from flexman_agents.settings import find_recipe
 
@@ -66,7 +66,7 @@ def ran(monkeypatch, study, rewards):
                 raise ValueError("it diverges")
             seen.append(reward)
             last = i == len(rewards)
-            if cell[2]["hook"](Report(RECIPE.steps if last else i * steps, {"reward": reward}, lambda: None)):
+            if cell[2]["hook"](TrainingReport(RECIPE.steps if last else i * steps, {"reward": reward}, lambda: None)):
                 break
 
     study.ask()

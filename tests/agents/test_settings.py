@@ -6,10 +6,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flexman_agents.settings import ENVS, MOST_ENVS, MOST_SEED, RECIPE_FOLDER, RECIPES, Schedule, Settings, find_recipe
+from flexman_agents.settings import (
+    DEFAULT_ENVS,
+    MAX_ENVS,
+    MAX_SEED,
+    RECIPE_FOLDER,
+    RECIPES,
+    Schedule,
+    Settings,
+    find_recipe,
+)
 from flexman_gym.common import files
 from flexman_gym.envs.config.named_environments import flex_rrr
-from flexman_gym.evaluation.rollout import SELECTION_SEEDS, TEST_SEEDS, TRAINING_SEED, training_seed
+from flexman_gym.evaluation.rollout import SELECTION_SEEDS, TEST_SEEDS, TRAINING_SEEDS_STRIDE, training_seed
 
 from oracles.assertions import refusal
 
@@ -47,7 +56,7 @@ def test_an_arm_in_a_file_is_found_beside_the_recipe_and_kept_without_it(tmp_pat
 def test_what_is_left_out_is_the_default():
     settings = Settings()
     assert (settings.algo, settings.steps, settings.seed, settings.normalise_reward) == ("ppo", 1_000_000, 0, True)
-    assert settings.envs == ENVS["ppo"] and Settings(algo="sac").envs == ENVS["sac"]
+    assert settings.envs == DEFAULT_ENVS["ppo"] and Settings(algo="sac").envs == DEFAULT_ENVS["sac"]
     assert settings.environment.id == "FlexRRR-v0" and settings.environment.arm == flex_rrr()
 
 
@@ -151,10 +160,13 @@ def test_bad_schedules_are_named(values, line):
 # Seeds
 
 
-@given(st.integers(0, MOST_SEED), st.integers(0, MOST_SEED), st.integers(0, MOST_ENVS - 1))
+@given(st.integers(0, MAX_SEED), st.integers(0, MAX_SEED), st.integers(0, MAX_ENVS - 1))
 def test_seeds_of_training_selection_and_test_are_disjoint(run, other, arm):
     """Also those of the arms of two runs."""
     first = training_seed(run) + arm
     assert first not in SELECTION_SEEDS and first not in TEST_SEEDS and set(SELECTION_SEEDS).isdisjoint(TEST_SEEDS)
-    assert run == other or abs(training_seed(other) - training_seed(run)) >= MOST_ENVS
-    assert max(TEST_SEEDS.stop, SELECTION_SEEDS.stop) < TRAINING_SEED and len(TEST_SEEDS) == len(SELECTION_SEEDS) == 100
+    assert run == other or abs(training_seed(other) - training_seed(run)) >= MAX_ENVS
+    assert (
+        max(TEST_SEEDS.stop, SELECTION_SEEDS.stop) < TRAINING_SEEDS_STRIDE
+        and len(TEST_SEEDS) == len(SELECTION_SEEDS) == 100
+    )

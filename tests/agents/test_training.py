@@ -15,7 +15,7 @@ from flexman_agents.callbacks import Evaluation
 from flexman_agents.sb3 import algorithm_arguments, make_model
 from flexman_agents.settings import Settings
 from flexman_agents.training import load_settings, resume, train
-from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_data, write_data
+from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_npz, write_npz
 from flexman_gym.evaluation import METRICS, rollout
 from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, training_seed
@@ -96,7 +96,7 @@ def test_a_finished_run_goes_on_as_another_run(trained, tmp_path, capsys):
     assert resume(folder, 256, progress=False).num_timesteps == 256
     assert "The run of 512 steps was finished: 256 more are another run." in capsys.readouterr().err
     assert 0 < np.abs(acts(folder) - before).max() < 0.5
-    assert read_data(folder / NEWEST)["before"] == 512 and load_settings(folder).steps == 256
+    assert read_npz(folder / NEWEST)["before"] == 512 and load_settings(folder).steps == 256
     with (folder / "progress-512.csv").open() as lines:
         assert [int(row["time/total_timesteps"]) for row in csv.DictReader(lines)] == [256]
     with (folder / "progress.csv").open() as lines:
@@ -148,7 +148,7 @@ def test_checkpoints_are_written_where_rollouts_begin(tmp_path, monkeypatch):
 def test_sac_trains_and_goes_on_with_its_memory(tmp_path):
     settings = Settings("sac", PD, 64, envs=2, hyperparameters={"learning_starts": 16, "batch_size": 8})
     train(settings, tmp_path / "sac", progress=False)
-    assert read_data(tmp_path / "sac" / NEWEST)["training"]["replay"]["pos"] == 32
+    assert read_npz(tmp_path / "sac" / NEWEST)["training"]["replay"]["pos"] == 32
     assert resume(tmp_path / "sac", 64, progress=False).replay_buffer.pos == 64  # of two arms each
     assert np.abs(acts(tmp_path / "sac")).max() <= 1.0
 
@@ -166,8 +166,8 @@ def test_the_entropy_that_sac_aims_at_follows_its_schedule(tmp_path):
 def test_the_best_policy_is_the_one_that_acts(trained, tmp_path):
     other = tmp_path / "run"
     shutil.copytree(trained[0], other)
-    data = read_data(other / BEST)
-    write_data(other / BEST, {**data, "policy": {name: 2.0 * array for name, array in data["policy"].items()}})
+    data = read_npz(other / BEST)
+    write_npz(other / BEST, {**data, "policy": {name: 2.0 * array for name, array in data["policy"].items()}})
     best = acts(other)
     (other / BEST).unlink()
     assert (acts(other) != best).any() and np.array_equal(acts(other), acts(trained[0]))

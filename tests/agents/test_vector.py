@@ -9,7 +9,7 @@ pytest.importorskip("stable_baselines3")
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
 
 import flexman_gym as fm
-from flexman_agents.vector import Arms
+from flexman_agents.vector import SB3VecEnv
 
 LIMITS = fm.Limits(rate=2.0)
 STIFF = {"stiffness": (497.0, 325.0, 328.0), "damping": (950.0, 950.0, 103.0)}  # which leads to the limits
@@ -19,7 +19,7 @@ def arms_and_singles(count, action_repeat=1, **settings):
     """The adapter of the vector environment, and Stable-Baselines3's own vector of as many single environments."""
     settings = {"limits": LIMITS, "action_repeat": action_repeat, "horizon": 0.4, **settings}
     env = gym.make_vec("FlexRRR-v0", count, "vector_entry_point", autoreset_mode="SameStep", **settings)
-    return Arms(env), DummyVecEnv([lambda: gym.make("FlexRRR-v0", **settings)] * count)
+    return SB3VecEnv(env), DummyVecEnv([lambda: gym.make("FlexRRR-v0", **settings)] * count)
 
 
 @pytest.mark.parametrize("base", [None, "pd"])
@@ -60,7 +60,7 @@ def test_seeds_hold_for_one_reset():
 def test_there_is_a_picture_of_each_arm():
     env = gym.make_vec("FlexRRR-v0", 2, "vector_entry_point", autoreset_mode="SameStep", render_mode="rgb_array",
                        render_size=(48, 36))  # fmt: skip
-    arms = Arms(env)
+    arms = SB3VecEnv(env)
     arms.seed(0)
     arms.reset()
     one, other = arms.get_images()
@@ -84,5 +84,5 @@ def test_arms_tell_what_they_share_and_refuse_what_they_do_not_have():
     with pytest.raises(ValueError, match=r"^options: .* give the same options for all environments$"):
         arms.reset()
     with pytest.raises(ValueError, match=r"^autoreset_mode: .* give an environment made with AutoresetMode.SAME_STEP$"):
-        Arms(gym.make_vec("FlexRRR-v0", 2))
+        SB3VecEnv(gym.make_vec("FlexRRR-v0", 2))
     arms.close()

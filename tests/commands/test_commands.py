@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.__main__ import GROUPS, command_summary, main
+from flexman_gym.__main__ import COMMAND_GROUPS, command_summary, main
 from flexman_gym.commands import league
-from flexman_gym.commands.list import WHAT
+from flexman_gym.commands.list import KINDS
 from flexman_gym.commands.why import diagnosis_lines as told
 from flexman_gym.control import BASES
-from flexman_gym.envs import NAMED
-from flexman_gym.envs.config.conditions import CONDITIONS
+from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.sensors import NAMES
-from flexman_gym.evaluation.diagnosis import HELP, RINGING, Diagnosis, diagnose
+from flexman_gym.envs.config.named_environments import CONDITIONS
+from flexman_gym.envs.sensors import SENSOR_NAMES
+from flexman_gym.evaluation.diagnosis import REMEDIES, RINGING, Diagnosis, diagnose
 from flexman_gym.league import certificate
 from flexman_gym.league.rows import EpisodeBlock, LeagueRows
 from flexman_gym.league.scenarios import USUAL_SCENARIOS, plant_scenarios
@@ -47,13 +47,13 @@ def test_help_names_every_command_and_fits_a_screen(capsys):
 
 def test_help_has_every_command_in_one_group_and_a_line(capsys):
     """For who begins, learns, evaluates, simulates, controls, or wants data; on a screen of 80 columns."""
-    assert sorted(name for names in GROUPS.values() for name in names) == COMMANDS
-    assert [*GROUPS] == ["start", "learn", "evaluate", "simulate", "control", "data"]
+    assert sorted(name for names in COMMAND_GROUPS.values() for name in names) == COMMANDS
+    assert [*COMMAND_GROUPS] == ["start", "learn", "evaluate", "simulate", "control", "data"]
     with pytest.raises(SystemExit):
         main(["--help"])
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= 80
-    for group, names in GROUPS.items():
+    for group, names in COMMAND_GROUPS.items():
         first = lines.index(f"{group}:") + 1
         assert [line.split()[0] for line in lines[first : first + len(names)]] == list(names)
         assert all(len(line.split()) > 2 for line in lines[first : first + len(names)])
@@ -77,11 +77,11 @@ def test_the_version_is_that_of_the_package(capsys):
 
 def test_list_has_all_that_has_a_name(capsys):
     pytest.importorskip("stable_baselines3")
-    names = {"environments": NAMED, "conditions": CONDITIONS, "controllers": BASES, "sensors": NAMES,
+    names = {"environments": NAMED_ENVIRONMENTS, "conditions": CONDITIONS, "controllers": BASES, "sensors": SENSOR_NAMES,
              "methods": fm.METHODS}  # fmt: skip
     assert main(["list"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.rstrip(":") for line in lines if not line.startswith(" ")] == list(WHAT)
+    assert [line.rstrip(":") for line in lines if not line.startswith(" ")] == list(KINDS)
     for what, known in names.items():
         assert main(["list", what]) == 0
         said = capsys.readouterr().out.splitlines()
@@ -281,15 +281,15 @@ def test_it_tells_of_each_entrant_the_shares_the_largest_first(capsys):
     lines = capsys.readouterr().out.splitlines()
     assert [line.split(" on ")[0] for line in lines if not line.startswith(" ")] == ["pd", "zero"]
     found = diagnose("pd", Configuration("FlexPlanar-v0", {"horizon": 1.0}), [3, 4])
-    for cause in HELP:
+    for cause in REMEDIES:
         line = next(line for line in lines if line.startswith(f"  {cause} "))
         share = 100.0 * sum(each.shares[cause] for each in found) / 2.0
         assert abs(float(line.split("%")[0].split()[-1]) - share) < 0.051
         assert f"the largest share of {sum(each.cause == cause for each in found)} episodes" in line
     shares = [float(line.split("%")[0].split()[-1]) for line in lines[1:7]]
     assert shares == sorted(shares, reverse=True)
-    worst = next(cause for cause in HELP if lines[1].startswith(f"  {cause} "))
-    assert lines[7] == f"  what would help: {HELP[worst]}"
+    worst = next(cause for cause in REMEDIES if lines[1].startswith(f"  {cause} "))
+    assert lines[7] == f"  what would help: {REMEDIES[worst]}"
 
 
 def test_where_nothing_is_left_nothing_has_to_help(capsys):
@@ -303,7 +303,7 @@ def test_it_takes_what_evaluate_takes(capsys):
 
 
 def test_one_quiet_episode_does_not_hide_one_that_rings():
-    shares = dict.fromkeys(HELP, 0.0) | {RINGING: 1.0}
+    shares = dict.fromkeys(REMEDIES, 0.0) | {RINGING: 1.0}
     still, ringing = (Diagnosis(rms, quiet, shares, ()) for rms, quiet in ((1e-6, True), (0.05, False)))
-    assert told("pd", [still, ringing])[-1] == f"  what would help: {HELP[RINGING]}"
+    assert told("pd", [still, ringing])[-1] == f"  what would help: {REMEDIES[RINGING]}"
     assert told("pd", [still, still])[-1].endswith("nothing is needed, so little is left")

@@ -11,7 +11,7 @@ import pytest
 import flexman_gym
 from flexman_gym import __main__, kernels
 from flexman_gym.commands import check
-from flexman_gym.kernels import arms, control_period, implicit, inverse, runge_kutta
+from flexman_gym.kernels import batch, control_period, implicit, inverse, runge_kutta
 
 ROOT = Path(flexman_gym.__file__).parents[1]
 WORDS = "flexman_gym compiles kernels"
@@ -50,17 +50,17 @@ def test_each_kernel_that_takes_long_says_how_long_is_left(capsys, monkeypatch):
 
     def compile_one(kernel):
         words.on_start(SimpleNamespace(data={"dispatcher": kernel}))
-        words.on_start(SimpleNamespace(data={"dispatcher": arms.advance_steps}))  # which it takes in
+        words.on_start(SimpleNamespace(data={"dispatcher": batch.advance_steps}))  # which it takes in
         words.on_end(None)
         words.on_end(None)
 
-    for kernel in (inverse.inertial_forces, arms.advance_one, control_period.flag_violations):
+    for kernel in (inverse.inertial_forces, batch.advance_single, control_period.flag_violations):
         compile_one(kernel)
     first, *rest = capsys.readouterr().err.splitlines()
     assert first.startswith(WORDS)
     assert rest == ["  inertial_forces: about 25 s left", "  advance_one: about 17 s left"]
-    rooms = (arms, inverse, implicit, runge_kutta)
-    assert all(any(hasattr(room, name) for room in rooms) for name in kernels.SECONDS)
+    rooms = (batch, inverse, implicit, runge_kutta)
+    assert all(any(hasattr(room, name) for room in rooms) for name in kernels.COMPILE_SECONDS)
 
 
 def test_a_setting_silences_the_words(tmp_path):
@@ -100,7 +100,7 @@ def test_check_says_versions_kernels_and_steps():
 def test_check_says_which_kernels_are_not_compiled_yet(tmp_path, monkeypatch, capsys):
     """In a folder without any, in one beside that of another installation, and in one with a kernel of one arm."""
     monkeypatch.setattr(check, "_steps_per_second", lambda: 1.0)
-    for kernel in (arms.advance_one, arms.advance_arms):
+    for kernel in (batch.advance_single, batch.advance_batch):
         monkeypatch.setattr(kernel._cache, "_cache_path", str(tmp_path / "ours"))
     for folder, name, one in (
         ("ours", "other", "not compiled yet"),

@@ -10,7 +10,7 @@ pytest.importorskip("stable_baselines3")
 from flexman_gym.__main__ import main
 from flexman_gym.common.run_folder import SETTINGS
 from flexman_gym.evaluation import evaluate, find_agent
-from flexman_gym.evaluation.export import package_folder
+from flexman_gym.evaluation.export import shipped_policy_folder
 from flexman_gym.evaluation.policy_files import read_policy
 
 from oracles import shipped as made
@@ -60,9 +60,12 @@ def test_it_may_be_for_another_environment_with_what_acts_as_it_was(run, tmp_pat
 
 
 def test_a_name_is_no_path():
-    assert package_folder("ppo-own").name == "ppo-own" and package_folder("ppo-own").parent.name == "policies"
+    assert (
+        shipped_policy_folder("ppo-own").name == "ppo-own"
+        and shipped_policy_folder("ppo-own").parent.name == "policies"
+    )
     for wrong in ("../a", "", "a b", "-", "a-", "ppo-\N{SUPERSCRIPT TWO}", "a" * 300, "a\n"):
-        assert refusal(package_folder, wrong).startswith("name: ")
+        assert refusal(shipped_policy_folder, wrong).startswith("name: ")
 
 
 def test_a_graph_gives_the_actions_of_numpy(tmp_path, capsys):

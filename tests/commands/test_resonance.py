@@ -7,9 +7,9 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.__main__ import main
-from flexman_gym.control.input_shaping.shapers import ringing_modes
+from flexman_gym.control.input_shaping.shapers import excited_modes
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.fidelity import resolve_fidelity
 
 from oracles.files import REFERENCE
 
@@ -33,10 +33,10 @@ def test_of_an_environment_it_tells_goals_payloads_modes_and_shapers(tmp_path, c
         rows = list(csv.DictReader(file))
     first = [row for row in rows if row["motors"] == "held" and row["mode"] == "1"]
     assert len(first) == 6 and len({row["motor_angle_1"] for row in first}) == 2
-    model = build(Configuration.from_keywords({"name": "FlexPlanar-v0"})).model  # whose payload is 0.1 kg
+    model = resolve_fidelity(Configuration.from_keywords({"name": "FlexPlanar-v0"})).model  # whose payload is 0.1 kg
     for row in (row for row in first if row["payload"] == "0.1"):
         posture = [float(row["motor_angle_1"]), float(row["motor_angle_2"])]
-        assert float(row["frequency"]) == pytest.approx(ringing_modes(model, posture)[0, 0], rel=1e-4)
+        assert float(row["frequency"]) == pytest.approx(excited_modes(model, posture)[0, 0], rel=1e-4)
     frequencies = np.array([float(row["frequency"]) for row in first])
     line = next(line for line in lines if line.startswith("1, motors held"))
     assert [float(each) for each in line.split()[3:6]] == pytest.approx(

@@ -12,7 +12,7 @@ from flexman_gym.__main__ import main as flexman
 from flexman_gym.common import files
 from flexman_gym.common.run_folder import SETTINGS
 from flexman_gym.control.margins import has_margins
-from flexman_gym.envs import NAMED
+from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import optimisation
 
@@ -122,7 +122,7 @@ def test_tuning_finds_gains_that_beat_most_and_finds_them_again(monkeypatch):
     half = len(seen) // 2
     gains, result = (np.concatenate([part[i] for part in seen[:half]]) for i in (0, 1))
     assert first.reward == result.max() and np.array_equal(gains[result.argmax()], [*first.stiffness, *first.damping])
-    limit, most = 0.5, 0.01 / NAMED["FlexOne-v0"].control_period
+    limit, most = 0.5, 0.01 / NAMED_ENVIRONMENTS["FlexOne-v0"].control_period
     low, high = np.array([0.01 * limit, 0.05 * most]), np.array([25 * limit, most])
     assert (gains >= low * (1 - 1e-9)).all() and (gains <= high * (1 + 1e-9)).all()
 
@@ -138,10 +138,10 @@ def test_tune_prints_the_line_for_a_file(run, monkeypatch):
 
 def test_the_gains_in_the_catalog_are_better_than_gains_nearby_at_random():
     """Mean reward of 8 episodes, of all candidates with margins at once, as the search measures it."""
-    pd, environment = NAMED["FlexOne-v0"].pd, Configuration("FlexOne-v0")
+    pd, environment = NAMED_ENVIRONMENTS["FlexOne-v0"].pd, Configuration("FlexOne-v0")
     own = np.array([[*pd["stiffness"], *pd["damping"]]])
     others = own * np.random.default_rng(0).uniform(0.4, 1.6, (24, 2))
-    loops = optimisation.environment_loops(environment)
+    loops = optimisation.motor_loops(environment)
     others = [each for each in others if has_margins(loops, each[:1], each[1:], optimisation.MIN_MARGINS)]
     result = optimisation._rewards(environment, np.vstack([own, *others]), 8)
     assert len(others) > 6 and (result.argmax() == 0 or result[0] > 0.99 * result.max())

@@ -19,7 +19,7 @@ SHORT = Configuration("FlexOne-v0", {"horizon": 0.2})
 @pytest.fixture
 def impatient(monkeypatch):
     """A line for everything that is counted."""
-    monkeypatch.setattr(progress, "PATIENCE", 0.0)
+    monkeypatch.setattr(progress, "INTERVAL", 0.0)
     monkeypatch.delenv("FLEXMAN_QUIET", raising=False)
 
 

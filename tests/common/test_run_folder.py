@@ -14,14 +14,7 @@ pytest.importorskip("stable_baselines3")
 
 from flexman_agents.sb3 import make_model
 from flexman_agents.training import load_settings, resume, train
-from flexman_gym.common.run_folder import (
-    LOCK,
-    NEWEST,
-    SETTINGS,
-    lock_folder,
-    read_data,
-    write_data,
-)
+from flexman_gym.common.run_folder import LOCK, NEWEST, SETTINGS, lock_folder, read_npz, write_npz
 from flexman_gym.evaluation.agent import SB3_MODEL, find_agent
 
 from oracles.assertions import refusal
@@ -58,7 +51,7 @@ def test_what_a_link_in_a_run_folder_points_to_stays(tmp_path, name):
         assert "whose file lock is not a link" in refusal(lambda: train(run, folder, progress=False))
     else:
         train(run, folder, progress=False)
-        assert read_data(folder / NEWEST)
+        assert read_npz(folder / NEWEST)
     assert precious.read_text() == "mine"
 
 
@@ -81,7 +74,7 @@ def test_arrays_that_are_packed_are_refused_before_they_take_memory(tmp_path):
     np.savez_compressed(tmp_path / "run.npz", **{"data.json": np.zeros(50_000_000, dtype=np.uint8)})
     assert (tmp_path / "run.npz").stat().st_size < 100_000
     tracemalloc.start()
-    assert "its arrays are packed" in refusal(read_data, tmp_path / "run.npz")
+    assert "its arrays are packed" in refusal(read_npz, tmp_path / "run.npz")
     assert tracemalloc.get_traced_memory()[1] < 1_000_000
     tracemalloc.stop()
 
@@ -132,18 +125,18 @@ def test_a_policy_of_no_numbers_is_refused(run, tmp_path, name, value, said):
 
 def test_settings_that_are_arrays_are_other_ones(run, tmp_path):
     (tmp_path / SETTINGS).write_bytes((run / SETTINGS).read_bytes())
-    data = read_data(run / NEWEST)
-    write_data(tmp_path / NEWEST, data | {"settings": data["settings"] | {"seed": np.zeros(2)}})
+    data = read_npz(run / NEWEST)
+    write_npz(tmp_path / NEWEST, data | {"settings": data["settings"] | {"seed": np.zeros(2)}})
     assert "seed is another now" in refusal(find_agent, str(tmp_path))
 
 
 def test_files_of_stable_baselines3_need_trust(run, tmp_path):
-    from flexman_agents.sb3 import STATISTICS, load_sb3_run, make_model
+    from flexman_agents.sb3 import STATISTICS_FILE, load_sb3_run, make_model
 
     model = make_model(RUNS["ppo"])
     (tmp_path / SETTINGS).write_bytes((run / SETTINGS).read_bytes())
     model.save(tmp_path / SB3_MODEL)
-    model.get_vec_normalize_env().save(str(tmp_path / STATISTICS))
+    model.get_vec_normalize_env().save(str(tmp_path / STATISTICS_FILE))
     line = refusal(find_agent, str(tmp_path))
     assert "--trust" in line and "run any code" in line
     seen = np.zeros((2, 32), dtype=np.float32)
@@ -208,7 +201,7 @@ def test_mutated_runs_give_one_line_or_act_as_they_did(run, tmp_path, seed):
 def test_broken_files_give_one_line(run, tmp_path):
     """Cut off, empty, noise, other networks, other names."""
     (tmp_path / SETTINGS).write_bytes((run / SETTINGS).read_bytes())
-    whole, data = (run / NEWEST).read_bytes(), read_data(run / NEWEST)
+    whole, data = (run / NEWEST).read_bytes(), read_npz(run / NEWEST)
     noise = np.random.default_rng(0).bytes(500)
     for content in (b"", whole[: len(whole) // 2], noise, whole[:200] + noise + whole[700:]):
         (tmp_path / NEWEST).write_bytes(content)
@@ -221,8 +214,8 @@ def test_broken_files_give_one_line(run, tmp_path):
         {"training": data["training"]},
         {**data, "settings": None},
     ):
-        write_data(tmp_path / NEWEST, broken)
+        write_npz(tmp_path / NEWEST, broken)
         assert NEWEST in refusal(find_agent, str(tmp_path))
     for name in ("environment", "random", "optimizers", "last", "counts"):
-        write_data(tmp_path / NEWEST, {**data, "training": {**data["training"], name: {}}})
+        write_npz(tmp_path / NEWEST, {**data, "training": {**data["training"], name: {}}})
         assert NEWEST in refusal(resume, tmp_path, 20, 0, False), name

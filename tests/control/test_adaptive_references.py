@@ -7,12 +7,12 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.control.references.adaptive_references import (
-    DURATIONS,
+    CANDIDATE_DURATIONS,
     SlewReferences,
     compliance_factors,
     friction_coefficients,
     friction_torques,
-    payload_weights,
+    payload_interpolation_weights,
 )
 from flexman_gym.control.references.trajectories import slew_path
 from flexman_gym.model.dynamics import acceleration
@@ -96,7 +96,7 @@ def test_no_torque_is_above_the_share_of_the_limits_and_the_way_is_not_slower_th
     slews = begun(model(**rubbing), parameters={"payload_mass": np.array([payload])})
     shares = [np.abs(slews.torques(np.array([now]), ONE)[0] / LIMITS).max() for now in times(slews, 200)]
     assert 0.85 * SHARE < max(shares) < 1.01 * SHARE
-    assert DURATIONS[0] < slews.lasting[0] < DURATIONS[-1]
+    assert CANDIDATE_DURATIONS[0] < slews.lasting[0] < CANDIDATE_DURATIONS[-1]
 
 
 @pytest.mark.parametrize("part", [0.2, 0.5, 0.7])
@@ -145,11 +145,11 @@ def test_arms_on_their_ways_do_not_touch_each_other():
 def test_payloads_between_nodes_are_weighed_by_a_parabola():
     nodes = np.array([1.0, 2.0, 4.0])
     masses = np.array([1.0, 2.0, 4.0, 3.3, 9.0])
-    weights = payload_weights(nodes, masses)
+    weights = payload_interpolation_weights(nodes, masses)
     assert weights[:3] == pytest.approx(np.eye(3)) and np.array_equal(weights[4], weights[2]), "none beyond the last"
     assert weights @ nodes**2 == pytest.approx(np.minimum(masses, 4.0) ** 2)
-    assert np.array_equal(payload_weights(nodes, masses[3:4]), weights[3:4])
-    assert payload_weights(nodes[:1], masses).tolist() == [[1.0]] * 5
+    assert np.array_equal(payload_interpolation_weights(nodes, masses[3:4]), weights[3:4])
+    assert payload_interpolation_weights(nodes[:1], masses).tolist() == [[1.0]] * 5
 
 
 TRUE = {"payload_mass": 0.13, "joint_stiffness": [0.8, 1.25], "link_stiffness_factor": [0.75, 1.3]}

@@ -9,7 +9,7 @@ from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.network import Network
 from flexman_gym.envs.config.specification import make_controller
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.envs.sensors import Servo, find_sensors
+from flexman_gym.envs.sensors import ServoErrors, find_sensors
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 
 from oracles.assertions import refusal
@@ -90,7 +90,7 @@ def readings_of(*errors):
 
 def remembering():
     """A policy that observes three instants, two periods apart."""
-    return Agent((Servo(),), 6, TorqueMode(2), None, 3, 2, network(18))
+    return Agent((ServoErrors(),), 6, TorqueMode(2), None, 3, 2, network(18))
 
 
 def begun(policy, *arms):

@@ -8,7 +8,7 @@ from flexman_gym.control.base_controllers import make_base
 from flexman_gym.control.lqr import CostWeights
 from flexman_gym.control.tracking import OutputFeedback
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.evaluation import evaluate, rollout
@@ -22,7 +22,7 @@ WEIGHTS = {"tip": 0.1, "tip_speed": 0.5, "motor": 0.2}
 
 def plant(name="FlexOne-v0"):
     setup = Configuration.from_keywords({"name": name})
-    return make_plant(setup, build(setup).model)._replace(gains=lambda: GAINS)
+    return make_plant(setup, resolve_fidelity(setup).model)._replace(gains=lambda: GAINS)
 
 
 KINDS = {

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from flexman_gym.control import lqr
-from flexman_gym.control.lqr import LQR, SPACING, CostWeights, GainTable
+from flexman_gym.control.lqr import LQR, POSTURE_SPACING, CostWeights, GainTable
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.model.model import build_model
 from flexman_gym.simulation.parameters import varied_model
 
@@ -26,7 +26,7 @@ def folder(tmp_path, monkeypatch):
 def small(name):
     """Model, limits and period of a named environment with few coordinates."""
     setup = Configuration.from_keywords({"name": name, "elements": 1, "modes": 1})
-    return build(setup).model, np.array(setup.torque_limit), setup.control_period
+    return resolve_fidelity(setup).model, np.array(setup.torque_limit), setup.control_period
 
 
 def table(name="FlexPlanar-v0", payloads=PAYLOADS, weights=WEIGHTS):
@@ -50,7 +50,7 @@ PLACES = [[0.3, -0.2, 0.07], [0.31, -0.1, 0.2], [-0.4, 0.5, 0.13], [0.2, 0.2, 0.
 
 @pytest.mark.parametrize("payload", PAYLOADS)
 def test_at_its_places_it_is_the_regulator_of_the_arm_with_that_payload(payload):
-    posture = SPACING * np.array([2.0, -3.0])
+    posture = POSTURE_SPACING * np.array([2.0, -3.0])
     expected = designed("FlexPlanar-v0", posture, payload)
     others = [designed("FlexPlanar-v0", posture, each) for each in PAYLOADS if each != payload]
     result = asked(table(), [[*posture, payload]])[0]
@@ -62,8 +62,8 @@ def test_between_its_places_it_is_linear_in_every_angle_and_in_the_payload():
     part = np.array([0.3, 0.8, 0.6])
     corners = np.array(list(product((0, 1), repeat=3)))
     weights = np.where(corners, part, 1.0 - part).prod(axis=1)
-    lattice = [[SPACING * (a - 2), SPACING * (b + 1), PAYLOADS[1 + p]] for a, b, p in corners]
-    place = [SPACING * (part[0] - 2.0), SPACING * (part[1] + 1.0), 0.1 + 0.1 * part[2]]
+    lattice = [[POSTURE_SPACING * (a - 2), POSTURE_SPACING * (b + 1), PAYLOADS[1 + p]] for a, b, p in corners]
+    place = [POSTURE_SPACING * (part[0] - 2.0), POSTURE_SPACING * (part[1] + 1.0), 0.1 + 0.1 * part[2]]
     own = table()
     expected = np.tensordot(weights, asked(own, lattice), axes=1)
     assert asked(own, [place])[0] == pytest.approx(expected, rel=1e-9, abs=1e-9)
@@ -91,7 +91,7 @@ def test_what_was_asked_before_changes_no_bit(folder, monkeypatch):
     assert np.array_equal(one, expected), "one arm that goes from place to place"
     first.save()
     assert len(list(folder.iterdir())) == 1
-    monkeypatch.delattr(lqr, "optimal_gain")
+    monkeypatch.delattr(lqr, "lqr_gain")
     assert np.array_equal(asked(table(), PLACES), expected)
 
 
@@ -135,7 +135,7 @@ def test_without_a_folder_it_keeps_nothing(monkeypatch):
 @pytest.mark.parametrize("name", ["FlexRRR-v0", "FlexRRR-Gravity-v0"])
 def test_a_joint_that_turns_the_arm_about_gravity_has_no_axis(name):
     """The gain there is that of the regulator at any angle of it."""
-    posture, turned, payload = SPACING * np.array([0.0, 1.0, -2.0]), [1.3, 0.0, 0.0], 10.0
+    posture, turned, payload = POSTURE_SPACING * np.array([0.0, 1.0, -2.0]), [1.3, 0.0, 0.0], 10.0
     weights = CostWeights(0.2, 1.0, 0.5)
     result = asked(table(name, (payload,), weights), [[*posture, payload], [*(posture + turned), payload]])
     assert np.array_equal(*result)

@@ -5,8 +5,8 @@ import pytest
 
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.control.controller import EpisodeInfo
-from flexman_gym.control.observers.estimator import REPLAYS, Estimator
-from flexman_gym.control.observers.innovations import FAST, SLOW, WRONG, Residuals
+from flexman_gym.control.observers.estimator import RESIMULATION_PERIODS, Estimator
+from flexman_gym.control.observers.innovations import MAX_MISFIT, MEAN_FORGETTING, SQUARE_FORGETTING, ChangeDetector
 
 from oracles.observed_arms import Bench, small_plant
 
@@ -22,12 +22,12 @@ def resting():
 
 def test_an_arm_that_begins_forgets_its_errors_and_no_other_does():
     """All arms that begin do, and of all readings; the means of constant errors e are (1 - (1 - part)^k) of e."""
-    residuals, arms = Residuals(3), np.arange(4)
+    residuals, arms = ChangeDetector(3), np.arange(4)
     residuals.reset(arms, len(arms))
     for _ in range(5):
         residuals.take(arms, np.tile([3.0, -2.0, 1.0], (4, 1)))
     square, mean = 14.0 / 3.0, np.array([3.0, -2.0, 1.0])
-    kept = square + (1.0 - square) * (1.0 - FAST) ** 5, (1.0 - (1.0 - SLOW) ** 5) * mean
+    kept = square + (1.0 - square) * (1.0 - SQUARE_FORGETTING) ** 5, (1.0 - (1.0 - MEAN_FORGETTING) ** 5) * mean
     assert residuals.misfit == pytest.approx(np.full(4, kept[0]))
     residuals.reset(np.array([0, 2]), 4)
     assert residuals.misfit == pytest.approx([1.0, kept[0], 1.0, kept[0]])
@@ -39,9 +39,9 @@ def test_errors_of_the_last_episode_do_not_count_in_the_next():
     observer, bench = resting()
     bench.follow(observer, np.zeros((3, 2, 1)))
     observer._residuals.take(np.arange(2), np.full((2, len(observer._instruments.ranges)), 1e3))
-    assert (observer._residuals.misfit > WRONG).all()
+    assert (observer._residuals.misfit > MAX_MISFIT).all()
     observer.reset(np.array([1]), EpisodeInfo(np.zeros((1, 1)), np.zeros((1, 1)), bench.plant.period), 2)
-    assert (observer._residuals.misfit > WRONG).tolist() == [True, False]
+    assert (observer._residuals.misfit > MAX_MISFIT).tolist() == [True, False]
     assert observer._residuals.changed(np.arange(2)).tolist() == [True, False]
 
 
@@ -83,10 +83,10 @@ def test_a_start_that_an_arm_has_left_is_never_replayed(monkeypatch, kind):
         observer._states[0, 1:, observer._plant.model.motor_columns] += 1.0
         observer._draw_together(np.arange(2))
     monkeypatch.setattr(observer, "_replay", lambda arms, age: replayed.append((age, arms.tolist())))
-    for age in REPLAYS:
+    for age in RESIMULATION_PERIODS:
         observer._ages[:] = age
         observer.estimate(bench.readings(), bench.applied, ON)
-    assert replayed == [(age, [1]) for age in REPLAYS]
+    assert replayed == [(age, [1]) for age in RESIMULATION_PERIODS]
 
 
 def test_an_observer_of_a_pushed_arm_goes_on_from_what_it_kept():

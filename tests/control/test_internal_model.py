@@ -8,7 +8,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.control.lqr import zero_order_hold
 from flexman_gym.control.observers.internal_model import DiscreteJacobians
-from flexman_gym.control.observers.observer import FLOOR, make_measurement_model
+from flexman_gym.control.observers.observer import MIN_DEVIATION, make_measurement_model
 from flexman_gym.envs.view import View
 from flexman_gym.kernels.layout import LARGEST_STATE
 from flexman_gym.model.statics import rest_states
@@ -28,7 +28,7 @@ def test_instruments_read_what_the_view_shows():
     for name, place in read.places.items():
         assert values[:, place] == pytest.approx(getattr(view, name), abs=1e-15)
         assert np.array_equal(read.ranges[place], given.measured()[name][0])
-    assert np.array_equal(read.deviations, FLOOR * read.ranges), "perfect ones"
+    assert np.array_equal(read.deviations, MIN_DEVIATION * read.ranges), "perfect ones"
     noisy = make_measurement_model(plant("FlexPlanar-v0", measured=lambda: {
         name: np.array([span, 0.01 * span]) for name, (span, _) in given.measured().items()}), ALL)  # fmt: skip
     assert noisy.deviations == pytest.approx(0.01 * noisy.ranges)

@@ -12,21 +12,21 @@ from flexman_gym.control.lqr import zero_order_hold
 from flexman_gym.control.margins import sampled_loop
 from flexman_gym.control.observers.internal_model import DiscreteJacobians
 from flexman_gym.control.observers.kalman_filter import (
-    DRIFT,
-    EVERY,
-    FORCE,
-    OFFSET,
-    TORQUE,
-    UNLIKE,
+    FORCE_NOISE,
+    MISMATCH_FORCE_NOISE,
+    OFFSET_DEVIATION,
+    OFFSET_DRIFT,
+    RELINEARISATION_INTERVAL,
+    TORQUE_NOISE,
     KalmanFilter,
     measurement_update,
     stationary_covariance,
     time_update,
 )
-from flexman_gym.control.observers.observer import BIAS, make_measurement_model
+from flexman_gym.control.observers.observer import MAX_BIAS, make_measurement_model
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
-from flexman_gym.model.linearization import LinearReadings
+from flexman_gym.envs.config.fidelity import resolve_fidelity
+from flexman_gym.model.linearization import LinearMeasurements
 from flexman_gym.simulation.batch import Batch
 
 from oracles.assertions import refusal
@@ -46,9 +46,9 @@ def system(seed, size=6, read=2, growth=1.02):
 def arm_system(delay=2, part=0.01):
     """A flexible arm about a posture, torques that come late, its encoders and gauges; transition, inputs and so on."""
     setup = Configuration.from_keywords({"name": "FlexPlanar-v0"})
-    model = build(setup).model
+    model = resolve_fidelity(setup).model
     loop = sampled_loop(model, [0.4, -0.7], setup.control_period, delay)
-    unit = LinearReadings(model).named(np.eye(2 * model.n_dof))
+    unit = LinearMeasurements(model).named(np.eye(2 * model.n_dof))
     read = np.hstack([unit["motor_angles"], unit["motor_rates"], unit["root_strains"][:, [0, 1, 3, 4]]]).T
     matrix = np.hstack([read, np.zeros((len(read), len(loop.transition) - read.shape[1]))])
     reaching = sampled_loop(model, [0.4, -0.7], setup.control_period).inputs * part * np.array(setup.torque_limit)
@@ -211,7 +211,7 @@ def textbook(given, postures, actions, readings, noise):
     result = [x]
     for period, (action, values) in enumerate(zip(actions, readings[1:], strict=False), 1):
         forces = np.append(action * limits, np.zeros(3))
-        if period % EVERY == 0:
+        if period % RELINEARISATION_INTERVAL == 0:
             change = slopes(x, forces)
             Q = change[:, size:] @ np.diag(np.repeat(noise, (2, 3)) * scales) ** 2 @ change[:, size:].T
         x, P = moved(x, forces), change[:, :size] @ P @ change[:, :size].T + Q
@@ -222,7 +222,8 @@ def textbook(given, postures, actions, readings, noise):
 
 
 @pytest.mark.parametrize(
-    ("unknown", "noise"), [({}, (TORQUE, FORCE)), ({"payload_mass": (0.0, 1.0)}, (TORQUE, UNLIKE))]
+    ("unknown", "noise"),
+    [({}, (TORQUE_NOISE, FORCE_NOISE)), ({"payload_mass": (0.0, 1.0)}, (TORQUE_NOISE, MISMATCH_FORCE_NOISE))],
 )
 def test_it_is_the_filter_of_the_textbooks(unknown, noise):
     given = plant(unknown=unknown)
@@ -248,9 +249,9 @@ def test_what_the_tip_may_be_pushed_by_is_reckoned_with():
     """A task that pushes says how much; the noise is then that of as large a force in place of what is usual."""
     given = plant("FlexPlanar-Hold-v0")
     scale = DiscreteJacobians(given).scales[-1]
-    said = np.hypot(FORCE, given.push / scale)
-    one, other = KalmanFilter(given), KalmanFilter(given, noise=(TORQUE, said))
-    assert given.push == 0.5 and said > 2.0 * FORCE and plant().push == 0.0
+    said = np.hypot(FORCE_NOISE, given.push / scale)
+    one, other = KalmanFilter(given), KalmanFilter(given, noise=(TORQUE_NOISE, said))
+    assert given.push == 0.5 and said > 2.0 * FORCE_NOISE and plant().push == 0.0
     for kalman in (one, other):
         world = World(given)
         world.begin(kalman)
@@ -267,7 +268,7 @@ def test_innovations_on_the_simulator_are_as_large_as_they_should_be():
         DiscreteJacobians(given),
     )
     beside, read, size = Batch(given.model, *given.moved, given.period, arms=count), world.instruments, 20
-    parts, drive, total = np.repeat((TORQUE, FORCE), (2, 3)) * slopes.scales, np.zeros((count, 8)), 0.0
+    parts, drive, total = np.repeat((TORQUE_NOISE, FORCE_NOISE), (2, 3)) * slopes.scales, np.zeros((count, 8)), 0.0
     world.noise = read.deviations * random.normal(size=(count, len(read.ranges)))
     world.begin(kalman)
     kalman.estimate(world.readings(), world.last, np.ones(count, dtype=bool))
@@ -386,15 +387,15 @@ def test_a_constant_torque_drifts_as_a_random_walk(known):
     """Its variance grows by that of a second's drift times the time that passes (Wiener)."""
     given, variances = unread(known, disturbed=True)
     limits = np.array(given.torque_limit)
-    walked = 40 * given.period * (DRIFT * limits) ** 2
-    assert variances == pytest.approx(walked + (not known) * (OFFSET * limits) ** 2, rel=1e-9)
+    walked = 40 * given.period * (OFFSET_DRIFT * limits) ** 2
+    assert variances == pytest.approx(walked + (not known) * (OFFSET_DEVIATION * limits) ** 2, rel=1e-9)
 
 
 @pytest.mark.parametrize("known", [False, True])
 def test_a_bias_wanders_within_its_bounds(known):
     """Ornstein and Uhlenbeck: the variance is that of an even spread; from 0 it comes back as exp(-2 t / 30 s)."""
     given, variances = unread(known, biased=True)
-    even = (BIAS * make_measurement_model(given, ALL).ranges) ** 2 / 3.0
+    even = (MAX_BIAS * make_measurement_model(given, ALL).ranges) ** 2 / 3.0
     share = 1.0 - known * np.exp(-2.0 * 40 * given.period / 30.0)
     assert variances == pytest.approx(share * even, rel=1e-9)
 

@@ -9,11 +9,11 @@ from scipy.integrate import solve_ivp
 
 import flexman_gym as fm
 from flexman_gym.control import LQR, Controller, EpisodeInfo, TrackingLQR
-from flexman_gym.control.lqr import SHARE, CostWeights, optimal_gain, zero_order_hold
+from flexman_gym.control.lqr import TORQUE_SHARE, CostWeights, lqr_gain, zero_order_hold
 from flexman_gym.control.references.trajectories import TIMING_LAWS, minimum_jerk, plan_path, plan_slew
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
-from flexman_gym.envs.config.named_environments import NAMED
+from flexman_gym.envs.config.fidelity import resolve_fidelity
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.sensors import SENSORS
 from flexman_gym.model.state_space import LinearModel
 
@@ -70,7 +70,7 @@ def test_the_gain_of_a_scalar_is_the_root_of_its_quadratic_equation(fall, limit,
     """Only the rate is moved: p = q + a^2 p - (a b p)^2 / (r + b^2 p), so k = a b p / (r + b^2 p)."""
     linear = linear_model([[-1.0, 0.0], [0.0, -fall]], [[0.0], [2.0]], [[0, 0], [1, 0], [0, 0]])
     weights = CostWeights(tip=1.0, tip_speed=speed, motor=1.0)
-    gain = optimal_gain(linear, np.array([0]), np.array([limit]), weights, 0.1)
+    gain = lqr_gain(linear, np.array([0]), np.array([limit]), weights, 0.1)
     a, b = np.exp(-0.1 * fall), 2.0 * (1 - np.exp(-0.1 * fall)) / fall
     q, r = 1 / speed**2, 1 / limit**2
     half = (r - a * a * r - b * b * q) / (2 * b * b)
@@ -93,7 +93,7 @@ def cost(linear, gain, weights, limit, x):
 
 def test_no_gain_nearby_costs_less():
     linear, weights, limit = double_integrator(0.5, 2.0), CostWeights(0.2, 1.0, 0.5), 3.0
-    gain = optimal_gain(linear, np.array([0]), np.array([limit]), weights, PERIOD)
+    gain = lqr_gain(linear, np.array([0]), np.array([limit]), weights, PERIOD)
     x = np.array([1.0, -0.5])
     best = cost(linear, gain, weights, limit, x)
     for change in ([0.03, 0.0], [-0.03, 0.0], [0.0, 0.03], [0.0, -0.03]):
@@ -103,10 +103,10 @@ def test_no_gain_nearby_costs_less():
 def test_the_angle_of_a_motor_weighs_wherever_it_stands_in_the_state():
     """Beside a coordinate that nothing moves, which comes to rest by itself, its gain is that of the motor alone."""
     weights, limit = CostWeights(0.2, 1.0, 0.5), np.array([3.0])
-    alone = optimal_gain(double_integrator(0.5, 0.0), np.array([0]), limit, weights, PERIOD)
+    alone = lqr_gain(double_integrator(0.5, 0.0), np.array([0]), limit, weights, PERIOD)
     A = [[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0], [-9.0, 0.0, -3.0, 0.0], [0.0, 0.0, 0.0, 0.0]]
     beside = linear_model(A, [[0.0], [0.0], [0.0], [1 / 0.5]], np.zeros((3, 2)))
-    gain = optimal_gain(beside, np.array([1]), limit, weights, PERIOD)
+    gain = lqr_gain(beside, np.array([1]), limit, weights, PERIOD)
     assert gain[:, [1, 3]] == pytest.approx(alone, rel=1e-8) and gain[:, [0, 2]] == pytest.approx(0.0, abs=1e-9)
 
 
@@ -114,7 +114,7 @@ def test_units_of_torque_do_not_matter():
     """Inertia and limits a thousand times as large ask for a thousand times the torque."""
     weights = CostWeights(0.2, 1.0, 0.5)
     one, many = (
-        optimal_gain(double_integrator(scale), np.array([0]), np.array([3.0 * scale]), weights, PERIOD)
+        lqr_gain(double_integrator(scale), np.array([0]), np.array([3.0 * scale]), weights, PERIOD)
         for scale in (1.0, 1000.0)
     )
     assert many == pytest.approx(1000.0 * one, rel=1e-8)
@@ -131,7 +131,7 @@ PERIOD, ALL = 0.02, np.arange(3)
 def designed(kind, name="FlexPlanar-v0"):
     """A controller of the arm of a named environment."""
     setup = Configuration.from_keywords({"name": name})
-    return kind(build(setup).model, setup.torque_limit, setup.control_period)
+    return kind(resolve_fidelity(setup).model, setup.torque_limit, setup.control_period)
 
 
 def postures(controller, count, seed=0):
@@ -139,7 +139,7 @@ def postures(controller, count, seed=0):
     return np.random.default_rng(seed).uniform(-0.8, 0.8, (2, count, controller.model.n_joints))
 
 
-@pytest.mark.parametrize("name", sorted(NAMED))
+@pytest.mark.parametrize("name", sorted(NAMED_ENVIRONMENTS))
 def test_the_sampled_closed_loop_is_stable_at_any_posture(name):
     lqr = designed(LQR, name)
     for posture in postures(lqr, 2)[0]:
@@ -202,7 +202,7 @@ def followed_gains(controller, start, goal):
     They are what the torques of arms that are off the plan in one number each differ by.
     """
     model, size = controller.model, 2 * controller.model.n_dof
-    slew = plan_slew(model, start, goal, controller.limits, SHARE, controller.period)
+    slew = plan_slew(model, start, goal, controller.limits, TORQUE_SHARE, controller.period)
     off = np.vstack([np.zeros(size), np.eye(size)])
     goals = np.repeat(goal[None], size + 1, 0)
     controller.reset(np.arange(size + 1), EpisodeInfo(np.repeat(start[None], size + 1, 0), goals, PERIOD), size + 1)
@@ -240,7 +240,7 @@ def test_feed_forward_leaves_a_part_of_the_limits_for_feedback():
     starts, goals = postures(controller, 1)
     controller.reset(np.array([0]), EpisodeInfo(starts, goals, PERIOD), 1)
     asked = np.array([controller.act({"state": state}) for state in controller._plans[0].states])
-    assert 0.9 * SHARE < np.abs(asked).max() <= 1.01 * SHARE < 0.97
+    assert 0.9 * TORQUE_SHARE < np.abs(asked).max() <= 1.01 * TORQUE_SHARE < 0.97
 
 
 def test_along_a_path_gains_and_torques_are_those_of_the_moment():
@@ -274,7 +274,9 @@ def test_on_its_plan_the_tracking_one_only_feeds_forward():
     assert torques[-1] == pytest.approx(fm.holding_torques(controller.model, goals[0]))
 
 
-@pytest.mark.parametrize("name", sorted(name for name, named in NAMED.items() if isinstance(named.task, fm.Slew)))
+@pytest.mark.parametrize(
+    "name", sorted(name for name, named in NAMED_ENVIRONMENTS.items() if isinstance(named.task, fm.Slew))
+)
 def test_the_tracking_one_stops_the_arm_where_it_should_be(name):
     """Alone, in an environment that lasts 8 s: what is left is far below a thousandth of the reach."""
     env = gym.make(name, base="lqr-tracking", horizon=8.0).unwrapped
@@ -307,7 +309,7 @@ def test_they_are_controllers_that_read_the_state():
 
 def test_weights_are_parts_of_the_reach():
     """The same weights in metres, given by hand."""
-    model, limits = build(Configuration.from_keywords({})).model, (400.0,) * 3
+    model, limits = resolve_fidelity(Configuration.from_keywords({})).model, (400.0,) * 3
     posture = np.array([0.1, 0.2, -0.3])
     assert np.array_equal(
         LQR(model, limits, 0.02).gain(posture), LQR(model, limits, 0.02, CostWeights(0.2, 1.0, 0.5)).gain(posture)
@@ -320,12 +322,12 @@ def test_a_slew_has_the_law_that_is_asked_for(law):
     controller = TrackingLQR(plain.model, plain.limits, PERIOD, law=law)
     starts, goals = postures(controller, 1)
     controller.reset(np.array([0]), EpisodeInfo(starts, goals, PERIOD), 1)
-    slew = plan_slew(controller.model, starts[0], goals[0], controller.limits, SHARE, PERIOD, law)
+    slew = plan_slew(controller.model, starts[0], goals[0], controller.limits, TORQUE_SHARE, PERIOD, law)
     assert np.array_equal(controller._plans[0].states, slew.states) and (plain.law == law) == (law == "minimum-jerk")
 
 
 def test_bad_arguments_are_refused_in_one_line():
-    model = build(Configuration.from_keywords({"name": "FlexOne-v0"})).model
+    model = resolve_fidelity(Configuration.from_keywords({"name": "FlexOne-v0"})).model
     assert refusal(LQR, "arm", 1.0, 0.02) == "model: 'arm' is not allowed; give a Model, from build_model"
     assert refusal(LQR, model, -1.0, 0.02).startswith("torque_limit: -1.0 is not allowed; give a finite number > 0")
     assert refusal(TrackingLQR, model, (1.0, 2.0), 0.02).startswith("torque_limit: (1.0, 2.0) is not allowed; give 1")

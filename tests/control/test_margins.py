@@ -5,8 +5,8 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.control.margins import (
-    FACTORS,
-    PHASES,
+    GAIN_FACTORS,
+    PHASE_SHIFTS,
     Margins,
     has_margins,
     margins,
@@ -15,15 +15,15 @@ from flexman_gym.control.margins import (
     spectral_radius,
 )
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
-from flexman_gym.envs.config.named_environments import NAMED
-from flexman_gym.evaluation.optimisation import MIN_MARGINS, environment_loops
+from flexman_gym.envs.config.fidelity import resolve_fidelity
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
+from flexman_gym.evaluation.optimisation import MIN_MARGINS, motor_loops
 from flexman_gym.model import mass_matrix
 from flexman_gym.simulation.parameters import varied_model
 from studies.servos.measure import AT_REST, FrictionCase, friction_rows, remaining_vibration, smoothed_loop
 
 PERIOD = 0.01
-STEP, DEGREES = FACTORS[1] / FACTORS[0], PHASES[1]
+STEP, DEGREES = GAIN_FACTORS[1] / GAIN_FACTORS[0], PHASE_SHIFTS[1]
 
 
 def rigid():
@@ -79,7 +79,7 @@ def test_margins_are_those_of_the_loop_that_has_the_least():
 def test_margins_are_those_of_the_frequency_response(late):
     """Of one motor's loop while the other stays closed, and of the eigenvalues of both loops together."""
     setup = Configuration.from_keywords({"name": "FlexPlanar-v0"})
-    loop = sampled_loop(build(setup).model, [0.4, -0.7], setup.control_period, late)
+    loop = sampled_loop(resolve_fidelity(setup).model, [0.4, -0.7], setup.control_period, late)
     stiffness, damping = np.array([20.0, 6.0]), np.array([3.0, 0.5])
     gain = np.zeros(loop.inputs.T.shape)
     gain[np.arange(2), loop.motors], gain[np.arange(2), loop.rates] = stiffness, damping
@@ -98,7 +98,7 @@ def test_margins_are_those_of_the_frequency_response(late):
 
 
 def test_torques_on_their_way_arrive_in_their_turn():
-    model = build(Configuration.from_keywords({"name": "FlexPlanar-v0"})).model
+    model = resolve_fidelity(Configuration.from_keywords({"name": "FlexPlanar-v0"})).model
     now, late = (sampled_loop(model, [0.2, 0.1], 0.01, delay) for delay in (0, 3))
     random, size = np.random.default_rng(0), len(now.transition)
     state, longer = np.zeros(size), np.zeros(len(late.transition))
@@ -113,12 +113,12 @@ DELAYED = [f"{name}/{each}" for name in ("FlexRRR-v0", "FlexPlanar-v0", "FlexRRR
            for each in ("delay", "friction", "unknown", "unknown-lab")]  # fmt: skip
 
 
-@pytest.mark.parametrize("name", [*NAMED, *DELAYED])
+@pytest.mark.parametrize("name", [*NAMED_ENVIRONMENTS, *DELAYED])
 def test_the_pd_of_every_environment_has_a_gain_margin_of_two_and_a_phase_margin_of_thirty_degrees(name):
     """At goals of its first episodes, with its delay; of random delays up to two periods no gains have it."""
     environment = Configuration.find(name)
     gains = environment.pd_gains
-    reached = margins(environment_loops(environment), gains["stiffness"], gains["damping"])
+    reached = margins(motor_loops(environment), gains["stiffness"], gains["damping"])
     assert reached.gain >= MIN_MARGINS.gain * (1.0 - 1e-9) and reached.phase >= MIN_MARGINS.phase
 
 

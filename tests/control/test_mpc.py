@@ -10,9 +10,9 @@ from scipy.optimize import lsq_linear
 import flexman_gym as fm
 from flexman_gym.__main__ import main
 from flexman_gym.control import EpisodeInfo, mpc
-from flexman_gym.control.lqr import CostWeights, optimal_gain
+from flexman_gym.control.lqr import CostWeights, lqr_gain
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.evaluation import rollout
 from flexman_gym.metrics import settling_time
 
@@ -25,7 +25,7 @@ PERIOD, ONLY, WEIGHTS = 0.02, np.array([0]), CostWeights(0.1, 0.5, 0.4)
 def posed(name="FlexPlanar-v0"):
     """The model of a named environment, its limits, and a posture."""
     setup = Configuration.from_keywords({"name": name})
-    return build(setup).model, np.array(setup.torque_limit), np.array([0.4, -0.3, 0.2])[: setup.arm.n_joints]
+    return resolve_fidelity(setup).model, np.array(setup.torque_limit), np.array([0.4, -0.3, 0.2])[: setup.arm.n_joints]
 
 
 def about(model, posture):
@@ -49,13 +49,13 @@ def test_without_limits_the_first_torque_is_that_of_the_lqr(blocks):
     gap = np.concatenate([*near, horizon.ending @ states[-1]])
     slope, free = horizon.slopes @ gap + planned.ravel(), np.full(planned.size, 1e6)
     first = planned[0] + mpc.solve_quadratic_program(daqp, horizon.curvature, slope, -free, free)[:n]
-    gain = optimal_gain(linear, model.motor_columns, limits, WEIGHTS, PERIOD)
+    gain = lqr_gain(linear, model.motor_columns, limits, WEIGHTS, PERIOD)
     assert first == pytest.approx(-gain @ start / limits, rel=1e-6, abs=1e-8)
 
 
 def test_near_its_goal_the_controller_is_the_lqr(monkeypatch):
     """Its prediction is that of the simulator, which is linear there."""
-    monkeypatch.setattr(mpc, "BLOCKS", (1,) * 24)
+    monkeypatch.setattr(mpc, "MOVE_BLOCKS", (1,) * 24)
     model, limits, posture = posed("FlexRRR-v0")
     controller = mpc.MPC(model, limits, PERIOD, ("midpoint_3_sweeps", PERIOD / 20.0))
     controller.reset(ONLY, EpisodeInfo(posture[None], posture[None], PERIOD), 1)
@@ -63,7 +63,7 @@ def test_near_its_goal_the_controller_is_the_lqr(monkeypatch):
     off[: model.n_dof] = (fm.rest_state(model, posture + np.array([1e-6, -2e-6, 3e-6])) - rest)[: model.n_dof]
     off[model.n_dof + model.motor_columns] = [2e-6, 1e-6, -1e-6]
     state = rest + off
-    gain = optimal_gain(about(model, posture), model.motor_columns, limits, controller._weights, PERIOD)
+    gain = lqr_gain(about(model, posture), model.motor_columns, limits, controller._weights, PERIOD)
     expected = -gain @ off / limits
     for planned in (0.0, 1e-5 * np.random.default_rng(2).normal(size=(24, 3))):
         controller._planned[0], controller._now[0] = planned, 0
@@ -113,8 +113,8 @@ def test_on_a_slew_that_the_arm_can_follow_nothing_is_changed():
     states, outputs = (each[0] for each in batch.roll(drives))
     states, outputs = np.vstack([fm.rest_state(model, posture), states]), np.vstack([first, outputs])
     controller._plans[0] = controller._plans[0]._replace(states=states, outputs=outputs, torques=torques)
-    controller._planned[0] = torques[: sum(mpc.BLOCKS)]
-    for period in range(90 - sum(mpc.BLOCKS)):
+    controller._planned[0] = torques[: sum(mpc.MOVE_BLOCKS)]
+    for period in range(90 - sum(mpc.MOVE_BLOCKS)):
         action = controller.act({"state": states[period][None]}, np.zeros((1, 2)), np.array([True]))[0]
         assert action == pytest.approx(torques[period], abs=1e-9)
 
@@ -126,7 +126,7 @@ def test_planned_torques_change_by_little_in_a_period():
     controller = mpc.MPC(model, limits, PERIOD)
     controller.reset(np.arange(2), EpisodeInfo(goals, goals, PERIOD), 2)
     actions = controller.act({"state": model.at_rest(np.array([posture, posture]))}, goals, np.ones(2, dtype=bool))
-    assert actions == pytest.approx(np.array([[mpc.TRUST], [-mpc.TRUST]]))
+    assert actions == pytest.approx(np.array([[mpc.MAX_CHANGE], [-mpc.MAX_CHANGE]]))
 
 
 def test_between_two_postures_slopes_are_between_theirs():
@@ -154,20 +154,24 @@ def test_where_it_saturates_its_plan_costs_the_least_of_all_within_the_limits(mo
     model, limits, posture = posed()
     controller, n, programs = mpc.MPC(model, limits, PERIOD), 2, []
     controller.reset(ONLY, EpisodeInfo(posture[None], posture[None], PERIOD), 1)
-    blocks, random = len(mpc.BLOCKS), np.random.default_rng(0)
+    blocks, random = len(mpc.MOVE_BLOCKS), np.random.default_rng(0)
     means = np.where(np.arange(blocks * n) % 3 == 0, 0.0, 0.98 * random.choice([-1.0, 1.0], blocks * n))
-    planned = np.repeat(means.reshape(blocks, n), mpc.BLOCKS, axis=0)
+    planned = np.repeat(means.reshape(blocks, n), mpc.MOVE_BLOCKS, axis=0)
     controller._planned[0], least = planned, mpc.solve_quadratic_program
     monkeypatch.setattr(mpc, "solve_quadratic_program", lambda *given: programs.append(given[1:3]) or least(*given))
     state = model.at_rest(posture[None] + np.array([[0.02, -0.02]]))
     action = controller.act({"state": state}, np.zeros((1, n)), np.array([True]))[0]
-    (curvature, slope), low, high = programs[0], np.fmax(-1.0 - means, -mpc.TRUST), np.fmin(1.0 - means, mpc.TRUST)
+    (curvature, slope), low, high = (
+        programs[0],
+        np.fmax(-1.0 - means, -mpc.MAX_CHANGE),
+        np.fmin(1.0 - means, mpc.MAX_CHANGE),
+    )
     root = np.linalg.cholesky(curvature)
     best = lsq_linear(root.T, -np.linalg.solve(root, slope), (low, high), method="bvls", tol=1e-14).x
-    expected = planned + np.repeat(best.reshape(blocks, n), mpc.BLOCKS, axis=0)
+    expected = planned + np.repeat(best.reshape(blocks, n), mpc.MOVE_BLOCKS, axis=0)
     assert action == pytest.approx(expected[0], abs=1e-6)
     assert controller._planned[0, :-1] == pytest.approx(expected[1:], abs=1e-6)
-    ends = np.abs(means + best) > 1.0 - 1e-9, np.abs(best) > mpc.TRUST - 1e-9
+    ends = np.abs(means + best) > 1.0 - 1e-9, np.abs(best) > mpc.MAX_CHANGE - 1e-9
     assert ends[0].any() and ends[1].any() and not (ends[0] | ends[1]).all()
 
 
@@ -181,14 +185,14 @@ def test_changes_act_as_about_where_the_arm_will_be(monkeypatch):
     controller, between, used = mpc.MPC(model, limits, PERIOD), mpc.MPC._between, []
     controller.reset(ONLY, EpisodeInfo(start, goal, PERIOD), 1)
     monkeypatch.setattr(controller, "_between", lambda *given: used.append(between(controller, *given)) or used[-1])
-    plan, ahead = controller._plans[0], sum(mpc.BLOCKS)
+    plan, ahead = controller._plans[0], sum(mpc.MOVE_BLOCKS)
     planned, state = np.clip(plan.torques[now : now + ahead], -1.0, 1.0), plan.states[now]
     controller._planned[0], controller._now[0] = planned, now
     controller.act({"state": state[None]}, np.zeros((1, 2)), np.array([True]))
-    m, h = 2 * len(mpc.BLOCKS), 1e-4
+    m, h = 2 * len(mpc.MOVE_BLOCKS), 1e-4
     changes = h * np.vstack([np.eye(m), -np.eye(m), np.zeros((1, m))])
     drives, batch = np.zeros((len(changes), ahead, 8)), controller._arms(len(changes))
-    drives[..., :2] = (planned + np.repeat(changes.reshape(len(changes), -1, 2), mpc.BLOCKS, axis=1)) * limits
+    drives[..., :2] = (planned + np.repeat(changes.reshape(len(changes), -1, 2), mpc.MOVE_BLOCKS, axis=1)) * limits
     batch.reset(np.arange(len(changes)), np.repeat(state[None], len(changes), axis=0))
     states, outputs = batch.roll(drives)
     gaps = np.array([controller._gap(used[0], *each)[: -2 * model.n_dof] for each in zip(states, outputs, strict=True)])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from flexman_gym.control.normalisation import TINY, RunningMeanStd
+from flexman_gym.control.normalisation import VARIANCE_OFFSET, RunningMeanStd
 
 VALUES = np.random.default_rng(0).normal(3.0, [0.1, 2.0, 50.0], (1000, 3))
 
@@ -25,7 +25,7 @@ def close(one, other):
 def test_they_are_mean_and_deviation_of_everything():
     whole = scales_of(VALUES)
     assert whole.count == 1000 and whole.mean == pytest.approx(VALUES.mean(axis=0), rel=1e-13)
-    assert whole.deviation**2 - TINY == pytest.approx(VALUES.var(axis=0), rel=1e-9)
+    assert whole.deviation**2 - VARIANCE_OFFSET == pytest.approx(VALUES.var(axis=0), rel=1e-9)
     assert close(scales_of(VALUES[:1], VALUES[1:10], VALUES[10:10], VALUES[10:]), whole)
     assert close(scales_of(VALUES.reshape(10, 100, 3)), whole)
 

@@ -9,20 +9,20 @@ from flexman_gym.__main__ import main
 from flexman_gym.control import EpisodeInfo
 from flexman_gym.control.lqr import LQR
 from flexman_gym.control.references.optimised_slews import (
-    INSIDE,
-    MAKE,
-    SHIPPED,
-    STAY,
-    TAIL,
+    COMMAND,
+    SETTLED_BAND,
+    SETTLING_TIME,
+    SHIPPED_TABLE,
+    TAIL_TIME,
     OptimisedController,
-    Shooting,
+    SingleShooting,
     SlewTable,
     SlewTorques,
     broyden_update,
     interpolate_torques,
 )
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.evaluation import evaluate, rollout
 from flexman_gym.evaluation.optimisation import empty_slew_table, optimise_slews
 from flexman_gym.metrics import settling_time
@@ -38,7 +38,7 @@ def shooting(model, limits, band, start, goal, rate=1e3, **moved):
     """A search for an arm."""
     moved = {"method": "midpoint_3_sweeps", "step": PERIOD, "control_period": PERIOD} | moved
     regulator = LQR(model, limits, moved["control_period"])
-    return Shooting(
+    return SingleShooting(
         regulator, lambda arms: Batch(model, arms=arms, **moved), band, rate, np.array(start), np.array(goal)
     )
 
@@ -74,8 +74,8 @@ def test_a_rigid_link_is_as_quick_as_full_torque_forth_and_back(start, way, seco
     assert least <= slew.arrival * PERIOD <= least + 2.0 * PERIOD
     assert np.abs(slew.knots).max() <= acceleration * inertia
     ways = np.linalg.norm(search.errors(slew.knots[None], slew.periods)[0, :, :3], axis=1)
-    assert len(ways) == slew.periods + round(STAY / PERIOD)
-    assert ways[slew.arrival - 1 :].max() <= INSIDE * band * reach < ways[slew.arrival - 2]
+    assert len(ways) == slew.periods + round(SETTLING_TIME / PERIOD)
+    assert ways[slew.arrival - 1 :].max() <= SETTLED_BAND * band * reach < ways[slew.arrival - 2]
 
 
 def test_a_rigid_link_that_may_not_be_as_quick_goes_on_at_its_largest_rate():
@@ -115,7 +115,7 @@ def test_a_stretched_slew_holds_as_before_and_moves_with_the_square_of_its_speed
     """An arm under its weight: what holds it stays, what moves it grows fourfold in half of the time."""
     model, start, goal = fm.build_model(fm.catalog.vertical_2r(), 1), [0.1, -0.2], [0.3, 0.1]
     search, parts = shooting(model, 1e3, 0.1, start, goal), np.linspace(0.0, 1.0, 51)[:, None]
-    tail, ends = round(TAIL / PERIOD), [fm.holding_torques(model, posture) for posture in (start, goal)]
+    tail, ends = round(TAIL_TIME / PERIOD), [fm.holding_torques(model, posture) for posture in (start, goal)]
     held = ends[0] + parts * (ends[1] - ends[0])
     moving = np.concatenate([held + np.sin(2.0 * np.pi * parts), np.repeat(ends[1:], 2 * tail, axis=0)])
     known = SlewTorques(moving, len(moving) - 1, 50)
@@ -151,7 +151,7 @@ def test_an_arm_is_quicker_than_with_the_tracking_lqr(name):
 def test_a_replay_is_the_search_s_own_simulation_to_the_bit():
     """Open loop and regulator, in the single environment and among three arms."""
     setup = Configuration.from_keywords({"name": "FlexPlanar-v0"})
-    model, method, step, _ = build(setup)
+    model, method, step, _ = resolve_fidelity(setup)
     random, period = np.random.default_rng(1), setup.control_period
     environment = Configuration("FlexPlanar-v0", {"horizon": 2.0})
     table, ends = empty_slew_table(environment), random.uniform(-0.2, 0.2, (3, 2, 2))
@@ -197,7 +197,7 @@ def player(table, **changes):
     """What replays a table."""
     setup = Configuration.from_keywords({"name": "FlexOne-v0"})
     given = {"torque_limit": setup.torque_limit, "period": setup.control_period} | changes
-    return OptimisedController(table, build(setup).model, **given)
+    return OptimisedController(table, resolve_fidelity(setup).model, **given)
 
 
 def test_a_table_comes_back_from_its_file_as_it_was(table, tmp_path):
@@ -239,7 +239,7 @@ def test_what_no_table_has_is_refused_with_the_command_that_makes_one(table):
     controller.reset(ONLY, EpisodeInfo(start[None] + near, goal[None] - near, 0.02), 1)
     for ends in ((start, goal + 2e-9), (start - 2e-9, goal), (goal, start)):
         said = refusal(controller.reset, ONLY, EpisodeInfo(ends[0][None], ends[1][None], 0.02), 1)
-        assert said.startswith("episode: [[") and said.endswith(MAKE)
+        assert said.startswith("episode: [[") and said.endswith(COMMAND)
     assert refusal(table.settling_time, 5).startswith("seed: 5 is not allowed; give one that the table has")
     moving = EpisodeInfo(start[None], goal[None], 0.02, lambda: np.zeros((1, 4, 1)))
     assert refusal(controller.reset, ONLY, moving, 1).startswith("episode: 'a goal that moves' is not allowed")
@@ -248,14 +248,16 @@ def test_what_no_table_has_is_refused_with_the_command_that_makes_one(table):
 @pytest.mark.parametrize("changes", [{"period": 0.01}, {"torque_limit": 0.7}])
 def test_a_table_of_another_arm_is_refused(table, changes):
     said = refusal(lambda: player(table, **changes))
-    assert said.startswith("table: ") and said.endswith(MAKE)
+    assert said.startswith("table: ") and said.endswith(COMMAND)
 
 
 def test_an_arm_is_known_however_finely_it_is_modelled(table):
     setup = Configuration.from_keywords({"name": "FlexOne-v0", "elements": 3, "modes": None})
-    OptimisedController(table, build(setup).model, setup.torque_limit, setup.control_period)
+    OptimisedController(table, resolve_fidelity(setup).model, setup.torque_limit, setup.control_period)
     heavy = Configuration("FlexOne-v0").changed(["arm.payload.mass=0.07"])
-    assert refusal(OptimisedController, table, build(heavy).model, heavy.torque_limit, 0.02).startswith("table: ")
+    assert refusal(OptimisedController, table, resolve_fidelity(heavy).model, heavy.torque_limit, 0.02).startswith(
+        "table: "
+    )
 
 
 def test_a_file_that_is_no_table_is_refused_in_one_line(tmp_path, table):
@@ -296,7 +298,7 @@ def test_an_environment_that_draws_more_than_slews_is_refused():
 
 
 def test_the_shipped_table_is_that_of_the_test_episodes():
-    shipped = SlewTable.load(SHIPPED)
+    shipped = SlewTable.load(SHIPPED_TABLE)
     limits = np.array(Configuration.from_keywords({}).torque_limit)
     times = np.array([shipped.settling_time(seed) for seed in range(9000, 9100)])
     assert np.median(times) <= 2.1 and np.isfinite(times).mean() >= 0.95
@@ -304,13 +306,13 @@ def test_the_shipped_table_is_that_of_the_test_episodes():
     assert shipped.about["environment"]["id"] == "FlexRRR-v0" and shipped.about["command"].startswith(
         "flexman optimise"
     )
-    assert SHIPPED.stat().st_size < 150_000
+    assert SHIPPED_TABLE.stat().st_size < 150_000
 
 
 def test_the_shipped_slews_settle_when_they_are_replayed():
     """In the times that the table says."""
-    shipped, seeds = SlewTable.load(SHIPPED), [9000, 9050, 9099]
+    shipped, seeds = SlewTable.load(SHIPPED_TABLE), [9000, 9050, 9099]
     records = rollout("optimised", "FlexRRR-v0", seeds).records
     times = [settling_time(each.errors, each.band, each.period) for each in records]
     assert times == pytest.approx([shipped.settling_time(seed) for seed in seeds], abs=0.05)
-    assert refusal(evaluate, "optimised", "FlexRRR-v0", [1]).endswith(MAKE)
+    assert refusal(evaluate, "optimised", "FlexRRR-v0", [1]).endswith(COMMAND)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 import flexman_gym  # noqa: F401  registers the environments
 from flexman_gym.control import PD, Controller, EpisodeInfo
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_controller
 from flexman_gym.envs.sensors import SENSORS
 from flexman_gym.model import holding_torques
@@ -38,7 +38,7 @@ def test_damping_brakes_the_motion_beside_that_of_the_posture():
 
 
 def test_arms_that_come_later_change_nothing_for_those_before():
-    model = build(Configuration.from_keywords({"name": "FlexPlanar-v0"})).model
+    model = resolve_fidelity(Configuration.from_keywords({"name": "FlexPlanar-v0"})).model
     postures, pd = np.array([[0.0, 0.0], [0.5, -0.8], [-0.7, 0.3]]), PD((1.0, 1.0), (0.0, 0.0), 12.0, model)
     for arm in range(3):
         pd.reset(np.array([arm]), EpisodeInfo(postures[arm : arm + 1], postures[arm : arm + 1], 0.02), arm + 1)
@@ -50,7 +50,7 @@ def test_arms_that_come_later_change_nothing_for_those_before():
 @pytest.mark.parametrize("delay", [0, 2])
 def test_the_damping_that_a_warning_names_is_the_most_that_it_does_not_warn_of(delay):
     """Of each motor its own: their rotors are not alike."""
-    model = build(Configuration.from_keywords({"name": "FlexPlanar-v0"})).model
+    model = resolve_fidelity(Configuration.from_keywords({"name": "FlexPlanar-v0"})).model
     for motor in range(2):
         damping = np.zeros(2)
         damping[motor] = 1e3

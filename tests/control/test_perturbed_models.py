@@ -8,8 +8,8 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.control.observers.observer import make_measurement_model
 from flexman_gym.control.observers.perturbed_models import (
-    BEYOND,
-    STEP,
+    PARAMETER_STEP,
+    RANGE_MARGIN,
     PerturbedModels,
     Prior,
     Resimulation,
@@ -64,9 +64,9 @@ def test_beforehand_all_of_a_range_is_as_likely():
     drawn = np.random.default_rng(0).uniform(0.7, 1.3, 100_000)
     assert unknowns.mean[1] == pytest.approx(drawn.mean(), abs=3e-3)
     assert unknowns.deviation[1] == pytest.approx(drawn.std(), rel=5e-3)
-    assert unknowns.step[[0, 1]] == pytest.approx([4.0 * STEP, 0.6 * STEP])
-    assert unknowns.low[[0, 1]] == pytest.approx([0.0, 0.7 - 0.6 * BEYOND])
-    assert unknowns.high[[0, 1]] == pytest.approx([4.0 + 4.0 * BEYOND, 1.3 + 0.6 * BEYOND])
+    assert unknowns.step[[0, 1]] == pytest.approx([4.0 * PARAMETER_STEP, 0.6 * PARAMETER_STEP])
+    assert unknowns.low[[0, 1]] == pytest.approx([0.0, 0.7 - 0.6 * RANGE_MARGIN])
+    assert unknowns.high[[0, 1]] == pytest.approx([4.0 + 4.0 * RANGE_MARGIN, 1.3 + 0.6 * RANGE_MARGIN])
 
 
 def test_nothing_unknown_is_no_number():

@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 
 from flexman_gym.control import Oracle
-from flexman_gym.control.actions import DEPARTURE
+from flexman_gym.control.actions import SMALL_DEPARTURE
 from flexman_gym.control.agent import Agent
 from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.network import Network
 from flexman_gym.control.observers.observer import Estimate
-from flexman_gym.control.observers.oracle import FADING
-from flexman_gym.control.reference_shaping import PURSUIT, SMOOTHNESS, Authority, ReferenceShape
+from flexman_gym.control.observers.oracle import DEVIATION_DECAY
+from flexman_gym.control.reference_shaping import OFFSET_FREQUENCY, TIME_SCALING_GAIN, ReferenceShaping, ShapingLimits
 from flexman_gym.control.references.adaptive_references import SlewReferences
 from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.envs.episodes import design_mode
+from flexman_gym.envs.episodes import make_base_and_mode
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.model.statics import rest_states
 
@@ -65,7 +65,7 @@ def test_a_policy_sees_and_shapes_as_the_agent_in_its_environment():
     """The agent in its environment; the same agent as the base of a plain one, made for the arm there."""
     beside = FlexManVectorEnv(3, **SHAPED, base="adaptive-lqr")
     acting = network(beside.single_observation_space.shape[0])
-    base, mode = design_mode(beside.setup, beside.batch.model)
+    base, mode = make_base_and_mode(beside.setup, beside.batch.model)
     learned = Agent((), 0, mode, base, action_repeat=5, law=acting)
     asked, _ = played(beside, acting, 40)
     expected, _ = played(FlexManVectorEnv(3, **ONE, base=learned), lambda seen: np.zeros((3, 1)), 40)
@@ -116,7 +116,7 @@ PERIOD = 0.02
 
 
 def shape_of(slews, **authority):
-    result = ReferenceShape(slews, np.array([2.0]), PERIOD, Authority(**authority))
+    result = ReferenceShaping(slews, np.array([2.0]), PERIOD, ShapingLimits(**authority))
     result.reset(ARM, 1)
     return result
 
@@ -135,7 +135,7 @@ def test_a_clock_goes_to_its_pace_and_stays_ahead(slews):
         paces.append(slews.pace[0])
         assert slews.quickening[0] == pytest.approx((paces[-1] - before) / (2.0 * PERIOD))
         shape.advance(ARM, np.zeros(1))
-    assert paces == pytest.approx(wanted + (1.0 - wanted) * (1.0 - PURSUIT) ** np.arange(1, 13))
+    assert paces == pytest.approx(wanted + (1.0 - wanted) * (1.0 - TIME_SCALING_GAIN) ** np.arange(1, 13))
     assert shape.ahead[0] == pytest.approx(PERIOD * (np.sum(paces) - 12.0))
 
 
@@ -169,7 +169,7 @@ def test_offsets_are_critically_damped_and_fade_at_the_goal(slews):
     for _ in range(30):
         assert shape.advance(ARM, np.array([0.2])) == pytest.approx(-0.5)
         offsets.append(shape.offsets[0, 0, 0])
-    turned = SMOOTHNESS * PERIOD * np.arange(1, 31)
+    turned = OFFSET_FREQUENCY * PERIOD * np.arange(1, 31)
     assert offsets == pytest.approx(0.05 * (1.0 - (1.0 + turned) * np.exp(-turned)), abs=0.006)
     states = shape.offset_states(ARM)
     model = slews.model
@@ -231,7 +231,7 @@ def test_what_is_shown_of_an_arm_on_its_way(lifting):
     reference, now = law.reference(here, arms), law.clock(here, arms)
     shown = mode._parts(here._replace(states=reference + off), np.zeros((3, 2)), arms)
     ranges = np.concatenate([each[0] for each in (mode._plant.measured()[name] for name in mode._quantities.places)])
-    assert np.sinh(shown["departures"]) * DEPARTURE * ranges == pytest.approx(mode._read(off), abs=1e-12)
+    assert np.sinh(shown["departures"]) * SMALL_DEPARTURE * ranges == pytest.approx(mode._read(off), abs=1e-12)
     assert shown["estimate"] == pytest.approx(mode._read(reference + off))
     motors, h = model.motor_columns, 1e-4
     ahead, behind = (law._reference(now + shift, arms)[0][:, motors] for shift in (h, -h))
@@ -310,7 +310,7 @@ def test_doubt_is_that_of_an_observer():
             assert told.parameters["payload_mass"] == pytest.approx(0.5 * HEAVY)
             assert spread == pytest.approx(HEAVY / np.sqrt(12.0))
         if period == 10:
-            scale, power = FADING["payload_mass"]
+            scale, power = DEVIATION_DECAY["payload_mass"]
             assert spread == pytest.approx(HEAVY / np.sqrt(12.0) / (1.0 + (10 * PERIOD / scale) ** power))
         if period >= 20:
             ratios.append(error / spread)

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from flexman_gym.control import LQR, PD, Controller, InputShapedController
-from flexman_gym.control.input_shaping.shapers import design_shaper, ringing_modes, sample_shaper, shaper_residual
+from flexman_gym.control.input_shaping.shapers import design_shaper, excited_modes, sample_shaper, shaper_residual
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.evaluation import evaluate, rollout
 from flexman_gym.model.model import build_model
@@ -17,8 +17,8 @@ from flexman_gym.scene import catalog
 from oracles.assertions import refusal
 
 ONE = Configuration.from_keywords({"name": "FlexOne-v0"})
-MODEL = build(ONE).model
-PLANAR = build(Configuration.from_keywords({"name": "FlexPlanar-v0"})).model
+MODEL = resolve_fidelity(ONE).model
+PLANAR = resolve_fidelity(Configuration.from_keywords({"name": "FlexPlanar-v0"})).model
 SOFT = {"stiffness": (0.4,), "damping": (0.2,)}
 
 
@@ -39,7 +39,7 @@ class Listener:
 def heard(name, periods, sensors, **shaping):
     """What a Listener behind a shaper hears in an environment, and the environment."""
     listener = Listener(*sensors)
-    model = build(Configuration.from_keywords({"name": name})).model
+    model = resolve_fidelity(Configuration.from_keywords({"name": name})).model
     env = FlexManEnv(name=name, base=InputShapedController(listener, model, **shaping))
     env.reset(seed=3)
     truth = []
@@ -56,7 +56,7 @@ def test_a_shaped_step_reaches_the_goal_by_its_impulses():
     sensors = ("servo", "command", "motor_encoders")
     episode, told, (goals, _, motors, targets) = heard("FlexPlanar-v0", 90, sensors, shaper="zv")
     start, goal = episode.start[0], episode.goal[0]
-    frequency, ratio, _ = ringing_modes(PLANAR, goal)[0]
+    frequency, ratio, _ = excited_modes(PLANAR, goal)[0]
     parts = np.cumsum(sample_shaper(design_shaper("zv", frequency, ratio), 0.01))
     wanted = start + np.append(parts, np.ones(90))[:90, None] * (goal - start)
     assert told["angle_command"] == pytest.approx(wanted, abs=1e-12) and 0.3 < parts[0] < 0.7
@@ -118,7 +118,7 @@ def test_on_a_small_slew_the_arm_answers_as_to_its_impulses_one_by_one(which):
     plain, shaped = (
         motion(base) for base in (controllers()[which], InputShapedController(controllers()[which], MODEL, "mzv"))
     )
-    parts = sample_shaper(design_shaper("mzv", *ringing_modes(MODEL, [0.005])[0, :2]), 0.02)
+    parts = sample_shaper(design_shaper("mzv", *excited_modes(MODEL, [0.005])[0, :2]), 0.02)
     wanted = np.array([np.convolve(column, parts)[: len(plain)] for column in plain.T]).T
     scale = np.abs(plain).max(axis=0)
     assert np.abs((shaped - wanted) / np.where(scale > 1e-6, scale, np.inf)).max() < 2e-3
@@ -129,12 +129,12 @@ def test_modes_are_those_of_the_places_that_are_asked_for():
     goal, start = np.array([0.3, 1.9]), np.array([0.2, 0.0])
     inner = PD((1.0, 1.0), (1.0, 1.0), 12.0)
     for places, postures in (((1.0,), [goal]), ((0.0, 1.0), [start, goal]), ((0.5,), [0.5 * (start + goal)])):
-        mode = np.mean([ringing_modes(PLANAR, posture)[0, :2] for posture in postures], axis=0)
+        mode = np.mean([excited_modes(PLANAR, posture)[0, :2] for posture in postures], axis=0)
         way = start + np.array(places)[:, None] * (goal - start)
         combined = InputShapedController(inner, PLANAR, "zv", places=places).combined(way)
         assert combined.times == pytest.approx(design_shaper("zv", *mode).times)
     two = InputShapedController(inner, PLANAR, "zvd", modes=2).combined(goal[None])
-    left = [shaper_residual(two, frequency, ratio) for frequency, ratio, _ in ringing_modes(PLANAR, goal)[:2]]
+    left = [shaper_residual(two, frequency, ratio) for frequency, ratio, _ in excited_modes(PLANAR, goal)[:2]]
     assert left == pytest.approx([0.0, 0.0], abs=1e-9)
 
 

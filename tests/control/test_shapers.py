@@ -13,10 +13,10 @@ from flexman_gym.control.input_shaping.shapers import (
     convolve_shapers,
     design_shaper,
     evaluate_shapers,
+    excited_modes,
     find_operating_points,
     median_operating_point,
     recommend_shaper,
-    ringing_modes,
     sample_shaper,
     shaper_residual,
     tolerated_frequency_errors,
@@ -124,7 +124,7 @@ def test_samples_cost_what_is_said(name):
 def test_an_arm_rings_after_a_shaped_command_as_the_closed_form_says():
     """The motor is led exactly; what rings afterwards is measured in the mode's own coordinate, over 1.2 periods."""
     model = fm.build_model(fm.catalog.one_joint(), 2, 2)
-    frequency, ratio, _ = ringing_modes(model, [0.0])[0]
+    frequency, ratio, _ = excited_modes(model, [0.0])[0]
     period, way = 0.002, 0.02
     count = round(0.6 / frequency / period)
     base = way * minimum_jerk(np.arange(count + 1) / count)[0]
@@ -187,8 +187,8 @@ def cases_of(*frequencies):
 def test_a_payload_changes_the_model_as_a_payload_of_the_arm_does():
     for mass in (0.0, 0.7):
         other = fm.build_model(fm.catalog.planar_2r(joint_stiffness=60.0, payload=fm.Payload(mass)), 1)
-        loaded = ringing_modes(with_payload(MODEL, mass), [0.2, 0.5])
-        assert loaded == pytest.approx(ringing_modes(other, [0.2, 0.5]), rel=1e-7, abs=1e-12)
+        loaded = excited_modes(with_payload(MODEL, mass), [0.2, 0.5])
+        assert loaded == pytest.approx(excited_modes(other, [0.2, 0.5]), rel=1e-7, abs=1e-12)
     assert MODEL.constants.payload_mass[0] == 0.2, "the model itself stays as it is"
 
 
@@ -197,8 +197,8 @@ def test_cases_are_all_postures_with_all_payloads():
     assert [case.payload for case in cases] == [0.0] * 3 + [0.4] * 3
     for case in cases:
         loaded = with_payload(MODEL, case.payload)
-        assert case.held == pytest.approx(ringing_modes(loaded, case.posture)[:3])
-        assert case.free == pytest.approx(ringing_modes(loaded, case.posture, False)[:3])
+        assert case.held == pytest.approx(excited_modes(loaded, case.posture)[:3])
+        assert case.free == pytest.approx(excited_modes(loaded, case.posture, False)[:3])
     assert cases[0].held[0, 0] > cases[3].held[0, 0], "a heavier arm is slower"
 
 

@@ -9,7 +9,7 @@ import flexman_gym as fm
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.control.base_controllers import BASES, make_base
 from flexman_gym.control.controller import EpisodeInfo, checked_controller
-from flexman_gym.control.lqr import HOLDING, LQR
+from flexman_gym.control.lqr import HOLDING_FACTOR, LQR
 from flexman_gym.control.observers.observer import Estimate
 from flexman_gym.control.tracking import Tracking
 from flexman_gym.envs.config.configuration import Configuration
@@ -80,7 +80,7 @@ def test_off_its_reference_it_is_the_regulator_of_the_arm_as_it_is_estimated(pay
     own._ages[:] = 3001  # long at the goal, and no period in which it looks at parameters
     true = varied_model(plant.model, payload_mass=payload)
     regulator = LQR(true, plant.torque_limit, plant.period)
-    weights = regulator.weights._replace(tip=HOLDING * regulator.weights.tip) if held else regulator.weights
+    weights = regulator.weights._replace(tip=HOLDING_FACTOR * regulator.weights.tip) if held else regulator.weights
     gain = regulator.gain(goal[0], weights)
     state = own.slews.states(np.array([60.0]), ONE)
     state[:, plant.model.motor_columns] = goal

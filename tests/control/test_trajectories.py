@@ -21,8 +21,8 @@ from flexman_gym.control.references.trajectories import (
     via_path,
 )
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
-from flexman_gym.envs.config.named_environments import NAMED
+from flexman_gym.envs.config.fidelity import resolve_fidelity
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.model.dynamics import inertial_forces, stiffness_matrix
 
 from oracles.assertions import refusal
@@ -182,10 +182,10 @@ def peak_share(path, duration, limits):
 
 
 @pytest.mark.parametrize("law", TIMING_LAWS)
-@pytest.mark.parametrize("name", sorted(NAMED))
+@pytest.mark.parametrize("name", sorted(NAMED_ENVIRONMENTS))
 def test_a_slew_keeps_to_its_share_of_the_limits_and_takes_all_of_it(name, law):
     setup = Configuration.from_keywords({"name": name})
-    model, limits, rng = build(setup).model, np.array(setup.torque_limit), np.random.default_rng(1)
+    model, limits, rng = resolve_fidelity(setup).model, np.array(setup.torque_limit), np.random.default_rng(1)
     for _ in range(2):
         start, goal = rng.uniform(-0.8, 0.8, (2, model.n_joints))
         slew = plan_slew(model, start, goal, limits, SHARE, setup.control_period, law)
@@ -212,7 +212,7 @@ def test_a_slew_of_a_soft_arm_is_timed_as_it_bends():
 def test_links_on_the_way_are_bent_as_far_as_inertia_and_weight_ask(name):
     """Their elastic forces balance what the motion demands of the bent arm, to a ten-thousandth of it."""
     setup = Configuration.from_keywords({"name": name})
-    model, limits, random = build(setup).model, np.array(setup.torque_limit), np.random.default_rng(1)
+    model, limits, random = resolve_fidelity(setup).model, np.array(setup.torque_limit), np.random.default_rng(1)
     start, goal = random.uniform(-0.8, 0.8, (2, model.n_joints))
     duration = setup.control_period * len(plan_slew(model, start, goal, limits, SHARE, setup.control_period).torques)
     n, path, elastic = (
@@ -235,7 +235,7 @@ def test_links_on_the_way_are_bent_as_far_as_inertia_and_weight_ask(name):
 
 def test_a_slow_slew_is_a_sequence_of_places_of_rest():
     setup = Configuration.from_keywords({"name": "FlexPlanar-v0"})
-    model = build(setup).model
+    model = resolve_fidelity(setup).model
     start, goal = np.array([-0.5, 0.2]), np.array([0.6, -0.4])
     path = slew_path(model, start, goal)
     first, last = (fm.rest_state(model, posture)[:2] for posture in (start, goal))
@@ -249,7 +249,14 @@ def test_a_slow_slew_is_a_sequence_of_places_of_rest():
 
 def test_a_goal_whose_weight_is_too_much_is_refused_in_one_line():
     setup = Configuration.from_keywords({"name": "FlexPlanar-v0"})
-    arguments = build(setup).model, np.array([np.pi / 2, 0.0]), np.zeros(2), np.array([3.0, 1.0]), SHARE, 0.01
+    arguments = (
+        resolve_fidelity(setup).model,
+        np.array([np.pi / 2, 0.0]),
+        np.zeros(2),
+        np.array([3.0, 1.0]),
+        SHARE,
+        0.01,
+    )
     line = refusal(plan_slew, *arguments)
     assert line == "goal: [0.0, 0.0] is not allowed; give a posture that 95% of the torque limits can hold"
     line = refusal(plan_via, arguments[0], np.array(arguments[1:3]), *arguments[3:])
@@ -274,7 +281,7 @@ def wandering(model, count):
 def test_a_spline_passes_its_postures_in_their_order_within_the_limits(name):
     """Joints are where they rest at each posture, at the end of some period; its ends have no acceleration."""
     setup = Configuration.from_keywords({"name": name})
-    model, limits = build(setup).model, np.array(setup.torque_limit)
+    model, limits = resolve_fidelity(setup).model, np.array(setup.torque_limit)
     postures = wandering(model, 5)
     motion = plan_via(model, postures, limits, SHARE, setup.control_period)
     rests = np.array([fm.rest_state(model, posture) for posture in postures])

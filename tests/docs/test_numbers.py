@@ -5,13 +5,13 @@ import re
 import pytest
 import yaml
 
-from flexman_gym.league.page import conclusion
+from flexman_gym.league.page import recommendation
 from flexman_gym.league.rows import LeagueRows
 from flexman_gym.league.scenarios import LAB_SCENARIO
 from flexman_gym.league.standings import Standings
 from flexman_gym.simulation import METHODS
-from flexman_gym.simulation.amplification import largest_growth
 from flexman_gym.simulation.methods import DEFAULT_METHOD
+from flexman_gym.simulation.stability import largest_growth
 from studies.fidelity.measure import FidelityRow as Choice
 from studies.fidelity.page import CHEAP
 from studies.files import read_rows
@@ -84,7 +84,7 @@ FOLDER = ROOT / "docs" / "league"
 
 
 def test_the_page_concludes_what_its_rows_say():
-    assert conclusion(Standings(LeagueRows.load(FOLDER))) in (FOLDER / "league.md").read_text(encoding="utf-8")
+    assert recommendation(Standings(LeagueRows.load(FOLDER))) in (FOLDER / "league.md").read_text(encoding="utf-8")
 
 
 def test_known_rows_come_out():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.draw.frames import GHOST, GHOST_SHARE, LOAD, TARGET, TIP, FramePainter, arm_frame, grid
+from flexman_gym.draw.frames import GHOST, GHOST_SHARE, PAYLOAD, TARGET, TIP, FramePainter, arm_frame, grid
 from flexman_gym.draw.mesh import cylinder, ring, section_outlines, sphere, tube_faces, tube_surfaces
 from flexman_gym.draw.overlay import Caption, strain_colours, write_title
 from flexman_gym.draw.style import rgb
@@ -175,7 +175,7 @@ def test_a_payload_is_a_ball_of_steel_of_its_mass(mass):
     state = model.initial_state((0.4, 0.5, -0.8))
     painter.paint(state)
     bent = fm.curves(model, state, 2)
-    (ball,) = [mesh for mesh, colour in painter._parts(bent.positions, bent.frames, None) if colour == LOAD]
+    (ball,) = [mesh for mesh, colour in painter._parts(bent.positions, bent.frames, None) if colour == PAYLOAD]
     centre = bent.positions[-1, -1] + bent.frames[-1, -1] @ np.array([0.3, 0.0, 0.1])
     radii = np.linalg.norm(ball.points - centre, axis=1)
     assert 7800.0 * 4.0 / 3.0 * np.pi * radii**3 == pytest.approx(mass)

@@ -7,18 +7,19 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.control.margins import margins, open_loop_responses, sampled_loop
-from flexman_gym.draw import evaluation, frequency_diagrams
-from flexman_gym.draw.evaluation import learning_curves, read_progress
+from flexman_gym.draw import frequency_diagrams
+from flexman_gym.draw import learning_curves as evaluation
 from flexman_gym.draw.frequency_diagrams import (
     bode_diagram,
     campbell_diagram,
+    draw_mode_shapes,
     frequency_map,
     loop_margins,
-    mode_pictures,
 )
+from flexman_gym.draw.learning_curves import draw_learning_curves, read_progress
 from flexman_gym.draw.video import side_by_side, write_picture
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.model.vibration import spin_frequencies
 from flexman_gym.simulation.episode import Episode
 
@@ -43,16 +44,16 @@ def drawn(monkeypatch):
 
 
 def test_modes_are_side_by_side_and_each_is_another():
-    picture = mode_pictures(PLANAR, (0.3, 0.4), 3, (160, 120))
+    picture = draw_mode_shapes(PLANAR, (0.3, 0.4), 3, (160, 120))
     assert picture.shape == (240, 320, 3) and (picture[120:, 160:] == 255).all()
     cells = [picture[:120, :160], picture[:120, 160:], picture[120:, :160]]
     assert all((one != other).any() for one in cells for other in cells if one is not other)
     with pytest.raises(ValueError, match=r"^model: it has no mode that rings"):
-        mode_pictures(fm.build_model(fm.catalog.planar_2r(), flexible_links=False, flexible_joints=False))
+        draw_mode_shapes(fm.build_model(fm.catalog.planar_2r(), flexible_links=False, flexible_joints=False))
 
 
 def test_the_map_has_the_frequency_of_each_posture(drawn, tmp_path, monkeypatch):
-    monkeypatch.setattr(frequency_diagrams, "FINE", 5)
+    monkeypatch.setattr(frequency_diagrams, "GRID_POINTS", 5)
     made = drawn(frequency_diagrams)
     frequency_map(PLANAR, tmp_path / "new" / "map.png", mode=2, span=1.0)
     (image,) = made[0].axes[0].images
@@ -100,7 +101,7 @@ def test_an_opened_loop_has_the_determinants_and_margins_of_the_closed_one():
 def test_the_margins_of_the_diagram_are_at_least_those_of_the_pd_that_was_tuned():
     """Those take the least of one motor and of all of them."""
     setup = Configuration.from_keywords({"name": "FlexRRR-v0"})
-    model, gains, period = build(setup).model, setup.pd_gains, setup.control_period
+    model, gains, period = resolve_fidelity(setup).model, setup.pd_gains, setup.control_period
     loop, fine = sampled_loop(model, (0.0, 0.3, -0.5), period), np.geomspace(0.01, 0.5 / period, 1500)
     chosen = gains["stiffness"], gains["damping"]
     found, least = open_loop_responses(loop, *chosen, fine, period), margins([loop], *chosen)
@@ -136,7 +137,7 @@ def test_learning_curves_are_those_of_the_files_with_a_band_over_seeds(drawn, tm
     seeds = [read_progress(tmp_path / f"seed-{seed}") for seed in range(3)]
     assert seeds[1][0].tolist() == [100.0, 300.0] and seeds[1][2] == "rollout/ep_rew_mean"
     made = drawn(evaluation)
-    learning_curves({"ppo": [each[:2] for each in seeds]}, tmp_path / "a.png", "reward")
+    draw_learning_curves({"ppo": [each[:2] for each in seeds]}, tmp_path / "a.png", "reward")
     axes = made[0].axes[0]
     assert axes.get_lines()[0].get_ydata().tolist() == [2.0, 4.0]
     band = axes.collections[0].get_paths()[0].vertices

@@ -13,7 +13,7 @@ from flexman_gym.draw.trajectories import paper_figures
 from flexman_gym.scene import catalog
 from flexman_gym.scene.scene import Initial, ModelChoice, Scene
 from flexman_gym.scene.signals import ConstantTorque
-from flexman_gym.simulation.scenes import simulate
+from flexman_gym.simulation.scene_simulation import simulate
 
 CHOICE = fm.ModelChoice(True, 1, modes=0)
 

@@ -12,14 +12,14 @@ from gymnasium.utils.env_checker import check_env
 import flexman_gym as fm
 from flexman_gym.control.margins import first_order_lag, sampled_loop, spectral_radius
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
-from flexman_gym.envs.config.named_environments import NAMED
+from flexman_gym.envs.config.fidelity import resolve_fidelity
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 
 from oracles.assertions import refusal, same
 
-RRR = NAMED["FlexRRR-v0"].arm()
+RRR = NAMED_ENVIRONMENTS["FlexRRR-v0"].arm()
 GEARED = replace(RRR, joints=[replace(joint, motor=fm.Motor(100.0, 1.0, 1e-3, 4.0)) for joint in RRR.joints])
 FAST = {"control_period": 0.005, "action_repeat": 4}  # a servo at 200 Hz under an agent at 50 Hz
 SETTINGS = {
@@ -88,7 +88,9 @@ def test_a_velocity_servo_turns_as_fast_as_it_is_told_and_does_not_wind_up():
     for _ in range(20):
         weak.step(np.ones(1, dtype=np.float32))
     behind = servo._reference[0, 0] - weak.episodes.view.motor_angles[0, 0]
-    assert 0.0 < behind <= 0.01 / NAMED["FlexOne-v0"].pd["stiffness"][0] + 0.01, "the torque limit over the stiffness"
+    assert 0.0 < behind <= 0.01 / NAMED_ENVIRONMENTS["FlexOne-v0"].pd["stiffness"][0] + 0.01, (
+        "the torque limit over the stiffness"
+    )
 
 
 @pytest.mark.parametrize("late", [0, 1, 2])
@@ -122,11 +124,11 @@ def test_a_lag_is_that_of_a_first_order_filter():
     assert mean == pytest.approx(quad(lambda t: np.exp(-2.0 * np.pi * 5.0 * t), 0.0, 0.02)[0] / 0.02)
 
 
-@pytest.mark.parametrize("name", NAMED)
+@pytest.mark.parametrize("name", NAMED_ENVIRONMENTS)
 def test_servos_of_all_environments_are_stable_under_delay_and_lag_and_cease_to_be(name):
     """With tuned gains: at the control period, and at a fifth of it with up to four of these periods of delay."""
     setup = Configuration.from_keywords({"name": name})
-    model, gains = build(setup).model, NAMED[name].pd
+    model, gains = resolve_fidelity(setup).model, NAMED_ENVIRONMENTS[name].pd
     stiffness, damping = np.array(gains["stiffness"]), np.array(gains["damping"])
     n, period = len(stiffness), setup.control_period
     postures = ([0.0] * n, [0.5 * (-1.0) ** i for i in range(n)])

@@ -9,14 +9,14 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.control import PD
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
-from flexman_gym.envs.config.named_environments import NAMED, flex_rrr
+from flexman_gym.envs.config.fidelity import resolve_fidelity
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS, flex_rrr
 from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.effects.signals import TipLoad
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.envs.sensors import Instrument, Servo
+from flexman_gym.envs.sensors import Instrument, ServoErrors
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from flexman_gym.fidelity.choose import assembled_modes
+from flexman_gym.fidelity.model_selection import assembled_modes
 from flexman_gym.simulation.batch import Batch
 
 from oracles.assertions import refusal
@@ -184,7 +184,7 @@ class Figured(fm.Slew):
     figure = ("reward",)
 
 
-class Measuring(Servo):
+class Measuring(ServoErrors):
     """A sensor that says what it measures, nearly."""
 
     measure = ()
@@ -240,7 +240,7 @@ def test_flaws_of_an_agents_instruments_act_on_the_base_beside_it(kind):
 def test_a_base_reads_the_truth_of_what_no_instrument_of_the_agent_measures():
     perfect = watched("strain")[2]
     assert np.array_equal(watched({"kind": "strain", **FLAWS})[2], perfect)
-    assert (watched("full", (Instrument(Servo(), noise=0.01),))[2] != perfect).any(), "but for flaws of its own"
+    assert (watched("full", (Instrument(ServoErrors(), noise=0.01),))[2] != perfect).any(), "but for flaws of its own"
 
 
 def test_of_two_sensors_that_measure_the_same_the_base_reads_the_first():
@@ -254,7 +254,7 @@ def test_of_two_sensors_that_measure_the_same_the_base_reads_the_first():
 
 def test_an_instrument_of_a_base_measures_in_every_period():
     """It comes two periods late to the base, and at once to the agent."""
-    seen, _, rates = watched("full", (Instrument(Servo(), delay=2),))
+    seen, _, rates = watched("full", (Instrument(ServoErrors(), delay=2),))
     true = np.array([each["motor_rates"] for each in seen])
     assert rates[2:, 0] == pytest.approx(true[:-2], abs=1e-6) and np.ptp(true, axis=0).min() > 0.01
 
@@ -269,7 +269,7 @@ def test_an_arm_of_the_same_lengths_is_not_the_named_arm():
         assert line.startswith("gains: None is not allowed; give those of this arm")
     unlimited = replace(named, joints=[replace(joint, torque_limit=None) for joint in named.joints])
     assert refusal(lambda: FlexManEnv(arm=unlimited)).startswith("torque_limit: None is not allowed")
-    gains = NAMED["FlexRRR-v0"].pd
+    gains = NAMED_ENVIRONMENTS["FlexRRR-v0"].pd
     rubbing = [replace(joint, viscous_friction=5.0, coulomb_friction=10.0) for joint in named.joints]
     for arm in (named, replace(named, payload=fm.Payload(5.0)), replace(named, joints=rubbing)):
         assert FlexManEnv(arm=arm, base="pd").setup.gains == gains
@@ -294,7 +294,7 @@ def test_an_arm_has_the_modes_of_vibrations_below_half_the_control_frequency(nam
     """And not those of vibrations below all of it, which are more."""
     setup = Configuration.from_keywords({"name": name, "control_period": period})
     half, all_of_it = (assembled_modes(setup.arm, 2, part / period) for part in (0.5, 1.0))
-    result, expected = build(setup).model, fm.build_model(setup.arm, 2, half)
+    result, expected = resolve_fidelity(setup).model, fm.build_model(setup.arm, 2, half)
     assert half != all_of_it and result.n_dof == expected.n_dof
     assert all(np.array_equal(*bases) for bases in zip(result.bases, expected.bases, strict=True))
 

@@ -11,16 +11,16 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.control.lqr import zero_order_hold
 from flexman_gym.control.pd import PD, stability_limit
-from flexman_gym.envs import NAMED
-from flexman_gym.envs.config.conditions import CONDITION_FOLDER, CONDITIONS
+from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.named_environments import CONDITION_FOLDER, CONDITIONS
 from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.config.specification import make_controller
 
 from oracles.assertions import refusal
 
 pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y")  # of the paper's printed area
-IDS = [name for name, named in NAMED.items() if named.conditions]
+IDS = [name for name, named in NAMED_ENVIRONMENTS.items() if named.conditions]
 FOLDERS = {"rrr": "FlexRRR-v0", "planar": "FlexPlanar-v0", "gravity": "FlexRRR-Gravity-v0"}
 
 
@@ -125,7 +125,7 @@ def test_unknown_is_payload_stiffness_and_delay_and_noise_of_a_thousandth_of_the
 def test_friction_is_all_that_its_arm_has_beside_its_own(folder):
     """In parts of the torque limits that of the PUMA 560, see the file."""
     name = FOLDERS[folder]
-    arm, own = Configuration.find(f"{name}/friction").arm, NAMED[name].arm()
+    arm, own = Configuration.find(f"{name}/friction").arm, NAMED_ENVIRONMENTS[name].arm()
     bare = [replace(joint, viscous_friction=0.0, coulomb_friction=0.0, coulomb_rate=0.01) for joint in arm.joints]
     assert replace(arm, joints=bare) == own
     gears, most = np.array([62.6111, 107.815, 53.7063]), np.array([97.6, 186.4, 89.4])

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import flexman_gym as fm
 from flexman_gym.common import files
 from flexman_gym.control import PD
-from flexman_gym.envs import NAMED
+from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.configuration import RENAMED, SETTINGS, Configuration
 from flexman_gym.evaluation.policy_files import policy_folder
 from flexman_gym.scene.serialization import find_arm, to_plain
@@ -61,7 +61,7 @@ def like(setup):
 
 
 @settings(QUICK, max_examples=60)
-@given(st.sampled_from(sorted(NAMED)), st.fixed_dictionaries({}, optional=PARTS))
+@given(st.sampled_from(sorted(NAMED_ENVIRONMENTS)), st.fixed_dictionaries({}, optional=PARTS))
 def test_the_whole_of_a_description_describes_the_same_environment(name, parts):
     """Through JSON, too; and so does the mapping that is made from the setup itself."""
     first = Configuration.from_plain({"id": name, **parts})

@@ -8,7 +8,7 @@ from gymnasium.utils.env_checker import check_env
 import flexman_gym as fm
 from flexman_gym.control import Controller
 from flexman_gym.envs import FlexManEnv, FlexManVectorEnv
-from flexman_gym.envs.config.named_environments import NAMED, NamedEnvironment
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS, NamedEnvironment
 from flexman_gym.envs.config.specification import make_controller
 from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.sensors import Entry
@@ -201,7 +201,7 @@ def test_a_named_environment_is_one_entry(monkeypatch):
         {"stiffness": (2.0, 1.0), "damping": (1.0, 0.5)},
         control_period=0.01,
     )
-    monkeypatch.setitem(NAMED, "FlexOther-v0", entry)
+    monkeypatch.setitem(NAMED_ENVIRONMENTS, "FlexOther-v0", entry)
     env = FlexManEnv(name="FlexOther-v0")
     observation, _ = env.reset(seed=0)
     assert env.torque_limit.tolist() == [3.0, 1.0] and env.simulator.control_period == 0.01

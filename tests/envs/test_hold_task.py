@@ -7,7 +7,7 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.control.pd import PD
-from flexman_gym.envs import NAMED
+from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.tasks import Hold
 from flexman_gym.envs.vector_env import FlexManVectorEnv
@@ -124,7 +124,7 @@ def test_disturbances_out_of_order_are_refused_when_the_environment_is_made():
 def test_the_arm_holds_every_posture_of_its_task_with_a_full_payload():
     """All corners of the range of its motors, and the outstretched arm, with 20 kg; a fifth of the torque is left."""
     setup = FlexManEnv(name="FlexRRR-Gravity-v0").setup
-    arm = NAMED["FlexRRR-Gravity-v0"].arm()
+    arm = NAMED_ENVIRONMENTS["FlexRRR-Gravity-v0"].arm()
     heavy = fm.Arm(arm.links, arm.joints, fm.Payload(20.0), arm.gravity, modal_damping_ratio=0.005)
     model = fm.build_model(heavy, 2)
     reach = setup.task.start + setup.task.slew
@@ -155,4 +155,4 @@ def test_without_integral_action_a_pd_leaves_the_offset_that_statics_says():
 
 
 def test_the_joints_have_the_stiffness_that_is_advertised():
-    assert [joint.stiffness for joint in NAMED["FlexRRR-Gravity-v0"].arm().joints] == [6e4] * 3
+    assert [joint.stiffness for joint in NAMED_ENVIRONMENTS["FlexRRR-Gravity-v0"].arm().joints] == [6e4] * 3

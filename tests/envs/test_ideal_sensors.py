@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import flexman_gym as fm
-from flexman_gym.envs import NAMED
+from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.limits import limit_violation
-from flexman_gym.envs.sensors import FullState, Sensors
+from flexman_gym.envs.sensors import FullState, SensorArray
 from flexman_gym.envs.view import View
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.simulator import Simulator
@@ -31,7 +31,7 @@ def moving(model, size=0.05, seed=1):
 def sensors_of(batch, limits=fm.Limits()):  # noqa: B008
     """The full state of a batch, and its view."""
     view = View(batch)
-    return Sensors([FullState()], view, limits), view
+    return SensorArray([FullState()], view, limits), view
 
 
 def sensors_for(limits=fm.Limits(), **choice):  # noqa: B008
@@ -194,7 +194,7 @@ SCALES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", sorted(NAMED))
+@pytest.mark.parametrize("name", sorted(NAMED_ENVIRONMENTS))
 def test_they_say_what_the_full_state_says(name):
     """Scales as in the docstring for FlexRRR-v0; elsewhere of the limits and the reach of the arm."""
     env = gym.make(name, sensors=BOTH, horizon=2.0).unwrapped
@@ -228,7 +228,7 @@ def test_half_of_a_millimetre_is_seen_and_twice_as_far_adds_no_more_than_a_const
     assert seen[1.4] - seen[0.7] == pytest.approx(np.full(3, np.log(2.0)), abs=1e-3)
 
 
-@pytest.mark.parametrize("name", sorted(NAMED))
+@pytest.mark.parametrize("name", sorted(NAMED_ENVIRONMENTS))
 def test_their_bounds_hold_and_are_those_of_the_quantities(name):
     """Full power in turns, until limits end many episodes; a bound is what the largest quantity becomes."""
     env = gym.make_vec(name, 32, "vector_entry_point", sensors=BOTH, limits=fm.Limits(rate=1.5)).unwrapped

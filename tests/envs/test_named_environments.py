@@ -9,17 +9,17 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import flexman_gym as fm
-from flexman_gym.envs import NAMED
+from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.configuration import SETTINGS as DECLARED
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.envs.rendering import RENDER
-from flexman_gym.envs.vector_env import OWN, FlexManVectorEnv
+from flexman_gym.envs.rendering import RENDER_KEYWORDS
+from flexman_gym.envs.vector_env import OWN_KEYWORDS, FlexManVectorEnv
 from flexman_gym.metrics import settling_time
 
 from oracles.assertions import refusal, same_alone_and_among_others
 
-IDS = sorted(NAMED)
+IDS = sorted(NAMED_ENVIRONMENTS)
 NEW = ("FlexPlanar-v0", "FlexOne-v0")
 SWITCHES = ("stiffening", "spinning_rotors", "rotary_inertia")
 
@@ -66,7 +66,7 @@ def test_the_vector_environment_is_many_single_ones_bit_for_bit(name):
 @pytest.mark.parametrize(("period", "horizon", "periods"), [(None, 0.4, None), (0.04, 0.4, 10), (0.005, 0.1, 20)])
 def test_an_episode_lasts_its_horizon_whatever_the_control_period(name, period, horizon, periods):
     env = gym.make(name, control_period=period, horizon=horizon)
-    periods = periods or round(horizon / NAMED[name].control_period)
+    periods = periods or round(horizon / NAMED_ENVIRONMENTS[name].control_period)
     env.reset(seed=0)
     ends = [env.step(np.zeros(env.action_space.shape, dtype=np.float32))[2:4] for _ in range(periods)]
     assert ends == [(False, False)] * (periods - 1) + [(False, True)]
@@ -75,7 +75,7 @@ def test_an_episode_lasts_its_horizon_whatever_the_control_period(name, period, 
 
 @pytest.mark.parametrize("name", IDS)
 def test_without_keywords_an_environment_is_its_entry(name):
-    setup, named = gym.make(name).unwrapped.setup, NAMED[name]
+    setup, named = gym.make(name).unwrapped.setup, NAMED_ENVIRONMENTS[name]
     assert (setup.arm, setup.task, setup.limits) == (named.arm(), named.task, named.limits)
     assert (setup.control_period, setup.horizon) == (named.control_period, named.horizon)
     assert setup.torque_limit == tuple(joint.torque_limit for joint in named.arm().joints)
@@ -96,8 +96,8 @@ def test_every_switch_of_the_model_reaches_it(name, switch):
         make = gym.make if kind == "single" else lambda *a, **k: gym.make_vec(*a, 1, "vector_entry_point", **k)
         env = make(name, modes=2, **changed).unwrapped
         models[kind] = env.simulator.model if kind == "single" else env.batch.model
-    expected = fm.build_model(NAMED[name].arm(), 2, 2, **changed)
-    plain = fm.build_model(NAMED[name].arm(), 2, 2)
+    expected = fm.build_model(NAMED_ENVIRONMENTS[name].arm(), 2, 2, **changed)
+    plain = fm.build_model(NAMED_ENVIRONMENTS[name].arm(), 2, 2)
     state, torque = np.linspace(0.1, 1.0, 2 * expected.n_dof), np.ones(expected.n_joints)
     wanted = fm.acceleration(expected, state, torque)
     for model in models.values():
@@ -126,10 +126,15 @@ SETTINGS = {
 
 def test_gym_make_and_gym_make_vec_take_the_same_keywords():
     """All of them at once, none of them the default; both give the same episode."""
-    assert DECLARED.keys() == SETTINGS.keys() - {*RENDER}
-    assert set(OWN) - {"num_envs", "threads", "max_episode_steps", "autoreset_mode", "infos", "seed_stride"} == {
-        *RENDER
-    }
+    assert DECLARED.keys() == SETTINGS.keys() - {*RENDER_KEYWORDS}
+    assert set(OWN_KEYWORDS) - {
+        "num_envs",
+        "threads",
+        "max_episode_steps",
+        "autoreset_mode",
+        "infos",
+        "seed_stride",
+    } == {*RENDER_KEYWORDS}
     single = gym.make("FlexPlanar-v0", **SETTINGS)
     many = gym.make_vec("FlexPlanar-v0", 2, "vector_entry_point", **SETTINGS)
     seen, others = single.reset(seed=3)[0], many.reset(seed=3)[0]
@@ -155,7 +160,7 @@ def test_an_unknown_keyword_is_refused_with_the_nearest_known_one(make, wrong, n
 
 def test_a_name_that_there_is_not_is_refused_in_one_line():
     line = refusal(lambda: Configuration.from_keywords({"name": "FlexTwo-v0"}))
-    assert line == f"name: 'FlexTwo-v0' is not allowed; give one of {', '.join(NAMED)}"
+    assert line == f"name: 'FlexTwo-v0' is not allowed; give one of {', '.join(NAMED_ENVIRONMENTS)}"
 
 
 @pytest.mark.parametrize(
@@ -179,10 +184,10 @@ def test_bad_settings_are_refused_in_one_line(settings, line):
 @pytest.mark.parametrize("name", NEW)
 def test_pd_settles_and_doing_nothing_earns_little(name):
     """50 episodes: within 1 % of the reach in at least half of them; zero action earns less than 40 % of that."""
-    reach = sum(link.length for link in NAMED[name].arm().links)
+    reach = sum(link.length for link in NAMED_ENVIRONMENTS[name].arm().links)
     rewards, errors, lasted = episodes(name, 50, still, base="pd")
-    assert (lasted == NAMED[name].horizon / NAMED[name].control_period).all()
-    settled = [settling_time(error, 0.01 * reach, NAMED[name].control_period) for error in errors.T]
+    assert (lasted == NAMED_ENVIRONMENTS[name].horizon / NAMED_ENVIRONMENTS[name].control_period).all()
+    settled = [settling_time(error, 0.01 * reach, NAMED_ENVIRONMENTS[name].control_period) for error in errors.T]
     assert np.isfinite(settled).mean() >= 0.5
     nothing = episodes(name, 50, still)[0]
     assert nothing.sum() < 0.4 * rewards.sum() and rewards.sum() > 0
@@ -192,4 +197,4 @@ def test_pd_settles_and_doing_nothing_earns_little(name):
 def test_random_actions_do_not_end_an_episode_at_once(name):
     random = np.random.default_rng(0)
     lasted = episodes(name, 30, lambda space: random.uniform(-1.0, 1.0, space.shape), horizon=1.0)[2]
-    assert np.median(lasted) * NAMED[name].control_period >= 0.5
+    assert np.median(lasted) * NAMED_ENVIRONMENTS[name].control_period >= 0.5

@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from flexman_gym.envs import NAMED
+from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.model.deformation import curves
@@ -12,7 +12,7 @@ from flexman_gym.model.deformation import curves
 ARMS, SIZE = 10, (96, 72)
 
 
-@pytest.mark.parametrize("name", NAMED)
+@pytest.mark.parametrize("name", NAMED_ENVIRONMENTS)
 def test_start_goal_and_target_are_in_the_picture(name):
     env = FlexManVectorEnv(ARMS, name=name, render_mode="rgb_array", render_size=SIZE)
     env.reset(seed=5000)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
@@ -19,7 +19,7 @@ RANDOM = {
 
 def plant_of(name="FlexPlanar-v0", **settings):
     setup = Configuration.from_keywords({"name": name, **SMALL, **settings})
-    model = build(setup).model
+    model = resolve_fidelity(setup).model
     return make_plant(setup, model), setup, model
 
 

@@ -10,7 +10,7 @@ import flexman_gym as fm
 from flexman_gym.control.references.trajectories import plan_path
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.tasks import Track
-from flexman_gym.envs.tasks.track import RAMP, SHAPES, evaluate_series, path_phase
+from flexman_gym.envs.tasks.track import PATH_SHAPES, RAMP_FRACTION, evaluate_series, path_phase
 from flexman_gym.metrics import rms
 
 from oracles.assertions import refusal
@@ -41,9 +41,9 @@ def test_series_are_sums_of_waves(seed, harmonics):
         )
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("shape", PATH_SHAPES)
 def test_shapes_are_what_they_are_called(shape):
-    places = series(SHAPES[shape](np.random.default_rng(0), 0.5), ROUND)
+    places = series(PATH_SHAPES[shape](np.random.default_rng(0), 0.5), ROUND)
     x, y, z = places.T
     assert np.linalg.norm(places, axis=1).max() == pytest.approx(0.5, rel=0.2 if shape == "lemniscate" else 0.01)
     if shape == "circle":
@@ -59,11 +59,11 @@ def test_a_target_starts_from_rest_and_comes_to_an_even_speed():
     rate = np.gradient(path_phase(time, period), time)
     assert path_phase(np.zeros(1), np.ones(1))[0] == 0.0 and abs(rate[0]) < 1e-4
     assert (np.diff(rate) > -1e-9).all() and rate[-1] == pytest.approx(np.pi / 2.0, rel=1e-6)
-    assert rate[time > 2.0 * RAMP * 4.0].min() > 0.9 * np.pi / 2.0
+    assert rate[time > 2.0 * RAMP_FRACTION * 4.0].min() > 0.9 * np.pi / 2.0
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("path", SHAPES)
+@pytest.mark.parametrize("path", PATH_SHAPES)
 def test_the_posture_of_a_moment_holds_the_tip_on_the_path(name, path):
     """At rest: to a ten-thousandth of the reach, with weight to a thousandth; the series of the motors is cut off."""
     env = FlexManEnv(name=name, task=Track(path=path))

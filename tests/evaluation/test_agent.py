@@ -9,9 +9,9 @@ from flexman_gym.control import LQR, PD, TrackingLQR
 from flexman_gym.control.actions import TorqueMode
 from flexman_gym.control.agent import Agent
 from flexman_gym.control.network import Network
-from flexman_gym.envs import NAMED
+from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.episodes import design_mode
+from flexman_gym.envs.episodes import make_base_and_mode
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.evaluation import BASELINES, AgentSpec, evaluate, find_agent, rollout
 from flexman_gym.evaluation.agent import (
@@ -61,7 +61,7 @@ def test_a_policy_is_evaluated_on_the_environment_that_it_was_trained_on(run):
     assert isinstance(policy.law, Network) and isinstance(interface["actions"], TorqueMode)
     assert (interface["sensors"], interface["action_repeat"]) == (["full", "fine"], 5), "which go with the policy"
     gains = {name: getattr(interface["base"], name).tolist() for name in ("stiffness", "damping")}
-    assert gains == {name: list(each) for name, each in NAMED["FlexPlanar-v0"].pd.items()}
+    assert gains == {name: list(each) for name, each in NAMED_ENVIRONMENTS["FlexPlanar-v0"].pd.items()}
     assert setup.base is None and setup.action_repeat == 1
     result = rollout(policy, environment, SEEDS)
     assert result.period == 0.01 and result.lengths.tolist() == [150] * 3
@@ -88,7 +88,7 @@ def test_a_policy_acts_as_in_an_environment_with_its_own_hold_and_base(run):
 
 def test_a_policy_keeps_the_gains_that_it_learned_on(run):
     """Under a condition with another PD, which is the baseline beside it."""
-    learned = NAMED["FlexPlanar-v0"].pd
+    learned = NAMED_ENVIRONMENTS["FlexPlanar-v0"].pd
     delayed = Configuration.find("FlexPlanar-v0/delay")
     assert delayed.gains != learned
     environments = delayed, Configuration("FlexPlanar-v0", {**delayed.settings, "gains": learned})
@@ -153,7 +153,7 @@ def test_random_torques_go_both_ways():
 
 def test_a_controller_of_ones_own_is_an_entrant_like_any_other():
     setup = ONE
-    own = PD(**NAMED[ONE.id].pd, torque_limit=setup.torque_limit)
+    own = PD(**NAMED_ENVIRONMENTS[ONE.id].pd, torque_limit=setup.torque_limit)
     assert fm.evaluate(own, ONE, SEEDS) == fm.evaluate("pd", ONE, SEEDS)
     assert find_agent(own).name == "PD" and find_agent(own).environment is None
 
@@ -314,7 +314,7 @@ def test_an_agent_acts_alike_in_training_live_loaded_and_under_another_agent(con
     trained = FlexManVectorEnv(2, name="FlexPlanar-v0", **described.keywords())
     assert np.array_equal(asked(trained, network, 20), loaded.actions) and np.ptp(loaded.actions) > 0.1
     if sensors == "lab":
-        base, mode = design_mode(trained.setup, trained.batch.model)
+        base, mode = make_base_and_mode(trained.setup, trained.batch.model)
         inner = Agent(trained.setup.sensors, len(trained.sensors.bound), mode, base, 3, 2, network)
         keywords = Configuration.from_plain({"id": "FlexPlanar-v0", **moved, "sensors": []}).keywords()
         outer = FlexManVectorEnv(2, name="FlexPlanar-v0", **keywords, base=inner)

@@ -5,7 +5,7 @@ import pytest
 
 from flexman_gym.__main__ import main
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.dataset import bare_environment, record_dataset, record_episodes
+from flexman_gym.evaluation.dataset import dataset_environment, record_dataset, record_episodes
 from flexman_gym.evaluation.rollout import rollout
 
 ENTRANTS = ("pd", "random", "ppo-flexrrr", "zero")
@@ -38,7 +38,7 @@ def replayed(env, seed, actions):
 def test_episodes_replay_to_the_bit_in_the_single_environment_although_everything_is_noisy(entrant):
     import gymnasium as gym
 
-    bare = bare_environment(NOISY)
+    bare = dataset_environment(NOISY)
     assert not {"base", "action_repeat"} & set(bare.settings)
     env = gym.make(bare.id, **bare.settings)
     for seed, episode in zip(SEEDS, record_episodes((entrant, bare, tuple(SEEDS))), strict=True):
@@ -49,7 +49,7 @@ def test_episodes_replay_to_the_bit_in_the_single_environment_although_everythin
 
 
 def test_actions_are_those_of_the_rollout_as_float32():
-    bare = bare_environment(Configuration("FlexRRR-v0", {"horizon": 0.5}))
+    bare = dataset_environment(Configuration("FlexRRR-v0", {"horizon": 0.5}))
     played = rollout("lqr", bare, list(SEEDS))
     for number, episode in enumerate(record_episodes(("lqr", bare, tuple(SEEDS)))):
         assert np.array_equal(episode["actions"], played.actions[number].astype(np.float32))
@@ -61,7 +61,7 @@ def test_a_dataset_is_read_back_to_the_bit_and_gives_its_environment(datasets, f
     pytest.importorskip("h5py" if form == "hdf5" else "pyarrow")
     record_dataset("random", NOISY, SEEDS, "flexman/random-v0", form)
     data = datasets.load_dataset("flexman/random-v0")
-    known = record_episodes(("random", bare_environment(NOISY), tuple(SEEDS)))
+    known = record_episodes(("random", dataset_environment(NOISY), tuple(SEEDS)))
     env = data.recover_environment()
     assert data.total_episodes == 3 and data.total_steps == sum(len(each["rewards"]) for each in known)
     assert env.spec.id == "FlexRRR-v0" and env.unwrapped.setup.history == 2

@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from flexman_gym.control.input_shaping.shapers import ringing_modes
+from flexman_gym.control.input_shaping.shapers import excited_modes
 from flexman_gym.control.margins import margins, sampled_loop
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.evaluation import rollout
 from flexman_gym.evaluation.diagnosis import (
     CYCLE,
     FAILED,
-    HELP,
     NOISE,
     OFFSET,
+    REMEDIES,
     RINGING,
     TRANSIENT,
     EpisodeEnd,
@@ -107,14 +107,16 @@ def test_what_is_watched_is_what_happened():
             work[1:] - work[0], abs=1e-6
         )
         assert end.loss == pytest.approx(loss[1:]) and np.ptp(work) > 1e-4 < np.ptp(loss)
-        held = ringing_modes(ledger[0][2], ledger[0][1][arm])
+        held = excited_modes(ledger[0][2], ledger[0][1][arm])
         assert modes["mode 1, motors held"] == pytest.approx(held[0, 0])
 
 
 def unstable(scale, stiffness, damping):
     """A PD with its torques beyond the gain that the arm bears with a delay of one period."""
     setup = Configuration("FlexPlanar-v0", {"arm": FLAT})
-    loops = [sampled_loop(build(setup).model, [0.2, each], setup.control_period, 1) for each in (-0.5, 0.0, 0.5)]
+    loops = [
+        sampled_loop(resolve_fidelity(setup).model, [0.2, each], setup.control_period, 1) for each in (-0.5, 0.0, 0.5)
+    ]
     gain = scale * margins(loops, stiffness, damping).gain
     assert gain > scale
     return {
@@ -200,9 +202,9 @@ def test_ringing_is_named_after_the_mode_that_was_bent():
     stiff = {"kind": "pd", "stiffness": [3000.0, 1500.0], "damping": [40.0, 15.0]}
     (found,) = diagnose(stiff, environment, [5])
     frequency, _, cause, name = found.tones[0]
-    held = ringing_modes(build(environment).model, [0.0, 0.0])[0, 0]
+    held = excited_modes(resolve_fidelity(environment).model, [0.0, 0.0])[0, 0]
     assert (cause, name) == (RINGING, "mode 1, motors held") and frequency == pytest.approx(held, rel=0.05)
 
 
 def test_every_cause_has_a_remedy():
-    assert set(HELP) == {RINGING, CYCLE, OFFSET, TRANSIENT, NOISE, FAILED} and all(HELP.values())
+    assert set(REMEDIES) == {RINGING, CYCLE, OFFSET, TRANSIENT, NOISE, FAILED} and all(REMEDIES.values())

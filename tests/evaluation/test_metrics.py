@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation import METRICS, EpisodeRecord, evaluate, rollout, table
+from flexman_gym.evaluation import METRICS, EpisodeRecord, evaluate, metrics_table, rollout
 
 from oracles.records import record
 
@@ -82,7 +82,9 @@ BAND = 0.02 * 0.8 / 8.5  # m, of FlexOne-v0
 
 def rows(names, count=3, settled=2.5):
     """A table of entrants that do the same."""
-    return table({name: [record(settled=settled, error=1e-3, band=BAND)] * count for name in names}, ONE).splitlines()
+    return metrics_table(
+        {name: [record(settled=settled, error=1e-3, band=BAND)] * count for name in names}, ONE
+    ).splitlines()
 
 
 @pytest.mark.parametrize("name", ["pd", "a name of more than twelve letters", "runs/" + 40 * "x", 300 * "long "])
@@ -99,7 +101,7 @@ def test_the_head_says_on_which_environment_all_rows_were_run():
     title, head, *_ = rows(["pd"])
     assert title == "3 episodes of FlexOne-v0 (horizon), the same for all"
     assert f"in {1e3 * BAND:.3g} mm" in head, "the band is a part of the reach"
-    assert "(as it is)" in table({"pd": [record()]}, Configuration())
+    assert "(as it is)" in metrics_table({"pd": [record()]}, Configuration())
 
 
 def test_what_has_not_settled_is_a_dash():
@@ -107,7 +109,7 @@ def test_what_has_not_settled_is_a_dash():
 
 
 def test_a_task_that_does_not_settle_is_judged_by_its_rms_error():
-    text = table({"pd": [record()]}, Configuration("FlexRRR-Track-v0"))
+    text = metrics_table({"pd": [record()]}, Configuration("FlexRRR-Track-v0"))
     assert "RMS error, mm" in text and "settling, s" not in text
 
 
@@ -116,7 +118,7 @@ def test_every_figure_stands_below_its_name():
     numbers = (2.5, 0.001, 0.0004, ""), (3.5, 0.002, 0.0005, ""), (np.inf, 0.003, 0.0006, "rate")
     made = [record(100.0, time, vibration, error, 0.25, failure, band=BAND)
             for time, vibration, error, failure in numbers]  # fmt: skip
-    head, line, caption = table({"pd": made}, ONE).splitlines()[1:4]
+    head, line, caption = metrics_table({"pd": made}, ONE).splitlines()[1:4]
     result = dict(zip(re.split(r" {2,}", head), re.split(r" {2,}", line), strict=True))
     assert result == {
         "entrant": "pd", "reward": "100.0", f"in {1e3 * BAND:.3g} mm": "67%", "settling, s": "3.5 (2.5 to -)",

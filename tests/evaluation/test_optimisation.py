@@ -16,9 +16,9 @@ from oracles.assertions import refusal
 def test_loops_of_a_servo_for_which_gains_are_looked_for_have_its_drive_in_them():
     """Of an arm of one's own, for which nothing is tuned yet; an agent that holds its actions changes nothing."""
     given = {"id": "FlexPlanar-v0", "arm": {"catalog": "planar_2r"}, "torque_limit": 2.0, "control_period": 0.005}
-    plain = optimisation.environment_loops(Configuration.from_plain(given))
+    plain = optimisation.motor_loops(Configuration.from_plain(given))
     servo = {"actions": "position", "action_repeat": 4, "drive_bandwidth": 20.0}
-    lagging = optimisation.environment_loops(Configuration.from_plain(given | servo))
+    lagging = optimisation.motor_loops(Configuration.from_plain(given | servo))
     for loop, late in zip(plain, lagging, strict=True):
         assert len(late.transition) == len(loop.transition) + 2
         radii = [spectral_radius(each, [5.0, 2.0], [1.0, 0.4]) for each in (loop, late)]

@@ -15,7 +15,7 @@ from flexman_gym.control.base_controllers import BASES
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import find_agent, policy_files, rollout
 from flexman_gym.evaluation.agent import load_policy
-from flexman_gym.evaluation.agent_info import check_unseen, required_information, training_seconds
+from flexman_gym.evaluation.agent_info import check_seeds_unseen, required_information, training_seconds
 from flexman_gym.evaluation.policy_files import (
     ABOUT,
     ARRAYS,
@@ -76,8 +76,8 @@ def test_it_acts_as_the_network_from_which_it_was_made(folder):
 
 def test_the_league_is_told_of_it_what_it_is_told_of_a_run(folder):
     assert required_information(str(folder)) == ("training", "true state") and training_seconds(str(folder)) == 2.0
-    check_unseen(str(folder), range(9000, 9100))
-    assert "trained nor chosen on the seed 4000001" in refusal(check_unseen, str(folder), [4_000_001])
+    check_seeds_unseen(str(folder), range(9000, 9100))
+    assert "trained nor chosen on the seed 4000001" in refusal(check_seeds_unseen, str(folder), [4_000_001])
 
 
 def test_what_its_base_knows_it_needs_too(tmp_path):

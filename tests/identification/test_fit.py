@@ -8,7 +8,7 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.identification.fit import r_squared
-from flexman_gym.identification.measurement import Response
+from flexman_gym.identification.measurement import SimulatedResponse
 from flexman_gym.simulation.parameters import PARAMETERS, varied_arm, varied_model
 
 from oracles.assertions import refusal
@@ -164,7 +164,7 @@ def test_the_accelerometer_of_a_record_is_that_of_the_tip():
     record = replace(pushed(), inputs={"torque_1": torque}, hold="linear")
     names = ("tip_acceleration_y", "specific_force_y", "tip_y")
     both = replace(record, outputs=dict.fromkeys(names, TIMES))
-    response = Response(fm.catalog.one_joint(), both, 0.0025)
+    response = SimulatedResponse(fm.catalog.one_joint(), both, 0.0025)
     model = fm.build_model(response.scene.arm, **CHOICE)
     shown = response.signals(model, {"payload_mass": np.array([0.05, 0.08])})
     bent = np.diff(shown[:, 2], 2) / PERIOD**2

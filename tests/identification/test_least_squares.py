@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 import flexman_gym as fm
 from flexman_gym.identification.fit import SPREAD, _best, _covariance, _memory, _misfit, _poor
 from flexman_gym.identification.least_squares import FreeParameters, LeastSquaresProblem, ResidualBlock
-from flexman_gym.identification.measurement import Response
+from flexman_gym.identification.measurement import SimulatedResponse
 from flexman_gym.identification.ringing import Ringing
 from flexman_gym.model.dynamics import frequencies
 
@@ -22,7 +22,7 @@ TIMES = PERIOD * np.arange(121)
 def problem_of(*records, free="joint_stiffness", corner=""):
     arm = fm.catalog.one_joint()
     return LeastSquaresProblem(
-        FreeParameters(arm, free), [], [Response(arm, each, None) for each in records], CHOICE, corner
+        FreeParameters(arm, free), [], [SimulatedResponse(arm, each, None) for each in records], CHOICE, corner
     )
 
 
@@ -81,7 +81,7 @@ def test_every_torque_of_a_record_drives_the_arm(hold):
     )  # fmt: skip
     flexible = (False,) * 2
     model = fm.build_model(arm, 1, flexible_links=False)
-    shown = Response(arm, record, None).signals(model, {"payload_mass": model.constants.payload_mass[:1]})[0]
+    shown = SimulatedResponse(arm, record, None).signals(model, {"payload_mass": model.constants.payload_mass[:1]})[0]
     scene = fm.Scene(
         arm, fm.ModelChoice(flexible, (1, 1)), fm.SampledTorque(TIMES, torques, hold),
         fm.Initial([0.0] * 2, [0.0] * 2), TIMES[-1], PERIOD,
@@ -148,7 +148,7 @@ def test_an_arm_rests_at_first_where_it_is_said_to():
     record = fm.Measurement(TIMES, {}, {"motor_angle_1": 0.2 + 0.0 * TIMES})
     model = fm.build_model(fm.catalog.one_joint(), **CHOICE)
     for start, angle in ((None, 0.2), ([0.5], 0.5)):
-        response = Response(model.arm, replace(record, start=start), None)
+        response = SimulatedResponse(model.arm, replace(record, start=start), None)
         shown = response.signals(model, {"payload_mass": model.constants.payload_mass[:1]})[0, 0]
         assert shown == pytest.approx(np.full(len(TIMES), angle), abs=1e-9)
 
@@ -156,7 +156,7 @@ def test_an_arm_rests_at_first_where_it_is_said_to():
 def signals_of(arm, record):
     """What a rigid arm shows in place of the outputs of a record, by name."""
     model = fm.build_model(arm, 1, flexible_links=False)
-    shown = Response(arm, record, None).signals(model, {"payload_mass": model.constants.payload_mass[:1]})[0]
+    shown = SimulatedResponse(arm, record, None).signals(model, {"payload_mass": model.constants.payload_mass[:1]})[0]
     return dict(zip(record.outputs, shown, strict=True))
 
 
@@ -188,7 +188,9 @@ def test_a_signal_passes_all_of_its_filters():
     both = turned((BENT,)), replace(turned((BENT,)), filters={BENT: filters})
     model = fm.build_model(fm.catalog.one_joint(), **CHOICE)
     bare, shown = (
-        Response(model.arm, each, None).signals(model, {"payload_mass": model.constants.payload_mass[:1]})[0, 0]
+        SimulatedResponse(model.arm, each, None).signals(model, {"payload_mass": model.constants.payload_mass[:1]})[
+            0, 0
+        ]
         for each in both
     )
     assert shown == pytest.approx(filters[1].applied(filters[0].applied(bare, PERIOD), PERIOD), abs=1e-12)

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 import flexman_gym
-from flexman_gym.kernels import arms as kernels
-from flexman_gym.kernels.cache import ChecksummedFiles, find_folder, is_quiet
+from flexman_gym.kernels import batch as kernels
+from flexman_gym.kernels.cache import ChecksummedFiles, find_cache_folder, is_quiet
 
 from oracles.small_package import CALL, copied, process, run
 
@@ -89,7 +89,7 @@ def here(tmp_path_factory):
 @cache
 def elsewhere(file, way):
     """What the script prints in a process of its own that has the same folder of kernels."""
-    folder = next(each for each in Path(kernels.advance_arms.stats.cache_path).parents if each.name == "flexman_gym")
+    folder = next(each for each in Path(kernels.advance_batch.stats.cache_path).parents if each.name == "flexman_gym")
     root = Path(flexman_gym.__file__).parents[1]
     environment = os.environ | {"PYTHONPATH": str(root), "NUMBA_CACHE_DIR": str(folder.parent)}
     command = [sys.executable, str(file), way]
@@ -273,27 +273,27 @@ def test_settings_that_change_the_code_have_a_folder_of_their_own(package, cache
 @pytest.mark.parametrize("name", ["OPT", "CPU_NAME", "CPU_FEATURES", "ENABLE_AVX", "LOOP_VECTORIZE", "SLP_VECTORIZE"])
 def test_every_setting_of_the_code_makes_another_folder(tmp_path, monkeypatch, name):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    before = find_folder()
+    before = find_cache_folder()
     monkeypatch.setattr(numba.config, name, "another")
-    assert find_folder() != before
+    assert find_cache_folder() != before
 
 
 @pytest.mark.parametrize("mode", [0o770, 0o707, 0o777])
 def test_a_folder_in_which_the_group_or_all_may_write_is_emptied(tmp_path, monkeypatch, mode):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    folder = Path(find_folder())
+    folder = Path(find_cache_folder())
     (folder / "theirs").write_text("")
     folder.chmod(mode)
-    assert find_folder() == str(folder) and not list(folder.iterdir())
+    assert find_cache_folder() == str(folder) and not list(folder.iterdir())
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
 
 
 def test_the_folder_for_numba_goes_before_the_one_for_everything(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "numba"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "all"))
-    assert Path(find_folder()).is_relative_to(tmp_path / "numba")
+    assert Path(find_cache_folder()).is_relative_to(tmp_path / "numba")
     monkeypatch.delenv("NUMBA_CACHE_DIR")
-    assert Path(find_folder()).is_relative_to(tmp_path / "all")
+    assert Path(find_cache_folder()).is_relative_to(tmp_path / "all")
 
 
 @pytest.mark.parametrize(("value", "silent"), [("1", True), ("yes", True), ("0", False), ("", False)])

@@ -6,12 +6,12 @@ from numpy.testing import assert_array_equal
 
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.control_period import (
-    advance_ages,
     all_within,
+    apply_actions,
     close_period,
+    count_episode_periods,
     flag_violations,
     full_observation,
-    request_torques,
 )
 from flexman_gym.kernels.outputs import update_energy_scale
 
@@ -73,7 +73,7 @@ def test_torques_reach_the_motors_and_who_is_not_playing_keeps_what_was_asked():
     actions, arriving, before = random.uniform(-1.0, 1.0, (3, 2, joints))
     limits, drive, efforts = random.uniform(1.0, 9.0, (2, joints)), np.full((2, joints + 6), 7.0), np.full(2, 7.0)
     asked = before.copy()
-    request_torques(actions, arriving, limits, np.array([True, False]), drive, asked, efforts)
+    apply_actions(actions, arriving, limits, np.array([True, False]), drive, asked, efforts)
     assert np.array_equal(drive[:, :joints], arriving * limits) and (drive[:, joints:] == 7.0).all()
     assert np.array_equal(asked, [actions[0], before[1]])
     assert efforts.tolist() == [pytest.approx(np.mean(actions[0] ** 2), rel=1e-15), 7.0]
@@ -90,5 +90,5 @@ def test_a_period_counts_for_who_has_not_failed():
 
 def test_an_episode_lasts_so_many_periods_that_its_arm_played():
     ages, over = np.array([1, 1, 2]), np.array([False, True, False])
-    ended = [advance_ages(ages, np.array([True, False, True]), 3, over) for _ in range(2)]
+    ended = [count_episode_periods(ages, np.array([True, False, True]), 3, over) for _ in range(2)]
     assert ages.tolist() == [3, 1, 4] and over.tolist() == [True, False, True] and ended == [1, 2]

@@ -85,7 +85,7 @@ def test_accelerations_allocate_no_more_for_a_longer_arm(links, counting):
     for kernel, arguments in (
         (dynamics.accelerations, (x, x, torque, out)),
         (inverse.inertial_forces, (x, x, x, out)),
-        (outputs.observe, (x, x, row)),
+        (outputs.compute_outputs, (x, x, row)),
         (outputs.tip_accelerations, (x, x, torque, row)),
     ):
         kernel(model.constants, work, *arguments)
@@ -119,7 +119,7 @@ def test_the_kernels_come_from_the_cache_in_another_process():
 
 
 def test_binaries_lie_in_the_folder_of_these_sources():
-    assert dynamics.accelerations.stats.cache_path.startswith(kernels.FOLDER)
+    assert dynamics.accelerations.stats.cache_path.startswith(kernels.CACHE_FOLDER)
     files = {path.name for path in SOURCES.glob("*.py")}
     assert files == {f"{name}.py" for name in (*kernels.__all__, "__init__", "cache")}
 

@@ -84,15 +84,15 @@ def test_what_is_nearer_hides_what_is_farther_in_either_order(nearest):
 @pytest.mark.parametrize("angle", [0.0, 0.2, 0.5])
 def test_light_of_the_sun_falls_on_what_faces_it(angle):
     """All lamps by the cosine to the normal, and a highlight by its power of 32 where the eye is before the sun."""
-    sun, other = np.array(raster.SUN), np.array(raster.OPPOSITE)
+    sun, other = np.array(raster.KEY_DIRECTION), np.array(raster.FILL_DIRECTION)
     sun, direction = sun / np.linalg.norm(sun), 1e9 * sun
     across = np.cross(sun, (0.0, 0.0, 1.0))
     normal, share = np.cos(angle) * sun + np.sin(angle) * across / np.linalg.norm(across), np.cos(angle)
-    factor = raster.AMBIENT + raster.HIGH * normal[2] + raster.KEY * share + raster.FILL * max(normal @ other, 0.0)
+    factor = raster.AMBIENT + raster.SKY * normal[2] + raster.KEY * share + raster.FILL * max(normal @ other, 0.0)
     expected = factor * np.array([100.0, 50.0, 20.0]) + 255.0 * raster.GLOSS * share**32
     expected -= 80.0 * raster.RIM * (1.0 - share) ** 3
     assert np.abs(shaded(7.0 * normal, (100.0, 50.0, 20.0), direction)[3, 3] - expected).max() < 1.1
-    factor = raster.AMBIENT - raster.HIGH * sun[2] + raster.FILL * max(-sun @ other, 0.0)
+    factor = raster.AMBIENT - raster.SKY * sun[2] + raster.FILL * max(-sun @ other, 0.0)
     away = factor * np.array([100.0, 50.0, 20.0]) - 80.0 * raster.RIM
     assert np.abs(shaded(-sun, (100.0, 50.0, 20.0), direction)[3, 3] - np.maximum(away, 0.0)).max() < 1.1
 

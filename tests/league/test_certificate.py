@@ -59,7 +59,7 @@ def test_scenarios_are_run_as_their_names_say_and_kept_beside_the_policy(folder,
         expected = fm.evaluate("pd", Configuration("FlexPlanar-v0", {**DESCRIBED.settings, **changes}), SEEDS)
         shown = {each: expected[each] if np.isfinite(expected[each]) else None for each in METRIC_NAMES}
         assert {each: found[name][each] for each in METRIC_NAMES} == shown, name
-    draws = range(certificate.FIRST_DRAW, certificate.FIRST_DRAW + 6)
+    draws = range(certificate.SEARCH_SEED, certificate.SEARCH_SEED + 6)
     rewards = {seed: fm.evaluate("pd", DESCRIBED, [seed])["reward"] for seed in draws}
     assert [each["seed"] for each in search["worst"]] == sorted(draws, key=rewards.__getitem__)[:5]
     assert len(result["fails"]) == sum(bool(row["fails"]) for row in result["rows"])
@@ -248,7 +248,7 @@ def test_a_cell_of_a_certificate_is_the_episode_of_the_policy_in_its_own_changed
                   "stiffness": ("joint_stiffness_factor", "link_stiffness_factor")}  # fmt: skip
         settings = {"friction": lambda: {"arm": Configuration.find(f"{own.id}/friction").settings["arm"]},
                     "method": lambda: {"method": value, "step": find_scenario(scenario).environment.step},
-                    }.get(known, lambda: {"randomisation": scenarios.drawn_ranges(own) | dict.fromkeys(ranges[known],
+                    }.get(known, lambda: {"randomisation": scenarios.randomised_ranges(own) | dict.fromkeys(ranges[known],
                         span)})()  # fmt: skip
         changed = own.replace(**settings)
     given = changed if scenario.endswith("+given") or "method" in change else own

@@ -9,12 +9,12 @@ import pytest
 
 import flexman_gym.league.rows as league
 from flexman_gym.control.base_controllers import BASES
-from flexman_gym.control.references.optimised_slews import SHIPPED, SlewTable
+from flexman_gym.control.references.optimised_slews import SHIPPED_TABLE, SlewTable
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import METRICS, agent_info, rollout
 from flexman_gym.evaluation.agent import BASELINES
 from flexman_gym.evaluation.agent_info import (
-    check_unseen,
+    check_seeds_unseen,
     describe_agent,
     is_realisable,
     required_information,
@@ -22,13 +22,13 @@ from flexman_gym.evaluation.agent_info import (
 )
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, EpisodeRecord, training_seed
 from flexman_gym.league.rows import (
-    MULTIPLE,
     ROWS,
+    TIME_RATIO,
     VALUES,
     EpisodeBlock,
     LeagueRows,
     equivalent_damping,
-    optimised_times,
+    optimised_settling_times,
     run_block,
     run_league,
 )
@@ -71,7 +71,7 @@ def test_rows_hold_the_figures_of_a_rollout_to_the_bit(scenario, tmp_path):
         records = rollout(agent, scenario, SEEDS).records
         for name, figure in METRICS.items():
             assert [float(row[name]) for row in ours] == figure.each(records).tolist(), name
-    assert all(row[MULTIPLE] == "nan" for row in rows), "no table has slews of this one"
+    assert all(row[TIME_RATIO] == "nan" for row in rows), "no table has slews of this one"
 
 
 def test_rows_are_the_same_in_repeats_and_over_two_processes(scenario, tmp_path, small_blocks):
@@ -290,7 +290,7 @@ def test_the_multiple_is_the_settling_time_in_those_of_the_slew(scenario, monkey
     monkeypatch.setattr(league, "rollout", lambda *_, **__: SimpleNamespace(records=[record] * 2, lengths=[300] * 2))
     monkeypatch.setattr(league, "optimised_times", lambda environment: {9000: 0.5})
     _, rows = run_block(EpisodeBlock("", "zero", scenario, 9000, 9002))
-    multiples = [row.values[VALUES.index(MULTIPLE)] for row in rows]
+    multiples = [row.values[VALUES.index(TIME_RATIO)] for row in rows]
     assert multiples == pytest.approx([2.0, np.nan], nan_ok=True)
 
 
@@ -372,16 +372,16 @@ def test_a_watch_keeps_starts_and_actions_apart(monkeypatch):
 
 
 def test_times_of_slews_belong_to_the_environment_of_their_table():
-    table = SlewTable.load(SHIPPED)
-    assert optimised_times(Configuration("FlexRRR-v0")) == {
+    table = SlewTable.load(SHIPPED_TABLE)
+    assert optimised_settling_times(Configuration("FlexRRR-v0")) == {
         seed: table.settling_time(seed) for seed in range(9000, 9100)
     }
-    assert all(optimised_times(find_scenario(each).environment) == {} for each in USUAL_SCENARIOS[1:])
+    assert all(optimised_settling_times(find_scenario(each).environment) == {} for each in USUAL_SCENARIOS[1:])
 
 
 def test_the_multiple_is_that_of_the_optimised_slew():
     """Whose own is 1."""
-    at = VALUES.index(MULTIPLE)
+    at = VALUES.index(TIME_RATIO)
     for agent in ("optimised", "lqr-tracking"):
         rows = run_block(EpisodeBlock("", agent, "FlexRRR-v0", 9000, 9003))[1]
         multiples = np.array([row.values[at] for row in rows])
@@ -453,13 +453,13 @@ def test_a_run_that_has_seen_a_seed_of_the_test_is_refused(tmp_path):
         return str(tmp_path)
 
     first = training_seed(3)
-    check_unseen(run(), range(9000, 9100))
-    check_unseen(run(), [first - 1, first + 4, SELECTION_SEEDS.start - 1, SELECTION_SEEDS.stop])
-    check_unseen(run(judge_every=0), SELECTION_SEEDS)
+    check_seeds_unseen(run(), range(9000, 9100))
+    check_seeds_unseen(run(), [first - 1, first + 4, SELECTION_SEEDS.start - 1, SELECTION_SEEDS.stop])
+    check_seeds_unseen(run(judge_every=0), SELECTION_SEEDS)
     for seen in ([first], [first + 3], [*range(9000, 9100), SELECTION_SEEDS.start], [SELECTION_SEEDS.stop - 1]):
-        line = refusal(check_unseen, run(), seen)
+        line = refusal(check_seeds_unseen, run(), seen)
         assert f"neither trained nor chosen on the seed {seen[-1]}, which is one of the test" in line
-    assert "a run whose settings.json say seed" in refusal(check_unseen, run(seed=None), range(9000, 9100))
+    assert "a run whose settings.json say seed" in refusal(check_seeds_unseen, run(seed=None), range(9000, 9100))
     assert "neither trained nor chosen" in refusal(
         run_league, [run()], ["FlexOne-v0"], SELECTION_SEEDS, tmp_path / "league"
     )

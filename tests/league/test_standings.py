@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flexman_gym.evaluation.agent import BASELINES
-from flexman_gym.league.page import CHART, PAGE, conclusion, page_text, write_page
+from flexman_gym.league.page import CHART, PAGE, page_text, recommendation, write_page
 from flexman_gym.league.rows import VALUES, EpisodeBlock, EpisodeRow, LeagueRows
 from flexman_gym.league.scenarios import LAB_SCENARIO
 from flexman_gym.league.standings import Standings
@@ -85,15 +85,15 @@ def test_the_one_to_take_settles_most_and_first_and_is_told_no_truth():
     times["lqg", FRICTION] = np.inf
     known = standing(scenarios=(NOMINAL, UNKNOWN, LAB_SCENARIO, FRICTION), settled=times)
     assert known.buildable(LAB_SCENARIO) == ["lqg", "pd"]
-    said = conclusion(known)
+    said = recommendation(known)
     assert said.startswith("Take `lqg` for an arm whose payload, stiffness and delay nobody knows")
     for words in ("settles 100 % of the episodes, half of them within 4.00 s", "needs to know: model",
                   "An action takes 12 microseconds, and the start of an episode 3 ms", "is `pd`. It settles 0 % of",
                   "told everything needs 3.00 s", "breaks in `friction`"):  # fmt: skip
         assert words in said, words
     quicker = standing(settled={("pd", LAB_SCENARIO): 2.9})
-    assert quicker.buildable(LAB_SCENARIO) == ["pd", "lqg"] and "breaks in none" in conclusion(quicker)
-    assert "Nobody who could act" in conclusion(standing(scenarios=(NOMINAL,)))
+    assert quicker.buildable(LAB_SCENARIO) == ["pd", "lqg"] and "breaks in none" in recommendation(quicker)
+    assert "Nobody who could act" in recommendation(standing(scenarios=(NOMINAL,)))
 
 
 def test_no_cell_of_the_page_is_empty_without_a_sentence(tmp_path):

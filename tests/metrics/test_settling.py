@@ -5,14 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flexman_gym.metrics import (
-    MOVE_BANDS,
-    attained_distances,
-    band_of_move,
-    final_error,
-    overshoot,
-    settling_time,
-)
+from flexman_gym.metrics import MOVE_BANDS, attained_distances, final_error, move_band, overshoot, settling_time
 
 from oracles.assertions import refusal
 
@@ -127,9 +120,9 @@ def test_the_attained_position_is_where_the_tip_came_to_rest_not_its_target():
 def test_bands_of_a_move_are_parts_of_its_distance():
     errors = np.linspace(2.0, 0.0, 501)
     assert MOVE_BANDS == (0.01, 0.05)
-    assert [band_of_move(errors, part) for part in MOVE_BANDS] == pytest.approx([0.02, 0.1])
+    assert [move_band(errors, part) for part in MOVE_BANDS] == pytest.approx([0.02, 0.1])
     errors = 2.0 * np.exp(-TIME)
-    result = [settling_time(errors, band_of_move(errors, part), PERIOD) for part in MOVE_BANDS]
+    result = [settling_time(errors, move_band(errors, part), PERIOD) for part in MOVE_BANDS]
     assert result == pytest.approx(PERIOD * np.ceil(-np.log(MOVE_BANDS) / PERIOD))
 
 
@@ -146,8 +139,8 @@ def test_bands_of_a_move_are_parts_of_its_distance():
         (lambda: attained_distances(np.zeros(9), 0.1), "tips: array([0., 0., 0., 0., 0., 0., 0., 0., 0.]) is not allo"),
         (lambda: attained_distances(np.full((2, 3), np.nan), 0.1), "tips: array([[nan, nan, nan], [nan, nan, nan]]) "),
         (lambda: attained_distances(np.zeros((2, 3)), 0.0), "period: 0.0 is not allowed; give a finite number > 0 (s)"),
-        (lambda: band_of_move(np.zeros(9), 0.01), "errors[0]: 0.0 is not allowed; give a finite number > 0 (m)"),
-        (lambda: band_of_move(np.ones(9), 5.0), "part: 5.0 is not allowed; give a number > 0 and < 1"),
+        (lambda: move_band(np.zeros(9), 0.01), "errors[0]: 0.0 is not allowed; give a finite number > 0 (m)"),
+        (lambda: move_band(np.ones(9), 5.0), "part: 5.0 is not allowed; give a number > 0 and < 1"),
         (lambda: final_error(np.zeros(9), 0.0), "period: 0.0 is not allowed; give a finite number > 0 (s)"),
     ],
 )

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flexman_gym.metrics import damping_ratio, energy_left, peak_to_peak, residual_vibration
+from flexman_gym.metrics import damping_ratio, peak_to_peak, remaining_energy, residual_vibration
 
 from oracles.assertions import refusal
 
@@ -122,14 +122,14 @@ def test_what_does_not_vibrate_has_no_damping_ratio(signal):
 
 def test_the_energy_left_is_the_part_of_the_largest_or_of_the_first():
     energies = np.array([2.0, 8.0, 0.5, 1.0])
-    assert energy_left(energies) == 1 / 8 and energy_left(energies, of="first") == 1 / 2
-    assert energy_left(np.array([3.0])) == 1.0 and energy_left(np.array([1.0, 0.0])) == 0.0
+    assert remaining_energy(energies) == 1 / 8 and remaining_energy(energies, of="first") == 1 / 2
+    assert remaining_energy(np.array([3.0])) == 1.0 and remaining_energy(np.array([1.0, 0.0])) == 0.0
 
 
 @given(st.floats(0.001, 0.1), st.floats(0.5, 5.0))
 def test_the_energy_of_a_damped_mode_falls_by_twice_its_rate(ratio, frequency):
     rate = 2 * np.pi * frequency * ratio
-    assert energy_left(7.0 * np.exp(-2 * rate * TIME)) == pytest.approx(np.exp(-20.0 * rate))
+    assert remaining_energy(7.0 * np.exp(-2 * rate * TIME)) == pytest.approx(np.exp(-20.0 * rate))
 
 
 NINE = np.zeros((9, 3))
@@ -149,10 +149,19 @@ NINE = np.zeros((9, 3))
         (lambda: damping_ratio(np.zeros(2)), "signal: array([0., 0.]) is not allowed; give at least 3 samples"),
         (lambda: damping_ratio(np.full(3, np.nan)), "signal: array([nan, nan, nan]) is not allowed; give finite numb"),
         (lambda: damping_ratio(NINE), "signal: array([[0., 0., 0.], "),
-        (lambda: energy_left(np.zeros(3)), "energies: array([0., 0., 0.]) is not allowed; give numbers >= 0 (J), of"),
-        (lambda: energy_left(np.array([0.0, 1.0]), "first"), "energies: array([0., 1.]) is not allowed; give numbers"),
-        (lambda: energy_left(np.array([1.0, -1.0])), "energies: array([ 1., -1.]) is not allowed; give numbers >= 0"),
-        (lambda: energy_left(np.ones(3), "last"), "of: 'last' is not allowed; give one of largest, first"),
+        (
+            lambda: remaining_energy(np.zeros(3)),
+            "energies: array([0., 0., 0.]) is not allowed; give numbers >= 0 (J), of",
+        ),
+        (
+            lambda: remaining_energy(np.array([0.0, 1.0]), "first"),
+            "energies: array([0., 1.]) is not allowed; give numbers",
+        ),
+        (
+            lambda: remaining_energy(np.array([1.0, -1.0])),
+            "energies: array([ 1., -1.]) is not allowed; give numbers >= 0",
+        ),
+        (lambda: remaining_energy(np.ones(3), "last"), "of: 'last' is not allowed; give one of largest, first"),
     ],
 )
 def test_bad_arrays_and_times_are_refused_in_one_line(call, line):

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from scipy.spatial.transform import Rotation
 
 import flexman_gym as fm
-from flexman_gym.envs.config.named_environments import NAMED
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.kernels import layout, outputs
-from flexman_gym.model.deformation import gauge_radii, root_gauges, rotation_matrices
+from flexman_gym.model.deformation import gauge_radii, root_strain_matrix, rotation_matrices
 from flexman_gym.model.dynamics import stiffness_matrix
 
 from oracles.chains import QUICK, samples
@@ -72,7 +72,7 @@ def test_strain_holds_the_elastic_energy_of_the_links(sample):
             twist = fm.curvature(model, state, i, place)[0]
             energy += weight * link.shear_modulus * link.torsion_constant * twist**2 / 2
     row = np.zeros(layout.OUTPUTS)
-    outputs.observe(model.constants, layout.make_work(model.constants), x, v, row)
+    outputs.compute_outputs(model.constants, layout.make_work(model.constants), x, v, row)
     assert energy == pytest.approx(row[layout.LINK_ENERGY], rel=1e-7)
 
 
@@ -114,7 +114,7 @@ POINTS = 7
 def tip(model, state):
     """Where the kernels put the tip."""
     row, d = np.zeros(layout.OUTPUTS), model.n_dof
-    outputs.observe(model.constants, layout.make_work(model.constants), state[:d].copy(), state[d:].copy(), row)
+    outputs.compute_outputs(model.constants, layout.make_work(model.constants), state[:d].copy(), state[d:].copy(), row)
     return row[layout.TIP]
 
 
@@ -141,9 +141,12 @@ def test_a_chain_ends_at_its_tip_and_its_links_join(sample):
 
 
 @pytest.mark.parametrize("stiffening", [False, True])
-@pytest.mark.parametrize("name", NAMED)
+@pytest.mark.parametrize("name", NAMED_ENVIRONMENTS)
 def test_the_arm_of_every_environment_ends_at_its_tip(name, stiffening):
-    model, random = fm.build_model(NAMED[name].arm(), modes=4, stiffening=stiffening), np.random.default_rng(0)
+    model, random = (
+        fm.build_model(NAMED_ENVIRONMENTS[name].arm(), modes=4, stiffening=stiffening),
+        np.random.default_rng(0),
+    )
     states = random.normal(0.0, 0.1, (20, 2 * model.n_dof))
     ends = fm.curves(model, states, 5).positions[:, -1, -1]
     assert np.allclose(ends, [tip(model, state) for state in states], rtol=0.0, atol=1e-12)
@@ -177,7 +180,7 @@ def test_a_torque_at_the_tip_twists_a_cantilever_by_the_right_hand():
 @given(samples(most_links=3))
 def test_curvatures_and_strains_are_those_of_one_place_after_another(sample):
     state, model = np.concatenate(sample.state()), sample.model
-    result, gauges = fm.curves(model, state, 4), (state @ root_gauges(model)).reshape(-1, 3)
+    result, gauges = fm.curves(model, state, 4), (state @ root_strain_matrix(model)).reshape(-1, 3)
     assert result.strains[:, 0, 1:] == pytest.approx(gauges, rel=1e-9, abs=1e-15)
     for i, link in enumerate(sample.arm.links):
         for j, place in enumerate(np.linspace(0.0, link.length, 4)):

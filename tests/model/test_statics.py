@@ -29,7 +29,7 @@ def observed(model, state):
     """The output row of the kernels at a state."""
     row = np.zeros(layout.OUTPUTS)
     x, v = np.split(state, 2)
-    outputs.observe(model.constants, layout.make_work(model.constants), x, v, row)
+    outputs.compute_outputs(model.constants, layout.make_work(model.constants), x, v, row)
     return row
 
 

@@ -28,7 +28,7 @@ def stiffened(sample):
 def observed(model, x, v):
     """The output row (OUTPUTS,) at coordinates and speeds."""
     out = np.zeros(layout.OUTPUTS)
-    outputs.observe(model.constants, layout.make_work(model.constants), x, v, out)
+    outputs.compute_outputs(model.constants, layout.make_work(model.constants), x, v, out)
     return out
 
 

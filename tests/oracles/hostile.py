@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 
 import flexman_gym as fm
-from flexman_gym.common.run_folder import read_data
+from flexman_gym.common.run_folder import read_npz
 from flexman_gym.common.time_series import read_time_series
 from flexman_gym.control.normalisation import RunningMeanStd
 from flexman_gym.control.references.optimised_slews import SlewTable
-from flexman_gym.draw.evaluation import read_progress
+from flexman_gym.draw.learning_curves import read_progress
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.agent_info import training_seconds
@@ -42,7 +42,7 @@ READERS = {  # name of the file -> what reads it, of its path
     "episode.npz": Episode.load,
     "table.npz": SlewTable.load,
     "scales.npz": RunningMeanStd.load,
-    "newest.npz": read_data,
+    "newest.npz": read_npz,
     "settings.json": lambda path: find_agent(str(path.parent)),
     ABOUT: lambda path: read_policy(path.parent),
     ARRAYS: lambda path: read_policy(with_about(path.parent)),

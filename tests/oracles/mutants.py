@@ -52,11 +52,11 @@ def policy():
     """The files of a policy that has not learned yet."""
     from flexman_agents.sb3 import make_model
     from flexman_agents.training import policy_state
-    from flexman_gym.common.run_folder import NEWEST, SETTINGS, write_data
+    from flexman_gym.common.run_folder import NEWEST, SETTINGS, write_npz
 
     settings = RUNS["ppo"]
     with tempfile.TemporaryDirectory() as folder:
-        write_data(Path(folder) / NEWEST, policy_state(make_model(settings)) | {"settings": settings.plain()})
+        write_npz(Path(folder) / NEWEST, policy_state(make_model(settings)) | {"settings": settings.plain()})
         newest = (Path(folder) / NEWEST).read_bytes()
     return {SETTINGS: json.dumps(settings.plain(), indent=1).encode(), NEWEST: newest}
 

@@ -5,9 +5,9 @@ import numpy as np
 from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.observers.observer import make_measurement_model
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_plant
-from flexman_gym.model.linearization import INSTRUMENTS, LinearReadings
+from flexman_gym.model.linearization import LINEAR_SENSORS, LinearMeasurements
 from flexman_gym.model.statics import rest_states
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.parameters import PARAMETERS, UNCERTAIN
@@ -18,7 +18,7 @@ SMALL = {"elements": 1, "modes": 1}
 def small_plant(name="FlexOne-v0", randomisation=None, **settings):
     """The plant of a named environment with few coordinates."""
     setup = Configuration.from_keywords({"name": name, **SMALL, "randomisation": randomisation, **settings})
-    return make_plant(setup, build(setup).model)
+    return make_plant(setup, resolve_fidelity(setup).model)
 
 
 def drawn_parameters(plant, arms, random):
@@ -47,7 +47,7 @@ class Bench:
         self.batch.reset(np.arange(arms), rest_states(plant.model, self.start))
         self.past, self.applied = np.zeros((1 + np.max(delays), arms, n)), np.zeros((arms, n))
         self.randoms = [np.random.default_rng([seed, arm]) for arm in range(arms)]
-        self.read, self.force = LinearReadings(plant.model), np.zeros(3)
+        self.read, self.force = LinearMeasurements(plant.model), np.zeros(3)
 
     def readings(self):
         """What instruments read now; the noise of each arm is its own."""
@@ -90,14 +90,14 @@ def pushes(random, periods, arms, n, held=8):
     return random.uniform(-0.7, 0.7, (periods // held + 1, arms, n)).repeat(held, axis=0)[:periods]
 
 
-ALL = tuple(INSTRUMENTS)
+ALL = tuple(LINEAR_SENSORS)
 POSTURES = np.array([[0.4, -0.7], [-1.2, 0.5], [0.9, 1.3]])
 
 
 def plant(name="FlexPlanar-v0", **changes):
     """What is told of a named environment, with changes."""
     setup = Configuration.from_keywords({"name": name})
-    return make_plant(setup, build(setup).model)._replace(**changes)
+    return make_plant(setup, resolve_fidelity(setup).model)._replace(**changes)
 
 
 class World:

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 
 import flexman_gym as fm
-from flexman_gym.identification.measurement import Response
+from flexman_gym.identification.measurement import SimulatedResponse
 
 PERIOD = 0.01
 BENT, STRAIN = "link_deflection_1_y", "root_strain_1_y"
@@ -21,7 +21,7 @@ def turned(names=(BENT,), samples=121, **more):
     hub = 0.3 * np.sin(2.0 * np.pi * 0.9 * times) ** 3
     record = fm.Measurement(times, {"motor_angle_1": hub}, dict.fromkeys(names, times), **more)
     model = fm.build_model(arm, **CHOICE)
-    signals = Response(arm, record, None).signals(model, {"payload_mass": model.constants.payload_mass[:1]})[0]
+    signals = SimulatedResponse(arm, record, None).signals(model, {"payload_mass": model.constants.payload_mass[:1]})[0]
     return replace(record, outputs=dict(zip(names, signals, strict=True)))
 
 

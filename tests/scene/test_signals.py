@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.common.time_series import UNITS, read_time_series, write_columns
+from flexman_gym.common.time_series import UNITS, read_time_series, write_csv
 
 from oracles.assertions import refusal
 
@@ -84,7 +84,7 @@ def test_a_scene_keeps_its_samples_in_its_file_or_in_others_beside_it(tmp_path, 
 
 def test_a_scene_file_names_a_record_beside_it(tmp_path):
     columns = {"hub (deg)": 10.0 * TIMES, "elbow (mN m)": TIMES, "rest (N m)": 0.0 * TIMES, "wind (N)": TIMES}
-    write_columns(tmp_path / "bench.csv", {"time (s)": TIMES.tolist(), **columns})
+    write_csv(tmp_path / "bench.csv", {"time (s)": TIMES.tolist(), **columns})
     data = SCENE.to_dict() | {
         "torque": {"kind": "sampled", "csv": "bench.csv", "columns": ["rest", "elbow"], "hold": "linear"},
         "prescribed": [{"csv": "bench.csv", "column": "hub", "deviation": 0.001}, None],
@@ -163,7 +163,7 @@ def test_a_record_outside_the_folder_of_a_scene_is_warned_of(tmp_path, name):
     """Somebody else's scene may name any file; the next release reads these only where it is asked for."""
     (tmp_path / "scene").mkdir()
     (tmp_path / "scene" / "link.csv").symlink_to(tmp_path / "bench.csv")
-    write_columns(
+    write_csv(
         tmp_path / "bench.csv", {"time (s)": TIMES.tolist(), "a (N m)": TIMES, "b (N m)": TIMES, "wind (N)": TIMES}
     )
     csv = name.format(folder=tmp_path)

@@ -66,7 +66,7 @@ def test_kinetic_energy_and_inverse_dynamics_know_the_spinning_rotors(case):
     mass = fm.mass_matrix(case.model, np.r_[x, v])
     np.testing.assert_allclose(mass, case.chain.mass_matrix(x), rtol=0.0, atol=1e-9 * np.abs(mass).max())
     row, work = np.zeros(layout.OUTPUTS), layout.make_work(case.constants)
-    outputs.observe(case.constants, work, x, v, row)
+    outputs.compute_outputs(case.constants, work, x, v, row)
     assert np.isclose(row[layout.KINETIC], v @ mass @ v / 2, rtol=1e-9)
     torque, demanded = case.sample.torque(), np.zeros(d)
     acceleration = fm.acceleration(case.model, np.r_[x, v], torque)

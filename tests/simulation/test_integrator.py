@@ -98,8 +98,8 @@ def both(monkeypatch, scene, **options):
     """The run with sequences in the lanes, and that of one after the other."""
     result = []
     for least in (1, 99):
-        monkeypatch.setattr(integrator, "LEAST_SEQUENCES", least)
-        monkeypatch.setattr(integrator, "LEAST_RIGID", least)
+        monkeypatch.setattr(integrator, "MIN_SEQUENCES", least)
+        monkeypatch.setattr(integrator, "MIN_SEQUENCES_RIGID", least)
         result.append(fm.simulate(scene, **options))
     return result
 
@@ -177,9 +177,7 @@ def test_a_run_in_many_calls_has_the_bits_of_the_run_in_one(name, step, monkeypa
     whole = fm.simulate(scene(), method=name, step=step)
     assert whole.status == "ok" and whole.evaluations > 100
     for most in (1, 7, whole.evaluations // 2):
-        monkeypatch.setattr(
-            "flexman_gym.simulation.integrator.evaluations_of_a_call", lambda constants, most=most: most
-        )
+        monkeypatch.setattr("flexman_gym.simulation.integrator.evaluations_per_call", lambda constants, most=most: most)
         parted = fm.simulate(scene(), method=name, step=step)
         assert np.array_equal(parted.states, whole.states) and parted.evaluations == whole.evaluations
         assert np.array_equal(parted.work, whole.work)
@@ -190,7 +188,7 @@ def test_a_run_in_many_calls_ends_where_it_diverges(monkeypatch):
     for name, step, most in (("rk4", 1e-3, 7), ("dop853", None, 1001)):
         whole = fm.simulate(wild, method=name, step=step)
         with monkeypatch.context() as patch:
-            patch.setattr("flexman_gym.simulation.integrator.evaluations_of_a_call", lambda constants, most=most: most)
+            patch.setattr("flexman_gym.simulation.integrator.evaluations_per_call", lambda constants, most=most: most)
             parted = fm.simulate(wild, method=name, step=step)
         assert whole.status == parted.status != "ok"
         assert np.array_equal(whole.states, parted.states) and 1 < len(whole.time) < 500

@@ -11,14 +11,9 @@ import flexman_gym as fm
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.kernels import layout
 from flexman_gym.model.dynamics import stiffness_matrix
-from flexman_gym.simulation.amplification import (
-    amplification_factors,
-    largest_growth,
-    remaining_amplitude,
-    spectral_radii,
-)
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.methods import KINDS, METHODS, Explicit, IteratedGauss, LinearlyImplicit, generalised_alpha
+from flexman_gym.simulation.stability import amplification_factors, largest_growth, remaining_amplitude, spectral_radii
 
 FIXED = [name for name, method in METHODS.items() if not method.adaptive]
 ADAPTIVE = [name for name, method in METHODS.items() if method.estimates]

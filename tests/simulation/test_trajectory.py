@@ -9,7 +9,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.model.dynamics import tip_jacobian
-from flexman_gym.model.linearization import UNITS, LinearReadings
+from flexman_gym.model.linearization import MEASUREMENT_UNITS, LinearMeasurements
 
 from oracles.assertions import refusal
 
@@ -87,13 +87,13 @@ def trajectory():
 def test_readings_are_what_the_state_says(trajectory):
     result, states, model = trajectory.readings, trajectory.states, trajectory.model
     n, d = model.n_joints, model.n_dof
-    assert result.keys() == UNITS.keys()
+    assert result.keys() == MEASUREMENT_UNITS.keys()
     assert result["motor_angles"] == pytest.approx(trajectory.motor_angles, abs=0)
     assert result["motor_rates"] == pytest.approx(states[:, d + model.motor_columns], abs=0)
     assert result["joint_twists"] == pytest.approx(trajectory.motor_angles - states[:, :n], abs=1e-15)
     assert result["joint_twist_rates"] == pytest.approx(result["motor_rates"] - states[:, d : d + n], abs=1e-15)
     speeds = np.hstack([states[:, d:], np.zeros_like(states[:, d:])])  # a reading of a linear quantity's rate
-    assert LinearReadings(model).named(speeds)["link_deflections"] == pytest.approx(
+    assert LinearMeasurements(model).named(speeds)["link_deflections"] == pytest.approx(
         result["link_deflection_rates"], abs=0
     )
     for row, state in enumerate(states):

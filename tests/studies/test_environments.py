@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.envs import NAMED
+from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.tasks import TASKS
 from studies.environments.measure import BASES, SEEDS, accuracy, run
 from studies.environments.page import SECTIONS, STEP, baselines, docstring_sections, page
@@ -35,7 +35,7 @@ def hold():
     return {base: run("FlexPlanar-Hold-v0", base) for base in BASES}
 
 
-@pytest.mark.parametrize("name", NAMED)
+@pytest.mark.parametrize("name", NAMED_ENVIRONMENTS)
 def test_a_page_is_made_of_what_there_is_now(name, hold):
     result = (PAGES / f"{name}.md").read_text(encoding="utf-8")
     assert without_figures(result) == without_figures(page(name, hold)), (

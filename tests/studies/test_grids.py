@@ -9,8 +9,8 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from flexman_agents.training import train, train_or_resume
-from flexman_gym.common.grid import Workers, collect_cells
-from flexman_gym.common.run_folder import NEWEST, read_data
+from flexman_gym.common.parallel import Workers, parallel_map
+from flexman_gym.common.run_folder import NEWEST, read_npz
 from flexman_gym.league.rows import ROWS, run_league
 from studies.stability import rows as stability
 
@@ -34,7 +34,7 @@ def seeds_of(folder):
 
 def policies(folder):
     """The bits of trained policies."""
-    data = [read_data(folder / f"seed-{seed}" / NEWEST)["policy"] for seed in SEEDS]
+    data = [read_npz(folder / f"seed-{seed}" / NEWEST)["policy"] for seed in SEEDS]
     return [[(name, values.tobytes()) for name, values in each.items()] for each in data]
 
 
@@ -64,8 +64,8 @@ def venues(tmp_path_factory):
 def serial(tmp_path_factory, venues):
     """All three in this process alone."""
     folder = tmp_path_factory.mktemp("serial")
-    collect_cells(train_or_resume, seeds_of(folder))
-    return policies(folder), league(folder / "league", 1, venues), collect_cells(stability.rows_of, MAP)
+    parallel_map(train_or_resume, seeds_of(folder))
+    return policies(folder), league(folder / "league", 1, venues), parallel_map(stability.rows_of, MAP)
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -76,11 +76,11 @@ def test_every_way_gives_the_bits_of_a_serial_run_although_a_worker_is_killed(
     if package and not find_spec(package):
         pytest.skip(f"{package} is not installed")
     monkeypatch.chdir(tmp_path)
-    collect_cells(partial(cells.dying_once, str(tmp_path / "grave"), train_or_resume), seeds_of(tmp_path), workers)
+    parallel_map(partial(cells.dying_once, str(tmp_path / "grave"), train_or_resume), seeds_of(tmp_path), workers)
     assert policies(tmp_path) == serial[0] and len({str(each) for each in serial[0]}) == 5
     if way != "processes":  # in which league/test_rows.py plays it
         assert league(tmp_path / "league", workers, venues) == serial[1]
-    assert repr(collect_cells(stability.rows_of, MAP, workers)) == repr(serial[2])
+    assert repr(parallel_map(stability.rows_of, MAP, workers)) == repr(serial[2])
     assert (tmp_path / "grave").exists() and len(serial[2]) == len(MAP) == 2
 
 
@@ -90,7 +90,7 @@ def test_seeds_that_were_killed_go_on_and_those_that_are_done_stay(tmp_path, ser
               hook=lambda report, stop=stop: report.steps >= stop)  # fmt: skip
     (tmp_path / "seed-0" / NEWEST).unlink()  # killed before anything was kept
     before = (tmp_path / "seed-2" / NEWEST).stat().st_mtime_ns
-    assert collect_cells(train_or_resume, seeds_of(tmp_path)) == [str(tmp_path / f"seed-{seed}") for seed in SEEDS]
+    assert parallel_map(train_or_resume, seeds_of(tmp_path)) == [str(tmp_path / f"seed-{seed}") for seed in SEEDS]
     assert policies(tmp_path) == serial[0]
     assert (tmp_path / "seed-2" / NEWEST).stat().st_mtime_ns == before
     other = (replace(RECIPE, envs=2), str(tmp_path / "seed-0"), {"progress": False})

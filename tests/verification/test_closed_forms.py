@@ -6,10 +6,10 @@ from hypothesis import strategies as st
 
 from flexman_gym.verification.closed_forms import (
     bar_eigenvalues,
-    beam_eigenvalues,
-    hub_eigenvalues,
-    joint_eigenvalues,
-    stepped_eigenvalues,
+    cantilever_eigenvalues,
+    flexible_joint_eigenvalues,
+    hub_beam_eigenvalues,
+    stepped_cantilever_eigenvalues,
 )
 from studies.verification.arms import rayleigh_eigenvalues
 
@@ -22,27 +22,27 @@ RATIOS = st.floats(0.05, 20.0)
 @QUICK
 @given(RATIOS)
 def test_a_mass_at_the_tip(ratio):
-    assert beam_eigenvalues(4, ratio) == pytest.approx(ritz.beam_eigenvalues(4, ratio), rel=1e-8)
+    assert cantilever_eigenvalues(4, ratio) == pytest.approx(ritz.beam_eigenvalues(4, ratio), rel=1e-8)
 
 
 @QUICK
 @given(RATIOS)
 def test_a_free_hub(ratio):
-    assert hub_eigenvalues(3, ratio) == pytest.approx(ritz.beam_eigenvalues(3, hub_inertia_ratio=ratio), rel=1e-8)
+    assert hub_beam_eigenvalues(3, ratio) == pytest.approx(ritz.beam_eigenvalues(3, hub_inertia_ratio=ratio), rel=1e-8)
 
 
 @QUICK
 @given(RATIOS, RATIOS | st.none(), st.floats(0.0, 5.0))
 def test_a_spring_with_a_rotor_or_without(stiffness, rotor, tip):
     expected = ritz.beam_eigenvalues(3, tip, spring=(stiffness, rotor))
-    assert joint_eigenvalues(3, stiffness, rotor, tip) == pytest.approx(expected, rel=1e-7)
+    assert flexible_joint_eigenvalues(3, stiffness, rotor, tip) == pytest.approx(expected, rel=1e-7)
 
 
 @QUICK
 @given(st.floats(0.2, 0.8), st.floats(0.2, 3.0), st.floats(0.2, 3.0))
 def test_a_step(place, rigidity, mass):
     expected = ritz.beam_eigenvalues(3, segments=((place, 1.0, 1.0), (1.0 - place, rigidity, mass)))
-    assert stepped_eigenvalues(3, place, rigidity, mass) == pytest.approx(expected, rel=1e-7)
+    assert stepped_cantilever_eigenvalues(3, place, rigidity, mass) == pytest.approx(expected, rel=1e-7)
 
 
 @QUICK
@@ -58,13 +58,15 @@ def test_a_bar():
 
 @pytest.mark.parametrize("place", [0.01, 0.4, 0.99])
 def test_a_step_of_nothing_is_no_step(place):
-    assert stepped_eigenvalues(5, place, 1.0, 1.0) == pytest.approx(beam_eigenvalues(5), rel=1e-11)
+    assert stepped_cantilever_eigenvalues(5, place, 1.0, 1.0) == pytest.approx(cantilever_eigenvalues(5), rel=1e-11)
 
 
 def test_limits_of_the_stepped_cantilever():
     """With a weightless end it is the root alone, a cantilever; on a stiff heavy root the end alone, another one."""
     place = 0.6
-    weightless = stepped_eigenvalues(1, place, 1.0, 1e-9)
-    assert weightless == pytest.approx(beam_eigenvalues(1) / place**2, rel=1e-6)
+    weightless = stepped_cantilever_eigenvalues(1, place, 1.0, 1e-9)
+    assert weightless == pytest.approx(cantilever_eigenvalues(1) / place**2, rel=1e-6)
     rigid = 1e-9  # EI and rho A of the end over those of the root: their ratio, and so its lambda, stays
-    assert stepped_eigenvalues(1, 0.05, rigid, rigid) == pytest.approx(beam_eigenvalues(1) / 0.95**2, rel=1e-6)
+    assert stepped_cantilever_eigenvalues(1, 0.05, rigid, rigid) == pytest.approx(
+        cantilever_eigenvalues(1) / 0.95**2, rel=1e-6
+    )

@@ -8,8 +8,8 @@ import pytest
 
 from flexman_gym.__main__ import main as flexman
 from flexman_gym.verification import cases
-from flexman_gym.verification.closed_forms import bar_eigenvalues, beam_eigenvalues, joint_eigenvalues
-from flexman_gym.verification.table import COLUMNS, VerificationRow, as_json, exit_code, text_table
+from flexman_gym.verification.closed_forms import bar_eigenvalues, cantilever_eigenvalues, flexible_joint_eigenvalues
+from flexman_gym.verification.table import COLUMNS, VerificationRow, exit_code, format_json, format_table
 
 ROW = VerificationRow("a number, m", "a book", 2.0, 2.001, 1e-3)
 
@@ -46,7 +46,7 @@ def test_the_command_names_the_full_table_and_writes_the_rows(monkeypatch, tmp_p
     assert flexman(["verify", "--quick"]) == 0 and "make verify" not in capsys.readouterr().out
     assert flexman(["verify", "--json", str(tmp_path / "rows.json")]) == 0
     assert "docs/verification.md has the full table" in capsys.readouterr().out
-    assert (tmp_path / "rows.json").read_text() == as_json([ROW])
+    assert (tmp_path / "rows.json").read_text() == format_json([ROW])
 
 
 @pytest.mark.parametrize(
@@ -73,12 +73,12 @@ def test_nothing_computed_is_no_success():
 
 def test_table_and_file_hold_all_rows(rows):
     shown = [*rows, replace(ROW, tolerance=None), replace(ROW, computed=np.inf)]
-    head, *lines, last = text_table(shown).splitlines()
+    head, *lines, last = format_table(shown).splitlines()
     assert head.split() == list(COLUMNS)
     for row, line in zip(shown, lines, strict=True):
         assert line.startswith(row.case) and row.source in line and line.endswith(row.verdict)
     assert last.startswith(f"{len(rows)} of {len(rows) + 1} rows pass, 1 fail.")
-    loaded = json.loads(as_json(shown))
+    loaded = json.loads(format_json(shown))
     assert [row["case"] for row in loaded["rows"]] == [row.case for row in shown]
     assert all(tuple(row) == COLUMNS for row in loaded["rows"])
     assert loaded["rows"][-1]["computed"] is None and loaded["machine"]["numpy"] == np.__version__
@@ -98,13 +98,13 @@ def test_table_and_file_hold_all_rows(rows):
 )
 def test_a_beam_on_a_spring_and_a_rotor(tip, clamped, expected):
     rotor = None if clamped else 1.0 / (4.0 * 0.7**3)
-    result = joint_eigenvalues(len(expected), 100.0 * 0.7 / 0.6, rotor, tip / (4.0 * 0.7))
+    result = flexible_joint_eigenvalues(len(expected), 100.0 * 0.7 / 0.6, rotor, tip / (4.0 * 0.7))
     assert result * np.sqrt(0.6 / (4.0 * 0.7**4)) / (2.0 * np.pi) == pytest.approx(expected, rel=2e-6)
 
 
 def test_limits_of_the_closed_forms():
     slender, bar = (3.51601527, 22.03449156, 61.69721441), (0.5 * np.pi, 1.5 * np.pi)  # Blevins, 1979
-    assert beam_eigenvalues(3) == pytest.approx(slender, rel=1e-8)
-    assert joint_eigenvalues(3, 1e9, None, 0.0) == pytest.approx(slender, rel=1e-7)
+    assert cantilever_eigenvalues(3) == pytest.approx(slender, rel=1e-8)
+    assert flexible_joint_eigenvalues(3, 1e9, None, 0.0) == pytest.approx(slender, rel=1e-7)
     assert bar_eigenvalues(2) == pytest.approx(bar, rel=1e-15)
     assert bar_eigenvalues(2, 1000) == pytest.approx(bar, rel=1e-5)

@@ -6,28 +6,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.common.arrays import Array, Flags, IntArray, Vector, pad_rows
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows
 from flexman_gym.common.checks import non_negative, sequence, value_error, vector, whole_number
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings, checked_controller
 from flexman_gym.control.input_shaping.shapers import (
-    TOLERANCE,
+    DEFAULT_TOLERANCE,
     Shaper,
     convolve_shapers,
     design_shaper,
-    ringing_modes,
+    excited_modes,
     sample_shaper,
 )
 from flexman_gym.control.lqr import LQR
 from flexman_gym.control.references.trajectories import minimum_jerk
-from flexman_gym.model.model import Model, checked_model
+from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import rest_states, rest_tips
 
-MOST_MODES = 2
-REST = 40  # control periods at the goal, with which a path ends, so that splines through it do so at rest
-ANGLES, RATES = ("angle_errors", "angle_command"), ("goal_rates", "rate_command")
-TIPS, TIP_RATES = ("target_error", "tip_command"), ("tip_velocity_command",)
-MOVED = (*ANGLES, *RATES, *TIPS, *TIP_RATES)
-HIDDEN = ("target_nearness", "fine_angle_errors", "fine_target_error", "preview")  # tell the goal as nothing here can
+MAX_MODES = 2
+REST_PERIODS = 40  # control periods at the goal, with which a path ends, so that splines through it do so at rest
+ANGLE_QUANTITIES, RATE_QUANTITIES = ("angle_errors", "angle_command"), ("goal_rates", "rate_command")
+TIP_QUANTITIES, TIP_RATE_QUANTITIES = ("target_error", "tip_command"), ("tip_velocity_command",)
+SHIFTED_QUANTITIES = (*ANGLE_QUANTITIES, *RATE_QUANTITIES, *TIP_QUANTITIES, *TIP_RATE_QUANTITIES)
+REFUSED_QUANTITIES = (
+    "target_nearness",
+    "fine_angle_errors",
+    "fine_target_error",
+    "preview",
+)  # tell the goal as nothing here can
 
 
 class InputShapedController:
@@ -65,12 +70,12 @@ class InputShapedController:
         modes: int | Array | list[tuple[float, float]] = 1,
         places: Vector = (1.0,),
         duration: float = 0.0,
-        tolerance: float = TOLERANCE,
+        tolerance: float = DEFAULT_TOLERANCE,
     ) -> None:
-        self.inner, self.model = checked_controller("Shaped.inner", inner), checked_model(model)
+        self.inner, self.model = checked_controller("Shaped.inner", inner), check_model(model)
         self.sensors = inner.sensors
         self._own = _pairs(modes) if isinstance(modes, list | tuple | np.ndarray) else None
-        self._count = whole_number("Shaped.modes", modes, 1, MOST_MODES) if self._own is None else len(self._own)
+        self._count = whole_number("Shaped.modes", modes, 1, MAX_MODES) if self._own is None else len(self._own)
         self.places, self.duration = vector("Shaped.places", places), non_negative("Shaped.duration", duration, "s")
         if not all(0.0 <= place <= 1.0 for place in self.places):
             raise value_error("Shaped.places", places, "numbers from 0 to 1")
@@ -92,7 +97,7 @@ class InputShapedController:
             self._commands[arm] = command
             self.inner.reset(np.array([arm]), EpisodeInfo(start[None], goal[None], episode.period, command.path), count)
 
-    def act(self, readings: Readings, applied: Array, playing: Flags) -> NDArray[Any]:
+    def act(self, readings: Readings, applied: Array, playing: BoolArray) -> NDArray[Any]:
         """Gives the actions (b, n) of the controller inside, which reads the shaped command.
 
         Raises:
@@ -100,9 +105,11 @@ class InputShapedController:
         """
         seen = dict(readings)
         for name, values in readings.items():
-            if name in HIDDEN:
-                raise value_error("Shaped.inner", f"a controller that reads {name}", f"one that reads none of {HIDDEN}")
-            if name in MOVED or (name == "state" and type(self.inner) is LQR):
+            if name in REFUSED_QUANTITIES:
+                raise value_error(
+                    "Shaped.inner", f"a controller that reads {name}", f"one that reads none of {REFUSED_QUANTITIES}"
+                )
+            if name in SHIFTED_QUANTITIES or (name == "state" and type(self.inner) is LQR):
                 places = zip(self._commands, self._now.tolist(), strict=True)
                 seen[name] = values + np.array([command.move(name)[min(now, command.last)] for command, now in places])
         self._now += playing
@@ -112,7 +119,7 @@ class InputShapedController:
         """Gives the shaper of all modes that are shaped, for postures (p, n) rad of whose modes the mean is taken."""
         modes = self._own
         if modes is None:
-            found = [ringing_modes(self.model, posture)[: self._count, :2] for posture in postures]
+            found = [excited_modes(self.model, posture)[: self._count, :2] for posture in postures]
             modes = np.mean([each[: min(map(len, found))] for each in found], axis=0)
         if not len(modes):
             raise value_error("Shaped.modes", self._count, "those of an arm that bends: this one has none")
@@ -134,7 +141,7 @@ class InputShapedController:
             way = path[np.rint(np.array(self.places) * (len(path) - 1)).astype(int)]
         parts = sample_shaper(self.combined(way), period)
         if path is None:
-            plain = np.vstack([plain, np.repeat(goal[None], len(parts) + REST, axis=0)])
+            plain = np.vstack([plain, np.repeat(goal[None], len(parts) + REST_PERIODS, axis=0)])
         rates = np.diff(plain, axis=0, prepend=plain[:1]) / period
         true = np.broadcast_to(goal, plain.shape) if path is None else path
         true_rates = np.zeros_like(rates) if path is None else rates
@@ -151,7 +158,7 @@ class _Command:
     ) -> None:
         self.angles, self.last = angles, len(angles) - 1
         self._model, self._period, self._true = model, period, true
-        moves = dict.fromkeys(ANGLES, angles - true) | dict.fromkeys(RATES, rates - true_rates)
+        moves = dict.fromkeys(ANGLE_QUANTITIES, angles - true) | dict.fromkeys(RATE_QUANTITIES, rates - true_rates)
         self._moves: dict[str, Array] = moves
 
     def path(self) -> Array:
@@ -165,7 +172,7 @@ class _Command:
         elif name not in self._moves:
             tips = rest_tips(self._model, self.angles) - rest_tips(self._model, self._true)
             rates = np.diff(tips, axis=0, prepend=tips[:1]) / self._period
-            self._moves |= dict.fromkeys(TIPS, tips) | dict.fromkeys(TIP_RATES, rates)
+            self._moves |= dict.fromkeys(TIP_QUANTITIES, tips) | dict.fromkeys(TIP_RATE_QUANTITIES, rates)
         return self._moves[name]
 
 
@@ -180,6 +187,6 @@ def _late(parts: Array, values: Array) -> Array:
 def _pairs(value: object) -> Array:
     """Frequencies (Hz) and damping ratios (k, 2) of modes that are given."""
     pairs = sequence("Shaped.modes", value, "pairs of frequency (Hz) and damping ratio")
-    if not 1 <= len(pairs) <= MOST_MODES:
-        raise value_error("Shaped.modes", value, f"1 to {MOST_MODES} pairs of frequency (Hz) and damping ratio")
+    if not 1 <= len(pairs) <= MAX_MODES:
+        raise value_error("Shaped.modes", value, f"1 to {MAX_MODES} pairs of frequency (Hz) and damping ratio")
     return np.array([vector(f"Shaped.modes[{i}]", pair, 2) for i, pair in enumerate(pairs)])

@@ -13,16 +13,16 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import flag, non_negative, one_of, physical, positive, value_error
-from flexman_gym.model.model import Model, checked_model
+from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.vibration import Eigenpairs, equilibrium_matrices, oscillatory_modes
 from flexman_gym.simulation.parameters import varied_constants
 
-SLOWER = 0.5  # of the lowest mode with held motors: what is slower still is the arm turning about its motors
-ROUNDING = 1e-9  # of a damping ratio
-UNSEEN = 1e-3  # of the most that a mode moves the tip: one that moves it less is left out
+RIGID_MODE_RATIO = 0.5  # of the lowest mode with held motors: what is slower still is the arm turning about its motors
+RATIO_ROUNDING = 1e-9  # of a damping ratio
+MIN_TIP_AMPLITUDE = 1e-3  # of the most that a mode moves the tip: one that moves it less is left out
 
 
-def ringing_modes(model: Model, posture: Vector, held: bool = True) -> Array:
+def excited_modes(model: Model, posture: Vector, held: bool = True) -> Array:
     """Gives the modes (k, 3) that motors excite and the tip feels, of an arm at rest: the lowest first.
 
     A mode is a pair of complex eigenvalues s of the linear model, see `model.vibration`. It has a natural frequency
@@ -39,7 +39,7 @@ def ringing_modes(model: Model, posture: Vector, held: bool = True) -> Array:
     Raises:
         ValueError: for a posture of wrong shape, and for an arm too soft to rest.
     """
-    resting = equilibrium_matrices(checked_model(model), posture)
+    resting = equilibrium_matrices(check_model(model), posture)
     motors, others = resting.motors, resting.others
     inertia, springs = (matrix[np.ix_(others, others)] for matrix in (resting.mass, resting.stiffness))
     result = np.zeros((0, 3))
@@ -55,24 +55,24 @@ def ringing_modes(model: Model, posture: Vector, held: bool = True) -> Array:
         return result
     every = np.arange(model.n_dof)
     eigen = oscillatory_modes(resting, every)
-    above = np.abs(eigen.values) > 2.0 * np.pi * SLOWER * result[0, 0]
+    above = np.abs(eigen.values) > 2.0 * np.pi * RIGID_MODE_RATIO * result[0, 0]
     return _felt(Eigenpairs(eigen.values[above], eigen.shapes[above]), eigen.shapes[np.ix_(above, motors)], resting.tip)
 
 
 def _felt(eigen: Eigenpairs, caused: Array, tip: Array) -> Array:
     """Modes (k, 3) that the tip feels, of those that motors excite by (k, n)."""
     moved = 2.0 * np.linalg.norm(eigen.shapes @ tip.T, axis=1) * np.abs(caused).max(axis=1, initial=0.0)
-    kept = np.flatnonzero(moved > UNSEEN * moved.max(initial=0.0))
+    kept = np.flatnonzero(moved > MIN_TIP_AMPLITUDE * moved.max(initial=0.0))
     sizes = np.abs(eigen.values)
     kept = kept[np.argsort(sizes[kept])]
     ratios = -eigen.values[kept].real / sizes[kept]
-    ratios[np.abs(ratios) < ROUNDING] = 0.0
+    ratios[np.abs(ratios) < RATIO_ROUNDING] = 0.0
     return np.transpose([sizes[kept] / (2.0 * np.pi), ratios, moved[kept]])
 
 
-TOLERANCE = 0.05  # residual that EI shapers allow
-ROUNDS = 8  # for the parameter of an EI shaper; its error falls to less than a tenth in each
-ROOT = np.sqrt(2.0)
+DEFAULT_TOLERANCE = 0.05  # residual that EI shapers allow
+EI_ITERATIONS = 8  # for the parameter of an EI shaper; its error falls to less than a tenth in each
+SQRT_2 = np.sqrt(2.0)
 
 
 def _two_hump(v: float) -> tuple[float, ...]:
@@ -88,7 +88,7 @@ def _two_hump(v: float) -> tuple[float, ...]:
 # (Klipper); Vaughan, Yano and Singhose, J. of Sound and Vibration 315 (2008), 797, compare shapers of all kinds.
 SHAPERS: dict[str, tuple[float, Callable[[float], tuple[float, ...]]]] = {
     "zv": (0.5, lambda v: (0.5, 0.5)),
-    "mzv": (0.375, lambda v: (1.0 - 1.0 / ROOT, ROOT - 1.0, 1.0 - 1.0 / ROOT)),
+    "mzv": (0.375, lambda v: (1.0 - 1.0 / SQRT_2, SQRT_2 - 1.0, 1.0 - 1.0 / SQRT_2)),
     "zvd": (0.5, lambda v: (0.25, 0.5, 0.25)),
     "ei": (0.5, lambda v: (0.25 * (1.0 + v), 0.5 * (1.0 - v), 0.25 * (1.0 + v))),
     "two-hump-ei": (0.5, _two_hump),
@@ -107,7 +107,7 @@ class Shaper(NamedTuple):
     amplitudes: Array
 
 
-def design_shaper(name: str, frequency: float, ratio: float = 0.0, tolerance: float = TOLERANCE) -> Shaper:
+def design_shaper(name: str, frequency: float, ratio: float = 0.0, tolerance: float = DEFAULT_TOLERANCE) -> Shaper:
     """Designs a shaper for a mode.
 
     With damping, amplitudes fall as the mode decays from impulse to impulse, so that those of ZV, MZV, ZVD and two-hump
@@ -132,7 +132,7 @@ def design_shaper(name: str, frequency: float, ratio: float = 0.0, tolerance: fl
     times = spacing * np.arange(count) * 2.0 * np.pi / (rate * np.sqrt(1.0 - ratio**2))
     decay, own = np.exp(-ratio * rate * times), tolerance
     for _ in range(
-        ROUNDS if name.endswith("ei") else 1
+        EI_ITERATIONS if name.endswith("ei") else 1
     ):  # what is left decays too, and is measured against impulses that sum to 1
         if not own < 1.0:
             raise value_error("ratio", ratio, f"a mode with less damping, or no {name}: its impulses would be negative")
@@ -184,14 +184,14 @@ def sample_shaper(shaper: Shaper, period: float) -> Array:
 
 
 TOLERATED_RESIDUAL = 5.0  # % of a mode, up to which a shaper bears an error of frequency
-SLACK = 1.02  # of that: EI shapers leave just so much by design, and with damping a little more beside it
+TOLERANCE_SLACK = 1.02  # of that: EI shapers leave just so much by design, and with damping a little more beside it
 TIP_VIBRATION_LIMIT = 10.0  # % of the tip's vibration, that a recommended shaper leaves at worst
-LOOKED_AT = 3  # lowest modes
-FURTHEST, FINEST = 0.9, 0.0005  # part of a frequency, of the errors that are tried
+EVALUATED_MODES = 3  # lowest modes
+MAX_FREQUENCY_ERROR, FREQUENCY_ERROR_STEP = 0.9, 0.0005  # part of a frequency, of the errors that are tried
 
 
 class OperatingPoint(NamedTuple):
-    """A posture (n,) rad and a payload (kg), with the modes (k, 3) of held and of free motors, see `ringing_modes`."""
+    """A posture (n,) rad and a payload (kg), with the modes (k, 3) of held and of free motors, see `excited_modes`."""
 
     posture: Array
     payload: float
@@ -225,7 +225,7 @@ def find_operating_points(model: Model, postures: Array, payloads: Sequence[floa
     for payload in payloads:
         loaded = with_payload(model, payload)
         for posture in postures:
-            modes = (ringing_modes(loaded, posture, held)[:LOOKED_AT] for held in (True, False))
+            modes = (excited_modes(loaded, posture, held)[:EVALUATED_MODES] for held in (True, False))
             result.append(OperatingPoint(posture, float(payload), *modes))
     return result
 
@@ -278,12 +278,12 @@ def tolerated_frequency_errors(shaper: Shaper, modes: Array) -> tuple[float, flo
     """Gives how much lower and higher all of the modes (k, 3) may be together, as parts, see
     `ShaperEvaluation.borne`.
     """
-    steps = np.arange(0.0, FURTHEST, FINEST)
+    steps = np.arange(0.0, MAX_FREQUENCY_ERROR, FREQUENCY_ERROR_STEP)
     result = []
     for sign in (-1.0, 1.0):
         left = [
             shaper_residual(shaper, frequency * (1.0 + sign * steps), ratio) for frequency, ratio, _ in modes.tolist()
         ]
-        over = np.append((np.array(left) > SLACK * TOLERATED_RESIDUAL).any(axis=0), True)
-        result.append(sign * FINEST * max(int(np.argmax(over)) - 1, 0))
+        over = np.append((np.array(left) > TOLERANCE_SLACK * TOLERATED_RESIDUAL).any(axis=0), True)
+        result.append(sign * FREQUENCY_ERROR_STEP * max(int(np.argmax(over)) - 1, 0))
     return result[0], result[1]

@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, Flags, IntArray, pad_rows, row_dots
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows, row_dots
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
-from flexman_gym.control.observers.innovations import InnovationGains, Residuals
+from flexman_gym.control.observers.innovations import ChangeDetector, InnovationGains
 from flexman_gym.control.observers.internal_model import DelayCompensation, DiscreteJacobians
-from flexman_gym.control.observers.observer import BIAS, Estimate, make_measurement_model
+from flexman_gym.control.observers.observer import MAX_BIAS, Estimate, make_measurement_model
 from flexman_gym.control.observers.perturbed_models import (
     PerturbedModels,
     Prior,
@@ -17,17 +17,17 @@ from flexman_gym.control.observers.perturbed_models import (
     solve_scaled,
     standard_deviations,
 )
-from flexman_gym.model.linearization import INSTRUMENTS
+from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import rest_states
 
-REPLAYS = (6, 12, 20, 30, 45, 65, 90, 130, 200, 300)  # control periods after which all is simulated again
-DELAYS_UNTIL = 20  # at replays so early the delay is looked for
-EVERY = 5  # periods after which the trials take over what was estimated
-HOMED = 1e-4  # rad, deviation of an angle at the start that is told
-LOST = 100.0  # largest entry of a state of a trial that still says something
-SPREAD = 0.5  # rad, by which trials may differ before they are drawn together
-QUIET = 25  # control periods of a start in which no change is looked for
-BOUND = 10.0  # deviations, up to which an angle at the start is looked for
+RESIMULATION_PERIODS = (6, 12, 20, 30, 45, 65, 90, 130, 200, 300)  # control periods after which all is simulated again
+LAST_DELAY_SEARCH = 20  # at replays so early the delay is looked for
+UPDATE_INTERVAL = 5  # periods after which the trials take over what was estimated
+START_ANGLE_DEVIATION = 1e-4  # rad, deviation of an angle at the start that is told
+MAX_STATE = 100.0  # largest entry of a state of a trial that still says something
+MAX_PERTURBATION = 0.5  # rad, by which trials may differ before they are drawn together
+DETECTION_START = 25  # control periods of a start in which no change is looked for
+START_ANGLE_BOUND = 10.0  # deviations, up to which an angle at the start is looked for
 
 
 class Estimator:
@@ -40,7 +40,7 @@ class Estimator:
 
     Args:
         plant: the arm, what is unknown of it, and how exact instruments are.
-        sensors: names in `model.linearization.INSTRUMENTS`.
+        sensors: names in `model.linearization.LINEAR_SENSORS`.
         unknown: name -> (low, high), see `unknowns.make_unknowns`; None takes those of the plant.
         biased: whether each reading may be off by a constant of up to 0.5 % of its range. The angles at the start are
             then taken as they are told, for encoders that are off cannot tell them.
@@ -62,7 +62,7 @@ class Estimator:
     def __init__(
         self,
         plant: Plant,
-        sensors: Sequence[str] = tuple(INSTRUMENTS),
+        sensors: Sequence[str] = tuple(LINEAR_SENSORS),
         unknown: Mapping[str, tuple[float, float]] | None = None,
         biased: bool = False,
     ) -> None:
@@ -73,15 +73,15 @@ class Estimator:
         trials = self._trials = PerturbedModels(plant, unknowns, read.matrix, biased)
         self._innovations = InnovationGains(DiscreteJacobians(plant), read, plant.push)
         self._encoders = None if biased else read.places["motor_angles"]
-        starts = np.full(n, HOMED) if self._encoders is None else read.deviations[self._encoders]
-        biases = BIAS * read.ranges if biased else np.zeros(0)
+        starts = np.full(n, START_ANGLE_DEVIATION) if self._encoders is None else read.deviations[self._encoders]
+        biases = MAX_BIAS * read.ranges if biased else np.zeros(0)
         self._prior = Prior(
             np.concatenate([unknowns.mean, np.zeros(trials.size - len(unknowns.mean))]),
             np.concatenate([unknowns.deviation, starts, biases / np.sqrt(3.0)]),
-            np.concatenate([unknowns.low, -BOUND * starts, -2.0 * biases]),
-            np.concatenate([unknowns.high, BOUND * starts, 2.0 * biases]),
+            np.concatenate([unknowns.low, -START_ANGLE_BOUND * starts, -2.0 * biases]),
+            np.concatenate([unknowns.high, START_ANGLE_BOUND * starts, 2.0 * biases]),
         )
-        self._weights = np.tile(read.deviations**-2.0, (REPLAYS[-1] + 1, 1))
+        self._weights = np.tile(read.deviations**-2.0, (RESIMULATION_PERIODS[-1] + 1, 1))
         if self._encoders is not None:
             self._weights[0, self._encoders] = 0.0  # from which the angles at the start come
         self._allocate()
@@ -96,7 +96,7 @@ class Estimator:
         self._information, self._readings = np.zeros((0, p, p)), np.zeros((0, rows, m))
         self._torques = np.zeros((0, late + rows, n))
         self._told, self._prediction = np.zeros((0, n)), DelayCompensation(self._plant)
-        self._residuals = Residuals(m)
+        self._residuals = ChangeDetector(m)
         self._steps, self._informed = np.zeros((0, trials - 1)), np.zeros((0, p + trials - 1))
         self._apart, self._pushed = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
 
@@ -113,7 +113,7 @@ class Estimator:
         self._residuals.reset(arms, count)
         self._prediction.reset(arms, count)
 
-    def estimate(self, readings: Readings, applied: Array, playing: Flags) -> Estimate:
+    def estimate(self, readings: Readings, applied: Array, playing: BoolArray) -> Estimate:
         """Gives what is known now; see `Observer`."""
         now = self._instruments.read(readings)
         fresh, later = (np.flatnonzero(playing & flags) for flags in (self._ages == 0, self._ages > 0))
@@ -123,19 +123,19 @@ class Estimator:
             self._advance(later, applied[later])
             kept = later[self._ages[later] < len(self._weights)]
             self._readings[kept, self._ages[kept]] = now[kept]
-            again = np.isin(self._ages[later], REPLAYS) & ~self._apart[later] & ~self._pushed[later]
+            again = np.isin(self._ages[later], RESIMULATION_PERIODS) & ~self._apart[later] & ~self._pushed[later]
             for age in np.unique(self._ages[later[again]]).tolist():
                 self._replay(later[again & (self._ages[later] == age)], age)
             self._recur(later[~again], now[later[~again]])
-            if (changed := self._residuals.changed(later) & (self._ages[later] > QUIET)).any():
+            if (changed := self._residuals.changed(later) & (self._ages[later] > DETECTION_START)).any():
                 self._change_over(later[changed])
         self._ages += playing
         return self._predicted(np.flatnonzero(playing))
 
     @property
-    def wrong(self) -> Flags:
+    def wrong(self) -> BoolArray:
         """Which arms (b,) nothing known explains, after their change or push has been looked for."""
-        return self._residuals.wrong & ((self._ages > QUIET) | self._pushed)
+        return self._residuals.wrong & ((self._ages > DETECTION_START) | self._pushed)
 
     @property
     def estimates(self) -> dict[str, Array]:
@@ -166,7 +166,7 @@ class Estimator:
         self._residuals.reset(arms, len(self._ages))
         self._pushed[arms] = self._filtered(arms, sudden=True)
 
-    def _filtered(self, arms: IntArray, sudden: bool) -> Flags:
+    def _filtered(self, arms: IntArray, sudden: bool) -> BoolArray:
         """Begins to correct the states of arms (r,) by their readings; says for which of them it can."""
         torques = self._prediction.past[arms, self.delays[arms]]
         return self._innovations.begin(arms, self._present(arms), torques, sudden)
@@ -174,7 +174,7 @@ class Estimator:
     def _draw_together(self, arms: IntArray) -> None:
         """Lets trials of arms (r,) that have come too far from the first differ by smaller steps."""
         states, motors = self._states[arms], self._plant.model.motor_columns
-        spread = np.abs(states[:, 1:, motors] - states[:, :1, motors]).max(axis=2) / SPREAD
+        spread = np.abs(states[:, 1:, motors] - states[:, :1, motors]).max(axis=2) / MAX_PERTURBATION
         far = spread > 1.0
         if far.any():
             part = np.where(far, 1.0 / np.maximum(spread, 1.0), 1.0)
@@ -212,8 +212,8 @@ class Estimator:
         states = self._states[arms].reshape(rows.size, -1)
         moved = self._trials.twins.moved(self._all_trials, rows.ravel(), states, torques.repeat(rows.shape[1], axis=0))
         self._states[arms] = moved.reshape(*rows.shape, -1)
-        lost = arms[~(np.abs(self._states[arms]) < LOST).all(axis=(1, 2))]
-        self._states[lost], self._residuals.misfit[lost] = self._origin[lost][:, None], LOST
+        lost = arms[~(np.abs(self._states[arms]) < MAX_STATE).all(axis=(1, 2))]
+        self._states[lost], self._residuals.misfit[lost] = self._origin[lost][:, None], MAX_STATE
 
     def _recur(self, arms: IntArray, now: Array) -> None:
         """Takes the readings (r, m) of arms (r,) into their fits."""
@@ -231,7 +231,7 @@ class Estimator:
         self._residuals.take(arms, error * np.sqrt(certain))
         if pushed.any():
             self._correct(arms[pushed], now[pushed])
-        due = arms[self._ages[arms] % EVERY == 0]
+        due = arms[self._ages[arms] % UPDATE_INTERVAL == 0]
         if len(due):
             self._shift(due)
 
@@ -259,20 +259,20 @@ class Estimator:
         start, read = (self._origin[arms], self.numbers[arms]), self._readings[arms, : age + 1]
         weights = np.broadcast_to(self._weights[: age + 1], read.shape)
         fewest, late = self._plant.delay
-        if late > fewest and age <= DELAYS_UNTIL:
+        if late > fewest and age <= LAST_DELAY_SEARCH:
             tried = [self._arrived(arms, age, np.full(len(arms), delay)) for delay in range(fewest, late + 1)]
             costs = [self._trials.sweep(*start, torques, read, weights).cost for torques in tried]
             self.delays[arms] = fewest + np.nan_to_num(np.array(costs), nan=np.inf).argmin(axis=0)
         data = self._arrived(arms, age, self.delays[arms]), read, weights
         numbers, sweep = self._trials.fit(*start, self._prior, data)
-        well = np.isfinite(sweep.cost) & (np.abs(sweep.states) < LOST).all(axis=(1, 2))
+        well = np.isfinite(sweep.cost) & (np.abs(sweep.states) < MAX_STATE).all(axis=(1, 2))
         if not well.all():  # the recursion goes on with them
             self._recur(arms[~well], self._readings[arms[~well], age])
         arms, numbers, sweep = arms[well], numbers[well], sweep.of(well)
         self.numbers[arms] = numbers
         self._states[arms], self._steps[arms] = sweep.states, self._trials.steps
         self._information[arms] = sweep.information + self._prior.information
-        if age <= 2 * QUIET:
+        if age <= 2 * DETECTION_START:
             self._residuals.reset(arms, len(self._ages))  # which were those of the linearisation
         self._residuals.misfit[arms] = sweep.cost / self._weights[: age + 1].size
         self._change[arms], _ = levenberg_marquardt_step(sweep, self.numbers[arms], self._prior)

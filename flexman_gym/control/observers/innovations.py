@@ -2,13 +2,16 @@
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, Flags, IntArray, pad_rows
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
 from flexman_gym.control.observers.internal_model import DiscreteJacobians
 from flexman_gym.control.observers.kalman_filter import measurement_update, stationary_covariance, time_update
 from flexman_gym.control.observers.observer import MeasurementModel
 
-QUIETLY, SUDDENLY = (0.001, 0.002), (0.02, 0.1)  # torques and forces on the tip that push, parts of their scales
-TURNED = 0.3  # rad by which an arm has turned when its motion is linearised anew
+PROCESS_NOISE, CHANGE_NOISE = (
+    (0.001, 0.002),
+    (0.02, 0.1),
+)  # torques and forces on the tip that push, parts of their scales
+RELINEARISATION_ANGLE = 0.3  # rad by which an arm has turned when its motion is linearised anew
 
 
 class InnovationGains:
@@ -33,7 +36,7 @@ class InnovationGains:
         for name in self.kept:
             setattr(self, name, pad_rows(getattr(self, name), count))
 
-    def begin(self, arms: IntArray, states: Array, torques: Array, sudden: bool) -> Flags:
+    def begin(self, arms: IntArray, states: Array, torques: Array, sudden: bool) -> BoolArray:
         """Begins for arms (r,) at states (r, 2 d) under torques (r, n) N m; says for which of them it can.
 
         Args:
@@ -43,18 +46,18 @@ class InnovationGains:
             sudden: whether something has just pushed them, so that the estimate is not exact.
         """
         inputs, well = self._linearise(arms, states, torques)
-        noise = self._noise[arms] + sudden * self._noise_of(inputs, SUDDENLY)
+        noise = self._noise[arms] + sudden * self._noise_of(inputs, CHANGE_NOISE)
         covariance = stationary_covariance(self._transition[arms], noise, self._matrix, self._variances)
-        result: Flags = well & np.isfinite(covariance).all(axis=(1, 2))
+        result: BoolArray = well & np.isfinite(covariance).all(axis=(1, 2))
         self.covariance[arms[result]] = covariance[result]
         return result
 
-    def _linearise(self, arms: IntArray, states: Array, torques: Array) -> tuple[Array, Flags]:
+    def _linearise(self, arms: IntArray, states: Array, torques: Array) -> tuple[Array, BoolArray]:
         """Takes the slopes of the motion of arms (r,); gives those by forces, and says where they are good."""
         slopes, good = self._slopes(states, torques)
         some, inputs = arms[good], slopes[..., states.shape[1] :]
         self._transition[some] = slopes[good][..., : states.shape[1]]
-        self._noise[some] = self._noise_of(inputs[good], QUIETLY)
+        self._noise[some] = self._noise_of(inputs[good], PROCESS_NOISE)
         self._designed[some] = states[good]
         return inputs, good
 
@@ -73,7 +76,9 @@ class InnovationGains:
 
     def gains(self, arms: IntArray, states: Array, torques: Array) -> Array:
         """Gives the gains (r, 2 d, m) of arms (r,) for the errors of readings, and moves on by a period."""
-        turned = np.abs(states - self._designed[arms])[:, : len(self._slopes.scales) - 3].max(axis=1) > TURNED
+        turned = (
+            np.abs(states - self._designed[arms])[:, : len(self._slopes.scales) - 3].max(axis=1) > RELINEARISATION_ANGLE
+        )
         if turned.any():
             self._linearise(arms[turned], states[turned], torques[turned])
         result, covariance = measurement_update(self.covariance[arms], self._matrix, self._variances)
@@ -81,12 +86,15 @@ class InnovationGains:
         return result
 
 
-FAST, SLOW = 0.1, 0.02  # parts of the last errors in their means
-SURPRISING, DRIFTED = 1.45, 5.5  # mean square above 1, in deviations that a period has; mean, in deviations of its own
-WRONG = 20.0  # mean square that nothing explains
+SQUARE_FORGETTING, MEAN_FORGETTING = 0.1, 0.02  # parts of the last errors in their means
+SQUARE_THRESHOLD, MEAN_THRESHOLD = (
+    1.45,
+    5.5,
+)  # mean square above 1, in deviations that a period has; mean, in deviations of its own
+MAX_MISFIT = 20.0  # mean square that nothing explains
 
 
-class Residuals:
+class ChangeDetector:
     """Means of the errors of readings of b arms, in their deviations.
 
     A sudden change shows in the mean square, a slow one in the mean of one reading (Gustafsson, Adaptive Filtering and
@@ -111,18 +119,18 @@ class Residuals:
 
     def take(self, arms: IntArray, errors: Array) -> None:
         """Takes the last errors (r, m) of arms (r,)."""
-        self.misfit[arms] += FAST * ((errors**2).mean(axis=1) - self.misfit[arms])
-        self._mean[arms] += SLOW * (errors - self._mean[arms])
+        self.misfit[arms] += SQUARE_FORGETTING * ((errors**2).mean(axis=1) - self.misfit[arms])
+        self._mean[arms] += MEAN_FORGETTING * (errors - self._mean[arms])
 
-    def changed(self, arms: IntArray) -> Flags:
+    def changed(self, arms: IntArray) -> BoolArray:
         """Says which of the arms (r,) have errors that noise does not explain."""
-        drift = np.abs(self._mean[arms]).max(axis=1) / np.sqrt(SLOW / (2.0 - SLOW))
+        drift = np.abs(self._mean[arms]).max(axis=1) / np.sqrt(MEAN_FORGETTING / (2.0 - MEAN_FORGETTING))
         square = (self.misfit[arms] - 1.0) / np.sqrt(2.0 / self._mean.shape[1])
-        result: Flags = (square > SURPRISING) | (drift > DRIFTED)
+        result: BoolArray = (square > SQUARE_THRESHOLD) | (drift > MEAN_THRESHOLD)
         return result
 
     @property
-    def wrong(self) -> Flags:
+    def wrong(self) -> BoolArray:
         """Which arms (b,) have errors, or none that are numbers, that nothing explains."""
-        result: Flags = ~(self.misfit < WRONG)
+        result: BoolArray = ~(self.misfit < MAX_MISFIT)
         return result

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, Flags, IntArray, pad_rows
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
 from flexman_gym.control.controller import Plant
 from flexman_gym.kernels.layout import OK
 from flexman_gym.model.linearization import coordinate_scales
@@ -52,8 +52,8 @@ class InternalModels:
         return InternalModels(self._plant)
 
 
-TOGETHER = 16  # arms whose neighbours are moved at once, for the memory that they take
-STATE, FORCE = 1e-5, 1e-3  # by which coordinates (of their size) and forces (of their scale) are changed
+BATCH_ARMS = 16  # arms whose neighbours are moved at once, for the memory that they take
+STATE_STEP, FORCE_STEP = 1e-5, 1e-3  # by which coordinates (of their size) and forces (of their scale) are changed
 
 
 class DiscreteJacobians:
@@ -73,14 +73,14 @@ class DiscreteJacobians:
     def __init__(self, plant: Plant) -> None:
         model, limits = plant.model, np.array(plant.torque_limit)
         self.scales = np.append(limits, np.full(3, limits.max() / model.constants.length.sum()))
-        self._changes = np.concatenate([np.tile(STATE * coordinate_scales(model), 2), FORCE * self.scales])
+        self._changes = np.concatenate([np.tile(STATE_STEP * coordinate_scales(model), 2), FORCE_STEP * self.scales])
         self._size = 2 * model.n_dof
         self._around = np.vstack([np.zeros(len(self._changes)), np.diag(self._changes)])  # the arm, its neighbours
         none = np.zeros(model.n_joints)
         smooth = model.constants._replace(coulomb_friction=none, rubbing=none.astype(np.int64))
         self._twins = InternalModels(plant._replace(model=replace(model, constants=smooth)))
 
-    def __call__(self, states: Array, torques: Array) -> tuple[Array, Flags]:
+    def __call__(self, states: Array, torques: Array) -> tuple[Array, BoolArray]:
         """Gives the slopes (r, 2 d, 2 d + n + 3) by states, torques and forces on the tip; where they are good (r,).
 
         Args:
@@ -88,13 +88,13 @@ class DiscreteJacobians:
             torques: (r, n) N m in it.
         """
         result, good = np.zeros((len(states), self._size, len(self._changes))), np.zeros(len(states), dtype=bool)
-        for first in range(0, len(states), TOGETHER):
-            some = slice(first, first + TOGETHER)
+        for first in range(0, len(states), BATCH_ARMS):
+            some = slice(first, first + BATCH_ARMS)
             result[some], good[some] = self._differences(states[some], torques[some])
         return result, good
 
-    def _differences(self, states: Array, torques: Array) -> tuple[Array, Flags]:
-        batch = self._twins("slopes", TOGETHER * len(self._around))
+    def _differences(self, states: Array, torques: Array) -> tuple[Array, BoolArray]:
+        batch = self._twins("slopes", BATCH_ARMS * len(self._around))
         shape, n = (len(states), len(self._around)), len(self.scales)
         used = np.arange(shape[0] * shape[1])
         place = np.concatenate([states, torques, np.zeros((len(states), 3))], axis=1)
@@ -104,7 +104,7 @@ class DiscreteJacobians:
         batch.place(used, near[:, : self._size])
         batch.step(drive, moving)
         ends = batch.state[used].reshape(*shape, -1)
-        good: Flags = (batch.status[used] == OK).reshape(shape).all(axis=1)
+        good: BoolArray = (batch.status[used] == OK).reshape(shape).all(axis=1)
         return ((ends[:, 1:] - ends[:, :1]) / self._changes[:, None]).mT, good
 
 

@@ -4,16 +4,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, Flags, IntArray, Vector, pad_rows, row_dots
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
 from flexman_gym.common.checks import flag, non_negative, value_error, vector
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.observers.internal_model import DelayCompensation, DiscreteJacobians, InternalModels
-from flexman_gym.control.observers.observer import BIAS, Estimate, make_measurement_model
-from flexman_gym.model.linearization import INSTRUMENTS
+from flexman_gym.control.observers.observer import MAX_BIAS, Estimate, make_measurement_model
+from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import holding_torques, rest_states
 
-DOUBLINGS = 20  # a million periods
-SETTLED = 1e-6  # part by which the last doubling may still change a variance
+MAX_DOUBLINGS = 20  # a million periods
+VARIANCE_TOLERANCE = 1e-6  # part by which the last doubling may still change a variance
 
 
 def time_update(covariance: Array, transition: Array, noise: Array) -> Array:
@@ -46,7 +46,7 @@ def stationary_covariance(transition: Array, noise: Array, matrix: Array, varian
     """
     passing, told, result = transition.mT, (matrix.T / variances) @ matrix, noise
     before, eye = result, np.eye(matrix.shape[1])
-    for _ in range(DOUBLINGS):
+    for _ in range(MAX_DOUBLINGS):
         before = result
         through = np.linalg.solve(
             eye + told @ result, np.concatenate([passing, np.broadcast_to(told, passing.shape)], -1)
@@ -56,7 +56,7 @@ def stationary_covariance(transition: Array, noise: Array, matrix: Array, varian
         result = _symmetric_part(result + passing.mT @ result @ onward)
         told, passing = _symmetric_part(told + passing @ spread @ passing.mT), passing @ onward
     now, earlier = (np.diagonal(each, axis1=-2, axis2=-1) for each in (result, before))
-    unknown = now > (1.0 + SETTLED) * earlier
+    unknown = now > (1.0 + VARIANCE_TOLERANCE) * earlier
     return np.where(unknown[..., None] | unknown[..., None, :], np.inf, result)
 
 
@@ -66,11 +66,19 @@ def _symmetric_part(matrix: Array) -> Array:
     return result
 
 
-TORQUE, FORCE = 0.005, 0.005  # of their scales, deviation of unknown torques and forces on the tip, new each period
-UNLIKE = 0.03  # in place of the latter where arms differ from the model: payloads and springs pull with what is amiss
-OFFSET, DRIFT = 0.1, 0.05  # of the torque limits, deviation of a constant torque at first; and what a second adds to it
-LASTING = 30.0  # s, for which a bias stays
-EVERY = 5  # control periods between two looks at the slopes of the motion
+TORQUE_NOISE, FORCE_NOISE = (
+    0.005,
+    0.005,
+)  # of their scales, deviation of unknown torques and forces on the tip, new each period
+MISMATCH_FORCE_NOISE = (
+    0.03  # in place of the latter where arms differ from the model: payloads and springs pull with what is amiss
+)
+OFFSET_DEVIATION, OFFSET_DRIFT = (
+    0.1,
+    0.05,
+)  # of the torque limits, deviation of a constant torque at first; and what a second adds to it
+BIAS_TIME_CONSTANT = 30.0  # s, for which a bias stays
+RELINEARISATION_INTERVAL = 5  # control periods between two looks at the slopes of the motion
 
 
 class KalmanFilter:
@@ -85,7 +93,7 @@ class KalmanFilter:
 
     Args:
         plant: the arm, the delay of torques, and how exact instruments are.
-        sensors: names in `model.linearization.INSTRUMENTS`, "motor_encoders" among them.
+        sensors: names in `model.linearization.LINEAR_SENSORS`, "motor_encoders" among them.
         noise: deviations of the unknown torques, a part of the torque limits, and of the forces on the tip, a part of
             what the strongest motor bears at the whole reach; None takes 0.005 and 0.005, or 0.005 and 0.03 for a plant
             with unknown parameters, and as much as its `push`.
@@ -108,7 +116,7 @@ class KalmanFilter:
     def __init__(
         self,
         plant: Plant,
-        sensors: Sequence[str] = tuple(INSTRUMENTS),
+        sensors: Sequence[str] = tuple(LINEAR_SENSORS),
         noise: Vector | None = None,
         disturbed: bool = False,
         biased: bool = False,
@@ -122,7 +130,7 @@ class KalmanFilter:
         )
         n, limits, period = plant.model.n_joints, np.array(plant.torque_limit), plant.period
         self.delay, self._size, self._limits = (sum(plant.delay) + 1) // 2, 2 * plant.model.n_dof, limits
-        usual = (TORQUE, UNLIKE if plant.unknown else FORCE)
+        usual = (TORQUE_NOISE, MISMATCH_FORCE_NOISE if plant.unknown else FORCE_NOISE)
         parts = usual if noise is None else [non_negative("noise", each) for each in vector("noise", noise, 2)]
         self._forces = (np.repeat(parts, (n, 3)) * self._slopes.scales) ** 2
         if noise is None:
@@ -131,10 +139,10 @@ class KalmanFilter:
         self._offsets = slice(self._size, self._size + motors)
         biases = np.eye(all_read, self._biased * all_read)
         self._matrix = np.hstack([read.matrix, np.zeros((all_read, motors)), biases])
-        bias, kept = (BIAS * biases.T @ read.ranges) ** 2 / 3.0, np.exp(-period / LASTING)
+        bias, kept = (MAX_BIAS * biases.T @ read.ranges) ** 2 / 3.0, np.exp(-period / BIAS_TIME_CONSTANT)
         self._keeping = np.append(np.ones(motors), np.full(len(bias), kept))  # of the constants in a period
-        self._drift = np.append((DRIFT * limits[:motors]) ** 2 * period, (1.0 - kept**2) * bias)
-        self._spread = np.append((OFFSET * limits[:motors]) ** 2, bias)  # at the start
+        self._drift = np.append((OFFSET_DRIFT * limits[:motors]) ** 2 * period, (1.0 - kept**2) * bias)
+        self._spread = np.append((OFFSET_DEVIATION * limits[:motors]) ** 2, bias)  # at the start
         self._allocate()
 
     def _allocate(self) -> None:
@@ -163,7 +171,7 @@ class KalmanFilter:
         model = self._plant.model
         return rest_states(model, postures), np.array([holding_torques(model, each) for each in postures])
 
-    def _system(self, states: Array, torques: Array) -> tuple[Array, Array, Flags]:
+    def _system(self, states: Array, torques: Array) -> tuple[Array, Array, BoolArray]:
         """Transition and noise (r, s, s) in a period of all that is estimated, and where they are good (r,)."""
         slopes, good = self._slopes(states, torques)
         size, count, s = self._size, len(states), self._matrix.shape[1]
@@ -184,7 +192,7 @@ class KalmanFilter:
             raise value_error("sensors", self.sensors, "ones that tell where the arm is")
         return result
 
-    def estimate(self, readings: Readings, applied: Array, playing: Flags) -> Estimate:
+    def estimate(self, readings: Readings, applied: Array, playing: BoolArray) -> Estimate:
         """Gives what is known now; see `Observer`.
 
         Raises:
@@ -220,7 +228,7 @@ class KalmanFilter:
         """Moves arms (r,) on through the period that is over."""
         states, torques = self.states[arms, : self._size], self._prediction.past[arms, self.delay] + self._offset(arms)
         if not self._fixed:
-            due = self._ages[arms] % EVERY == 0
+            due = self._ages[arms] % RELINEARISATION_INTERVAL == 0
             if due.any():
                 transition, noise, good = self._system(states[due], torques[due])
                 again = arms[due][good]

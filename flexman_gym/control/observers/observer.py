@@ -5,11 +5,11 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, Flags, IntArray
+from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import value_error
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
-from flexman_gym.model.linearization import INSTRUMENTS
-from flexman_gym.model.linearization import LinearReadings as Linear
+from flexman_gym.model.linearization import LINEAR_SENSORS
+from flexman_gym.model.linearization import LinearMeasurements as Linear
 
 
 class Estimate(NamedTuple):
@@ -47,13 +47,13 @@ class Observer(Protocol):
         """Starts new episodes of the arms (r,)."""
         ...
 
-    def estimate(self, readings: Readings, applied: Array, playing: Flags) -> Estimate:
+    def estimate(self, readings: Readings, applied: Array, playing: BoolArray) -> Estimate:
         """Gives what is known now; arguments are those of `Controller.act`, and it is asked once a control period."""
         ...
 
 
-BIAS = 0.005  # of a range, up to which a biased reading is off
-FLOOR = 1e-4  # of a range, least deviation of a reading: no model is truer
+MAX_BIAS = 0.005  # of a range, up to which a biased reading is off
+MIN_DEVIATION = 1e-4  # of a range, least deviation of a reading: no model is truer
 
 
 class MeasurementModel(NamedTuple):
@@ -82,19 +82,19 @@ def make_measurement_model(plant: Plant, sensors: Sequence[str]) -> MeasurementM
 
     Args:
         plant: says how exact they are; the least deviation is 1e-4 of the range.
-        sensors: names in `model.linearization.INSTRUMENTS`.
+        sensors: names in `model.linearization.LINEAR_SENSORS`.
 
     Raises:
         ValueError: for any other, whose readings are not linear in the state, and without encoders of the motors, which
             tell where an arm is at its start.
     """
-    if isinstance(sensors, str) or not set(sensors) <= set(INSTRUMENTS) or "motor_encoders" not in sensors:
-        allowed = f"motor_encoders, beside which may stand {', '.join(list(INSTRUMENTS)[1:])}: what else there is "
+    if isinstance(sensors, str) or not set(sensors) <= set(LINEAR_SENSORS) or "motor_encoders" not in sensors:
+        allowed = f"motor_encoders, beside which may stand {', '.join(list(LINEAR_SENSORS)[1:])}: what else there is "
         raise value_error("sensors", sensors, f"{allowed}does not follow the state linearly")
-    names = tuple(name for each in dict.fromkeys(sensors) for name in INSTRUMENTS[each])
+    names = tuple(name for each in dict.fromkeys(sensors) for name in LINEAR_SENSORS[each])
     unit, measured = Linear(plant.model).named(np.eye(2 * plant.model.n_dof)), plant.measured()
     ends = np.cumsum([0, *(unit[name].shape[1] for name in names)]).tolist()
     places = {name: slice(*both) for name, *both in zip(names, ends, ends[1:], strict=False)}
     ranges, deviations = np.hstack([measured[name] for name in names])
     matrix = np.hstack([unit[name] for name in names]).T.copy()
-    return MeasurementModel(names, places, matrix, ranges, np.maximum(deviations, FLOOR * ranges))
+    return MeasurementModel(names, places, matrix, ranges, np.maximum(deviations, MIN_DEVIATION * ranges))

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, Flags, IntArray, pad_rows
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.observers.internal_model import DelayCompensation
 from flexman_gym.control.observers.observer import Estimate
@@ -13,7 +13,7 @@ from flexman_gym.simulation.parameters import PARAMETERS, UNCERTAIN
 
 # s and powers by which 1 / (1 + (t / s)^power) of the deviation is left: medians of the Estimator on 24 arms of
 # FlexRRR-v0 under unknown-lab follow these within a third
-FADING = {"payload_mass": (0.2, 3.0), "joint_stiffness": (0.1, 3.0), "link_stiffness_factor": (0.26, 2.0)}
+DEVIATION_DECAY = {"payload_mass": (0.2, 3.0), "joint_stiffness": (0.1, 3.0), "link_stiffness_factor": (0.26, 2.0)}
 
 
 class Oracle:
@@ -32,7 +32,7 @@ class Oracle:
         self._prediction, self._delays = DelayCompensation(plant), np.zeros(0, dtype=np.int64)
         self._parameters: dict[str, Array] = {}
         self._plant, self._ages = plant, np.zeros(0, dtype=np.int64)
-        ranges = {name: span for name, span in plant.unknown.items() if UNCERTAIN.get(name) in FADING}
+        ranges = {name: span for name, span in plant.unknown.items() if UNCERTAIN.get(name) in DEVIATION_DECAY}
         self._unknowns = make_uncertain_parameters(plant.model, ranges) if doubt and ranges else None
         self._numbers = np.zeros((0, 2, len(self._unknowns.names) if self._unknowns else 0))  # true ones, and errors
 
@@ -65,7 +65,7 @@ class Oracle:
     def _left(self) -> Array:
         """Parts of the deviations (b, p) that are left."""
         assert self._unknowns is not None
-        scales, powers = np.array([FADING[name] for name in self._unknowns.names]).T
+        scales, powers = np.array([DEVIATION_DECAY[name] for name in self._unknowns.names]).T
         return 1.0 / (1.0 + (self._ages[:, None] * self._plant.period / scales) ** powers)
 
     def _told(self) -> dict[str, Array]:
@@ -85,7 +85,7 @@ class Oracle:
             return {}
         return self._unknowns.deviations(self._left * self._unknowns.deviation)
 
-    def estimate(self, readings: Readings, applied: Array, playing: Flags) -> Estimate:
+    def estimate(self, readings: Readings, applied: Array, playing: BoolArray) -> Estimate:
         """Gives what is true when torques that are asked for now begin to act; see `Observer`."""
         states, arms = np.array(readings["state"], dtype=float), np.flatnonzero(playing)
         self._prediction.take(arms, applied[arms])

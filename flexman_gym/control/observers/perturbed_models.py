@@ -6,16 +6,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, Flags, IntArray, row_dots
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, row_dots
 from flexman_gym.common.checks import mapping, number_array, value_error
 from flexman_gym.control.controller import Plant
 from flexman_gym.control.observers.internal_model import InternalModels
 from flexman_gym.model.model import Model
-from flexman_gym.simulation.parameters import ARM, PARAMETERS, UNCERTAIN, current_names
+from flexman_gym.simulation.parameters import ARM, PARAMETERS, UNCERTAIN, rename_old_keys
 
-STEP = 0.0003  # of a range, by which an unknown is changed to see what follows; 0.03 shifts a phase by a radian in 2 s
-BEYOND = 0.08  # of a range, by which an estimate may leave it
-SURE = 1e-3  # of a number that is known, or of 1 where it is 0: the range in which it is
+PARAMETER_STEP = (
+    0.0003  # of a range, by which an unknown is changed to see what follows; 0.03 shifts a phase by a radian in 2 s
+)
+RANGE_MARGIN = 0.08  # of a range, by which an estimate may leave it
+KNOWN_RANGE = 1e-3  # of a number that is known, or of 1 where it is 0: the range in which it is
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +81,7 @@ def make_uncertain_parameters(model: Model, ranges: Mapping[str, tuple[float, fl
     renamed = {name: key for key, name in UNCERTAIN.items() if key != name} | {
         "link_stiffness": "link_stiffness_factor"
     }
-    for key, span in mapping("unknown", current_names("unknown", ranges, renamed), tuple(UNCERTAIN)).items():
+    for key, span in mapping("unknown", rename_old_keys("unknown", ranges, renamed), tuple(UNCERTAIN)).items():
         low, high = number_array(f"unknown.{key}", span, (2,), "a range (low, high)")
         if not 0.0 <= low <= high:
             raise value_error(f"unknown.{key}", span, "a range (low, high) with 0 <= low <= high")
@@ -92,17 +94,21 @@ def make_uncertain_parameters(model: Model, ranges: Mapping[str, tuple[float, fl
             scales.append(float(nominal[joint]) if row.factor else 1.0)
             spans.append((low, high))
     low, high = np.array(spans).reshape(-1, 2).T
-    wide = np.where(high > low, high - low, SURE * np.where(high > 0.0, high, 1.0))
+    wide = np.where(high > low, high - low, KNOWN_RANGE * np.where(high > 0.0, high, 1.0))
     return _UncertainParameters(
         tuple(names), np.array(joints, dtype=np.int64), np.array(scales), 0.5 * (low + high), wide / np.sqrt(12.0),
-        STEP * wide, np.maximum(low - BEYOND * wide, 0.0), high + BEYOND * wide,
+        PARAMETER_STEP * wide, np.maximum(low - RANGE_MARGIN * wide, 0.0), high + RANGE_MARGIN * wide,
     )  # fmt: skip
 
 
-TURN = 1e-3  # rad, by which an angle at the start is changed to see what follows
-TOGETHER = 32  # arms whose trials are rolled at once, for the memory that they take
-ROUNDING = 1e-12  # added to a matrix of ones on its diagonal
-TRIES, LITTLE, DAMPING = 4, (2.0, 0.02), 1e-3  # sweeps of a fit; falls of the cost, and by period, that end it; first
+ANGLE_STEP = 1e-3  # rad, by which an angle at the start is changed to see what follows
+BATCH_ARMS = 32  # arms whose trials are rolled at once, for the memory that they take
+DIAGONAL_OFFSET = 1e-12  # added to a matrix of ones on its diagonal
+MAX_ITERATIONS, MIN_DECREASE, INITIAL_DAMPING = (
+    4,
+    (2.0, 0.02),
+    1e-3,
+)  # sweeps of a fit; falls of the cost, and by period, that end it; first
 
 
 class Prior(NamedTuple):
@@ -138,7 +144,7 @@ class Resimulation(NamedTuple):
     gradient: Array
     cost: Array
 
-    def of(self, arms: Flags) -> "Resimulation":
+    def of(self, arms: BoolArray) -> "Resimulation":
         """Gives what is said of some arms (r,)."""
         return Resimulation(*(values[arms] for values in self))
 
@@ -166,7 +172,7 @@ class PerturbedModels:
         self.twins, self.unknowns, self.matrix = InternalModels(plant), unknowns, matrix
         n, known = model.n_joints, len(unknowns.names)
         self.moving, self.size = known + n, known + n + biased * len(matrix)
-        self.steps = np.concatenate([unknowns.step, np.full(n, TURN)])
+        self.steps = np.concatenate([unknowns.step, np.full(n, ANGLE_STEP)])
         self._turns = model.at_rest(np.eye(n))
 
     def changed(self, numbers: Array, steps: Array | None = None) -> Array:
@@ -211,7 +217,7 @@ class PerturbedModels:
             readings: (r, k + 1, m) from the start on.
             weights: (r, k + 1, m) of the squared errors, 1 / variance, 0 of readings that say nothing.
         """
-        parts = [slice(first, first + TOGETHER) for first in range(0, len(origin), TOGETHER)]
+        parts = [slice(first, first + BATCH_ARMS) for first in range(0, len(origin), BATCH_ARMS)]
         results = [self._sweep(origin[p], numbers[p], torques[p], readings[p], weights[p]) for p in parts]
         return Resimulation(*(np.concatenate(each) for each in zip(*results, strict=True)))
 
@@ -256,11 +262,11 @@ class PerturbedModels:
         Returns:
             The numbers (r, p) and the sweep that was made with them.
         """
-        periods, damping = data[0].shape[1], np.full(len(origin), DAMPING)
+        periods, damping = data[0].shape[1], np.full(len(origin), INITIAL_DAMPING)
         certain, going = 1.0 / prior.deviation**2, np.ones(len(origin), dtype=bool)
         best, result, least = numbers, self.sweep(origin, numbers, *data), np.full(len(origin), np.inf)
         tried, sweep = best, result
-        for attempt in range(TRIES):
+        for attempt in range(MAX_ITERATIONS):
             cost = sweep.cost + ((prior.mean - tried) ** 2 * certain).sum(axis=1)
             better = np.nan_to_num(cost, nan=np.inf) < least
             damping = np.where(better, 0.3 * damping, 20.0 * damping) if attempt else damping
@@ -268,8 +274,8 @@ class PerturbedModels:
             best = np.where(better[:, None], tried, best)
             result = Resimulation(*(_select_rows(better, *both) for both in zip(sweep, result, strict=True)))
             change, fall = levenberg_marquardt_step(result, best, prior, damping)
-            going &= fall >= max(LITTLE[0], LITTLE[1] * periods)
-            if attempt == TRIES - 1 or not going.any():
+            going &= fall >= max(MIN_DECREASE[0], MIN_DECREASE[1] * periods)
+            if attempt == MAX_ITERATIONS - 1 or not going.any():
                 break
             tried = np.where(going[:, None], prior.clip(best + change), best)  # no arm goes on because others do
             sweep = self.sweep(origin, tried, *data)
@@ -292,7 +298,7 @@ def levenberg_marquardt_step(
 
 def solve_scaled(matrices: Array, vectors: Array) -> Array:
     """Gives x (r, p) of matrices (r, p, p) x = vectors (r, p) in units far apart; 0 where they are not finite."""
-    good: Flags = np.logical_and(np.isfinite(matrices).all(axis=(1, 2)), np.isfinite(vectors).all(axis=1))
+    good: BoolArray = np.logical_and(np.isfinite(matrices).all(axis=(1, 2)), np.isfinite(vectors).all(axis=1))
     even, scale = _unit_diagonal(np.where(good[:, None, None], matrices, np.eye(matrices.shape[1])))
     result: Array = scale * np.linalg.solve(even, (scale * np.where(good[:, None], vectors, 0.0))[..., None])[..., 0]
     return result
@@ -300,7 +306,7 @@ def solve_scaled(matrices: Array, vectors: Array) -> Array:
 
 def standard_deviations(information: Array) -> Array:
     """Gives the standard deviations (r, p) of numbers of which there is information (r, p, p)."""
-    good: Flags = np.all(np.isfinite(information), axis=(1, 2))
+    good: BoolArray = np.all(np.isfinite(information), axis=(1, 2))
     even, scale = _unit_diagonal(np.where(good[:, None, None], information, np.eye(information.shape[1])))
     variances = np.diagonal(np.linalg.inv(even), axis1=1, axis2=2)
     return np.where(good[:, None], scale * np.sqrt(np.maximum(variances, 0.0)), np.inf)
@@ -311,7 +317,7 @@ def _unit_diagonal(matrices: Array) -> tuple[Array, Array]:
     each = np.arange(matrices.shape[1])
     scale = 1.0 / np.sqrt(matrices[:, each, each])
     result = matrices * scale[:, :, None] * scale[:, None]
-    result[:, each, each] = 1.0 + ROUNDING
+    result[:, each, each] = 1.0 + DIAGONAL_OFFSET
     return result, scale
 
 

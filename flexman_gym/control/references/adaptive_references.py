@@ -9,22 +9,22 @@ from flexman_gym.common.arrays import Array, IntArray, pad_rows
 from flexman_gym.control.references.trajectories import (
     DeflectionCompensation,
     QuasiStaticDeflection,
+    evaluate_polynomials,
     plan_path,
-    polynomial_values,
-    quintic,
+    quintic_coefficients,
 )
 from flexman_gym.model.model import Model
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.parameters import varied_model
 
-PLACES = np.linspace(0.0, 1.0, 11)  # of a path at which an arm is bent
-TYPICAL = 0.5  # 1/s^2, second derivative of the path parameter with which an arm is bent
-DURATIONS = 0.2 * 1.045 ** np.arange(110)  # s, that are tried; the last is 24 s
-PARTS = np.linspace(0.0, 1.0, 17)[1:-1]  # of a duration at which torques are compared with their limits
-REST, CHANGE, SPEED = 0, 1, 2  # layers of a table: at rest, times s'', times s'^2
-AIMED = 2  # steps of Newton by which the end of a path is turned
-REMEMBERED = 1000  # paths, of 20 kB each
-AHEAD = 0.01  # s, of the differences that give the speeds of bent coordinates
+PATH_POINTS = np.linspace(0.0, 1.0, 11)  # of a path at which an arm is bent
+TYPICAL_ACCELERATION = 0.5  # 1/s^2, second derivative of the path parameter with which an arm is bent
+CANDIDATE_DURATIONS = 0.2 * 1.045 ** np.arange(110)  # s, that are tried; the last is 24 s
+CHECKED_TIMES = np.linspace(0.0, 1.0, 17)[1:-1]  # of a duration at which torques are compared with their limits
+REST, ACCELERATION, SPEED_SQUARED = 0, 1, 2  # layers of a table: at rest, times s'', times s'^2
+NEWTON_STEPS = 2  # steps of Newton by which the end of a path is turned
+MAX_CACHED_PATHS = 1000  # paths, of 20 kB each
+DIFFERENCE_STEP = 0.01  # s, of the differences that give the speeds of bent coordinates
 
 
 class _PathTables(NamedTuple):
@@ -91,7 +91,7 @@ class SlewReferences:
         for arm, first, last in zip(arms, start, goal, strict=True):
             key = first.tobytes(), last.tobytes()
             if key not in self._paths:
-                if len(self._paths) >= REMEMBERED:
+                if len(self._paths) >= MAX_CACHED_PATHS:
                     self._paths.clear()
                 self._paths[key] = [self._bent(payload, first, last) for payload in range(len(self._models))]
             for payload, tables in enumerate(self._paths[key]):
@@ -102,25 +102,28 @@ class SlewReferences:
         model, bending, way = self._models[payload], self._bendings[payload], goal - start
         n = model.n_joints
         coordinates, torques = np.zeros((11, 3, model.n_dof)), np.zeros((11, 3, n))
-        for row, place in enumerate(PLACES):
+        for row, place in enumerate(PATH_POINTS):
             posture = start + place * way
             rest, straight = rest_state(model, posture)[: model.n_dof], model.at_rest(posture[None])[0, : model.n_dof]
             coordinates[row, REST], torques[row, REST] = rest - straight, holding_torques(model, posture)
             links, still = rest[:n], np.zeros(n)
             at_rest, held = bending.at(rest, (links, still, still))
             for layer, motion in (
-                (CHANGE, (links, still, TYPICAL * way)),
-                (SPEED, (links, np.sqrt(TYPICAL) * way, still)),
+                (ACCELERATION, (links, still, TYPICAL_ACCELERATION * way)),
+                (SPEED_SQUARED, (links, np.sqrt(TYPICAL_ACCELERATION) * way, still)),
             ):
                 bent, torque = bending.at(rest, motion)
-                coordinates[row, layer], torques[row, layer] = (bent - at_rest) / TYPICAL, (torque - held) / TYPICAL
+                coordinates[row, layer], torques[row, layer] = (
+                    (bent - at_rest) / TYPICAL_ACCELERATION,
+                    (torque - held) / TYPICAL_ACCELERATION,
+                )
         return _PathTables(coordinates, torques)
 
     def adapt(self, arms: IntArray, parameters: Mapping[str, Array]) -> None:
         """Takes the physical parameters (b, ...) of the arms (r,) as they are estimated, see `Estimate`."""
         if not len(arms):
             return
-        weights = payload_weights(self._payloads, estimated_payloads(self.model, parameters, arms))
+        weights = payload_interpolation_weights(self._payloads, estimated_payloads(self.model, parameters, arms))
         for own, every in ((self._own_coordinates, self._coordinates), (self._own_torques, self._torques)):
             own[arms] = (weights[:, :, None, None, None] * every[arms]).sum(axis=1)
         self._soft[arms] = compliance_factors(self.model, parameters, arms)
@@ -134,7 +137,7 @@ class SlewReferences:
         for arm in arms:
             goal = self.start[arm] + self.way[arm]
             wanted = rest_state(model, goal)[:d]
-            for _ in range(AIMED):
+            for _ in range(NEWTON_STEPS):
                 sagging = self._soft[arm] * self._own_coordinates[arm, -1, REST]
                 place = model.at_rest((goal + self.shift[arm])[None])[0, :d] + sagging
                 self.shift[arm] += self._give_way.turn(wanted, place)
@@ -150,8 +153,8 @@ class SlewReferences:
         if not len(arms):
             return
         place, speed, change = (np.zeros((3, len(arms))) if first else np.array(self.at(now, arms)))[:, :, None]
-        tried = quintic(place, speed, change, DURATIONS.astype(float))
-        places, speeds, changes = polynomial_values(tried[:, :, None], DURATIONS[:, None] * PARTS)
+        tried = quintic_coefficients(place, speed, change, CANDIDATE_DURATIONS.astype(float))
+        places, speeds, changes = evaluate_polynomials(tried[:, :, None], CANDIDATE_DURATIONS[:, None] * CHECKED_TIMES)
         torques = self._mixed(self._own_torques, arms, places, changes, speeds)
         if self._friction[arms].any():
             rates = speeds[..., None] * self.way[arms][:, None, None]
@@ -160,26 +163,28 @@ class SlewReferences:
         good = shares <= self._share
         chosen = np.where(good.any(axis=1), good.argmax(axis=1), shares.argmin(axis=1))
         self.coefficients[arms] = tried[np.arange(len(arms)), chosen]
-        self.begun[arms], self.lasting[arms] = now, DURATIONS[chosen]
+        self.begun[arms], self.lasting[arms] = now, CANDIDATE_DURATIONS[chosen]
 
     def _mixed(self, table: Array, arms: IntArray, places: Array, changes: Array, speeds: Array) -> Array:
         """rest + a s'' + b s'^2 (r, ..., m) of a table (b, 11, 3, m) at places, changes and speeds (r, ...)."""
-        at = np.clip(places, 0.0, 1.0) * (len(PLACES) - 1)
-        low = np.minimum(at.astype(np.int64), len(PLACES) - 2)
+        at = np.clip(places, 0.0, 1.0) * (len(PATH_POINTS) - 1)
+        low = np.minimum(at.astype(np.int64), len(PATH_POINTS) - 2)
         part, rows = (at - low)[..., None, None], arms.reshape(-1, *(1,) * (places.ndim - 1))
         layers = table[rows, low] * (1.0 - part) + table[rows, low + 1] * part
         return (
             layers[..., REST, :]
-            + layers[..., CHANGE, :] * changes[..., None]
-            + layers[..., SPEED, :] * (speeds[..., None] ** 2)
+            + layers[..., ACCELERATION, :] * changes[..., None]
+            + layers[..., SPEED_SQUARED, :] * (speeds[..., None] ** 2)
         )
 
     def at(self, now: Array, arms: IntArray) -> tuple[Array, Array, Array]:
         """Gives places, speeds (1/s) and second derivatives (1/s^2) of the arms (r,) at times (r,) s."""
         passed = now - self.begun[arms]
         # one that was timed on its way moved before
-        earliest = np.where(self.coefficients[arms, 1] != 0.0, -AHEAD * self.pace[arms], 0.0)
-        place, speed, change = polynomial_values(self.coefficients[arms], np.clip(passed, earliest, self.lasting[arms]))
+        earliest = np.where(self.coefficients[arms, 1] != 0.0, -DIFFERENCE_STEP * self.pace[arms], 0.0)
+        place, speed, change = evaluate_polynomials(
+            self.coefficients[arms], np.clip(passed, earliest, self.lasting[arms])
+        )
         over = passed >= self.lasting[arms]
         return np.where(over, 1.0, place), np.where(over, 0.0, speed), np.where(over, 0.0, change)
 
@@ -191,9 +196,9 @@ class SlewReferences:
 
     def states(self, now: Array, arms: IntArray) -> Array:
         """Gives the states (r, 2 d) of the arms (r,) at times (r,) s."""
-        steps = AHEAD * self.pace[arms]
+        steps = DIFFERENCE_STEP * self.pace[arms]
         before, here, after = (self._coordinates_at(now + step, arms) for step in (-steps, 0.0, steps))
-        return np.concatenate([here, (after - before) / (2.0 * AHEAD)], axis=1)
+        return np.concatenate([here, (after - before) / (2.0 * DIFFERENCE_STEP)], axis=1)
 
     def _coordinates_at(self, now: Array, arms: IntArray) -> Array:
         place, speed, change = self._paced(now, arms)
@@ -217,7 +222,7 @@ def estimated_payloads(model: Model, parameters: Mapping[str, Array], arms: IntA
     return np.full(len(arms), model.constants.payload_mass[0])
 
 
-def payload_weights(nodes: Array, payloads: Array) -> Array:
+def payload_interpolation_weights(nodes: Array, payloads: Array) -> Array:
     """Gives the weights (r, p) of nodes (p,) kg between which payloads (r,) are interpolated."""
     masses = np.clip(payloads, nodes[0], nodes[-1])
     result = np.ones((len(payloads), len(nodes)))
@@ -287,7 +292,9 @@ class PathReferences:
         """Takes the physical parameters (b, ...) of the arms (r,) as they are estimated, see `Estimate`."""
         if not len(arms):
             return
-        self._weights[arms] = payload_weights(self._payloads, estimated_payloads(self.model, parameters, arms))
+        self._weights[arms] = payload_interpolation_weights(
+            self._payloads, estimated_payloads(self.model, parameters, arms)
+        )
         self._soft[arms] = compliance_factors(self.model, parameters, arms)
         self._friction[arms] = friction_coefficients(self.model, parameters, arms)
 

@@ -9,27 +9,43 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray, Vector, pad_rows, row_dots
-from flexman_gym.common.checks import MAX_SHOWN, short_path, value_error
+from flexman_gym.common.checks import MAX_VALUE_LENGTH, short_path, value_error
 from flexman_gym.common.files import READ_ERRORS, open_arrays
 from flexman_gym.control.controller import EpisodeInfo
-from flexman_gym.control.lqr import LQR, SHARE
+from flexman_gym.control.lqr import LQR, TORQUE_SHARE
 from flexman_gym.control.references.trajectories import plan_slew
 from flexman_gym.kernels.layout import OK, TIP
 from flexman_gym.model.model import Model
 from flexman_gym.model.statics import holding_torques, rest_state, rest_tips
 from flexman_gym.simulation.batch import Batch
 
-KNOT, TAIL, STAY = 0.1, 0.2, 1.0  # s: between knots, of torques after the tip has arrived, and of the LQR behind them
-FEWEST = 4  # knots
-FIRST, SHORTER, LONGER, FINE = 0.8, 0.88, 1.12, 0.012  # parts of a duration: tried first, then next, and given up at
-MOST_DURATIONS, MOST_MOVES, MOST_SLOPES = 40, 60, 12
-INNER, INSIDE = 0.6, 0.995  # of the band: errors below the first weigh nothing, and below the second it has settled
-DAMPINGS, LEAST_DAMPING, MOST_DAMPING, FIRST_DAMPING = np.array([0.1, 1.0, 10.0, 100.0]), 1e-6, 1e3, 1e-2
-FALL, REUSES = 0.9, 5  # of the cost, in a move that counts; such moves before slopes are taken anew
-NUDGE = 0.005  # of the torque limits, for slopes
-SLOW, SLOW_ENOUGH, STEEP = 0.97, 0.99, 50.0  # parts of the largest rate, and bands for exceeding the first by all of it
-FAR = 1e3  # bands, where an arm that failed counts as being
-SMALL, TINY, ROUNDING = 1e-4, 1e-12, 1e-9  # a move in parts of the limits, m, and parts of the limits
+KNOT_SPACING, TAIL_TIME, SETTLING_TIME = (
+    0.1,
+    0.2,
+    1.0,
+)  # s: between knots, of torques after the tip has arrived, and of the LQR behind them
+MIN_KNOTS = 4  # knots
+FIRST_FACTOR, SHORTER_FACTOR, LONGER_FACTOR, DURATION_TOLERANCE = (
+    0.8,
+    0.88,
+    1.12,
+    0.012,
+)  # parts of a duration: tried first, then next, and given up at
+MAX_DURATIONS, MAX_STEPS, MAX_JACOBIANS = 40, 60, 12
+INNER_BAND, SETTLED_BAND = (
+    0.6,
+    0.995,
+)  # of the band: errors below the first weigh nothing, and below the second it has settled
+DAMPING_FACTORS, MIN_DAMPING, MAX_DAMPING, INITIAL_DAMPING = np.array([0.1, 1.0, 10.0, 100.0]), 1e-6, 1e3, 1e-2
+MAX_COST_RATIO, BROYDEN_UPDATES = 0.9, 5  # of the cost, in a move that counts; such moves before slopes are taken anew
+TORQUE_STEP = 0.005  # of the torque limits, for slopes
+RATE_BOUND, MAX_RATE, RATE_WEIGHT = (
+    0.97,
+    0.99,
+    50.0,
+)  # parts of the largest rate, and bands for exceeding the first by all of it
+FAILURE_ERROR = 1e3  # bands, where an arm that failed counts as being
+COST_DIFFERENCE_STEP, TINY, ROUNDING = 1e-4, 1e-12, 1e-9  # a move in parts of the limits, m, and parts of the limits
 
 
 class SlewTorques(NamedTuple):
@@ -60,7 +76,7 @@ def broyden_update(slopes: Array, move: Array, change: Array) -> Array:
     return result
 
 
-class Shooting:
+class SingleShooting:
     """A slew of one arm, from rest at motor angles (n,) rad to rest at others, whose torques are searched for.
 
     Single shooting: all torques at knots are nudged side by side in a Batch, and damped Gauss-Newton steps within the
@@ -86,23 +102,29 @@ class Shooting:
         self._start, self._rest = rest_state(model, start), rest_state(model, goal)
         self._weights = np.array([holding_torques(model, posture) for posture in (start, goal)])
         self._gain, self._target = regulator.gain(goal), rest_tips(model, goal[None])[0]
-        self._tail, self._stay = (round(time / regulator.period) for time in (TAIL, STAY))
+        self._tail, self._stay = (round(time / regulator.period) for time in (TAIL_TIME, SETTLING_TIME))
 
     def search(self) -> SlewTorques | None:
         """Gives the quickest slew found, None where none settles."""
-        torques = plan_slew(self._regulator.model, *self._ends, self._regulator.limits, SHARE, self._regulator.period)
-        known, best, part = SlewTorques(torques.torques, len(torques.torques), len(torques.torques)), None, SHORTER
-        arrival = max(1, round(FIRST * known.periods))
-        for _ in range(MOST_DURATIONS):
+        torques = plan_slew(
+            self._regulator.model, *self._ends, self._regulator.limits, TORQUE_SHARE, self._regulator.period
+        )
+        known, best, part = (
+            SlewTorques(torques.torques, len(torques.torques), len(torques.torques)),
+            None,
+            SHORTER_FACTOR,
+        )
+        arrival = max(1, round(FIRST_FACTOR * known.periods))
+        for _ in range(MAX_DURATIONS):
             found = self._solve(self._stretched(known, arrival), arrival)
             if found is not None:
                 known = best = found
                 arrival = min(round(part * best.arrival), best.arrival - 1)
             elif best is None:
-                arrival = int(np.ceil(LONGER * arrival))
+                arrival = int(np.ceil(LONGER_FACTOR * arrival))
             else:
                 gap = best.arrival - arrival
-                if gap <= max(1.0, FINE * best.arrival):
+                if gap <= max(1.0, DURATION_TOLERANCE * best.arrival):
                     break
                 arrival, part = best.arrival - gap // 2, 0.5 + 0.5 * part
             if arrival < 1:
@@ -131,7 +153,7 @@ class Shooting:
             batch.step(drive)
             result[:, period, :3] = batch.outputs[:, TIP] - self._target
             result[:, period, 3:] = batch.state[:, rates] / self._rate
-        result[batch.status != OK] = FAR * self._band
+        result[batch.status != OK] = FAILURE_ERROR * self._band
         return result
 
     def _batch(self, count: int) -> Batch:
@@ -143,7 +165,7 @@ class Shooting:
     def _stretched(self, known: SlewTorques, arrival: int) -> Array:
         """Knots (K, n) of a slew that arrives at another time: what moves the arm goes with the square of the speed."""
         periods, limits, speed = arrival + self._tail, self._regulator.limits, known.arrival / arrival
-        times = np.linspace(0.0, periods, max(FEWEST, round(periods * self._regulator.period / KNOT) + 1))
+        times = np.linspace(0.0, periods, max(MIN_KNOTS, round(periods * self._regulator.period / KNOT_SPACING) + 1))
         own = np.linspace(0.0, known.periods, len(known.knots))
         torques = np.array([np.interp(speed * times, own, column) for column in known.knots.T]).T
         held = self._weights[0] + np.minimum(times / arrival, 1.0)[:, None] * (self._weights[1] - self._weights[0])
@@ -151,36 +173,36 @@ class Shooting:
 
     def _solve(self, knots: Array, arrival: int) -> SlewTorques | None:
         """Moves knots until the tip is within the band from its arrival on; None where no move helps."""
-        periods, damping, reused, counted = arrival + self._tail, FIRST_DAMPING, 0, 1
+        periods, damping, reused, counted = arrival + self._tail, INITIAL_DAMPING, 0, 1
         errors, slopes = self._slopes(knots, periods)
-        for _ in range(MOST_MOVES):
-            outside = np.flatnonzero(np.linalg.norm(errors[:, :3], axis=1) > INSIDE * self._band)
-            if outside.max(initial=-1) < arrival - 1 and np.abs(errors[:, 3:]).max() <= SLOW_ENOUGH:
+        for _ in range(MAX_STEPS):
+            outside = np.flatnonzero(np.linalg.norm(errors[:, :3], axis=1) > SETTLED_BAND * self._band)
+            if outside.max(initial=-1) < arrival - 1 and np.abs(errors[:, 3:]).max() <= MAX_RATE:
                 return SlewTorques(knots, periods, int(outside.max(initial=-1)) + 2)
-            tried = self._moves(knots, errors, slopes, arrival, damping * DAMPINGS)
+            tried = self._moves(knots, errors, slopes, arrival, damping * DAMPING_FACTORS)
             ways = self.errors(tried, periods)
             costs = np.square(self._beyond(np.concatenate([ways, errors[None]]), arrival)).sum(axis=1)
             best = int(np.argmin(costs[:-1]))
-            better = costs[best] < FALL * costs[-1]
+            better = costs[best] < MAX_COST_RATIO * costs[-1]
             if better:
                 move = ((tried[best] - knots) / self._regulator.limits).ravel()
                 slopes = broyden_update(slopes, move, ways[best] - errors)
                 knots, errors, reused = tried[best], ways[best], reused + 1
-                damping = float(np.clip(damping * DAMPINGS[best], LEAST_DAMPING, MOST_DAMPING))
+                damping = float(np.clip(damping * DAMPING_FACTORS[best], MIN_DAMPING, MAX_DAMPING))
             elif reused == 0:
-                damping *= MOST_DAMPING
-            if reused and (reused == REUSES or not better):
+                damping *= MAX_DAMPING
+            if reused and (reused == BROYDEN_UPDATES or not better):
                 errors, slopes = self._slopes(knots, periods)
                 reused, counted = 0, counted + 1
-            if damping > MOST_DAMPING**2 or counted > MOST_SLOPES:
+            if damping > MAX_DAMPING**2 or counted > MAX_JACOBIANS:
                 break
         return None
 
     def _slopes(self, knots: Array, periods: int) -> tuple[Array, Array]:
         """The `errors` of knots, and how they change (K n, T + W, 3 + n) with each knot, in parts of its limit."""
-        nudges = NUDGE * self._regulator.limits * np.eye(knots.size).reshape(-1, *knots.shape)
+        nudges = TORQUE_STEP * self._regulator.limits * np.eye(knots.size).reshape(-1, *knots.shape)
         errors = self.errors(np.concatenate([knots[None], knots + nudges]), periods)
-        return errors[0], (errors[1:] - errors[0]) / NUDGE
+        return errors[0], (errors[1:] - errors[0]) / TORQUE_STEP
 
     def _beyond(self, errors: Array, arrival: int) -> Array:
         """What of `errors` (r, T + W, 3 + n) is too large, (r, ...) in bands.
@@ -189,8 +211,8 @@ class Shooting:
         """
         late, rates = errors[:, arrival - 1 :: 2, :3], errors[..., 3:]
         distances = np.linalg.norm(late, axis=2, keepdims=True)
-        ways = late * np.maximum(0.0, 1.0 - INNER * self._band / np.maximum(distances, TINY)) / self._band
-        fast = STEEP * (rates - np.clip(rates, -SLOW, SLOW))
+        ways = late * np.maximum(0.0, 1.0 - INNER_BAND * self._band / np.maximum(distances, TINY)) / self._band
+        fast = RATE_WEIGHT * (rates - np.clip(rates, -RATE_BOUND, RATE_BOUND))
         return np.concatenate([ways.reshape(len(errors), -1), fast.reshape(len(errors), -1)], axis=1)
 
     def _moves(self, knots: Array, errors: Array, slopes: Array, arrival: int, dampings: Array) -> Array:
@@ -198,10 +220,10 @@ class Shooting:
         from scipy.optimize import lsq_linear
 
         limits = self._regulator.limits
-        both = self._beyond(np.concatenate([errors[None], errors + SMALL * slopes]), arrival).reshape(
+        both = self._beyond(np.concatenate([errors[None], errors + COST_DIFFERENCE_STEP * slopes]), arrival).reshape(
             len(slopes) + 1, -1
         )
-        slope = (both[1:] - both[0]) / SMALL
+        slope = (both[1:] - both[0]) / COST_DIFFERENCE_STEP
         # in the axes of the squares, so that each damping costs a small problem only
         squares, axes = np.linalg.eigh(slope @ slope.T)
         wanted, place = axes.T @ (slope @ both[0]), (knots / limits).ravel()
@@ -214,9 +236,12 @@ class Shooting:
         return np.array(result)
 
 
-SHIPPED = Path(__file__).parent / "tables" / "FlexRRR-v0.npz"  # seeds 9000 to 9099
-SAME, LIKE = 1e-9, 1e-9  # rad between postures that are the same, and of the numbers of an arm relative to them
-MAKE = "flexman optimise ENVIRONMENT --seeds FIRST COUNT --out FILE"
+SHIPPED_TABLE = Path(__file__).parent / "tables" / "FlexRRR-v0.npz"  # seeds 9000 to 9099
+POSTURE_TOLERANCE, ARM_TOLERANCE = (
+    1e-9,
+    1e-9,
+)  # rad between postures that are the same, and of the numbers of an arm relative to them
+COMMAND = "flexman optimise ENVIRONMENT --seeds FIRST COUNT --out FILE"
 ENTRIES = ("about", "arm", "seeds", "ends", "periods", "times", "counts", "knots")
 
 
@@ -226,7 +251,7 @@ class SlewTable:
 
     Attributes:
         about: what it was made with: environment, method, model, command and so on; texts, numbers and lists.
-        arm: numbers by which the arm is known, see `arm_parameters`.
+        arm: numbers by which the arm is known, see `arm_fingerprint`.
         found: seed of an episode -> its start and goal (2, n) rad, the Slew, and the settling time (s) of its replay in
             the environment, infinite where it did not settle.
     """
@@ -242,9 +267,9 @@ class SlewTable:
             ValueError: where there is none.
         """
         for ends, slew, _ in self.found.values():
-            if ends.shape == (2, len(start)) and np.abs(ends - [start, goal]).max() <= SAME:
+            if ends.shape == (2, len(start)) and np.abs(ends - [start, goal]).max() <= POSTURE_TOLERANCE:
                 return interpolate_torques(slew.knots, slew.periods)
-        allowed = f"a start and a goal that the table has, or make one: {MAKE}"
+        allowed = f"a start and a goal that the table has, or make one: {COMMAND}"
         raise value_error("episode", [start.tolist(), goal.tolist()], allowed)
 
     def settling_time(self, seed: int) -> float:
@@ -254,7 +279,7 @@ class SlewTable:
             ValueError: for an episode that the table does not have.
         """
         if seed not in self.found:
-            raise value_error("seed", seed, f"one that the table has, or make one: {MAKE}")
+            raise value_error("seed", seed, f"one that the table has, or make one: {COMMAND}")
         return self.found[seed][2]
 
     def check_arm(self, arm: Array) -> None:
@@ -263,9 +288,9 @@ class SlewTable:
         Raises:
             ValueError: one line.
         """
-        if arm.shape != self.arm.shape or not np.allclose(arm, self.arm, rtol=LIKE, atol=0.0):
+        if arm.shape != self.arm.shape or not np.allclose(arm, self.arm, rtol=ARM_TOLERANCE, atol=0.0):
             about = self.about.get("environment")
-            raise value_error("table", about, f"one of this arm, with its torque limits and control period: {MAKE}")
+            raise value_error("table", about, f"one of this arm, with its torque limits and control period: {COMMAND}")
 
     def save(self, path: Path) -> None:
         """Writes it, whole or not at all."""
@@ -306,11 +331,11 @@ class SlewTable:
         except FileNotFoundError:
             raise
         except READ_ERRORS as error:
-            said = " ".join(str(error).split())[:MAX_SHOWN] or type(error).__name__
-            raise ValueError(f"{short_path(path)}: it is no table of slews, which {MAKE} makes ({said})") from None
+            said = " ".join(str(error).split())[:MAX_VALUE_LENGTH] or type(error).__name__
+            raise ValueError(f"{short_path(path)}: it is no table of slews, which {COMMAND} makes ({said})") from None
 
 
-def arm_parameters(model: Model, limits: Array, period: float) -> Array:
+def arm_fingerprint(model: Model, limits: Array, period: float) -> Array:
     """Gives what tells arms apart however finely they are modelled: lengths, springs, rotors, load, weight, motors."""
     constants = model.constants
     mass = np.atleast_1d(constants.payload_mass).ravel()
@@ -338,7 +363,7 @@ class OptimisedController(LQR):
 
     def __init__(self, table: SlewTable, model: Model, torque_limit: float | Vector, period: float) -> None:
         super().__init__(model, torque_limit, period)
-        table.check_arm(arm_parameters(self.model, self.limits, self.period))
+        table.check_arm(arm_fingerprint(self.model, self.limits, self.period))
         self._table, self._slews, self._now = table, list[Array](), np.zeros(0, dtype=np.int64)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:

@@ -33,7 +33,7 @@ class _TimingLaw(NamedTuple):
         """Gives place, speed (1/s) and acceleration (1/s^2) at times (T,) s; it rests before and after."""
         inside = np.clip(times, 0.0, self.duration)
         phases: IntArray = np.searchsorted(self.begins, inside, side="right") - 1
-        place, speed, acceleration = polynomial_values(self.coefficients[phases], inside - self.begins[phases])
+        place, speed, acceleration = evaluate_polynomials(self.coefficients[phases], inside - self.begins[phases])
         return place, speed, np.where(inside == times, acceleration, 0.0)
 
 
@@ -61,7 +61,7 @@ def double_s(way: float, speed: float, acceleration: float, jerk: float) -> _Tim
     return _constant_jerk_law(physical("way", way), *limits, physical("jerk", jerk, "1/s^3"))
 
 
-def quintic(place: Array, speed: Array, change: Array, durations: Array) -> Array:
+def quintic_coefficients(place: Array, speed: Array, change: Array, durations: Array) -> Array:
     """Gives coefficients (..., 6), lowest power first, of the polynomial in time that comes to rest at place 1.
 
     Between rests it is the minimum-jerk motion (Flash and Hogan, Journal of Neuroscience 5, 1985, 1688).
@@ -80,7 +80,7 @@ def quintic(place: Array, speed: Array, change: Array, durations: Array) -> Arra
     return result
 
 
-def polynomial_values(coefficients: Array, times: Array) -> tuple[Array, Array, Array]:
+def evaluate_polynomials(coefficients: Array, times: Array) -> tuple[Array, Array, Array]:
     """Gives place, speed (1/s) and second derivative (1/s^2) of polynomials (..., 6) at times (...) s."""
     a, b, c, d, e, f = np.moveaxis(coefficients, -1, 0)
     place = a + times * (b + times * (c + times * (d + times * (e + times * f))))
@@ -104,12 +104,12 @@ def _constant_jerk_law(way: float, speed: float, acceleration: float, jerk: floa
     begins, coefficients = np.cumsum(lasting) - lasting, np.zeros((len(lasting), 6))
     coefficients[:, 2], coefficients[:, 3] = first / 2.0, (last - first) / (6.0 * lasting)
     for before, after, time in zip(coefficients[:-1], coefficients[1:], lasting[:-1], strict=True):
-        after[0], after[1], _ = polynomial_values(before, time)
+        after[0], after[1], _ = evaluate_polynomials(before, time)
     return _TimingLaw(begins, coefficients, float(lasting.sum()))
 
 
 TIMING_LAWS = {  # of slews from 0 to 1 in a duration of 1; the phases of each last as long as each other
-    "minimum-jerk": _TimingLaw(np.zeros(1), quintic(*np.array([[0.0], [0.0], [0.0], [1.0]])), 1.0),
+    "minimum-jerk": _TimingLaw(np.zeros(1), quintic_coefficients(*np.array([[0.0], [0.0], [0.0], [1.0]])), 1.0),
     "trapezoid": trapezoid(1.0, 1.5, 4.5),
     "double-s": double_s(1.0, 1.75, 6.125, 42.875),
 }
@@ -120,11 +120,14 @@ def minimum_jerk(parts: Array) -> tuple[Array, Array, Array]:
     return TIMING_LAWS["minimum-jerk"].at(parts)
 
 
-PASSES = 3  # of bending under the inertia of the bent arm
-SINGULAR = 0.05  # part of the largest slope of the tip; joints do not give way into directions with less
-EVERY, RESTING = 4, 6  # control periods between two places of a path that are solved for; such places before its start
-SAMPLES, LONGEST = 21, 60.0  # places whose torques time a motion; s
-HAIR = 1e-9  # of a duration, before accelerations jump
+DEFLECTION_PASSES = 3  # of bending under the inertia of the bent arm
+SINGULAR_CUTOFF = 0.05  # part of the largest slope of the tip; joints do not give way into directions with less
+SOLVE_INTERVAL, REST_POINTS = (
+    4,
+    6,
+)  # control periods between two places of a path that are solved for; such places before its start
+PATH_SAMPLES, MAX_DURATION = 21, 60.0  # places whose torques time a motion; s
+JUMP_MARGIN = 1e-9  # of a duration, before accelerations jump
 
 
 class _ReferenceTrajectory(NamedTuple):
@@ -166,7 +169,7 @@ class QuasiStaticDeflection:
         for columns in (np.arange(n), self._motors):
             rates[columns], changes[columns] = motion[1], motion[2]
         rotors = self._model.constants.rotor_inertia * changes[:n]
-        for _ in range(PASSES):
+        for _ in range(DEFLECTION_PASSES):
             demand = self._forces(x, rates, changes)
             x = x.copy()
             x[self._elastic] = -self._inverse @ demand[self._elastic]
@@ -208,7 +211,7 @@ def slew_path(model: Model, start: Array, goal: Array, law: str = "minimum-jerk"
         return first + place * (last - first), speed * (last - first), acceleration * (last - first)
 
     jumps = timing.begins[1:]
-    return _JointPath(QuasiStaticDeflection(model), ends, motion, _sample_parts(jumps - HAIR, jumps))
+    return _JointPath(QuasiStaticDeflection(model), ends, motion, _sample_parts(jumps - JUMP_MARGIN, jumps))
 
 
 def via_path(model: Model, postures: Array, count: int) -> _JointPath:
@@ -239,7 +242,7 @@ def via_path(model: Model, postures: Array, count: int) -> _JointPath:
 
 def _sample_parts(*places: Array) -> Array:
     """Parts of a duration all along it, and others where accelerations may be largest."""
-    return np.sort(np.concatenate([np.linspace(0.0, 1.0, SAMPLES), *places]))
+    return np.sort(np.concatenate([np.linspace(0.0, 1.0, PATH_SAMPLES), *places]))
 
 
 def plan_slew(
@@ -297,7 +300,7 @@ def _time_optimal(
     Torques are those at rest and what inertia asks, which goes with 1 / T^2: both at one T tell the shortest. Bending
     changes that a little, so that it is told anew there.
     """
-    count, short = max(fewest, int(LONGEST / period)), fewest - 1
+    count, short = max(fewest, int(MAX_DURATION / period)), fewest - 1
     most, path = count, paths(count)
     rest = path.at(path.parts, np.inf)[1]
     if (np.abs(rest) >= bounds).any():
@@ -342,9 +345,9 @@ def plan_path(model: Model, postures: Array, period: float) -> _ReferenceTraject
 
     n, bending, give_way = model.n_joints, QuasiStaticDeflection(model), DeflectionCompensation(model)
     all_times = period * np.arange(len(postures))
-    count = max(4, -(-(len(postures) - 1) // EVERY) + 1)
+    count = max(4, -(-(len(postures) - 1) // SOLVE_INTERVAL) + 1)
     spacing = all_times[-1] / (count - 1)
-    times = spacing * np.arange(-RESTING, count)  # it has rested before
+    times = spacing * np.arange(-REST_POINTS, count)  # it has rested before
     wanted = CubicSpline(all_times, postures)(np.maximum(times, 0.0))
     rests = np.array([rest_state(model, posture)[: model.n_dof] for posture in wanted])
     angles = rests[:, :n]
@@ -371,9 +374,9 @@ class DeflectionCompensation:
         """Gives the turn (n,) rad, to first order, for coordinates (d,) each; none into directions that take far."""
         wanted, now = self._seen(rest, self._turns[0])[TIP].copy(), self._seen(place, self._turns[0])[TIP].copy()
         slopes = np.array([self._seen(place, turn)[TIP_VELOCITY].copy() for turn in self._turns]).T
-        result: Array = np.linalg.pinv(slopes, rcond=SINGULAR) @ (wanted - now)
+        result: Array = np.linalg.pinv(slopes, rcond=SINGULAR_CUTOFF) @ (wanted - now)
         return result
 
     def _seen(self, x: Array, v: Array) -> Array:
-        outputs.observe(self._model.constants, self._work, x, v, self._row)
+        outputs.compute_outputs(self._model.constants, self._work, x, v, self._row)
         return self._row

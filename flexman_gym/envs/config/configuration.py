@@ -22,21 +22,26 @@ from flexman_gym.common.checks import (
     vector,
     whole_number,
 )
-from flexman_gym.common.renamed import old_names
-from flexman_gym.control.agent import checked_history
+from flexman_gym.common.renamed import deprecated_names
+from flexman_gym.control.agent import parse_history
 from flexman_gym.control.margins import first_order_lag
 from flexman_gym.control.pd import torque_limits
-from flexman_gym.envs.config import setting as checks
-from flexman_gym.envs.config.conditions import NOMINAL, condition_settings
-from flexman_gym.envs.config.named_environments import DEFAULT, NAMED, Gains
+from flexman_gym.envs.config import settings as checks
+from flexman_gym.envs.config.named_environments import (
+    DEFAULT_ID,
+    NAMED_ENVIRONMENTS,
+    NOMINAL,
+    Gains,
+    condition_settings,
+)
 from flexman_gym.envs.config.randomisation import Randomisation, find_randomisation
-from flexman_gym.envs.config.setting import Setting, is_plain, links_and_motors, lists, put
+from flexman_gym.envs.config.settings import Setting, is_plain, links_and_motors, lists, put
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.sensors import find_sensors, plain_sensors
 from flexman_gym.envs.tasks import Task, plain_task
 from flexman_gym.envs.tasks.rewards import checked_reward
 from flexman_gym.scene.arm import Arm
-from flexman_gym.scene.mistakes import warn_of_units
+from flexman_gym.scene.input_checks import warn_unusual_units
 from flexman_gym.scene.serialization import SUFFIXES, find_arm, to_plain
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 from flexman_gym.simulation.trajectory import ENERGY_ALARM
@@ -98,7 +103,7 @@ class Configuration:
     history: int | tuple[float, ...] = _setting(
         "Number of observations that the agent sees, the newest first. Or time constants in s: the agent then sees the "
         "present observation and its exponential averages with these time constants.",
-        checked_history, 1,
+        parse_history, 1,
     )
     limits: Limits = _setting(
         "Limits of the motion, beyond which an episode ends. A Limits, or a mapping of its arguments.",
@@ -185,8 +190,8 @@ class Configuration:
     )
     # fmt: on
 
-    def __init__(self, id: str = DEFAULT, settings: Mapping[str, Any] | None = None, folder: Path = Path()) -> None:
-        named, given = NAMED[one_of("id", id, NAMED)], dict(settings or {})
+    def __init__(self, id: str = DEFAULT_ID, settings: Mapping[str, Any] | None = None, folder: Path = Path()) -> None:
+        named, given = NAMED_ENVIRONMENTS[one_of("id", id, NAMED_ENVIRONMENTS)], dict(settings or {})
         if given.pop("condition", NOMINAL) != NOMINAL:
             given = {**condition_settings(id, settings["condition"]), **given}  # type: ignore[index]
         given = _present(given, True)
@@ -219,7 +224,7 @@ class Configuration:
         if not 0.5 <= self.horizon / self.control_period <= MOST_PERIODS:
             allowed = f"1 to {MOST_PERIODS} control periods of {self.control_period} s"
             raise value_error("horizon", self.horizon, allowed)
-        warn_of_units("", {"horizon": self.horizon})
+        warn_unusual_units("", {"horizon": self.horizon})
         if self.base == "pd":
             vars(self)["gains"] = self.pd_gains
         if self.fidelity == "default":
@@ -260,7 +265,7 @@ class Configuration:
         whole = given.pop("configuration", None)
         if whole is not None and not isinstance(whole, Configuration):
             raise value_error("configuration", whole, "a Configuration")
-        id = one_of("name", given.pop("name", whole.id if whole else DEFAULT), NAMED)
+        id = one_of("name", given.pop("name", whole.id if whole else DEFAULT_ID), NAMED_ENVIRONMENTS)
         _refuse_unknown(given, ("condition", *others))
         if whole is None:
             return cls(id, given)
@@ -278,7 +283,7 @@ class Configuration:
             warn: warn of deprecated names; files of earlier versions have them.
         """
         settings = _present(data, warn)
-        return cls(settings.pop("id", DEFAULT), settings, folder)
+        return cls(settings.pop("id", DEFAULT_ID), settings, folder)
 
     @classmethod
     def load(cls, path: str | Path, changes: Sequence[str] = ()) -> Self:
@@ -305,11 +310,11 @@ class Configuration:
             FileNotFoundError, ValueError: one line, also where it is none of them.
         """
         id, slash, condition = text("environment", name).partition("/")
-        if id in NAMED and (slash or name in NAMED):
+        if id in NAMED_ENVIRONMENTS and (slash or name in NAMED_ENVIRONMENTS):
             settings = condition_settings(id, condition) if slash else {}
             return cls._with_changes({"id": id, **settings}, changes)
         if not os.path.exists(name):  # whatever the name is
-            allowed = f"one, or one of {', '.join(sorted(NAMED))}"
+            allowed = f"one, or one of {', '.join(sorted(NAMED_ENVIRONMENTS))}"
             raise FileNotFoundError(f"{short_path(name)}: there is no such file; give {allowed}")
         return cls.load(name, changes)
 
@@ -404,7 +409,7 @@ class Configuration:
                 data |= condition_settings(data["id"], value)
                 continue
             if rest and first in PARTS:
-                named, form = NAMED[one_of("id", data["id"], NAMED)], SETTINGS[first]
+                named, form = NAMED_ENVIRONMENTS[one_of("id", data["id"], NAMED_ENVIRONMENTS)], SETTINGS[first]
                 given = find_arm(data["arm"], folder) if first == "arm" and first in data else data.get(first)
                 assert form.plain is not None
                 data[first] = form.plain(form.check(given)) if first in data else named.plain(first)
@@ -442,7 +447,7 @@ class Configuration:
         Raises:
             ValueError: for an arm with other links or motors; payload and friction make no difference.
         """
-        named, gains = NAMED[self.id], self.gains
+        named, gains = NAMED_ENVIRONMENTS[self.id], self.gains
         if gains is None:
             if links_and_motors(self.arm) != links_and_motors(named.arm()):
                 allowed = f"those of this arm, which flexman tune finds: {self.id} has other links or motors"
@@ -495,4 +500,4 @@ def _refuse_unknown(settings: Mapping[str, Any], others: Collection[str] = ()) -
             raise value_error(name, value, HINTS.get(name, allowed))
 
 
-__getattr__ = old_names(__name__)
+__getattr__ = deprecated_names(__name__)

@@ -4,15 +4,15 @@ from typing import NamedTuple
 
 from flexman_gym.common.checks import positive
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.named_environments import NAMED
-from flexman_gym.fidelity.choose import Choice, assembled_modes, choose_model
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
+from flexman_gym.fidelity.model_selection import Choice, assembled_modes, choose_model
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.scene import Initial, ModelChoice, Scene
 from flexman_gym.scene.signals import SineTorque
 from flexman_gym.simulation.integrator import default_step
 from flexman_gym.simulation.methods import Method
 
-SLEW, SLEW_START = 3.0, 0.4  # s and rad; duration and start of the motion for which the model is chosen
+_SLEW_DURATION, _SLEW_START = 3.0, 0.4  # s and rad; duration and start of the motion for which the model is chosen
 
 
 class Fidelity(NamedTuple):
@@ -24,10 +24,10 @@ class Fidelity(NamedTuple):
     choice: Choice | None
 
 
-def build(configuration: Configuration) -> Fidelity:
+def resolve_fidelity(configuration: Configuration) -> Fidelity:
     """Build the model of a configuration, or choose it by `choose_model`."""
     if configuration.fidelity == "auto":
-        choice = choose_fidelity(configuration)
+        choice = _choose_fidelity(configuration)
         return Fidelity(choice.model, choice.method, choice.step, choice)
     modes = configuration.modes
     if isinstance(modes, str):
@@ -36,11 +36,11 @@ def build(configuration: Configuration) -> Fidelity:
     model = build_model(configuration.arm, configuration.elements, modes, **switches)
     step = configuration.step
     if step is None:
-        step = default_step(configuration.control_period, NAMED[configuration.id].longest_step)
+        step = default_step(configuration.control_period, NAMED_ENVIRONMENTS[configuration.id].longest_step)
     return Fidelity(model, configuration.method, step, None)
 
 
-def choose_fidelity(configuration: Configuration) -> Choice:
+def _choose_fidelity(configuration: Configuration) -> Choice:
     """Choose a model for a slew: sine torques with the limits as amplitudes, from the middle of the range of motion."""
     n, period = configuration.arm.n_joints, configuration.control_period
     scene = Scene(
@@ -49,8 +49,8 @@ def choose_fidelity(configuration: Configuration) -> Choice:
             True, 2, spinning_rotors=configuration.spinning_rotors, rotary_inertia=configuration.rotary_inertia
         ),
         SineTorque(configuration.torque_limit, [0.5] * n, [0.0] * n),
-        Initial([SLEW_START * (-1.0) ** i for i in range(n)], [0.0] * n),
-        duration=max(1, round(SLEW / period)) * period,
+        Initial([_SLEW_START * (-1.0) ** i for i in range(n)], [0.0] * n),
+        duration=max(1, round(_SLEW_DURATION / period)) * period,
         output_step=period,
     )
     return choose_model(scene, positive("tolerance", configuration.tolerance, "m"), longest_step=period)

@@ -1,9 +1,12 @@
-"""Named environments: default settings of each environment id."""
+"""Named environments and their conditions."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from pathlib import Path
+from typing import Any, NoReturn
 
+from flexman_gym.common import files
+from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.tasks import Hold, Slew, Task, Track, plain_task
 from flexman_gym.scene.arm import Arm
@@ -90,7 +93,7 @@ PLANAR = NamedEnvironment(
     longest_step=0.0025,
     conditions="planar",
 )
-NAMED: dict[str, NamedEnvironment] = {
+NAMED_ENVIRONMENTS: dict[str, NamedEnvironment] = {
     "FlexRRR-v0": RRR,
     "FlexRRR-Track-v0": replace(RRR, pd=RRR_TRACK_PD, task=Track(preview=(0.2, 0.5, 1.0)), horizon=20.0),
     "FlexRRR-Hold-v0": replace(RRR, pd=RRR_HOLD_PD, task=Hold()),
@@ -125,4 +128,51 @@ NAMED: dict[str, NamedEnvironment] = {
     ),
 }
 """Named environments: id -> values of settings that are not given."""
-DEFAULT = "FlexRRR-v0"
+DEFAULT_ID = "FlexRRR-v0"
+
+
+NOMINAL = "nominal"  # the condition without changes
+CONDITION_FOLDER = Path(__file__).parents[1] / "conditions"  # arm/condition.yaml: changes of settings
+CONDITIONS = (NOMINAL, *sorted({path.stem for path in CONDITION_FOLDER.glob("*/*.yaml")}))
+
+
+def condition_settings(id: str, condition: object) -> dict[str, Any]:
+    """Return the settings of a named environment under one of its conditions; {} for the nominal one.
+
+    Raises:
+        ValueError: for another condition, and for an environment without conditions.
+    """
+    named = NAMED_ENVIRONMENTS[one_of("id", id, NAMED_ENVIRONMENTS)]
+    if not named.conditions:
+        known = [each for each, named in NAMED_ENVIRONMENTS.items() if named.conditions]
+        raise value_error("condition", f"{id}/{condition}", f"one for {', '.join(known)}")
+    folder = CONDITION_FOLDER / named.conditions
+    own = sorted(path.stem for path in folder.glob("*.yaml"))
+    if one_of("condition", condition, (NOMINAL, *own)) == NOMINAL:
+        return {}
+    changes = files.read_data(folder / f"{condition}.yaml")
+    return {name: _merged(named.plain(name), change) for name, change in changes.items()}
+
+
+def refuse_condition(name: str, condition: str, **settings: Any) -> NoReturn:
+    """Refuse an id with a condition behind it, which `rollout` and the commands take and Gymnasium does not.
+
+    Raises:
+        ValueError: one line with the keyword of `gym.make` and `gym.make_vec` in its place.
+    """
+    raise value_error("id", f"{name}/{condition}", f'gym.make("{name}", condition="{condition}")')
+
+
+def _merged(old: object, change: object) -> object:
+    """Return a value with a change.
+
+    Mappings are merged; of a list of mappings each takes its own entry of a list of numbers.
+    """
+    if isinstance(old, dict) and isinstance(change, dict):
+        return {**old, **{name: _merged(old.get(name, {}), each) for name, each in change.items()}}
+    if isinstance(old, list) and isinstance(change, dict):
+        return [
+            {**entry, **{name: each[i] if isinstance(each, list) else each for name, each in change.items()}}
+            for i, entry in enumerate(old)
+        ]
+    return change

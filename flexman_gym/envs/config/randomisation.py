@@ -6,7 +6,7 @@ from flexman_gym.common.checks import non_negative, positive, text, value_error,
 from flexman_gym.envs.effects import SIGNALS, Range
 from flexman_gym.simulation.parameters import PARAMETERS
 
-GAP = 2.0  # s, between two impulses or changes of load where nothing else is said
+DEFAULT_IMPULSE_GAP = 2.0  # s, between two impulses or changes of load where nothing else is said
 
 
 class Randomisation:
@@ -35,7 +35,9 @@ class Randomisation:
     """
 
     def __init__(self, *, impulse_gap: float | None = None, **ranges: Any) -> None:
-        self.impulse_gap = GAP if impulse_gap is None else positive("Randomisation.impulse_gap", impulse_gap, "s")
+        self.impulse_gap = (
+            DEFAULT_IMPULSE_GAP if impulse_gap is None else positive("Randomisation.impulse_gap", impulse_gap, "s")
+        )
         for name in ranges:
             if name not in (_range_names() | {"impulse_gap": ""}):
                 raise value_error("randomisation", name, f"one of {' '.join(_range_names())} impulse_gap")

@@ -12,7 +12,10 @@ from flexman_gym.envs.view import View
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.parameters import PARAMETERS
 
-TIPS = {"start_tip": "start", "goal_tip": "goal_angles"}  # option with a place of the tip -> the posture that it sets
+TIP_OPTIONS = {
+    "start_tip": "start",
+    "goal_tip": "goal_angles",
+}  # option with a place of the tip -> the posture that it sets
 STARTS, ROUNDS = 24, 20  # of the search for postures, and of that for the place beside which a heavy arm rests
 REACHED = 1e-8  # of the reach
 
@@ -26,7 +29,7 @@ def replace_tip_positions(plan: Mapping[str, Array], view: View) -> dict[str, Ar
         ValueError: for a place that the tip cannot reach.
     """
     result = dict(plan)
-    for name, posture in TIPS.items():
+    for name, posture in TIP_OPTIONS.items():
         if name in plan:
             near = result["start"] if posture != "start" else np.zeros((len(plan[name]), view.n_joints))
             pairs = zip(result.pop(name), near, strict=True)
@@ -74,11 +77,11 @@ def _reached(place: Array, start: Array, view: View) -> Array | None:
     return None
 
 
-def parse_options(
+def parse_reset_options(
     options: Mapping[str, Any] | None, plan: Mapping[str, Array], size: tuple[int, int]
 ) -> dict[str, Any]:
     """The options with a leading axis for the arms; `size` is (b, n), how many arms and joints there are."""
-    names = [*plan, *(name for name, posture in TIPS.items() if posture in plan), "parameters"]
+    names = [*plan, *(name for name, posture in TIP_OPTIONS.items() if posture in plan), "parameters"]
     if options is not None and not isinstance(options, dict):
         raise value_error("options", options, f"a dict with {', '.join(names[:-1])} or {names[-1]}")
     given: dict[str, Any] = {}
@@ -87,10 +90,12 @@ def parse_options(
         if one_of("options", name, names) == "parameters":
             given[name] = _parameters(field, value, size)
         else:
-            if TIPS.get(name) in given or name in [TIPS.get(other) for other in given]:
+            if TIP_OPTIONS.get(name) in given or name in [TIP_OPTIONS.get(other) for other in given]:
                 raise value_error(field, value, "either a posture or a place of the tip")
-            shape = (3,) if name in TIPS else plan[name].shape[1:]
-            given[name] = _each(field, value, shape, size[0], "m" if name in TIPS else "rad" * (shape == size[1:]))
+            shape = (3,) if name in TIP_OPTIONS else plan[name].shape[1:]
+            given[name] = _each(
+                field, value, shape, size[0], "m" if name in TIP_OPTIONS else "rad" * (shape == size[1:])
+            )
     return given
 
 

@@ -9,7 +9,7 @@ from flexman_gym.control.base_controllers import make_base
 from flexman_gym.control.controller import Controller, Plant
 from flexman_gym.control.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.named_environments import NAMED
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.randomisation import range_name
 from flexman_gym.envs.sensors.instrument import Instrument
 from flexman_gym.envs.sensors.sensor import measurement_ranges
@@ -27,7 +27,7 @@ def make_plant(configuration: Configuration, model: Model) -> Plant:
     """Return the specification for controller design of an environment; the model is that of the design."""
     drawn = configuration.disturbed.ranges if configuration.disturbed else {}
     fewest, most = drawn.get("delay", (0, 0))
-    longest_step = NAMED[configuration.id].longest_step
+    longest_step = NAMED_ENVIRONMENTS[configuration.id].longest_step
     return Plant(
         model,
         configuration.torque_limit,

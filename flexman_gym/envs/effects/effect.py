@@ -14,7 +14,7 @@ Range = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class EffectContext:
     """What effects act on.
 
     Attributes:
@@ -52,7 +52,7 @@ class Effect(Protocol):
             derived from it.
     """
 
-    def __init__(self, stage: Stage, span: Range) -> None: ...
+    def __init__(self, stage: EffectContext, span: Range) -> None: ...
 
     @staticmethod
     def checked(field: str, value: object) -> float:

@@ -4,9 +4,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, Flags, IntArray
+from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import non_negative, positive, value_error, whole_number
-from flexman_gym.envs.effects.effect import Range, Stage
+from flexman_gym.envs.effects.effect import EffectContext, Range
 from flexman_gym.envs.random_streams import TruncatedNoise
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model
@@ -18,7 +18,7 @@ class _TorqueLimit:
     kind: ClassVar[type] = float
     factor: ClassVar[bool] = True
 
-    def __init__(self, stage: Stage, span: Range) -> None:
+    def __init__(self, stage: EffectContext, span: Range) -> None:
         self._stage, self._span, self.shape = stage, span, stage.nominal.shape
 
     @staticmethod
@@ -47,7 +47,7 @@ class _SensorNoise:
     kept = ("_noise", "_deviation")
     shape = ()
 
-    def __init__(self, stage: Stage, span: Range) -> None:
+    def __init__(self, stage: EffectContext, span: Range) -> None:
         arms = len(stage.batch.rows)
         self._bound, self._span = stage.bound, span
         self._noise, self._deviation = TruncatedNoise(arms, len(stage.bound)), np.zeros((arms, 1))
@@ -74,7 +74,7 @@ class _SensorNoise:
         return values + self._noise.sample(arms) * self._deviation[arms] * self._bound
 
 
-LONGEST_DELAY = 1000  # control periods
+MAX_DELAY = 1000  # control periods
 
 
 class _Delay:
@@ -84,7 +84,7 @@ class _Delay:
     kept = ("_past", "_late", "_now")
     shape = ()
 
-    def __init__(self, stage: Stage, span: Range) -> None:
+    def __init__(self, stage: EffectContext, span: Range) -> None:
         arms, n = stage.torque_limits.shape
         self._span = span
         self._past, self._late = np.zeros((1 + int(span[1]), arms, n)), np.zeros(arms, dtype=np.int64)
@@ -93,7 +93,7 @@ class _Delay:
     @staticmethod
     def checked(field: str, value: object) -> float:
         """A whole number of periods."""
-        return whole_number(field, value, 0, LONGEST_DELAY)
+        return whole_number(field, value, 0, MAX_DELAY)
 
     def draw(self, arm: int, stream: np.random.Generator) -> int:
         """The number of periods."""
@@ -123,7 +123,7 @@ class _InitialVibration:
 
     kind: ClassVar[type] = float
 
-    def __init__(self, stage: Stage, span: Range) -> None:
+    def __init__(self, stage: EffectContext, span: Range) -> None:
         model = self._model = stage.batch.model
         self._flexible, self._span, self.shape = np.diff(model.constants.elastic_start) > 0, span, (model.n_joints, 2)
         field = "Randomisation.initial_vibration"
@@ -190,7 +190,7 @@ class _TipImpulse:
     kept = ("_inner", "_wait")
     shape = None
 
-    def __init__(self, stage: Stage, span: Range) -> None:
+    def __init__(self, stage: EffectContext, span: Range) -> None:
         self._period, self._gap_time, self._span = stage.batch.control_period, stage.impulse_gap, span
         arms = len(stage.batch.rows)
         self._inner: list[Any] = [None] * arms
@@ -206,7 +206,7 @@ class _TipImpulse:
         self._inner[arm] = np.random.default_rng(stream.integers(2**63))
         self._wait[arm] = self._gap(arm)
 
-    def add_tip_forces(self, forces: Array, over: Flags) -> None:
+    def add_tip_forces(self, forces: Array, over: BoolArray) -> None:
         """Adds the forces during this period; arms whose episode is over wait."""
         self._wait -= 1
         for arm in np.flatnonzero((self._wait <= 0) & ~over).tolist():
@@ -230,7 +230,7 @@ class TipLoad:
     kept = ("_inner", "_wait", "_forces")
     shape = None
 
-    def __init__(self, stage: Stage, span: Range) -> None:
+    def __init__(self, stage: EffectContext, span: Range) -> None:
         self._share, self._span = stage.batch.control_period / stage.impulse_gap, span
         arms = len(stage.batch.rows)
         self._inner: list[Any] = [None] * arms
@@ -245,7 +245,7 @@ class TipLoad:
         """The generator of the loads of an episode."""
         self._inner[arm], self._wait[arm] = np.random.default_rng(stream.integers(2**63)), 0
 
-    def add_tip_forces(self, forces: Array, over: Flags) -> None:
+    def add_tip_forces(self, forces: Array, over: BoolArray) -> None:
         """Adds the loads; those whose time has come change first."""
         for arm in np.flatnonzero((self._wait <= 0) & ~over).tolist():
             inner = self._inner[arm]
@@ -256,8 +256,8 @@ class TipLoad:
         forces += self._forces * ~over[:, None]
 
 
-SLOWEST, QUICKEST = 0.3, 3.0  # times the first mode of the arm with its motors held
-RIGID = 1.0  # Hz, in place of the first mode of an arm that does not bend
+MIN_FREQUENCY_RATIO, MAX_FREQUENCY_RATIO = 0.3, 3.0  # times the first mode of the arm with its motors held
+RIGID_FREQUENCY = 1.0  # Hz, in place of the first mode of an arm that does not bend
 
 
 class _BaseSway:
@@ -271,10 +271,10 @@ class _BaseSway:
     kept = ("_sway",)
     shape = ()
 
-    def __init__(self, stage: Stage, span: Range) -> None:
+    def __init__(self, stage: EffectContext, span: Range) -> None:
         self._batch, self._span = stage.batch, span
         first = frequencies(stage.batch.model, lock_joints=True)[:1]
-        self._first = float(first[0]) if len(first) else RIGID
+        self._first = float(first[0]) if len(first) else RIGID_FREQUENCY
         self._sway = np.zeros((len(stage.batch.rows), 5))  # acceleration (3,), Hz and rad
 
     @staticmethod
@@ -286,7 +286,7 @@ class _BaseSway:
         """The amplitude; its generator gives the rest."""
         inner = np.random.default_rng(stream.integers(2**63))
         way, amplitude = inner.normal(size=3), float(inner.uniform(*self._span))
-        frequency = self._first * np.exp(inner.uniform(np.log(SLOWEST), np.log(QUICKEST)))
+        frequency = self._first * np.exp(inner.uniform(np.log(MIN_FREQUENCY_RATIO), np.log(MAX_FREQUENCY_RATIO)))
         self._sway[arm] = *(way / np.sqrt(way @ way)), frequency, inner.uniform(0.0, 2.0 * np.pi)
         return amplitude
 
@@ -294,7 +294,7 @@ class _BaseSway:
         """Makes the directions as long as the amplitudes."""
         self._sway[arms, :3] *= drawn[arms][:, None]
 
-    def add_base_accelerations(self, accelerations: Array, over: Flags) -> None:
+    def add_base_accelerations(self, accelerations: Array, over: BoolArray) -> None:
         """Adds the accelerations in the middle of this period."""
         time = self._batch.time + 0.5 * self._batch.control_period
         size = np.sin(2.0 * np.pi * self._sway[:, 3] * time + self._sway[:, 4])

@@ -5,27 +5,36 @@ from functools import partial
 from typing import Any
 
 from flexman_gym.common.checks import mapping, one_of, text, value_error
-from flexman_gym.envs.sensors.ideal import Action, Command, Fine, FullState, Quantities, Servo, State
+from flexman_gym.common.renamed import deprecated_names
+from flexman_gym.envs.sensors.ideal import (
+    FineScale,
+    FullState,
+    GoalCommand,
+    LastAction,
+    ModelState,
+    Quantities,
+    ServoErrors,
+)
 from flexman_gym.envs.sensors.instrument import FLAWS, Flaws, Instrument
 from flexman_gym.envs.sensors.sensor import Entry, Sensor
-from flexman_gym.envs.sensors.sensor_array import Sensors, measured_names
-from flexman_gym.model.linearization import INSTRUMENTS
+from flexman_gym.envs.sensors.sensor_array import SensorArray, measured_names
+from flexman_gym.model.linearization import LINEAR_SENSORS
 
 SENSORS: dict[str, Callable[[], Sensor]] = {
     "full": FullState,
-    "fine": Fine,
-    "servo": Servo,
-    "state": State,
-    **{name: partial(Quantities, quantities) for name, quantities in INSTRUMENTS.items()},
+    "fine": FineScale,
+    "servo": ServoErrors,
+    "state": ModelState,
+    **{name: partial(Quantities, quantities) for name, quantities in LINEAR_SENSORS.items()},
     "accelerometer": lambda: Quantities(("tip_acceleration",)),
     "tip": lambda: Instrument(Quantities(("tip",)), every=2, delay=1),
-    "command": Command,
-    "action": Action,
+    "command": GoalCommand,
+    "action": LastAction,
 }
 """Sensors that have a name: name -> what makes one."""
-SETS = {"lab": ("motor_encoders", "joint_encoders", "strain", "command")}
+SENSOR_SETS = {"lab": ("motor_encoders", "joint_encoders", "strain", "command")}
 """Sets of sensors: name -> names in `SENSORS`."""
-NAMES = (*SENSORS, *SETS)
+SENSOR_NAMES = (*SENSORS, *SENSOR_SETS)
 """All names that the keyword `sensors` of an environment takes."""
 
 
@@ -47,14 +56,14 @@ def _found(part: object) -> tuple[object, ...]:
             raise value_error("sensors", dict(part), "a mapping with the name of a sensor at kind, and its flaws")
         flaws = mapping("sensors", {name: value for name, value in part.items() if name != "kind"}, FLAWS)
         kind = text("sensors.kind", part["kind"])
-        result = [_flawed(sensor, flaws, kind in SETS) for sensor in _named(kind)]
+        result = [_flawed(sensor, flaws, kind in SENSOR_SETS) for sensor in _named(kind)]
         return tuple(result)
     return _named(part) if isinstance(part, str) else (part,)
 
 
 def _named(name: str) -> tuple[Sensor, ...]:
-    one_of("sensors", name, NAMES)
-    return tuple(SENSORS[each]() for each in SETS.get(name, (name,)))
+    one_of("sensors", name, SENSOR_NAMES)
+    return tuple(SENSORS[each]() for each in SENSOR_SETS.get(name, (name,)))
 
 
 def _flawed(sensor: Any, flaws: Mapping[str, Any], of_set: bool) -> Sensor:
@@ -89,22 +98,24 @@ def _plain(part: object) -> Any:
 
 __all__ = [
     "FLAWS",
-    "NAMES",
     "SENSORS",
-    "SETS",
-    "Action",
-    "Command",
+    "SENSOR_NAMES",
+    "SENSOR_SETS",
     "Entry",
-    "Fine",
+    "FineScale",
     "Flaws",
     "FullState",
+    "GoalCommand",
     "Instrument",
+    "LastAction",
+    "ModelState",
     "Quantities",
     "Sensor",
-    "Sensors",
-    "Servo",
-    "State",
+    "SensorArray",
+    "ServoErrors",
     "find_sensors",
     "measured_names",
     "plain_sensors",
 ]
+
+__getattr__ = deprecated_names(__name__)

@@ -104,7 +104,7 @@ ANGLE, RATE, TWIST, DEFLECTION, LENGTH, SPEED = 1 / 400, 1 / 500, 1 / 250, 1 / 2
 
 
 @dataclass
-class Fine:
+class FineScale:
     """arcsinh(quantity / scale): linear below the scale, logarithmic above, so that a network sees both ends.
 
     For n joints: motor rates, joint twists and their rates, deflections of the links and their rates, angle errors,
@@ -158,7 +158,7 @@ def _scales(view: View, limits: Limits) -> list[tuple[str, float]]:
 
 
 @dataclass
-class Servo:
+class ServoErrors:
     """Posture errors (goal - angle) and rates of the motors, and the rates of a goal that moves."""
 
     measures: ClassVar[tuple[str, ...]] = ("motor_angles", "motor_rates")
@@ -179,7 +179,7 @@ class Servo:
 
 
 @dataclass
-class State:
+class ModelState:
     """The state (2 d,) of the model in the order of `kernels.layout`; its size depends on the fidelity of the model."""
 
     measures: ClassVar[tuple[str, ...]] = ()
@@ -194,7 +194,7 @@ class State:
 
 
 @dataclass
-class Command:
+class GoalCommand:
     """The goal as it is now: angles and rates of the motors, target of the tip in the base frame and its velocity.
 
     A task with a path may add what comes next, see `Track`.
@@ -219,7 +219,7 @@ class Command:
 
 
 @dataclass
-class Action:
+class LastAction:
     """The sum of agent and base in the last control period after clipping, parts of the torque limits; 0 at first.
 
     Delays, friction and other effects between a command and the torque of a motor are not in it.

@@ -13,7 +13,7 @@ from flexman_gym.envs.random_streams import TruncatedNoise
 from flexman_gym.envs.sensors.sensor import DEFAULT_QUANTITIES, Entry, MeasuredView, Sensor
 from flexman_gym.envs.view import View
 
-FINEST = 1e-12  # quantisation, a part
+MIN_QUANTISATION = 1e-12  # quantisation, a part
 MOST_PERIODS = 1000  # of a delay or between two samples
 
 
@@ -46,8 +46,8 @@ class Flaws:
             if part > 1.0:
                 raise value_error(f"sensors.{name}", part, "a part from 0 to 1")
             set_fields(self, **{name: part})
-        if 0.0 < self.quantisation < FINEST:
-            raise value_error("sensors.quantisation", self.quantisation, f"0, or a part from {FINEST:g} to 1")
+        if 0.0 < self.quantisation < MIN_QUANTISATION:
+            raise value_error("sensors.quantisation", self.quantisation, f"0, or a part from {MIN_QUANTISATION:g} to 1")
         set_fields(self, delay=whole_number("sensors.delay", self.delay, 0, MOST_PERIODS))
         set_fields(self, every=whole_number("sensors.every", self.every, 1, MOST_PERIODS))
         if self.dropped >= 1.0:

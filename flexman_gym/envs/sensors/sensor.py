@@ -42,8 +42,8 @@ class Sensor(Protocol):
 
 DEFAULT_QUANTITIES = ("motion", "tip", "deflection", "deflection_rate")  # what a sensor measures that does not say it
 DERIVED = {"tip": ("target_error", "tip_error"), "deflection_rate": ("tip_vibration",)}
-STRAIN = 2.0  # times the root strain of a link that a force on its tip bends to the limit
-GRAVITIES = 51.0  # largest acceleration that is measured, 500 m/s^2
+STRAIN_RANGE = 2.0  # times the root strain of a link that a force on its tip bends to the limit
+ACCELERATION_RANGE = 51.0  # largest acceleration that is measured, 500 m/s^2
 
 
 class MeasuredView:
@@ -119,7 +119,7 @@ def derived_quantities(names: Sequence[str], view: View) -> list[str]:
 def measurement_ranges(view: View, limits: Limits) -> dict[str, Array]:
     """The largest magnitude that instruments measure of each quantity, by name; that of a limit where there is one."""
     limited, n = limits.bounds(view), view.n_joints
-    strain = STRAIN * 3.0 * limits.deflection * view.gauge_radii / view.lengths[:, None]
+    strain = STRAIN_RANGE * 3.0 * limits.deflection * view.gauge_radii / view.lengths[:, None]
     return {
         **limited,
         "motion": np.concatenate(list(limited.values())),
@@ -129,6 +129,6 @@ def measurement_ranges(view: View, limits: Limits) -> dict[str, Array]:
         "deflection": np.full(3, 2.0 * view.reach),
         "deflection_rate": np.full(3, 2.0 * limits.tip_speed),
         "root_strains": strain.ravel(),
-        "tip_acceleration": np.full(3, 9.81 * GRAVITIES),
-        "specific_force": np.full(3, 9.81 * GRAVITIES),
+        "tip_acceleration": np.full(3, 9.81 * ACCELERATION_RANGE),
+        "specific_force": np.full(3, 9.81 * ACCELERATION_RANGE),
     }

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
-from flexman_gym.common.checks import check_members, value_error
+from flexman_gym.common.checks import check_member_names, value_error
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.random_streams import RandomStreams
 from flexman_gym.envs.sensors.instrument import Instrument
@@ -15,7 +15,7 @@ from flexman_gym.envs.sensors.sensor import DEFAULT_QUANTITIES, Sensor, derived_
 from flexman_gym.envs.view import View
 
 
-class Sensors:
+class SensorArray:
     """Sensors side by side.
 
     Args:
@@ -46,7 +46,7 @@ class Sensors:
         view: View,
         limits: Limits,
         label: str = "sensors",
-        beside: "Sensors | None" = None,
+        beside: "SensorArray | None" = None,
     ) -> None:
         self.slices: dict[str, slice] = {}
         self.units: dict[str, str] = {}
@@ -105,7 +105,7 @@ def _own(part: object) -> Any:
     """A copy of a sensor."""
     if not isinstance(part, Sensor):
         raise value_error("sensors", part, "a Sensor: an object with the methods entries and read")
-    check_members("sensors", part, ("measures",), ("measured",))
+    check_member_names("sensors", part, ("measures",), ("measured",))
     return part.fresh() if isinstance(part, Instrument) else copy(part)
 
 

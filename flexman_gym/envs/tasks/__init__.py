@@ -3,10 +3,10 @@
 from dataclasses import asdict, fields
 from typing import Any
 
-from flexman_gym.common.checks import check_members, mapping, one_of, text, value_error
+from flexman_gym.common.checks import check_member_names, mapping, one_of, text, value_error
 from flexman_gym.envs.tasks.hold import Hold
 from flexman_gym.envs.tasks.slew import Slew
-from flexman_gym.envs.tasks.task import MEMBERS, OPTIONAL, Goal, Task
+from flexman_gym.envs.tasks.task import OPTIONAL_TASK_MEMBERS, TASK_MEMBERS, Goal, Task
 from flexman_gym.envs.tasks.track import Track
 
 TASKS: dict[str, type[Any]] = {"slew": Slew, "track": Track, "hold": Hold}
@@ -33,7 +33,7 @@ def plain_task(task: Any) -> dict[str, Any]:
 
 def check_task(task: Task) -> None:
     """Refuses a task one of whose members is nearly named as an optional one."""
-    check_members("task", task, OPTIONAL, MEMBERS)
+    check_member_names("task", task, OPTIONAL_TASK_MEMBERS, TASK_MEMBERS)
 
 
 __all__ = ["TASKS", "Goal", "Hold", "Slew", "Task", "Track", "check_task", "find_task", "plain_task"]

@@ -10,7 +10,7 @@ from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import non_negative, positive, set_fields, vector
 from flexman_gym.envs.sensors.sensor import Sensor
 from flexman_gym.envs.tasks.rewards import distance_reward
-from flexman_gym.envs.tasks.task import MOVING, Goal
+from flexman_gym.envs.tasks.task import MOVING_METRICS, Goal
 from flexman_gym.envs.view import Number, View
 
 
@@ -70,7 +70,7 @@ class Hold:
     failure_penalty: float = 10.0
     sensors: ClassVar[tuple[Sensor, ...]] = ()
     moves: ClassVar[bool] = False
-    figures: ClassVar[tuple[str, ...]] = MOVING
+    figures: ClassVar[tuple[str, ...]] = MOVING_METRICS
 
     def __post_init__(self) -> None:
         set_fields(

@@ -50,7 +50,7 @@ def reward_terms(task: Any, reward: Any) -> Callable[[View], dict[str, Number]]:
     return weighed
 
 
-def total(terms: Mapping[str, Number]) -> Number:
+def sum_terms(terms: Mapping[str, Number]) -> Number:
     """Return the sum of the terms in their order.
 
     The built-in `sum` compensates the rounding of floats from Python 3.12 on, and not that of arrays: the reward of one

@@ -13,11 +13,11 @@ from flexman_gym.envs.tasks.rewards import distance_reward
 from flexman_gym.envs.tasks.task import Goal
 from flexman_gym.envs.view import Number, View
 
-WIDTHS = (2.0 / 8.5, 0.4 / 8.5, 0.08 / 8.5)  # of the reach: three bells that reward closeness
+BELL_WIDTHS = (2.0 / 8.5, 0.4 / 8.5, 0.08 / 8.5)  # of the reach: three bells that reward closeness
 # weights, and lengths in reaches
 CLOSENESS = {"far": (0.1, 0.6 / 8.5), "near": (0.25, 0.15 / 8.5), "at_goal": (0.65, 0.03 / 8.5)}
-PAIRS_SEED, MOST_PAIRS = 8_500, 100_000
-CALM = 0.3 / 8.5  # reaches a second: tip vibration that halves the reward for calm
+SLEW_SEED, MAX_SLEWS = 8_500, 100_000
+VIBRATION_SCALE = 0.3 / 8.5  # reaches a second: tip vibration that halves the reward for calm
 
 
 @dataclass(frozen=True)
@@ -92,13 +92,13 @@ class Slew:
             slew=positive("Slew.slew", self.slew, "rad"),
             failure_penalty=non_negative("Slew.failure_penalty", self.failure_penalty),
             reward=one_of("Slew.reward", self.reward, ("bells", "distance", "exponential")),
-            pairs=whole_number("Slew.pairs", self.pairs, 0, MOST_PAIRS),
+            pairs=whole_number("Slew.pairs", self.pairs, 0, MAX_SLEWS),
         )
 
     def draw(self, random: np.random.Generator, view: View) -> dict[str, Array]:
         """Start and goal postures (n,) rad of one episode."""
         if self.pairs:
-            random = np.random.default_rng([PAIRS_SEED, int(random.integers(self.pairs))])
+            random = np.random.default_rng([SLEW_SEED, int(random.integers(self.pairs))])
         start = random.uniform(-self.start, self.start, view.n_joints)
         return {"start": start, "goal_angles": start + random.uniform(-self.slew, self.slew, view.n_joints)}
 
@@ -115,8 +115,12 @@ class Slew:
             terms = {name: weight * np.exp(-view.tip_error / (length * view.reach))
                      for name, (weight, length) in CLOSENESS.items()}  # fmt: skip
             return {**terms, "failure": failure}
-        square, vibration, calm = view.tip_error * view.tip_error, view.tip_vibration, (CALM * view.reach) ** 2
-        near = [width**2 / (width**2 + square) for width in (part * view.reach for part in WIDTHS)]
+        square, vibration, calm = (
+            view.tip_error * view.tip_error,
+            view.tip_vibration,
+            (VIBRATION_SCALE * view.reach) ** 2,
+        )
+        near = [width**2 / (width**2 + square) for width in (part * view.reach for part in BELL_WIDTHS)]
         return {
             "tip_error": 0.7 / 3.0 * (near[0] + near[1] + near[2]),
             "tip_vibration": 0.2 * calm / (calm + vibration * vibration),

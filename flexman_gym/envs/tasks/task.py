@@ -9,9 +9,9 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.envs.sensors.sensor import Sensor
 from flexman_gym.envs.view import Number, View
 
-MEMBERS = ("sensors", "moves", "draw", "goal", "reward_terms", "info")  # of a task
-OPTIONAL = ("figures", "disturbances")
-MOVING = ("rms_error",)  # figures of a task whose goal moves, or at whose goal the arm is to stay
+TASK_MEMBERS = ("sensors", "moves", "draw", "goal", "reward_terms", "info")  # of a task
+OPTIONAL_TASK_MEMBERS = ("figures", "disturbances")
+MOVING_METRICS = ("rms_error",)  # figures of a task whose goal moves, or at whose goal the arm is to stay
 
 
 class Goal(NamedTuple):

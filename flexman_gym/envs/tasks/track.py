@@ -11,23 +11,23 @@ from flexman_gym.common.checks import non_negative, one_of, positive, sequence, 
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.sensors.sensor import Entry, Sensor
 from flexman_gym.envs.tasks.rewards import distance_reward
-from flexman_gym.envs.tasks.task import MOVING, Goal
+from flexman_gym.envs.tasks.task import MOVING_METRICS, Goal
 from flexman_gym.envs.view import Number, View
 from flexman_gym.kernels.control_period import fourier_series
 
 HARMONICS, POSTURE_HARMONICS = 3, 12  # of the curve, and of the motors
-KNOTS = 28  # places at which motors are solved for
-SAGGING = 4  # of these places, every so many, tell how the arm sags
-RAMP = 0.25  # of a period, in which the target gains speed
-ROUND = 2.0 * np.pi * np.arange(KNOTS)[None] / KNOTS
-TRIES, MIDDLES, STEP, ACCURACY = 20, 8, 1e-7, 1e-7  # rad, of differences; of the reach, of a posture
-WORTH = 0.1  # of the reach: a tip moves less per radian in directions that a path avoids
-FURTHEST = 2.5  # rad, of a motor on a path
+COLLOCATION_POINTS = 28  # places at which motors are solved for
+SAG_STRIDE = 4  # of these places, every so many, tell how the arm sags
+RAMP_FRACTION = 0.25  # of a period, in which the target gains speed
+COLLOCATION_PHASES = 2.0 * np.pi * np.arange(COLLOCATION_POINTS)[None] / COLLOCATION_POINTS
+TRIES, CENTRES, STEP, ACCURACY = 20, 8, 1e-7, 1e-7  # rad, of differences; of the reach, of a posture
+MIN_SINGULAR_VALUE = 0.1  # of the reach: a tip moves less per radian in directions that a path avoids
+MAX_ANGLE = 2.5  # rad, of a motor on a path
 
 
 def path_phase(time: Array, period: Array) -> Array:
     """Gives the phase (rad) on paths at times (s): from rest, and steady after a part of the period (s)."""
-    ramp = RAMP * period
+    ramp = RAMP_FRACTION * period
     return 2.0 * np.pi / period * (time - ramp * np.tanh(time / ramp))
 
 
@@ -60,11 +60,11 @@ def _smooth(random: np.random.Generator, size: float) -> Array:
     result = np.zeros((3, 2 * HARMONICS + 1))
     weights = np.repeat(np.arange(1, HARMONICS + 1), 2) ** 2
     result[:, 1:] = random.standard_normal((3, 2 * HARMONICS)) / weights
-    places = evaluate_series(result[None], ROUND)[0]
+    places = evaluate_series(result[None], COLLOCATION_PHASES)[0]
     return result * size / np.sqrt(np.vecdot(places, places).max())
 
 
-SHAPES: dict[str, Callable[[np.random.Generator, float], Array]] = {
+PATH_SHAPES: dict[str, Callable[[np.random.Generator, float], Array]] = {
     "circle": _circle,
     "lemniscate": _lemniscate,
     "smooth": _smooth,
@@ -91,17 +91,17 @@ def _draw_path(shape: str, size: float, reach: float, random: np.random.Generato
         ValueError: for an arm whose tip cannot move so far in two directions.
     """
     for _ in range(TRIES):
-        middles = random.uniform(-reach, reach, (MIDDLES, view.n_joints))
+        middles = random.uniform(-reach, reach, (CENTRES, view.n_joints))
         tips, slopes = _slopes(view, middles)
         ways, moves, _ = np.linalg.svd(slopes, full_matrices=False)
-        counts = np.count_nonzero(moves >= WORTH * view.reach, axis=1)
+        counts = np.count_nonzero(moves >= MIN_SINGULAR_VALUE * view.reach, axis=1)
         for i in np.flatnonzero(counts >= 2):
-            curve = _frame(random, ways[i], counts[i]).T @ SHAPES[shape](random, size)
+            curve = _frame(random, ways[i], counts[i]).T @ PATH_SHAPES[shape](random, size)
             curve[:, 0] += tips[i]
-            postures, left = view.reaching(evaluate_series(curve[None], ROUND)[0], middles[i])
-            if left <= ACCURACY * view.reach and np.abs(postures).max() <= FURTHEST:
+            postures, left = view.reaching(evaluate_series(curve[None], COLLOCATION_PHASES)[0], middles[i])
+            if left <= ACCURACY * view.reach and np.abs(postures).max() <= MAX_ANGLE:
                 if view.heavy:
-                    places = postures[::SAGGING]
+                    places = postures[::SAG_STRIDE]
                     curve += _series(view.rest_tips(places) - view.rigid_tips(places), HARMONICS)
                 return curve, _series(postures, POSTURE_HARMONICS)
     raise value_error("Track.size", size, "m, a path that the tip of this arm can follow in at least two directions")
@@ -195,13 +195,13 @@ class Track:
     middle: float = 0.8
     failure_penalty: float = 10.0
     moves: ClassVar[bool] = True
-    figures: ClassVar[tuple[str, ...]] = MOVING
+    figures: ClassVar[tuple[str, ...]] = MOVING_METRICS
 
     def __post_init__(self) -> None:
         times = sequence("Track.preview", self.preview, "times (s)")
         set_fields(
             self,
-            path=one_of("Track.path", self.path, (*SHAPES, ANY)),
+            path=one_of("Track.path", self.path, (*PATH_SHAPES, ANY)),
             size=positive("Track.size", self.size, "of the reach"),
             period=tuple(vector("Track.period", self.period, 2)),
             preview=tuple(positive(f"Track.preview[{i}]", time, "s") for i, time in enumerate(times)),
@@ -218,7 +218,7 @@ class Track:
 
     def draw(self, random: np.random.Generator, view: View) -> dict[str, Array]:
         """The path of one episode: series of the tip (m) and of the motors (rad), the time for a round, the start."""
-        shape = list(SHAPES)[random.integers(len(SHAPES))] if self.path == ANY else self.path
+        shape = list(PATH_SHAPES)[random.integers(len(PATH_SHAPES))] if self.path == ANY else self.path
         mode = 1.0 / view.first_frequency if np.isfinite(view.first_frequency) else 1.0
         period = random.uniform(self.period[0], self.period[1]) * mode
         path, postures = _draw_path(shape, self.size * view.reach, self.middle, random, view)

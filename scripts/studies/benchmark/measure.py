@@ -17,7 +17,7 @@ import numpy as np
 import flexman_gym as fm
 from flexman_gym.common.arrays import Array
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.simulation.batch import Batch
@@ -122,7 +122,7 @@ def _vector(arms: int, threads: int, steps: int) -> Timer:
 
 def _physics(setup: Configuration, arms: int, periods: int) -> Timer:
     """Control periods of arms that begin at rest, under random torques."""
-    model, method, step, _ = build(setup)
+    model, method, step, _ = resolve_fidelity(setup)
     batch = Batch(model, method, step, setup.control_period, arms=arms)
     drives = np.zeros((periods, arms, setup.arm.n_joints + 6))
     torques = drives[..., : setup.arm.n_joints]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_controller
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.evaluation.agent import find_agent
@@ -103,7 +103,7 @@ def played(case: ControlCase, episodes: int, seed: int) -> ControlRow:
     for name, change in case.changes.items():
         settings[name] = settings[name] | change if name == "randomisation" else change
     environment, setup = Configuration(known.id, settings), known
-    base = make_controller(setup, case.entrant, build(setup).model) if case.surprise else case.entrant
+    base = make_controller(setup, case.entrant, resolve_fidelity(setup).model) if case.surprise else case.entrant
     flawed = {"sensors": {"kind": "lab", **case.flaws}} if case.flaws else {}
     found = find_agent(base)
     entrant = replace(found, name=case.name, interface={**(found.interface or {}), **flawed})

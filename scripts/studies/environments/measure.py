@@ -12,7 +12,7 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.draw.style import BLUE, LIGHT, MIDDLE, ORANGE, RED, new_figure
 from flexman_gym.draw.video import side_by_side, write_video
-from flexman_gym.envs.config.named_environments import NAMED
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.tasks import Slew
 from flexman_gym.evaluation.rollout import TEST_SEEDS, Rollout, rollout
 from flexman_gym.kernels import layout
@@ -111,7 +111,7 @@ LASTS, GAMMA, ARMS = 0.1, 0.95, 256  # s, of an action, where no recipe says so;
 
 def first(name: str) -> list[str]:
     """Lines in Markdown: what to set, why, and the environment that has it."""
-    named = NAMED[name]
+    named = NAMED_ENVIRONMENTS[name]
     recipe = RECIPE.get(name)
     given = files.read_data(RECIPES / f"{recipe}.yaml")["environment"] if recipe else {}
     hold = given.get("action_repeat", round(LASTS / named.control_period))

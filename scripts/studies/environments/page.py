@@ -7,12 +7,11 @@ import gymnasium as gym
 import numpy as np
 
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.envs.config.conditions import CONDITION_FOLDER, CONDITIONS, NOMINAL
-from flexman_gym.envs.config.named_environments import NAMED
-from flexman_gym.envs.sensors import SETS
+from flexman_gym.envs.config.named_environments import CONDITION_FOLDER, CONDITIONS, NAMED_ENVIRONMENTS, NOMINAL
+from flexman_gym.envs.sensors import SENSOR_SETS
 from flexman_gym.evaluation.metrics import METRICS, SHARE, Metric
 from flexman_gym.evaluation.rollout import Rollout
-from flexman_gym.metrics import BAND, STAY, VIBRATING
+from flexman_gym.metrics import BAND, SETTLING_WINDOW, VIBRATION_WINDOW
 from flexman_gym.model.dynamics import frequencies
 from studies.environments.measure import BASES, DURATION, FINER, MOTIONS, SEEDS, Accuracy, accuracy, first
 
@@ -25,7 +24,7 @@ SECTIONS = ("Description", "Actions", "Observations", "Reward", "Start", "End", 
 
 def page(name: str, runs: dict[str | None, Rollout]) -> str:
     """The page of a named environment, in Markdown, with what its baselines reached."""
-    sections = docstring_sections(type(NAMED[name].task))
+    sections = docstring_sections(type(NAMED_ENVIRONMENTS[name].task))
     lines = [f"# {name}", "", f"![{name} under a tracking LQR]({name}.gif)", "", *_head(name), ""]
     for title in SECTIONS:
         lines += [f"## {title}", "", *sections[title], ""]
@@ -76,7 +75,7 @@ def _markdown(lines: Sequence[str]) -> list[str]:
 
 
 def _head(name: str) -> list[str]:
-    named = NAMED[name]
+    named = NAMED_ENVIRONMENTS[name]
     return [
         "```python",
         "import gymnasium as gym",
@@ -117,22 +116,24 @@ def _arm(name: str) -> list[str]:
 
 def _observations(name: str) -> list[str]:
     lines = []
-    own = () if NAMED[name].sensors == "full" else (None,)
-    for kind in (*own, "full", *SETS):
+    own = () if NAMED_ENVIRONMENTS[name].sensors == "full" else (None,)
+    for kind in (*own, "full", *SENSOR_SETS):
         sensors = gym.make(name, sensors=kind).unwrapped.sensors  # type: ignore[attr-defined]
         rows = []
         for part, place in sensors.slices.items():
             bound = np.unique(sensors.bound[place].round(12))
             span = f"{bound[0]:.3g}" if len(bound) == 1 else f"{bound[0]:.3g} to {bound[-1]:.3g}"
             rows.append((f"`{part}`", f"{place.start}-{place.stop - 1}", sensors.units[part], span))
-        with_what = f'With `sensors="{kind}"`' if kind else f"With its own sensors, `{NAMED[name].sensors}`"
+        with_what = (
+            f'With `sensors="{kind}"`' if kind else f"With its own sensors, `{NAMED_ENVIRONMENTS[name].sensors}`"
+        )
         lines += [f"{with_what}, Box ({len(sensors.bound)},):", ""]
         lines += [*markdown_table(("slice", "entries", "unit", "largest"), rows), ""]
     return lines
 
 
 def _arguments(name: str) -> list[str]:
-    task = NAMED[name].task
+    task = NAMED_ENVIRONMENTS[name].task
     lines = inspect.cleandoc(type(task).__doc__ or "").splitlines()
     first = lines.index("Attributes:") + 1
     last = next((i for i, line in enumerate(lines) if i > first and line == "Raises:"), len(lines))
@@ -145,7 +146,7 @@ def _arguments(name: str) -> list[str]:
 
 def baselines(name: str, runs: dict[str | None, Rollout]) -> list[str]:
     """Compare the baselines of an environment, in Markdown: a slew by its end, other tasks by the RMS tip error."""
-    own = getattr(NAMED[name].task, "figures", SLEW)
+    own = getattr(NAMED_ENVIRONMENTS[name].task, "figures", SLEW)
     shown = [METRICS[figure] for figure in (*own, "failed")]
     rows = [(BASES[base], *(_cell(figure, each) for figure in shown)) for base, each in runs.items()]
     return [
@@ -161,8 +162,8 @@ def _ends(name: str) -> str:
     band = BAND * sum(link.length for link in gym.make(name).unwrapped.setup.arm.links)  # type: ignore[attr-defined]
     return (
         f"The tip has settled when it stays within {1e3 * band:.3g} mm of its target until the end of the episode, for "
-        f"at least {STAY:g} s. Settling time and vibration are medians. Vibration is the motion of the tip from peak "
-        f"to peak (p-p) in the last {VIBRATING:g} s. The settling time of an episode that does not settle is infinite."
+        f"at least {SETTLING_WINDOW:g} s. Settling time and vibration are medians. Vibration is the motion of the tip from peak "
+        f"to peak (p-p) in the last {VIBRATION_WINDOW:g} s. The settling time of an episode that does not settle is infinite."
     )
 
 
@@ -191,7 +192,7 @@ def _left_out(each: Accuracy) -> list[str]:
 
 
 def _conditions(name: str) -> list[str]:
-    folder = NAMED[name].conditions
+    folder = NAMED_ENVIRONMENTS[name].conditions
     if not folder:
         return ["There are none for this arm."]
     rows = [(f"`{NOMINAL}`", "The environment as it is.")]

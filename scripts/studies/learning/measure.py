@@ -12,10 +12,10 @@ import numpy as np
 
 from flexman_agents.settings import Settings, find_recipe
 from flexman_agents.training import train
-from flexman_gym.common.grid import Workers, collect_cells
-from flexman_gym.draw.evaluation import learning_curves, read_progress
+from flexman_gym.common.parallel import Workers, parallel_map
+from flexman_gym.draw.learning_curves import draw_learning_curves, read_progress
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.named_environments import NAMED
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.evaluation.agent import AgentSpec, find_agent, split_interface
 from flexman_gym.evaluation.metrics import METRICS
@@ -155,7 +155,7 @@ def pictures(curves: Sequence[Point], folder: Path) -> list[Path]:
     result = []
     for id in dict.fromkeys(environment(name) for name in names):
         runs = {name: _seeds(curves, name) for name in names if environment(name) == id}
-        result.append(learning_curves(runs, folder / f"learning_{id}.png", "reward of a training episode"))
+        result.append(draw_learning_curves(runs, folder / f"learning_{id}.png", "reward of a training episode"))
     return result
 
 
@@ -228,7 +228,7 @@ def runs(case: LearningCase, folder: Path, workers: Workers | int = 1) -> Iterat
     """Rows of the runs of a case, which are trained in the folder if they are not there, and by whom `grid` says."""
     seeds = range(case.seeds)
     folders = [place(case, folder, seed) for seed in seeds]
-    costs = collect_cells(
+    costs = parallel_map(
         trained, [(case.settings.with_seed(seed), folders[seed]) for seed in seeds], workers, prepare=compile_kernels
     )
     for seed, each, cost in zip(seeds, folders, costs, strict=True):
@@ -263,7 +263,7 @@ def trained(cell: tuple[Settings, Path]) -> dict[str, float | None]:
 
 def places(environment: Configuration) -> dict[str, Configuration]:
     """The environment as it is, with a finer model, and with longer episodes."""
-    named = NAMED[environment.id]
+    named = NAMED_ENVIRONMENTS[environment.id]
     step = default_step(environment.control_period, named.longest_step) / FINER_STEPS
     finer = [f"elements={FINER_ELEMENTS}", "modes=null", "stiffening=true", f"step={step!r}"]
     return {

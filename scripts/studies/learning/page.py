@@ -7,7 +7,7 @@ from statistics import median
 from flexman_gym.common.markdown import bullets, markdown_table
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.metrics import task_metrics
-from flexman_gym.evaluation.rollout import SELECTION_SEEDS, TEST_SEEDS, TRAINING_SEED
+from flexman_gym.evaluation.rollout import SELECTION_SEEDS, TEST_SEEDS, TRAINING_SEEDS_STRIDE
 from studies.learning.measure import (
     ABLATED,
     ABLATION_SEEDS,
@@ -135,7 +135,7 @@ def page(rows: Sequence[LearningRow], machine: str) -> str:
         count=len(TEST_SEEDS),
         test=f"{TEST_SEEDS.start} to {TEST_SEEDS.stop - 1}",
         selection=f"{SELECTION_SEEDS.start} to {SELECTION_SEEDS.stop - 1}",
-        training=TRAINING_SEED,
+        training=TRAINING_SEEDS_STRIDE,
         columns="\n".join(bullets(f"{name}: {meaning}" for name, meaning in COLUMNS.items())),
         elsewhere=", ".join(f"`{name}` in `{venue}`" for name, venue in VENUES.items()),
         recipes="\n".join(_recipes(rows)),

@@ -12,7 +12,7 @@ import flexman_gym as fm
 from flexman_gym.identification import Filter, Measurement
 from flexman_gym.identification.fit import r_squared
 from flexman_gym.identification.least_squares import FreeParameters
-from flexman_gym.identification.measurement import Response
+from flexman_gym.identification.measurement import SimulatedResponse
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.simulation.parameters import nominal_parameters
@@ -172,7 +172,7 @@ def _sheet(model: Model, record: fm.Measurement) -> Any:
     """What the data sheet says of the first output of a record: w / L of the strip, by a gauge without an error."""
     nominal = {"payload_mass": np.array([nominal_parameters(model)["payload_mass"]])}
     at_strip, at_block = _amplitudes(model)
-    return Response(model.arm, record, None).signals(model, nominal)[0, 0] * at_strip / at_block
+    return SimulatedResponse(model.arm, record, None).signals(model, nominal)[0, 0] * at_strip / at_block
 
 
 def _by_mujoco(found: fm.Fit, runs: Mapping[str, fm.Measurement]) -> list[FitRow]:
@@ -263,7 +263,7 @@ def _truth(arm: fm.Arm, rng: np.random.Generator) -> fm.Measurement:
         for kind, end in (("motor_angle", ""), ("root_strain", "_y"), ("root_strain", "_z"))
     ]
     record = fm.Measurement(times, inputs, {name: times for name in names}, start=np.zeros(count))
-    response = Response(arm, record, PERIOD / FINER)
+    response = SimulatedResponse(arm, record, PERIOD / FINER)
     signals = response.signals(build_model(arm, **CHOICE), {"payload_mass": np.array([arm.payload.mass])})[0]  # type: ignore[union-attr]
     kept = {name: values for name, values in zip(names, signals, strict=True) if np.std(values) > 1e-9}
     return replace(record, outputs=kept)

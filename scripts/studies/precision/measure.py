@@ -15,7 +15,7 @@ from flexman_gym.scene import catalog
 from flexman_gym.scene.scene import Initial, Scene
 from flexman_gym.scene.signals import ConstantTorque
 from flexman_gym.simulation.methods import EXPLICIT, IMPLICIT, LINEARLY_IMPLICIT, METHODS
-from flexman_gym.simulation.scenes import simulate
+from flexman_gym.simulation.scene_simulation import simulate
 from flexman_gym.simulation.trajectory import Trajectory
 from studies.methods import fixed_step_methods
 

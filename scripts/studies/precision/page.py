@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from flexman_gym.common.computer import computer_text
-from flexman_gym.common.grid import Workers, collect_cells
 from flexman_gym.common.markdown import introduced_table
+from flexman_gym.common.parallel import Workers, parallel_map
 from flexman_gym.evaluation.rollout import compile_kernels
-from flexman_gym.simulation.amplification import largest_growth
 from flexman_gym.simulation.methods import METHODS
+from flexman_gym.simulation.stability import largest_growth
 from studies.files import read_rows, write_rows
 from studies.methods import extrapolations_of, methods_of
 from studies.precision.charts import time_error_chart, total_error_chart
@@ -222,7 +222,7 @@ def compute(
                                           for model in choices(case.scene)]  # fmt: skip
     rows: list[PrecisionRow] = []
     floors: dict[tuple[str, str], Floor] = {}
-    for done in collect_cells(_computed, cells, workers, kept, compile_kernels):
+    for done in parallel_map(_computed, cells, workers, kept, compile_kernels):
         rows += [PrecisionRow(**row) for row in done["rows"]]
         floors |= {(each["scene"], each["model"]): Floor(**each) for each in done["floors"]}
     write_rows(rows, folder / ROWS_FILE)

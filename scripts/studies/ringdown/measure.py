@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, Flags
+from flexman_gym.common.arrays import Array, BoolArray
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import build
+from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.effects.signals import static_shape
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import IntArray
@@ -37,7 +37,7 @@ class _Cases(NamedTuple):
 @cache
 def default_model(undamped: bool = False) -> Model:
     """Builds the model of FlexRRR-v0, without any damping where that is wanted."""
-    model = build(Configuration()).model
+    model = resolve_fidelity(Configuration()).model
     if not undamped:
         return model
     choice = vars(model.choice)
@@ -178,7 +178,7 @@ def _differences(result: _Outcome, truth: _Outcome) -> tuple[Array, Array]:
     return energy, np.where(failed, np.inf, np.linalg.norm(result.tip - truth.tip[:b], axis=1))
 
 
-def median_kept(kept: Array, failed: Flags) -> float:
+def median_kept(kept: Array, failed: BoolArray) -> float:
     """Gives the median of the arms that did not fail; NaN where all did."""
     return np.nan if failed.all() else float(np.median(kept[~failed]))
 
@@ -238,7 +238,7 @@ class Errors:
 
 def errors_of_default(count: int) -> list[Errors]:
     """Compares so many arms of each kind after a second and at the end, by the default and by others."""
-    chosen, result = build(Configuration()), []
+    chosen, result = resolve_fidelity(Configuration()), []
     for kind in KINDS:
         each = cases(kind, count)
         for end in (EARLY, DURATION[kind]):

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.control.margins import STEADY, SampledLoop, sampled_loop, sampled_loops, spectral_radius
+from flexman_gym.control.margins import STABLE_RADIUS, SampledLoop, sampled_loop, sampled_loops, spectral_radius
 from flexman_gym.control.pd import stability_limit
-from flexman_gym.envs.config.named_environments import NAMED
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.kernels.layout import OK, TIP_VELOCITY
 from flexman_gym.model.dynamics import mass_matrix
@@ -65,7 +65,7 @@ class ServoRow:
 
 def _arm_of(name: str, springs: float) -> Arm:
     """The arm of a named environment without weight, with joints that many times as stiff."""
-    arm = NAMED[name].arm()
+    arm = NAMED_ENVIRONMENTS[name].arm()
     joints = [replace(each, stiffness=each.stiffness and springs * each.stiffness) for each in arm.joints]
     return replace(arm, joints=joints, gravity=(0.0, 0.0, 0.0))
 
@@ -101,7 +101,7 @@ def rows() -> Iterator[ServoRow]:
 
 def limits(name: str, quick: bool = False) -> Iterator[ServoRow]:
     """The limits of an environment, or a few of them."""
-    gains = {each: np.array(values) for each, values in NAMED[name].pd.items()}
+    gains = {each: np.array(values) for each, values in NAMED_ENVIRONMENTS[name].pd.items()}
     for springs in SPRINGS[-1:] if quick else SPRINGS:
         model = build_model(_arm_of(name, springs), 2, 4)
         for period in PERIODS[1:6:2] if quick else PERIODS:
@@ -114,10 +114,12 @@ def limits(name: str, quick: bool = False) -> Iterator[ServoRow]:
 def tried_by_environment(row: ServoRow, method: str) -> ServoRow:
     """The row with the energies in environments whose gains are a little below and above the limit."""
     rounds = rounds_of(row)
-    step = float(row.period / np.ceil(row.period / NAMED[row.environment].longest_step))
+    step = float(row.period / np.ceil(row.period / NAMED_ENVIRONMENTS[row.environment].longest_step))
     ends, largest = [], 0.0
     for part in (1.0 - APART, 1.0 + APART):
-        gains = {name: part * row.factor * np.array(each) for name, each in NAMED[row.environment].pd.items()}
+        gains = {
+            name: part * row.factor * np.array(each) for name, each in NAMED_ENVIRONMENTS[row.environment].pd.items()
+        }
         energies = _energies(row, {"kind": "position", **gains}, (method, step), rounds)
         largest = largest or max(energies)
         ends.append(max(energies[3 * len(energies) // 4 :]) / largest)
@@ -127,7 +129,7 @@ def tried_by_environment(row: ServoRow, method: str) -> ServoRow:
 def rounds_of(row: ServoRow) -> int:
     """Control periods in which a vibration shows that grows by gains a tenth above a limit."""
     model = build_model(_arm_of(row.environment, row.springs), 2, 4)
-    gains = [(1.0 + APART) * row.factor * np.array(each) for each in NAMED[row.environment].pd.values()]
+    gains = [(1.0 + APART) * row.factor * np.array(each) for each in NAMED_ENVIRONMENTS[row.environment].pd.values()]
     loop = sampled_loop(model, np.zeros(model.n_joints), row.period, int(row.delay), row.bandwidth or None)
     growth = np.log(max(spectral_radius(loop, *gains), STEADY_RADIUS))
     return int(max(LEAST / row.period, np.log(GROWN) / (2.0 * growth)))
@@ -188,7 +190,7 @@ class FrictionRow:
     @property
     def is_stable(self) -> bool:
         """Whether no eigenvalue is outside the unit circle, so that the loop is called stable."""
-        return self.radius < STEADY
+        return self.radius < STABLE_RADIUS
 
 
 class FrictionCase(NamedTuple):
@@ -224,7 +226,7 @@ def _friction_row(seed: int) -> FrictionRow | None:
     radii = [spectral_radius(loop, case.stiffness, case.damping) for loop in case.loops()]
     held = float(modes(case.model, case.posture).eigenvalues.real.max(initial=-np.inf))  # 1/s, while all motors stick
     left = max(min(max(radii), 1.0) ** (DURATION / case.period), np.exp(held * DURATION))
-    if (max(radii) < STEADY and left > DECAYED) or not case.model.constants.coulomb_friction.any():
+    if (max(radii) < STABLE_RADIUS and left > DECAYED) or not case.model.constants.coulomb_friction.any():
         return None
     smoothed = spectral_radius(smoothed_loop(case), case.stiffness, case.damping)
     vibration = remaining_vibration(case)

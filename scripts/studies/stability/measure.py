@@ -15,9 +15,9 @@ from flexman_gym.scene import catalog
 from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.scene.scene import Initial, Scene
 from flexman_gym.scene.signals import ConstantTorque, Signal
-from flexman_gym.simulation.amplification import stability_limit
 from flexman_gym.simulation.methods import Method
 from flexman_gym.simulation.simulator import Simulator
+from flexman_gym.simulation.stability import stability_limit
 
 OK, INACCURATE, DIVERGED, NOT_CONVERGED = "ok", "inaccurate", "diverged", "not converged"
 VERDICTS = (OK, INACCURATE, DIVERGED, NOT_CONVERGED)

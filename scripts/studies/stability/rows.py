@@ -8,15 +8,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.grid import Workers, collect_cells
+from flexman_gym.common.parallel import Workers, parallel_map
 from flexman_gym.evaluation.rollout import compile_kernels
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene import catalog
-from flexman_gym.simulation.amplification import spectral_radii, vibration_factor
 from flexman_gym.simulation.methods import METHODS
-from flexman_gym.simulation.scenes import simulate, simulate_all
+from flexman_gym.simulation.scene_simulation import simulate, simulate_all
 from flexman_gym.simulation.simulator import Simulator
+from flexman_gym.simulation.stability import spectral_radii, vibration_factor
 from flexman_gym.simulation.trajectory import Trajectory
 from studies.methods import explicit_methods, fixed_step_methods, implicit_methods
 from studies.stability.measure import (
@@ -283,9 +283,9 @@ def rows_of(cell: _StabilityCell) -> list[dict[str, Any]]:
 
 
 def all_rows(quick: bool = False, workers: Workers | int = 1, kept: Path | None = None) -> list[StabilityRow]:
-    """All rows, or a small grid of them; `workers` and `kept` as of `common.grid.run_cells`."""
+    """All rows, or a small grid of them; `workers` and `kept` as of `common.parallel.parallel_map_unordered`."""
     return [
         StabilityRow(**row)
-        for rows in collect_cells(rows_of, cells(quick), workers, kept, compile_kernels)
+        for rows in parallel_map(rows_of, cells(quick), workers, kept, compile_kernels)
         for row in rows
     ]

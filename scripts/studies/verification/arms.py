@@ -16,19 +16,19 @@ from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link
 from flexman_gym.scene.rigid_body import Payload
-from flexman_gym.simulation.scenes import simulate
+from flexman_gym.simulation.scene_simulation import simulate
 from flexman_gym.simulation.simulator import Simulator
 from flexman_gym.verification.cases import (
     AXIAL,
     BENDING_Y,
     BENDING_Z,
     TWIST,
-    bar_scale,
+    bar_frequency_scale,
     link_frequencies,
     node_columns,
     slender_link,
 )
-from flexman_gym.verification.closed_forms import bar_eigenvalues, beam_eigenvalues
+from flexman_gym.verification.closed_forms import bar_eigenvalues, cantilever_eigenvalues
 from flexman_gym.verification.table import VerificationRow, series_rows
 
 DE_LUCA = "De Luca and Siciliano, IEEE Trans. SMC 21 (1991)"
@@ -48,7 +48,7 @@ def rayleigh_eigenvalues(count: int, gyration_ratio: float) -> Array:
 
     w'''' + lambda^2 s w'' - lambda^2 w = 0 with w = w' = 0 at the base, w'' = 0 and w''' + lambda^2 s w' = 0 at the
     tip. So w consists of cos a x - cosh c x and sin a x / a - sinh c x / c, with a^2, c^2 = sqrt(lambda^4 s^2 / 4 +
-    lambda^2) +- lambda^2 s / 2. While s lambda is small, each root is a little below that of `beam_eigenvalues`.
+    lambda^2) +- lambda^2 s / 2. While s lambda is small, each root is a little below that of `cantilever_eigenvalues`.
     """
 
     def characteristic(eigenvalue: float) -> float:
@@ -60,7 +60,7 @@ def rayleigh_eigenvalues(count: int, gyration_ratio: float) -> Array:
         second = moment[0] + 2.0 * half * (np.cos(a) - np.cosh(c))
         return float(moment[0] * second - moment[1] * first)
 
-    slender = beam_eigenvalues(count)
+    slender = cantilever_eigenvalues(count)
     return np.array([brentq(characteristic, 0.8 * each, 1.001 * each, xtol=1e-13) for each in slender])
 
 
@@ -106,7 +106,7 @@ def _clamped(link: Link, payload: Payload | None = None) -> Array:
 
 def _convergence_rows() -> Iterator[VerificationRow]:
     """Error of f_1 with Hermite elements and consistent mass, and the slope at which it falls."""
-    exact, counts = beam_eigenvalues(1)[0], (1, 2, 4, 8)
+    exact, counts = cantilever_eigenvalues(1)[0], (1, 2, 4, 8)
     errors = [2.0 * np.pi * link_frequencies(slender_link(), n, BENDING_Y)[0] / exact - 1.0 for n in counts]
     for count, text, error in zip(counts, ("0.475", "0.0483", "0.0033", "0.0002"), errors, strict=True):
         yield printed_row(f"cantilever f_1, elements: {count}, error in percent", HERMITE, text, 100.0 * error)
@@ -172,7 +172,7 @@ def _paper_arm_rows() -> Iterator[VerificationRow]:
         result = link_frequencies(link, 16, BENDING_Y)[:2]
         yield from series_rows(f"paper's {name}, bending f_{{}}, Hz", TABLE_1, expected, result, 1e-5)
         for kind, columns in (("axial", AXIAL), ("torsional", TWIST)):
-            scale = bar_scale(link, columns)
+            scale = bar_frequency_scale(link, columns)
             first, highest = link_frequencies(link, 24, columns)[0], link_frequencies(link, 2, columns)[-1]
             yield VerificationRow(
                 f"paper's {name}, {kind} f_1, Hz", TABLE_1, scale * bar_eigenvalues(1)[0], first, 1e-3

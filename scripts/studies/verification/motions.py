@@ -17,7 +17,7 @@ from flexman_gym.scene.link import Link, NonUniformLink
 from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.scene.scene import Initial, ModelChoice, Scene
 from flexman_gym.scene.signals import ConstantTorque, Signal
-from flexman_gym.simulation.scenes import simulate
+from flexman_gym.simulation.scene_simulation import simulate
 from flexman_gym.simulation.trajectory import Trajectory
 from flexman_gym.verification.cases import closed_form_rows
 from flexman_gym.verification.table import VerificationRow

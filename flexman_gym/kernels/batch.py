@@ -1,9 +1,9 @@
-"""Arms: several of one model that move side by side, each in a lane of the processor's vector registers.
+"""Batch kernels: arms of one model side by side, each in a lane of the processor's vector registers.
 
-One set of kernels moves one arm or ARMS_ABREAST of them: here they are compiled for work space whose elements are
-groups of numbers, one for each arm. Lanes do not mix, so that an arm moves in the same way, to the last bit, whatever
-its neighbours are. Constants that arms may differ in (`PER_ARM`) are such groups too, the others are shared. A call
-passes addresses instead of arrays, which takes microseconds less.
+The same kernels integrate one arm or ARMS_PER_GROUP arms: here they are compiled for a work space with groups of
+numbers as elements, one number for each arm. Lanes do not mix, so the motion of an arm does not depend, to the
+last bit, on its neighbours. Constants that may differ between arms (`PER_ARM`) are groups too; all arms share the
+rest. A call passes addresses instead of arrays, which saves microseconds.
 """
 
 from flexman_gym.kernels.arguments import (
@@ -16,11 +16,11 @@ from flexman_gym.kernels.arguments import (
 )
 from flexman_gym.kernels.compile import inner, kernel, released
 from flexman_gym.kernels.implicit import fixed_newton_step
-from flexman_gym.kernels.lanes import load_lane, store_lane
-from flexman_gym.kernels.layout import ARMS_ABREAST, DIVERGED, LARGEST_STATE, OK
+from flexman_gym.kernels.lanes import extract_lane, insert_lane
+from flexman_gym.kernels.layout import ARMS_PER_GROUP, DIVERGED, LARGEST_STATE, OK
 from flexman_gym.kernels.linalg import copy
-from flexman_gym.kernels.outputs import observe, sense
-from flexman_gym.kernels.runge_kutta import linearly_implicit_step, out_of_bounds, run_w_method, step_time
+from flexman_gym.kernels.outputs import compute_outputs, compute_tip_accelerations
+from flexman_gym.kernels.runge_kutta import linearly_implicit_step, out_of_bounds, run_w_method, step_start
 
 
 @inner
@@ -38,11 +38,11 @@ def advance_steps(constants, work, tableau, sweeps, steps, state):
         else:
             linearly_implicit_step(constants, work, tableau, None, moment, state)
         copy(work.trial, state)
-    observe(constants, work, state[:d], state[d : 2 * d], work.outputs)
+    compute_outputs(constants, work, state[:d], state[d : 2 * d], work.outputs)
 
 
 @released
-def advance_arms(tables, work_table, method, drives, steps, rows, out, status, trail):
+def advance_batch(tables, work_table, method, drives, steps, rows, out, status, trail):
     """Moves arms by a method, a tableau or None with sweeps as in `advance_steps`, through periods of constant drives.
 
     `tables` (groups, fields, 3) are the addresses of the constants of each group of ARMS_ABREAST arms, drives are (b,
@@ -52,7 +52,7 @@ def advance_arms(tables, work_table, method, drives, steps, rows, out, status, t
     work = work_of_arms(work_table)
     state = work.row
     for group in range(len(tables)):
-        first, end = group * ARMS_ABREAST, min((group + 1) * ARMS_ABREAST, len(rows))
+        first, end = group * ARMS_PER_GROUP, min((group + 1) * ARMS_PER_GROUP, len(rows))
         if _any_moving(status, first, end):
             _fill_lanes(rows, first, state)
             for t in range(drives.shape[1]):
@@ -68,7 +68,7 @@ def advance_arms(tables, work_table, method, drives, steps, rows, out, status, t
 
 
 @released
-def advance_one(table, work_table, method, drives, steps, rows, out, status, trail):
+def advance_single(table, work_table, method, drives, steps, rows, out, status, trail):
     """The same for a single arm."""
     work = work_of_one(work_table)
     copy(rows[0], work.row)
@@ -92,7 +92,7 @@ def _record_period(trail, arm, t, rows, out):
 
 
 @released
-def run_arms(tables, work_table, tableau, sweeps, drives, clock, rows, out, counts):
+def run_batch(tables, work_table, tableau, sweeps, drives, clock, rows, out, counts):
     """Runs of arms by fixed steps as in `advance_steps`, each under the table of its own drive (b, 7, n + 6).
 
     Overwrites rows (b, r + 1, 2 d + 2) behind the first one, from which an arm starts, and outputs `out` (b, r + 1,
@@ -100,14 +100,14 @@ def run_arms(tables, work_table, tableau, sweeps, drives, clock, rows, out, coun
     """
     work = work_of_arms(work_table)
     for group in range(len(tables)):
-        constants, first = constants_of_arms(tables[group]), group * ARMS_ABREAST
-        end = min(first + ARMS_ABREAST, len(rows))
+        constants, first = constants_of_arms(tables[group]), group * ARMS_PER_GROUP
+        end = min(first + ARMS_PER_GROUP, len(rows))
         _load_arms(work, drives, rows, first)
         for arm in range(first, end):
             counts[arm, 0], counts[arm, 1] = -1, 0
         for r in range(rows.shape[1]):
             for n in range(clock.substeps if r > 0 else 0):
-                moment = step_time(clock, r - 1, n), clock.step
+                moment = step_start(clock, r - 1, n), clock.step
                 if tableau is None:
                     fixed_newton_step(constants, work, sweeps, work.table, moment, work.row)
                 else:
@@ -119,7 +119,7 @@ def run_arms(tables, work_table, tableau, sweeps, drives, clock, rows, out, coun
                             counts[arm, 0] = r - 1
                 copy(work.trial, work.row)
             d = len(work.row) // 2 - 1
-            observe(constants, work, work.row[:d], work.row[d : 2 * d], work.outputs)
+            compute_outputs(constants, work, work.row[:d], work.row[d : 2 * d], work.outputs)
             for arm in range(first, end):
                 if counts[arm, 0] < 0:
                     _read_lane(work.row, arm - first, rows[arm, r])
@@ -132,17 +132,17 @@ def run_arms(tables, work_table, tableau, sweeps, drives, clock, rows, out, coun
 @inner
 def _load_arms(work, drives, rows, first):
     """work.row and work.table = the first rows and the drives of the arms from `first` on."""
-    for k in range(ARMS_ABREAST):
+    for k in range(ARMS_PER_GROUP):
         arm = min(first + k, len(rows) - 1)  # lanes without an arm repeat the last one
         for j in range(len(work.row)):
-            store_lane(work.row, j, k, rows[arm, 0, j])
+            insert_lane(work.row, j, k, rows[arm, 0, j])
         for i in range(len(work.table)):
             for j in range(len(work.drive)):
-                store_lane(work.table[i], j, k, drives[arm, i, j])
+                insert_lane(work.table[i], j, k, drives[arm, i, j])
 
 
 @kernel
-def run_sequences(constants, work, lanes, tableau, table, clock, state, rows, outputs):
+def run_extrapolation(constants, work, lanes, tableau, table, clock, state, rows, outputs):
     """A run as in `linearly_implicit`, of one arm by an extrapolated method, with several sequences in the lanes.
 
     `lanes` are the addresses of the same constants, those of work space of sequences, and the rounds of
@@ -155,21 +155,21 @@ def run_sequences(constants, work, lanes, tableau, table, clock, state, rows, ou
 @inner
 def _fill_lanes(values, first, flat):
     """The numbers (b, j) of the group of arms from `first` on into the lanes of flat (j,)."""
-    for k in range(ARMS_ABREAST):
+    for k in range(ARMS_PER_GROUP):
         arm = min(first + k, len(values) - 1)  # lanes without an arm repeat the last one
         for j in range(len(flat)):
-            store_lane(flat, j, k, values[arm, j])
+            insert_lane(flat, j, k, values[arm, j])
 
 
 @inner
 def _read_lane(flat, k, out):
     """out = lane k of the first numbers of a flat array of arms abreast."""
     for j in range(len(out)):
-        out[j] = load_lane(flat, j, k)
+        out[j] = extract_lane(flat, j, k)
 
 
 @released
-def sense_arms(tables, work_table, drives, rows, out):
+def tip_accelerations_batch(tables, work_table, drives, rows, out):
     """out (b, TIP_ACCELERATIONS) of arms with state and ledger in rows (b, 2 d + 2), under drives (b, n + 6).
 
     `tables` (groups, fields, 3) are the addresses of the constants of each group of ARMS_ABREAST arms.
@@ -178,21 +178,21 @@ def sense_arms(tables, work_table, drives, rows, out):
     state = work.row
     d = len(state) // 2 - 1
     for group in range(len(tables)):
-        first = group * ARMS_ABREAST
+        first = group * ARMS_PER_GROUP
         _fill_lanes(rows, first, state)
         _fill_lanes(drives, first, work.drive)
-        sense(constants_of_arms(tables[group]), work, state[:d], state[d : 2 * d], work.outputs)
-        for arm in range(first, min(first + ARMS_ABREAST, len(rows))):
+        compute_tip_accelerations(constants_of_arms(tables[group]), work, state[:d], state[d : 2 * d], work.outputs)
+        for arm in range(first, min(first + ARMS_PER_GROUP, len(rows))):
             _read_lane(work.outputs, arm - first, out[arm])
 
 
 @released
-def sense_one(table, work_table, drives, rows, out):
+def tip_accelerations_single(table, work_table, drives, rows, out):
     """The same for a single arm."""
     work = work_of_one(work_table)
     d = rows.shape[1] // 2 - 1
     copy(drives[0], work.drive)
-    sense(constants_of_one(table), work, rows[0, :d], rows[0, d : 2 * d], out[0])
+    compute_tip_accelerations(constants_of_one(table), work, rows[0, :d], rows[0, d : 2 * d], out[0])
 
 
 @inner
@@ -208,6 +208,6 @@ def _any_moving(status, first, end):
 def _lane_in_bounds(state, k):
     """Whether the state in lane k is finite and within LARGEST_STATE; the ledger is not looked at."""
     for j in range(len(state) - 2):
-        if not abs(load_lane(state, j, k)) <= LARGEST_STATE:
+        if not abs(extract_lane(state, j, k)) <= LARGEST_STATE:
             return False
     return True

@@ -1,4 +1,4 @@
-"""Choose: the smallest model, the method and the longest step that meet a tolerance at the tip in a scene."""
+"""Selection of the smallest model, the method and the longest step within a tolerance at the tip."""
 
 import time as clock
 from collections.abc import Iterator
@@ -9,21 +9,21 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import check_solvable, positive, value_error
-from flexman_gym.fidelity.mesh import MeshSearch
-from flexman_gym.fidelity.search import Candidate, CandidateRun, ModelSearch, compact_modes
+from flexman_gym.fidelity.mesh_search import MeshSearch
+from flexman_gym.fidelity.model_search import Candidate, CandidateRun, ModelSearch, compact_modes
 from flexman_gym.model.dynamics import frequencies, mass_matrix, stiffness_matrix
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.scene import Scene
-from flexman_gym.simulation.amplification import explicit_limit, remaining_amplitude, spectral_radii
 from flexman_gym.simulation.methods import EXPLICIT, METHODS, Method
+from flexman_gym.simulation.stability import explicit_limit, remaining_amplitude, spectral_radii
 
-SAFETY = 0.8  # part of the tolerance that the chosen run may use
-ALIKE = 1.25  # costs that a clock cannot tell apart; of such trials the smallest model is chosen
-MULTIPLES = (10, 8, 5, 4, 3, 2)  # of the output step
-PARTS = (1, 2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 25, 32, 40, 50, 64, 80, 100, 128, 160, 200, 256, 320, 400, 512, 1024)
-GROWN = 0.01  # of the amplitude of a mode in 10 s, of which a report speaks
-MOST_GROWTH = 100.0  # of any mode by the method within the scene; the amplitudes are next to nothing at first
+SAFETY_FACTOR = 0.8  # part of the tolerance that the chosen run may use
+COST_TOLERANCE = 1.25  # costs that a clock cannot tell apart; of such trials the smallest model is chosen
+STEP_MULTIPLES = (10, 8, 5, 4, 3, 2)  # of the output step
+STEP_PARTS = (1, 2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 25, 32, 40, 50, 64, 80, 100, 128, 160, 200, 256, 320, 400, 512, 1024)
+REPORTED_GROWTH = 0.01  # of the amplitude of a mode in 10 s, of which a report speaks
+MAX_GROWTH = 100.0  # of any mode by the method within the scene; the amplitudes are next to nothing at first
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,12 +149,12 @@ def _choose(scene: Scene, tolerance: float, longest: float) -> Choice:
         least = 2.0 * search.error / search.blurred
         raise value_error("tolerance", tolerance, f"at least {least:.2g} m: the reference is known no better")
     parts = search.parts()
-    trials = [trial for candidate in _candidates(search, parts) for trial in _steps(search, candidate, longest)]
-    good = [trial for trial in trials if trial.error + search.error <= SAFETY * tolerance]
+    trials = [trial for candidate in _candidates(search, parts) for trial in _run_candidate(search, candidate, longest)]
+    good = [trial for trial in trials if trial.error + search.error <= SAFETY_FACTOR * tolerance]
     if not good:
         reached = min(trial.error for trial in trials) if trials else np.inf
         raise value_error(
-            "tolerance", tolerance, f"at least {(reached + search.error) / SAFETY:.2g} m, what was reached"
+            "tolerance", tolerance, f"at least {(reached + search.error) / SAFETY_FACTOR:.2g} m, what was reached"
         )
     cheapest = min(trial.cost for trial in good)
     close = [trial for trial in good if trial.cost <= 1.5 * cheapest]
@@ -162,18 +162,18 @@ def _choose(scene: Scene, tolerance: float, longest: float) -> Choice:
         close = sorted(close, key=lambda trial: trial.cost)[: search.timed]
     timed = [(min(search.trial(*trial[:3]).cost for _ in range(3)), trial) for trial in close]
     quickest = min(cost for cost, _ in timed)
-    alike = [(_size(search, trial), cost, trial) for cost, trial in timed if cost <= ALIKE * quickest]
+    alike = [(_model_size(search, trial), cost, trial) for cost, trial in timed if cost <= COST_TOLERANCE * quickest]
     best = min(alike, key=lambda each: each[:2])[2]
     search.sharpen(best.error)
     run = search.run(*best[:3])
     error, errors = search.tip_error(run) + search.error, search.errors(best.candidate, run)
-    dropped = _dropped(search, best.candidate, parts)
-    report = _report(search, best, trials, clock.process_time() - started)
+    dropped = _describe_dropped(search, best.candidate, parts)
+    report = _write_report(search, best, trials, clock.process_time() - started)
     chosen = search.model(best.candidate), best.method.name, best.step
     return Choice(*chosen, error, dropped, report, errors, search.runs)
 
 
-def _size(search: ModelSearch, trial: CandidateRun) -> tuple[int, bool]:
+def _model_size(search: ModelSearch, trial: CandidateRun) -> tuple[int, bool]:
     """Gives the number of coordinates of a trial's model, and whether it has foreshortening."""
     return search.model(trial.candidate).n_dof, trial.candidate.stiffening
 
@@ -208,13 +208,13 @@ def _candidates(search: ModelSearch, parts: dict[tuple[int, int], float]) -> lis
     return smallest
 
 
-def _steps(search: ModelSearch, candidate: Candidate, longest: float) -> Iterator[CandidateRun]:
+def _run_candidate(search: ModelSearch, candidate: Candidate, longest: float) -> Iterator[CandidateRun]:
     """Runs a candidate by each method, with shorter steps until a run is good, or costs more than a good one."""
     modes = frequencies(search.model(candidate), search.scene.initial.joint_angles)
-    aim = SAFETY * search.tolerance - search.error
-    ladder = np.array([step for step in _ladder(search.scene) if step <= longest * (1.0 + 1e-9)])
+    aim = SAFETY_FACTOR * search.tolerance - search.error
+    ladder = np.array([step for step in _admissible_steps(search.scene) if step <= longest * (1.0 + 1e-9)])
     for method in (METHODS[name] for name in search.tried):
-        steps = _stays(method, ladder, modes, search.scene.duration)
+        steps = _stable_steps(method, ladder, modes, search.scene.duration)
         per_step, place = search.guess(candidate, method), search.first(method, steps)
         while place < len(steps) and per_step / steps[place] <= 1.2 * search.best and search.runs < search.most_runs:
             trial = search.trial(candidate, method, steps[place])
@@ -228,20 +228,22 @@ def _steps(search: ModelSearch, candidate: Candidate, longest: float) -> Iterato
             place += max(1, sum(step > 1.15 * shrink * trial.step for step in steps[place:]))
 
 
-def _stays(method: Method, steps: Array, modes: Array, duration: float) -> list[float]:
+def _stable_steps(method: Method, steps: Array, modes: Array, duration: float) -> list[float]:
     """Gives those of steps (s) with which a method lets no vibration (Hz) grow much within a duration (s)."""
     growth = duration / steps[:, None] * np.log(spectral_radii(method, 2.0 * np.pi * steps[:, None] * modes))
-    return [float(step) for step in steps[(growth <= np.log(MOST_GROWTH)).all(axis=1)]]
+    return [float(step) for step in steps[(growth <= np.log(MAX_GROWTH)).all(axis=1)]]
 
 
-def _ladder(scene: Scene) -> list[float]:
+def _admissible_steps(scene: Scene) -> list[float]:
     """Gives the steps that `simulate` can take, descending."""
     rows = len(scene.output_times) - 1
-    longer = [scene.output_step * multiple for multiple in MULTIPLES if rows % multiple == 0]
-    return longer + [scene.output_step / parts for parts in PARTS]
+    longer = [scene.output_step * multiple for multiple in STEP_MULTIPLES if rows % multiple == 0]
+    return longer + [scene.output_step / parts for parts in STEP_PARTS]
 
 
-def _dropped(search: ModelSearch, candidate: Candidate, parts: dict[tuple[int, int], float]) -> tuple[str, ...]:
+def _describe_dropped(
+    search: ModelSearch, candidate: Candidate, parts: dict[tuple[int, int], float]
+) -> tuple[str, ...]:
     """Writes a text for everything that a candidate leaves out."""
     full, texts = search.full, []
     if full.stiffening and not candidate.stiffening:
@@ -267,7 +269,7 @@ def _dropped(search: ModelSearch, candidate: Candidate, parts: dict[tuple[int, i
     return tuple(texts)
 
 
-def _report(search: ModelSearch, best: CandidateRun, trials: list[CandidateRun], seconds: float) -> str:
+def _write_report(search: ModelSearch, best: CandidateRun, trials: list[CandidateRun], seconds: float) -> str:
     """Writes frequencies, step, numerical damping and cost in words."""
     scene, model, full = search.scene, search.model(best.candidate), search.model(search.full)
     own, all_ = (frequencies(each, scene.initial.joint_angles)[model.n_joints :] for each in (model, full))
@@ -287,7 +289,7 @@ def _report(search: ModelSearch, best: CandidateRun, trials: list[CandidateRun],
         lines.append(
             f"numerical damping of mode {i} ({frequency:.4g} Hz) over 10 s: {100.0 * part:+.2g} % of amplitude"
         )
-    if grown and max(grown) > GROWN:
+    if grown and max(grown) > REPORTED_GROWTH:
         k = int(np.argmax(grown))
         lines.append(
             f"{best.method.name} lets mode {k + 1} ({own[k]:.4g} Hz) grow by {100.0 * grown[k]:.2g} % in 10 s where"

@@ -1,4 +1,4 @@
-"""Explanation: which quantity of an arm went first when a simulation failed, and what to change."""
+"""Diagnostics of failed simulations: the first quantity out of bounds, and remedies."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -10,13 +10,13 @@ from flexman_gym.kernels import layout
 from flexman_gym.model.dynamics import frequencies, stiffness_matrix
 from flexman_gym.model.linearization import coordinate_scales
 from flexman_gym.model.model import Model
-from flexman_gym.simulation.amplification import explicit_limit
 from flexman_gym.simulation.integrator import Integrator
 from flexman_gym.simulation.methods import Method
+from flexman_gym.simulation.stability import explicit_limit
 
-FAST, WOUND, BENT = 100.0, 1.0, 0.25  # rad/s, rad, and parts of a link: no arm moves so
-NOTICED = 0.1  # bent by this part of its length, a link shortens visibly
-PIECES = 50  # of a period whose steps the method chooses
+LARGE_RATE, LARGE_TWIST, LARGE_BEND = 100.0, 1.0, 0.25  # rad/s, rad, and parts of a link: no arm moves so
+STIFFENING_BEND = 0.1  # bent by this part of its length, a link shortens visibly
+STEPS_PER_PERIOD = 50  # of a period whose steps the method chooses
 
 
 class Failure(NamedTuple):
@@ -48,16 +48,16 @@ class _Quantity(NamedTuple):
     largest: float
 
 
-def explain(failure: Failure) -> str:
+def explain_failure(failure: Failure) -> str:
     """Says what went first and what to change, by a second run from the last good state, step by step."""
     run, (time, step, substeps) = failure.run, failure.moment
     if run.tolerance[0] > 0.0:
-        step, substeps = step * substeps / PIECES, PIECES
+        step, substeps = step * substeps / STEPS_PER_PERIOD, STEPS_PER_PERIOD
     rows, result = np.zeros((substeps, len(failure.state))), np.zeros((substeps, layout.OUTPUTS))
     status, valid, _ = run(failure.drive, (time, step, 1), failure.state.copy(), rows, result)
     states = np.vstack([failure.state, rows[:valid], *([] if status == layout.OK else [run.work.trial])])
     with np.errstate(all="ignore"):
-        first, row = _first(failure.model, states[:, : 2 * failure.model.n_dof])
+        first, row = _first_excess(failure.model, states[:, : 2 * failure.model.n_dof])
     size = f"{abs(first.values[row]):.4g} {first.unit} at {time + row * step:.6g} s"
     said = f"the simulation {failure.status}: {first.name} went first, {size}"
     return f"{said}. Try {'; or '.join(_advice(failure.model, run, failure.moment[1], states[: max(row, 1)]))}."
@@ -101,26 +101,26 @@ def _quantities(model: Model, states: Array) -> Iterator[_Quantity]:
     """Gives rates of joints and motors, twists of springs, deflections of links and elastic coordinates."""
     d, n, label = model.n_dof, model.n_joints, _coordinate_names(model)
     for column in range(n + model.n_motors):
-        yield _Quantity(f"the rate of {label[column]}", "rad/s", states[:, d + column], FAST)
+        yield _Quantity(f"the rate of {label[column]}", "rad/s", states[:, d + column], LARGE_RATE)
     for i, motor in enumerate(model.constants.motor):
         if motor >= 0:
-            yield _Quantity(f"the twist of joints[{i}]", "rad", states[:, motor] - states[:, i], WOUND)
+            yield _Quantity(f"the twist of joints[{i}]", "rad", states[:, motor] - states[:, i], LARGE_TWIST)
     sizes, starts = coordinate_scales(model), model.constants.elastic_start
     for link in range(n):
         columns = model.elastic_columns(link)
         shapes = model.constants.tip_translation[starts[link] : starts[link + 1]]
         if len(shapes):
             deflection = np.linalg.norm(states[:, columns] @ shapes, axis=1) / model.constants.length[link]
-            yield _Quantity(f"the deflection of links[{link}]", "of its length", deflection, BENT)
+            yield _Quantity(f"the deflection of links[{link}]", "of its length", deflection, LARGE_BEND)
         for column in range(columns.start, columns.stop):
             bend = states[:, column] / sizes[column]
-            yield _Quantity(label[column], "rad or parts of the link's length", bend, BENT)
+            yield _Quantity(label[column], "rad or parts of the link's length", bend, LARGE_BEND)
 
 
 def _advice(model: Model, run: Integrator, step: float, states: Array) -> list[str]:
     """Gives what to change, the most promising first."""
     method, d, result = run.method, model.n_dof, []
-    highest, limit = frequencies(model).max(initial=0.0), _limit(method)
+    highest, limit = frequencies(model).max(initial=0.0), _step_limit(method)
     if run.tolerance[0] > 0.0:
         result.append("a method with fixed steps, such as midpoint_3_sweeps")
     elif 2.0 * np.pi * highest * step > limit:
@@ -131,7 +131,9 @@ def _advice(model: Model, run: Integrator, step: float, states: Array) -> list[s
         result.append(f"a step shorter than {step:g} s")
     with np.errstate(all="ignore"):
         good = states[np.isfinite(states).all(axis=1)]
-        bent = [q for q in _quantities(model, good) if q.largest == BENT and np.abs(q.values).max() > NOTICED]
+        bent = [
+            q for q in _quantities(model, good) if q.largest == LARGE_BEND and np.abs(q.values).max() > STIFFENING_BEND
+        ]
         locked = frequencies(model, lock_joints=True)
         spins = np.abs(good[:, d : d + model.n_joints]).max(initial=0.0)
     if not model.choice.stiffening and (bent or (len(locked) and spins > np.pi * locked[0])):
@@ -141,7 +143,7 @@ def _advice(model: Model, run: Integrator, step: float, states: Array) -> list[s
     return [*result, "smaller torques"]
 
 
-def _first(model: Model, states: Array) -> tuple[_Quantity, int]:
+def _first_excess(model: Model, states: Array) -> tuple[_Quantity, int]:
     """Gives the quantity that is first larger than it should be, and the row; the largest one where none is."""
     result = list(_quantities(model, states))
     sizes = np.array([np.abs(each.values) / each.largest for each in result])
@@ -151,5 +153,5 @@ def _first(model: Model, states: Array) -> tuple[_Quantity, int]:
     return result[int(np.argmax(sizes[:, row]))], row
 
 
-def _limit(method: Method) -> float:
+def _step_limit(method: Method) -> float:
     return explicit_limit(method) if not method.adaptive else np.inf

@@ -1,4 +1,4 @@
-"""Signals: two numbers in memory by which two threads tell each other how far they are, without falling asleep."""
+"""Synchronisation of two threads by two numbers in memory, by busy waiting."""
 
 from typing import Any
 

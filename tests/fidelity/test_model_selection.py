@@ -8,11 +8,11 @@ from scipy.linalg import eigh
 
 import flexman_gym as fm
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.fidelity.choose import _candidates, _choose, _dropped, _report, assembled_modes
-from flexman_gym.fidelity.search import CandidateRun, ModelSearch
+from flexman_gym.fidelity.model_search import CandidateRun, ModelSearch
+from flexman_gym.fidelity.model_selection import _candidates, _choose, _describe_dropped, _write_report, assembled_modes
 from flexman_gym.model.dynamics import stiffness_matrix
-from flexman_gym.simulation.amplification import explicit_limit, remaining_amplitude, spectral_radii
 from flexman_gym.simulation.methods import METHODS
+from flexman_gym.simulation.stability import explicit_limit, remaining_amplitude, spectral_radii
 
 from oracles.chains import random_joint, random_link
 from oracles.files import REFERENCE
@@ -91,7 +91,7 @@ def test_a_loose_tolerance_allows_what_has_no_foreshortening_and_texts_say_what_
     candidates = _candidates(search, parts)
     assert any(not each.stiffening for each in candidates) and any(not each.springs for each in candidates)
     for candidate in candidates:
-        texts = _dropped(search, candidate, parts)
+        texts = _describe_dropped(search, candidate, parts)
         said = "\n".join(texts)
         assert ("foreshortening" in said) == (not candidate.stiffening)
         assert ("springs of the joints" in said) == (not candidate.springs)
@@ -117,7 +117,7 @@ def test_a_report_speaks_of_every_method_that_lets_a_mode_grow(method, step):
     best = CandidateRun(search.full, METHODS[method], step, 0.0, 1.0, 1)
     own = fm.frequencies(search.model(search.full), [0.0, 0.0])[2:]
     grown = max(remaining_amplitude(METHODS[method], step, frequency) for frequency in own) - 1.0
-    assert ("grow by" in _report(search, best, [best], 0.0)) == (grown > 0.01) == (method != "midpoint_2_sweeps")
+    assert ("grow by" in _write_report(search, best, [best], 0.0)) == (grown > 0.01) == (method != "midpoint_2_sweeps")
 
 
 def test_what_a_scene_declares_rigid_stays_rigid():

@@ -143,7 +143,7 @@ def test_a_slip_of_units_is_warned_of_in_one_line(name):
         SLIPS[name]()
     lines = [str(each.message) for each in caught if each.category is UserWarning]
     assert len(lines) == 1 and "\n" not in lines[0] and len(lines[0]) < 200, lines
-    assert caught[0].filename.endswith(("test_mistakes.py", "link.py"))
+    assert caught[0].filename.endswith(("test_input_checks.py", "link.py"))
 
 
 def sensible(rng):

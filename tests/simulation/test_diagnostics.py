@@ -8,7 +8,7 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.kernels import layout
-from flexman_gym.simulation.amplification import explicit_limit
+from flexman_gym.simulation.stability import explicit_limit
 
 HUB = fm.Joint((0.0, 0.0, 1.0), 1.0)
 BEAM = fm.catalog.planar_2r().links[0]

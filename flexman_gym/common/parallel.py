@@ -1,4 +1,4 @@
-"""Grid: independent cells of a computation, run serially, in processes, on a Ray cluster or as a SLURM array job."""
+"""Parallel map: independent items of work run serially, in processes, on a Ray cluster or as a SLURM array job."""
 
 import argparse
 import hashlib
@@ -19,19 +19,19 @@ from typing import Any, TypeVar
 from flexman_gym.common.checks import one_of, set_fields, value_error, whole_number
 from flexman_gym.common.computer import computer_text
 from flexman_gym.common.progress import Progress
-from flexman_gym.common.run_folder import read_data, write_data
+from flexman_gym.common.run_folder import read_npz, write_npz
 
 Task = Callable[[Any], Any]
 Prepare = Callable[[], object]
-Done = Iterator[tuple[int, Any]]
-DEATHS = 3  # of workers in a row, without a cell that was done in between
+Results = Iterator[tuple[int, Any]]
+MAX_DEATHS = 3  # of workers in a row, without a cell that was done in between
 SHARES = 2  # of an array job's tasks, for each that runs at once: a killed one loses no more than its share
 MOST_SHARES = 1000  # tasks of an array job that SLURM takes by default
 MINUTES = 24 * 60  # of an array job's task, where SBATCH_TIMELIMIT does not say
 OBJECTS = 200_000_000  # bytes of a local Ray cluster for what tasks hand over
 
 
-def _run_serially(task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Done:
+def _run_serially(task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Results:
     """Run the cells in this process, one after the other."""
     yield from enumerate(map(task, cells))
 
@@ -42,7 +42,7 @@ class _Processes:
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs
 
-    def __call__(self, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Done:
+    def __call__(self, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Results:
         if prepare is not None:
             prepare()
         left, deaths, context = dict(enumerate(cells)), 0, multiprocessing.get_context("forkserver")
@@ -67,10 +67,10 @@ class _RayTasks:
     def __init__(self, jobs: int, address: str) -> None:
         self._jobs, self._address = jobs, address
 
-    def __call__(self, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Done:
+    def __call__(self, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Results:
         with ray_cluster(self._jobs, self._address) as ray:
             own = {"env_vars": {"PYTHONPATH": python_path()}}
-            remote = ray.remote(num_cpus=1, max_retries=DEATHS, runtime_env=own)(_run_prepared)
+            remote = ray.remote(num_cpus=1, max_retries=MAX_DEATHS, runtime_env=own)(_run_prepared)
             waiting = {remote.remote(prepare, task, cell): number for number, cell in enumerate(cells)}
             while waiting:
                 for done in ray.wait(list(waiting))[0]:
@@ -121,7 +121,7 @@ class _ArrayJob:
     def __init__(self, jobs: int, cluster: str, logs: str | Path = "submitit", every: float = 0.5) -> None:
         self._jobs, self._cluster, self._logs, self._every = jobs, cluster, logs, every
 
-    def __call__(self, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Done:
+    def __call__(self, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Results:
         submitit = _import_package("submitit")
         executor = submitit.AutoExecutor(self._logs, cluster=self._cluster)
         executor.update_parameters(name="flexman", timeout_min=MINUTES, cpus_per_task=1,
@@ -171,8 +171,8 @@ def python_path() -> str:
 
 def _count_death(deaths: int) -> int:
     """Counts the death of a worker; raises RuntimeError for too many in a row."""
-    if deaths + 1 == DEATHS:
-        raise RuntimeError(f"workers died {DEATHS} times in a row: memory may be short, or a cell may crash")
+    if deaths + 1 == MAX_DEATHS:
+        raise RuntimeError(f"workers died {MAX_DEATHS} times in a row: memory may be short, or a cell may crash")
     print("a worker died: its cells are tried again", file=sys.stderr, flush=True)
     return deaths + 1
 
@@ -240,7 +240,7 @@ class Workers:
         return cls(options.jobs, options.ray, options.submitit)
 
 
-def run_cells(
+def parallel_map_unordered(
     task: Callable[[Cell], Result],
     cells: Sequence[Cell],
     workers: Workers | int = 1,
@@ -269,26 +269,26 @@ def run_cells(
     files = [kept / f"{_key(task, cell)}.npz" if kept else None for cell in cells]
     known = [number for number, file in enumerate(files) if file and file.is_file()]
     for number in known:
-        yield number, read_data(files[number])["result"]  # type: ignore[arg-type]
+        yield number, read_npz(files[number])["result"]  # type: ignore[arg-type]
     left = sorted({*range(len(cells))} - {*known})
     progress = Progress("cells", len(left))
     for place, result in _executor(chosen)(task, [cells[number] for number in left], prepare) if left else ():
         if file := files[left[place]]:
             file.parent.mkdir(parents=True, exist_ok=True)
-            write_data(file, {"result": result})
+            write_npz(file, {"result": result})
         progress.count()
         yield left[place], result
 
 
-def collect_cells(
+def parallel_map(
     task: Callable[[Cell], Result],
     cells: Sequence[Cell],
     workers: Workers | int = 1,
     kept: Path | None = None,
     prepare: Prepare | None = None,
 ) -> list[Result]:
-    """Return the results of all cells, in their order; arguments and errors as of `run_cells`."""
-    results = dict(run_cells(task, cells, workers, kept, prepare))
+    """Return the results of all cells, in their order; arguments and errors as of `parallel_map_unordered`."""
+    results = dict(parallel_map_unordered(task, cells, workers, kept, prepare))
     return [results[number] for number in range(len(cells))]
 
 

@@ -8,8 +8,8 @@ pytest.importorskip("matplotlib")
 from matplotlib.cbook import STEP_LOOKUP_MAP
 from matplotlib.image import imread
 
-from flexman_gym.draw import evaluation as pictures
-from flexman_gym.draw.evaluation import draw_episodes
+from flexman_gym.draw import learning_curves as pictures
+from flexman_gym.draw.learning_curves import draw_episodes
 from flexman_gym.evaluation import EpisodeRecord
 
 

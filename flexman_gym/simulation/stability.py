@@ -1,7 +1,4 @@
-"""Amplification: the factors by which one step of a method multiplies a free undamped vibration.
-
-They follow from the coefficients of the method.
-"""
+"""Numerical stability: amplification factors and stability limits of integration methods."""
 
 import math
 from functools import cache

@@ -9,7 +9,7 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.simulation.batch_integrators import LaneIntegrator
-from flexman_gym.simulation.scenes import integration_intervals
+from flexman_gym.simulation.scene_simulation import integration_intervals
 
 from oracles.assertions import refusal
 

@@ -10,8 +10,8 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 
 import flexman_gym as fm
-from flexman_gym.envs import NAMED
-from flexman_gym.envs.config.conditions import CONDITIONS
+from flexman_gym.envs import NAMED_ENVIRONMENTS
+from flexman_gym.envs.config.named_environments import CONDITIONS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.scene.serialization import find_arm
@@ -28,7 +28,7 @@ OWN = fm.Arm(
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", NAMED)
+@pytest.mark.parametrize("name", NAMED_ENVIRONMENTS)
 def test_the_specification_of_an_environment_with_an_own_arm_makes_it_again(name):
     env = gym.make(name, arm=OWN, modes=2, limits=fm.Limits(angle=2.0))
     spec = EnvSpec.from_json(env.spec.to_json())

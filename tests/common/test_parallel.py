@@ -10,8 +10,8 @@ from importlib.util import find_spec
 
 import pytest
 
-from flexman_gym.common import grid, progress
-from flexman_gym.common.grid import Workers, collect_cells, run_cells
+from flexman_gym.common import parallel, progress
+from flexman_gym.common.parallel import Workers, parallel_map, parallel_map_unordered
 
 from oracles import cells
 from oracles.assertions import refusal
@@ -41,23 +41,23 @@ def bits(results):
 @pytest.mark.parametrize("workers", WAYS)
 def test_all_ways_give_the_bits_of_the_loop_in_the_order_of_the_cells(workers, tmp_path):
     expected = bits(map(cells.waves, CELLS))
-    assert bits(collect_cells(cells.waves, CELLS, workers, tmp_path / "kept")) == expected
-    assert bits(collect_cells(cells.waves, CELLS, workers, tmp_path / "kept")) == expected, "from the folder"
+    assert bits(parallel_map(cells.waves, CELLS, workers, tmp_path / "kept")) == expected
+    assert bits(parallel_map(cells.waves, CELLS, workers, tmp_path / "kept")) == expected, "from the folder"
     assert len([*(tmp_path / "kept").iterdir()]) == 9
 
 
 @pytest.mark.parametrize("workers", WAYS[1:])
 def test_a_cell_whose_worker_dies_is_tried_again(workers, tmp_path, capsys):
     own = [(str(tmp_path), seed) for seed in range(4)]
-    result = collect_cells(cells.mortal, own, workers)
+    result = parallel_map(cells.mortal, own, workers)
     assert (tmp_path / "2").exists() and bits(result) == bits(cells.waves((seed, 5)) for seed in range(4))
-    assert collect_cells(cells.mortal, [], workers) == []
+    assert parallel_map(cells.mortal, [], workers) == []
 
 
 @pytest.mark.parametrize("workers", WAYS)
 def test_workers_are_prepared_before_their_cells(workers, tmp_path):
     times = {Workers(1): 0, Workers(2): 1}.get(workers, len(CELLS))
-    assert bits(collect_cells(cells.waves, CELLS, workers, prepare=cells.waking)) == bits(map(cells.waves, CELLS))
+    assert bits(parallel_map(cells.waves, CELLS, workers, prepare=cells.waking)) == bits(map(cells.waves, CELLS))
     known = (tmp_path / "prepared").read_text().split() if times else []
     assert len(known) == times and (times != 1 or known == [str(os.getpid())])
 
@@ -65,18 +65,20 @@ def test_workers_are_prepared_before_their_cells(workers, tmp_path):
 @pytest.mark.parametrize("workers", WAYS)
 def test_the_error_of_a_cell_is_raised_as_it_is(workers):
     with pytest.raises(ValueError, match=r"^cell: 3 is not allowed; give another$"):
-        collect_cells(cells.refusing, [3], workers)
+        parallel_map(cells.refusing, [3], workers)
 
 
 def test_workers_that_die_again_and_again_end_the_grid(capfd):
     with pytest.raises(RuntimeError, match="workers died 3 times in a row"):
-        collect_cells(cells.deadly, [1, 2], 2)
+        parallel_map(cells.deadly, [1, 2], 2)
     assert capfd.readouterr().err.count("a worker died: its cells are tried again") == 2
 
 
 def test_a_killed_grid_leaves_no_process_and_goes_on_where_it_was(tmp_path):
     """Cells 0 to 3 are done at once, 4 and 5 take long; then the grid and its workers are killed."""
-    call = "from pathlib import Path; from oracles import cells; from flexman_gym.common.grid import collect_cells\n"
+    call = (
+        "from pathlib import Path; from oracles import cells; from flexman_gym.common.parallel import collect_cells\n"
+    )
     call += f"if __name__ == '__main__': collect_cells(cells.counted, {{own}}, 2, Path({str(tmp_path / 'kept')!r}))"
     own = [(str(tmp_path), seed, seed >= 4) for seed in range(6)]
     (tmp_path / "study.py").write_text(call.format(own=own))
@@ -94,7 +96,7 @@ def test_a_killed_grid_leaves_no_process_and_goes_on_where_it_was(tmp_path):
         time.sleep(0.1)
     assert not subprocess.run(["pgrep", "-s", str(process.pid)], capture_output=True).stdout
     done.unlink()
-    results = collect_cells(
+    results = parallel_map(
         cells.counted, [(*each[:2], False) if each[2] else each for each in own], 1, tmp_path / "kept"
     )
     assert done.read_text().split() == ["4", "5"]
@@ -102,16 +104,16 @@ def test_a_killed_grid_leaves_no_process_and_goes_on_where_it_was(tmp_path):
 
 
 def test_what_other_sources_gave_is_not_kept(tmp_path, monkeypatch):
-    [*run_cells(cells.counted, [(str(tmp_path), 1, False)], 1, tmp_path / "kept")]
-    monkeypatch.setattr(grid, "computer_text", lambda: "another machine")
-    [*run_cells(cells.counted, [(str(tmp_path), 1, False)], 1, tmp_path / "kept")]
+    [*parallel_map_unordered(cells.counted, [(str(tmp_path), 1, False)], 1, tmp_path / "kept")]
+    monkeypatch.setattr(parallel, "computer_text", lambda: "another machine")
+    [*parallel_map_unordered(cells.counted, [(str(tmp_path), 1, False)], 1, tmp_path / "kept")]
     assert (tmp_path / "done").read_text().split() == ["1", "1"]
 
 
 def test_a_long_grid_says_what_is_left(monkeypatch, capsys):
     moments = iter([0.0, 5.0, 12.0, 13.0, 30.0])
     monkeypatch.setattr(progress, "monotonic", lambda: next(moments))
-    collect_cells(cells.waves, CELLS[:4])
+    parallel_map(cells.waves, CELLS[:4])
     assert capsys.readouterr().err == "2 of 4 cells, about 0.2 min left\n"
 
 

@@ -1,17 +1,11 @@
-"""Re-simulation: arms of a batch integrated by another simulation, read in the coordinates of the batch's own model.
-
-Readers and controllers of the batch see state, outputs and parameters of its model. Both simulations exchange shapes:
-angles of joints and motors, and of each link the translation and rotation vector of its sections at some stations, in
-its beam frame. Shapes become coordinates of the model by least squares, weighted by the mass at the stations and by all
-mass outboard of the link, so that loaded modes are recovered without a separate fit.
-"""
+"""External simulators: arms of a batch integrated by a second model, with states in the coordinates of the first."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, Flags, IntArray
+from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.kernels import layout
 from flexman_gym.model.beam import build_beam
 from flexman_gym.model.component_modes import outboard_inertias
@@ -22,7 +16,7 @@ from flexman_gym.simulation.batch_integrators import BatchIntegrator
 from flexman_gym.simulation.parameters import parameters_from_constants
 
 Stations = Sequence[Array]  # places (s_i,) along each link, m, the last at its tip
-ROTARY = 1e-4  # m^2, of the length of a station squared, as radius of gyration where rotations are weighted
+ROTATION_WEIGHT = 1e-4  # m^2, of the length of a station squared, as radius of gyration where rotations are weighted
 
 
 class ArmShapes(NamedTuple):
@@ -49,7 +43,7 @@ class ExternalSimulator(Protocol):
     def start(self, arm: int, shape: Array, rate: Array, parameters: Mapping[str, Array]) -> None:
         """Start an arm with these physical parameters, by their name in PARAMETERS, at a shape."""
 
-    def move(self, drives: Array, moving: Flags) -> Flags:
+    def move(self, drives: Array, moving: BoolArray) -> BoolArray:
         """Integrate the flagged arms over a control period under drives (b, n + 6); return flags of success."""
 
     def read(self, arms: IntArray) -> ArmShapes:
@@ -99,9 +93,9 @@ class ExternalIntegrator(BatchIntegrator):
         d, now = self._model.n_dof, self._double.read(arms)
         rows[arms, :d], rows[arms, d : 2 * d] = now.shapes @ self.back, now.rates @ self.back
         self._integrator.observe(arms, rows, outputs)
-        tips = now.tips - outputs[arms, : layout.DEFLECTION_AT]  # the model's tip is no more than near the true one
-        outputs[arms, : layout.DEFLECTION_AT] += tips
-        outputs[arms, layout.DEFLECTION_AT : layout.KINETIC] += tips
+        tips = now.tips - outputs[arms, : layout.DEFLECTION_COLUMN]  # the model's tip is no more than near the true one
+        outputs[arms, : layout.DEFLECTION_COLUMN] += tips
+        outputs[arms, layout.DEFLECTION_COLUMN : layout.KINETIC] += tips
 
     def sense(self, drives: Array, rows: Array, result: Array) -> None:
         """Compute the tip accelerations of all arms with the model of the batch in this state."""
@@ -128,7 +122,7 @@ class RefinedSimulator:
         self._batch.vary(one, **{name: np.asarray(values)[None] for name, values in parameters.items()})
         self._batch.reset(one, np.concatenate([shape @ self._back, rate @ self._back])[None])
 
-    def move(self, drives: Array, moving: Flags) -> Flags:
+    def move(self, drives: Array, moving: BoolArray) -> BoolArray:
         """Integrate the flagged arms over a control period."""
         self._batch.step(drives, moving)
         return self._batch.status == layout.OK
@@ -136,7 +130,9 @@ class RefinedSimulator:
     def read(self, arms: IntArray) -> ArmShapes:
         """Return the shapes of some arms."""
         places, speeds = np.split(self._batch.state[arms], 2, axis=1)
-        return ArmShapes(places @ self._into, speeds @ self._into, self._batch.outputs[arms, : layout.DEFLECTION_AT])
+        return ArmShapes(
+            places @ self._into, speeds @ self._into, self._batch.outputs[arms, : layout.DEFLECTION_COLUMN]
+        )
 
 
 def shape_matrices(model: Model, stations: Stations) -> tuple[Array, Array]:
@@ -154,13 +150,13 @@ def shape_matrices(model: Model, stations: Stations) -> tuple[Array, Array]:
         columns, rows = model.elastic_columns(i), slice(first, first + NODE_COORDINATES * len(places))
         first = rows.stop
         if model.bases[i].shape[1]:
-            shapes = _shapes(model, i, places)
+            shapes = _station_shapes(model, i, places)
             into[columns, rows] = shapes.T
-            back[rows, columns] = _fit(shapes, places, carried, model.arm.links[i].mass).T
+            back[rows, columns] = _least_squares_matrix(shapes, places, carried, model.arm.links[i].mass).T
     return into, back
 
 
-def _shapes(model: Model, link: int, places: Array) -> Array:
+def _station_shapes(model: Model, link: int, places: Array) -> Array:
     """Translations and rotations (6 s, k) of the sections of a link at places per unit of its coordinates."""
     elements, basis = model.elements(link), model.bases[link]
     nodes = np.vstack([np.zeros((NODE_COORDINATES, basis.shape[1])), basis])
@@ -174,11 +170,11 @@ def _shapes(model: Model, link: int, places: Array) -> Array:
     return np.vstack(result)
 
 
-def _fit(shapes: Array, places: Array, carried: Array, mass: float) -> Array:
+def _least_squares_matrix(shapes: Array, places: Array, carried: Array, mass: float) -> Array:
     """The coordinates (k, 6 s) of a link that come nearest to what its stations do."""
     shares = np.repeat(mass / len(places), len(places))
     shares[-1] /= 2.0  # the trapezoidal rule; the root does not move
-    gyration = ROTARY * (places[-1] / len(places)) ** 2
+    gyration = ROTATION_WEIGHT * (places[-1] / len(places)) ** 2
     weights = np.diag(np.repeat(shares, NODE_COORDINATES) * np.tile([1.0] * 3 + [gyration] * 3, len(places)))
     weights[-NODE_COORDINATES:, -NODE_COORDINATES:] += carried
     weighted = shapes.T @ weights

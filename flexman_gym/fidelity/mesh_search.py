@@ -1,13 +1,13 @@
-"""Mesh: the search of a scene that leaves its finite elements open, measured against the converged arm."""
+"""Search for the finite-element mesh of a scene with open elements, against a converged reference."""
 
 from dataclasses import replace
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.fidelity.search import (
-    MIDPOINT,
-    SHARP,
+from flexman_gym.fidelity.model_search import (
+    REFERENCE_METHOD,
+    REFERENCE_SHARE,
     Candidate,
     CandidateRun,
     ModelSearch,
@@ -18,18 +18,18 @@ from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.scene import MAX_ELEMENTS, Scene
 from flexman_gym.simulation.methods import Method
-from flexman_gym.simulation.scenes import simulate
+from flexman_gym.simulation.scene_simulation import simulate
 from flexman_gym.simulation.trajectory import Trajectory
 
-FINEST = 5  # elements of a link, or of its sections, in the reference
+REFERENCE_ELEMENTS = 5  # elements of a link, or of its sections, in the reference
 # Errors of cubic elements fall with the fourth power of their length. What the finest mesh is off by, in parts of what
 # moves the tip when every link has one element less:
-LEFT = (1.0 - 1.0 / FINEST) ** 4 / (1.0 - (1.0 - 1.0 / FINEST) ** 4)
+MESH_ERROR_FACTOR = (1.0 - 1.0 / REFERENCE_ELEMENTS) ** 4 / (1.0 - (1.0 - 1.0 / REFERENCE_ELEMENTS) ** 4)
 MESH_SHARE = 0.4  # part of the tolerance that a mesh may use
-LONGER = 1.7  # times the last step of a method with another candidate: the longest one to try with the next
+STEP_INCREASE = 1.7  # times the last step of a method with another candidate: the longest one to try with the next
 # Runs of the scene: all of them, those that may come before the end of a choice, before methods are tried, and before
 # candidates are screened. What is not screened by then counts as wrong.
-MOST_RUNS, TRYING, SCREENING, MESHING = 100, 80, 65, 30
+MAX_RUNS, MAX_RUNS_METHODS, MAX_RUNS_SCREENING, MAX_RUNS_MESH = 100, 80, 65, 30
 
 
 class MeshSearch(ModelSearch):
@@ -42,7 +42,7 @@ class MeshSearch(ModelSearch):
         mesh_errors: how far each mesh that was tried is from the reference, m.
     """
 
-    most_runs, last_runs = TRYING, MOST_RUNS - 6
+    most_runs, last_runs = MAX_RUNS_METHODS, MAX_RUNS - 6
     most_parts, rtols = 512, ()
     shares = (0.6,)
     softens = False
@@ -54,14 +54,14 @@ class MeshSearch(ModelSearch):
     def __init__(self, scene: Scene, tolerance: float) -> None:
         self._begin(scene, tolerance)
         sections = [len(link.sections) for link in scene.arm.links]
-        finest = tuple(min(FINEST, MAX_ELEMENTS // count) for count in sections)
+        finest = tuple(min(REFERENCE_ELEMENTS, MAX_ELEMENTS // count) for count in sections)
         self.finest = self._whole(finest)
         self.mesh_errors: dict[tuple[int, ...], float] = {}
         self._ending = False
-        self._converge(SHARP * tolerance)
+        self._converge(REFERENCE_SHARE * tolerance)
         self._find_screening()
         if self.finest.n_elastic:
-            self.mesh_error = LEFT * self._mesh_distance(tuple(max(1, count - 1) for count in finest))
+            self.mesh_error = MESH_ERROR_FACTOR * self._mesh_distance(tuple(max(1, count - 1) for count in finest))
         self.mesh = self._smallest_mesh(finest)
         self.scene = replace(scene, model=replace(scene.model, elements=self.mesh))
         self.full = full_candidate(self.scene)
@@ -77,17 +77,17 @@ class MeshSearch(ModelSearch):
     def _mesh_distance(self, mesh: tuple[int, ...]) -> float:
         """How far (m) a mesh is from the reference; its run is made once."""
         if mesh not in self.mesh_errors:
-            if self.runs >= MESHING:
+            if self.runs >= MAX_RUNS_MESH:
                 return np.inf
             self._count()
-            run = simulate(self.scene, self._whole(mesh), MIDPOINT, self.screening)
+            run = simulate(self.scene, self._whole(mesh), REFERENCE_METHOD, self.screening)
             self.mesh_errors[mesh] = self._beside(run)
         return self.mesh_errors[mesh]
 
     def _smallest_mesh(self, finest: tuple[int, ...]) -> tuple[int, ...]:
         """Finds the mesh with as few elements as its share of the tolerance allows, link after link."""
         flexible, share = [bool(basis.size) for basis in self.finest.bases], MESH_SHARE * self.tolerance
-        for most in range(1, FINEST + 1):
+        for most in range(1, REFERENCE_ELEMENTS + 1):
             mesh = tuple(min(most, count) if bent else 1 for count, bent in zip(finest, flexible, strict=True))
             if not any(flexible) or mesh == finest or self._mesh_distance(mesh) <= share:
                 break
@@ -101,7 +101,7 @@ class MeshSearch(ModelSearch):
 
     def screen(self, candidate: Candidate) -> float:
         """Gives the error (m) as `ModelSearch.screen`, infinity for a candidate that comes after too many runs."""
-        late = candidate not in self.screened and self.runs >= SCREENING and not self._ending
+        late = candidate not in self.screened and self.runs >= MAX_RUNS_SCREENING and not self._ending
         return np.inf if late else super().screen(candidate)
 
     def pace(self, trial: CandidateRun, guessed: float) -> float:
@@ -110,7 +110,7 @@ class MeshSearch(ModelSearch):
 
     def first(self, method: Method, steps: list[float]) -> int:
         """Where in descending steps (s) to begin: near the last one of another candidate, whose error is much alike."""
-        longest = LONGER * self.last.get(method.name, np.inf)
+        longest = STEP_INCREASE * self.last.get(method.name, np.inf)
         return sum(step > longest for step in steps)
 
     def errors(self, candidate: Candidate, run: Trajectory) -> dict[str, float]:
@@ -137,7 +137,7 @@ class MeshSearch(ModelSearch):
         """What the reference is, and how far it is from an arm whose links may turn far."""
         run, still = self.halved[max(self.halved)], self.scene.initial.joint_angles
         slowest = frequencies(self.finest, still)[self.finest.n_joints :][:1]
-        angles, moved = large_rotations(self.finest, run.states, float(slowest.sum()) * self.scene.duration)
+        angles, moved = large_rotation_error(self.finest, run.states, float(slowest.sum()) * self.scene.duration)
         return (
             f"elements of each link: {self.mesh}, of the reference: {self.finest.choice.elements}; it is known to"
             f" {self.error:.1g} m ({self.mesh_error:.1g} m by its mesh, {self.time_error:.1g} m by its steps)\n"
@@ -147,7 +147,7 @@ class MeshSearch(ModelSearch):
         )
 
 
-def large_rotations(model: Model, states: Array, cycles: float) -> tuple[Array, float]:
+def large_rotation_error(model: Model, states: Array, cycles: float) -> tuple[Array, float]:
     """Gives how far links turn at their tips by bending, and about how far large rotations would move the arm's tip.
 
     A cantilever of length L whose tip a force turns by a, in linear theory, turns by 11/30 a^3 less and deflects by

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.envs.config.named_environments import NAMED
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.external_simulator import ExternalIntegrator, RefinedSimulator, shape_matrices
 from flexman_gym.simulation.parameters import parameters_from_constants, varied_constants
-from flexman_gym.simulation.resimulation import ExternalIntegrator, RefinedSimulator, shape_matrices
 
 PERIOD, ARMS = 0.02, 3
-ARM = NAMED["FlexRRR-v0"].arm()
+ARM = NAMED_ENVIRONMENTS["FlexRRR-v0"].arm()
 FULL = fm.build_model(ARM, 2, stiffening=True)
 USUAL = fm.build_model(ARM, 2, (4, 4, 5))
 OWN = {

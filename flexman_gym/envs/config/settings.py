@@ -1,19 +1,19 @@
-"""Setting: declaration of one setting of an environment, and the checks of settings."""
+"""Settings of an environment: declaration, checks and plain form of each."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from flexman_gym.common.checks import physical, positive, sequence, text, value_error
-from flexman_gym.control.actions import ActionMode, checked_action_mode
-from flexman_gym.control.base_controllers import BASES, checked_base
+from flexman_gym.control.actions import ActionMode, parse_action_mode
+from flexman_gym.control.base_controllers import BASES, parse_base
 from flexman_gym.control.controller import checked_controller
 from flexman_gym.envs.limits import Limits, find_limits
 from flexman_gym.envs.tasks import Task, check_task, find_task
 from flexman_gym.scene.arm import Arm
-from flexman_gym.scene.mistakes import warn_of_units
+from flexman_gym.scene.input_checks import warn_unusual_units
 
-SHORTEST_PERIOD, LONGEST_PERIOD = 1e-9, 100.0  # s; control period
+MIN_PERIOD, MAX_PERIOD = 1e-9, 100.0  # s; control period
 
 
 @dataclass(frozen=True)
@@ -71,16 +71,16 @@ def checked_limits(value: object) -> Limits:
 def checked_period(value: object) -> float:
     """Return a control period, s."""
     period = positive("control_period", value, "s")
-    if not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
-        raise value_error("control_period", value, f"a number from {SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} (s)")
-    warn_of_units("", {"control_period": period})
+    if not MIN_PERIOD <= period <= MAX_PERIOD:
+        raise value_error("control_period", value, f"a number from {MIN_PERIOD:g} to {MAX_PERIOD:g} (s)")
+    warn_unusual_units("", {"control_period": period})
     return period
 
 
 def checked_base_setting(value: Any) -> Any:
     """Return None, a name or a mapping of BASES as it is, or a Controller that takes the number of arms."""
     if isinstance(value, str | dict):
-        checked_base(value)
+        parse_base(value)
     elif value is not None:
         return checked_controller("base", value, f"None, one of {', '.join(BASES)}, or ")
     return value
@@ -89,7 +89,7 @@ def checked_base_setting(value: Any) -> Any:
 def checked_actions(value: Any) -> Any:
     """Return the name or the mapping of an action mode, or an ActionMode, as it is."""
     if not isinstance(value, ActionMode):
-        checked_action_mode(value)
+        parse_action_mode(value)
     return value
 
 

@@ -1,4 +1,4 @@
-"""Simulation of scenes: a single scene, several scenes of one model side by side, and drives of several pieces."""
+"""Simulation of scenes: one scene, or several scenes of one model together."""
 
 import math
 import time as clock
@@ -12,26 +12,26 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.common.checks import (
-    WHOLE_TOLERANCE,
+    RATIO_TOLERANCE,
     check_magnitudes,
-    count_parts,
     instance,
     positive,
     sequence,
     value_error,
     vector,
     whole_number,
+    whole_ratio,
 )
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import STATUS
-from flexman_gym.kernels.runge_kutta import derivative
-from flexman_gym.model.model import Model, checked_model, scene_model
+from flexman_gym.kernels.runge_kutta import state_derivative
+from flexman_gym.model.model import Model, check_model, scene_model
 from flexman_gym.scene.scene import Scene
 from flexman_gym.scene.signals import PiecewiseSignals
-from flexman_gym.simulation.batch import MOST_ARMS, MOST_THREADS
+from flexman_gym.simulation.batch import MAX_ARMS, MAX_THREADS
 from flexman_gym.simulation.batch_integrators import LaneIntegrator
-from flexman_gym.simulation.explanation import Failure, explain, explain_energy
-from flexman_gym.simulation.integrator import MOST_STEPS, Integrator, find_method, find_tolerance, prescribed_flags
+from flexman_gym.simulation.diagnostics import Failure, explain_energy, explain_failure
+from flexman_gym.simulation.integrator import MAX_STEPS, Integrator, find_method, find_tolerance, prescribed_flags
 from flexman_gym.simulation.methods import DEFAULT_METHOD, IteratedGauss, LinearlyImplicit, Method
 from flexman_gym.simulation.parameters import varied_constants
 from flexman_gym.simulation.trajectory import Kinetics, Trajectory, build_trajectory
@@ -62,7 +62,7 @@ def integration_intervals(pieces: PiecewiseSignals, interval: float, substeps: i
     """
     ends = pieces.moments / interval  # in intervals; those at an output are whole numbers
     whole = np.round(ends)
-    ends = np.where(np.abs(ends - whole) <= WHOLE_TOLERANCE * np.maximum(whole, 1.0), whole, ends)
+    ends = np.where(np.abs(ends - whole) <= RATIO_TOLERANCE * np.maximum(whole, 1.0), whole, ends)
     for piece, (start, end) in enumerate(pairwise(np.minimum(ends, rows.stop).tolist())):
         now = max(start, float(rows.start))
         while now < end:
@@ -72,7 +72,7 @@ def integration_intervals(pieces: PiecewiseSignals, interval: float, substeps: i
             if many:
                 moment = row * interval, interval / substeps, substeps
             else:
-                steps = max(1, math.ceil(substeps * (then - now) * (1.0 - WHOLE_TOLERANCE)))
+                steps = max(1, math.ceil(substeps * (then - now) * (1.0 - RATIO_TOLERANCE)))
                 moment = now * interval, (then - now) * interval / steps, steps
             yield _Interval(piece, row, many, moment, then == math.floor(then))
             now = then
@@ -147,7 +147,7 @@ def simulate(
         >>> trajectory.status, trajectory.tip.shape, trajectory.tip[-1].round(1)
         ('ok', (201, 3), array([ 1.1,  2.1, -0.6]))
     """
-    plan = _find_plan(scene, model, method, step, rtol, atol)
+    plan = _plan_scene(scene, model, method, step, rtol, atol)
     return _simulate_plan(scene, plan)
 
 
@@ -170,7 +170,7 @@ class _ScenePlan(NamedTuple):
     rows: int
 
 
-def _find_plan(
+def _plan_scene(
     scene: Scene, model: Model | None, method: str | Method, step: float | None, rtol: float, atol: float
 ) -> _ScenePlan:
     """Checks the arguments of `simulate` and gives what follows from them.
@@ -179,7 +179,7 @@ def _find_plan(
         ValueError: one line with field, value and what is allowed.
     """
     instance("scene", scene, Scene, "a Scene")
-    model = scene_model(scene) if model is None else checked_model(model)
+    model = scene_model(scene) if model is None else check_model(model)
     if model.n_joints != scene.arm.n_joints:
         raise value_error(
             "model", f"{model.n_joints} joints", f"a model of the scene's arm, {scene.arm.n_joints} joints"
@@ -187,7 +187,7 @@ def _find_plan(
     automatic = "dop853" if step is None else DEFAULT_METHOD
     chosen = find_method(automatic if isinstance(method, str) and method == "auto" else method)
     interval, substeps = _output_interval(chosen, step, scene.output_step)
-    rows = count_parts("step", interval, scene.duration, "a number of seconds that divides the duration")
+    rows = whole_ratio("step", interval, scene.duration, "a number of seconds that divides the duration")
     return _ScenePlan(model, chosen, find_tolerance(chosen, step, rtol, atol), interval, substeps, rows)
 
 
@@ -230,7 +230,7 @@ def _explanation(scene: Scene, plan: _ScenePlan, constants: dict[str, Any] | Non
         last = np.append(result.states[-1], [result.work[-1], result.dissipation[-1]])
         row, rows, outputs = len(result.time) - 1, np.zeros((1, len(last))), np.zeros((1, layout.OUTPUTS))
         again = _run_pieces(run, scene.pieces, (plan.interval, plan.substeps), last, rows, outputs, row)
-        return explain(Failure(_make_integrator(scene, plan, constants), plan.model, *again[3], result.status))
+        return explain_failure(Failure(_make_integrator(scene, plan, constants), plan.model, *again[3], result.status))
     late = result.energy_alarm()
     early = result.states[result.time <= (late or 0.0)]
     return "" if late is None else explain_energy(plan.model, run, step, late, early)
@@ -242,7 +242,7 @@ def _kinetics(scene: Scene, plan: _ScenePlan, constants: dict[str, Any] | None, 
     slope, slopes, drives = np.zeros(size + 2), [], []
     for time, state in zip(result.time, result.states, strict=True):
         piece = min(int(np.searchsorted(pieces.moments, time, side="right")), len(pieces.moments) - 1) - 1
-        derivative(run.constants, run.work, pieces.table(piece), time, np.append(state, [0.0, 0.0]), slope)
+        state_derivative(run.constants, run.work, pieces.table(piece), time, np.append(state, [0.0, 0.0]), slope)
         slopes.append(slope[size // 2 : size].copy())
         drives.append(run.work.drive.copy())
     return Kinetics(replace(plan.model, constants=run.constants), np.array(slopes), np.array(drives))
@@ -266,9 +266,9 @@ def _output_interval(method: Method, step: float | None, output_step: float) -> 
     if method.adaptive:
         return output_step, max(1, round(min(1e15, output_step / step)))
     if step <= output_step:
-        return output_step, count_parts("step", step, output_step, allowed, MOST_STEPS)
+        return output_step, whole_ratio("step", step, output_step, allowed, MAX_STEPS)
     multiple = step / output_step
-    if not multiple < 1e15 or abs(multiple - round(multiple)) > WHOLE_TOLERANCE * multiple:
+    if not multiple < 1e15 or abs(multiple - round(multiple)) > RATIO_TOLERANCE * multiple:
         raise value_error("step", step, f"{allowed}, {output_step} s")
     return step, 1
 
@@ -304,12 +304,12 @@ def simulate_all(
         ValueError: one line with field, value and what is allowed.
     """
     scenes = list(sequence("scenes", scenes))
-    if not 0 < len(scenes) <= MOST_ARMS:
-        raise value_error("scenes", f"{len(scenes)} scenes", f"1 to {MOST_ARMS}")
-    whole_number("threads", threads, 1, MOST_THREADS)
-    plan = _find_plan(scenes[0], model, method, step, rtol, atol)
+    if not 0 < len(scenes) <= MAX_ARMS:
+        raise value_error("scenes", f"{len(scenes)} scenes", f"1 to {MAX_ARMS}")
+    whole_number("threads", threads, 1, MAX_THREADS)
+    plan = _plan_scene(scenes[0], model, method, step, rtol, atol)
     for i, scene in enumerate(scenes):
-        _check_alike(f"scenes[{i}]", scene, scenes[0], model is None)
+        _check_compatible(f"scenes[{i}]", scene, scenes[0], model is None)
     varied = varied_constants(plan.model, len(scenes), parameters)
     lanes = isinstance(plan.method, LinearlyImplicit | IteratedGauss) and plan.tolerance is None and len(scenes) > 1
     drives = [scene.pieces for scene in scenes] if lanes else []
@@ -318,7 +318,7 @@ def simulate_all(
     return _simulate_in_lanes(scenes, plan, varied, drives, threads)
 
 
-def _check_alike(name: str, scene: object, first: Scene, built: bool) -> None:
+def _check_compatible(name: str, scene: object, first: Scene, built: bool) -> None:
     """Refuses a scene that cannot be simulated beside the first one; `built` if its model is built from the scene."""
     if not isinstance(scene, Scene):
         raise value_error(name, scene, "a Scene")

@@ -4,7 +4,7 @@ import threading
 
 import numpy as np
 
-from flexman_gym.kernels.signals import spin_wait
+from flexman_gym.kernels.thread_sync import spin_wait
 
 
 def test_who_watches_tells_his_own_number_and_sees_the_other():

@@ -1,4 +1,4 @@
-"""Search for a reduced model: candidates, the order in which modes are dropped, and errors against a converged run."""
+"""Search for a reduced model: candidates, dropped modes, and errors against a converged reference."""
 
 import time as clock
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from flexman_gym.model.dynamics import mass_matrix, stiffness_matrix, tip_jacobi
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.methods import METHODS, Explicit, IteratedGauss, LinearlyImplicit, Method
-from flexman_gym.simulation.scenes import simulate
+from flexman_gym.simulation.scene_simulation import simulate
 from flexman_gym.simulation.trajectory import Trajectory
 
 
@@ -100,15 +100,15 @@ def _stiffest_modes(model: Model, full: Candidate, angles: Vector) -> list[tuple
     return order
 
 
-MODEL_SHARES = (0.6, 0.25)  # parts of the tolerance that dropped coordinates may use; each gives a model
-TRIED = ("extrapolated_euler_5", "extrapolated_euler_4", "extrapolated_euler_3", "ros2", "rk4", "dopri5",
+TOLERANCE_SHARES = (0.6, 0.25)  # parts of the tolerance that dropped coordinates may use; each gives a model
+CANDIDATE_METHODS = ("extrapolated_euler_5", "extrapolated_euler_4", "extrapolated_euler_3", "ros2", "rk4", "dopri5",
          "midpoint_2_sweeps", "midpoint_3_sweeps", "gauss_2_sweeps", "gauss_3_sweeps", "generalised_alpha")  # fmt: skip
-SHARP = 0.05  # of the tolerance, the most by which the reference may be off
+REFERENCE_SHARE = 0.05  # of the tolerance, the most by which the reference may be off
 # Lets no vibration grow or fade, however short or long its steps.
-MIDPOINT, FIRST_PARTS, MOST_PARTS = METHODS["midpoint_3_sweeps"], 1, 64  # steps in an output step
+REFERENCE_METHOD, MIN_PARTS, MAX_PARTS = METHODS["midpoint_3_sweeps"], 1, 64  # steps in an output step
 # What extrapolated tips are off by, in parts of what the last halving changed; 1/15 but for modes faster than steps.
-STEPS_LEFT = 0.5
-RTOLS = (1e-5, 1e-8, 1e-11)  # of "dop853", for a reference that halved steps do not make sharp
+EXTRAPOLATION_ERROR = 0.5
+REFERENCE_RTOLS = (1e-5, 1e-8, 1e-11)  # of "dop853", for a reference that halved steps do not make sharp
 
 
 class CandidateRun(NamedTuple):
@@ -166,20 +166,20 @@ class ModelSearch:
 
     most_runs: float = np.inf
     last_runs: float = np.inf
-    most_parts: int = MOST_PARTS
-    rtols: tuple[float, ...] = RTOLS
+    most_parts: int = MAX_PARTS
+    rtols: tuple[float, ...] = REFERENCE_RTOLS
     mesh_error = 0.0
-    shares: tuple[float, ...] = MODEL_SHARES
+    shares: tuple[float, ...] = TOLERANCE_SHARES
     softens = True
-    tried: tuple[str, ...] = TRIED
-    blurred = 2 * SHARP
+    tried: tuple[str, ...] = CANDIDATE_METHODS
+    blurred = 2 * REFERENCE_SHARE
     timed: int | None = None
 
     def __init__(self, scene: Scene, tolerance: float) -> None:
         self._begin(scene, tolerance)
         self.full = full_candidate(scene)
         self.finest = self.model(self.full)
-        self._converge(SHARP * tolerance)
+        self._converge(REFERENCE_SHARE * tolerance)
         self._find_screening()
 
     def _begin(self, scene: Scene, tolerance: float) -> None:
@@ -215,13 +215,13 @@ class ModelSearch:
 
     def _halve(self) -> None:
         """Halves the step of the reference."""
-        parts = 2 * max(self.halved) if self.halved else FIRST_PARTS
-        self.halved[parts] = run = self._reference(MIDPOINT, self.scene.output_step / parts)
+        parts = 2 * max(self.halved) if self.halved else MIN_PARTS
+        self.halved[parts] = run = self._reference(REFERENCE_METHOD, self.scene.output_step / parts)
         longer = self.halved.get(parts // 2)
         if longer is not None and run.status == longer.status == "ok":
             self.tips.append((4.0 * run.tip - longer.tip) / 3.0)
             if len(self.tips) > 1:
-                self.time_error = STEPS_LEFT * tip_distance(self.tips[-1], self.tips[-2])
+                self.time_error = EXTRAPOLATION_ERROR * tip_distance(self.tips[-1], self.tips[-2])
 
     def _reference(self, method: Method, step: float | None, rtol: float = 1e-6) -> Trajectory:
         self._count()
@@ -290,7 +290,7 @@ class ModelSearch:
         drops out.
         """
         if candidate not in self.screened:
-            method = MIDPOINT if self.screening else METHODS["dop853"]
+            method = REFERENCE_METHOD if self.screening else METHODS["dop853"]
             trial, self.screens[candidate] = self.timed_run(candidate, method, self.screening)
             self.screened[candidate] = trial._replace(error=self._beside(self.screens[candidate]))
         return self.screened[candidate].error

@@ -1,4 +1,4 @@
-"""Figures of agents: an episode, learning curves, scores over scenarios."""
+"""Learning curves of training runs, and plots of episodes."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -9,11 +9,11 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import short_path, value_error
-from flexman_gym.common.time_series import read_csv_lines
+from flexman_gym.common.time_series import read_csv_rows
 from flexman_gym.draw.style import BLUE, DARK, GREEN, LIGHT, LINK_COLOURS, MIDDLE, ORANGE, RED, SKY, new_figure
 
 COLOURS = (BLUE, RED, ORANGE, GREEN, SKY, MIDDLE)
-LEAST = 1e-5  # m, what the picture shows at least
+MIN_ERROR = 1e-5  # m, what the picture shows at least
 
 
 class _RecordedEpisode(Protocol):
@@ -52,12 +52,12 @@ def draw_episodes(records: Mapping[str, _RecordedEpisode], path: Path) -> None:
     axes = figure.subplots(1 + joints, 1, sharex=True, height_ratios=[3.0, *[1.0] * joints])
     for (name, record), colour in zip(records.items(), COLOURS, strict=False):
         times = record.period * np.arange(len(record.errors))
-        axes[0].semilogy(times, np.maximum(record.errors, LEAST), color=colour, linewidth=1.5, label=name)
+        axes[0].semilogy(times, np.maximum(record.errors, MIN_ERROR), color=colour, linewidth=1.5, label=name)
         for joint in range(joints):
             axes[1 + joint].step(times[1:], record.actions[:, joint], color=colour, linewidth=1.0, where="pre")
     axes[0].axhline(band, color=DARK, linewidth=0.8, linestyle="--")
     axes[0].text(0.1, 1.15 * band, f"{1e3 * band:.3g} mm", fontsize=8, color=DARK)
-    axes[0].set_ylim(bottom=LEAST)
+    axes[0].set_ylim(bottom=MIN_ERROR)
     axes[0].set_ylabel("distance of the tip from its target (m)")
     axes[0].legend(frameon=False, ncols=6, fontsize=9, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     for joint in range(joints):
@@ -70,8 +70,8 @@ def draw_episodes(records: Mapping[str, _RecordedEpisode], path: Path) -> None:
     figure.savefig(path)
 
 
-STEPS = "time/total_timesteps"
-CURVES = ("selection/reward", "rollout/ep_rew_mean")  # the first of them that a run has
+STEPS_COLUMN = "time/total_timesteps"
+REWARD_COLUMNS = ("selection/reward", "rollout/ep_rew_mean")  # the first of them that a run has
 
 
 def read_progress(folder: str | Path, column: str | None = None) -> tuple[Array, Array, str]:
@@ -87,24 +87,26 @@ def read_progress(folder: str | Path, column: str | None = None) -> tuple[Array,
     """
     rows: list[dict[str, str]] = []
     for path in sorted(Path(folder).glob("progress*.csv")) if os.path.isdir(folder) else ():
-        lines = read_csv_lines(path)
+        lines = read_csv_rows(path)
         names = next(lines, [])
         rows += [dict(zip(names, line, strict=False)) for line in lines]
     if not rows:
         raise FileNotFoundError(f"{short_path(folder)}: no progress.csv with rows; give the folder of a training run")
     heads = [name for name in rows[0] if any(row.get(name) for row in rows)]
-    name = column or next((each for each in CURVES if each in heads), "")
+    name = column or next((each for each in REWARD_COLUMNS if each in heads), "")
     if name not in heads:
         raise value_error("column", name, f"one of {', '.join(sorted(heads))}")
     try:
-        points = [(float(row[STEPS]), float(row[name])) for row in rows if row.get(name) and row.get(STEPS)]
+        points = [
+            (float(row[STEPS_COLUMN]), float(row[name])) for row in rows if row.get(name) and row.get(STEPS_COLUMN)
+        ]
     except ValueError:
         raise ValueError(f"{short_path(folder)}: {name} is not a number in each row; give another column") from None
     steps, values = np.array(sorted(points)).reshape(-1, 2).T
     return steps, values, name
 
 
-def learning_curves(runs: Mapping[str, Sequence[tuple[Array, Array]]], path: str | Path, label: str) -> Path:
+def draw_learning_curves(runs: Mapping[str, Sequence[tuple[Array, Array]]], path: str | Path, label: str) -> Path:
     """Draws the median over seeds of each recipe, and a band from the worst to the best of them.
 
     Args:

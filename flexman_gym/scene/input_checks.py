@@ -1,4 +1,4 @@
-"""Likely mistakes of an input: keywords of other libraries, and values in a wrong unit."""
+"""Checks for common input errors: keywords of other libraries, and values in a wrong unit."""
 
 import math
 import sys
@@ -119,7 +119,7 @@ USUAL_RANGES: dict[str, tuple[float, float, str, str]] = {
 OWN = ("flexman_gym", "gymnasium")  # packages whose lines are not the cause of a slip
 
 
-def warn_of_units(owner: str, values: Mapping[str, Any]) -> None:
+def warn_unusual_units(owner: str, values: Mapping[str, Any]) -> None:
     """Warn (UserWarning) of the first of some values by name that is not usual, in one line.
 
     Args:
