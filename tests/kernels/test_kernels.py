@@ -17,11 +17,11 @@ from oracles.small_package import CALL, copied, run
 SOURCES = ROOT / "flexman_gym" / "kernels"
 
 REAL = """import numpy as np, flexman_gym as fm
-from flexman_gym.kernels import arms, dynamics
+from flexman_gym.kernels import batch, dynamics
 model = fm.build_model(fm.catalog.one_link())
 fm.acceleration(model, np.zeros(2 * model.n_dof), [0.0])
 fm.Simulator(model, step=0.02).step([0.0])
-for kernel in (dynamics.accelerations, arms.advance_one):
+for kernel in (dynamics.accelerations, batch.advance_single):
     print(sum(kernel.stats.cache_hits.values()), sum(kernel.stats.cache_misses.values()))
 """
 
