@@ -1,6 +1,7 @@
-"""Compiled kernels. Their machine code is kept on disk, see `cache`.
+"""Compiled kernels: the equations of motion and all arithmetic that is called in every step.
 
-While kernels compile, lines on stderr say so; FLEXMAN_QUIET=1 silences them.
+The machine code is cached on the disk, see `cache`. Messages on stderr announce kernels while they compile;
+FLEXMAN_QUIET=1 silences them.
 """
 
 import sys
@@ -11,47 +12,48 @@ from numba.core import event
 
 from flexman_gym.kernels.cache import find_cache_folder, is_quiet
 
-# Seconds of a processor of 2024 from the start of each until it is done; of the first ones of an environment, until
-# this can take its first step. The others take less than two.
+# Compile time in s on a processor of 2024; for the kernels of an environment, the time until its first step. Kernels
+# that compile in less than 2 s are not listed.
 COMPILE_SECONDS = {
-    "inertial_forces": 25, "advance_single": 17, "advance_batch": 20, "tip_accelerations_single": 6, "tip_accelerations_batch": 6, "run_batch": 16,
-    "run_extrapolation": 18, "run_fixed_newton": 11, "run_linearly_implicit": 6, "run_explicit": 5, "run_implicit": 5,
+    "inertial_forces": 25, "advance_single": 17, "advance_batch": 20, "tip_accelerations_single": 6,
+    "tip_accelerations_batch": 6, "run_batch": 16, "run_extrapolation": 18, "run_fixed_newton": 11,
+    "run_linearly_implicit": 6, "run_explicit": 5, "run_implicit": 5,
 }  # fmt: skip
 
 
 class _CompileMessages(event.Listener):
-    """Says which kernel compiles and how long it takes; Numba tells of that, and not of those that it loads."""
+    """Messages about kernels that compile; Numba sends no event for kernels loaded from the cache."""
 
     def __init__(self) -> None:
-        self._said, self._depth = False, 0
+        self._announced, self._depth = False, 0
 
     def on_start(self, event: Any) -> None:
-        """Before Numba compiles something, which need not be ours."""
+        """Announce a kernel of this package that Numba begins to compile."""
         function = event.data["dispatcher"].py_func
         self._depth += 1
         if is_quiet() or self._depth > 1 or not function.__module__.startswith(f"{__name__}."):
             return
-        if not self._said:
-            kept = f"each only once: they are kept in {CACHE_FOLDER}"
+        if not self._announced:
+            storage = f"once and caches them in {CACHE_FOLDER}"
             if CACHE_FOLDER is None:
-                kept = "in every process: no folder that is yours alone can be written; set NUMBA_CACHE_DIR to one"
-            print(f"flexman_gym compiles kernels, {kept} (FLEXMAN_QUIET=1 silences this)", file=sys.stderr)
-            self._said = True
-        if left := COMPILE_SECONDS.get(function.__name__):
-            print(f"  {function.__name__}: about {left} s left", file=sys.stderr, flush=True)
+                storage = "in every process, as no private cache folder can be written; set NUMBA_CACHE_DIR to one"
+            print(f"flexman_gym compiles kernels {storage} (FLEXMAN_QUIET=1 silences this)", file=sys.stderr)
+            self._announced = True
+        if seconds := COMPILE_SECONDS.get(function.__name__):
+            print(f"  {function.__name__}: about {seconds} s left", file=sys.stderr, flush=True)
 
     def on_end(self, event: Any) -> None:
-        """After it."""
+        """Leave a nested compilation."""
         self._depth -= 1
 
 
 if numba.config.DISABLE_JIT:
-    raise ImportError("NUMBA_DISABLE_JIT: 1 is not allowed; give 0 or nothing: these kernels run compiled only")
+    raise ImportError("NUMBA_DISABLE_JIT: 1 is not allowed; give 0 or unset it: the kernels run only compiled")
 
 CACHE_FOLDER = find_cache_folder()
 event.register("numba:compile", _CompileMessages())
 
-# Numba reads the setting when a kernel is decorated; it is put back so that other packages keep theirs.
+# Numba reads this setting when a kernel is decorated; it is restored afterwards for other packages.
 _setting = numba.config.CACHE_DIR
 numba.config.CACHE_DIR = CACHE_FOLDER or ""
 try:

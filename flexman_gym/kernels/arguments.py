@@ -1,13 +1,11 @@
-"""Numba types of the kernels' arguments `Constants` and `Work`, and the arrays and tables of addresses behind them.
+"""Numba types of the arguments `Constants` and `Work`, their aligned arrays and their tables of addresses.
 
-An argument is one address of a struct of arrays.
+A kernel receives one address of a struct of arrays. Numba would pass a named tuple as all numbers of all its arrays,
+700 of them to each of a hundred functions, which took a third of the compile time. The struct holds the same numbers
+one after the other; the compiler keeps them in registers, as no kernel overwrites them.
 
-Numba passes a named tuple as every number of every array in it, 700 of them to each of a hundred functions, which took
-a third of the time to compile. Behind the address those numbers lie one after the other; the compiler keeps them in
-registers, as no kernel writes over them.
-
-Indices of these arrays are unsigned: kernels count from the start alone. For Numba an index may count from the end, so
-that it compares each one with zero; without that arms move 1.3 to 1.4 times as fast.
+Indices of these arrays are unsigned, so kernels cannot count from the end of an array. Numba compares each signed index
+with zero to allow that; without the comparison an arm is simulated 1.3 to 1.4 times as fast.
 """
 
 import math
@@ -39,14 +37,14 @@ from flexman_gym.kernels.layout import ARMS_PER_GROUP, Array, Constants, IntArra
 
 
 class _ArrayField(types.Array):
-    """Numba's name for such an array; parts of it are fields too."""
+    """Numba type of an array in a struct, and of parts of the array."""
 
     def __init__(self, dtype: types.Type, ndim: int, readonly: bool = False, layout: Any = "C") -> None:
         name = f"field({dtype}, {ndim}, {layout}, {'readonly' if readonly else 'mutable'})"
         super().__init__(dtype, ndim, layout, readonly=readonly, name=name)
 
     def copy(self, dtype: Any = None, ndim: Any = None, layout: Any = None, readonly: Any = None) -> Any:
-        """The type of a part of the array."""
+        """Return the type of a part of the array."""
         readonly = not self.mutable if readonly is None else readonly
         return _ArrayField(dtype or self.dtype, self.ndim if ndim is None else ndim, readonly, layout or self.layout)
 
@@ -56,7 +54,7 @@ unbox(_ArrayField)(unbox_array)
 
 
 def _unsigned(kinds: Any) -> Any:
-    """The types of an access, its indices without a sign: those Numba takes as they are."""
+    """Return the signature of an access with unsigned indices, from which Numba omits the comparison with zero."""
     field, index, *value = kinds.args
     several = isinstance(index, containers.BaseTuple)
     indices = [types.uintp if isinstance(each, types.Integer) else each for each in (index if several else (index,))]
@@ -82,7 +80,7 @@ BYTES = ir.IntType(8).as_pointer()
 
 
 class _StructPointer(types.Type):
-    """Numba's name for a `Constants` or `Work` with fields of these kinds; `whole` is the tuple that it stands for."""
+    """Numba type of a `Constants` or `Work` with fields of these types; `whole` is the named tuple type."""
 
     def __init__(self, kinds: list[_ArrayField], parts: type) -> None:
         self.whole = types.NamedTuple(kinds, parts)  # type: ignore[attr-defined]
@@ -91,13 +89,13 @@ class _StructPointer(types.Type):
 
 @register_model(_StructPointer)
 class _StructPointerModel(models.PrimitiveModel):
-    """An address."""
+    """Data model: an address."""
 
     def __init__(self, manager: Any, kind: Any) -> None:
         super().__init__(manager, kind, BYTES)
 
     def from_argument(self, builder: Any, value: Any) -> Any:
-        """As it is; a kernel that ends up in no other is told that no array lies over these numbers."""
+        """Return the value itself; in a kernel that is not inlined, mark that no array overlaps the struct."""
         if "alwaysinline" not in builder.function.attributes:
             value.add_attribute("noalias")
         return value
@@ -105,12 +103,12 @@ class _StructPointerModel(models.PrimitiveModel):
 
 @infer_getattr
 class _StructFields(AttributeTemplate):
-    """The kinds of the fields."""
+    """Type inference of the fields."""
 
     key = _StructPointer
 
     def generic_resolve(self, parts: Any, name: str) -> Any:
-        """The kind of one."""
+        """Return the type of a field."""
         return parts.whole.types[parts.whole.fields.index(name)]
 
 
@@ -129,7 +127,7 @@ def _place(context: Any, builder: Any, kind: _StructPointer, address: Any, row: 
 
 
 def _store_struct(context: Any, builder: Any, kind: _StructPointer, fields: list[Any]) -> Any:
-    """The address of these fields, laid down on the stack of the function that is written."""
+    """Return the address of these fields, stored on the stack of the compiled function."""
     memory = cgutils.alloca_once(builder, ir.ArrayType(ir.IntType(64), sum(_sizes(context, kind)) // 8))
     address = builder.bitcast(memory, BYTES)
     for row, value in enumerate(fields):
@@ -153,32 +151,37 @@ def _from_python(kind: Any, parts: Any, c: Any) -> NativeValue:
     return NativeValue(_store_struct(c.context, c.builder, kind, fields), native.is_error, native.cleanup)
 
 
+# Constants that may differ between the arms of a batch.
 PER_ARM = frozenset(name for name, kind in Constants.__annotations__.items() if kind is PerArm)
 
-
-ALIGNMENT = 64  # bytes; of a group of eight numbers
+ALIGNMENT = 64  # bytes; size of a group of eight numbers
 
 
 def aligned_zeros(shape: tuple[int, ...], lanes: int = ARMS_PER_GROUP) -> Array:
-    """Zeros (..., lanes), aligned for vector registers."""
+    """Return zeros of a shape (..., lanes), aligned for vector registers."""
     count = math.prod(shape) * lanes
-    memory = np.zeros(count + ALIGNMENT // 8)
-    first = -_address(memory) % ALIGNMENT // 8
-    return memory[first : first + count].reshape(*shape, lanes)
+    buffer = np.zeros(count + ALIGNMENT // 8)
+    first = -_address(buffer) % ALIGNMENT // 8
+    return buffer[first : first + count].reshape(*shape, lanes)
 
 
-def address_table(parts: NamedTuple, element: types.Type) -> IntArray:
-    """(fields, 3) address and shape of every array of a `Constants` or `Work`, whose memory must stay alive.
+def address_table(arrays: NamedTuple, element: types.Type) -> IntArray:
+    """Return the address and shape (fields, 3) of each array of a `Constants` or `Work`; the arrays must stay alive.
 
-    Elements are numbers (NUMBER), or `ARMS` or `SEQUENCES`, whose arrays have one axis more.
+    Args:
+        arrays: the `Constants` or `Work`.
+        element: type of the elements: NUMBER, or ARMS or SEQUENCES, whose arrays have one more axis for the lanes.
+
+    Raises:
+        TypeError: for an array of another layout than the annotation of its field.
     """
     rows = []
-    for name, values in zip(parts._fields, parts, strict=True):
-        kind, shape = _kind(type(parts), name, element), values.shape
+    for name, values in zip(arrays._fields, arrays, strict=True):
+        kind, shape = _kind(type(arrays), name, element), values.shape
         if not values.flags.c_contiguous or len(shape) != kind.ndim + isinstance(kind.dtype, Lanes):
-            raise TypeError(f"{name} is no contiguous array of {kind.ndim} axes")
+            raise TypeError(f"{name} is not a contiguous array with {kind.ndim} axes")
         columns = shape[1] if kind.ndim == 2 else 0
-        if columns != (_columns(type(parts), name) or columns):
+        if columns != (_columns(type(arrays), name) or columns):
             raise TypeError(f"{name} has {columns} columns")
         rows.append((_address(values), shape[0], columns))
     return np.array(rows, np.int64)
@@ -190,7 +193,7 @@ def _address(values: Array) -> int:
 
 @cache
 def _kind(parts: type, name: str, element: types.Type) -> _ArrayField:
-    """The type of a field as the kernels see it; read-only are the constants that several arms share, see `lanes`."""
+    """Return the type of a field in the kernels; constants shared by all lanes are read-only, see `lanes`."""
     annotation = parts.__annotations__[name]
     dimensions = 1 if annotation is PerArm or not hasattr(annotation, "__metadata__") else 2
     if annotation is IntArray:
@@ -202,13 +205,13 @@ def _kind(parts: type, name: str, element: types.Type) -> _ArrayField:
 
 @cache
 def _columns(parts: type, name: str) -> int:
-    """The number of columns of a field that has two axes, 0 where it depends on the model."""
+    """Return the number of columns of a field with two axes, 0 if it depends on the model."""
     annotation = parts.__annotations__[name]
     return 0 if annotation is PerArm else getattr(annotation, "__metadata__", (0,))[0]
 
 
 def _view(context: Any, builder: Any, kind: _ArrayField, address: tuple[Any, int], columns: int) -> Any:
-    """The array whose address and shape stand in a row of a table of addresses."""
+    """Return the array given by a row (address, shape) of a table of addresses."""
     table, row = address
 
     def number(column: int) -> Any:
@@ -227,7 +230,7 @@ def _view(context: Any, builder: Any, kind: _ArrayField, address: tuple[Any, int
 
 
 def _reader(parts: type, element: types.Type) -> Any:
-    """A function for kernels that makes a `Constants` or `Work` of its table of addresses."""
+    """Return a function for kernels that converts a table of addresses to a `Constants` or `Work`."""
     kinds = [_kind(parts, name, element) for name in parts._fields]  # type: ignore[attr-defined]
     columns = [_columns(parts, name) for name in parts._fields]  # type: ignore[attr-defined]
     whole = _StructPointer(kinds, parts)
@@ -246,9 +249,5 @@ def _reader(parts: type, element: types.Type) -> Any:
 
 
 constants_of_arms, work_of_arms = _reader(Constants, ARMS), _reader(Work, ARMS)
-
-
 constants_of_one, work_of_one = _reader(Constants, NUMBER), _reader(Work, NUMBER)
-
-
 constants_of_sequences, work_of_sequences = _reader(Constants, SEQUENCES), _reader(Work, SEQUENCES)

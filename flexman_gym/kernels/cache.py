@@ -1,48 +1,43 @@
-"""Cache: where compiled kernels are kept, in files that are known by their digest.
+"""Cache folder of compiled kernels.
 
-The folder is named by a hash of the sources of all kernels, as Numba checks only the file of a kernel and not those of
-the kernels that it calls, and by the settings of Numba that change the code. `NUMBA_CACHE_DIR`, `XDG_CACHE_HOME` and,
-where the home cannot be written, the temporary folder are respected in this order; one line on stderr says so when a
-folder is made in the last.
+The name of the folder is a hash of the sources of all kernels and of the Numba settings that affect the code: Numba
+itself checks only the file of a kernel, not the files of the kernels that it calls. The folder is made in
+`NUMBA_CACHE_DIR`, else in `XDG_CACHE_HOME`, else in `~/.cache`. If the home cannot be written, it is made in the
+temporary folder, with one line on stderr.
 
-The files are pickles of Numba, which can run any code when they are read. They are read only from a folder that belongs
-to the user and in which nobody else may write or could have written: kernels in one that was open go. What is
-damaged is compiled anew; what cannot be written is not kept.
+The cached files are pickles, which can execute any code when they are read. They are read only from a folder that
+belongs to the user and that nobody else can write to; a folder that was open to others is emptied first.
 """
 
 import hashlib
 import os
-import pickle
 import re
 import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numba
-from numba.core.caching import FunctionCache, IndexDataCacheFile
 
-FOLDER_NAME = re.compile("[0-9a-f]{16}")  # of a folder of kernels
-DIGEST_SIZE = hashlib.sha256().digest_size  # bytes in front of a file
+FOLDER_NAME = re.compile("[0-9a-f]{16}")  # names of folders of kernels
 CODE_SETTINGS = ("BOUNDSCHECK", "CPU_NAME", "CPU_FEATURES", "OPT", "ENABLE_AVX", "LOOP_VECTORIZE", "SLP_VECTORIZE")
 
 
 def find_cache_folder() -> str | None:
-    """Makes the folder of these kernels and these settings, or finds it; None where none is safe and can be written."""
-    for place, strict in _places():
-        ours = place / "flexman_gym"
-        folder = ours / _name()
+    """Find or make the folder for the present kernels and Numba settings; None if no safe folder can be written."""
+    for place, strict in _candidates():
+        parent = place / "flexman_gym"
+        folder = parent / _folder_name()
         try:
             place.mkdir(mode=0o700 if strict else 0o777, parents=True, exist_ok=True)
-            ours.mkdir(mode=0o700, exist_ok=True)
-            safe = all(_belongs_to_us(each, strict) for each in ([place, ours] if strict else [ours]))
+            parent.mkdir(mode=0o700, exist_ok=True)
+            safe = all(_is_private(each, strict) for each in ([place, parent] if strict else [parent]))
             new = safe and not folder.exists()
             if safe:
                 folder.mkdir(mode=0o700, exist_ok=True)
-                safe = _belongs_to_us(folder, strict)
+                safe = _is_private(folder, strict)
         except OSError:
             continue
         if safe and os.access(folder, os.W_OK):
@@ -54,95 +49,25 @@ def find_cache_folder() -> str | None:
 
 
 def is_quiet() -> bool:
-    """Whether the environment variable FLEXMAN_QUIET silences lines on stderr."""
+    """Return whether the environment variable FLEXMAN_QUIET silences messages on stderr."""
     return os.environ.get("FLEXMAN_QUIET", "0") not in ("", "0")
 
 
-def cache_kernels(make: Callable[[Any], Any], folder: str | None) -> Callable[[Any], Any]:
-    """Gives a decorator that makes a kernel as `make` does and keeps its code in a folder, if there is one."""
-
-    def decorate(function: Any) -> Any:
-        made = make(function)
-        if folder is not None and not numba.config.DISABLE_JIT:
-            made._cache = _ChecksummedCache(function, folder)
-        return made
-
-    return decorate
-
-
-class ChecksummedFiles(IndexDataCacheFile):
-    """Numba's files of a kernel, each behind the digest of its content; a damaged one counts as missing."""
-
-    def _load_index(self) -> Any:
-        try:
-            version, stamp, overloads = _read_checked(self._index_path)
-        except OSError:
-            return {}
-        return overloads if (version, stamp) == (self._version, self._source_stamp) else {}
-
-    def _save_index(self, overloads: Any) -> None:
-        self._write(self._index_path, (self._version, self._source_stamp, overloads))
-
-    def _load_data(self, name: str) -> Any:
-        return _read_checked(self._data_path(name))
-
-    def _save_data(self, name: str, data: Any) -> None:
-        self._write(self._data_path(name), data)
-
-    def _write(self, path: str, data: Any) -> None:
-        content = self._dump(data)
-        with self._open_for_write(path) as file:
-            file.write(hashlib.sha256(content).digest() + content)
-
-
-class _ChecksummedCache(FunctionCache):
-    """Numba's cache of a kernel with such files. A disk that is full costs the cache, not the call.
-
-    Numba knows a kernel by the path and the time of its file. The folder is named by the sources of these kernels, so
-    that all copies of them share what is compiled; kernels elsewhere stay apart.
-    """
-
-    _said = False
-
-    def __init__(self, function: Any, folder: str) -> None:
-        super().__init__(function)
-        stamp = self._impl.locator.get_source_stamp()
-        if Path(function.__code__.co_filename).parent == Path(__file__).parent:
-            self._cache_path, stamp = folder, None
-        self._cache_file = ChecksummedFiles(self._cache_path, self._impl.filename_base, stamp)
-
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Keeps the code of a kernel."""
-        try:
-            super().save_overload(sig, data)
-        except OSError as error:
-            if not _ChecksummedCache._said:
-                _ChecksummedCache._said = True
-                print(f"flexman_gym cannot keep compiled kernels: {error}", file=sys.stderr)
-
-
-def _read_checked(path: str) -> Any:
-    """The content of a file; raises OSError where there is none or its digest is another."""
-    content = Path(path).read_bytes()
-    if hashlib.sha256(content[DIGEST_SIZE:]).digest() != content[:DIGEST_SIZE]:
-        raise OSError(f"{path} is damaged")
-    return pickle.loads(content[DIGEST_SIZE:])
-
-
-def _places() -> Iterator[tuple[Path, bool]]:
-    """Folders to try, and whether others may write beside them, so that what is there may be prepared."""
+def _candidates() -> Iterator[tuple[Path, bool]]:
+    """Yield parent folders in order of preference, each with True if others can write to the folder above it."""
     chosen, home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME"), Path(os.path.expanduser("~"))
     if chosen:
         yield Path(chosen), False
-    elif home.is_dir():  # a home that does not exist is not made
+    elif home.is_dir():  # a missing home is not made
         yield home / ".cache", False
     yield Path(tempfile.gettempdir()) / f"user-{os.getuid()}", True
 
 
-def _belongs_to_us(folder: Path, strict: bool) -> bool:
-    """Whether a folder is the user's and nobody else may write in it; one that was open is closed.
+def _is_private(folder: Path, strict: bool) -> bool:
+    """Return whether a folder belongs to the user and nobody else can write to it.
 
-    Folders of kernels, whose names are ours alone, are then thrown away; whatever else is there stays and is not read.
+    If others can, a strict check fails. Otherwise the folder is closed to them and the kernels in it, recognised by the
+    name of their folder, are deleted; other files in it stay and are not read.
     """
     result = folder.lstat() if strict else folder.stat()
     if not stat.S_ISDIR(result.st_mode) or result.st_uid != os.getuid():
@@ -160,7 +85,8 @@ def _belongs_to_us(folder: Path, strict: bool) -> bool:
     return True
 
 
-def _name() -> str:
+def _folder_name() -> str:
+    """Return the hash of the kernels' sources and of the Numba settings that affect the code."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")

@@ -1,6 +1,7 @@
-"""Operations of a control period on the arrays of many arms: readings, observations, limits, torques, ages, paths.
+"""Operations of a control period on arrays of many arms: sensors, observations, limits, actions, episode length.
 
-Each takes one call in place of several of NumPy's, which cost a microsecond each: of one arm as much as its motion.
+One call of a kernel replaces several NumPy calls of about a microsecond each, which for a single arm took as long as
+its simulation.
 """
 
 import math
@@ -21,7 +22,7 @@ from flexman_gym.kernels.outputs import energy_residuals, update_energy_scale
 
 @kernel
 def sparse_product(rows, start, source, value, out):
-    """Linear readings: out[b, j] = sum of value[e] rows[b, source[e]] over start[j] <= e < start[j + 1]."""
+    """Set out[b, j] to the sum of value[e] rows[b, source[e]] over start[j] <= e < start[j + 1]."""
     for b in range(len(rows)):
         for j in range(len(start) - 1):
             total = 0.0
@@ -31,14 +32,19 @@ def sparse_product(rows, start, source, value, out):
 
 
 @kernel
-def fill_views(rows, outputs, energies, turned, targets, readings, motion, vectors, numbers):
-    """What a `View` has of b arms, from rows (b, 2 d + 2), outputs (b, OUTPUTS), energies at the start and what is
-    turned over (b,), and targets (b, 3).
+def fill_views(rows, outputs, energies, turnover, targets, readings, motion, vectors, numbers):
+    """Compute the quantities of a `View` of b arms.
 
-    motion (b, m) = the linear readings, as `sparse_product` takes them, and the velocity of the tip; vectors (b, 2,
-    3) =
-    target - tip and the deflection rate; numbers (5, b) = the lengths of both, the elastic energy, the residual of the
-    energy and what is turned over.
+    Args:
+        rows: (b, 2 d + 2) state and ledger.
+        outputs: (b, OUTPUTS).
+        energies: (b,) J, total energy at the start.
+        turnover: (b,) J, scale of the energy, see `update_energy_scale`.
+        targets: (b, 3) m.
+        readings: start, source and value of `sparse_product`.
+        motion: (b, m) set to the product of the readings, followed by the tip velocity.
+        vectors: (b, 2, 3) set to target - tip and the deflection rate.
+        numbers: (5, b) set to the lengths of both, elastic energy, energy residual and turnover.
     """
     sparse_product(rows, readings[0], readings[1], readings[2], motion)
     last = motion.shape[1] - 3
@@ -50,14 +56,24 @@ def fill_views(rows, outputs, energies, turned, targets, readings, motion, vecto
         for i in range(2):
             x, y, z = vectors[b, i, 0], vectors[b, i, 1], vectors[b, i, 2]
             numbers[i, b] = math.sqrt(x * x + y * y + z * z)
-        numbers[2, b], numbers[4, b] = outputs[b, LINK_ENERGY] + outputs[b, JOINT_ENERGY], turned[b]
+        numbers[2, b], numbers[4, b] = outputs[b, LINK_ENERGY] + outputs[b, JOINT_ENERGY], turnover[b]
     energy_residuals(rows, outputs, energies, numbers[3])
 
 
 @kernel
-def full_observation(motion, angles, velocity, goal_angles, vectors, numbers, near, out):
-    """out (b, 9 n + 9) = the first 8 n of motion (b, m), goal_angles - angles of the motors (b, n), vectors (b, 3) and
-    the same divided by their lengths (b,) + near, and the velocity (b, 3) of the tip."""
+def full_observation(motion, angles, velocity, goal_angles, vectors, numbers, offset, out):
+    """Set out (b, 9 n + 9) to the observation of the full state.
+
+    Args:
+        motion: (b, m) of which the first 8 n entries are copied.
+        angles: (b, n) motor angles, rad.
+        velocity: (b, 3) tip velocity, m/s.
+        goal_angles: (b, n) rad; the entries after the motion are goal_angles - angles.
+        vectors: (b, 3) target - tip, m; observed as it is and divided by length + offset.
+        numbers: (b,) lengths of the vectors, m.
+        offset: m, added to the length in the divisor.
+        out: observation, overwritten; the last entries are the tip velocity.
+    """
     n = goal_angles.shape[1]
     end = 9 * n
     for b in range(len(out)):
@@ -65,7 +81,7 @@ def full_observation(motion, angles, velocity, goal_angles, vectors, numbers, ne
             out[b, j] = motion[b, j]
         for j in range(n):
             out[b, 8 * n + j] = goal_angles[b, j] - angles[b, j]
-        scale = numbers[b] + near
+        scale = numbers[b] + offset
         for j in range(3):
             out[b, end + j], out[b, end + 3 + j] = vectors[b, j], vectors[b, j] / scale
             out[b, end + 6 + j] = velocity[b, j]
@@ -73,9 +89,17 @@ def full_observation(motion, angles, velocity, goal_angles, vectors, numbers, ne
 
 @kernel
 def flag_violations(motion, limits, observations, bound, status, flags):
-    """flags (b,) = whether an arm has a status that is not OK, or a magnitude of its motion (b, m) beyond its limit
-    (m,), or of its observations (b, s) beyond its bound (s,), as what is no number is; returns how many have."""
-    many = 0
+    """Set flags (b,) for arms that have failed or left their limits; return the number of such arms.
+
+    Args:
+        motion: (b, m).
+        limits: (m,) largest magnitudes of the motion.
+        observations: (b, s).
+        bound: (s,) largest magnitudes of the observations.
+        status: (b,) OK, or any other status for a failed simulation.
+        flags: (b,) overwritten; NaN counts as a violation.
+    """
+    count = 0
     for b in range(len(flags)):
         flags[b] = status[b] != OK
         for j in range(len(limits)):
@@ -84,13 +108,13 @@ def flag_violations(motion, limits, observations, bound, status, flags):
         for j in range(len(bound)):
             if not abs(observations[b, j]) <= bound[j]:
                 flags[b] = True
-        many += flags[b]
-    return many
+        count += flags[b]
+    return count
 
 
 @kernel
 def all_within(values, bound):
-    """Whether all magnitudes of the values (m,) are at most the bound; that of no number is not."""
+    """Return whether all magnitudes of the values (m,) are at most the bound; False for NaN."""
     for value in values:
         if not abs(value) <= bound:
             return False
@@ -98,49 +122,74 @@ def all_within(values, bound):
 
 
 @kernel
-def apply_actions(actions, arriving, limits, playing, drive, asked, efforts):
-    """The torques in drive (b, n + 6) = arriving actions (b, n) times limits; of arms that are playing (b,), asked =
-    actions and efforts (b,) = the means of their squares."""
+def apply_actions(actions, arriving, limits, active, drive, requested, efforts):
+    """Set the torques of the drive, and record the actions of active arms and their mean squares.
+
+    Args:
+        actions: (b, n) requested by the agent.
+        arriving: (b, n) actions that take effect now.
+        limits: (b, n) torque limits, N m.
+        active: (b,) arms whose episode continues.
+        drive: (b, n + 6), whose torques are set to arriving * limits.
+        requested: (b, n) set to the actions of active arms.
+        efforts: (b,) set to the mean square of the actions of active arms.
+    """
     n = actions.shape[1]
     for b in range(len(actions)):
         for j in range(n):
             drive[b, j] = arriving[b, j] * limits[b, j]
-        if playing[b]:
+        if active[b]:
             total = 0.0
             for j in range(n):
-                asked[b, j] = actions[b, j]
+                requested[b, j] = actions[b, j]
                 total += actions[b, j] * actions[b, j]
             efforts[b] = total / n
 
 
 @kernel
-def close_period(rows, outputs, status, drive, periods, driven, turned):
-    """Counts a control period in periods (b,) and keeps its drive (b, n + 6) for the arms whose status is OK; what all
-    have turned over (b,) grows, see `update_energy_scale`."""
+def close_period(rows, outputs, status, drive, periods, last_drive, turnover):
+    """Count a control period and store its drive for the arms with status OK; update the energy scale of all arms.
+
+    Args:
+        rows: (b, 2 d + 2) state and ledger.
+        outputs: (b, OUTPUTS).
+        status: (b,).
+        drive: (b, n + 6) of this period.
+        periods: (b,) number of periods, increased.
+        last_drive: (b, n + 6), overwritten.
+        turnover: (b,) J, see `update_energy_scale`.
+    """
     for b in range(len(status)):
         if status[b] == OK:
             periods[b] += 1.0
-            copy(drive[b], driven[b])
-    update_energy_scale(rows, outputs, turned)
+            copy(drive[b], last_drive[b])
+    update_energy_scale(rows, outputs, turnover)
 
 
 @kernel
-def count_episode_periods(ages, playing, longest, over):
-    """Ages (b,) of arms that are playing grow by a control period; over (b,) = whether they have reached the longest.
+def count_episode_periods(periods, active, horizon, truncated):
+    """Increase the periods (b,) of active arms (b,) by one; return the number of truncated episodes.
 
-    Returns how many have.
+    Args:
+        periods: (b,) control periods of the episodes.
+        active: (b,) arms whose episode continues.
+        horizon: number of periods after which an episode is truncated.
+        truncated: (b,) overwritten.
     """
-    many = 0
-    for b in range(len(ages)):
-        ages[b] += playing[b]
-        over[b] = ages[b] >= longest
-        many += over[b]
-    return many
+    count = 0
+    for b in range(len(periods)):
+        periods[b] += active[b]
+        truncated[b] = periods[b] >= horizon
+        count += truncated[b]
+    return count
 
 
 @kernel
 def fourier_series(series, phases, out):
-    """out (r, p, s) = Fourier series (r, s, 2 h + 1) at phases (r, p): mean, then cosine and sine of each harmonic."""
+    """Set out (r, p, s) to Fourier series at phases (r, p), rad.
+
+    The coefficients `series` (r, s, 2 h + 1) are the mean, then cosine and sine of each harmonic.
+    """
     for r in range(phases.shape[0]):
         for p in range(phases.shape[1]):
             first, second = math.cos(phases[r, p]), math.sin(phases[r, p])

@@ -1,22 +1,23 @@
-"""Forward dynamics of the chain by the articulated-body algorithm, equal to Eq. 40-46 at a cost linear in the links.
+"""Forward dynamics of the chain by the articulated-body algorithm, equal to Eq. 40-46 with O(n) operations for n links.
 
-Going inward, each link's elastic coordinates and then its joint are eliminated, so that the link before it sees one six
-by six inertia (the articulated-body algorithm of Featherstone with elastic coordinates). With a shift (g, h) the
-eliminated blocks are M + g damping + h K instead of M, with the damping and stiffness of links and joint springs: that
-solves the linear system of an implicit step at the cost of an explicit one. No shift gives accelerations. An inertia
-is a triple: force by linear, force by angular and moment by angular acceleration.
+From the tip to the base, the elastic coordinates and then the joint of each link are eliminated, and the inboard link
+carries an articulated-body inertia of 6 x 6 (Featherstone's algorithm with elastic coordinates). With a shift (g, h)
+the eliminated blocks are M + g damping + h K instead of M, with the damping and stiffness of links and joint springs:
+this solves the linear system of an implicit step at the cost of an explicit one. Without shift the solution is the
+accelerations. An inertia is a triple of 3 x 3 blocks: force by linear, force by angular and moment by angular
+acceleration.
 
-A rotor is accelerated by its motor alone (Eq. 23), or, where its inertia is carried, spins as a body in the frame that
+A rotor is accelerated by its motor alone (Eq. 23), or, if its inertia is carried, turns as a body in the frame that
 carries its joint: with the angular velocity w of that frame, along the axis a, its energy is J (a . w + rate)^2 / 2,
-and the frame feels its reaction. `total` below is the rotor with its implicit spring and friction; eliminated, it
-leaves the three numbers `joint`, `mixed` and `frame` of joint and frame.
+and its reaction acts on the frame. In `_eliminate_joint`, `total` is the rotor with its implicit spring and friction;
+eliminating it leaves the three numbers `joint`, `mixed` and `frame` for joint and frame.
 """
 
 import math
 
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.forces import applied_forces
-from flexman_gym.kernels.kinematics import positions, velocities
+from flexman_gym.kernels.kinematics import compute_kinematics
 from flexman_gym.kernels.lanes import (
     add_weighted_rows,
     fma,
@@ -50,7 +51,7 @@ from flexman_gym.kernels.linalg import (
 
 @inner
 def _eliminate_joint(constants, work, i, shift, inertia):
-    """What is left of an inertia when joint i, with its rotor and spring, is free, or moves as prescribed."""
+    """Return an inertia after elimination of joint i with its rotor and spring, or with its motion prescribed."""
     force, mixed_block, moment = inertia
     axis, rotor, carried = load(constants.axis, i), constants.rotor_inertia[i], constants.carried_inertia[i]
     total = rotor + shift[0] * work.friction_slope[i]
@@ -80,35 +81,35 @@ def _eliminate_joint(constants, work, i, shift, inertia):
 
 @inner
 def _joint_force(constants, work, i, total, bias):
-    """Force and moment that joint i passes on when it is free and its near side has the bias acceleration."""
+    """Return force and moment transmitted by the free joint i whose inboard side has the bias acceleration."""
     axis, angular_bias = load(constants.axis, i), load(work.joint_bias, i)
-    torque, given, pushed = work.force[i] - dot(axis, total[1]), work.drive[i], 0.0
+    torque, acceleration, rotor_torque = work.force[i] - dot(axis, total[1]), work.drive[i], 0.0
     m = constants.motor[i]
     if m >= 0:
-        push = work.force[m] / work.motor_inertia[i]
+        rotor_acceleration = work.force[m] / work.motor_inertia[i]
         if constants.prescribed[i]:
-            push = given
-        torque += work.spring[i] * push
-        pushed = constants.carried_inertia[i] * push
+            rotor_acceleration = acceleration
+        torque += work.spring[i] * rotor_acceleration
+        rotor_torque = constants.carried_inertia[i] * rotor_acceleration
     work.joint_force[i] = torque
     share = torque / work.joint_pivot[i]
     if m < 0 and constants.prescribed[i]:
-        share = given
+        share = acceleration
     linear, angular = load_pair(work.joint_column, i)
     blocks, j = work.articulated, 3 * i
     inertia = load_matrix(blocks, j), load_matrix(blocks, j + 1), load_matrix(blocks, j + 2)
     if i == 0:
-        bias = (ZERO, ZERO)  # the base does not move by itself
+        bias = (ZERO, ZERO)  # the base has no velocity-product acceleration
     force, moment = _apply_inertia(inertia, (bias[0], add(bias[1], angular_bias)))
-    moment = add(add_scaled(moment, pushed, axis), load(work.rotor_bias, i))
+    moment = add(add_scaled(moment, rotor_torque, axis), load(work.rotor_bias, i))
     return add(add_scaled(total[0], share, linear), force), add(add_scaled(total[1], share, angular), moment)
 
 
 @inner
 def _joint_acceleration(constants, work, i, frame, out):
-    """Acceleration of joint i, returned too, and of its motor, for that of the frame without the joint's share.
+    """Return the acceleration of joint i from that of its frame, and store it and its motor's in out.
 
-    work.motor_torque[i] is the torque that a prescribed motion takes, with spring and friction after the shift.
+    Sets work.motor_torque[i] to the torque of a prescribed motion, with spring and friction after the shift.
     """
     linear, angular = load_pair(work.joint_column, i)
     m, torque = constants.motor[i], work.joint_force[i] - dot(linear, frame[0]) - dot(angular, frame[1])
@@ -132,7 +133,7 @@ def _joint_acceleration(constants, work, i, frame, out):
 
 @inner
 def prescribed_power(constants, work, v):
-    """Power (W) of the motors whose motion is prescribed, after a solution without shift."""
+    """Return the power (W) of the motors with prescribed motion; needs a solution without shift."""
     power = 0.0
     for i in range(len(constants.mass)):
         if constants.prescribed[i]:
@@ -143,9 +144,10 @@ def prescribed_power(constants, work, v):
 
 @inner
 def _eliminate_elastic(constants, work, i, shift, tip, inertia):
-    """What is left of an inertia when the elastic coordinates of link i, with what its tip carries, are free.
+    """Return the inertia of link i and its outboard chain after elimination of the elastic coordinates of the link.
 
-    Fills work.factor row by row: R of the shifted M = R^T D^-1 R, its diagonal D inverted, then coupling to the frame.
+    Fills work.factor row by row: R of the shifted M = R^T D^-1 R with its diagonal D inverted, then the coupling with
+    the frame.
     """
     start, width, first = constants.elastic_start[i], constants.factor_width[i], constants.factor_start[i]
     k, factor = constants.elastic_start[i + 1] - start, work.factor
@@ -156,13 +158,13 @@ def _eliminate_elastic(constants, work, i, shift, tip, inertia):
         _elastic_row(constants, work, i, a, shift)
         linear, angular = _frame_coupling(constants, work, i, a)
         for c in range(a):
-            j, share = first + c * width + k, work.total[c]
-            linear = add_scaled(linear, share, (factor[j], factor[j + 1], factor[j + 2]))
-            angular = add_scaled(angular, share, (factor[j + 3], factor[j + 4], factor[j + 5]))
-        # an M that is not positive definite, of a state out of all bounds, ends as a divergence
+            j, multiplier = first + c * width + k, work.row_sums[c]
+            linear = add_scaled(linear, multiplier, (factor[j], factor[j + 1], factor[j + 2]))
+            angular = add_scaled(angular, multiplier, (factor[j + 3], factor[j + 4], factor[j + 5]))
+        # at extreme states M may not be positive definite: NaN ends the integration as diverged
         pivot = select_below(factor[row + a], 0.0, math.nan, 1.0 / factor[row + a])
         factor[row + a] = pivot
-        # last, as these columns also take what the padding of the row holds
+        # stored last, because the padding of the row overlaps these columns
         for j in range(3):
             factor[row + k + j], factor[row + k + 3 + j] = linear[j], angular[j]
         scaled, turned = add_scaled(ZERO, pivot, linear), add_scaled(ZERO, pivot, angular)
@@ -174,41 +176,41 @@ def _eliminate_elastic(constants, work, i, shift, tip, inertia):
 
 @inner
 def _elastic_row(constants, work, i, a, shift):
-    """Row a of the shifted M of link i, from the diagonal on, into factor, less what the rows above take from it.
+    """Set row a of work.factor for link i to the row of the shifted M minus multiples of the rows above.
 
-    work.total[c] = the share of row c that is taken.
+    Only entries from the diagonal on are valid. work.row_sums[c] is the multiplier of row c.
     """
     start, square, width = constants.elastic_start[i], constants.square_start[i], constants.factor_width[i]
     first, length, factor, carried = constants.factor_start[i], constants.station_width[i], work.factor, work.carried
     k, size = constants.elastic_start[i + 1] - start, group_size(factor)
     linear, angular = load_pair(work.tip_shape, start + a)
     for c in range(a):
-        work.total[c] = -factor[first + c * width + a] * factor[first + c * width + c]
+        work.row_sums[c] = -factor[first + c * width + a] * factor[first + c * width + c]
     for group in range(a - a % size, k, size):
         j = square + a * k + group
         total = fma(shift[0], load_lanes(constants.damping, j), load_lanes(constants.elastic_mass, j))
         total = fma(shift[1], load_lanes(constants.stiffness, j), total)
-        if start + a >= constants.turning[i]:
+        if start + a >= constants.tip_linear_start[i]:
             total = fma(linear[0], load_lanes(carried, group), total)
             total = fma(linear[1], load_lanes(carried, length + group), total)
             total = fma(linear[2], load_lanes(carried, 2 * length + group), total)
             total = fma(angular[0], load_lanes(carried, 3 * length + group), total)
             total = fma(angular[1], load_lanes(carried, 4 * length + group), total)
             total = fma(angular[2], load_lanes(carried, 5 * length + group), total)
-        elif start + a >= constants.carrying[i]:
+        elif start + a >= constants.tip_start[i]:
             total = fma(linear[0], load_lanes(carried, group), total)
         if len(constants.station_mass) > 0:
-            total = _stretch_mass(constants, work, i, a, group, total)
+            total = _add_axial_mass(constants, work, i, a, group, total)
         for c in range(a):
-            total = fma(work.total[c], load_lanes(factor, first + c * width + group), total)
+            total = fma(work.row_sums[c], load_lanes(factor, first + c * width + group), total)
         store_lanes(factor, first + a * width + group, total)
 
 
 @inner
-def _stretch_mass(constants, work, i, a, group, total):
-    """total + what the axial motion of stations adds to a group of row a of the elastic mass matrix of link i."""
+def _add_axial_mass(constants, work, i, a, group, total):
+    """Return total + the axial motion of the stations in a group of row a of the elastic mass matrix of link i."""
     first, width, stretch = constants.station_start[i], constants.station_width[i], work.stretch
-    for s in range(0, constants.station_start[i + 1] - first, group_size(work.back)):
+    for s in range(0, constants.station_start[i + 1] - first, group_size(work.foreshortening)):
         j = constants.station_row[i] + s * width
         factors = load_lanes(constants.station_mass, first + s) * gather_lanes(stretch, j + a, width)
         total = add_weighted_rows(total, (factors,), (stretch,), j + group, width)
@@ -217,10 +219,10 @@ def _stretch_mass(constants, work, i, a, group, total):
 
 @inner
 def _frame_coupling(constants, work, i, a):
-    """Force and moment that elastic coordinate a of link i, accelerated, exerts on the frame."""
+    """Return force and moment on the frame of link i for unit acceleration of its elastic coordinate a."""
     start, length, carried = constants.elastic_start[i], constants.station_width[i], work.carried
     force = moment = ZERO
-    if start + a >= constants.carrying[i]:
+    if start + a >= constants.tip_start[i]:
         force = carried[a], carried[length + a], carried[2 * length + a]
         moment = carried[3 * length + a], carried[4 * length + a], carried[5 * length + a]
     moment = add(add(moment, cross(load(work.tip, i), force)), load(work.coupling, start + a))
@@ -229,11 +231,11 @@ def _frame_coupling(constants, work, i, a):
 
 @inner
 def _tip_coupling(constants, work, i, tip):
-    """work.carried = what the tip of link i carries, an inertia, times the motion of the tip by each coordinate."""
+    """Set work.carried to the inertia at the tip of link i times the tip motion of each elastic coordinate."""
     start, length = constants.elastic_start[i], constants.station_width[i]
     carried = work.carried
-    for a in range(constants.carrying[i], constants.elastic_start[i + 1]):
-        if a < constants.turning[i]:
+    for a in range(constants.tip_start[i], constants.elastic_start[i + 1]):
+        if a < constants.tip_linear_start[i]:
             along = (work.tip_shape[a, 0], 0.0, 0.0)
             force, moment = apply(tip[0], along), apply_transposed(tip[1], along)
         else:
@@ -245,16 +247,15 @@ def _tip_coupling(constants, work, i, tip):
 
 @kernel
 def accelerations(constants, work, x, v, drive, out):
-    """out (d,) = generalised accelerations at coordinates x (d,), speeds v (d,) under a drive (n + 6,)."""
+    """Set out (d,) to the accelerations at coordinates x (d,) and speeds v (d,) for inputs drive (n + 6,)."""
     copy(drive, work.drive)
     compute_accelerations(constants, work, x, v, out)
 
 
 @inner
 def compute_accelerations(constants, work, x, v, out):
-    """out (d,) = generalised accelerations under work.drive; returns the power supplied and the power lost (W)."""
-    positions(constants, work, x)
-    velocities(constants, work, v)
+    """Set out (d,) to the accelerations for work.drive; return the power supplied and dissipated (W)."""
+    compute_kinematics(constants, work, x, v)
     factorise(constants, work, (0.0, 0.0))
     supplied, lost = applied_forces(constants, work, x, v)
     solve(constants, work, out)
@@ -263,7 +264,7 @@ def compute_accelerations(constants, work, x, v, out):
 
 @inner
 def factorise(constants, work, shift):
-    """Eliminates elastic coordinates and joints from tip to base, with the shift (s, s^2). Needs `positions`.
+    """Eliminate elastic coordinates and joints from the tip to the base, with a shift (g, h). Needs `positions`.
 
     Overwrites the work space group `factorisation`.
     """
@@ -278,7 +279,7 @@ def factorise(constants, work, shift):
 
 @inner
 def _product_skew(a, d):
-    """Matrix times the skew matrix of d: its rows crossed with d."""
+    """Return the product of a matrix and the skew matrix of d: the rows crossed with d."""
     return (
         fma(a[1], d[2], -a[2] * d[1]), fma(a[2], d[0], -a[0] * d[2]), fma(a[0], d[1], -a[1] * d[0]),
         fma(a[4], d[2], -a[5] * d[1]), fma(a[5], d[0], -a[3] * d[2]), fma(a[3], d[1], -a[4] * d[0]),
@@ -288,7 +289,7 @@ def _product_skew(a, d):
 
 @inner
 def _payload_inertia(constants, work):
-    """Inertia of the payload about the tip of the last link."""
+    """Return the inertia of the payload about the tip of the last link."""
     m, c = constants.payload_mass[0], load(work.payload_moment, 0)
     mixed = (0.0, c[2], -c[1], -c[2], 0.0, c[0], c[1], -c[0], 0.0)
     return (m, 0.0, 0.0, 0.0, m, 0.0, 0.0, 0.0, m), mixed, load_matrix(work.payload_rotary, 0)
@@ -296,7 +297,7 @@ def _payload_inertia(constants, work):
 
 @inner
 def _apply_inertia(inertia, acceleration):
-    """Force and moment for a linear and angular acceleration; an inertia is a triple, see `dynamics`."""
+    """Return force and moment of an inertia for a linear and an angular acceleration."""
     linear, angular = acceleration
     force, mixed, moment = inertia
     return add(apply(force, linear), apply(mixed, angular)), add(
@@ -306,12 +307,12 @@ def _apply_inertia(inertia, acceleration):
 
 @inner
 def _link_inertia(constants, work, i, tip):
-    """Inertia of link i and of what its tip carries, elastic coordinates and joint locked."""
+    """Return the inertia of link i and of the chain at its tip, with elastic coordinates and joint locked."""
     d, c, mass = load(work.tip, i), load(work.moment, i), constants.mass[i]
     force, mixed, moment = tip
     moment = add_matrix(moment, -1.0, _product_skew(transposed(mixed), d))
     mixed = add_matrix(mixed, -1.0, _product_skew(force, d))
-    # the skew matrix of d times mixed, as the transpose of mixed^T times its transpose
+    # the product of the skew matrix of d and mixed, as a transpose
     moment = add_matrix(moment, -1.0, transposed(_product_skew(transposed(mixed), d)))
     moment = add_matrix(moment, 1.0, load_matrix(work.inertia, i))
     force = add_matrix(force, mass, (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
@@ -321,7 +322,7 @@ def _link_inertia(constants, work, i, tip):
 
 @inner
 def _rotate_inertia(inertia, c):
-    """An inertia in the frame before the rotation c."""
+    """Return an inertia in the frame before the rotation c."""
     back = transposed(c)
     force, mixed, moment = inertia
     return product(product(c, force), back), product(product(c, mixed), back), product(product(c, moment), back)
@@ -329,10 +330,10 @@ def _rotate_inertia(inertia, c):
 
 @inner
 def solve(constants, work, out):
-    """out (d,) = accelerations under work.force and the quadratic velocity forces. Needs the other three groups.
+    """Set out (d,) to the accelerations under work.force and the quadratic velocity forces, after `factorise`.
 
-    Overwrites the work space group `accelerations`; returns the linear and angular acceleration of the tip in the frame
-    of the last link, less gravity.
+    Overwrites the work space group `accelerations`. Returns the linear and angular acceleration of the tip in the frame
+    of the last link, minus gravity.
     """
     n = len(constants.mass)
     elastic = len(out) - constants.elastic_start[n]
@@ -360,7 +361,7 @@ def solve(constants, work, out):
 
 @inner
 def payload_force(constants, work, acceleration):
-    """Force and moment at the tip that the payload needs for an acceleration of the tip."""
+    """Return force and moment on the payload, at the tip, for an acceleration of the tip."""
     force, moment = _apply_inertia(_payload_inertia(constants, work), acceleration)
     bias = load_pair(work.payload_bias, 0)
     return add(force, bias[0]), add(moment, bias[1])
@@ -368,26 +369,26 @@ def payload_force(constants, work, acceleration):
 
 @inner
 def _link_bias_force(constants, work, i, elastic, tip):
-    """Force and moment that link i needs without acceleration, elastic coordinates free, with those at its tip."""
-    factor, demand = work.factor, work.elastic_force
+    """Return force and moment on link i and its outboard chain without frame acceleration, elastic coordinates free."""
+    factor, load_vector = work.factor, work.elastic_force
     start, stop = constants.elastic_start[i], constants.elastic_start[i + 1]
     k = stop - start
     first, width = constants.factor_start[i], constants.factor_width[i]
     force, moment = load_pair(work.bias, i)
     force, moment = add(force, tip[0]), add(moment, add(tip[1], cross(load(work.tip, i), tip[0])))
     for a in range(start, stop):
-        demand[a] = work.elastic_bias[a] - work.force[elastic + a]
-    for a in range(constants.carrying[i], constants.turning[i]):
-        demand[a] = fma(work.tip_shape[a, 0], tip[0][0], demand[a])
-    for a in range(constants.turning[i], stop):
+        load_vector[a] = work.elastic_bias[a] - work.force[elastic + a]
+    for a in range(constants.tip_start[i], constants.tip_linear_start[i]):
+        load_vector[a] = fma(work.tip_shape[a, 0], tip[0][0], load_vector[a])
+    for a in range(constants.tip_linear_start[i], stop):
         translation, rotation = load_pair(work.tip_shape, a)
-        demand[a] += dot(translation, tip[0]) + dot(rotation, tip[1])
+        load_vector[a] += dot(translation, tip[0]) + dot(rotation, tip[1])
     for c in range(k):
         top = first + c * width
-        value = demand[start + c] * factor[top + c]
-        demand[start + c] = value
+        value = load_vector[start + c] * factor[top + c]
+        load_vector[start + c] = value
         for b in range(c + 1, k):
-            demand[start + b] = fma(-value, factor[top + b], demand[start + b])
+            load_vector[start + b] = fma(-value, factor[top + b], load_vector[start + b])
         j = top + k
         force = add_scaled(force, -value, (factor[j], factor[j + 1], factor[j + 2]))
         moment = add_scaled(moment, -value, (factor[j + 3], factor[j + 4], factor[j + 5]))
@@ -396,7 +397,7 @@ def _link_bias_force(constants, work, i, elastic, tip):
 
 @inner
 def _elastic_accelerations(constants, work, i, frame, out):
-    """Back substitution for the elastic coordinates of link i, for the acceleration of its frame."""
+    """Compute the accelerations of the elastic coordinates of link i from that of its frame, by back substitution."""
     start, factor = constants.elastic_start[i], work.factor
     k = constants.elastic_start[i + 1] - start
     first = len(out) - len(constants.first_moment_shape) + start
@@ -413,14 +414,14 @@ def _elastic_accelerations(constants, work, i, frame, out):
 
 @inner
 def link_tip_acceleration(constants, work, i, frame, rates):
-    """Acceleration of the tip of link i for that of its frame and the accelerations `rates` (d,)."""
+    """Return the acceleration of the tip of link i from that of its frame and the accelerations `rates` (d,)."""
     elastic = len(rates) - len(constants.first_moment_shape)
     linear, angular = load_pair(work.tip_bias, i)
     linear = add(add(linear, frame[0]), cross(frame[1], load(work.tip, i)))
     angular = add(angular, frame[1])
-    for a in range(constants.carrying[i], constants.turning[i]):
+    for a in range(constants.tip_start[i], constants.tip_linear_start[i]):
         linear = (linear[0] + work.tip_shape[a, 0] * rates[elastic + a], linear[1], linear[2])
-    for a in range(constants.turning[i], constants.elastic_start[i + 1]):
+    for a in range(constants.tip_linear_start[i], constants.elastic_start[i + 1]):
         translation, rotation = load_pair(work.tip_shape, a)
         rate = rates[elastic + a]
         linear, angular = add_scaled(linear, rate, translation), add_scaled(angular, rate, rotation)

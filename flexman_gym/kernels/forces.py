@@ -1,4 +1,4 @@
-"""Forces: what motors, springs, dampers, friction and disturbances apply to the chain, and the power of each."""
+"""Generalised forces of motors, springs, dampers, friction and disturbances, and their power."""
 
 import math
 
@@ -21,7 +21,7 @@ from flexman_gym.kernels.linalg import (
 
 @inner
 def evaluate_drive(table, time, out):
-    """out (n + 6,) = the drive of a table (7, n + 6) at the time (s); without one (None) out holds it, constant."""
+    """Set out (n + 6,) to the inputs of a drive table (7, n + 6) at a time (s); without a table (None), keep out."""
     if table is not None:
         for i in range(len(out)):
             value = table[OFFSET, i]
@@ -35,26 +35,26 @@ def evaluate_drive(table, time, out):
 
 @inner
 def applied_forces(constants, work, x, v):
-    """work.force (d,) = work.drive with friction, springs and dampers of joints (Eq. 23) and links (Eq. 18).
+    """Set work.force (d,) to the drive, friction, springs and dampers of joints (Eq. 23) and links (Eq. 18).
 
-    Sets work.field and work.tip_force. Needs `velocities`; returns the power supplied (without that of prescribed
-    motions) and the power lost (W).
+    Also sets work.field and work.tip_force. Needs `velocities`. Returns the power supplied, without that of prescribed
+    motions, and the power dissipated (W).
     """
-    supplied, lost = motor_forces(constants, work, v)
-    lost += structural_forces(constants, work, x, v)
-    return supplied + apply_disturbance(constants, work, v), lost
+    supplied, lost = _motor_forces(constants, work, v)
+    lost += _structural_forces(constants, work, x, v)
+    return supplied + _apply_disturbance(constants, work, v), lost
 
 
 @inner
-def motor_forces(constants, work, v):
-    """work.force (d,) = the torques of work.drive less friction; returns the power supplied and the power lost (W)."""
+def _motor_forces(constants, work, v):
+    """Set work.force (d,) to the motor torques minus friction; return the power supplied and dissipated (W)."""
     supplied, lost = 0.0, 0.0
     for j in range(len(work.force)):
         work.force[j] = 0.0
     for i in range(len(constants.mass)):
         m = constants.motor[i] if constants.motor[i] >= 0 else i
         friction = constants.viscous_friction[i] * v[m]
-        if constants.rubbing[i]:
+        if constants.has_coulomb_friction[i]:
             friction += constants.coulomb_friction[i] * math.tanh(v[m] / constants.coulomb_rate[i])
         torque = 0.0 if constants.prescribed[i] else work.drive[i]
         work.force[m] = torque - friction
@@ -64,8 +64,8 @@ def motor_forces(constants, work, v):
 
 
 @inner
-def structural_forces(constants, work, x, v):
-    """Adds the forces of springs and dampers of joints and links to work.force; returns the power lost (W)."""
+def _structural_forces(constants, work, x, v):
+    """Add the springs and dampers of joints and links to work.force; return the power dissipated (W)."""
     n = len(constants.mass)
     elastic = len(x) - constants.elastic_start[n]
     lost = 0.0
@@ -95,14 +95,14 @@ def structural_forces(constants, work, x, v):
 
 @inner
 def secant_friction(constants, work, v):
-    """work.friction_slope (n,) = friction torque over motor rate at the speeds v (d,).
+    """Set work.friction_slope (n,) to the friction torque divided by the motor rate, at the speeds v (d,).
 
-    The tangent would vanish wherever the rate is not small, and a large step would jump over the stop and back; with
-    the secant it stops there, and the order of a W-method does not depend on it.
+    The tangent would vanish at all but small rates, so that a large step would reverse the motion again and again. With
+    the secant, a motor comes to rest, and the order of a W-method does not depend on the approximation.
     """
     for i in range(len(constants.mass)):
         slope = constants.viscous_friction[i]
-        if constants.rubbing[i]:
+        if constants.has_coulomb_friction[i]:
             part = v[constants.motor[i] if constants.motor[i] >= 0 else i] / constants.coulomb_rate[i]
             steepness = constants.coulomb_friction[i] / constants.coulomb_rate[i]
             # at rest tanh(part) / part is 1 to rounding
@@ -111,16 +111,36 @@ def secant_friction(constants, work, v):
 
 
 @inner
-def shift_friction(constants, work, change):
-    """Adds to work.force what friction changes by, to first order, for a change (d,) of the speeds."""
+def _shift_friction(constants, work, change):
+    """Add to work.force the first-order change of friction for a change (d,) of the speeds."""
     for i in range(len(constants.mass)):
         m = constants.motor[i] if constants.motor[i] >= 0 else i
         work.force[m] -= work.friction_slope[i] * change[m]
 
 
 @inner
-def apply_disturbance(constants, work, v):
-    """work.field and work.tip_force from the last six numbers of work.drive; returns the power of both (W)."""
+def stage_forces(constants, work, v, x_implicit, v_implicit, change):
+    """Set the forces of an implicit stage at the positions in the work space and the speeds v (d,).
+
+    Springs and dampers act at the coordinates x_implicit and speeds v_implicit (d,); friction is that of the speeds
+    v + change, to first order in the change (d,).
+    """
+    _motor_forces(constants, work, v)
+    _shift_friction(constants, work, change)
+    _structural_forces(constants, work, x_implicit, v_implicit)
+    _apply_disturbance(constants, work, v)
+
+
+@inner
+def shift_forces(constants, work, x_change, v_change):
+    """Add to work.force the first-order change of springs, dampers and friction for changes (d,) of x and v."""
+    _structural_forces(constants, work, x_change, v_change)
+    _shift_friction(constants, work, v_change)
+
+
+@inner
+def _apply_disturbance(constants, work, v):
+    """Set work.field and work.tip_force from the last six numbers of work.drive; return their power (W)."""
     n = len(constants.mass)
     drive, gravity = work.drive, constants.gravity
     force, base = (drive[n], drive[n + 1], drive[n + 2]), (drive[n + 3], drive[n + 4], drive[n + 5])
@@ -137,15 +157,15 @@ def apply_disturbance(constants, work, v):
 
 @inner
 def _momentum(constants, work, v):
-    """Linear momentum of links and payload in the base frame (kg m/s). Needs `velocities`."""
+    """Return the linear momentum of links and payload in the base frame (kg m/s). Needs `velocities`."""
     n = len(constants.mass)
     elastic = len(v) - constants.elastic_start[n]
     total = cross(load(work.payload_spin, 0), load(work.payload_moment, 0))
     total = add_scaled(total, constants.payload_mass[0], load(work.tip_velocity, 0))
     for i in range(n - 1, -1, -1):
-        own = add_scaled(ZERO, constants.mass[i], load(work.velocity, i))
-        own = add(own, cross(load(work.spin, i), load(work.moment, i)))
+        momentum = add_scaled(ZERO, constants.mass[i], load(work.velocity, i))
+        momentum = add(momentum, cross(load(work.spin, i), load(work.moment, i)))
         for a in range(constants.elastic_start[i], constants.elastic_start[i + 1]):
-            own = add_scaled(own, v[elastic + a], load(work.moment_shape, a))
-        total = apply(load_matrix(work.rotation, i), add(total, own))
+            momentum = add_scaled(momentum, v[elastic + a], load(work.moment_shape, a))
+        total = apply(load_matrix(work.rotation, i), add(total, momentum))
     return total

@@ -1,28 +1,21 @@
-"""Implicit methods by Newton's method: generalised-alpha, implicit midpoint rule, Gauss method with two stages.
+"""Implicit methods: generalised-alpha, implicit midpoint rule, two-stage Gauss method, all by Newton's method.
 
-Generalised-alpha and the midpoint rule iterate to convergence (`layout.GeneralisedAlpha`); the midpoint rule and the
-Gauss method of order 4 also with a fixed number of iterations and no test of convergence. Runs are as in `runge_kutta`.
+Generalised-alpha and the midpoint rule iterate until convergence (`layout.GeneralisedAlpha`). The midpoint rule and the
+Gauss method of order 4 are also available with a fixed number of Newton iterations and without a test of convergence.
+Calls are as in `runge_kutta`.
 
-Gauss method: with its matrix A, stages x = x0 + h A v, v = v0 + h A w have accelerations w that solve M w = F(x, v),
-one linear system of twice the size. A differs from the lower triangular matrix T below by the same number in all
-entries; with T in place of A the stages are solved one after the other, each at the cost of a linearly implicit stage,
-and the missing part A - T is taken from the iteration before. A free vibration then loses at least 87 % of its error
-in an iteration, whatever its frequency, and a stiff one all of it (van der Houwen and Swart, Triangularly implicit
-iteration methods for ODE-IVP solvers, SIAM J. Sci. Comput. 18, 41, 1997).
+Gauss method: with its matrix A, the stages x = x0 + h A v, v = v0 + h A w have accelerations w that solve M w = F(x,
+v), one linear system of twice the size. A differs from the lower triangular matrix T below by the same number in all
+entries. With T in place of A the stages are solved one after the other, each at the cost of a linearly implicit stage;
+A - T multiplies the values of the previous iteration. An iteration then reduces the error by at least 87 % for a free
+vibration of any frequency, and to zero for a stiff one (van der Houwen and Swart, Triangularly implicit iteration
+methods for ODE-IVP solvers, SIAM J. Sci. Comput. 18, 41, 1997).
 """
 
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.dynamics import factorise, prescribed_power, solve
-from flexman_gym.kernels.forces import (
-    applied_forces,
-    apply_disturbance,
-    evaluate_drive,
-    motor_forces,
-    secant_friction,
-    shift_friction,
-    structural_forces,
-)
-from flexman_gym.kernels.kinematics import positions, velocities
+from flexman_gym.kernels.forces import applied_forces, evaluate_drive, secant_friction, shift_forces, stage_forces
+from flexman_gym.kernels.kinematics import compute_kinematics
 from flexman_gym.kernels.lanes import fma
 from flexman_gym.kernels.layout import DIVERGED, NOT_CONVERGED, OK, PAUSED
 from flexman_gym.kernels.linalg import copy
@@ -31,49 +24,49 @@ from flexman_gym.kernels.runge_kutta import out_of_bounds, pause, resume, step_s
 
 
 @inner
-def _midpoint_step(constants, work, sweeps, table, moment, state):
-    """work.trial = what follows the state and its ledger; moment = (time, step).
+def _midpoint_step(constants, work, iterations, table, span, state):
+    """Set work.new_state to the state and ledger after a step; span = (start time, step), s.
 
-    With g = step / 2 the accelerations w in the middle solve M w = F(x, v) at v = v0 + g w and x = x0 + g v. A sweep
-    takes M and F at the latest x and v, but springs and dampers at the w that it solves for, as a linearly implicit
-    step does. The first one starts from w = 0: a step keeps nothing of those before it, so that a jump of the drive or
-    a new start needs no care. Accelerations of the step before bring the tip at most a third nearer after a release:
-    they are a good guess in slow modes, but none in those that turn by more than a radian in a step.
+    With g = step / 2 the accelerations w at the midpoint solve M w = F(x, v) at v = v0 + g w and x = x0 + g v. A Newton
+    iteration evaluates M and F at the latest x and v, but springs and dampers at the unknown w, like a linearly
+    implicit step. The first iteration starts from w = 0, so that a step depends on no earlier one, and a jump of the
+    drive or a new start needs no special case. Accelerations of the previous step would reduce the error of the tip
+    after a release by a third at most: they are a good guess for slow modes, but not for modes that turn by more than a
+    radian per step.
     """
-    d, (time, step) = len(state) // 2 - 1, moment
-    g, w, x, v = 0.5 * step, work.rates, work.trial[:d], work.trial[d : 2 * d]
+    d, (time, step) = len(state) // 2 - 1, span
+    g, w, x, v = 0.5 * step, work.rates, work.new_state[:d], work.new_state[d : 2 * d]
     evaluate_drive(table, time + g, work.drive)
     for k in range(d):
         work.stage_state[k], work.stage_state[d + k] = state[k] + g * state[d + k], state[d + k]
         w[k] = 0.0
     _update_midpoint(work, g, x, v)
-    for _ in range(sweeps):
+    for _ in range(iterations):
         _newton_iteration(constants, work, g, x, v)
         _update_midpoint(work, g, x, v)
-    # the ledger counts the power at the x and v that the step really takes, not at those of the last sweep
+    # the ledger needs the power at the final x and v, not at those of the last iteration
     power = prescribed_power(constants, work, v)
     supplied, lost = applied_forces(constants, work, x, v)
-    work.trial[2 * d] = state[2 * d] + step * (supplied + power)
-    work.trial[2 * d + 1] = state[2 * d + 1] + step * lost
+    work.new_state[2 * d] = state[2 * d] + step * (supplied + power)
+    work.new_state[2 * d + 1] = state[2 * d + 1] + step * lost
     for k in range(d):
         x[k], v[k] = state[k] + step * v[k], state[d + k] + step * w[k]
 
 
 @inner
 def _update_midpoint(work, g, x, v):
-    """x and v (d,) = the middle of the step for the accelerations work.rates; work.shift[:d] = what v lacks without."""
+    """Set x and v (d,) at the midpoint from the accelerations work.rates, and work.shift[:d] to v0 - v."""
     d = len(x)
     for k in range(d):
-        gained = g * work.rates[k]
-        x[k], v[k] = work.stage_state[k] + g * gained, work.stage_state[d + k] + gained
-        work.shift[k] = -gained
+        change = g * work.rates[k]
+        x[k], v[k] = work.stage_state[k] + g * change, work.stage_state[d + k] + change
+        work.shift[k] = -change
 
 
 @inner
 def _newton_iteration(constants, work, g, x, v):
-    """work.rates = the accelerations in the middle of the step, from its latest x and v (d,)."""
-    positions(constants, work, x)
-    velocities(constants, work, v)
+    """Set work.rates to the accelerations at the midpoint by one Newton iteration from x and v (d,)."""
+    compute_kinematics(constants, work, x, v)
     secant_friction(constants, work, v)
     factorise(constants, work, (g, g * g))
     _solve_stage(constants, work, v)
@@ -81,41 +74,35 @@ def _newton_iteration(constants, work, g, x, v):
 
 @inner
 def _solve_stage(constants, work, v):
-    """work.rates = accelerations at the speeds v (d,) in work space, with springs and dampers at work.stage_state.
+    """Set work.rates to the accelerations at the speeds v (d,), with springs and dampers at work.stage_state.
 
     Friction is that of the speeds v + work.shift[:d], to first order.
     """
     d = len(v)
-    motor_forces(constants, work, v)
-    shift_friction(constants, work, work.shift[:d])
-    structural_forces(constants, work, work.stage_state[:d], work.stage_state[d : 2 * d])
-    apply_disturbance(constants, work, v)
+    stage_forces(constants, work, v, work.stage_state[:d], work.stage_state[d : 2 * d], work.shift[:d])
     solve(constants, work, work.rates)
 
 
-GAUSS_NODE = 12.0**-0.5  # from the middle of a step to its stages, in steps
-DIAGONAL, LOWER, REMAINDER = (
-    GAUSS_NODE,
-    2.0 * GAUSS_NODE,
-    0.25 - GAUSS_NODE,
-)  # T = (DIAGONAL, 0; LOWER, DIAGONAL), and all entries of A - T
+GAUSS_NODE = 12.0**-0.5  # distance of a stage from the middle of the step, in steps
+# T = (DIAGONAL, 0; LOWER, DIAGONAL); all entries of A - T are REMAINDER
+DIAGONAL, LOWER, REMAINDER = GAUSS_NODE, 2.0 * GAUSS_NODE, 0.25 - GAUSS_NODE
 FROZEN_ITERATIONS = 2  # iterations with the mass matrix of the first guess
-RELAXATION = 1.03  # their changes are taken so many times, with which an undamped vibration grows least; see the tests
+RELAXATION = 1.03  # factor on their changes; least growth of an undamped vibration, see the tests
 
 
 @inner
-def _gauss_step(constants, work, sweeps, table, moment, state):
-    """work.trial = what follows the state and its ledger; moment = (time, step).
+def _gauss_step(constants, work, iterations, table, span, state):
+    """Set work.new_state to the state and ledger after a step; span = (start time, step), s.
 
-    The first guess takes mass matrix and forces at positions half a step ahead, and solves the stages with these. A
-    sweep takes them at each stage anew. Rows of work.stages: the rates of x and v in the stages, then sums of both.
+    The first guess solves the stages with the mass matrix and forces at positions half a step ahead. A Newton iteration
+    evaluates both anew at each stage. Rows of work.stages: rates of x and v of the two stages, then their sums.
     """
-    d, (time, step) = len(state) // 2 - 1, moment
-    x, v, first, second = work.trial[:d], work.trial[d : 2 * d], work.stages[0], work.stages[1]
+    d, (time, step) = len(state) // 2 - 1, span
+    x, v, first, second = work.new_state[:d], work.new_state[d : 2 * d], work.stages[0], work.stages[1]
     evaluate_drive(table, time + 0.5 * step, work.drive)
     _predict_stages(constants, work, step, state)
     g = DIAGONAL * step
-    for n in range(sweeps):
+    for n in range(iterations):
         _sum_stages(work, d)
         for i in range(2):
             evaluate_drive(table, time + (0.5 + (2 * i - 1) * GAUSS_NODE) * step, work.drive)
@@ -123,24 +110,23 @@ def _gauss_step(constants, work, sweeps, table, moment, state):
             _update_midpoint(work, g, x, v)
             _newton_iteration(constants, work, g, x, v)
             _relax_stage(work, i, g, 1.0)
-            if n == sweeps - 1:
+            if n == iterations - 1:
                 power = prescribed_power(constants, work, work.stages[i][:d])
                 supplied, lost = applied_forces(constants, work, x, work.stages[i][:d])
                 work.stages[i][2 * d], work.stages[i][2 * d + 1] = supplied + power, lost
     for k in range(len(state)):
-        work.trial[k] = state[k] + 0.5 * step * (first[k] + second[k])
+        work.new_state[k] = state[k] + 0.5 * step * (first[k] + second[k])
 
 
 @inner
 def _predict_stages(constants, work, step, state):
-    """work.stages[:2] = the stages with the mass matrix and forces half a step ahead along the speeds."""
+    """Set work.stages[:2] to the stages for the mass matrix and forces half a step ahead along the speeds."""
     d, g = len(state) // 2 - 1, 0.5 * step
-    x, v, w = work.trial[:d], work.trial[d : 2 * d], work.rates
+    x, v, w = work.new_state[:d], work.new_state[d : 2 * d], work.rates
     for k in range(d):
         x[k], v[k] = state[k] + g * state[d + k], state[d + k]
         work.stage_state[k], work.stage_state[d + k] = x[k], v[k]
-    positions(constants, work, x)
-    velocities(constants, work, v)
+    compute_kinematics(constants, work, x, v)
     secant_friction(constants, work, v)
     factorise(constants, work, (g, g * g))
     _solve_frozen(constants, work, v)
@@ -160,7 +146,7 @@ def _predict_stages(constants, work, step, state):
 
 @inner
 def _solve_frozen(constants, work, v):
-    """work.rates = accelerations at the positions and speeds v (d,) in work space, but springs at work.stage_state."""
+    """Set work.rates to the accelerations at the x and v (d,) of the work space, with springs at work.stage_state."""
     d = len(v)
     for k in range(d):
         work.shift[k] = work.stage_state[d + k] - v[k]
@@ -169,50 +155,48 @@ def _solve_frozen(constants, work, v):
 
 @inner
 def _sum_stages(work, d):
-    """work.stages[2] = the sums of the rates in both stages, d of x and d of v."""
+    """Set work.stages[2] to the sums of the rates of both stages, d of x and d of v."""
     for k in range(2 * d):
         work.stages[2][k] = work.stages[0][k] + work.stages[1][k]
 
 
 @inner
 def _explicit_part(work, i, step, state):
-    """work.stage_state = stage i for no accelerations of its own; work.rates = its latest accelerations."""
-    d, rest, lower = len(state) // 2 - 1, REMAINDER * step, LOWER * step * i
+    """Set work.stage_state to stage i without its own accelerations, and work.rates to its latest accelerations."""
+    d, remainder, lower = len(state) // 2 - 1, REMAINDER * step, LOWER * step * i
     for k in range(d):
-        before = fma(rest, work.stages[2][d + k], state[d + k])
-        before = fma(lower, work.stages[0][d + k], before)
-        work.stage_state[d + k] = before
-        place = fma(rest, work.stages[2][k], state[k])
-        place = fma(lower, work.stages[0][k], place)
-        work.stage_state[k] = fma(DIAGONAL * step, before, place)
+        speed = fma(remainder, work.stages[2][d + k], state[d + k])
+        speed = fma(lower, work.stages[0][d + k], speed)
+        work.stage_state[d + k] = speed
+        position = fma(remainder, work.stages[2][k], state[k])
+        position = fma(lower, work.stages[0][k], position)
+        work.stage_state[k] = fma(DIAGONAL * step, speed, position)
         work.rates[k] = work.stages[i][d + k]
 
 
 @inner
-def _relax_stage(work, i, g, relaxed):
-    """Moves the rates of stage i by so many times the change to those of work.rates."""
+def _relax_stage(work, i, g, factor):
+    """Change the rates of stage i by a factor times their difference to the rates of the latest solution."""
     stage, d = work.stages[i], len(work.rates)
     for k in range(d):
-        stage[k] = fma(relaxed, fma(g, work.rates[k], work.stage_state[d + k]) - stage[k], stage[k])
-        stage[d + k] = fma(relaxed, work.rates[k] - stage[d + k], stage[d + k])
+        stage[k] = fma(factor, fma(g, work.rates[k], work.stage_state[d + k]) - stage[k], stage[k])
+        stage[d + k] = fma(factor, work.rates[k] - stage[d + k], stage[d + k])
 
 
 @kernel
-def run_fixed_newton(constants, work, sweeps, table, clock, state, rows, outputs):
-    """Fixed steps, each of a number of sweeps; `sweeps` as in `fixed_newton_step`."""
+def run_fixed_newton(constants, work, counts, table, grid, state, rows, outputs):
+    """Integrate by fixed steps with a fixed number of Newton iterations; `counts` as in `fixed_newton_step`."""
     d, evaluations = len(state) // 2 - 1, 0
     _, n, done = resume(work)
     for r in range(len(rows)):
-        while n < clock.substeps:
-            if evaluations >= clock.most:
+        while n < grid.substeps:
+            if evaluations >= grid.max_evaluations:
                 pause(work, n, done, 0.0)
                 return PAUSED, r, evaluations
-            evaluations += fixed_newton_step(
-                constants, work, sweeps, table, (step_start(clock, r, n), clock.step), state
-            )
-            if out_of_bounds(work.trial):
+            evaluations += fixed_newton_step(constants, work, counts, table, (step_start(grid, r, n), grid.step), state)
+            if out_of_bounds(work.new_state):
                 return DIVERGED, r, evaluations
-            copy(work.trial, state)
+            copy(work.new_state, state)
             n += 1
         n = 0
         copy(state, rows[r])
@@ -221,60 +205,61 @@ def run_fixed_newton(constants, work, sweeps, table, clock, state, rows, outputs
 
 
 @inner
-def fixed_newton_step(constants, work, sweeps, table, moment, state):
-    """work.trial = what follows the state and its ledger; moment = (time, step). Returns the evaluations.
+def fixed_newton_step(constants, work, counts, table, span, state):
+    """Set work.new_state to the state and ledger after a step; return the number of evaluations.
 
-    `sweeps` is their number and None for the midpoint rule, or a number for a pair of stages.
+    `counts` are the number of iterations and the number of stages: None for the midpoint rule, 2 for the Gauss method.
+    span = (start time, step), s.
     """
-    count, pair = sweeps
-    return _dispatch_step(constants, work, count, pair, table, moment, state)
+    iterations, stages = counts
+    return _dispatch_step(constants, work, iterations, stages, table, span, state)
 
 
 @inner
-def _dispatch_step(constants, work, sweeps, pair, table, moment, state):
-    """The same; Numba compiles one branch, as it looks for None among arguments only."""
-    if pair is None:
-        _midpoint_step(constants, work, sweeps, table, moment, state)
-        evaluations = sweeps
+def _dispatch_step(constants, work, iterations, stages, table, span, state):
+    """Call the step of the method; a function of its own because Numba prunes branches on None arguments only."""
+    if stages is None:
+        _midpoint_step(constants, work, iterations, table, span, state)
+        evaluations = iterations
     else:
-        _gauss_step(constants, work, sweeps, table, moment, state)
-        evaluations = 2 * sweeps + 1
+        _gauss_step(constants, work, iterations, table, span, state)
+        evaluations = 2 * iterations + 1
     return evaluations
 
 
-MOST_ITERATIONS, NEWTON_TOLERANCE = 25, 1e-10  # of an implicit step; the largest relative error that ends them
-ROUNDING = 1e-7  # a change below it that no longer shrinks is rounding, of stiff springs after many turns for example
+MAX_ITERATIONS, NEWTON_TOLERANCE = 25, 1e-10  # iterations per step; largest relative error of the solution
+STAGNATION = 1e-7  # a smaller change that has stopped decreasing is rounding, e.g. of stiff springs after many turns
 
 
 @kernel
-def run_implicit(constants, work, averages, table, clock, state, rows, outputs):
-    """Fixed steps of the generalised-alpha method or of the implicit midpoint rule, by Newton's method.
+def run_implicit(constants, work, method, table, grid, state, rows, outputs):
+    """Integrate by fixed steps of the generalised-alpha method or the implicit midpoint rule, by Newton's method.
 
-    The Jacobian is that of a linearly implicit step, the mass matrix, damping and stiffness at the latest iterate.
-    work.stages[0] and [1] hold the algorithmic and the true accelerations, followed by the two powers; zero at first.
-    They outlive the run, so that the next one only adds what a new drive changes.
+    The Jacobian is that of a linearly implicit step: mass matrix, damping and stiffness at the latest iterate.
+    work.stages[0] and [1] hold the algorithmic and the true accelerations, followed by the two powers, initially zero.
+    They are kept between calls, so that the next call only adds the effect of a new drive.
     """
     d, evaluations = len(state) // 2 - 1, 0
     paused, n, done = resume(work)
-    if not (paused or averages.midpoint or clock.substeps == 0):
-        n = -1  # the accelerations at the start come first, by a step of no length
+    if not (paused or method.midpoint or grid.substeps == 0):
+        n = -1  # a step of length 0 computes the accelerations at the start
     for r in range(len(rows)):
-        while n < clock.substeps:
-            if evaluations >= clock.most:
+        while n < grid.substeps:
+            if evaluations >= grid.max_evaluations:
                 pause(work, n, done, 0.0)
                 return PAUSED, r, evaluations
-            h = clock.step if n >= 0 else 0.0
-            time = step_start(clock, r, max(n, 0))
-            evaluate_drive(table, time + (0.5 * h if averages.midpoint else h), work.drive)
-            by_rate, by_place = _predict(averages, work, h, state)
-            count = _newton_solution(constants, work, by_rate, by_place, state)
+            h = grid.step if n >= 0 else 0.0
+            time = step_start(grid, r, max(n, 0))
+            evaluate_drive(table, time + (0.5 * h if method.midpoint else h), work.drive)
+            speed_gain, position_gain = _predict(method, work, h, state)
+            count = _newton_solution(constants, work, speed_gain, position_gain, state)
             evaluations += abs(count)
-            _correct(averages, work, h, by_rate, by_place, state)
-            if out_of_bounds(work.trial):
+            _correct(method, work, h, speed_gain, position_gain, state)
+            if out_of_bounds(work.new_state):
                 return DIVERGED, r, evaluations
             if count < 0:
                 return NOT_CONVERGED, r, evaluations
-            copy(work.trial, state)
+            copy(work.new_state, state)
             n += 1
         n = 0
         copy(state, rows[r])
@@ -283,84 +268,86 @@ def run_implicit(constants, work, averages, table, clock, state, rows, outputs):
 
 
 @inner
-def _predict(averages, work, h, state):
-    """work.stage_state = where the stage is without its accelerations w; returns what rates and places gain per w.
+def _predict(method, work, h, state):
+    """Set work.stage_state to the stage without its accelerations w, and work.rates to the first guess of w.
 
-    work.rates gets the first guess of w. Generalised-alpha as Arnold and Bruls (2007) have it.
+    Returns the changes of speeds and coordinates of the stage per w. Generalised-alpha as in Arnold and Bruls (2007).
     """
     d = len(state) // 2 - 1
-    old, true = work.stages[0], work.stages[1]
-    if averages.midpoint:
+    algorithmic, true = work.stages[0], work.stages[1]
+    if method.midpoint:
         for k in range(d):
             work.stage_state[k], work.stage_state[d + k] = state[k] + 0.5 * h * state[d + k], state[d + k]
             work.rates[k] = true[k]
         return 0.5 * h, 0.25 * h * h
-    share = 1.0 / (1.0 - averages.mass)
+    share = 1.0 / (1.0 - method.mass)
     for k in range(d):
-        rest = share * (averages.force * true[k] - averages.mass * old[k])
-        place = (0.5 - averages.beta) * old[k] + averages.beta * rest
-        work.stage_state[k] = state[k] + h * state[d + k] + h * h * place
-        work.stage_state[d + k] = state[d + k] + h * ((1.0 - averages.gamma) * old[k] + averages.gamma * rest)
+        known_part = share * (method.force * true[k] - method.mass * algorithmic[k])
+        offset = (0.5 - method.beta) * algorithmic[k] + method.beta * known_part
+        work.stage_state[k] = state[k] + h * state[d + k] + h * h * offset
+        work.stage_state[d + k] = state[d + k] + h * ((1.0 - method.gamma) * algorithmic[k] + method.gamma * known_part)
         work.rates[k] = true[k]
-    weight = (1.0 - averages.force) * share
-    return h * averages.gamma * weight, h * h * averages.beta * weight
+    weight = (1.0 - method.force) * share
+    return h * method.gamma * weight, h * h * method.beta * weight
 
 
 @inner
-def _newton_solution(constants, work, by_rate, by_place, state):
-    """work.rates = accelerations w that the stage has by itself; returns the iterations, negative without success.
+def _newton_solution(constants, work, speed_gain, position_gain, state):
+    """Solve for the accelerations work.rates of the stage; return the number of iterations, negative if not converged.
 
-    work.trial = the stage that they lead to, with the two powers there in place of the ledger.
+    Sets work.new_state to the stage, with the power supplied and dissipated in place of the ledger.
     """
     d = len(state) // 2 - 1
-    place, speed, shift, w = work.trial[:d], work.trial[d : 2 * d], work.shift, work.rates
+    x, v, shift, w = work.new_state[:d], work.new_state[d : 2 * d], work.shift, work.rates
     count, largest, ratio, converged = 0, 1.0, 1.0, False
-    while count < MOST_ITERATIONS and largest < 1e30 and not converged:
-        count, before, ratio_before = count + 1, largest, ratio
+    while count < MAX_ITERATIONS and largest < 1e30 and not converged:
+        count, previous, previous_ratio = count + 1, largest, ratio
         for k in range(d):
-            place[k] = work.stage_state[k] + by_place * w[k]
-            speed[k] = work.stage_state[d + k] + by_rate * w[k]
-            shift[k], shift[d + k] = -by_place * w[k], -by_rate * w[k]
-        positions(constants, work, place)
-        velocities(constants, work, speed)
-        supplied, lost = applied_forces(constants, work, place, speed)
-        secant_friction(constants, work, speed)
-        structural_forces(constants, work, shift[:d], shift[d : 2 * d])
-        shift_friction(constants, work, shift[d : 2 * d])
-        factorise(constants, work, (by_rate, by_place))
+            x[k] = work.stage_state[k] + position_gain * w[k]
+            v[k] = work.stage_state[d + k] + speed_gain * w[k]
+            shift[k], shift[d + k] = -position_gain * w[k], -speed_gain * w[k]
+        compute_kinematics(constants, work, x, v)
+        supplied, lost = applied_forces(constants, work, x, v)
+        secant_friction(constants, work, v)
+        shift_forces(constants, work, shift[:d], shift[d : 2 * d])
+        factorise(constants, work, (speed_gain, position_gain))
         solve(constants, work, w)
         largest = 0.0
         for k in range(d):
-            moved = abs(by_place * w[k] + shift[k]) / (1.0 + abs(place[k]))
-            largest = max(largest, moved, abs(by_rate * w[k] + shift[d + k]) / (1.0 + abs(speed[k])))
-        # What is left is a geometric series of changes (Hairer and Wanner, Solving ODEs II, IV.8). A first change that
-        # is large by what is linear tells nothing of its ratio, therefore two ratios count.
-        ratio = largest / before
-        rest = max(ratio, ratio_before)
-        small = count > 2 and rest < 0.5 and rest * largest <= (1.0 - rest) * NEWTON_TOLERANCE
-        converged = small or largest <= NEWTON_TOLERANCE or 0.5 * before < largest < ROUNDING
-    work.trial[2 * d] = supplied + prescribed_power(constants, work, speed)
-    work.trial[2 * d + 1] = lost
+            change = abs(position_gain * w[k] + shift[k]) / (1.0 + abs(x[k]))
+            largest = max(largest, change, abs(speed_gain * w[k] + shift[d + k]) / (1.0 + abs(v[k])))
+        # The remaining error is a geometric series of changes (Hairer and Wanner, Solving ODEs II, IV.8). After a large
+        # first change, dominated by linear terms, the ratio is not yet reliable; therefore two ratios are compared.
+        ratio = largest / previous
+        largest_ratio = max(ratio, previous_ratio)
+        small = (
+            count > 2 and largest_ratio < 0.5 and largest_ratio * largest <= (1.0 - largest_ratio) * NEWTON_TOLERANCE
+        )
+        converged = small or largest <= NEWTON_TOLERANCE or 0.5 * previous < largest < STAGNATION
+    work.new_state[2 * d] = supplied + prescribed_power(constants, work, v)
+    work.new_state[2 * d + 1] = lost
     return count if converged else -count
 
 
 @inner
-def _correct(averages, work, h, by_rate, by_place, state):
-    """work.trial = the state and ledger after the step; keeps the accelerations for the next one."""
+def _correct(method, work, h, speed_gain, position_gain, state):
+    """Set work.new_state to the state and ledger after the step, and store the accelerations for the next step."""
     d = len(state) // 2 - 1
-    old, true, w = work.stages[0], work.stages[1], work.rates
-    share = 1.0 / (1.0 - averages.mass)
+    algorithmic, true, w = work.stages[0], work.stages[1], work.rates
+    share = 1.0 / (1.0 - method.mass)
     for k in range(d):
-        work.trial[k] = work.stage_state[k] + by_place * w[k]
-        work.trial[d + k] = work.stage_state[d + k] + by_rate * w[k]
-        if averages.midpoint:
-            work.trial[k], work.trial[d + k] = state[k] + h * work.trial[d + k], state[d + k] + h * w[k]
+        work.new_state[k] = work.stage_state[k] + position_gain * w[k]
+        work.new_state[d + k] = work.stage_state[d + k] + speed_gain * w[k]
+        if method.midpoint:
+            work.new_state[k], work.new_state[d + k] = state[k] + h * work.new_state[d + k], state[d + k] + h * w[k]
         elif h > 0.0:
-            old[k] = share * ((1.0 - averages.force) * w[k] + averages.force * true[k] - averages.mass * old[k])
+            algorithmic[k] = share * (
+                (1.0 - method.force) * w[k] + method.force * true[k] - method.mass * algorithmic[k]
+            )
         else:
-            old[k] += w[k] - true[k]
+            algorithmic[k] += w[k] - true[k]
         true[k] = w[k]
     for k in range(2 * d, 2 * d + 2):
-        power = work.trial[k]
-        work.trial[k] = state[k] + h * (power if averages.midpoint else 0.5 * (power + true[k]))
+        power = work.new_state[k]
+        work.new_state[k] = state[k] + h * (power if method.midpoint else 0.5 * (power + true[k]))
         true[k] = power

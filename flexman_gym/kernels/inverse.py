@@ -1,8 +1,8 @@
-"""Inverse dynamics of the chain, M v' + h (left side of Eq. 44), and the static equilibrium that follows from it."""
+"""Inverse dynamics of the chain, M v' + h (left side of Eq. 44), and static equilibrium."""
 
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.dynamics import link_tip_acceleration, payload_force
-from flexman_gym.kernels.kinematics import positions, velocities
+from flexman_gym.kernels.kinematics import compute_kinematics
 from flexman_gym.kernels.linalg import (
     ZERO,
     add,
@@ -20,12 +20,11 @@ from flexman_gym.kernels.linalg import (
 
 @kernel
 def inertial_forces(constants, work, x, v, acceleration, out):
-    """out (d,) = generalised inertial and gravitational forces at x, v (d,) for accelerations (d,).
+    """Set out (d,) to the generalised inertial and gravitational forces at x, v (d,) for accelerations (d,).
 
-    work.reaction (n + 1, 6) = what each link needs at its origin, in its own frame, and the payload at the last tip.
+    Sets work.reaction (n + 1, 6) to force and moment on each link at its origin, and on the payload at the last tip.
     """
-    positions(constants, work, x)
-    velocities(constants, work, v)
+    compute_kinematics(constants, work, x, v)
     n = len(constants.mass)
     linear = (-constants.gravity[0], -constants.gravity[1], -constants.gravity[2])
     angular = ZERO
@@ -59,7 +58,7 @@ def inertial_forces(constants, work, x, v, acceleration, out):
 
 @inner
 def _rotor_torque(constants, i, angular, acceleration):
-    """Change of the angular momentum of carried rotor i, for its joint frame's acceleration and those of x (d,)."""
+    """Return the torque (N m) on carried rotor i for the angular acceleration of its frame and those of x (d,)."""
     m = constants.motor[i]
     rate = acceleration[m] if m >= 0 else acceleration[i]
     return constants.carried_inertia[i] * (rate + dot(load(constants.axis, i), angular) - acceleration[i])
@@ -67,7 +66,7 @@ def _rotor_torque(constants, i, angular, acceleration):
 
 @inner
 def _link_force(constants, work, i, frame, tip, acceleration):
-    """Force and moment at the origin of link i for the acceleration of its frame and those at its tip."""
+    """Return force and moment at the origin of link i from the acceleration of its frame and those at its tip."""
     elastic = len(acceleration) - len(constants.first_moment_shape)
     linear, angular = frame
     c = load(work.moment, i)
@@ -84,7 +83,7 @@ def _link_force(constants, work, i, frame, tip, acceleration):
 
 @inner
 def _elastic_forces(constants, work, i, frame, tip, acceleration, out):
-    """The entries of out that belong to the elastic coordinates of link i, with force and moment at its tip."""
+    """Set the entries of out for the elastic coordinates of link i, with force and moment at its tip."""
     start = constants.elastic_start[i]
     k = constants.elastic_start[i + 1] - start
     first = len(out) - len(constants.first_moment_shape) + start
@@ -97,12 +96,12 @@ def _elastic_forces(constants, work, i, frame, tip, acceleration, out):
         for b in range(k):
             value += constants.elastic_mass[row + b] * acceleration[first + b]
         out[first + a] = value
-    _stretch_forces(constants, work, i, acceleration, first - start, out)
+    _add_axial_forces(constants, work, i, acceleration, first - start, out)
 
 
 @inner
-def _stretch_forces(constants, work, i, rates, elastic, out):
-    """Adds to out (d,) the forces for accelerations `rates` (d,) that the elastic mass matrix of link i leaves out."""
+def _add_axial_forces(constants, work, i, rates, elastic, out):
+    """Add to out (d,) the forces of axial station motion of link i for accelerations `rates` (d,)."""
     start, first = elastic + constants.elastic_start[i], constants.station_start[i]
     k = constants.elastic_start[i + 1] - constants.elastic_start[i]
     for s in range(constants.station_start[i + 1] - first):
@@ -113,16 +112,25 @@ def _stretch_forces(constants, work, i, rates, elastic, out):
             out[start + a] += force * work.stretch[row + a]
 
 
-EQUILIBRIUM_ITERATIONS, EQUILIBRIUM_TOLERANCE = 100, 1e-12  # at most, and what is a change no more
+EQUILIBRIUM_ITERATIONS, EQUILIBRIUM_TOLERANCE = 100, 1e-12  # most iterations; largest relative change at the end
 
 
 @kernel
 def solve_equilibrium(constants, work, stiffness, compliance, free, rest, x, force):
-    """Turns and bends the `free` coordinates (f,) of x (d,) until springs and links hold the weight.
+    """Solve for the static equilibrium of the arm under gravity, by a fixed-point iteration.
 
-    The slope of that balance is taken to be the stiffness (d, d), whose inverse of the free part is the compliance
-    (f, f); `rest` (d,) are zeros. Overwrites x and force (d,); returns the largest change of the last of its iterations
-    as a part of the largest coordinate, at least 1.
+    Args:
+        constants: of the model.
+        work: work space.
+        stiffness: (d, d), used as the Jacobian of the balance of forces.
+        compliance: (f, f) inverse of the stiffness of the free coordinates.
+        free: (f,) indices of the coordinates that change.
+        rest: (d,) zeros.
+        x: (d,) first guess, overwritten by the solution.
+        force: (d,) overwritten.
+
+    Returns:
+        The largest change in the last iteration, relative to the largest coordinate or to 1.
     """
     largest = 1.0
     for _ in range(EQUILIBRIUM_ITERATIONS):

@@ -1,10 +1,10 @@
-"""Kinematics of the chain, outward: where links are, how they move, and what their motion alone demands (Eq. 24-33).
+"""Kinematics of the chain from the base to the tip: positions, velocities, velocity-product terms (Eq. 24-33).
 
-Foreshortening: a beam that bends keeps the length of its centreline, so a point at x moves back by 1/2 q^T G(x) q (the
-integral of half the squared slopes). Every term of it is an exact derivative of the positions of mass points, the
-stations, that stand for the centreline (see `model.beam`): an expansion to second order loses the positive mass matrix
-at deflections of a few percent of the length. The stations of a link, its tip first, fill whole groups of LANES; those
-that fill up the last group have no mass.
+Foreshortening: a bent beam keeps the length of its centreline, so a point at x moves back by 1/2 q^T G(x) q, the
+integral of half the squared slopes. All its terms are exact derivatives of the positions of mass points, called
+stations, that represent the centreline (see `model.beam`); an expansion to second order would lose the positive mass
+matrix at deflections of a few percent of the length. The stations of a link begin with its tip and fill whole groups of
+LANES; stations that pad the last group have no mass.
 """
 
 import math
@@ -47,8 +47,18 @@ from flexman_gym.kernels.linalg import (
 
 
 @inner
-def positions(constants, work, x):
-    """Relative rotations, tips, tip shapes and mass integrals of all links at the coordinates x (d,).
+def compute_kinematics(constants, work, x, v):
+    """Compute the kinematics of all links at the coordinates x and speeds v (d,), outward from the base.
+
+    Overwrites the work space groups `positions` and `velocities`.
+    """
+    _positions(constants, work, x)
+    _velocities(constants, work, v)
+
+
+@inner
+def _positions(constants, work, x):
+    """Compute relative rotations, tips, tip shapes and mass integrals of all links at the coordinates x (d,).
 
     Overwrites the work space group `positions`.
     """
@@ -63,7 +73,7 @@ def positions(constants, work, x):
 
 @inner
 def _payload_position(constants, work, last):
-    """First moment and inertia of the payload about the tip of the last link, in that link's frame."""
+    """Compute first moment and inertia of the payload about the tip of the last link, in the frame of that link."""
     c = load_matrix(constants.payload_mount, 0)
     if constants.elastic_start[last + 1] > constants.elastic_start[last]:
         c = product(tip_rotation(work, last), c)
@@ -76,7 +86,7 @@ def _payload_position(constants, work, last):
 
 @inner
 def tip_rotation(work, i):
-    """exp(S_r q) of link i."""
+    """Return the rotation exp(S_r q) of the tip of link i."""
     deflected = load(work.deflected, i)
     sine = 1.0 - dot(deflected, deflected) * work.tangent[i, 1]
     return rotation_matrix(sine, work.tangent[i, 0], deflected)
@@ -84,7 +94,7 @@ def tip_rotation(work, i):
 
 @inner
 def _joint_rotation(constants, work, i, angle):
-    """C of link i = exp(S_r q of the previous link) mount exp(axis angle)."""
+    """Compute C of link i = exp(S_r q of the previous link) mount exp(axis angle)."""
     sine, versine = sine_versine(angle)
     turned = rotation_matrix(sine, versine, load(constants.axis, i))
     c = product(load_matrix(constants.mount, i), turned)
@@ -95,10 +105,10 @@ def _joint_rotation(constants, work, i, angle):
 
 @inner
 def _tip_position(constants, work, i, x, elastic):
-    """Tip of link i and its change with the elastic coordinates (Eq. 26 with the tangent operator)."""
+    """Compute the tip of link i and its derivatives by the elastic coordinates (Eq. 26 with the tangent operator)."""
     tip = (constants.length[i], 0.0, 0.0)
     deflected = ZERO
-    for a in range(constants.turning[i], constants.elastic_start[i + 1]):
+    for a in range(constants.tip_linear_start[i], constants.elastic_start[i + 1]):
         q = x[elastic + a]
         tip = add_scaled(tip, q, load(constants.tip_translation, a))
         deflected = add_scaled(deflected, q, load(constants.tip_rotation, a))
@@ -107,7 +117,7 @@ def _tip_position(constants, work, i, x, elastic):
     b, c, db, dc = _tangent_coefficients(dot(deflected, deflected))
     work.tangent[i, 0], work.tangent[i, 1], work.tangent[i, 2], work.tangent[i, 3] = b, c, db, dc
     tangent = rotation_matrix(b, c, deflected)
-    for a in range(constants.turning[i], constants.elastic_start[i + 1]):
+    for a in range(constants.tip_linear_start[i], constants.elastic_start[i + 1]):
         turned = apply(tangent, load(constants.tip_rotation, a))
         store_pair(work.tip_shape, a, load(constants.tip_translation, a), turned)
     if len(constants.station_mass) > 0:
@@ -116,8 +126,8 @@ def _tip_position(constants, work, i, x, elastic):
 
 @inner
 def _tangent_coefficients(z):
-    """(1 - cos p)/p^2, (p - sin p)/p^3 and their derivatives with respect to z = p^2."""
-    # Taylor series to rounding: the quotients below lose all digits at zero
+    """Return (1 - cos p)/p^2, (p - sin p)/p^3 and their derivatives by z = p^2."""
+    # Taylor series, exact to rounding: the quotients below lose all digits at zero
     b = 1 / 2 - z * (1 / 24 - z * (1 / 720 - z * (1 / 40320 - z * (1 / 3628800 - z * (1 / 479001600)))))
     c = 1 / 6 - z * (1 / 120 - z * (1 / 5040 - z * (1 / 362880 - z * (1 / 39916800 - z * (1 / 6227020800)))))
     db = -1 / 24 + z * (1 / 360 - z * (1 / 13440 - z * (1 / 907200 - z * (1 / 95800320 - z * (1 / 14529715200)))))
@@ -138,7 +148,7 @@ def _tangent_coefficients(z):
 
 @inner
 def _mass_integrals(constants, work, i, x, elastic):
-    """First moment, J, U and the coupling of rotation and elastic coordinates of link i (the blocks of Eq. 13)."""
+    """Compute first moment, J, U and the coupling of rotation and elastic coordinates of link i (blocks of Eq. 13)."""
     start, stop = constants.elastic_start[i], constants.elastic_start[i + 1]
     shape = work.shape
     for j in range(9 * start, 9 * stop):
@@ -170,8 +180,8 @@ def _mass_integrals(constants, work, i, x, elastic):
 
 
 @inner
-def velocities(constants, work, v):
-    """Velocities and velocity-dependent accelerations and forces of all links, for speeds v (d,).
+def _velocities(constants, work, v):
+    """Compute velocities, velocity-product accelerations and forces of all links for speeds v (d,).
 
     Needs `positions`; overwrites the work space group `velocities`.
     """
@@ -203,11 +213,11 @@ def velocities(constants, work, v):
 
 @inner
 def _tip_motion(constants, work, i, v, elastic):
-    """Elastic velocity of the tip of link i, linear and angular; stores the tip's bias acceleration (Eq. 32, 33)."""
+    """Return the elastic velocity (linear, angular) of the tip of link i; store its bias acceleration (Eq. 32, 33)."""
     linear = angular = turning = ZERO
-    for a in range(constants.carrying[i], constants.turning[i]):
+    for a in range(constants.tip_start[i], constants.tip_linear_start[i]):
         linear = (linear[0] + v[elastic + a] * work.tip_shape[a, 0], 0.0, 0.0)
-    for a in range(constants.turning[i], constants.elastic_start[i + 1]):
+    for a in range(constants.tip_linear_start[i], constants.elastic_start[i + 1]):
         rate = v[elastic + a]
         translation, rotation = load_pair(work.tip_shape, a)
         linear, angular = add_scaled(linear, rate, translation), add_scaled(angular, rate, rotation)
@@ -221,14 +231,14 @@ def _tip_motion(constants, work, i, v, elastic):
     turned = add_scaled(turned, change * work.tangent[i, 3], cross(deflected, once))
     turned = add_scaled(turned, work.tangent[i, 1], cross(turning, once))
     if constants.station_start[i + 1] > constants.station_start[i]:
-        bias = (bias[0] + work.pulled[constants.station_start[i]], bias[1], bias[2])
+        bias = (bias[0] + work.axial_bias[constants.station_start[i]], bias[1], bias[2])
     store_pair(work.tip_bias, i, bias, turned)
     return linear, angular
 
 
 @inner
 def _quadratic_forces(constants, work, i, v, elastic):
-    """Quadratic velocity force, torque and elastic forces of link i (Eq. 14), on the side of M times acceleration."""
+    """Compute quadratic velocity force, torque and elastic forces of link i (Eq. 14), on the side of M v'."""
     spin = load(work.spin, i)
     square = dot(spin, spin)
     linear = relative = ZERO  # sum of q' S dm, and (tr(N) I - N^T) w with N = sum of q'_a U_a
@@ -255,47 +265,59 @@ def _quadratic_forces(constants, work, i, v, elastic):
 
 @inner
 def _foreshorten_tip(constants, work, i, x, elastic):
-    """Puts the stations of link i in their places and adds foreshortening to the tip and its shape."""
+    """Compute the stations of link i, and add foreshortening to the tip and its shape."""
     start, stop, first = constants.elastic_start[i], constants.elastic_start[i + 1], constants.station_start[i]
     count = constants.station_start[i + 1] - first
     width, row = constants.station_width[i], constants.station_row[i]
-    for s in range(0, count, group_size(work.back)):
-        place = _station_motion(constants, i, s, x, elastic)
-        store_lanes(work.place, 3 * first + s, place[0])
+    for s in range(0, count, group_size(work.foreshortening)):
+        displacement = _station_motion(constants, i, s, x, elastic)
+        store_lanes(work.displacement, 3 * first + s, displacement[0])
         for c in range(1, 3):
             offset = load_lanes(constants.station_offset, 2 * first + (c - 1) * count + s)
-            store_lanes(work.place, 3 * first + c * count + s, place[c] + offset)
-        back = 0.0
+            store_lanes(work.displacement, 3 * first + c * count + s, displacement[c] + offset)
+        foreshortening = 0.0
         for a in range(start, stop):
             bend = _station_bend(constants, i, s, a, x, elastic)
-            back = fma(-0.5 * x[elastic + a], bend, back)
+            foreshortening = fma(-0.5 * x[elastic + a], bend, foreshortening)
             store_lanes(work.bend_stations, row + (a - start) * count + s, bend)
             scatter_lanes(work.bend, row + s * width + a - start, width, bend)
-        store_lanes(work.back, first + s, back)
+        store_lanes(work.foreshortening, first + s, foreshortening)
     for a in range(start, stop):
         work.tip_shape[a, 0] = constants.tip_translation[a, 0] - work.bend[row + a - start]
     if count > 0:
-        work.tip[i, 0] += work.back[first]
+        work.tip[i, 0] += work.foreshortening[first]
 
 
 @inner
 def _station_motion(constants, i, s, rates, elastic):
-    """Motion x, y, z of a group of stations of link i, from s on, by `rates` (d,), foreshortening left out."""
+    """Return the motion x, y, z of a group of stations of link i, from s on, without foreshortening."""
     count = constants.station_start[i + 1] - constants.station_start[i]
     x = y = z = 0.0
-    start, value = constants.place_start, constants.place_row[i] + s
+    start, value = constants.displacement_start, constants.displacement_row[i] + s
     for e in range(start[3 * i], start[3 * i + 1]):
-        x = fma(rates[elastic + constants.place_source[e]], load_lanes(constants.place_value, value + e * count), x)
+        x = fma(
+            rates[elastic + constants.displacement_source[e]],
+            load_lanes(constants.displacement_value, value + e * count),
+            x,
+        )
     for e in range(start[3 * i + 1], start[3 * i + 2]):
-        y = fma(rates[elastic + constants.place_source[e]], load_lanes(constants.place_value, value + e * count), y)
+        y = fma(
+            rates[elastic + constants.displacement_source[e]],
+            load_lanes(constants.displacement_value, value + e * count),
+            y,
+        )
     for e in range(start[3 * i + 2], start[3 * i + 3]):
-        z = fma(rates[elastic + constants.place_source[e]], load_lanes(constants.place_value, value + e * count), z)
+        z = fma(
+            rates[elastic + constants.displacement_source[e]],
+            load_lanes(constants.displacement_value, value + e * count),
+            z,
+        )
     return x, y, z
 
 
 @inner
 def _station_bend(constants, i, s, a, rates, elastic):
-    """Row a of G times the elastic part of `rates` (d,) at a group of stations of link i, from s on."""
+    """Return row a of G times the elastic part of `rates` (d,) at a group of stations of link i, from s on."""
     count = constants.station_start[i + 1] - constants.station_start[i]
     bend, value = 0.0, constants.bend_row[i] + s
     for e in range(constants.bend_start[a], constants.bend_start[a + 1]):
@@ -305,27 +327,35 @@ def _station_bend(constants, i, s, a, rates, elastic):
 
 @inner
 def _foreshorten_mass(constants, work, i):
-    """Adds foreshortening to the moment shape and the coupling of link i; needs `_foreshorten_tip`.
+    """Add foreshortening to the moment shape and the coupling of link i; needs `_foreshorten_tip`.
 
-    Returns the change of the first moment along x, and of the entries xx, xy, xz of P.
+    Returns the changes of the first moment along x and of the entries xx, xy, xz of P.
     """
     first, row, width = constants.station_start[i], constants.station_row[i], constants.station_width[i]
-    count, weight, total = constants.station_start[i + 1] - first, work.weight, work.total
-    lost = xx = xy = xz = 0.0
-    for s in range(0, count, group_size(work.back)):
-        mass, back, j = load_lanes(constants.station_mass, first + s), load_lanes(work.back, first + s), 3 * first + s
-        along = load_lanes(constants.station_position, first + s) + load_lanes(work.place, j)
-        y, z, shift = load_lanes(work.place, j + count), load_lanes(work.place, j + 2 * count), mass * back
+    count, weight, total = constants.station_start[i + 1] - first, work.weight, work.row_sums
+    moment_x = xx = xy = xz = 0.0
+    for s in range(0, count, group_size(work.foreshortening)):
+        mass, foreshortening, j = (
+            load_lanes(constants.station_mass, first + s),
+            load_lanes(work.foreshortening, first + s),
+            3 * first + s,
+        )
+        along = load_lanes(constants.station_position, first + s) + load_lanes(work.displacement, j)
+        y, z, shift = (
+            load_lanes(work.displacement, j + count),
+            load_lanes(work.displacement, j + 2 * count),
+            mass * foreshortening,
+        )
         j = 4 * first + s
         store_lanes(weight, j, shift)
         store_lanes(weight, j + count, mass * y)
         store_lanes(weight, j + 2 * count, mass * z)
-        lost = add_products(lost, shift, 1.0)
-        xx = add_products(xx, shift, 2.0 * along + back)
+        moment_x = add_products(moment_x, shift, 1.0)
+        xx = add_products(xx, shift, 2.0 * along + foreshortening)
         xy, xz = add_products(xy, shift, y), add_products(xz, shift, z)
-    for group in range(0, width, group_size(work.back)):
+    for group in range(0, width, group_size(work.foreshortening)):
         moment = across_y = across_z = 0.0
-        for s in range(0, count, group_size(work.back)):
+        for s in range(0, count, group_size(work.foreshortening)):
             weights, j = 4 * first + s, row + s * width + group
             shift = load_lanes(weight, weights)
             moment = add_weighted_rows(moment, (load_lanes(constants.station_mass, first + s),), (work.bend,), j, width)
@@ -336,51 +366,55 @@ def _foreshorten_mass(constants, work, i):
         store_lanes(total, group, moment)
         store_lanes(total, width + group, across_z)
         store_lanes(total, 2 * width + group, across_y)
-    for j in range(row, row + count * width, group_size(work.back)):
+    for j in range(row, row + count * width, group_size(work.foreshortening)):
         store_lanes(work.stretch, j, load_lanes(constants.station_shape[0], j) - load_lanes(work.bend, j))
     start = constants.elastic_start[i]
     for a in range(constants.elastic_start[i + 1] - start):
         work.moment_shape[start + a, 0] -= total[a]
         work.coupling[start + a, 1] -= total[width + a]
         work.coupling[start + a, 2] += total[2 * width + a]
-    return lost, xx, xy, xz
+    return moment_x, xx, xy, xz
 
 
 @inner
 def _foreshorten_forces(constants, work, i, v, elastic):
-    """Adds the quadratic velocity forces of foreshortening to link i; needs `_foreshorten_mass` at the same x."""
+    """Add the quadratic velocity forces of foreshortening to link i; needs `_foreshorten_mass` at the same x."""
     first, row, width = constants.station_start[i], constants.station_row[i], constants.station_width[i]
     count, weight, w = constants.station_start[i + 1] - first, work.weight, load(work.spin, i)
     square = dot(w, w)
     force = moment_x = moment_y = moment_z = 0.0
-    for s in range(0, count, group_size(work.back)):
-        mass, back, j = load_lanes(constants.station_mass, first + s), load_lanes(work.back, first + s), 3 * first + s
-        x = load_lanes(constants.station_position, first + s) + load_lanes(work.place, j) + back
-        y, z = load_lanes(work.place, j + count), load_lanes(work.place, j + 2 * count)
+    for s in range(0, count, group_size(work.foreshortening)):
+        mass, foreshortening, j = (
+            load_lanes(constants.station_mass, first + s),
+            load_lanes(work.foreshortening, first + s),
+            3 * first + s,
+        )
+        x = load_lanes(constants.station_position, first + s) + load_lanes(work.displacement, j) + foreshortening
+        y, z = load_lanes(work.displacement, j + count), load_lanes(work.displacement, j + 2 * count)
         rate = _station_motion(constants, i, s, v, elastic)
-        drawn, pulled = _station_rates(constants, work, i, s, v, elastic)
-        store_lanes(work.rate, first + s, rate[0] + drawn)
-        store_lanes(work.pulled, first + s, pulled)
-        # 2 w x velocity: what foreshortening turns, and without it
-        turn_y, turn_z = 2.0 * w[2] * drawn, -2.0 * w[1] * drawn
+        shortening_rate, axial_bias = _station_rates(constants, work, i, s, v, elastic)
+        store_lanes(work.axial_rate, first + s, rate[0] + shortening_rate)
+        store_lanes(work.axial_bias, first + s, axial_bias)
+        # 2 w x velocity: the part of foreshortening, and the rest
+        turn_y, turn_z = 2.0 * w[2] * shortening_rate, -2.0 * w[1] * shortening_rate
         plain_y, plain_z = 2.0 * (w[2] * rate[0] - w[0] * rate[2]), 2.0 * (w[0] * rate[1] - w[1] * rate[0])
-        whole = w[0] * dot(w, (x, y, z)) - square * x + 2.0 * (w[1] * rate[2] - w[2] * rate[1]) + pulled
+        whole = w[0] * dot(w, (x, y, z)) - square * x + 2.0 * (w[1] * rate[2] - w[2] * rate[1]) + axial_bias
         j = 4 * first + s
-        store_lanes(weight, j, mass * ((w[0] * w[0] - square) * back + pulled))
-        store_lanes(weight, j + count, mass * (w[0] * w[1] * back + turn_y))
-        store_lanes(weight, j + 2 * count, mass * (w[0] * w[2] * back + turn_z))
+        store_lanes(weight, j, mass * ((w[0] * w[0] - square) * foreshortening + axial_bias))
+        store_lanes(weight, j + count, mass * (w[0] * w[1] * foreshortening + turn_y))
+        store_lanes(weight, j + 2 * count, mass * (w[0] * w[2] * foreshortening + turn_z))
         store_lanes(weight, j + 3 * count, (-1.0 * mass) * whole)
-        force = add_products(force, mass, pulled)
+        force = add_products(force, mass, axial_bias)
         moment_x = add_products(moment_x, mass * (y * turn_z - z * turn_y), 1.0)
-        moment_y = add_products(moment_y, mass * (z * pulled - x * turn_z - back * plain_z), 1.0)
-        moment_z = add_products(moment_z, mass * (x * turn_y - y * pulled + back * plain_y), 1.0)
+        moment_y = add_products(moment_y, mass * (z * axial_bias - x * turn_z - foreshortening * plain_z), 1.0)
+        moment_z = add_products(moment_z, mass * (x * turn_y - y * axial_bias + foreshortening * plain_y), 1.0)
     work.bias[i, 0] += force
     work.bias[i, 3] += moment_x
     work.bias[i, 4] += moment_y
     work.bias[i, 5] += moment_z
-    for group in range(0, width, group_size(work.back)):
+    for group in range(0, width, group_size(work.foreshortening)):
         total = 0.0
-        for s in range(0, count, group_size(work.back)):
+        for s in range(0, count, group_size(work.foreshortening)):
             weights, j = 4 * first + s, row + s * width + group
             factors = (
                 load_lanes(weight, weights), load_lanes(weight, weights + count),
@@ -388,19 +422,21 @@ def _foreshorten_forces(constants, work, i, v, elastic):
             )  # fmt: skip
             shapes = constants.station_shape
             total = add_weighted_rows(total, factors, (shapes[0], shapes[1], shapes[2], work.bend), j, width)
-        store_lanes(work.total, group, total)
+        store_lanes(work.row_sums, group, total)
     start = constants.elastic_start[i]
     for a in range(constants.elastic_start[i + 1] - start):
-        work.elastic_bias[start + a] += work.total[a]
+        work.elastic_bias[start + a] += work.row_sums[a]
 
 
 @inner
 def _station_rates(constants, work, i, s, v, elastic):
-    """Rate of foreshortening, - q'^T G q, and - q'^T G q' at a group of stations of link i, from s on."""
+    """Return - q'^T G q, the rate of foreshortening, and - q'^T G q' at a group of stations of link i, from s on."""
     start, row = constants.elastic_start[i], constants.station_row[i] + s
     count = constants.station_start[i + 1] - constants.station_start[i]
-    drawn = pulled = 0.0
+    shortening_rate = axial_bias = 0.0
     for a in range(start, constants.elastic_start[i + 1]):
-        drawn = fma(-v[elastic + a], load_lanes(work.bend_stations, row + (a - start) * count), drawn)
-        pulled = fma(-v[elastic + a], _station_bend(constants, i, s, a, v, elastic), pulled)
-    return drawn, pulled
+        shortening_rate = fma(
+            -v[elastic + a], load_lanes(work.bend_stations, row + (a - start) * count), shortening_rate
+        )
+        axial_bias = fma(-v[elastic + a], _station_bend(constants, i, s, a, v, elastic), axial_bias)
+    return shortening_rate, axial_bias

@@ -1,10 +1,10 @@
-"""Lanes: SIMD vectors of float64 as a Numba type, with arithmetic, comparisons, loads and stores.
+"""SIMD groups of float64 as a Numba type, with arithmetic, comparisons, loads and stores.
 
-A type of its own because the compiler does not vectorise by itself: Numba keeps that search off. The lanes of
-`NEIGHBOURS` are neighbours in an array of one arm, those of `ARMS` the same number of several arms, and those of
-`SEQUENCES` that number in several sequences of an extrapolated step of one arm. Kernels are written once for all:
-where the arrays of work space hold `ARMS` or `SEQUENCES`, a group of neighbours is one element, and the constants
-that they share are read-only arrays of plain numbers.
+The kernels need an explicit type because Numba turns automatic vectorisation off. The lanes of a `NEIGHBOURS` group are
+neighbouring entries of an array of one arm; those of an `ARMS` group are the same entry for several arms; those of a
+`SEQUENCES` group are the same entry for several sequences of one extrapolated step. The source of a kernel is the same
+for all: in a work space of `ARMS` or `SEQUENCES` groups, each array element is a group, a load of neighbours returns
+one element, and the constants shared by the lanes are read-only arrays of plain numbers.
 """
 
 import math
@@ -24,7 +24,7 @@ INDEX = ir.IntType(32)
 
 
 class Lanes(types.Type):
-    """Numba's name for such a group; calculates with another one or with a number, which all lanes then share."""
+    """Numba type of a group of numbers; arithmetic combines it with a group of its kind or with one number."""
 
     def __init__(self, width: int, of: str) -> None:
         super().__init__(name=f"Lanes({width}, {of})")
@@ -32,11 +32,11 @@ class Lanes(types.Type):
         self.vector = ir.VectorType(ir.DoubleType(), width)
 
     def unify(self, typing_context: Any, other: Any) -> Any:
-        """A variable that is a number here and a group there is a group."""
+        """Return this type for a variable that is a number in one branch and a group in another."""
         return self if other == NUMBER else None
 
     def can_convert_from(self, typing_context: Any, other: Any) -> Any:
-        """Numbers become groups where one is wanted."""
+        """Allow the conversion of a number to a group."""
         return Conversion.safe if other == NUMBER else None
 
 
@@ -46,7 +46,7 @@ SEQUENCES = Lanes(LANES, "sequences")
 
 @register_model(Lanes)
 class _LanesModel(models.PrimitiveModel):
-    """A group is one vector register, or a few."""
+    """Data model: a group is one vector register or a few."""
 
     def __init__(self, manager: Any, kind: Any) -> None:
         super().__init__(manager, kind, kind.vector)
@@ -54,7 +54,7 @@ class _LanesModel(models.PrimitiveModel):
 
 @lower_cast(types.Float, Lanes)
 def _broadcast(context: Any, builder: Any, kind: Any, target: Any, value: Any) -> Any:
-    """The group that repeats a number; a group, and a number where one is wanted, stay as they are."""
+    """Return a number as a group with equal lanes; if the type is the target already, return the value."""
     if kind == target:
         return value
     undefined = ir.Constant(target.vector, ir.Undefined)
@@ -63,7 +63,7 @@ def _broadcast(context: Any, builder: Any, kind: Any, target: Any, value: Any) -
 
 
 def _common_type(*kinds: Any) -> Any:
-    """The type of what is calculated from these: the one group among numbers, None for other types."""
+    """Return the type of a result of these types: the only group type among numbers, None for other types."""
     groups = {kind for kind in kinds if isinstance(kind, Lanes)}
     if len(groups) > 1 or any(kind not in groups and kind != NUMBER for kind in kinds):
         return None
@@ -71,16 +71,16 @@ def _common_type(*kinds: Any) -> Any:
 
 
 class _LanesArithmetic(AbstractTemplate):
-    """The types of sums, differences, products, quotients and functions."""
+    """Type inference of operators and functions of groups."""
 
     def generic(self, args: Any, kws: Any) -> Any:
-        """A group, if an argument is one and the others are numbers or of the same kind."""
+        """Return the signature if an argument is a group and the others are numbers or groups of its kind."""
         kind = _common_type(*args)
         return signature(kind, *args) if isinstance(kind, Lanes) else None
 
 
 def _call_instruction(builder: Any, name: str, kind: Any, operands: Any) -> Any:
-    """One of the compiler's own functions, of numbers or groups."""
+    """Return the call of an LLVM intrinsic function on numbers or groups."""
     element, suffix = (kind.vector, f"v{kind.width}f64") if isinstance(kind, Lanes) else (ir.DoubleType(), "f64")
     function = ir.FunctionType(element, [element] * len(operands))
     return builder.call(cgutils.get_or_insert_function(builder.module, function, f"llvm.{name}.{suffix}"), operands)
@@ -91,7 +91,7 @@ def _declare(symbol: Callable) -> None:
 
 
 def _operator(symbol: Callable, instruction: str) -> None:
-    """Lets compiled code use an operator of Python between groups."""
+    """Define a Python operator between groups in compiled code."""
     _declare(symbol)
 
     def lower(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
@@ -126,26 +126,26 @@ def _root(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
     return _call_instruction(builder, "sqrt", kinds.return_type, values)
 
 
-def _one_by_one(symbol: Callable) -> None:
-    """A function of the mathematical library, which knows single numbers only."""
+def _map_function(symbol: Callable) -> None:
+    """Define a function of groups by calls of the mathematical library, one for each lane."""
 
     @lower_builtin(symbol, Lanes)
     def lower(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
         function = context.get_function(symbol, NUMBER(NUMBER))
         group = values[0]
         for k in range(kinds.return_type.width):
-            place = ir.Constant(INDEX, k)
-            group = builder.insert_element(group, function(builder, [builder.extract_element(values[0], place)]), place)
+            lane = ir.Constant(INDEX, k)
+            group = builder.insert_element(group, function(builder, [builder.extract_element(values[0], lane)]), lane)
         return group
 
 
 for _single in (math.sin, math.cos, math.tanh):
-    _one_by_one(_single)
+    _map_function(_single)
 
 
 @intrinsic
 def fma(typing_context, a, b, c):
-    """a b + c, rounded once; written out, as the compiler would fuse differently for one arm and for several."""
+    """Return a b + c with one rounding; explicit, as the compiler fuses differently for one arm and for a batch."""
     kind = _common_type(a, b, c)
 
     def generate(context, builder, kinds, values):
@@ -157,7 +157,7 @@ def fma(typing_context, a, b, c):
 
 
 def _all(builder: Any, kind: Any, condition: Any) -> Any:
-    """Whether a condition holds in every lane."""
+    """Return the condition that is true if a condition holds in every lane."""
     if not isinstance(kind, Lanes):
         return condition
     bits = ir.IntType(kind.width)
@@ -166,7 +166,7 @@ def _all(builder: Any, kind: Any, condition: Any) -> Any:
 
 @intrinsic
 def is_zero(typing_context, a):
-    """Whether a number, or every lane of a group, is zero."""
+    """Return whether a number, or every lane of a group, is zero."""
 
     def generate(context, builder, kinds, values):
         zero = _broadcast(context, builder, NUMBER, kinds.args[0], ir.Constant(ir.DoubleType(), 0.0))
@@ -177,7 +177,7 @@ def is_zero(typing_context, a):
 
 @intrinsic
 def is_below(typing_context, a, limit):
-    """Whether a number, or every lane of a group, is less than a limit."""
+    """Return whether a number, or every lane of a group, is less than a limit."""
 
     def generate(context, builder, kinds, values):
         kind = kinds.args[0]
@@ -188,20 +188,20 @@ def is_below(typing_context, a, limit):
 
 
 @intrinsic
-def select_below(typing_context, a, limit, near, far):
-    """Lane by lane, near where a is less than a limit, far where it is not."""
-    kind = _common_type(a, limit, near, far)
+def select_below(typing_context, a, limit, below, otherwise):
+    """Return, lane by lane, `below` if a is less than the limit, else `otherwise`."""
+    kind = _common_type(a, limit, below, otherwise)
 
     def generate(context, builder, kinds, values):
         pairs = zip(kinds.args, values, strict=True)
-        a, bound, near, far = (_broadcast(context, builder, each, kind, value) for each, value in pairs)
-        return builder.select(builder.fcmp_ordered("<", a, bound), near, far)
+        a, bound, below, otherwise = (_broadcast(context, builder, each, kind, value) for each, value in pairs)
+        return builder.select(builder.fcmp_ordered("<", a, bound), below, otherwise)
 
-    return kind(a, limit, near, far), generate
+    return kind(a, limit, below, otherwise), generate
 
 
 def _group(flat: Any) -> Any:
-    """What a place of a flat array of one arm's or several arms' numbers gives when groups are asked for."""
+    """Return the type of a group loaded from a flat array: its elements, or neighbours of one arm."""
     if isinstance(flat.dtype, Lanes) or not flat.mutable:
         return flat.dtype
     return NEIGHBOURS
@@ -209,7 +209,7 @@ def _group(flat: Any) -> Any:
 
 @intrinsic
 def group_size(typing_context, flat):
-    """How many neighbours of a flat array are one group."""
+    """Return the number of neighbouring entries of a flat array in one group."""
     size = LANES if _group(flat) == NEIGHBOURS else 1
 
     def generate(context, builder, kinds, values):
@@ -218,8 +218,8 @@ def group_size(typing_context, flat):
     return types.intp(flat), generate
 
 
-def _place(context: Any, builder: Any, kinds: Any, flat: Any, i: Any) -> tuple[Any, int]:
-    """Where the group at place i is, and how it is aligned."""
+def _address(context: Any, builder: Any, kinds: Any, flat: Any, i: Any) -> tuple[Any, int]:
+    """Return the address of the group at index i and its alignment in bytes."""
     data = builder.gep(context.make_array(kinds.args[0])(context, builder, flat).data, [i])
     kind = _group(kinds.args[0])
     if kind == NEIGHBOURS:
@@ -229,10 +229,10 @@ def _place(context: Any, builder: Any, kinds: Any, flat: Any, i: Any) -> tuple[A
 
 @intrinsic
 def load_lanes(typing_context, flat, i):
-    """The group that starts at place i >= 0 of a flat array."""
+    """Return the group that begins at index i >= 0 of a flat array."""
 
     def generate(context, builder, kinds, values):
-        place, alignment = _place(context, builder, kinds, *values)
+        place, alignment = _address(context, builder, kinds, *values)
         return builder.load(place, align=alignment)
 
     return _group(flat)(flat, types.intp), generate
@@ -240,7 +240,7 @@ def load_lanes(typing_context, flat, i):
 
 @intrinsic
 def gather_lanes(typing_context, flat, i, stride):
-    """The group of the numbers at place i >= 0 of a flat array and every stride from there on."""
+    """Return the group of the entries i, i + stride, i + 2 stride, ... of a flat array, i >= 0."""
     kind = _group(flat)
 
     def generate(context, builder, kinds, values):
@@ -258,10 +258,10 @@ def gather_lanes(typing_context, flat, i, stride):
 
 @intrinsic
 def store_lanes(typing_context, flat, i, a):
-    """The group from place i >= 0 of a flat array on = a."""
+    """Store the group a at index i >= 0 of a flat array."""
 
     def generate(context, builder, kinds, values):
-        place, alignment = _place(context, builder, kinds, *values[:2])
+        place, alignment = _address(context, builder, kinds, *values[:2])
         builder.store(_broadcast(context, builder, kinds.args[2], _group(flat), values[2]), place, align=alignment)
         return context.get_dummy_value()
 
@@ -270,7 +270,7 @@ def store_lanes(typing_context, flat, i, a):
 
 @intrinsic
 def scatter_lanes(typing_context, flat, i, stride, a):
-    """The numbers at place i >= 0 of a flat array and every stride from there on = those of the group a."""
+    """Store the lanes of the group a at i, i + stride, i + 2 stride, ... of a flat array, i >= 0."""
 
     def generate(context, builder, kinds, values):
         data, place = context.make_array(kinds.args[0])(context, builder, values[0]).data, values[1]
@@ -288,9 +288,10 @@ def scatter_lanes(typing_context, flat, i, stride, a):
 
 @intrinsic
 def add_weighted_rows(typing_context, total, factors, rows, j, stride):
-    """total + the sum of the factors, groups, times as many groups of rows, from place j on every stride.
+    """Return total + the weighted sum of rows, which are groups at j, j + stride, ... of flat arrays.
 
-    Factors and arrays of rows are tuples: first all of them at the first number of a group, then at the next one.
+    `factors` are groups whose lanes are the weights of consecutive rows. Factors and arrays are tuples of equal length:
+    the first row of each array is added first, then the second row of each.
     """
     kind = _common_type(total, *factors, *map(_group, rows))
     size = LANES if any(_group(each) == NEIGHBOURS for each in rows) else 1
@@ -318,7 +319,7 @@ def add_weighted_rows(typing_context, total, factors, rows, j, stride):
 
 @intrinsic
 def add_products(typing_context, total, a, b):
-    """total + a b, group times group; of neighbours the sum over the group, one after the other."""
+    """Return total + a b; for neighbours, the total is a number and the products are added one after the other."""
     kind = _common_type(a, b)
     result = NUMBER if kind == NEIGHBOURS else _common_type(total, a, b)
 
@@ -342,7 +343,7 @@ def add_products(typing_context, total, a, b):
 
 @intrinsic
 def extract_lane(typing_context, flat, i, k):
-    """Number k of the group at place i of a flat array of arms abreast."""
+    """Return lane k of the group at index i of a flat array of groups."""
 
     def generate(context, builder, kinds, values):
         return builder.load(_lane(context, builder, kinds, *values))
@@ -352,7 +353,7 @@ def extract_lane(typing_context, flat, i, k):
 
 @intrinsic
 def insert_lane(typing_context, flat, i, k, value):
-    """Number k of the group at place i of a flat array of arms abreast = value."""
+    """Set lane k of the group at index i of a flat array of groups."""
 
     def generate(context, builder, kinds, values):
         builder.store(values[3], _lane(context, builder, kinds, *values[:3]))

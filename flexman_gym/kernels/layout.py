@@ -1,22 +1,22 @@
-"""The layout of the memory that the kernels share: state, constants, work space, status.
+"""Memory layout shared by the kernels: state, drive, constants, work space, status.
 
 State. With n links, m flexible joints and k = k_1 + ... + k_n elastic coordinates there are d = n + m + k coordinates
 
-    x = [joint angles (n), motor angles (m, of flexible joints in their order), elastic coordinates (k, link by link)]
+    x = [joint angles (n), motor angles (m, flexible joints in ascending order), elastic coordinates (k, link by link)]
 
-and speeds v in the same order. A state is [x, v], 2 d numbers. Integrators append the ledger: two more numbers, the
-work done by motors and disturbances and the energy dissipated since the start (J).
+and speeds v in the same order. A state is [x, v] (2 d,). Integrators append an energy ledger of two numbers: the work
+done by motors and disturbances, and the energy dissipated, since the start (J).
 
-Drive. What moves the arm from outside is n + 6 numbers: the torque of each motor (N m), or its acceleration (rad/s^2)
-where it is prescribed; the force on the tip (N) and the acceleration of the base (m/s^2), both in the base frame. Its
-table (7, n + 6) has a column for each: offset + slope t + amplitude sin(2 pi frequency t + phase) while start <= t <
-stop.
+Drive. The inputs of the arm are n + 6 numbers: the torque of each motor (N m), or its acceleration (rad/s^2) where the
+motion is prescribed; the force on the tip (N) and the acceleration of the base (m/s^2), both in the base frame. A drive
+table (7, n + 6) has one column for each input: offset + slope t + amplitude sin(2 pi frequency t + phase) while
+start <= t < stop, and zero otherwise.
 
-Symbols. Single capital letters stand for these and nothing else:
+Symbols. Single capital letters have only these meanings:
 
     A  (3, 3) rotation from a link's beam frame to the base frame
     C  (3, 3) rotation from a link's beam frame to the beam frame of the previous link
-    J  (3, 3) second moment of mass (inertia) of a link about its origin
+    J  (3, 3) inertia tensor of a link about its origin
     K, M  stiffness and mass matrices
     L  length of a link
     P  (3, 3) integral of r r^T dm over a link
@@ -24,8 +24,8 @@ Symbols. Single capital letters stand for these and nothing else:
     S  shape functions; T tangent operator of the rotation vector (w = T phi')
     U  (3, 3) integral of r S_a^T dm for elastic coordinate a
 
-Six-vectors hold the linear part first. All vectors of a link are in its beam frame. Blocks of k_i^2 entries, one per
-link, are packed one after the other and start at `square_start[i]`; rows of the k elastic coordinates start at
+Six-vectors begin with the linear part. All vectors of a link are in its beam frame. Blocks of k_i^2 entries, one for
+each link, are stored one after the other and begin at `square_start[i]`; rows of the k elastic coordinates begin at
 `elastic_start[i]`.
 """
 
@@ -36,29 +36,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-# Arrays with two axes; the number of their columns, where it is always the same, helps the compiler (see `arms`).
+# Arrays with two axes. The annotation holds the number of columns where it is fixed, for faster code, see `arguments`.
 Rows = Annotated[NDArray[np.float64], 0]
 Vectors = Annotated[NDArray[np.float64], 3]
 SixVectors = Annotated[NDArray[np.float64], 6]
 IntArray = NDArray[np.int64]
-PerArm = Annotated[NDArray[np.float64], "own"]  # one axis; each of several arms abreast has its own (see `arms`)
+PerArm = Annotated[NDArray[np.float64], "per arm"]  # one axis; arms of a batch may differ in these constants
 
-OK, DIVERGED, NOT_CONVERGED = 0, 1, 2
-PAUSED = 3  # of a call that is not over, which nobody else sees
+OK, DIVERGED, NOT_CONVERGED = 0, 1, 2  # status of an integration; index into STATUS
+PAUSED = 3  # status between two calls of a long integration; internal
 STATUS = ("ok", "diverged", "not converged")
 
-# A coordinate or speed beyond this (rad, m, 1/s) is no motion of an arm: the run ends as diverged.
-LARGEST_STATE = 1e6
+LARGEST_STATE = 1e6  # rad, m, 1/s; an integration with a larger coordinate or speed ends as diverged
 
-LANES = 4  # neighbours that are one group; rows that are eliminated are padded to whole groups
-ARMS_PER_GROUP = 8  # arms that one call moves at once
+LANES = 4  # neighbouring numbers in a SIMD group; rows of a factorisation are padded to whole groups
+ARMS_PER_GROUP = 8  # arms that the kernels integrate at once, one in each lane
 
-MAX_STAGES = 16  # the most stages of a method, with the evaluation at the end of the step
-MAX_SEQUENCES = 8  # the most sequences of an extrapolation
+MAX_STAGES = 16  # stages of a method, including the evaluation at the end of the step
+MAX_SEQUENCES = 8  # sequences of an extrapolation method
 
+# Rows of a drive table.
 OFFSET, AMPLITUDE, FREQUENCY, PHASE, START, STOP, SLOPE = 0, 1, 2, 3, 4, 5, 6
 
-# Columns of an output row.
+# Columns of an output row: the first of each vector, the slices of the vectors, energies (J).
 TIP_COLUMN, TIP_VELOCITY_COLUMN, DEFLECTION_COLUMN, DEFLECTION_RATE_COLUMN = 0, 3, 6, 9
 TIP, TIP_VELOCITY, DEFLECTION, DEFLECTION_RATE = (
     slice(first, first + 3) for first in (TIP_COLUMN, TIP_VELOCITY_COLUMN, DEFLECTION_COLUMN, DEFLECTION_RATE_COLUMN)
@@ -66,154 +66,160 @@ TIP, TIP_VELOCITY, DEFLECTION, DEFLECTION_RATE = (
 KINETIC, LINK_ENERGY, JOINT_ENERGY, GRAVITATIONAL = 12, 13, 14, 15
 OUTPUTS = 16
 
-# Columns of a row of tip accelerations, see `tip`.
+# Columns of a row of tip accelerations (m/s^2), see `outputs.compute_tip_accelerations`.
 TIP_ACCELERATION, SPECIFIC_FORCE = slice(0, 3), slice(3, 6)
 TIP_ACCELERATIONS = 6
 
 
 class Constants(NamedTuple):
-    """What the kernels read. n links, k elastic coordinates, q = sum of k_i^2; SI units."""
+    """Constants of a model: n links, k elastic coordinates, q = sum of k_i^2; SI units."""
 
-    motor: IntArray  # (n,) index of the motor coordinate in x, -1 for a rigid joint
+    motor: IntArray  # (n,) index of the motor angle in x, -1 for a rigid joint
     elastic_start: IntArray  # (n + 1,)
     square_start: IntArray  # (n + 1,)
     gravity: Array  # (3,)
-    mount: Array  # (9 n,) by rows: rotation between neighbouring beam frames at zero angle and no deflection
-    axis: Vectors  # (n, 3) joint axis in the frame of the link that it turns
+    mount: Array  # (9 n,) rotation between neighbouring beam frames at zero angle and deflection, by rows
+    axis: Vectors  # (n, 3) joint axis in the frame of the outboard link
     joint_stiffness: PerArm  # (n,)
     joint_damping: PerArm  # (n,)
     rotor_inertia: PerArm  # (n,)
-    carried_inertia: PerArm  # (n,) of rotors that spin with the link that carries them, 0 of the others (Eq. 23)
+    carried_inertia: PerArm  # (n,) rotor inertia if the rotor also turns with the inboard link, else 0 (Eq. 23)
     viscous_friction: PerArm  # (n,)
-    coulomb_friction: PerArm  # (n,), 0 for all arms where `rubbing` is
-    coulomb_rate: Array  # (n,)
-    rubbing: IntArray  # (n,) 1 where a joint has Coulomb friction
-    prescribed: IntArray  # (n,) 1 where the motion of a motor is prescribed; set by a run, not by a model
+    coulomb_friction: PerArm  # (n,) zero in all arms where `has_coulomb_friction` is zero
+    coulomb_rate: Array  # (n,) rate in the tanh that smooths Coulomb friction
+    has_coulomb_friction: IntArray  # (n,) 1 for a joint with Coulomb friction, else 0
+    prescribed: IntArray  # (n,) 1 for a motor with prescribed motion, else 0; set by a simulation, not by a model
     length: Array  # (n,)
     mass: Array  # (n,)
     first_moment: Vectors  # (n, 3) integral of r0 dm
     second_moment: Array  # (9 n,) integral of r0 r0^T dm, by rows
     first_moment_shape: Vectors  # (k, 3) integral of S_a dm
     position_shape: Array  # (9 k,) integral of r0 S_a^T dm, by rows
-    # integral of S_b S_a^T dm: number j of U gains value e times coordinate source e, for the entries e of j; most
-    # vanish and are not kept
+    # integral of S_b S_a^T dm as a sparse matrix: entry j of U increases by shape_value[e] times coordinate
+    # shape_source[e], for shape_start[j] <= e < shape_start[j + 1]
     shape_start: IntArray  # (9 k + 1,)
     shape_source: IntArray
     shape_value: Array
-    # integral of S_b x S_a dm in the same way, three numbers for each a
+    # integral of S_b x S_a dm in the same format, three numbers for each a
     cross_start: IntArray  # (3 k + 1,)
     cross_source: IntArray
     cross_value: Array
-    factor_start: IntArray  # (n,)
-    factor_width: IntArray  # (n,) k_i + 6 in whole groups of LANES
-    carrying: IntArray  # (n,) the first elastic coordinate that moves the tip; those before it do not
-    turning: IntArray  # (n,) the first that does so without foreshortening; those before it move the tip along x alone
-    # with LANES zeros behind, so that groups may reach past the last row
-    elastic_mass: Array  # (q + LANES,) without the part of the stations
+    factor_start: IntArray  # (n,) first entry of each link in `Work.factor`
+    factor_width: IntArray  # (n,) k_i + 6, rounded up to a multiple of LANES
+    tip_start: IntArray  # (n,) first elastic coordinate that moves the tip
+    tip_linear_start: IntArray  # (n,) first that moves it without foreshortening; earlier ones move it along x only
+    # the next three end with LANES zeros, so that the last group may extend beyond the last row
+    elastic_mass: Array  # (q + LANES,) without the contribution of the stations
     stiffness: PerArm  # (q + LANES,)
     damping: PerArm  # (q + LANES,)
-    # foreshortening of the centreline, u_x -= 1/2 q^T G q at the s_i stations of link i, tip first, in whole groups of
-    # LANES; b numbers = s_i rows of station_width[i] for every link. Empty arrays without foreshortening
+    # foreshortening of the centreline, u_x -= 1/2 q^T G q at the s_i stations of link i, tip first; s_i is a multiple
+    # of LANES, s = sum of s_i, b = sum of s_i station_width[i]. Empty arrays without foreshortening
     station_start: IntArray  # (n + 1,)
-    station_width: IntArray  # (n,) k_i in whole groups of LANES
-    station_row: IntArray  # (n,) where the b numbers of each link start
+    station_width: IntArray  # (n,) k_i, rounded up to a multiple of LANES
+    station_row: IntArray  # (n,) first of the b numbers of each link
     station_mass: Array  # (s,)
-    station_position: Array  # (s,) along the link
-    station_offset: Array  # (2 s,) of each link two rows of s_i, y and z: where lumped masses are beside the centreline
+    station_position: Array  # (s,) undeformed x
+    station_offset: Array  # (2 s,) for each link s_i values of y, then z: offset of lumped masses from the centreline
     station_shape: Rows  # (3, b) displacement of the stations per unit coordinate
-    # the same without zeros: per unit of coordinate `source`, entry e moves the stations of its link by the s_i values
-    # from place_row[i] + e s_i on
-    place_start: IntArray  # (3 n + 1,) of x, y, z of each link
-    place_row: IntArray  # (n,)
-    place_source: IntArray
-    place_value: Array
-    # G in the same way
-    bend_start: IntArray  # (k + 1,) of each row of G
+    # the same without zeros: per unit of coordinate displacement_source[e], the stations of link i move by the s_i
+    # values from displacement_row[i] + e s_i on
+    displacement_start: IntArray  # (3 n + 1,) entries of x, y, z of each link
+    displacement_row: IntArray  # (n,)
+    displacement_source: IntArray
+    displacement_value: Array
+    # G in the same format
+    bend_start: IntArray  # (k + 1,) entries of each row of G
     bend_row: IntArray  # (n,)
     bend_source: IntArray
     bend_value: Array
-    tip_translation: Vectors  # (k, 3)
-    tip_rotation: Vectors  # (k, 3)
+    tip_translation: Vectors  # (k, 3) S at the tip
+    tip_rotation: Vectors  # (k, 3) rotation vector of the tip per unit coordinate, S_r
     payload_mass: PerArm  # (1,)
-    payload_offset: Vectors  # (1, 3) of its centre of mass from the tip, in the frame of a next joint
-    payload_inertia: PerArm  # (9,) about its centre of mass, by rows
-    payload_mount: Array  # (9,) rotation from the beam frame of the last link to that frame without deflection
+    payload_offset: Vectors  # (1, 3) centre of mass relative to the tip, in the frame of a next joint
+    payload_inertia: PerArm  # (9,) about the centre of mass, by rows
+    payload_mount: Array  # (9,) rotation from that frame to the beam frame of the undeformed last link, by rows
 
 
 class Work(NamedTuple):
-    """What the kernels overwrite; one per thread. Filled by the pass that is named."""
+    """Work space of the kernels, one for each thread. Fields are grouped by the kernel that fills them."""
 
-    # positions
+    # positions (kinematics.compute_kinematics)
     rotation: Array  # (9 n,) C, by rows
-    tip: Vectors  # (n, 3) tip of the link from its origin
+    tip: Vectors  # (n, 3) tip relative to the origin of the link
     deflected: Vectors  # (n, 3) rotation vector S_r q of the tip
-    tangent: Rows  # (n, 4) coefficients of T and their derivatives
+    tangent: Rows  # (n, 4) two coefficients of T and their derivatives
     tip_shape: SixVectors  # (k, 6) motion of the tip per unit elastic speed: S_t and T S_r
     moment: Vectors  # (n, 3) integral of r dm
     inertia: Array  # (9 n,) J, by rows
     shape: Array  # (9 k,) U, by rows
     coupling: Vectors  # (k, 3) integral of r x S_a dm
     moment_shape: Vectors  # (k, 3) integral of S_a dm
-    place: Array  # (3 s,) of each link three rows of s_i: displacement of the stations without foreshortening, along y
-    # and z with their offset
-    back: Array  # (s,) - 1/2 q^T G q
-    bend_stations: Array  # (b,) of each link k_i rows of s_i: G q
-    bend: Array  # (b,) of each link s_i rows of station_width[i]: G q
+    displacement: Array  # (3 s,) for each link s_i values of x, y, z: displacement of the stations without
+    # foreshortening; y and z include station_offset
+    foreshortening: Array  # (s,) - 1/2 q^T G q
+    bend_stations: Array  # (b,) G q, for each link k_i rows of s_i
+    bend: Array  # (b,) G q, for each link s_i rows of station_width[i]
     stretch: Array  # (b,) axial displacement of the stations per unit coordinate
-    weight: Array  # (4 s,) factors of a sum over stations, of each link four rows of s_i
-    total: Array  # (largest 3 station_width,) such a sum; later the shares of rows in a factor
+    weight: Array  # (4 s,) factors of sums over stations, for each link four rows of s_i
+    row_sums: Array  # (3 x largest station_width,) sums over stations; later multipliers of the elimination
     payload_moment: Vectors  # (1, 3) first moment of the payload about the tip, in the frame of the last link
-    payload_rotary: Array  # (9,) its inertia about the tip, there
-    # velocities
+    payload_rotary: Array  # (9,) inertia of the payload about the tip, in the frame of the last link
+    # velocities (kinematics.compute_kinematics)
     payload_spin: Vectors  # (1, 3) angular velocity of the payload
     payload_bias: SixVectors  # (1, 6) quadratic velocity force and torque of the payload
     spin: Vectors  # (n, 3) angular velocity
     velocity: Vectors  # (n, 3) velocity of the origin
     rotor_bias: Vectors  # (n, 3) gyroscopic torque of a carried rotor
-    tip_velocity: Vectors  # (1, 3) of the last link
-    joint_bias: Vectors  # (n, 3) angular acceleration of the link that no acceleration causes
-    tip_bias: SixVectors  # (n, 6) acceleration of the tip that no acceleration causes
-    rate: Array  # (s,) speed of the stations along x
-    pulled: Array  # (s,) - q'^T G q'
+    tip_velocity: Vectors  # (1, 3) velocity of the tip of the last link
+    joint_bias: Vectors  # (n, 3) velocity-product angular acceleration of the link
+    tip_bias: SixVectors  # (n, 6) velocity-product acceleration of the tip relative to the link frame
+    axial_rate: Array  # (s,) elastic velocity of the stations along x
+    axial_bias: Array  # (s,) - q'^T G q', velocity-product acceleration of the stations along x
     bias: SixVectors  # (n, 6) quadratic velocity force and torque, Eq. 14
     elastic_bias: Array  # (k,) quadratic velocity force on elastic coordinates, Eq. 14
-    # factorisation
-    articulated: Array  # (27 n,) inertia of link and everything outboard, joint free: three 3x3 blocks by rows
-    carried: Array  # (6 x largest station_width,) inertia beyond the tip of one link times tip_shape, by components
-    # k_i rows of factor_width[i]: R of the shifted M = R^T D^-1 R, its diagonal D inverted, then 6 columns of coupling
+    # factorisation (dynamics.factorise)
+    articulated: Array  # (27 n,) articulated-body inertia of each link, joint free: three 3x3 blocks by rows
+    carried: Array  # (6 x largest station_width,) inertia outboard of one link's tip times tip_shape, by components
+    # for each link k_i rows of factor_width[i]: R of the shifted M = R^T D^-1 R with its diagonal D inverted, then six
+    # columns of the coupling with the frame
     factor: Array
     joint_column: SixVectors  # (n, 6) articulated inertia times joint axis
-    joint_pivot: Array  # (n,) what the joint torque accelerates
+    joint_pivot: Array  # (n,) effective inertia of the joint
     spring: Array  # (n,) implicit stiffness of the joint spring
-    motor_inertia: Array  # (n,) of a rotor with its implicit spring and friction
-    friction_slope: Array  # (n,) friction torque over motor rate
-    # accelerations
-    drive: Array  # (n + 6,)
-    field: Vectors  # (1, 3) gravity less the acceleration of the base
+    motor_inertia: Array  # (n,) rotor inertia with implicit spring and friction
+    friction_slope: Array  # (n,) friction torque divided by motor rate
+    # accelerations (forces and dynamics.solve)
+    drive: Array  # (n + 6,) inputs at one time
+    field: Vectors  # (1, 3) gravity minus the acceleration of the base
     tip_force: Vectors  # (1, 3) in the frame of the last link
     force: Array  # (d,) generalised forces of motors, springs and dampers
     elastic_force: Array  # (k,)
     joint_force: Array  # (n,)
-    motor_torque: Array  # (n,) that a prescribed motion takes
-    frame_acceleration: SixVectors  # (n, 6) of the link's frame, gravity as an upward acceleration of the base
-    reaction: SixVectors  # (n + 1, 6) force and moment that each link needs at its origin, the payload at the last tip
-    # integrators
-    stages: Rows  # (STAGES, 2 d + 2)
+    motor_torque: Array  # (n,) torque required by a prescribed motion
+    frame_acceleration: SixVectors  # (n, 6) of the link frame, with gravity as an upward acceleration of the base
+    reaction: SixVectors  # (n + 1, 6) force and moment on each link at its origin, on the payload at the last tip
+    # integrators (implicit, runge_kutta)
+    stages: Rows  # (MAX_STAGES, 2 d + 2)
     stage_state: Array  # (2 d + 2,)
     shift: Array  # (2 d + 2,)
-    trial: Array  # (2 d + 2,)
+    new_state: Array  # (2 d + 2,) state and ledger at the end of the step
     rates: Array  # (d,)
-    extrapolated: Rows  # (SEQUENCES, 2 d + 2)
-    estimate: Rows  # (2, 2 d + 2)
+    extrapolated: Rows  # (MAX_SEQUENCES, 2 d + 2)
+    error_estimate: Rows  # (2, 2 d + 2)
     row: Array  # (2 d + 2,)
     outputs: Array  # (OUTPUTS,)
-    pace: Array  # (1,) the step at which an adaptive run ended, 0 before
-    progress: Array  # (3,) in the interval in which a run paused: 1, steps taken, seconds passed; zeros without a pause
-    table: Rows  # (7, n + 6) of the drive, of arms abreast each of which has its own
+    next_step: Array  # (1,) s; step size with which an adaptive integration continues, 0 before the first
+    progress: Array  # (3,) of a paused integration: 1, steps and seconds completed in this interval; else zeros
+    drive_table: Rows  # (7, n + 6) used by a batch, with one drive for each arm
 
 
 def make_work(constants: Constants, zeros: Callable[[tuple[int, ...]], Array] = np.zeros) -> Work:
-    """The work space of a model, allocated by `zeros`; every entry starts as zero."""
+    """Return a new work space of a model, filled with zeros.
+
+    Args:
+        constants: of the model.
+        zeros: function that allocates an array of a shape; a batch allocates one number for each lane.
+    """
     n, k = len(constants.mass), len(constants.first_moment_shape)
     size = 2 * (n + int((constants.motor >= 0).sum()) + k) + 2
     rows = int((np.diff(constants.elastic_start) * constants.factor_width).sum())
@@ -222,9 +228,9 @@ def make_work(constants: Constants, zeros: Callable[[tuple[int, ...]], Array] = 
     shapes: dict[str, tuple[int, ...]] = {
         "rotation": (9 * n,), "tip": (n, 3), "deflected": (n, 3), "tangent": (n, 4), "tip_shape": (k, 6),
         "moment": (n, 3), "inertia": (9 * n,), "shape": (9 * k,), "coupling": (k, 3), "spin": (n, 3),
-        "moment_shape": (k, 3), "place": (3 * stations,), "back": (stations,), "bend_stations": (rows_b,),
-        "bend": (rows_b,), "stretch": (rows_b,), "weight": (4 * stations,),
-        "total": (3 * widest,), "rate": (stations,), "pulled": (stations,),
+        "moment_shape": (k, 3), "displacement": (3 * stations,), "foreshortening": (stations,),
+        "bend_stations": (rows_b,), "bend": (rows_b,), "stretch": (rows_b,), "weight": (4 * stations,),
+        "row_sums": (3 * widest,), "axial_rate": (stations,), "axial_bias": (stations,),
         "payload_moment": (1, 3), "payload_rotary": (9,), "payload_spin": (1, 3), "payload_bias": (1, 6),
         "velocity": (n, 3), "joint_bias": (n, 3), "rotor_bias": (n, 3), "tip_velocity": (1, 3),
         "tip_bias": (n, 6), "bias": (n, 6), "elastic_bias": (k,), "articulated": (27 * n,), "carried": (6 * widest,),
@@ -232,20 +238,20 @@ def make_work(constants: Constants, zeros: Callable[[tuple[int, ...]], Array] = 
         "motor_inertia": (n,), "friction_slope": (n,), "drive": (n + 6,), "field": (1, 3), "tip_force": (1, 3),
         "force": (size // 2 - 1,), "elastic_force": (k,), "joint_force": (n,), "motor_torque": (n,),
         "frame_acceleration": (n, 6), "reaction": (n + 1, 6),
-        "stages": (MAX_STAGES, size), "stage_state": (size,), "shift": (size,), "trial": (size,),
-        "rates": (size // 2 - 1,), "extrapolated": (MAX_SEQUENCES, size), "estimate": (2, size), "row": (size,),
-        "outputs": (OUTPUTS,), "pace": (1,), "progress": (3,), "table": (7, n + 6),
+        "stages": (MAX_STAGES, size), "stage_state": (size,), "shift": (size,), "new_state": (size,),
+        "rates": (size // 2 - 1,), "extrapolated": (MAX_SEQUENCES, size), "error_estimate": (2, size), "row": (size,),
+        "outputs": (OUTPUTS,), "next_step": (1,), "progress": (3,), "drive_table": (7, n + 6),
     }  # fmt: skip
     return Work(**{name: zeros(shape) for name, shape in shapes.items()})
 
 
 class Tableau(NamedTuple):
-    """Coefficients of a one-step method with s stages, as the kernels read them.
+    """Coefficients of a one-step method with s stages, explicit or linearly implicit.
 
-    Explicit methods: stage i starts from y + h sum a_ij k_j, the step adds h sum b_i k_i, error rows weigh k (s + 1
-    columns: the last is the slope at the new state). Linearly implicit ones: in the transformed variables u of Hairer
-    and Wanner (Solving ODEs II, IV.7), with the off-diagonal `c` and the diagonal `gamma`; extrapolation adds, with
-    weights, the results of the method in sequence[j] parts of the step.
+    Explicit methods: stage i starts from y + h sum a_ij k_j, and the step adds h sum b_i k_i. Rows of `error` are
+    weights of k, with s + 1 columns, the last for the derivative at the new state. Linearly implicit methods use the
+    transformed variables u of Hairer and Wanner (Solving ODEs II, IV.7), with off-diagonal `c` and diagonal `gamma`.
+    An extrapolation adds, with weights, the results of the method with sequence[j] substeps in a step.
     """
 
     a: Array  # (s, s)
@@ -254,15 +260,15 @@ class Tableau(NamedTuple):
     abscissae: Array  # (s + 1,)
     error: Array  # (0 to 2, s + 1) explicit, (0 or 1, s) linearly implicit
     gamma: float
-    order: int  # of the error estimate plus one: the exponent of step size control
-    semi_implicit: bool  # places follow the new speeds
+    order: int  # order of the error estimate plus 1, the exponent of the step size control
+    semi_implicit: bool  # coordinates advance with the new speeds
     sequence: IntArray  # (j,) ascending
     weights: Array  # (j,)
-    sequence_error: Array  # (j,)
+    sequence_error: Array  # (j,) weights of the error estimate
 
 
 class GeneralisedAlpha(NamedTuple):
-    """Coefficients of an implicit step: generalised-alpha (Chung and Hulbert 1993), or the midpoint rule."""
+    """Coefficients of the generalised-alpha method (Chung and Hulbert 1993) or of the implicit midpoint rule."""
 
     mass: float  # alpha_m
     force: float  # alpha_f
@@ -272,10 +278,11 @@ class GeneralisedAlpha(NamedTuple):
 
 
 class TimeGrid(NamedTuple):
-    """When a run takes place: it starts at `time` (s) and records after every `substeps` steps of `step` (s).
+    """Output times and step size control of an integration.
 
-    With rtol > 0 it chooses its steps by their error, beginning with `step`, and records at the same times. It pauses
-    after `most` evaluations; a call that goes on has in `first` the number of steps of the clock that have passed.
+    It starts at `time` (s) and records the state after every `substeps` steps of `step` (s). With rtol > 0 the step
+    size follows the estimated error, beginning with `step`, and the output times are the same. A call returns after
+    `max_evaluations` evaluations with status PAUSED; the next call passes the number of steps completed, `first_step`.
     """
 
     time: float
@@ -283,5 +290,5 @@ class TimeGrid(NamedTuple):
     substeps: int
     rtol: float
     atol: float
-    first: int = 0
-    most: int = 2**62
+    first_step: int = 0
+    max_evaluations: int = 2**62

@@ -1,26 +1,29 @@
-"""Small linear algebra for the kernels on tuples: vectors are three numbers, matrices nine, by rows; sine and versine.
+"""Linear algebra of 3-vectors and 3 x 3 matrices as tuples (matrices by rows), sine and versine.
 
-Tuples live in registers; the compiler need not assume that a store into one array changes another. Sine and versine
-have the same bits for one arm and for several abreast: the mathematical library takes single numbers only, took half
-the time of all positions of several arms, and its last digits depend on the computer.
+Tuples stay in registers, and the compiler need not assume that a store to one array changes another. `sine_versine` has
+the same bits for one arm and for a batch. The mathematical library accepts single numbers only, took half the time of
+the positions of a batch, and its last digits depend on the computer.
 """
 
 from flexman_gym.kernels.compile import inner
 from flexman_gym.kernels.lanes import fma
 
-PI_HIGH, PI_LOW = 3.141592653589793, 1.2246467991473532e-16  # pi and what its last digit leaves
-ROUND_TO_INTEGER = 1.5 * 2.0**52  # added and taken away again it rounds to a whole number
+PI_HIGH, PI_LOW = 3.141592653589793, 1.2246467991473532e-16  # pi rounded to float64, and the rounding error
+ROUND_TO_INTEGER = 1.5 * 2.0**52  # adding and subtracting it rounds to an integer
 
 
 @inner
 def sine_versine(angle):
-    """The sine and 1 - cosine of an angle (rad) up to 1e6, each within 4e-16; small versines keep their digits."""
+    """Return the sine and the versine, 1 - cosine, of an angle (rad) up to 1e6.
+
+    Both errors are below 4e-16; small versines keep their relative accuracy.
+    """
     turns = (angle * (1.0 / PI_HIGH) + ROUND_TO_INTEGER) - ROUND_TO_INTEGER
     odd = turns - 2.0 * ((0.5 * turns + ROUND_TO_INTEGER) - ROUND_TO_INTEGER)  # -1, 0 or 1
     odd = odd * odd
     rest = fma(-turns, PI_LOW, fma(-turns, PI_HIGH, angle))
     z = rest * rest
-    # Taylor's series to rounding at a quarter turn
+    # Taylor series, exact to rounding up to a quarter turn
     sine = fma(z, 1 / 51090942171709440000, -1 / 121645100408832000)
     sine = fma(z, fma(z, sine, 1 / 355687428096000), -1 / 1307674368000)
     sine = fma(z, fma(z, sine, 1 / 6227020800), -1 / 39916800)
@@ -44,19 +47,19 @@ IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 @inner
 def load(rows, i):
-    """The first three numbers of row i."""
+    """Return the first three numbers of row i."""
     return rows[i, 0], rows[i, 1], rows[i, 2]
 
 
 @inner
 def load_pair(rows, i):
-    """Row i, six numbers, as linear and angular part."""
+    """Return the linear and the angular part of row i, a six-vector."""
     return (rows[i, 0], rows[i, 1], rows[i, 2]), (rows[i, 3], rows[i, 4], rows[i, 5])
 
 
 @inner
 def load_matrix(flat, i):
-    """The i-th nine numbers of a flat array."""
+    """Return matrix i of a flat array of matrices."""
     j = 9 * i
     return (
         flat[j], flat[j + 1], flat[j + 2], flat[j + 3], flat[j + 4], flat[j + 5], flat[j + 6], flat[j + 7], flat[j + 8],
@@ -65,58 +68,58 @@ def load_matrix(flat, i):
 
 @inner
 def store(rows, i, a):
-    """rows[i, :3] = a."""
+    """Set the first three numbers of row i to a vector."""
     rows[i, 0], rows[i, 1], rows[i, 2] = a
 
 
 @inner
 def store_pair(rows, i, linear, angular):
-    """rows[i] = linear and angular part."""
+    """Set row i, a six-vector, to a linear and an angular part."""
     rows[i, 0], rows[i, 1], rows[i, 2] = linear
     rows[i, 3], rows[i, 4], rows[i, 5] = angular
 
 
 @inner
 def store_matrix(flat, i, a):
-    """The i-th nine numbers of a flat array = a."""
+    """Set matrix i of a flat array of matrices."""
     for j in range(9):
         flat[9 * i + j] = a[j]
 
 
 @inner
 def copy(source, target):
-    """target[:] = source, of equal length; a slice on the left would allocate."""
+    """Copy the source to a target of equal length; assignment to a slice would allocate memory."""
     for j in range(len(source)):
         target[j] = source[j]
 
 
 @inner
 def add(a, b):
-    """a + b of two vectors."""
+    """Return the sum of two vectors."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @inner
 def add_scaled(a, factor, b):
-    """a + factor b of two vectors."""
+    """Return a + factor b of two vectors."""
     return fma(factor, b[0], a[0]), fma(factor, b[1], a[1]), fma(factor, b[2], a[2])
 
 
 @inner
 def dot(a, b):
-    """Scalar product of two vectors."""
+    """Return the scalar product of two vectors."""
     return fma(a[0], b[0], fma(a[1], b[1], a[2] * b[2]))
 
 
 @inner
 def cross(a, b):
-    """Cross product of two vectors."""
+    """Return the cross product of two vectors."""
     return fma(a[1], b[2], -a[2] * b[1]), fma(a[2], b[0], -a[0] * b[2]), fma(a[0], b[1], -a[1] * b[0])
 
 
 @inner
 def apply(matrix, a):
-    """Matrix times vector."""
+    """Return the product of a matrix and a vector."""
     return (
         fma(matrix[0], a[0], fma(matrix[1], a[1], matrix[2] * a[2])),
         fma(matrix[3], a[0], fma(matrix[4], a[1], matrix[5] * a[2])),
@@ -126,7 +129,7 @@ def apply(matrix, a):
 
 @inner
 def apply_transposed(matrix, a):
-    """Transposed matrix times vector."""
+    """Return the product of a transposed matrix and a vector."""
     return (
         fma(matrix[0], a[0], fma(matrix[3], a[1], matrix[6] * a[2])),
         fma(matrix[1], a[0], fma(matrix[4], a[1], matrix[7] * a[2])),
@@ -136,13 +139,13 @@ def apply_transposed(matrix, a):
 
 @inner
 def transposed(a):
-    """Transpose of a matrix."""
+    """Return the transpose of a matrix."""
     return a[0], a[3], a[6], a[1], a[4], a[7], a[2], a[5], a[8]
 
 
 @inner
 def add_matrix(a, factor, b):
-    """a + factor b of two matrices."""
+    """Return a + factor b of two matrices."""
     return (
         fma(factor, b[0], a[0]), fma(factor, b[1], a[1]), fma(factor, b[2], a[2]),
         fma(factor, b[3], a[3]), fma(factor, b[4], a[4]), fma(factor, b[5], a[5]),
@@ -152,7 +155,7 @@ def add_matrix(a, factor, b):
 
 @inner
 def subtract_outer(a, b, c):
-    """a - b c^T of a matrix and two vectors."""
+    """Return a - b c^T of a matrix and two vectors."""
     return (
         fma(-b[0], c[0], a[0]), fma(-b[0], c[1], a[1]), fma(-b[0], c[2], a[2]),
         fma(-b[1], c[0], a[3]), fma(-b[1], c[1], a[4]), fma(-b[1], c[2], a[5]),
@@ -162,7 +165,7 @@ def subtract_outer(a, b, c):
 
 @inner
 def product(a, b):
-    """Product of two matrices."""
+    """Return the product of two matrices."""
     return (
         fma(a[0], b[0], fma(a[1], b[3], a[2] * b[6])),
         fma(a[0], b[1], fma(a[1], b[4], a[2] * b[7])),
@@ -178,7 +181,7 @@ def product(a, b):
 
 @inner
 def rotation_matrix(sine, versine, v):
-    """I + sine X + versine X^2, X the skew matrix of the vector v."""
+    """Return I + sine X + versine X^2 with the skew matrix X of the vector v."""
     x, y, z = v
     return (
         1.0 - versine * (y * y + z * z), versine * x * y - sine * z, versine * x * z + sine * y,

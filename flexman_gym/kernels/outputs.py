@@ -1,9 +1,9 @@
-"""Outputs of a state: tip, deflection, energies, and the accelerations of the tip."""
+"""Outputs of a state: tip motion, deflection, energies and tip accelerations."""
 
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.dynamics import factorise, solve
 from flexman_gym.kernels.forces import applied_forces
-from flexman_gym.kernels.kinematics import positions, tip_rotation, velocities
+from flexman_gym.kernels.kinematics import compute_kinematics, tip_rotation
 from flexman_gym.kernels.lanes import fma, is_zero
 from flexman_gym.kernels.layout import (
     DEFLECTION_COLUMN,
@@ -34,13 +34,12 @@ from flexman_gym.kernels.rigid_arm import rigid_tip
 
 @kernel
 def compute_outputs(constants, work, x, v, out):
-    """out (OUTPUTS,) = tip, its velocity, its deflection and deflection rate in the base frame, and energies (J).
+    """Set out (OUTPUTS,) to tip position, velocity, deflection and deflection rate (base frame), and energies (J).
 
-    The deflection (m) is measured from the tip of the rigid arm at the motor angles, its rate (m/s) from that arm's tip
-    velocity, so that both vanish for an arm that does not bend. Columns: see `layout`.
+    The deflection (m) is relative to the tip of the rigid arm at the motor angles, its rate (m/s) relative to the tip
+    velocity of that arm; both vanish for an arm that does not deform. Columns: see `layout`.
     """
-    positions(constants, work, x)
-    velocities(constants, work, v)
+    compute_kinematics(constants, work, x, v)
     n = len(constants.mass)
     elastic = len(x) - constants.elastic_start[n]
     position, velocity, kinetic, gravitational = _chain_outputs(constants, work, v, elastic)
@@ -57,7 +56,7 @@ def compute_outputs(constants, work, x, v, out):
             twist = x[m] - x[i]
             joints += 0.5 * constants.joint_stiffness[i] * twist * twist
         if not is_zero(constants.carried_inertia[i]):
-            rotor_rate += dot(load(constants.axis, i), load(work.spin, i)) - v[i]  # of the frame that carries it
+            rotor_rate += dot(load(constants.axis, i), load(work.spin, i)) - v[i]  # plus the rate of the carrying frame
         kinetic += 0.5 * constants.rotor_inertia[i] * rotor_rate * rotor_rate
     links = 0.0
     for i in range(n):
@@ -67,39 +66,38 @@ def compute_outputs(constants, work, x, v, out):
 
 @inner
 def compute_tip_accelerations(constants, work, x, v, out):
-    """out = acceleration of the tip and the specific force on it, for coordinates and speeds (d,) under work.drive.
+    """Set out to the tip acceleration and the specific force at coordinates and speeds (d,) for work.drive.
 
-    The acceleration (m/s^2) is the second derivative of the tip's position: in the base frame and relative to the base,
-    which the drive may accelerate too. The specific force (m/s^2) is that of an accelerometer: acceleration in inertial
-    space less gravity, along the axes of the last link's tip. Overwrites the first four work space groups, work.rates
+    The acceleration (m/s^2) is the second derivative of the tip position, in the base frame and relative to the base,
+    which may accelerate too. The specific force (m/s^2) is the signal of an accelerometer: acceleration in inertial
+    space minus gravity, along the axes of the last link's tip. Overwrites the first four work space groups, work.rates
     and the first TIP_ACCELERATIONS numbers of out.
     """
     last = len(constants.mass) - 1
-    positions(constants, work, x)
-    velocities(constants, work, v)
+    compute_kinematics(constants, work, x, v)
     factorise(constants, work, (0.0, 0.0))
     applied_forces(constants, work, x, v)
-    felt, _ = solve(constants, work, work.rates)
-    linear = felt
+    specific, _ = solve(constants, work, work.rates)
+    linear = specific
     if constants.elastic_start[last + 1] > constants.elastic_start[last]:
-        felt = apply_transposed(tip_rotation(work, last), felt)
+        specific = apply_transposed(tip_rotation(work, last), specific)
     for i in range(last, -1, -1):
         linear = apply(load_matrix(work.rotation, i), linear)
     linear = add(linear, load(work.field, 0))
     out[0], out[1], out[2] = linear
-    out[3], out[4], out[5] = felt
+    out[3], out[4], out[5] = specific
 
 
 @kernel
 def tip_accelerations(constants, work, x, v, drive, out):
-    """out (TIP_ACCELERATIONS,) at coordinates x (d,), speeds v (d,) under a drive (n + 6,), see `compute_tip_accelerations`."""
+    """Set out (TIP_ACCELERATIONS,) for inputs drive (n + 6,), see `compute_tip_accelerations`."""
     copy(drive, work.drive)
     compute_tip_accelerations(constants, work, x, v, out)
 
 
 @kernel
 def total_energies(outputs, out):
-    """out (b,) = kinetic + elastic + gravitational energy of arms with these outputs (b, OUTPUTS), J."""
+    """Set out (b,) to kinetic + elastic + gravitational energy (J) of arms with outputs (b, OUTPUTS)."""
     for b in range(len(out)):
         moving = outputs[b, KINETIC] + outputs[b, JOINT_ENERGY]
         out[b] = moving + (outputs[b, LINK_ENERGY] + outputs[b, GRAVITATIONAL])
@@ -107,7 +105,7 @@ def total_energies(outputs, out):
 
 @kernel
 def energy_residuals(rows, outputs, start, out):
-    """out (b,) = work - dissipation - change of energy since the energies (b,) of the start, J."""
+    """Set out (b,) to work - dissipation - change of energy (J) since the start, with its energies (b,)."""
     total_energies(outputs, out)
     last = rows.shape[1] - 1
     for b in range(len(rows)):
@@ -116,18 +114,18 @@ def energy_residuals(rows, outputs, start, out):
 
 @kernel
 def update_energy_scale(rows, outputs, out):
-    """out (b,) grows to kinetic + elastic energy, |work| and |dissipation|, where it is less than one of them, J."""
+    """Increase out (b,) to kinetic + elastic energy, |work| or |dissipation| (J) of each arm, whichever is largest."""
     last = rows.shape[1] - 1
     for b in range(len(rows)):
         moving = outputs[b, KINETIC] + outputs[b, JOINT_ENERGY] + outputs[b, LINK_ENERGY]
         for value in (moving, abs(rows[b, last - 1]), abs(rows[b, last])):
-            if value > out[b] or value != value:  # what is no number stays there to be seen
+            if value > out[b] or value != value:  # NaN is kept, so that it is noticed
                 out[b] = value
 
 
 @inner
 def _quadratic_form(matrices, constants, i, rates, elastic):
-    """q^T matrix q for the packed (k, k) matrix of link i and the elastic part of `rates` (d,)."""
+    """Return q^T matrix q for the packed (k, k) matrix of link i and the elastic part of `rates` (d,)."""
     start, square = constants.elastic_start[i], constants.square_start[i]
     k = constants.elastic_start[i + 1] - start
     value = 0.0
@@ -139,44 +137,42 @@ def _quadratic_form(matrices, constants, i, rates, elastic):
 
 @inner
 def _chain_outputs(constants, work, v, elastic):
-    """Tip position and velocity in the base frame, kinetic energy without rotors, gravitational energy."""
+    """Return tip position and velocity in the base frame, kinetic energy without rotors, gravitational energy."""
     n = len(constants.mass)
     frame = IDENTITY
     origin = ZERO
-    lifted = ZERO  # sum of mass times position
+    mass_moment = ZERO  # sum of mass times position
     velocity = ZERO
     kinetic = 0.0
     for i in range(n):
         frame = product(frame, load_matrix(work.rotation, i))
-        lifted = add(add_scaled(lifted, constants.mass[i], origin), apply(frame, load(work.moment, i)))
+        mass_moment = add(add_scaled(mass_moment, constants.mass[i], origin), apply(frame, load(work.moment, i)))
         kinetic += _link_energy(constants, work, i, v, elastic)
         velocity = _tip_velocity(constants, work, i, v, elastic)
         origin = add(origin, apply(frame, load(work.tip, i)))
     payload, moment, spin = constants.payload_mass[0], load(work.payload_moment, 0), load(work.payload_spin, 0)
     kinetic += 0.5 * payload * dot(velocity, velocity) + dot(velocity, cross(spin, moment))
     kinetic += 0.5 * dot(spin, apply(load_matrix(work.payload_rotary, 0), spin))
-    velocity, lifted = apply(frame, velocity), add(lifted, apply(frame, moment))
+    velocity, mass_moment = apply(frame, velocity), add(mass_moment, apply(frame, moment))
     gravity = (constants.gravity[0], constants.gravity[1], constants.gravity[2])
-    gravitational = -dot(gravity, add_scaled(lifted, payload, origin))
+    gravitational = -dot(gravity, add_scaled(mass_moment, payload, origin))
     return origin, velocity, kinetic, gravitational
 
 
 @inner
 def _tip_velocity(constants, work, i, v, elastic):
-    """Velocity of the tip of link i in its beam frame."""
+    """Return the velocity of the tip of link i in its beam frame."""
     velocity = add(load(work.velocity, i), cross(load(work.spin, i), load(work.tip, i)))
-    for a in range(constants.carrying[i], constants.elastic_start[i + 1]):
+    for a in range(constants.tip_start[i], constants.elastic_start[i + 1]):
         velocity = add_scaled(velocity, v[elastic + a], load(work.tip_shape, a))
     return velocity
 
 
 @inner
 def _link_energy(constants, work, i, v, elastic):
-    """Kinetic energy of link i, 1/2 v^T M v with the blocks of Eq. 13."""
+    """Return the kinetic energy of link i, 1/2 v^T M v with the blocks of Eq. 13."""
     velocity, spin = load(work.velocity, i), load(work.spin, i)
-    value = 0.5 * _quadratic_form(constants.elastic_mass, constants, i, v, elastic) + _stretch_energy(
-        constants, work, i
-    )
+    value = 0.5 * _quadratic_form(constants.elastic_mass, constants, i, v, elastic) + _axial_energy(constants, work, i)
     value += dot(velocity, cross(spin, load(work.moment, i))) + 0.5 * constants.mass[i] * dot(velocity, velocity)
     value += 0.5 * dot(spin, apply(load_matrix(work.inertia, i), spin))
     for a in range(constants.elastic_start[i], constants.elastic_start[i + 1]):
@@ -186,9 +182,9 @@ def _link_energy(constants, work, i, v, elastic):
 
 
 @inner
-def _stretch_energy(constants, work, i):
-    """Kinetic energy that the elastic mass matrix of link i leaves out; needs `velocities`."""
+def _axial_energy(constants, work, i):
+    """Return the kinetic energy of axial station motion, not in the elastic mass matrix; needs `velocities`."""
     value = 0.0
     for s in range(constants.station_start[i], constants.station_start[i + 1]):
-        value += 0.5 * constants.station_mass[s] * work.rate[s] * work.rate[s]
+        value += 0.5 * constants.station_mass[s] * work.axial_rate[s] * work.axial_rate[s]
     return value

@@ -1,8 +1,8 @@
-"""Rasteriser: triangles, lines, shadows and the floor of a scene as pixels, with depth, two lights and antialiasing.
+"""Rasteriser with depth buffer, two lights, shadow, floor grid and antialiasing.
 
-Everything is drawn into samples, several to a pixel, which are averaged at the end. Only the box around the shapes
-drawn last is touched again, so that the cost of a frame is that of its changes. The same numbers give the same bits:
-arithmetic is exact to the order in which it is written.
+Shapes are drawn to samples, several per pixel, which are averaged at the end. Only the box around the shapes of the
+last frame is drawn again, so the cost of a frame is that of its changes. Results are reproducible to the bit, as the
+order of all operations is fixed.
 """
 
 from typing import NamedTuple
@@ -11,10 +11,10 @@ import numpy as np
 
 from flexman_gym.kernels.compile import inner, kernel
 
-AMBIENT, SKY, KEY, FILL = 0.36, 0.10, 0.62, 0.22  # light from all sides, from above, from the sun and from opposite
-GLOSS, RIM = 0.35, 0.16  # of the highlight, and of the darker edge that sets a shape off its background
-KEY_DIRECTION, FILL_DIRECTION = (-0.2933, -0.4609, 0.8376), (0.8491, 0.4717, 0.2358)  # directions towards both lamps
-SHADOW_THRESHOLD = 0.003  # shadow that nobody sees
+AMBIENT, SKY, KEY, FILL = 0.36, 0.10, 0.62, 0.22  # intensities: ambient, from above, key light, fill light
+GLOSS, RIM = 0.35, 0.16  # strengths of the highlight and of the darker silhouette edge
+KEY_DIRECTION, FILL_DIRECTION = (-0.2933, -0.4609, 0.8376), (0.8491, 0.4717, 0.2358)  # unit vectors to the lights
+SHADOW_THRESHOLD = 0.003  # fainter shadows are invisible and not drawn
 
 
 class Canvas(NamedTuple):
@@ -22,12 +22,14 @@ class Canvas(NamedTuple):
 
     Attributes:
         colour: (s H, s W, 3) uint8 samples.
-        depth: (s H, s W) float32, one over the distance along the view; 0 where nothing is.
-        mask: (s H, s W) uint8, the samples of one silhouette.
-        back: (s H, s W, 3) uint8 of the empty scene.
-        shadow, scratch: (H, W) float32.
-        picture, plain: (H, W, 3) uint8, the result, and that of the empty scene.
-        box: (4,) first and last column and row of the samples that were drawn to; empty where last < first.
+        depth: (s H, s W) float32, inverse distance along the view direction; 0 for the background.
+        mask: (s H, s W) uint8; 1 for samples of the ghost, 2 for those of lines.
+        back: (s H, s W, 3) uint8 samples of the empty scene.
+        shadow: (H, W) float32 intensity.
+        scratch: (H, W) float32, for intermediate results.
+        picture: (H, W, 3) uint8 result.
+        plain: (H, W, 3) uint8 picture of the empty scene.
+        box: (4,) first and last column, first and last row of the samples drawn; empty if last < first.
     """
 
     colour: np.ndarray
@@ -43,9 +45,14 @@ class Canvas(NamedTuple):
 
 @kernel
 def project(points, eye, axes, lens, out):
-    """out (p, 3) = column, row and one over the distance along the view of points (p, 3).
+    """Set out (p, 3) to column, row and inverse distance along the view direction of points (p, 3), m.
 
-    axes (3, 3) are right, up and forward of the camera as rows; lens (3,) focal length and centre in samples.
+    Args:
+        points: (p, 3) base frame, m.
+        eye: (3,) position of the camera, m.
+        axes: (3, 3) right, up and forward direction of the camera, by rows.
+        lens: (3,) focal length and centre, in samples.
+        out: overwritten.
     """
     for i in range(len(points)):
         a, b, c = points[i, 0] - eye[0], points[i, 1] - eye[1], points[i, 2] - eye[2]
@@ -57,7 +64,7 @@ def project(points, eye, axes, lens, out):
 
 @inner
 def _bounds(low_x, high_x, low_y, high_y, box, height, width):
-    """First and last column and row that a shape can touch; the box grows by them."""
+    """Return first and last column and row that a shape can cover, and enlarge the box by them."""
     left, right = max(int(np.floor(low_x)), 0), min(int(np.ceil(high_x)), width - 1)
     top, bottom = max(int(np.floor(low_y)), 0), min(int(np.ceil(high_y)), height - 1)
     if left <= right and top <= bottom:
@@ -68,7 +75,7 @@ def _bounds(low_x, high_x, low_y, high_y, box, height, width):
 
 @inner
 def _luminance(n0, n1, n2, e0, e1, e2):
-    """Light that a surface sends on, as a factor of its colour, and what is added to it; normal and view not unit."""
+    """Return the factor of the surface colour and the added highlight; normal and view need not be unit vectors."""
     scale = 1.0 / np.sqrt(n0 * n0 + n1 * n1 + n2 * n2 + 1e-30)
     n0, n1, n2 = n0 * scale, n1 * scale, n2 * scale
     scale = 1.0 / np.sqrt(e0 * e0 + e1 * e1 + e2 * e2 + 1e-30)
@@ -77,28 +84,35 @@ def _luminance(n0, n1, n2, e0, e1, e2):
     factor += FILL * max(n0 * FILL_DIRECTION[0] + n1 * FILL_DIRECTION[1] + n2 * FILL_DIRECTION[2], 0.0)
     h0, h1, h2 = e0 + KEY_DIRECTION[0], e1 + KEY_DIRECTION[1], e2 + KEY_DIRECTION[2]
     scale = 1.0 / np.sqrt(h0 * h0 + h1 * h1 + h2 * h2 + 1e-30)
-    shine = max((n0 * h0 + n1 * h1 + n2 * h2) * scale, 0.0)
-    shine *= shine
-    shine *= shine
-    shine *= shine
-    shine *= shine
-    shine *= shine  # to the power of 32
+    highlight = max((n0 * h0 + n1 * h1 + n2 * h2) * scale, 0.0)
+    highlight *= highlight
+    highlight *= highlight
+    highlight *= highlight
+    highlight *= highlight
+    highlight *= highlight  # to the power of 32
     edge = 1.0 - max(n0 * e0 + n1 * e1 + n2 * e2, 0.0)
-    return factor, 255.0 * GLOSS * shine - 80.0 * RIM * edge * edge * edge
+    return factor, 255.0 * GLOSS * highlight - 80.0 * RIM * edge * edge * edge
 
 
 @kernel
 def draw_triangles(canvas, screen, points, normals, colours, faces, eye):
-    """Draws triangles faces (f, 3) of points (p, 3) that are at screen (p, 3), where they face the eye.
+    """Draw the triangles whose front faces the camera.
 
-    Normals and colours (p, 3) belong to the points and change linearly between them.
+    Args:
+        canvas: overwritten.
+        screen: (p, 3) projected points, see `project`.
+        points: (p, 3) m, base frame.
+        normals: (p, 3) at the points, interpolated linearly.
+        colours: (p, 3) at the points, interpolated linearly.
+        faces: (f, 3) indices of points.
+        eye: (3,) position of the camera, m.
     """
     height, width = canvas.depth.shape
     for t in range(len(faces)):
         i, j, k = faces[t, 0], faces[t, 1], faces[t, 2]
         x0, y0, x1, y1, x2, y2 = screen[i, 0], screen[i, 1], screen[j, 0], screen[j, 1], screen[k, 0], screen[k, 1]
         area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
-        if not area < 0.0:  # seen from behind: rows grow downwards
+        if not area < 0.0:  # back face: rows increase downwards
             continue
         whole = 1.0 / area
         left, right, top, bottom = _bounds(
@@ -113,11 +127,11 @@ def draw_triangles(canvas, screen, points, normals, colours, faces, eye):
                 w = 1.0 - u - v
                 if u < 0.0 or v < 0.0 or w < 0.0:
                     continue
-                near = np.float32(u * screen[i, 2] + v * screen[j, 2] + w * screen[k, 2])
-                if near <= canvas.depth[row, column]:
+                inverse_distance = np.float32(u * screen[i, 2] + v * screen[j, 2] + w * screen[k, 2])
+                if inverse_distance <= canvas.depth[row, column]:
                     continue
-                canvas.depth[row, column] = near
-                factor, more = _luminance(
+                canvas.depth[row, column] = inverse_distance
+                factor, highlight = _luminance(
                     u * normals[i, 0] + v * normals[j, 0] + w * normals[k, 0],
                     u * normals[i, 1] + v * normals[j, 1] + w * normals[k, 1],
                     u * normals[i, 2] + v * normals[j, 2] + w * normals[k, 2],
@@ -126,13 +140,13 @@ def draw_triangles(canvas, screen, points, normals, colours, faces, eye):
                     eye[2] - (u * points[i, 2] + v * points[j, 2] + w * points[k, 2]),
                 )
                 for c in range(3):
-                    value = (u * colours[i, c] + v * colours[j, c] + w * colours[k, c]) * factor + more
+                    value = (u * colours[i, c] + v * colours[j, c] + w * colours[k, c]) * factor + highlight
                     canvas.colour[row, column, c] = np.uint8(min(max(value, 0.0), 255.0))
 
 
 @kernel
 def mark_coverage(screen, faces, mask, depth, box):
-    """Sets mask to 1 where triangles lie and nothing is drawn; with a depth of one entry, everywhere they lie."""
+    """Set mask to 1 where triangles cover an empty sample; with a depth of size 1, wherever they are."""
     height, width = mask.shape
     everywhere = depth.size == 1
     for t in range(len(faces)):
@@ -159,10 +173,16 @@ def mark_coverage(screen, faces, mask, depth, box):
 
 @kernel
 def draw_line(canvas, screen, radius, faintest, colour):
-    """Draws a line along screen (p, 3) with a radius in samples, from faint and thin to full at its last point.
+    """Draw a line that grows from faint and thin at its first point to full strength at its last point.
 
-    Where it lies behind something it is not seen. Each sample takes it once, with the part of `faintest` to 1 that its
-    place on the line has.
+    Samples behind other shapes are not drawn, and each sample is drawn once.
+
+    Args:
+        canvas: overwritten.
+        screen: (p, 3) projected points.
+        radius: at the last point, in samples.
+        faintest: opacity at the first point, 0 to 1.
+        colour: (3,) 0 to 255.
     """
     height, width = canvas.depth.shape
     last = len(screen) - 1
@@ -170,12 +190,12 @@ def draw_line(canvas, screen, radius, faintest, colour):
         x0, y0, x1, y1 = screen[t, 0], screen[t, 1], screen[t + 1, 0], screen[t + 1, 1]
         dx, dy = x1 - x0, y1 - y0
         part = faintest + (1.0 - faintest) * (t + 1.0) / last
-        thick = radius * (0.4 + 0.6 * part)
+        line_radius = radius * (0.4 + 0.6 * part)
         left, right, top, bottom = _bounds(
-            min(x0, x1) - thick,
-            max(x0, x1) + thick,
-            min(y0, y1) - thick,
-            max(y0, y1) + thick,
+            min(x0, x1) - line_radius,
+            max(x0, x1) + line_radius,
+            min(y0, y1) - line_radius,
+            max(y0, y1) + line_radius,
             canvas.box,
             height,
             width,
@@ -185,8 +205,8 @@ def draw_line(canvas, screen, radius, faintest, colour):
                 along = ((column + 0.5 - x0) * dx + (row + 0.5 - y0) * dy) / (dx * dx + dy * dy + 1e-12)
                 along = min(max(along, 0.0), 1.0)
                 ex, ey = column + 0.5 - x0 - along * dx, row + 0.5 - y0 - along * dy
-                near = np.float32(screen[t, 2] + along * (screen[t + 1, 2] - screen[t, 2]))
-                if ex * ex + ey * ey > thick * thick or near < canvas.depth[row, column]:
+                inverse_distance = np.float32(screen[t, 2] + along * (screen[t + 1, 2] - screen[t, 2]))
+                if ex * ex + ey * ey > line_radius * line_radius or inverse_distance < canvas.depth[row, column]:
                     continue
                 if canvas.mask[row, column] == 0:
                     canvas.mask[row, column] = 2
@@ -197,7 +217,7 @@ def draw_line(canvas, screen, radius, faintest, colour):
 
 @kernel
 def blur_shadow(shadow, scratch, box, radius):
-    """Blurs what lies in the box (4,) of a shadow (H, W) by two means over 2 radius + 1 pixels each way."""
+    """Blur the shadow (H, W) in a box (4,) by two moving averages over 2 radius + 1 pixels in each direction."""
     height, width = shadow.shape
     box[0], box[1] = max(box[0] - 2 * radius, 0), min(box[1] + 2 * radius, width - 1)
     box[2], box[3] = max(box[2] - 2 * radius, 0), min(box[3] + 2 * radius, height - 1)
@@ -219,19 +239,19 @@ def blur_shadow(shadow, scratch, box, radius):
 
 
 @kernel
-def apply_shadow(canvas, box, dark):
-    """Lays the shadow in the box (4,) of pixels over the empty scene, and takes it away again from its memory."""
+def apply_shadow(canvas, box, darkness):
+    """Darken the empty scene by the shadow in a box (4,) of pixels, and clear the shadow."""
     samples = len(canvas.depth) // len(canvas.shadow)
     for row in range(box[2], box[3] + 1):
         for column in range(box[0], box[1] + 1):
-            part = dark * canvas.shadow[row, column]
+            opacity = darkness * canvas.shadow[row, column]
             canvas.shadow[row, column] = 0.0
-            if part <= SHADOW_THRESHOLD:
+            if opacity <= SHADOW_THRESHOLD:
                 continue
             for y in range(row * samples, (row + 1) * samples):
                 for x in range(column * samples, (column + 1) * samples):
                     for c in range(3):
-                        canvas.colour[y, x, c] = np.uint8(canvas.back[y, x, c] * (1.0 - part))
+                        canvas.colour[y, x, c] = np.uint8(canvas.back[y, x, c] * (1.0 - opacity))
     left, right, top, bottom = (
         box[0] * samples,
         (box[1] + 1) * samples - 1,
@@ -243,8 +263,8 @@ def apply_shadow(canvas, box, dark):
 
 
 @kernel
-def resolve(canvas, ghost, part):
-    """Averages the samples in the box, and lays the colour `ghost` (3,) over those of mask 1 by a part."""
+def resolve(canvas, ghost, opacity):
+    """Average the samples in the box to pixels, with the colour `ghost` (3,) blended over those of mask 1."""
     samples = len(canvas.depth) // len(canvas.shadow)
     height, width = canvas.shadow.shape
     for row in range(canvas.box[2] // samples, min(canvas.box[3] // samples + 1, height)):
@@ -255,17 +275,25 @@ def resolve(canvas, ghost, part):
                     for x in range(column * samples, (column + 1) * samples):
                         value = float(canvas.colour[y, x, c])
                         if canvas.mask[y, x] == 1:
-                            value += part * (ghost[c] - value)
+                            value += opacity * (ghost[c] - value)
                         total += value
                 canvas.picture[row, column, c] = np.uint8(total / (samples * samples) + 0.5)
 
 
 @kernel
 def draw_floor(back, eye, axes, lens, floor, reach, step):
-    """Fills back (h, w, 3) with a bright sky and a floor at the height `floor`, m, that fades at the reach, m.
+    """Draw a bright sky and a floor with a grid to back (h, w, 3).
 
-    Its grid has lines every `step` m, the two through the base darker. A line gets as wide as a sample where it would
-    be thinner, and fainter in its place.
+    Grid lines narrower than a sample are drawn one sample wide and fainter; the two through the base are darker.
+
+    Args:
+        back: overwritten.
+        eye: (3,) position of the camera, m.
+        axes: (3, 3) right, up and forward direction of the camera, by rows.
+        lens: (3,) focal length and centre, in samples.
+        floor: height, m.
+        reach: distance from the base at which the floor fades out, m.
+        step: distance of the grid lines, m.
     """
     height, width = back.shape[0], back.shape[1]
     for row in range(height):
@@ -273,19 +301,19 @@ def draw_floor(back, eye, axes, lens, floor, reach, step):
         bright = min(max(1.0 - 1.1 * (row + 0.5) / height, 0.0), 1.0)
         for column in range(width):
             across = (column + 0.5 - lens[1]) / lens[0]
-            fall = across * axes[0, 2] + up * axes[1, 2] + axes[2, 2]
+            slope = across * axes[0, 2] + up * axes[1, 2] + axes[2, 2]
             solid = line = axis = 0.0
-            if fall * (floor - eye[2]) > 0.0:
-                far = (floor - eye[2]) / fall
-                x = eye[0] + far * (across * axes[0, 0] + up * axes[1, 0] + axes[2, 0])
-                y = eye[1] + far * (across * axes[0, 1] + up * axes[1, 1] + axes[2, 1])
+            if slope * (floor - eye[2]) > 0.0:
+                distance = (floor - eye[2]) / slope
+                x = eye[0] + distance * (across * axes[0, 0] + up * axes[1, 0] + axes[2, 0])
+                y = eye[1] + distance * (across * axes[0, 1] + up * axes[1, 1] + axes[2, 1])
                 solid = min(max(1.75 - np.sqrt(x * x + y * y) / (1.25 * reach), 0.0), 1.0)
                 solid = solid * solid * (3.0 - 2.0 * solid)
-                thick = far / lens[0] * (0.9 + 0.35 / abs(fall))
-                for place in (x, y):
-                    apart = abs(place / step + 0.5 - np.floor(place / step + 0.5) - 0.5) * step
-                    line = max(line, min(max(1.4 - apart / thick, 0.0), 1.0))
-                    axis = max(axis, min(max(1.6 - abs(place) / (1.3 * thick), 0.0), 1.0))
+                line_width = distance / lens[0] * (0.9 + 0.35 / abs(slope))
+                for coordinate in (x, y):
+                    line_distance = abs(coordinate / step + 0.5 - np.floor(coordinate / step + 0.5) - 0.5) * step
+                    line = max(line, min(max(1.4 - line_distance / line_width, 0.0), 1.0))
+                    axis = max(axis, min(max(1.6 - abs(coordinate) / (1.3 * line_width), 0.0), 1.0))
             for c in range(3):
                 sky = (222.0, 229.0, 238.0)[c] + bright * (255.0 - (222.0, 229.0, 238.0)[c])
                 ground = (243.0, 246.0, 249.0)[c] - line * (46.0, 40.0, 32.0)[c] - axis * 40.0

@@ -1,4 +1,4 @@
-"""Kinematics of the rigid arm: its tip at given motor angles, and the motor angles that bring it to a place."""
+"""Kinematics of the rigid arm: tip at given motor angles, and inverse kinematics."""
 
 import math
 
@@ -19,13 +19,13 @@ from flexman_gym.kernels.linalg import (
     store,
 )
 
-MAX_ITERATIONS = 8  # of Newton's method
-MAX_TURN, DIFFERENCE_STEP = 0.5, 1e-7  # rad, at most in an iteration; of differences
+MAX_ITERATIONS = 8  # Newton iterations
+MAX_TURN, DIFFERENCE_STEP = 0.5, 1e-7  # rad; largest change of a motor angle in an iteration; finite difference
 
 
 @inner
 def rigid_tip(constants, x, v):
-    """Tip position and velocity, in the base frame, of the rigid arm at the motor angles and rates."""
+    """Return tip position and velocity, in the base frame, of the rigid arm at the motor angles and rates."""
     frame = IDENTITY
     origin = velocity = spin = ZERO
     for i in range(len(constants.mass)):
@@ -42,53 +42,64 @@ def rigid_tip(constants, x, v):
 
 @kernel
 def rigid_tips(constants, states, out):
-    """out (r, 3) = tips, in the base frame, of the rigid arm at the motor angles of states (r, 2 d)."""
+    """Set out (r, 3) to the tips (m, base frame) of the rigid arm at the motor angles of states (r, 2 d)."""
     d = states.shape[1] // 2
     for r in range(len(states)):
         store(out, r, rigid_tip(constants, states[r, :d], states[r, d:])[0])
 
 
 @kernel
-def inverse_kinematics(constants, wanted, x, slopes, accuracy, damping, out):
-    """out (r, n) = motor angles at which the tip of the rigid arm is at places wanted (r, 3), by Newton's method.
+def inverse_kinematics(constants, targets, x, jacobian, accuracy, damping, out):
+    """Set out (r, n) to motor angles at which the tip of the rigid arm is at the targets, by damped Newton iterations.
 
-    It starts from what `out` holds, and turns least of all where a joint is more than the tip needs; slopes below the
-    damping (m) turn nothing. Overwrites x (d,) and slopes (n, 3); returns the largest distance that is left (m).
+    If the arm has more joints than necessary, the change of the angles is the smallest one.
+
+    Args:
+        constants: of the model.
+        targets: (r, 3) m, base frame.
+        x: (d,) overwritten.
+        jacobian: (n, 3) overwritten.
+        accuracy: m, distance from the target at which the iteration ends.
+        damping: m; directions in which the tip moves by less per radian are suppressed.
+        out: (r, n) rad, first guess on entry.
+
+    Returns:
+        The largest remaining distance, m.
     """
-    n, left = len(constants.mass), 0.0
-    for r in range(len(wanted)):
-        far = 2.0 * accuracy
+    n, largest = len(constants.mass), 0.0
+    for r in range(len(targets)):
+        distance = 2.0 * accuracy
         for _ in range(MAX_ITERATIONS):
             tip = _turned_tip(constants, out, r, -1, x)
-            missing = (wanted[r, 0] - tip[0], wanted[r, 1] - tip[1], wanted[r, 2] - tip[2])
-            far = math.sqrt(dot(missing, missing))
-            if not far > accuracy:
+            missing = (targets[r, 0] - tip[0], targets[r, 1] - tip[1], targets[r, 2] - tip[2])
+            distance = math.sqrt(dot(missing, missing))
+            if not distance > accuracy:
                 break
             rows = ((damping * damping, 0.0, 0.0), (0.0, damping * damping, 0.0), (0.0, 0.0, damping * damping))
             for i in range(n):
                 moved = _turned_tip(constants, out, r, i, x)
-                slope = (
+                column = (
                     (moved[0] - tip[0]) / DIFFERENCE_STEP,
                     (moved[1] - tip[1]) / DIFFERENCE_STEP,
                     (moved[2] - tip[2]) / DIFFERENCE_STEP,
                 )
-                slopes[i, 0], slopes[i, 1], slopes[i, 2] = slope
+                jacobian[i, 0], jacobian[i, 1], jacobian[i, 2] = column
                 rows = (
-                    add_scaled(rows[0], slope[0], slope),
-                    add_scaled(rows[1], slope[1], slope),
-                    add_scaled(rows[2], slope[2], slope),
+                    add_scaled(rows[0], column[0], column),
+                    add_scaled(rows[1], column[1], column),
+                    add_scaled(rows[2], column[2], column),
                 )
-            way = _solve_cramer(rows, missing)
+            direction = _solve_cramer(rows, missing)
             for i in range(n):
-                turn = slopes[i, 0] * way[0] + slopes[i, 1] * way[1] + slopes[i, 2] * way[2]
+                turn = jacobian[i, 0] * direction[0] + jacobian[i, 1] * direction[1] + jacobian[i, 2] * direction[2]
                 out[r, i] += min(max(turn, -MAX_TURN), MAX_TURN)
-        left = max(left, far)
-    return left
+        largest = max(largest, distance)
+    return largest
 
 
 @inner
 def _turned_tip(constants, angles, r, turned, x):
-    """Tip of the rigid arm at row r of angles (r, n), one motor turned by STEP more (-1: none); overwrites x (d,)."""
+    """Return the tip at row r of angles (r, n), with motor `turned` (or -1) moved by DIFFERENCE_STEP; overwrites x."""
     for i in range(len(constants.mass)):
         m = constants.motor[i] if constants.motor[i] >= 0 else i
         x[m] = angles[r, i]
@@ -98,9 +109,9 @@ def _turned_tip(constants, angles, r, turned, x):
 
 
 @inner
-def _solve_cramer(rows, right):
-    """The solution of three equations, by Cramer's rule."""
+def _solve_cramer(rows, vector):
+    """Return the solution of three linear equations by Cramer's rule."""
     a, b, c = cross(rows[1], rows[2]), cross(rows[2], rows[0]), cross(rows[0], rows[1])
     scale = 1.0 / dot(rows[0], a)
-    out = add_scaled(ZERO, right[0] * scale, a)
-    return add_scaled(add_scaled(out, right[1] * scale, b), right[2] * scale, c)
+    out = add_scaled(ZERO, vector[0] * scale, a)
+    return add_scaled(add_scaled(out, vector[1] * scale, b), vector[2] * scale, c)

@@ -58,8 +58,8 @@ def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: Mod
         cross_value=cross.value,
         factor_start=np.concatenate([[0], np.cumsum(sizes * widths)])[:-1].astype(np.int64),
         factor_width=widths,
-        carrying=_carrying(beams, choice.stiffening),
-        turning=_carrying(beams, False),
+        tip_start=_carrying(beams, choice.stiffening),
+        tip_linear_start=_carrying(beams, False),
         elastic_mass=_pack([*[part.elastic - _axial_mass(beam, choice.stiffening) for part, beam in both], end], 1),
         stiffness=stiffness,
         damping=arm.stiffness_proportional_damping * stiffness + modal,
@@ -90,7 +90,7 @@ def _joints(arm: Arm, choice: ModelChoice) -> dict[str, np.ndarray]:
         "joint_stiffness": np.array([joint.stiffness or 0.0 for joint in arm.joints]),
         "joint_damping": np.array([joint.damping for joint in arm.joints]),
         "carried_inertia": fields["rotor_inertia"] * choice.spinning_rotors,
-        "rubbing": (fields["coulomb_friction"] > 0.0).astype(np.int64),
+        "has_coulomb_friction": (fields["coulomb_friction"] > 0.0).astype(np.int64),
         "prescribed": np.zeros(arm.n_joints, dtype=np.int64),
     }
 
@@ -145,7 +145,7 @@ def _stations(beams: tuple[Beam, ...], stiffening: bool) -> dict[str, np.ndarray
     result = {"station_start": start, "station_width": widths, "station_row": row[:-1], "station_mass": points[0]}
     beside = [points[2:, first:last].ravel() for first, last in pairwise(start)]
     result |= {"station_position": points[1], "station_offset": np.concatenate(beside), "station_shape": shapes}
-    return result | _rows("place", places, offsets) | _rows("bend", bends, offsets)
+    return result | _rows("displacement", places, offsets) | _rows("bend", bends, offsets)
 
 
 def _rows(name: str, blocks: list[tuple[Array, Array]], offsets: np.ndarray) -> dict[str, np.ndarray]:

@@ -171,7 +171,7 @@ class SequentialIntegrator(BatchIntegrator):
         """Constants of each arm, with the step size and the stages that its method keeps from step to step."""
         return [
             {name: getattr(run.constants, name) for name in sorted(PER_ARM)}
-            | {"pace": run.work.pace, "stages": run.work.stages}
+            | {"pace": run.work.next_step, "stages": run.work.stages}
             for run in self._runs
         ]
 
@@ -341,7 +341,7 @@ class LaneIntegrator(BatchIntegrator):
         for row, many, steps, first in _row_chunks(rows.shape[1] - 1, whole.substeps, self._most):
             part, read = (np.zeros((len(rows), many + 1, each.shape[2])) for each in (rows, outputs))
             part[:, 0], now = last, np.zeros_like(counts)
-            clock = whole._replace(substeps=steps, first=first)
+            clock = whole._replace(substeps=steps, first_step=first)
             kernels.run_batch(*given, clock, part, read, now)
             rows[:, row + 1 : row + many + 1], outputs[:, row + 1 : row + many + 1] = part[:, 1:], read[:, 1:]
             if first == 0:

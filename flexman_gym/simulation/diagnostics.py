@@ -55,7 +55,7 @@ def explain_failure(failure: Failure) -> str:
         step, substeps = step * substeps / STEPS_PER_PERIOD, STEPS_PER_PERIOD
     rows, result = np.zeros((substeps, len(failure.state))), np.zeros((substeps, layout.OUTPUTS))
     status, valid, _ = run(failure.drive, (time, step, 1), failure.state.copy(), rows, result)
-    states = np.vstack([failure.state, rows[:valid], *([] if status == layout.OK else [run.work.trial])])
+    states = np.vstack([failure.state, rows[:valid], *([] if status == layout.OK else [run.work.new_state])])
     with np.errstate(all="ignore"):
         first, row = _first_excess(failure.model, states[:, : 2 * failure.model.n_dof])
     size = f"{abs(first.values[row]):.4g} {first.unit} at {time + row * step:.6g} s"

@@ -9,7 +9,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of, positive, value_error
-from flexman_gym.kernels import batch, implicit, layout, outputs, runge_kutta
+from flexman_gym.kernels import implicit, layout, outputs, runge_kutta
 from flexman_gym.kernels.arguments import address_table, aligned_zeros
 from flexman_gym.kernels.lanes import SEQUENCES
 from flexman_gym.kernels.layout import Constants, GeneralisedAlpha, IntArray, Tableau, TimeGrid, Work, make_work
@@ -167,7 +167,7 @@ class Integrator:
         valid, evaluations, status = 0, 0, layout.PAUSED
         self.work.progress[:] = 0.0  # of a run that Ctrl-C ended
         while status == layout.PAUSED:
-            part = clock._replace(first=valid * clock.substeps, most=self._most)
+            part = clock._replace(first_step=valid * clock.substeps, max_evaluations=self._most)
             status, good, more = self._called(drive, part, state, rows[valid:], result[valid:])
             valid, evaluations = valid + good, evaluations + more
         return status, valid, evaluations
@@ -179,11 +179,11 @@ class Integrator:
             return KERNELS[type(self.method)](self.constants, self.work, *rest)
         if self._lanes[0] is not self.constants:
             self._lanes = self.constants, (address_table(self.constants, SEQUENCES), *self._lanes[1][1:])
-        return batch.run_extrapolation(self.constants, self.work, self._lanes[1], *rest)
+        return runge_kutta.run_extrapolation(self.constants, self.work, self._lanes[1], *rest)
 
     def forget(self) -> None:
         """Forgets what the method remembers from step to step."""
-        self.work.pace[0] = self.work.stages[:] = 0.0
+        self.work.next_step[0] = self.work.stages[:] = 0.0
 
     def start(self, state: Array, row: Array, result: Array) -> None:
         """Records the state as it is, by a run of no steps, which also loads or compiles the kernels."""

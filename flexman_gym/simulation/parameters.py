@@ -30,7 +30,7 @@ def _flexible_joints(model: Model) -> BoolArray:
 
 
 def _joints_without_coulomb_friction(model: Model) -> BoolArray:
-    return model.constants.rubbing == 0
+    return model.constants.has_coulomb_friction == 0
 
 
 def _links_without_modal_damping(model: Model) -> BoolArray:

@@ -1,4 +1,4 @@
-"""Fields: they are read and written as arrays are."""
+"""Fields of a struct argument can be read and written like arrays."""
 
 import numba
 import numpy as np
@@ -8,8 +8,8 @@ from flexman_gym.kernels.layout import Work, make_work
 
 
 @numba.njit(_nrt=False)
-def _move_up(work, i, j):
-    """Every way in which kernels use a field, with indices known at run time, written out, and of parts of it."""
+def _access(work, i, j):
+    """Access a field in all ways used by kernels: indices from variables, constants, slices and rows."""
     work.tip_shape[i, j] = 2.0 * work.row[j] + work.tip_shape[0, j]
     part = work.row[i : i + 3]
     part[1] = work.tip_shape[i][j]
@@ -23,9 +23,9 @@ def _work() -> Work:
     return work
 
 
-def test_a_field_is_read_and_written_where_an_array_would_be():
+def test_a_compiled_access_equals_that_of_the_arrays():
     compiled, plain = _work(), _work()
-    _move_up(compiled, 2, 4)
-    _move_up.py_func(plain, 2, 4)
+    _access(compiled, 2, 4)
+    _access.py_func(plain, 2, 4)
     for name, ours, expected in zip(Work._fields, compiled, plain, strict=True):
         np.testing.assert_array_equal(ours, expected, err_msg=name)

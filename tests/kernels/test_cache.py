@@ -1,4 +1,4 @@
-"""Cache: other processes and threads load compiled kernels from the disk, and arms move there as they do here."""
+"""Cache: processes and threads load compiled kernels from the disk, with the same results."""
 
 import hashlib
 import json
@@ -17,7 +17,8 @@ import pytest
 
 import flexman_gym
 from flexman_gym.kernels import batch as kernels
-from flexman_gym.kernels.cache import ChecksummedFiles, find_cache_folder, is_quiet
+from flexman_gym.kernels.cache import find_cache_folder, is_quiet
+from flexman_gym.kernels.compile import ChecksummedFiles
 
 from oracles.small_package import CALL, copied, process, run
 
@@ -35,7 +36,7 @@ def environment(arms):
     return env
 
 def bits(env, seed):
-    """A digest of all that 50 steps give."""
+    """Return a digest of the results of 50 steps."""
     digest, random = hashlib.sha256(), np.random.default_rng(seed)
     for _ in range(50):
         observations, rewards, *_ = env.step(random.uniform(-1.0, 1.0, env.action_space.shape))
@@ -43,31 +44,31 @@ def bits(env, seed):
     return digest.hexdigest()
 
 def counts():
-    """How many kernels have been loaded from the disk, and how many compiled."""
-    rooms = [getattr(kernels, name) for name in kernels.__all__]
-    result = {each for room in rooms for each in vars(room).values() if isinstance(each, Dispatcher)}
+    """Return the number of kernels loaded from the disk and compiled."""
+    modules = [getattr(kernels, name) for name in kernels.__all__]
+    result = {each for module in modules for each in vars(module).values() if isinstance(each, Dispatcher)}
     stats = [each.stats for each in result]
     return [sum(sum(part.values()) for part in parts) for parts in
             ([each.cache_hits for each in stats], [each.cache_misses for each in stats])]
 
 def fresh(number=0):
-    """Bits of an environment with many arms and of one with a single arm, and the counts."""
+    """Return the digests of an environment with many arms and with a single arm, and the counts."""
     return bits(environment(72), 1), bits(environment(1), 1), counts()
 
 def inherited():
-    """Bits of an environment that was made and used before this process was."""
+    """Return the digest of an environment made and used before this process was forked."""
     return bits(used, 2)
 
 if __name__ == "__main__":
-    way, used = sys.argv[1], None
-    if way == "thread":
+    method, used = sys.argv[1], None
+    if method == "thread":
         with ThreadPoolExecutor(4) as pool:
             print(json.dumps(list(pool.map(fresh, range(4)))))
     else:
-        context = multiprocessing.get_context(way)
+        context = multiprocessing.get_context(method)
         with context.Pool(2) as pool:
             result = pool.map(fresh, range(2))
-        if way == "fork":
+        if method == "fork":
             used = environment(72)
             bits(used, 1)
             with context.Pool(1) as pool:
@@ -78,7 +79,7 @@ if __name__ == "__main__":
 
 @pytest.fixture(scope="module")
 def here(tmp_path_factory):
-    """The script, and the bits of its environments in this process, which compiles what is not on disk yet."""
+    """Return the script and the digests of its environments in this process, which compiles missing kernels."""
     file = tmp_path_factory.mktemp("cache") / "script.py"
     file.write_text(SCRIPT)
     names: dict = {"__name__": "script"}
@@ -88,7 +89,7 @@ def here(tmp_path_factory):
 
 @cache
 def elsewhere(file, way):
-    """What the script prints in a process of its own that has the same folder of kernels."""
+    """Return the output of the script in another process with the same folder of kernels."""
     folder = next(each for each in Path(kernels.advance_batch.stats.cache_path).parents if each.name == "flexman_gym")
     root = Path(flexman_gym.__file__).parents[1]
     environment = os.environ | {"PYTHONPATH": str(root), "NUMBA_CACHE_DIR": str(folder.parent)}
@@ -99,14 +100,14 @@ def elsewhere(file, way):
 
 
 @pytest.mark.parametrize("way", ["fork", "spawn", "thread"])
-def test_kernels_are_loaded_and_arms_move_as_here(here, way):
+def test_kernels_are_loaded_with_the_same_results(here, way):
     file, expected = here
     for *result, (loaded, compiled) in elsewhere(file, way)[: 4 if way == "thread" else 2]:
         assert tuple(result) == expected
         assert loaded > 0 and compiled == 0
 
 
-def test_an_environment_with_threads_goes_on_in_a_forked_process(here):
+def test_an_environment_with_threads_continues_in_a_forked_process(here):
     *_, (child, parent) = elsewhere(here[0], "fork")
     assert child == parent
 
@@ -123,7 +124,7 @@ def package(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def filled(package, tmp_path_factory):
-    """A folder that holds the code of the small kernels."""
+    """Return a cache folder with the code of the small kernels."""
     folder = tmp_path_factory.mktemp("cache")
     assert run(package, folder, CALL)[:2] == ["2", "0"]
     return folder
@@ -131,7 +132,7 @@ def filled(package, tmp_path_factory):
 
 @pytest.fixture(name="cache")
 def copy_of_cache(filled, tmp_path):
-    """A copy of it."""
+    """Return a copy of that folder."""
     shutil.copytree(filled, tmp_path, dirs_exist_ok=True)
     return tmp_path
 
@@ -140,8 +141,8 @@ def noise(content):
     return np.random.default_rng(0).bytes(len(content))
 
 
-def turned(content):
-    """One bit in the middle is another."""
+def flipped(content):
+    """Return the content with one bit changed."""
     place = len(content) // 2
     return content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :]
 
@@ -152,14 +153,14 @@ DAMAGES = {
     "one byte short": lambda content: content[:-1],
     "noise": noise,
     "noise in the middle": lambda content: content[:40] + noise(content[40:60]) + content[60:],
-    "one bit": turned,
+    "one bit": flipped,
     "longer": lambda content: content + b"more",
 }
 
 
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_what_is_damaged_counts_as_missing_until_it_is_kept_again(tmp_path, damage, suffix):
+def test_a_damaged_file_counts_as_missing_until_it_is_written_again(tmp_path, damage, suffix):
     files = ChecksummedFiles(str(tmp_path), "kernel", "stamp")
     files.save("key", "code")
     assert files.load("key") == "code" and files.load("other") is None
@@ -173,7 +174,7 @@ def test_what_is_damaged_counts_as_missing_until_it_is_kept_again(tmp_path, dama
 
 
 @pytest.mark.parametrize(("damage", "suffix"), [("noise", "nbi"), ("one bit", "nbc")])
-def test_a_damaged_file_is_compiled_anew_once(package, cache, damage, suffix):
+def test_a_damaged_kernel_is_compiled_again_once(package, cache, damage, suffix):
     (path,) = cache.rglob(f"caller*.{suffix}")
     path.write_bytes(DAMAGES[damage](path.read_bytes()))
     assert run(package, cache, CALL)[:2] == ["2", "0"]
@@ -181,7 +182,7 @@ def test_a_damaged_file_is_compiled_anew_once(package, cache, damage, suffix):
 
 
 def test_a_cache_that_cannot_be_written_costs_the_cache_and_not_the_call(package, tmp_path):
-    """A file where the folder of the kernels should be, as root may write everywhere."""
+    """Opening for writing fails as on a full disk."""
     script = "import numba.core.caching as c, errno\n" \
              "def full(self, path): raise OSError(errno.ENOSPC, 'No space left on device')\n" \
              "c.IndexDataCacheFile._open_for_write = full\n" + CALL  # fmt: skip
@@ -197,8 +198,8 @@ def test_folders_are_the_users_alone(package, cache):
 
 
 @pytest.mark.parametrize("level", [0, 1])
-def test_what_others_could_write_is_not_read(package, cache, tmp_path, level):
-    """A folder of ours that was open is emptied and closed: what a file in it would run does not run."""
+def test_a_folder_open_to_others_is_not_read(package, cache, tmp_path, level):
+    """The folder is emptied and closed; code in a file that others could have written is not executed."""
 
     class Evil:
         def __reduce__(self):
@@ -212,7 +213,7 @@ def test_what_others_could_write_is_not_read(package, cache, tmp_path, level):
     opened = (inner.parent, inner)[level]
     (inner.parent / "mine.txt").write_text("mine")
     opened.chmod(0o777)
-    assert run(package, cache, CALL)[:2] == ["2", "0"], "compiled anew"
+    assert run(package, cache, CALL)[:2] == ["2", "0"], "compiled again"
     assert not (tmp_path / "ran").exists() and not (inner / "link").exists()
     assert stat.S_IMODE(opened.stat().st_mode) == 0o700
     assert run(package, cache, CALL)[:2] == ["2", "1"]
@@ -222,7 +223,7 @@ def test_what_others_could_write_is_not_read(package, cache, tmp_path, level):
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can give a folder to somebody else")
 @pytest.mark.parametrize("prepared", ["foreign", "open", "link"])
 def test_a_prepared_folder_in_the_temporary_folder_is_refused(package, tmp_path, prepared):
-    """No other folder can be written: kernels are compiled and not kept."""
+    """No other folder can be written, so kernels are compiled and not cached."""
     temporary, other = tmp_path / "tmp", tmp_path / "other"
     ours = temporary / f"user-{os.getuid()}"
     (other / "flexman_gym").mkdir(parents=True)
@@ -238,17 +239,17 @@ def test_a_prepared_folder_in_the_temporary_folder_is_refused(package, tmp_path,
     script = CALL.replace(", doubled.stats.cache_path", "")
     done = process(package, tmp_path / "file", script, TMPDIR=str(temporary))
     assert done.returncode == 0 and done.stdout.split() == ["2", "0"], done.stderr
-    assert "in every process: no folder that is yours alone can be written" in done.stderr
+    assert "in every process, as no private cache folder can be written" in done.stderr
     assert not [path for path in tmp_path.rglob("*.nb*")]
 
 
-def test_the_temporary_folder_serves_where_the_home_does_not_and_is_not_made_in_silence(package, tmp_path):
+def test_the_temporary_folder_is_used_with_one_message_if_the_home_cannot_be_written(package, tmp_path):
     (tmp_path / "file").write_text("")
     for hits in ("0", "1"):
         done = process(package, tmp_path / "file", CALL, TMPDIR=str(tmp_path))
         words = done.stdout.split()
         assert words[:2] == ["2", hits] and Path(words[2]).is_relative_to(tmp_path / f"user-{os.getuid()}")
-        assert (f"keeps compiled kernels in {tmp_path}" in done.stderr) == (hits == "0"), "said once"
+        assert (f"keeps compiled kernels in {tmp_path}" in done.stderr) == (hits == "0"), "one message"
     assert stat.S_IMODE((tmp_path / f"user-{os.getuid()}").stat().st_mode) == 0o700
 
 
@@ -260,8 +261,8 @@ def test_a_home_that_does_not_exist_is_not_made(package, tmp_path):
 @pytest.mark.parametrize(
     ("name", "value", "another"), [("BOUNDSCHECK", "1", "0"), ("CPU_NAME", "generic", ""), ("OPT", "1", "3")]
 )
-def test_settings_that_change_the_code_have_a_folder_of_their_own(package, cache, name, value, another):
-    """Another value where the tests themselves run with the first."""
+def test_settings_that_change_the_code_have_another_folder(package, cache, name, value, another):
+    """If the tests run with the first value, the other value is set."""
     setting = {f"NUMBA_{name}": another if os.environ.get(f"NUMBA_{name}") == value else value}
     words = run(package, cache, CALL, **setting)
     assert words[:2] == ["2", "0"] and len(list(cache.glob("flexman_gym/*"))) == 2

@@ -1,4 +1,4 @@
-"""Kernels: compiled code that allocates nothing, and whose binaries on disk are those of these sources."""
+"""Compiled kernels: no allocation of memory, and cached binaries that match the sources."""
 
 import os
 from pathlib import Path
@@ -28,7 +28,7 @@ for kernel in (dynamics.accelerations, batch.advance_single):
 
 @pytest.fixture
 def counting():
-    """Numba's counts of allocations, on for one test."""
+    """Switch on Numba's counts of allocations for one test."""
     was_on = _nrt_python.memsys_stats_enabled()
     _nrt_python.memsys_enable_stats()
     yield
@@ -37,7 +37,7 @@ def counting():
 
 
 def allocations(call):
-    """Allocations (blocks, reference-counted objects) during a call; passing arrays in makes some of the latter."""
+    """Return the allocations (blocks, reference-counted objects) of a call; array arguments add some of the latter."""
     before = rtsys.get_allocation_stats()
     call()
     after = rtsys.get_allocation_stats()
@@ -45,8 +45,8 @@ def allocations(call):
 
 
 @pytest.mark.parametrize(("method", "step"), [("rk4", 1.0), ("ros2", 1.0), ("dop853", None)])
-def test_a_control_period_allocates_as_often_as_an_empty_one(method, step, counting):
-    """Whatever the number of steps in it: none of them allocates. What is left is made by passing the arrays in."""
+def test_allocations_do_not_depend_on_the_number_of_steps(method, step, counting):
+    """No step allocates, whatever their number; the remaining allocations are those of the arguments."""
     arm = fm.catalog.planar_2r(joint_stiffness=20.0)
     counts, evaluations = [], []
     for scale in (1, 8, 64):
@@ -60,24 +60,24 @@ def test_a_control_period_allocates_as_often_as_an_empty_one(method, step, count
     assert step is None or evaluations == [1, 8, 64]
 
 
-def test_a_count_of_allocations_would_see_one(counting):
-    """The measure itself, on a kernel that fills a new array."""
+def test_the_counts_detect_an_allocation(counting):
+    """Check of the measurement by a kernel that makes a new array."""
     import numba
 
     @numba.njit
-    def careless(count):
+    def allocating(count):
         total = 0.0
         for _ in range(count):
             total += np.zeros(3)[0]
         return total
 
-    careless(1)
-    assert allocations(lambda: careless(1000))[0] >= 1000
+    allocating(1)
+    assert allocations(lambda: allocating(1000))[0] >= 1000
 
 
 @pytest.mark.parametrize("links", [1, 6])
 def test_accelerations_allocate_no_more_for_a_longer_arm(links, counting):
-    """Only the arguments are counted, as many for any arm."""
+    """Only the arguments are counted, and their number is the same for every arm."""
     link, joint = fm.catalog.one_link().links[0], fm.Joint((0.0, 0.0, 1.0), 1.0, 100.0)
     model = fm.build_model(fm.Arm([link] * links, [joint] * links))
     x, out, torque = np.zeros(model.n_dof), np.zeros(model.n_dof), np.zeros(links)
@@ -95,14 +95,14 @@ def test_accelerations_allocate_no_more_for_a_longer_arm(links, counting):
 
 
 def test_an_edited_kernel_is_never_served_from_the_cache_of_its_callers(tmp_path):
-    """Numba alone would answer 2 for ever: it looks at the file of the caller only."""
+    """Numba alone would return 2 again: it checks only the file of the caller."""
     package, cache = tmp_path / "package", tmp_path / "cache"
     copied(package, 1)
     first, hits, old_folder = run(package, cache, CALL)
     assert (first, hits) == ("2", "0")
     again, hits, same_folder = run(package, cache, CALL)
     assert (again, hits, same_folder) == ("2", "1", old_folder)
-    copied(package, 500)  # not of the same size: Python's own cache looks at size and second
+    copied(package, 500)  # another size, because Python's own cache compares size and second
     edited, hits, new_folder = run(package, cache, CALL)
     assert (edited, hits) == ("1000", "0")
     assert new_folder != old_folder
@@ -118,7 +118,7 @@ def test_the_kernels_come_from_the_cache_in_another_process():
     assert run(ROOT, cache, REAL) == ["1", "0"] * 2
 
 
-def test_binaries_lie_in_the_folder_of_these_sources():
+def test_binaries_are_in_the_folder_of_these_sources():
     assert dynamics.accelerations.stats.cache_path.startswith(kernels.CACHE_FOLDER)
     files = {path.name for path in SOURCES.glob("*.py")}
     assert files == {f"{name}.py" for name in (*kernels.__all__, "__init__", "cache")}

@@ -1,4 +1,4 @@
-"""Raster: which samples a shape covers, what hides what, and light, shadow, lines and means by their formulas."""
+"""Rasteriser: coverage, visibility, light, shadow, lines and averages against their formulas."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ FAR = np.array([0.0, 0.0, 1e9])  # an eye above
 
 
 def canvas(samples=1):
-    """An empty canvas, grey."""
+    """Return an empty grey canvas."""
     height, width = (samples * each for each in SHAPE)
     colour = np.full((height, width, 3), 100, dtype=np.uint8)
     depth, mask = np.zeros((height, width), dtype=np.float32), np.zeros((height, width), dtype=np.uint8)
@@ -28,14 +28,14 @@ def screen(nearness=NEARNESS):
 
 
 def shares():
-    """Barycentric coordinates (3, rows, columns) of the centres, and whether they lie in the triangle."""
+    """Return the barycentric coordinates (3, rows, columns) of the centres, and whether they are in the triangle."""
     edges = np.linalg.inv(np.column_stack([CORNERS, np.ones(3)]).T)
     parts = np.einsum("ij,jrc->irc", edges, np.stack([COLUMNS, ROWS, np.ones(SHAPE)]))
     return parts, (parts >= 0.0).all(axis=0)
 
 
 def shaded(normals, colours=(200.0, 100.0, 50.0), eye=FAR):
-    """Colours of a canvas with one triangle."""
+    """Return the colours of a canvas with one triangle."""
     drawn = canvas()
     every = np.broadcast_to(np.asarray(colours, dtype=float), (3, 3)).copy()
     given = np.broadcast_to(np.asarray(normals, dtype=float), (3, 3)).copy()
@@ -43,7 +43,7 @@ def shaded(normals, colours=(200.0, 100.0, 50.0), eye=FAR):
     return drawn.colour
 
 
-def test_a_camera_sees_as_a_pinhole():
+def test_projection_is_that_of_a_pinhole_camera():
     random = np.random.default_rng(0)
     axes, eye = np.linalg.qr(random.normal(size=(3, 3)))[0], random.normal(size=3)
     points, out = eye + random.uniform((-1.0, -1.0, 2.0), (1.0, 1.0, 4.0), (9, 3)) @ axes, np.zeros((9, 3))
@@ -52,27 +52,27 @@ def test_a_camera_sees_as_a_pinhole():
     assert out == pytest.approx(np.column_stack([8.0 + 50.0 * right / forward, 6.0 - 50.0 * up / forward, 1 / forward]))
 
 
-def test_a_triangle_covers_the_centres_within_it_where_it_faces_the_eye():
+def test_a_front_face_covers_the_sample_centres_inside_it():
     drawn, (parts, inside) = canvas(), shares()
     corners, up = screen(), np.tile([0.0, 0.0, 1.0], (3, 1))
     raster.draw_triangles(drawn, corners, np.zeros((3, 3)), up, np.zeros((3, 3)), FACES[:, ::-1].copy(), FAR)
-    assert (drawn.depth == 0.0).all() and drawn.box[1] < drawn.box[0], "it is seen from behind"
+    assert (drawn.depth == 0.0).all() and drawn.box[1] < drawn.box[0], "back faces are not drawn"
     raster.draw_triangles(drawn, corners, np.zeros((3, 3)), up, np.zeros((3, 3)), FACES, FAR)
     assert np.array_equal(drawn.depth > 0.0, inside) and inside.sum() > 40
     assert drawn.depth[inside] == pytest.approx(np.einsum("i,irc->rc", NEARNESS, parts)[inside], rel=1e-6)
     rows, columns = np.nonzero(inside)
-    assert (drawn.box[::2] <= (columns.min(), rows.min())).all(), "the box has all that was drawn"
+    assert (drawn.box[::2] <= (columns.min(), rows.min())).all(), "the box contains all samples drawn"
     assert (drawn.box[1::2] >= (columns.max(), rows.max())).all()
 
 
-def test_what_is_larger_than_the_picture_covers_all_of_it():
+def test_a_triangle_larger_than_the_picture_covers_all_of_it():
     drawn, wide = canvas(), np.column_stack([[-50.0, -50.0, 100.0], [-50.0, 100.0, -50.0], NEARNESS])
     raster.draw_triangles(drawn, wide, np.zeros((3, 3)), np.ones((3, 3)), np.zeros((3, 3)), FACES, FAR)
     assert (drawn.depth > 0.0).all() and drawn.box.tolist() == [0, SHAPE[1] - 1, 0, SHAPE[0] - 1]
 
 
 @pytest.mark.parametrize("nearest", [0, 1])
-def test_what_is_nearer_hides_what_is_farther_in_either_order(nearest):
+def test_the_nearer_triangle_is_visible_in_either_order_of_drawing(nearest):
     drawn, up = canvas(), np.tile([0.0, 0.0, 1.0], (3, 1))
     for i, colour in enumerate(((250.0, 0.0, 0.0), (0.0, 0.0, 250.0))):
         near = 0.5 if i == nearest else 0.4
@@ -82,23 +82,23 @@ def test_what_is_nearer_hides_what_is_farther_in_either_order(nearest):
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.2, 0.5])
-def test_light_of_the_sun_falls_on_what_faces_it(angle):
-    """All lamps by the cosine to the normal, and a highlight by its power of 32 where the eye is before the sun."""
-    sun, other = np.array(raster.KEY_DIRECTION), np.array(raster.FILL_DIRECTION)
+def test_lighting_follows_the_cosine_law_and_the_highlight_its_power(angle):
+    """The camera is in the direction of the key light, so the highlight is the cosine to the power of 32."""
+    sun, fill = np.array(raster.KEY_DIRECTION), np.array(raster.FILL_DIRECTION)
     sun, direction = sun / np.linalg.norm(sun), 1e9 * sun
     across = np.cross(sun, (0.0, 0.0, 1.0))
     normal, share = np.cos(angle) * sun + np.sin(angle) * across / np.linalg.norm(across), np.cos(angle)
-    factor = raster.AMBIENT + raster.SKY * normal[2] + raster.KEY * share + raster.FILL * max(normal @ other, 0.0)
+    factor = raster.AMBIENT + raster.SKY * normal[2] + raster.KEY * share + raster.FILL * max(normal @ fill, 0.0)
     expected = factor * np.array([100.0, 50.0, 20.0]) + 255.0 * raster.GLOSS * share**32
     expected -= 80.0 * raster.RIM * (1.0 - share) ** 3
     assert np.abs(shaded(7.0 * normal, (100.0, 50.0, 20.0), direction)[3, 3] - expected).max() < 1.1
-    factor = raster.AMBIENT - raster.SKY * sun[2] + raster.FILL * max(-sun @ other, 0.0)
+    factor = raster.AMBIENT - raster.SKY * sun[2] + raster.FILL * max(-sun @ fill, 0.0)
     away = factor * np.array([100.0, 50.0, 20.0]) - 80.0 * raster.RIM
     assert np.abs(shaded(-sun, (100.0, 50.0, 20.0), direction)[3, 3] - np.maximum(away, 0.0)).max() < 1.1
 
 
 def test_normals_and_colours_change_linearly_between_the_corners():
-    """A sample has the colour of a triangle whose corners all have the normal and the colour of that place."""
+    """A sample equals one of a uniform triangle with the interpolated normal and colour."""
     parts, inside = shares()
     normals = np.array([[0.9, 0.0, 0.4], [-0.5, 0.8, 0.3], [0.0, -0.7, 0.7]])
     colours = np.array([[250.0, 0.0, 10.0], [20.0, 200.0, 0.0], [0.0, 30.0, 240.0]])
@@ -109,17 +109,17 @@ def test_normals_and_colours_change_linearly_between_the_corners():
         assert np.abs(smooth[row, column].astype(int) - flat).max() <= 1
 
 
-def test_a_silhouette_is_seen_where_nothing_is_drawn():
+def test_coverage_excludes_samples_drawn_before_unless_the_depth_is_ignored():
     (_, inside), drawn, box = shares(), canvas(), np.array([1 << 30, -1, 1 << 30, -1])
     drawn.depth[:4] = 0.1
     raster.mark_coverage(screen(), FACES, drawn.mask, drawn.depth, box)
     assert np.array_equal(drawn.mask == 1, inside & (ROWS > 4.0))
     raster.mark_coverage(screen(), FACES, drawn.shadow, np.zeros((1, 1), dtype=np.float32), box)
-    assert np.array_equal(drawn.shadow == 1.0, inside), "a shadow lies under what is drawn, too"
+    assert np.array_equal(drawn.shadow == 1.0, inside), "a shadow also covers samples drawn before"
 
 
-def test_a_line_has_its_colour_and_radius_at_its_last_point_and_less_before():
-    """Of three pieces the last has the whole radius and colour, the others have parts; a sample takes one of them."""
+def test_a_line_grows_to_full_radius_and_opacity_at_its_last_point():
+    """The last of three segments has the full radius and opacity, the others less; a sample is drawn once."""
     drawn, colour, faintest, radius = canvas(), np.array([200.0, 0.0, 150.0]), 0.2, 2.5
     ends = 3.0, 7.0, 11.0, 17.0
     line = np.array([[column, 8.0, 0.5] for column in ends])
@@ -137,7 +137,7 @@ def test_a_line_has_its_colour_and_radius_at_its_last_point_and_less_before():
 
 
 @pytest.mark.parametrize("radius", [1, 2])
-def test_a_shadow_at_the_edge_is_not_seen_at_the_other(radius):
+def test_a_shadow_at_one_edge_does_not_appear_at_the_opposite_edge(radius):
     drawn, box = canvas(), np.array([0, SHAPE[1] - 1, 0, SHAPE[0] - 1])
     drawn.shadow[-1, -1] = 1.0
     raster.blur_shadow(drawn.shadow, drawn.scratch, box, radius)
@@ -148,8 +148,8 @@ def test_a_shadow_at_the_edge_is_not_seen_at_the_other(radius):
 
 
 @pytest.mark.parametrize("radius", [1, 2])
-def test_a_shadow_is_softened_by_two_means(radius):
-    """A point becomes a pyramid: two means over 2 r + 1 pixels are a triangle in each direction."""
+def test_a_shadow_is_blurred_by_two_moving_averages(radius):
+    """A point becomes a pyramid: two averages over 2 r + 1 pixels give a triangle in each direction."""
     drawn, box = canvas(), np.array([9, 9, 7, 7])
     drawn.shadow[7, 9] = 1.0
     raster.blur_shadow(drawn.shadow, drawn.scratch, box, radius)
@@ -169,8 +169,8 @@ def test_a_shadow_darkens_the_empty_scene_once():
     assert drawn.box.tolist() == [8, 13, 6, 11]
 
 
-def test_a_pixel_is_the_mean_of_its_samples_to_the_nearest_number():
-    """The ghost is laid over samples of its silhouette alone, not over those of a line."""
+def test_a_pixel_is_the_rounded_mean_of_its_samples():
+    """The ghost is blended over samples of its mask only, not over those of a line."""
     drawn = canvas(2)
     drawn.box[:] = 0, 2 * SHAPE[1] - 1, 0, 2 * SHAPE[0] - 1
     drawn.colour[:2, :2, 0] = [[10, 11], [11, 11]]

@@ -1,4 +1,4 @@
-"""Paths: motor angles with which a rigid arm reaches places."""
+"""Inverse kinematics of the rigid arm."""
 
 import numpy as np
 import pytest
@@ -13,8 +13,8 @@ VIEWS = {name: FlexManEnv(name=name).episodes.view for name in ("FlexRRR-v0", "F
 
 @QUICK
 @given(name=st.sampled_from(sorted(VIEWS)), seed=st.integers(0, 10**6))
-def test_an_arm_reaches_where_it_has_been(name, seed):
-    """Tips of postures near a bent one are reached from it, to a thousandth of a millionth of the reach."""
+def test_the_posture_is_recovered_from_its_tip(name, seed):
+    """Tips at postures near a bent one are reached from it, with an error below 1e-9 of the reach."""
     view, random = VIEWS[name], np.random.default_rng(seed)
     near = np.array([0.3, 0.4, 1.1])[-view.n_joints :] * random.choice([-1.0, 1.0])
     postures = near + random.uniform(-0.15, 0.15, (4, view.n_joints))
@@ -25,15 +25,15 @@ def test_an_arm_reaches_where_it_has_been(name, seed):
     assert result == pytest.approx(postures, abs=1e-6)
 
 
-def test_what_is_left_of_a_place_out_of_reach_is_said():
+def test_a_target_out_of_reach_leaves_its_distance():
     view = VIEWS["FlexRRR-v0"]
     _, left = view.reaching(np.array([[20.0, 0.0, 0.0]]), np.array([0.0, 0.3, 0.4]))
     assert left > 11.0
 
 
 @pytest.mark.parametrize("bent", [0.01, 0.03, 0.05])
-def test_from_a_posture_that_is_nearly_straight_the_near_one_is_found(bent):
-    """The elbow barely moves the tip along the arm: a step as long as the slope asks for would turn joints around."""
+def test_from_a_nearly_straight_posture_the_nearest_solution_is_found(bent):
+    """The elbow barely moves the tip along the arm, so a full Newton step would turn the joints around."""
     view, posture = VIEWS["FlexPlanar-v0"], np.array([[0.2, 1.0]])
     result, left = view.reaching(view.rigid_tips(posture), np.array([0.2 + 0.5 * (1.0 - bent), bent]))
     assert left <= 1e-9 * view.reach and result == pytest.approx(posture, abs=1e-6)
