@@ -320,8 +320,7 @@ class FramePainter:
                 self._seen(fallen, 1), mesh.faces, canvas.shadow, np.zeros((1, 1), dtype=np.float32), box
             )
         if box[1] >= 0:
-            raster.blur_shadow(canvas.shadow, canvas.scratch, box, max(2, self.size[1] // 180))
-            raster.apply_shadow(canvas, box, SHADOW_SHARE)
+            raster.draw_shadow(canvas, box, max(2, self.size[1] // 180), SHADOW_SHARE)
         screen = self._seen(mesh.points, SUPERSAMPLING)
         raster.draw_triangles(canvas, screen, mesh.points, mesh.normals, colours, mesh.faces, self._shown.camera.eye)
 

@@ -32,7 +32,7 @@ def sparse_product(rows, start, source, value, out):
 
 
 @kernel
-def fill_views(rows, outputs, energies, turnover, targets, readings, motion, vectors, numbers):
+def fill_views(rows, outputs, energies, turnover, targets, readings, motion, vectors, scalars):
     """Compute the quantities of a `View` of b arms.
 
     Args:
@@ -44,7 +44,7 @@ def fill_views(rows, outputs, energies, turnover, targets, readings, motion, vec
         readings: start, source and value of `sparse_product`.
         motion: (b, m) set to the product of the readings, followed by the tip velocity.
         vectors: (b, 2, 3) set to target - tip and the deflection rate.
-        numbers: (5, b) set to the lengths of both, elastic energy, energy residual and turnover.
+        scalars: (5, b) set to the lengths of both, elastic energy, energy residual and turnover.
     """
     sparse_product(rows, readings[0], readings[1], readings[2], motion)
     last = motion.shape[1] - 3
@@ -55,13 +55,13 @@ def fill_views(rows, outputs, energies, turnover, targets, readings, motion, vec
             vectors[b, 1, j] = outputs[b, DEFLECTION_RATE_COLUMN + j]
         for i in range(2):
             x, y, z = vectors[b, i, 0], vectors[b, i, 1], vectors[b, i, 2]
-            numbers[i, b] = math.sqrt(x * x + y * y + z * z)
-        numbers[2, b], numbers[4, b] = outputs[b, LINK_ENERGY] + outputs[b, JOINT_ENERGY], turnover[b]
-    energy_residuals(rows, outputs, energies, numbers[3])
+            scalars[i, b] = math.sqrt(x * x + y * y + z * z)
+        scalars[2, b], scalars[4, b] = outputs[b, LINK_ENERGY] + outputs[b, JOINT_ENERGY], turnover[b]
+    energy_residuals(rows, outputs, energies, scalars[3])
 
 
 @kernel
-def full_observation(motion, angles, velocity, goal_angles, vectors, numbers, offset, out):
+def full_observation(motion, angles, velocity, goal_angles, vectors, lengths, offset, out):
     """Set out (b, 9 n + 9) to the observation of the full state.
 
     Args:
@@ -70,7 +70,7 @@ def full_observation(motion, angles, velocity, goal_angles, vectors, numbers, of
         velocity: (b, 3) tip velocity, m/s.
         goal_angles: (b, n) rad; the entries after the motion are goal_angles - angles.
         vectors: (b, 3) target - tip, m; observed as it is and divided by length + offset.
-        numbers: (b,) lengths of the vectors, m.
+        lengths: (b,) lengths of the vectors, m.
         offset: m, added to the length in the divisor.
         out: observation, overwritten; the last entries are the tip velocity.
     """
@@ -81,7 +81,7 @@ def full_observation(motion, angles, velocity, goal_angles, vectors, numbers, of
             out[b, j] = motion[b, j]
         for j in range(n):
             out[b, 8 * n + j] = goal_angles[b, j] - angles[b, j]
-        scale = numbers[b] + offset
+        scale = lengths[b] + offset
         for j in range(3):
             out[b, end + j], out[b, end + 3 + j] = vectors[b, j], vectors[b, j] / scale
             out[b, end + 6 + j] = velocity[b, j]
@@ -89,7 +89,7 @@ def full_observation(motion, angles, velocity, goal_angles, vectors, numbers, of
 
 @kernel
 def flag_violations(motion, limits, observations, bound, status, flags):
-    """Set flags (b,) for arms that have failed or left their limits; return the number of such arms.
+    """Set the flags of arms that have failed or exceeded a limit.
 
     Args:
         motion: (b, m).
@@ -98,6 +98,9 @@ def flag_violations(motion, limits, observations, bound, status, flags):
         bound: (s,) largest magnitudes of the observations.
         status: (b,) OK, or any other status for a failed simulation.
         flags: (b,) overwritten; NaN counts as a violation.
+
+    Returns:
+        The number of flagged arms.
     """
     count = 0
     for b in range(len(flags)):
@@ -168,13 +171,16 @@ def close_period(rows, outputs, status, drive, periods, last_drive, turnover):
 
 @kernel
 def count_episode_periods(periods, active, horizon, truncated):
-    """Increase the periods (b,) of active arms (b,) by one; return the number of truncated episodes.
+    """Count a control period of the active arms, and set which episodes are truncated.
 
     Args:
-        periods: (b,) control periods of the episodes.
+        periods: (b,) control periods of the episodes, increased.
         active: (b,) arms whose episode continues.
         horizon: number of periods after which an episode is truncated.
         truncated: (b,) overwritten.
+
+    Returns:
+        The number of truncated episodes.
     """
     count = 0
     for b in range(len(periods)):

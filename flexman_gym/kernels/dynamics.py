@@ -257,9 +257,9 @@ def compute_accelerations(constants, work, x, v, out):
     """Set out (d,) to the accelerations for work.drive; return the power supplied and dissipated (W)."""
     compute_kinematics(constants, work, x, v)
     factorise(constants, work, (0.0, 0.0))
-    supplied, lost = applied_forces(constants, work, x, v)
+    supplied, dissipated = applied_forces(constants, work, x, v)
     solve(constants, work, out)
-    return supplied + prescribed_power(constants, work, v), lost
+    return supplied + prescribed_power(constants, work, v), dissipated
 
 
 @inner

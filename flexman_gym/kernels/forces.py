@@ -40,15 +40,15 @@ def applied_forces(constants, work, x, v):
     Also sets work.field and work.tip_force. Needs `velocities`. Returns the power supplied, without that of prescribed
     motions, and the power dissipated (W).
     """
-    supplied, lost = _motor_forces(constants, work, v)
-    lost += _structural_forces(constants, work, x, v)
-    return supplied + _apply_disturbance(constants, work, v), lost
+    supplied, dissipated = _motor_forces(constants, work, v)
+    dissipated += _structural_forces(constants, work, x, v)
+    return supplied + _apply_disturbance(constants, work, v), dissipated
 
 
 @inner
 def _motor_forces(constants, work, v):
     """Set work.force (d,) to the motor torques minus friction; return the power supplied and dissipated (W)."""
-    supplied, lost = 0.0, 0.0
+    supplied, dissipated = 0.0, 0.0
     for j in range(len(work.force)):
         work.force[j] = 0.0
     for i in range(len(constants.mass)):
@@ -59,8 +59,8 @@ def _motor_forces(constants, work, v):
         torque = 0.0 if constants.prescribed[i] else work.drive[i]
         work.force[m] = torque - friction
         supplied += torque * v[m]
-        lost += friction * v[m]
-    return supplied, lost
+        dissipated += friction * v[m]
+    return supplied, dissipated
 
 
 @inner
@@ -68,15 +68,15 @@ def _structural_forces(constants, work, x, v):
     """Add the springs and dampers of joints and links to work.force; return the power dissipated (W)."""
     n = len(constants.mass)
     elastic = len(x) - constants.elastic_start[n]
-    lost = 0.0
+    dissipated = 0.0
     for i in range(n):
         m = constants.motor[i]
         if m >= 0:
-            slip = v[m] - v[i]
-            reaction = constants.joint_stiffness[i] * (x[m] - x[i]) + constants.joint_damping[i] * slip
+            twist_rate = v[m] - v[i]
+            reaction = constants.joint_stiffness[i] * (x[m] - x[i]) + constants.joint_damping[i] * twist_rate
             work.force[i] += reaction
             work.force[m] -= reaction
-            lost += constants.joint_damping[i] * slip * slip
+            dissipated += constants.joint_damping[i] * twist_rate * twist_rate
     for i in range(n):
         start = constants.elastic_start[i]
         k = constants.elastic_start[i + 1] - start
@@ -89,8 +89,8 @@ def _structural_forces(constants, work, x, v):
                 restoring = fma(constants.stiffness[row + b], x[first + b], restoring)
                 drag = fma(constants.damping[row + b], v[first + b], drag)
             work.force[first + a] -= restoring + drag
-            lost = fma(drag, v[first + a], lost)
-    return lost
+            dissipated = fma(drag, v[first + a], dissipated)
+    return dissipated
 
 
 @inner

@@ -46,9 +46,9 @@ def _midpoint_step(constants, work, iterations, table, span, state):
         _update_midpoint(work, g, x, v)
     # the ledger needs the power at the final x and v, not at those of the last iteration
     power = prescribed_power(constants, work, v)
-    supplied, lost = applied_forces(constants, work, x, v)
+    supplied, dissipated = applied_forces(constants, work, x, v)
     work.new_state[2 * d] = state[2 * d] + step * (supplied + power)
-    work.new_state[2 * d + 1] = state[2 * d + 1] + step * lost
+    work.new_state[2 * d + 1] = state[2 * d + 1] + step * dissipated
     for k in range(d):
         x[k], v[k] = state[k] + step * v[k], state[d + k] + step * w[k]
 
@@ -112,8 +112,8 @@ def _gauss_step(constants, work, iterations, table, span, state):
             _relax_stage(work, i, g, 1.0)
             if n == iterations - 1:
                 power = prescribed_power(constants, work, work.stages[i][:d])
-                supplied, lost = applied_forces(constants, work, x, work.stages[i][:d])
-                work.stages[i][2 * d], work.stages[i][2 * d + 1] = supplied + power, lost
+                supplied, dissipated = applied_forces(constants, work, x, work.stages[i][:d])
+                work.stages[i][2 * d], work.stages[i][2 * d + 1] = supplied + power, dissipated
     for k in range(len(state)):
         work.new_state[k] = state[k] + 0.5 * step * (first[k] + second[k])
 
@@ -307,7 +307,7 @@ def _newton_solution(constants, work, speed_gain, position_gain, state):
             v[k] = work.stage_state[d + k] + speed_gain * w[k]
             shift[k], shift[d + k] = -position_gain * w[k], -speed_gain * w[k]
         compute_kinematics(constants, work, x, v)
-        supplied, lost = applied_forces(constants, work, x, v)
+        supplied, dissipated = applied_forces(constants, work, x, v)
         secant_friction(constants, work, v)
         shift_forces(constants, work, shift[:d], shift[d : 2 * d])
         factorise(constants, work, (speed_gain, position_gain))
@@ -325,7 +325,7 @@ def _newton_solution(constants, work, speed_gain, position_gain, state):
         )
         converged = small or largest <= NEWTON_TOLERANCE or 0.5 * previous < largest < STAGNATION
     work.new_state[2 * d] = supplied + prescribed_power(constants, work, v)
-    work.new_state[2 * d + 1] = lost
+    work.new_state[2 * d + 1] = dissipated
     return count if converged else -count
 
 

@@ -87,9 +87,9 @@ def _payload_position(constants, work, last):
 @inner
 def tip_rotation(work, i):
     """Return the rotation exp(S_r q) of the tip of link i."""
-    deflected = load(work.deflected, i)
-    sine = 1.0 - dot(deflected, deflected) * work.tangent[i, 1]
-    return rotation_matrix(sine, work.tangent[i, 0], deflected)
+    phi = load(work.rotation_vector, i)
+    sine = 1.0 - dot(phi, phi) * work.tangent[i, 1]
+    return rotation_matrix(sine, work.tangent[i, 0], phi)
 
 
 @inner
@@ -107,16 +107,16 @@ def _joint_rotation(constants, work, i, angle):
 def _tip_position(constants, work, i, x, elastic):
     """Compute the tip of link i and its derivatives by the elastic coordinates (Eq. 26 with the tangent operator)."""
     tip = (constants.length[i], 0.0, 0.0)
-    deflected = ZERO
+    phi = ZERO
     for a in range(constants.tip_linear_start[i], constants.elastic_start[i + 1]):
         q = x[elastic + a]
         tip = add_scaled(tip, q, load(constants.tip_translation, a))
-        deflected = add_scaled(deflected, q, load(constants.tip_rotation, a))
+        phi = add_scaled(phi, q, load(constants.tip_rotation, a))
     store(work.tip, i, tip)
-    store(work.deflected, i, deflected)
-    b, c, db, dc = _tangent_coefficients(dot(deflected, deflected))
+    store(work.rotation_vector, i, phi)
+    b, c, db, dc = _tangent_coefficients(dot(phi, phi))
     work.tangent[i, 0], work.tangent[i, 1], work.tangent[i, 2], work.tangent[i, 3] = b, c, db, dc
-    tangent = rotation_matrix(b, c, deflected)
+    tangent = rotation_matrix(b, c, phi)
     for a in range(constants.tip_linear_start[i], constants.elastic_start[i + 1]):
         turned = apply(tangent, load(constants.tip_rotation, a))
         store_pair(work.tip_shape, a, load(constants.tip_translation, a), turned)
@@ -214,22 +214,22 @@ def _velocities(constants, work, v):
 @inner
 def _tip_motion(constants, work, i, v, elastic):
     """Return the elastic velocity (linear, angular) of the tip of link i; store its bias acceleration (Eq. 32, 33)."""
-    linear = angular = turning = ZERO
+    linear = angular = phi_rate = ZERO
     for a in range(constants.tip_start[i], constants.tip_linear_start[i]):
         linear = (linear[0] + v[elastic + a] * work.tip_shape[a, 0], 0.0, 0.0)
     for a in range(constants.tip_linear_start[i], constants.elastic_start[i + 1]):
         rate = v[elastic + a]
         translation, rotation = load_pair(work.tip_shape, a)
         linear, angular = add_scaled(linear, rate, translation), add_scaled(angular, rate, rotation)
-        turning = add_scaled(turning, rate, load(constants.tip_rotation, a))
-    spin, deflected = load(work.spin, i), load(work.deflected, i)
+        phi_rate = add_scaled(phi_rate, rate, load(constants.tip_rotation, a))
+    spin, phi = load(work.spin, i), load(work.rotation_vector, i)
     bias = add_scaled(cross(spin, cross(spin, load(work.tip, i))), 2.0, cross(spin, linear))
     # T' phi' = b' phi x phi' + c' phi x (phi x phi') + c phi' x (phi x phi')
-    change = 2.0 * dot(deflected, turning)
-    once = cross(deflected, turning)
+    change = 2.0 * dot(phi, phi_rate)
+    once = cross(phi, phi_rate)
     turned = add_scaled(cross(spin, angular), change * work.tangent[i, 2], once)
-    turned = add_scaled(turned, change * work.tangent[i, 3], cross(deflected, once))
-    turned = add_scaled(turned, work.tangent[i, 1], cross(turning, once))
+    turned = add_scaled(turned, change * work.tangent[i, 3], cross(phi, once))
+    turned = add_scaled(turned, work.tangent[i, 1], cross(phi_rate, once))
     if constants.station_start[i + 1] > constants.station_start[i]:
         bias = (bias[0] + work.axial_bias[constants.station_start[i]], bias[1], bias[2])
     store_pair(work.tip_bias, i, bias, turned)

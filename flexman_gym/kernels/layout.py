@@ -146,7 +146,7 @@ class Work(NamedTuple):
     # positions (kinematics.compute_kinematics)
     rotation: Array  # (9 n,) C, by rows
     tip: Vectors  # (n, 3) tip relative to the origin of the link
-    deflected: Vectors  # (n, 3) rotation vector S_r q of the tip
+    rotation_vector: Vectors  # (n, 3) rotation vector phi = S_r q of the tip
     tangent: Rows  # (n, 4) two coefficients of T and their derivatives
     tip_shape: SixVectors  # (k, 6) motion of the tip per unit elastic speed: S_t and T S_r
     moment: Vectors  # (n, 3) integral of r dm
@@ -219,6 +219,9 @@ def make_work(constants: Constants, zeros: Callable[[tuple[int, ...]], Array] = 
     Args:
         constants: of the model.
         zeros: function that allocates an array of a shape; a batch allocates one number for each lane.
+
+    Returns:
+        The work space.
     """
     n, k = len(constants.mass), len(constants.first_moment_shape)
     size = 2 * (n + int((constants.motor >= 0).sum()) + k) + 2
@@ -226,7 +229,7 @@ def make_work(constants: Constants, zeros: Callable[[tuple[int, ...]], Array] = 
     widest = int(constants.station_width.max())
     stations, rows_b = len(constants.station_mass), constants.station_shape.shape[1]
     shapes: dict[str, tuple[int, ...]] = {
-        "rotation": (9 * n,), "tip": (n, 3), "deflected": (n, 3), "tangent": (n, 4), "tip_shape": (k, 6),
+        "rotation": (9 * n,), "tip": (n, 3), "rotation_vector": (n, 3), "tangent": (n, 4), "tip_shape": (k, 6),
         "moment": (n, 3), "inertia": (9 * n,), "shape": (9 * k,), "coupling": (k, 3), "spin": (n, 3),
         "moment_shape": (k, 3), "displacement": (3 * stations,), "foreshortening": (stations,),
         "bend_stations": (rows_b,), "bend": (rows_b,), "stretch": (rows_b,), "weight": (4 * stations,),

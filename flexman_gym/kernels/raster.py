@@ -215,8 +215,8 @@ def draw_line(canvas, screen, radius, faintest, colour):
                         canvas.colour[row, column, c] = np.uint8(old + part * (colour[c] - old))
 
 
-@kernel
-def blur_shadow(shadow, scratch, box, radius):
+@inner
+def _blur_shadow(shadow, scratch, box, radius):
     """Blur the shadow (H, W) in a box (4,) by two moving averages over 2 radius + 1 pixels in each direction."""
     height, width = shadow.shape
     box[0], box[1] = max(box[0] - 2 * radius, 0), min(box[1] + 2 * radius, width - 1)
@@ -238,8 +238,8 @@ def blur_shadow(shadow, scratch, box, radius):
                 shadow[row, column] = total * part
 
 
-@kernel
-def apply_shadow(canvas, box, darkness):
+@inner
+def _darken(canvas, box, darkness):
     """Darken the empty scene by the shadow in a box (4,) of pixels, and clear the shadow."""
     samples = len(canvas.depth) // len(canvas.shadow)
     for row in range(box[2], box[3] + 1):
@@ -260,6 +260,20 @@ def apply_shadow(canvas, box, darkness):
     )
     canvas.box[0], canvas.box[1] = min(canvas.box[0], left), max(canvas.box[1], right)
     canvas.box[2], canvas.box[3] = min(canvas.box[2], top), max(canvas.box[3], bottom)
+
+
+@kernel
+def draw_shadow(canvas, box, radius, darkness):
+    """Blur the shadow in a box (4,) of pixels, darken the empty scene by it, and clear the shadow.
+
+    Args:
+        canvas: overwritten.
+        box: first and last column, first and last row; enlarged by the blur.
+        radius: pixels; each of two moving averages covers 2 radius + 1 pixels in each direction.
+        darkness: opacity of a full shadow, 0 to 1.
+    """
+    _blur_shadow(canvas.shadow, canvas.scratch, box, radius)
+    _darken(canvas, box, darkness)
 
 
 @kernel

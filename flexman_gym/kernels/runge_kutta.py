@@ -346,7 +346,7 @@ def _implicit_stage(constants, work, tableau, table, span, state, i, update):
     if update:
         evaluate_drive(table, time + tableau.abscissae[i] * step, work.drive)
         compute_kinematics(constants, work, x, v)
-    supplied, lost = applied_forces(constants, work, x, v)
+    supplied, dissipated = applied_forces(constants, work, x, v)
     if i == 0:
         secant_friction(constants, work, v)
     for implicit in range(0 if _any_prescribed(constants) else 1, 2):
@@ -360,7 +360,7 @@ def _implicit_stage(constants, work, tableau, table, span, state, i, update):
         stage[d + k] = g * (work.rates[k] + stage[d + k])
         stage[k] = g * (v[k] + stage[k] + stage[d + k])
     stage[2 * d] = g * (supplied + stage[2 * d])
-    stage[2 * d + 1] = g * (lost + stage[2 * d + 1])
+    stage[2 * d + 1] = g * (dissipated + stage[2 * d + 1])
 
 
 @inner

@@ -136,33 +136,46 @@ def test_a_line_grows_to_full_radius_and_opacity_at_its_last_point():
     assert np.array_equal(drawn.mask == 2, parts > 0.0)
 
 
+def white_canvas():
+    """Return an empty white canvas: its colours show the shadow with the best resolution."""
+    drawn = canvas()
+    drawn.colour[:] = drawn.back[:] = 255
+    return drawn
+
+
+def assert_shadow(drawn, rows, columns):
+    """Assert that the canvas shows the shadow that is the outer product, and that the shadow is cleared."""
+    expected = 255.0 * (1.0 - np.outer(rows, columns))
+    assert np.abs(drawn.colour - expected[..., None]).max() < 1.0
+    assert not drawn.shadow.any()
+
+
 @pytest.mark.parametrize("radius", [1, 2])
 def test_a_shadow_at_one_edge_does_not_appear_at_the_opposite_edge(radius):
-    drawn, box = canvas(), np.array([0, SHAPE[1] - 1, 0, SHAPE[0] - 1])
+    drawn, box = white_canvas(), np.array([0, SHAPE[1] - 1, 0, SHAPE[0] - 1])
     drawn.shadow[-1, -1] = 1.0
-    raster.blur_shadow(drawn.shadow, drawn.scratch, box, radius)
+    raster.draw_shadow(drawn, box, radius, 1.0)
     means = [np.tri(size, k=radius) * np.tri(size, k=radius).T / (2 * radius + 1) for size in SHAPE]
-    rows, columns = (mean @ mean[:, -1] for mean in means)
-    assert drawn.shadow == pytest.approx(np.outer(rows, columns), abs=1e-7)
+    assert_shadow(drawn, *(mean @ mean[:, -1] for mean in means))
     assert box.tolist() == [0, SHAPE[1] - 1, 0, SHAPE[0] - 1]
 
 
 @pytest.mark.parametrize("radius", [1, 2])
 def test_a_shadow_is_blurred_by_two_moving_averages(radius):
     """A point becomes a pyramid: two averages over 2 r + 1 pixels give a triangle in each direction."""
-    drawn, box = canvas(), np.array([9, 9, 7, 7])
+    drawn, box = white_canvas(), np.array([9, 9, 7, 7])
     drawn.shadow[7, 9] = 1.0
-    raster.blur_shadow(drawn.shadow, drawn.scratch, box, radius)
+    raster.draw_shadow(drawn, box, radius, 1.0)
     wide = 2 * radius + 1
-    rows, columns = (np.maximum(wide - np.abs(np.arange(size) - at), 0) / wide**2 for size, at in ((16, 7), (20, 9)))
-    assert drawn.shadow == pytest.approx(np.outer(rows, columns), abs=1e-7)
+    triangles = (np.maximum(wide - np.abs(np.arange(size) - at), 0) / wide**2 for size, at in ((16, 7), (20, 9)))
+    assert_shadow(drawn, *triangles)
     assert box.tolist() == [9 - 2 * radius, 9 + 2 * radius, 7 - 2 * radius, 7 + 2 * radius]
 
 
 def test_a_shadow_darkens_the_empty_scene_once():
     drawn = canvas(2)
     drawn.shadow[3, 4], drawn.shadow[5, 6] = 1.0, 0.5
-    raster.apply_shadow(drawn, np.array([4, 6, 3, 5]), 0.3)
+    raster.draw_shadow(drawn, np.array([4, 6, 3, 5]), 0, 0.3)
     expected = np.full(drawn.colour.shape, 100.0)
     expected[6:8, 8:10], expected[10:12, 12:14] = 70.0, 85.0
     assert np.abs(drawn.colour - expected).max() <= 1.0 and not drawn.shadow.any()
