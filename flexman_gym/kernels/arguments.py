@@ -76,7 +76,7 @@ def _write(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
     return arrayobj.setitem_array(context, builder, _unsigned(kinds), values)
 
 
-BYTES = ir.IntType(8).as_pointer()
+BYTE_POINTER = ir.IntType(8).as_pointer()
 
 
 class _StructPointer(types.Type):
@@ -92,7 +92,7 @@ class _StructPointerModel(models.PrimitiveModel):
     """Data model: an address."""
 
     def __init__(self, manager: Any, kind: Any) -> None:
-        super().__init__(manager, kind, BYTES)
+        super().__init__(manager, kind, BYTE_POINTER)
 
     def from_argument(self, builder: Any, value: Any) -> Any:
         """Return the value itself; in a kernel that is not inlined, mark that no array overlaps the struct."""
@@ -114,14 +114,14 @@ class _StructFields(AttributeTemplate):
 
 @lower_getattr_generic(_StructPointer)
 def _field(context: Any, builder: Any, kind: Any, address: Any, name: str) -> Any:
-    return builder.load(_place(context, builder, kind, address, kind.whole.fields.index(name)))
+    return builder.load(_field_address(context, builder, kind, address, kind.whole.fields.index(name)))
 
 
 def _sizes(context: Any, kind: _StructPointer) -> list[int]:
     return [context.get_abi_sizeof(context.get_value_type(each)) for each in kind.whole.types]
 
 
-def _place(context: Any, builder: Any, kind: _StructPointer, address: Any, row: int) -> Any:
+def _field_address(context: Any, builder: Any, kind: _StructPointer, address: Any, row: int) -> Any:
     start = builder.gep(address, [ir.Constant(ir.IntType(64), sum(_sizes(context, kind)[:row]))])
     return builder.bitcast(start, context.get_value_type(kind.whole.types[row]).as_pointer())
 
@@ -129,9 +129,9 @@ def _place(context: Any, builder: Any, kind: _StructPointer, address: Any, row: 
 def _store_struct(context: Any, builder: Any, kind: _StructPointer, fields: list[Any]) -> Any:
     """Return the address of these fields, stored on the stack of the compiled function."""
     memory = cgutils.alloca_once(builder, ir.ArrayType(ir.IntType(64), sum(_sizes(context, kind)) // 8))
-    address = builder.bitcast(memory, BYTES)
+    address = builder.bitcast(memory, BYTE_POINTER)
     for row, value in enumerate(fields):
-        builder.store(value, _place(context, builder, kind, address, row))
+        builder.store(value, _field_address(context, builder, kind, address, row))
     return address
 
 

@@ -17,19 +17,28 @@ from flexman_gym.kernels.runge_kutta import linearly_implicit_step, out_of_bound
 
 
 @inner
+def _fixed_step(constants, work, tableau, counts, table, span, state):
+    """Set work.new_state to the state and ledger after a step; span = (start time, step), s.
+
+    The method is the linearly implicit one of the tableau, or without a tableau (None) that of the counts, see
+    `implicit.fixed_newton_step`.
+    """
+    if tableau is None:
+        fixed_newton_step(constants, work, counts, table, span, state)
+    else:
+        linearly_implicit_step(constants, work, tableau, table, span, state)
+
+
+@inner
 def _advance_steps(constants, work, tableau, counts, steps, state):
     """Advance state and ledger, an array of the work space, under work.drive; then compute work.outputs.
 
-    steps = (length in s, number). The method is the linearly implicit one of the tableau, or without a tableau (None)
-    that of `counts`, see `implicit.fixed_newton_step`.
+    steps = (length in s, number). Tableau and counts as in `_fixed_step`.
     """
     d, (step, number) = len(state) // 2 - 1, steps
     for n in range(number):
         span = n * step, step
-        if tableau is None:
-            fixed_newton_step(constants, work, counts, None, span, state)
-        else:
-            linearly_implicit_step(constants, work, tableau, None, span, state)
+        _fixed_step(constants, work, tableau, counts, None, span, state)
         copy(work.new_state, state)
     compute_outputs(constants, work, state[:d], state[d : 2 * d], work.outputs)
 
@@ -41,7 +50,7 @@ def advance_batch(tables, work_table, method, drives, steps, rows, out, status, 
     Args:
         tables: (groups, fields, 3) addresses of the constants of each group of ARMS_PER_GROUP arms.
         work_table: (fields, 3) addresses of the work space.
-        method: tableau (or None) and iteration counts, as in `_advance_steps`.
+        method: tableau (or None) and counts, as in `_fixed_step`.
         drives: (b, T, n + 6).
         steps: length (s) and number of the steps in a period.
         rows: (b, 2 d + 2) state and ledger of each arm, overwritten.
@@ -98,8 +107,8 @@ def run_batch(tables, work_table, tableau, newton, drives, grid, rows, out, coun
     Args:
         tables: (groups, fields, 3) addresses of the constants of each group of ARMS_PER_GROUP arms.
         work_table: (fields, 3) addresses of the work space.
-        tableau: of a linearly implicit method, or None.
-        newton: without a tableau, the counts of `implicit.fixed_newton_step`.
+        tableau: of a linearly implicit method, or None, see `_fixed_step`.
+        newton: counts of a method without a tableau.
         drives: (b, 7, n + 6) drive tables.
         grid: output times.
         rows: (b, r + 1, 2 d + 2) state and ledger; the first row is the start, the others are overwritten.
@@ -116,10 +125,7 @@ def run_batch(tables, work_table, tableau, newton, drives, grid, rows, out, coun
         for r in range(rows.shape[1]):
             for n in range(grid.substeps if r > 0 else 0):
                 span = step_start(grid, r - 1, n), grid.step
-                if tableau is None:
-                    fixed_newton_step(constants, work, newton, work.drive_table, span, work.row)
-                else:
-                    linearly_implicit_step(constants, work, tableau, work.drive_table, span, work.row)
+                _fixed_step(constants, work, tableau, newton, work.drive_table, span, work.row)
                 for arm in range(first, end):
                     if counts[arm, 0] < 0:
                         counts[arm, 1] += 1

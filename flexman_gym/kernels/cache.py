@@ -42,7 +42,7 @@ def find_cache_folder() -> str | None:
             continue
         if safe and os.access(folder, os.W_OK):
             if strict and new and not is_quiet():
-                print(f"flexman_gym keeps compiled kernels in {folder}, as no cache can be written in the home "
+                print(f"flexman_gym caches compiled kernels in {folder}, as no cache can be written in the home "
                       "(NUMBA_CACHE_DIR names another folder)", file=sys.stderr)  # fmt: skip
             return str(folder)
     return None

@@ -71,7 +71,7 @@ class _ChecksummedCache(FunctionCache):
         except OSError as error:
             if not _ChecksummedCache._warned:
                 _ChecksummedCache._warned = True
-                print(f"flexman_gym cannot keep compiled kernels: {error}", file=sys.stderr)
+                print(f"flexman_gym cannot cache compiled kernels: {error}", file=sys.stderr)
 
 
 def _read_checked(path: str) -> Any:

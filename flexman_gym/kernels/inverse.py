@@ -43,15 +43,15 @@ def inertial_forces(constants, work, x, v, acceleration, out):
         force, moment = _link_force(constants, work, i, frame, (force, moment), acceleration)
         store_pair(work.reaction, i, force, moment)
         axis, m = load(constants.axis, i), constants.motor[i]
-        push, alone = _rotor_torque(constants, i, frame[1], acceleration), 0.0
+        rotor_torque, motor_inertia = _rotor_torque(constants, i, frame[1], acceleration), 0.0
         if constants.carried_inertia[i] == 0.0:
-            alone = constants.rotor_inertia[i]
+            motor_inertia = constants.rotor_inertia[i]
         out[i] = dot(axis, moment)
         if m >= 0:
-            out[m] = alone * acceleration[m] + push
+            out[m] = motor_inertia * acceleration[m] + rotor_torque
         else:
-            out[i] += alone * acceleration[i] + push
-        moment = add(add_scaled(moment, push, axis), load(work.rotor_bias, i))
+            out[i] += motor_inertia * acceleration[i] + rotor_torque
+        moment = add(add_scaled(moment, rotor_torque, axis), load(work.rotor_bias, i))
         c = load_matrix(work.rotation, i)
         force, moment = apply(c, force), apply(c, moment)
 

@@ -251,10 +251,10 @@ def _quadratic_forces(constants, work, i, v, elastic):
         relative = add_scaled(relative, rate, add_scaled(add_scaled(ZERO, trace, spin), -1.0, turned))
         bias = dot(turned, spin) - trace * square
         for j in range(3):
-            turning = 0.0  # integral of q' S_b x S_a dm
+            coriolis = 0.0  # integral of q' S_b x S_a dm
             for e in range(constants.cross_start[3 * a + j], constants.cross_start[3 * a + j + 1]):
-                turning = fma(v[elastic + constants.cross_source[e]], constants.cross_value[e], turning)
-            bias = fma(2.0 * work.spin[i, j], turning, bias)
+                coriolis = fma(v[elastic + constants.cross_source[e]], constants.cross_value[e], coriolis)
+            bias = fma(2.0 * work.spin[i, j], coriolis, bias)
         work.elastic_bias[a] = bias
     force = add_scaled(cross(spin, cross(spin, load(work.moment, i))), 2.0, cross(spin, linear))
     moment = add_scaled(cross(spin, apply(load_matrix(work.inertia, i), spin)), 2.0, relative)
@@ -292,26 +292,15 @@ def _foreshorten_tip(constants, work, i, x, elastic):
 def _station_motion(constants, i, s, rates, elastic):
     """Return the motion x, y, z of a group of stations of link i, from s on, without foreshortening."""
     count = constants.station_start[i + 1] - constants.station_start[i]
+    start, source = constants.displacement_start, constants.displacement_source
+    values, first = constants.displacement_value, constants.displacement_row[i] + s
     x = y = z = 0.0
-    start, value = constants.displacement_start, constants.displacement_row[i] + s
     for e in range(start[3 * i], start[3 * i + 1]):
-        x = fma(
-            rates[elastic + constants.displacement_source[e]],
-            load_lanes(constants.displacement_value, value + e * count),
-            x,
-        )
+        x = fma(rates[elastic + source[e]], load_lanes(values, first + e * count), x)
     for e in range(start[3 * i + 1], start[3 * i + 2]):
-        y = fma(
-            rates[elastic + constants.displacement_source[e]],
-            load_lanes(constants.displacement_value, value + e * count),
-            y,
-        )
+        y = fma(rates[elastic + source[e]], load_lanes(values, first + e * count), y)
     for e in range(start[3 * i + 2], start[3 * i + 3]):
-        z = fma(
-            rates[elastic + constants.displacement_source[e]],
-            load_lanes(constants.displacement_value, value + e * count),
-            z,
-        )
+        z = fma(rates[elastic + source[e]], load_lanes(values, first + e * count), z)
     return x, y, z
 
 
@@ -335,18 +324,11 @@ def _foreshorten_mass(constants, work, i):
     count, weight, total = constants.station_start[i + 1] - first, work.weight, work.row_sums
     moment_x = xx = xy = xz = 0.0
     for s in range(0, count, group_size(work.foreshortening)):
-        mass, foreshortening, j = (
-            load_lanes(constants.station_mass, first + s),
-            load_lanes(work.foreshortening, first + s),
-            3 * first + s,
-        )
+        mass, j = load_lanes(constants.station_mass, first + s), 3 * first + s
+        foreshortening = load_lanes(work.foreshortening, first + s)
         along = load_lanes(constants.station_position, first + s) + load_lanes(work.displacement, j)
-        y, z, shift = (
-            load_lanes(work.displacement, j + count),
-            load_lanes(work.displacement, j + 2 * count),
-            mass * foreshortening,
-        )
-        j = 4 * first + s
+        y, z = load_lanes(work.displacement, j + count), load_lanes(work.displacement, j + 2 * count)
+        shift, j = mass * foreshortening, 4 * first + s
         store_lanes(weight, j, shift)
         store_lanes(weight, j + count, mass * y)
         store_lanes(weight, j + 2 * count, mass * z)
@@ -384,11 +366,8 @@ def _foreshorten_forces(constants, work, i, v, elastic):
     square = dot(w, w)
     force = moment_x = moment_y = moment_z = 0.0
     for s in range(0, count, group_size(work.foreshortening)):
-        mass, foreshortening, j = (
-            load_lanes(constants.station_mass, first + s),
-            load_lanes(work.foreshortening, first + s),
-            3 * first + s,
-        )
+        mass, j = load_lanes(constants.station_mass, first + s), 3 * first + s
+        foreshortening = load_lanes(work.foreshortening, first + s)
         x = load_lanes(constants.station_position, first + s) + load_lanes(work.displacement, j) + foreshortening
         y, z = load_lanes(work.displacement, j + count), load_lanes(work.displacement, j + 2 * count)
         rate = _station_motion(constants, i, s, v, elastic)

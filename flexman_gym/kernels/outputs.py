@@ -119,7 +119,7 @@ def update_energy_scale(rows, outputs, out):
     for b in range(len(rows)):
         moving = outputs[b, KINETIC] + outputs[b, JOINT_ENERGY] + outputs[b, LINK_ENERGY]
         for value in (moving, abs(rows[b, last - 1]), abs(rows[b, last])):
-            if value > out[b] or value != value:  # NaN is kept, so that it is noticed
+            if value > out[b] or value != value:  # NaN stays
                 out[b] = value
 
 

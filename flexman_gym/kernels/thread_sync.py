@@ -8,7 +8,7 @@ from numba.extending import intrinsic
 
 from flexman_gym.kernels.compile import released
 
-BYTES = 8  # size of a number
+FLAG_SIZE = 8  # bytes; size of a flag, int64
 
 
 @intrinsic
@@ -16,7 +16,7 @@ def _load_acquire(typing_context, flags, index):
     """Return flags[index] with acquire order: values stored before its release by another thread are visible."""
 
     def generate(context, builder, signature, values):
-        return builder.load_atomic(_address(context, builder, signature, values), "acquire", BYTES)
+        return builder.load_atomic(_address(context, builder, signature, values), "acquire", FLAG_SIZE)
 
     return types.int64(flags, index), generate
 
@@ -26,7 +26,7 @@ def _store_release(typing_context, flags, index, value):
     """Set flags[index] with release order: all earlier stores are visible to a thread that reads the value."""
 
     def generate(context, builder, signature, values):
-        builder.store_atomic(values[2], _address(context, builder, signature, values), "release", BYTES)
+        builder.store_atomic(values[2], _address(context, builder, signature, values), "release", FLAG_SIZE)
         return context.get_dummy_value()
 
     return types.void(flags, types.int64, types.int64), generate

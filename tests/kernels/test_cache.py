@@ -188,7 +188,7 @@ def test_a_cache_that_cannot_be_written_costs_the_cache_and_not_the_call(package
              "c.IndexDataCacheFile._open_for_write = full\n" + CALL  # fmt: skip
     done = process(package, tmp_path, script)
     assert done.returncode == 0 and done.stdout.split()[:2] == ["2", "0"]
-    assert done.stderr.count("flexman_gym cannot keep compiled kernels: ") == 1
+    assert done.stderr.count("flexman_gym cannot cache compiled kernels: ") == 1
 
 
 def test_folders_are_the_users_alone(package, cache):
@@ -249,7 +249,7 @@ def test_the_temporary_folder_is_used_with_one_message_if_the_home_cannot_be_wri
         done = process(package, tmp_path / "file", CALL, TMPDIR=str(tmp_path))
         words = done.stdout.split()
         assert words[:2] == ["2", hits] and Path(words[2]).is_relative_to(tmp_path / f"user-{os.getuid()}")
-        assert (f"keeps compiled kernels in {tmp_path}" in done.stderr) == (hits == "0"), "one message"
+        assert (f"caches compiled kernels in {tmp_path}" in done.stderr) == (hits == "0"), "one message"
     assert stat.S_IMODE((tmp_path / f"user-{os.getuid()}").stat().st_mode) == 0o700
 
 
