@@ -166,11 +166,14 @@ def aligned_zeros(shape: tuple[int, ...], lanes: int = ARMS_PER_GROUP) -> Array:
 
 
 def address_table(arrays: NamedTuple, element: types.Type) -> IntArray:
-    """Return the address and shape (fields, 3) of each array of a `Constants` or `Work`; the arrays must stay alive.
+    """Return the addresses and shapes of all arrays of a `Constants` or `Work`.
 
     Args:
-        arrays: the `Constants` or `Work`.
+        arrays: the `Constants` or `Work`; its arrays must stay alive.
         element: type of the elements: NUMBER, or ARMS or SEQUENCES, whose arrays have one more axis for the lanes.
+
+    Returns:
+        Rows (fields, 3) of address, first and second axis; 0 for the second axis of an array with one axis.
 
     Raises:
         TypeError: for an array of another layout than the annotation of its field.

@@ -75,11 +75,7 @@ class _ChecksummedCache(FunctionCache):
 
 
 def _read_checked(path: str) -> Any:
-    """Return the content of a file.
-
-    Raises:
-        OSError: for a file that is missing or damaged.
-    """
+    """Return the content of a file; raise OSError for a file that is missing or damaged."""
     content = Path(path).read_bytes()
     if hashlib.sha256(content[DIGEST_SIZE:]).digest() != content[:DIGEST_SIZE]:
         raise OSError(f"{path} is damaged")
