@@ -46,8 +46,8 @@ class MeshSearch(ModelSearch):
     most_parts, rtols = 512, ()
     shares = (0.6,)
     softens = False
-    tried = ("midpoint_2_sweeps", "gauss_2_sweeps", "ros2", "extrapolated_euler_3", "rk4", "gauss_3_sweeps",
-             "midpoint_3_sweeps", "extrapolated_euler_5", "dopri5")  # fmt: skip
+    tried = ("midpoint_2", "gauss_2", "ros2", "extrapolated_euler_3", "rk4", "gauss_3",
+             "midpoint_3", "extrapolated_euler_5", "dopri5")  # fmt: skip
     blurred = 0.5
     timed = 3
 

@@ -102,10 +102,10 @@ def _stiffest_modes(model: Model, full: Candidate, angles: Vector) -> list[tuple
 
 TOLERANCE_SHARES = (0.6, 0.25)  # parts of the tolerance that dropped coordinates may use; each gives a model
 CANDIDATE_METHODS = ("extrapolated_euler_5", "extrapolated_euler_4", "extrapolated_euler_3", "ros2", "rk4", "dopri5",
-         "midpoint_2_sweeps", "midpoint_3_sweeps", "gauss_2_sweeps", "gauss_3_sweeps", "generalised_alpha")  # fmt: skip
+         "midpoint_2", "midpoint_3", "gauss_2", "gauss_3", "generalised_alpha")  # fmt: skip
 REFERENCE_SHARE = 0.05  # of the tolerance, the most by which the reference may be off
 # Lets no vibration grow or fade, however short or long its steps.
-REFERENCE_METHOD, MIN_PARTS, MAX_PARTS = METHODS["midpoint_3_sweeps"], 1, 64  # steps in an output step
+REFERENCE_METHOD, MIN_PARTS, MAX_PARTS = METHODS["midpoint_3"], 1, 64  # steps in an output step
 # What extrapolated tips are off by, in parts of what the last halving changed; 1/15 but for modes faster than steps.
 EXTRAPOLATION_ERROR = 0.5
 REFERENCE_RTOLS = (1e-5, 1e-8, 1e-11)  # of "dop853", for a reference that halved steps do not make sharp

@@ -19,7 +19,7 @@ ARM = replace(
     gravity=(0.0, 0.0, -9.81),
     stiffness_proportional_damping=1e-4,
 )
-METHODS = ("ros2", "midpoint_3_sweeps", "generalised_alpha", "rk4", "dop853")
+METHODS = ("ros2", "midpoint_3", "generalised_alpha", "rk4", "dop853")
 
 
 def everything(batch):
