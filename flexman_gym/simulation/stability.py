@@ -109,13 +109,6 @@ def spectral_radii(method: Method, angles: float | Array) -> Array:
     return np.abs(amplification_factors(method, angles)).max(axis=-1)
 
 
-def vibration_factor(method: Method, angle: float) -> complex:
-    """Return the factor of the vibration itself: the factor closest to the exact one, exp(i omega h)."""
-    factors = amplification_factors(method, angle)
-    factors = np.concatenate([factors, factors.conj()])
-    return complex(factors[np.abs(factors - np.exp(1j * angle)).argmin()])
-
-
 @cache
 def stability_limit(method: Method, growth: float = 0.0) -> float:
     """Return the largest omega h (rad) up to which no step multiplies an undamped vibration by more than 1 + growth.
@@ -139,13 +132,6 @@ def stability_limit(method: Method, growth: float = 0.0) -> float:
 def explicit_limit(method: Method) -> float:
     """Return the stability limit (rad) of an explicit method for a growth of 1e-6 per step; infinity for the others."""
     return stability_limit(method, 1e-6) if method.kind == EXPLICIT else math.inf
-
-
-def largest_growth(method: Method) -> tuple[float, float]:
-    """Return the largest factor by which a step multiplies an undamped vibration, and its omega h (rad)."""
-    angles = np.geomspace(1e-3, 1e3, 1501)
-    factors = spectral_radii(method, angles)
-    return float(factors.max()), float(angles[factors.argmax()])
 
 
 def remaining_amplitude(method: Method, step: float, frequency: float, duration: float = 10.0) -> float:

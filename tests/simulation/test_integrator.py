@@ -205,7 +205,7 @@ def test_a_long_control_period_has_the_bits_of_one_call(arms, threads, most, mon
     drive = np.random.default_rng(0).normal(size=(arms, 8))
     drive[arms // 2 :: 5, 0] = 1e9  # these fail within the period
     whole = Batch(model, "ros2", 0.001, 0.01, arms=arms, threads=threads)
-    monkeypatch.setattr("flexman_gym.simulation.batch_integrators.evaluations_of_a_call", lambda constants: 8 * most)
+    monkeypatch.setattr("flexman_gym.simulation.batch_integrators.evaluations_per_call", lambda constants: 8 * most)
     parted = Batch(model, "ros2", 0.001, 0.01, arms=arms, threads=threads)
     for _ in range(2):
         for batch in (whole, parted):
@@ -223,7 +223,7 @@ def test_scenes_side_by_side_in_many_calls_have_the_bits_of_one(method, most, mo
     whole = fm.simulate_all(scenes, method=method, step=0.005)
     stages = {"ros2": 2, "midpoint_3": 3, "gauss_2": 5, "extrapolated_euler_3": 6}[method]
     monkeypatch.setattr(
-        "flexman_gym.simulation.batch_integrators.evaluations_of_a_call", lambda constants: 4 * stages * most
+        "flexman_gym.simulation.batch_integrators.evaluations_per_call", lambda constants: 4 * stages * most
     )
     parted = fm.simulate_all(scenes, method=method, step=0.005)
     assert whole[-1].status == "diverged" and whole[0].status == "ok"
@@ -237,7 +237,7 @@ def test_scenes_side_by_side_in_many_calls_have_the_bits_of_one(method, most, mo
 def test_a_control_period_that_is_broken_off_has_not_been(arms, threads, monkeypatch):
     """As by Ctrl-C between two calls; no other thread goes on with the arms."""
     model, calls = fm.build_model(scene().arm, 1), []
-    monkeypatch.setattr("flexman_gym.simulation.batch_integrators.evaluations_of_a_call", lambda constants: 1)
+    monkeypatch.setattr("flexman_gym.simulation.batch_integrators.evaluations_per_call", lambda constants: 1)
     batch, other = (Batch(model, "ros2", 0.001, 0.01, arms=arms, threads=threads) for _ in range(2))
     pressed = threading.Event()
     name = "advance_one" if arms == 1 else "advance_arms"

@@ -13,7 +13,8 @@ from flexman_gym.kernels import layout
 from flexman_gym.model.dynamics import stiffness_matrix
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.methods import KINDS, METHODS, Explicit, IteratedGauss, LinearlyImplicit, generalised_alpha
-from flexman_gym.simulation.stability import amplification_factors, largest_growth, remaining_amplitude, spectral_radii
+from flexman_gym.simulation.stability import amplification_factors, remaining_amplitude, spectral_radii
+from studies.methods import largest_growth
 
 FIXED = [name for name, method in METHODS.items() if not method.adaptive]
 ADAPTIVE = [name for name, method in METHODS.items() if method.estimates]

@@ -181,9 +181,10 @@ def test_held_samples_move_an_arm_as_a_simulator_does_period_by_period(method):
 def test_a_trajectory_is_kept_on_request_alone_and_counts_from_there():
     simulator = fm.Simulator(MODEL)
     simulator.step([0.1, 0.0])
-    with pytest.raises(RuntimeError, match="call keep"):
+    with pytest.raises(RuntimeError, match="call record"):
         simulator.trajectory()
-    simulator.record()
+    with pytest.warns(DeprecationWarning, match="Simulator.keep is Simulator.record now"):
+        simulator.keep()
     simulator.step([0.1, 0.0])
     kept = simulator.trajectory()
     assert len(kept.time) == 2 and kept.work[0] == 0.0 < kept.work[1]

@@ -179,8 +179,8 @@ def test_an_arm_that_rests_keeps_its_drive_and_one_that_is_reset_has_none():
 
 def test_they_are_calculated_once_in_a_period_and_only_when_asked_for(monkeypatch):
     batch, drive = begun(2)
-    calls, sense = [], batch._mover.sense
-    monkeypatch.setattr(batch._mover, "sense", lambda *arguments: calls.append(sense(*arguments)))
+    calls, compute = [], batch._mover.compute_tip_accelerations
+    monkeypatch.setattr(batch._mover, "compute_tip_accelerations", lambda *each: calls.append(compute(*each)))
     for count in (1, 2, 3):
         batch.step(drive[0])
         assert len(calls) == count - 1

@@ -12,8 +12,8 @@ import flexman_gym as fm
 from flexman_gym.model.beam import build_beam
 from flexman_gym.model.component_modes import loaded_modes, outboard_inertias
 from flexman_gym.model.dynamics import stiffness_matrix
-from flexman_gym.simulation.stability import amplification_factors, spectral_radii, stability_limit, vibration_factor
-from studies.methods import explicit_methods, fixed_step_methods
+from flexman_gym.simulation.stability import amplification_factors, spectral_radii, stability_limit
+from studies.methods import explicit_methods, fixed_step_methods, vibration_factor
 from studies.stability.measure import (
     SPIN_STIFFENED,
     SPRINGS,

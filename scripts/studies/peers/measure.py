@@ -15,7 +15,7 @@ import flexman_gym as fm
 from flexman_gym.common.arrays import Array
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.stability import vibration_factor
+from studies.methods import vibration_factor
 from studies.precision.measure import (
     FINEST,
     LARGE_ROTATION,
