@@ -37,6 +37,10 @@ class MeshSearch(ModelSearch):
 
     The reference has five elements per link and foreshortening.
 
+    Args:
+        scene: the scene.
+        tolerance: largest error of the tip, m.
+
     Attributes:
         mesh: chosen number of elements of each link.
         mesh_errors: distance of each mesh from the reference at the tip, m.

@@ -37,7 +37,7 @@ class Candidate(NamedTuple):
 
 
 def full_candidate(scene: Scene) -> Candidate:
-    """Return the candidate that retains all parts of the model of a scene."""
+    """Return the candidate with all parts of the model of a scene."""
     everything = build_model(scene.arm, **(vars(scene.model) | {"modes": None}))
     modes = tuple(tuple(range(basis.shape[1])) for basis in everything.bases)
     return Candidate(modes, everything.n_motors > 0, any(modes))
@@ -58,6 +58,9 @@ def _tip_contributions(model: Model, full: Candidate, states: Array) -> dict[tup
         model: model of the full candidate.
         full: the full candidate.
         states: (T, 2 d) of the reference.
+
+    Returns:
+        Displacement by (link, number).
     """
     turns = np.eye(model.n_dof)[:, : model.n_joints]
     turns[model.motor_columns] = np.eye(model.n_joints)
@@ -76,7 +79,7 @@ def _tip_contributions(model: Model, full: Candidate, states: Array) -> dict[tup
 
 
 def _stiffest_modes(model: Model, full: Candidate, angles: Vector) -> list[tuple[int, int]]:
-    """Return the modes (link, number) in an order that lowers the highest frequency of the arm fast.
+    """Return the modes (link, number), ordered for a fast decrease of the highest frequency of the arm.
 
     Each is the mode with the largest component in the highest vibration of the arm without the modes before it.
 
@@ -84,6 +87,9 @@ def _stiffest_modes(model: Model, full: Candidate, angles: Vector) -> list[tuple
         model: model of the full candidate.
         full: the full candidate.
         angles: (n,) joint angles, rad.
+
+    Returns:
+        All modes of the full candidate, as (link, number).
     """
     from scipy.linalg import eigh
 
@@ -139,9 +145,11 @@ class ModelSearch:
     steps. Where these do not converge, the reference is a method with step-size control. Candidates are screened with
     one of these steps against the full candidate at the same step, so that the common part of the error cancels.
 
-    Attributes:
+    Args:
         scene: the scene.
         tolerance: largest error of the tip, m.
+
+    Attributes:
         models: models built so far.
         screened, screening_runs: results of `screen`, as `CandidateRun` and as trajectory.
         full: the full candidate.
@@ -150,7 +158,7 @@ class ModelSearch:
         reference_tips: tip positions of successively refined references, (T, 3) each, m.
         reference: a run of the full candidate.
         time_error, mesh_error: error of the reference by its steps and by its mesh, m.
-        best: cost of the cheapest run so far that met the tolerance, s.
+        best: lowest cost so far of a run within the tolerance, s.
         runs: number of simulations of the scene so far.
         last_steps: last step tried of each method, s.
         screening: step for the screening of candidates, s; None for "dop853".
@@ -162,7 +170,7 @@ class ModelSearch:
         has_softer_models: flag of further candidates for explicit methods.
         methods: names of the methods to try.
         max_reference_share: largest error of the reference relative to the tolerance.
-        max_timed: number of the cheapest runs that are timed again; None for all with similar cost.
+        max_timed: number of the cheapest runs to be timed again; None for all with similar cost.
     """
 
     max_runs: float = np.inf
@@ -290,7 +298,7 @@ class ModelSearch:
         return error
 
     def screen(self, candidate: Candidate) -> float:
-        """Return the error (m) of a candidate without that of a method; its run is made once.
+        """Return the error (m) of a candidate without the error of a method; its run is made once.
 
         The candidate and the full candidate are run by the same method with the same step, so that their common error
         cancels.
@@ -322,6 +330,9 @@ class ModelSearch:
         Args:
             trial: the run.
             guessed: the estimate before it.
+
+        Returns:
+            The product, s^2.
         """
         return trial.cost * trial.step
 
@@ -344,7 +355,7 @@ class ModelSearch:
         return _tip_contributions(self.model(self.full), self.full, self.reference.states)
 
     def stiffest_modes(self) -> list[tuple[int, int]]:
-        """Return the modes (link, number) in an order that lowers the highest frequency of the arm fast."""
+        """Return the modes (link, number), ordered for a fast decrease of the highest frequency of the arm."""
         return _stiffest_modes(self.model(self.full), self.full, self.scene.initial.joint_angles)
 
     def reduced(self, start: Candidate, budget: float, order: list[tuple[int, int]]) -> Candidate:
@@ -356,6 +367,9 @@ class ModelSearch:
             start: the candidate to reduce.
             budget: largest error at the tip, m.
             order: modes (link, number).
+
+        Returns:
+            The reduced candidate.
         """
 
         def without(gone: list[tuple[int, int]]) -> Candidate:

@@ -37,7 +37,7 @@ class Choice:
         step: s.
         estimated_error: largest distance between the tip and the reference at the outputs of the run, plus the error of
             the reference, m.
-        dropped: a text for each part of the model that was left out, with its effect.
+        dropped: a text for each omitted part of the model, with its effect.
         report: frequencies, step, numerical damping and computing cost of the choice as text. Where the mesh was
             chosen, it also has the estimated effect of large rotations, which is not part of the estimated error.
         errors: components of the error (m) by name; where they cancel, their sum exceeds the estimate. Where the mesh
@@ -251,7 +251,7 @@ def _stable_steps(method: Method, steps: Array, modes: Array, duration: float) -
 
 
 def _admissible_steps(scene: Scene) -> list[float]:
-    """Return the steps that `simulate` accepts for a scene, in descending order."""
+    """Return the steps accepted by `simulate` for a scene, in descending order."""
     rows = len(scene.output_times) - 1
     longer = [scene.output_step * multiple for multiple in STEP_MULTIPLES if rows % multiple == 0]
     return longer + [scene.output_step / parts for parts in STEP_PARTS]
@@ -260,7 +260,7 @@ def _admissible_steps(scene: Scene) -> list[float]:
 def _describe_dropped(
     search: ModelSearch, candidate: Candidate, parts: dict[tuple[int, int], float]
 ) -> tuple[str, ...]:
-    """Return a text for each part of the full model that a candidate leaves out."""
+    """Return a text for each part of the full model omitted in a candidate."""
     full, texts = search.full, []
     if full.stiffening and not candidate.stiffening:
         error = search.screen(full._replace(stiffening=False))

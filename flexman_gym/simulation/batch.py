@@ -1,4 +1,4 @@
-"""Batch: arms of one model that are simulated together."""
+"""Batch: arms of one model, simulated together."""
 
 from collections.abc import Callable, Collection
 from typing import NoReturn
@@ -30,8 +30,8 @@ RESTING = -1  # status of arms excluded from a step; used between batch and inte
 class Batch:
     """Arms of one model, each simulated from its own state under its own drive, one control period at a time.
 
-    The b arms share all constants of the model except those set by `vary`. The result of an arm equals that of a batch
-    of this arm alone, bit for bit.
+    The b arms share all constants of the model except those set by `vary`. Each arm has the result of a batch of this
+    arm alone, bit for bit.
 
     Attributes:
         model: the model.
@@ -45,7 +45,7 @@ class Batch:
             state and outputs stay those at the end of the last successful control period, until the arm is reset.
         start_energy: (b,) kinetic + elastic + gravitational energy at the last reset, J.
         energy_turnover: (b,) largest values since the reset of kinetic + elastic energy, work and dissipation, J.
-        nominal: value in the model of each physical parameter that `vary` can change, by name.
+        nominal: value in the model of each physical parameter of `vary`, by name.
 
     Args:
         model: the model of all arms.
@@ -53,8 +53,8 @@ class Batch:
         step: s; it divides the control period. "auto" takes the longest divisor up to 5 ms, None lets the method
             choose.
         control_period: s.
-        rtol: relative local error of a method that chooses its steps.
-        atol: absolute local error of a method that chooses its steps.
+        rtol: relative local error of adaptive steps.
+        atol: absolute local error of adaptive steps.
         prescribed: joints, from 0, whose motors follow accelerations instead of torques.
         arms: number of arms b, 1 to 65536.
         threads: largest number of threads, 1 to 256.
@@ -140,7 +140,7 @@ class Batch:
         self._mover.forget(arms)
 
     def step(self, drive: Array, moving: BoolArray | None = None) -> None:
-        """Integrate all arms that have not failed over one control period under constant drives.
+        """Integrate all arms without a failure over one control period under constant drives.
 
         Args:
             drive: (b, n + 6) torques (accelerations of prescribed motors), tip force and base acceleration as in
@@ -158,7 +158,7 @@ class Batch:
         close_period(self.rows, self.outputs, status, drive, self._periods, self._drive, self.energy_turnover)
 
     def roll(self, drives: Array) -> tuple[Array, Array]:
-        """Integrate all arms that have not failed over T control periods, with Python's global lock released.
+        """Integrate all arms without a failure over T control periods, with Python's global lock released.
 
         The result equals that of T calls of `step`, to the bit, except for `tip_accelerations`, which are those at the
         end.
@@ -226,12 +226,11 @@ class Batch:
 
         Args:
             arms: indices (r,).
-            parameters: values (r, ...) by their name in `simulation.parameters.PARAMETERS`, in its units.
+            **parameters: values (r, ...) by their name in `simulation.parameters.PARAMETERS`, in its units.
 
         Raises:
-            ValueError: for an unknown name or a wrong shape, for numbers that are not finite or negative, for zero
-                where the arm needs a positive value, and for stiffness or damping of a rigid joint that differ from the
-                model's.
+            ValueError: for an unknown name or a wrong shape, for numbers not finite or negative, for zero where the arm
+                needs a positive value, and for stiffness or damping of a rigid joint that differ from the model's.
         """
         self._known = False
         self._mover.vary(arms, varied_constants(self.model, len(arms), parameters))
@@ -255,6 +254,13 @@ class Batch:
 
 def _find_substeps(step: float | str | None, control_period: float) -> int:
     """Return the number of steps in a control period (s): one for None, for "auto" as in `default_step`.
+
+    Args:
+        step: s, None or "auto".
+        control_period: s.
+
+    Returns:
+        The number of steps.
 
     Raises:
         ValueError: for a step that does not divide the control period.

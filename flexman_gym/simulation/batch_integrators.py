@@ -34,7 +34,7 @@ GIVEN, DONE = 0, 1
 
 
 class WorkerThread:
-    """Thread that waits for tasks and ends with its owner.
+    """Worker thread, which ends with its owner.
 
     Two locks pass a task to the thread and back. Waking a sleeping thread takes as long as the integration of a few
     dozen arms, so both sides spin for a while before they sleep.
@@ -123,7 +123,7 @@ class BatchIntegrator(Protocol):
         """Compute the outputs of some arms from their rows, and clear the memory of their method."""
 
     def forget(self, arms: IntArray) -> None:
-        """Clear the memory that the method of some arms keeps from step to step."""
+        """Clear the memory of the method of some arms between steps."""
 
     def integrate(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
         """Integrate the arms whose status is OK over one control period under drives (b, n + 6).
@@ -170,7 +170,7 @@ class SequentialIntegrator(BatchIntegrator):
 
     @property
     def own(self) -> list[dict[str, Array]]:
-        """Constants of each arm, with the step size and the stages that its method keeps from step to step."""
+        """Constants of each arm, with the step size and the stages kept by its method between steps."""
         return [
             {name: getattr(run.constants, name) for name in sorted(PER_ARM)}
             | {"pace": run.work.pace, "stages": run.work.stages}

@@ -38,9 +38,12 @@ def explain_failure(
         run: the integrator of the arm.
         model: the model.
         drive: (7, n + 6) table of the drive.
-        moment: time of the last valid state (s), step (s), and number of steps that were to follow.
+        moment: time of the last valid state (s), step (s), and number of steps still to go.
         state: (2 d + 2,) last valid state and its ledger.
         status: "diverged", "not converged" or "ok".
+
+    Returns:
+        One or two sentences: the fact, then "Try ...".
     """
     time, step, substeps = moment
     if run.tolerance[0] > 0.0:
@@ -64,6 +67,9 @@ def explain_energy(model: Model, run: Integrator, step: float, time: float, stat
         step: s.
         time: time of the alarm, s.
         states: (r, 2 d) states up to the alarm.
+
+    Returns:
+        One or two sentences: the fact, then "Try ...".
     """
     d, label, diagonal = model.n_dof, _coordinate_names(model), np.diag(stiffness_matrix(model))
     shares = {f"the rate of {label[i]}": states[:, d + i] ** 2 for i in range(model.n_joints)}

@@ -28,7 +28,7 @@ AXES = "xyz"
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """T control periods of one arm, or the T + 1 output times of a scene; nan for quantities that do not exist.
+    """T control periods of one arm, or the T + 1 output times of a scene; nan for missing quantities.
 
     Attributes:
         time: (T + 1,) s, from the reset on.
@@ -68,6 +68,9 @@ class Episode:
         Args:
             trajectory: the solution of a scene.
             name: name of the episode in plots.
+
+        Returns:
+            The episode; missing arrays hold nan.
         """
         rows, n = trajectory.joint_angles.shape
         missing = {"targets": (rows, 3), "errors": (rows,), "actions": (rows - 1, n), "torques": (rows - 1, n),
@@ -90,7 +93,7 @@ class Episode:
         """Simulated model, built from the metadata.
 
         Raises:
-            ValueError: for an arm or a model that is not allowed.
+            ValueError: for an invalid arm or model.
         """
         choice = from_plain(ModelChoice, "model", self.about["model"])
         return build_model(arm_from_plain(self.about["arm"]), **vars(choice))
@@ -135,6 +138,12 @@ class Episode:
     @classmethod
     def load(cls, path: str | Path) -> Self:
         """Read a file written by `save`; no code in it is executed.
+
+        Args:
+            path: the file.
+
+        Returns:
+            The episode.
 
         Raises:
             FileNotFoundError: when there is none.
@@ -189,6 +198,9 @@ class Episode:
     def to_csv(self, path: str | Path) -> None:
         """Write `columns` to a CSV file: a row of names and units, then a row for each time, numbers with all digits.
 
+        Args:
+            path: the file.
+
         Raises:
             OSError: where the file cannot be written.
         """
@@ -196,6 +208,9 @@ class Episode:
 
     def to_pandas(self) -> Any:
         """Return `columns` as a pandas DataFrame; its `attrs` hold the metadata.
+
+        Returns:
+            The DataFrame.
 
         Raises:
             ImportError: without pandas.
@@ -210,6 +225,9 @@ class Episode:
         """Return an xarray Dataset over time, with a coordinate `period` for actions, torques and rewards.
 
         Its `attrs` hold the metadata.
+
+        Returns:
+            The Dataset.
 
         Raises:
             ImportError: without xarray.
@@ -231,7 +249,10 @@ def episode_metadata(model: Model, settings: dict[str, Any] | None = None, **mor
     Args:
         model: the simulated model.
         settings: settings of environment and agent, plain.
-        more: name, seed, failure and further entries.
+        **more: name, seed, failure and further entries.
+
+    Returns:
+        The metadata, with the format version of the file.
     """
     text = json.dumps(settings or {}, sort_keys=True, default=_plain_value)
     return {

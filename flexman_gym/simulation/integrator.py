@@ -64,7 +64,7 @@ def find_method(method: object) -> Method:
 
 
 def find_tolerance(method: Method, step: float | None, rtol: float, atol: float) -> tuple[float, float] | None:
-    """Return rtol and atol of a method that chooses its steps, or None for fixed steps.
+    """Return rtol and atol for adaptive steps, or None for fixed steps.
 
     Args:
         method: the method.
@@ -72,8 +72,11 @@ def find_tolerance(method: Method, step: float | None, rtol: float, atol: float)
         rtol: relative local error.
         atol: absolute local error.
 
+    Returns:
+        (rtol, atol) or None.
+
     Raises:
-        ValueError: for a tolerance that is not > 0, and for a missing step where the method takes fixed steps.
+        ValueError: for a tolerance <= 0, and for a missing step where the method takes fixed steps.
     """
     given = positive("rtol", rtol), positive("atol", atol)
     if step is None and not method.estimates:
@@ -99,6 +102,9 @@ def _extrapolation_schedule(sequence: Sequence[int], lanes: int) -> IntArray:
     Args:
         sequence: ascending numbers of substeps.
         lanes: number of lanes.
+
+    Returns:
+        Integers (r, lanes, 2).
     """
     left, lane = list(range(len(sequence))), [(0, sequence[0])] * lanes
     rounds: list[list[tuple[int, int]]] = []
@@ -112,17 +118,23 @@ def _extrapolation_schedule(sequence: Sequence[int], lanes: int) -> IntArray:
 
 
 class Integrator:
-    """Method bound to a model: a callable that advances a state in place and fills rows and outputs.
+    """Method bound to a model: a callable to advance a state in place and fill rows and outputs.
 
     The arguments of a call are the table of the drive (7, n + 6), the time (s), step (s) and number of steps between
     rows, a state with its ledger (2 d + 2,), rows (r, 2 d + 2) and outputs (r, OUTPUTS). The call returns the status,
     the number of valid rows and the number of evaluations.
 
+    Args:
+        model: the model.
+        method: the method.
+        tolerance: (rtol, atol) of adaptive steps; None for fixed steps.
+        prescribed: joints, from 0, whose motors follow accelerations instead of torques.
+
     Attributes:
         constants: constants of the model, with the flags of prescribed motions.
         work: work space of the kernels.
         method: the method.
-        tolerance: (rtol, atol) of a method that chooses its steps; zeros for fixed steps.
+        tolerance: (rtol, atol) of adaptive steps; zeros for fixed steps.
     """
 
     def __init__(
@@ -179,7 +191,7 @@ class Integrator:
         return batch.run_extrapolation(self.constants, self.work, self._lanes[1], *rest)
 
     def forget(self) -> None:
-        """Clear the memory that the method keeps from step to step."""
+        """Clear the memory of the method between steps."""
         self.work.pace[0] = self.work.stages[:] = 0.0
 
     def start(self, state: Array, row: Array, result: Array) -> None:

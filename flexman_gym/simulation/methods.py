@@ -80,7 +80,7 @@ class Explicit:
         adaptive: reference method, whose steps always follow from rtol and atol.
 
     Raises:
-        ValueError: for coefficients that contradict each other or the order (checked up to order 4).
+        ValueError: for inconsistent coefficients or an order they do not have (checked up to order 4).
     """
 
     name: str
@@ -153,7 +153,7 @@ class LinearlyImplicit:
         sequence: ascending numbers of substeps; (1,) without extrapolation.
 
     Raises:
-        ValueError: for coefficients that contradict each other or the order. The order is checked up to 2, for any
+        ValueError: for inconsistent coefficients or an order they do not have. The order is checked up to 2, for any
             Jacobian; each further number in the sequence of an extrapolation adds an order.
     """
 

@@ -48,13 +48,13 @@ class _Parameter:
     Attributes:
         unit: unit of its values.
         of: "arm" for one number, "joint" or "link" for one number per joint or link, (n,).
-        nominal: function that returns the value of a model.
-        constants: function that returns the changed fields of `kernels.layout.Constants`, (r, ...), for the values of r
-            arms of all given parameters, by name. Each field must be of the type `Own` there.
+        nominal: function: model -> its value.
+        constants: function: model and values -> changed fields of `kernels.layout.Constants`, (r, ...), for the values
+            of r arms of all given parameters, by name. Each field must be of the type `Own` there.
         factor: a randomisation draws factors on the nominal value instead of values.
-        fixed: function that returns flags (n,) of joints whose value must stay nominal, as the model lacks a coordinate
+        fixed: function: model -> flags (n,) of joints whose value must stay nominal, as the model lacks a coordinate
             for it.
-        needed: function that returns flags (n,) of joints whose value must not be 0.
+        needed: function: model -> flags (n,) of joints whose value must not be 0.
         lacking: description of the fixed joints, for the error.
     """
 
@@ -80,9 +80,12 @@ class _Parameter:
             model: the model.
             count: number of arms.
 
+        Returns:
+            The values (count, ...).
+
         Raises:
-            ValueError: for a wrong shape, for numbers that are not finite or negative, for 0 where a positive value is
-                needed, and for a value that differs from the model's where it is fixed.
+            ValueError: for a wrong shape, for numbers not finite or negative, for 0 where a positive value is needed,
+                and for a changed value where it is fixed.
         """
         shape, nominal = (count, *self.shape(model.n_joints)), self.nominal(model)
         allowed = f"finite numbers >= 0, of shape {shape}"
@@ -184,6 +187,9 @@ def rename_old_keys(
         field: name of the mapping, for the warning.
         given: values by old or present names.
         names: old name -> present name.
+
+    Returns:
+        The values by present names.
     """
     for old in given.keys() & names:
         warnings.warn(f"{field}.{old} is {names[old]} now", DeprecationWarning, stacklevel=3)
@@ -196,7 +202,15 @@ def nominal_parameters(model: Model) -> dict[str, Array]:
 
 
 def varied_constants(model: Model, count: int, parameters: Mapping[str, object]) -> dict[str, Array]:
-    """Return the constants (count, ...) that follow from parameter values (count, ...) of `count` arms.
+    """Return the constants (count, ...) of `count` arms with given parameter values (count, ...).
+
+    Args:
+        model: the model.
+        count: number of arms.
+        parameters: values (count, ...) by their name in PARAMETERS.
+
+    Returns:
+        Changed fields of `kernels.layout.Constants` (count, ...), by name.
 
     Raises:
         ValueError: as `Batch.vary`.
@@ -217,7 +231,10 @@ def varied_model(model: Model, **parameters: object) -> Model:
 
     Args:
         model: the model.
-        parameters: values by their name in PARAMETERS, in its unit.
+        **parameters: values by their name in PARAMETERS, in its unit.
+
+    Returns:
+        The model with changed constants.
 
     Raises:
         ValueError: as `Batch.vary`.
@@ -233,6 +250,9 @@ def varied_arm(arm: Arm, values: Mapping[str, Array]) -> Arm:
         arm: the arm.
         values: parameters by their name in PARAMETERS, as in `varied_model`; stiffness and damping of a rigid joint are
             ignored.
+
+    Returns:
+        The changed arm.
     """
     links = arm.links
     if "link_stiffness_factor" in values:

@@ -71,6 +71,9 @@ def _integration_intervals(
         interval: time between outputs, s.
         substeps: steps in an interval.
         rows: numbers of the outputs.
+
+    Yields:
+        The parts in order.
     """
     ends = pieces.moments / interval  # in intervals; whole numbers at outputs
     whole = np.round(ends)
@@ -141,15 +144,15 @@ def simulate(
 
     Args:
         scene: arm, torque, initial state, duration.
-        model: a model of the scene's arm; None builds the one that the scene specifies.
+        model: a model of the scene's arm; None builds the one specified by the scene.
         method: a Method or a name from `METHODS`. "auto" takes "midpoint_3" with a step and the reference method
             "dop853" without one.
         step: s. It divides the output step of the scene, into at most 100000 steps, or is a multiple of it; a multiple
             gives an output after every step. Steps are shorter where a sample of the drive ends within one. None lets a
             method with an error estimate choose its steps. A reference method always chooses its steps; a given step is
             its first guess.
-        rtol: relative local error of a method that chooses its steps.
-        atol: absolute local error of a method that chooses its steps.
+        rtol: relative local error of adaptive steps.
+        atol: absolute local error of adaptive steps.
 
     Returns:
         The trajectory at the output times. A failure is a status of the trajectory, not an exception.
@@ -185,7 +188,7 @@ class _ScenePlan(NamedTuple):
 def _plan_scene(
     scene: Scene, model: Model | None, method: str | Method, step: float | None, rtol: float, atol: float
 ) -> _ScenePlan:
-    """Check the arguments of `simulate` and return the plan that follows from them."""
+    """Check the arguments of `simulate` and return the plan."""
     instance("scene", scene, Scene, "a Scene")
     model = scene_model(scene) if model is None else check_model(model)
     if model.n_joints != scene.arm.n_joints:
@@ -300,13 +303,13 @@ def simulate_all(
 
     Args:
         scenes: b scenes of the same duration, output step and prescribed joints.
-        model: the model of all scenes; None builds the one that the scenes specify, which then have equal arms.
+        model: the model of all scenes; None builds the one specified by the scenes, which then need equal arms.
         method: see `simulate`.
         step: see `simulate`.
         rtol: see `simulate`.
         atol: see `simulate`.
         threads: largest number of threads, 1 to 256.
-        parameters: values (b, ...) of physical parameters in place of the model's, by name, see `Batch.vary`.
+        **parameters: values (b, ...) of physical parameters in place of the model's, by name, see `Batch.vary`.
 
     Returns:
         b trajectories.
@@ -399,5 +402,5 @@ def _run_in_lanes(
 
 
 def _constants_of(varied: dict[str, Array], scene: int) -> dict[str, Array]:
-    """Return the constants of one scene that differ from those of the model."""
+    """Return the changed constants of one scene."""
     return {name: values[scene] for name, values in varied.items()}

@@ -27,8 +27,8 @@ class Simulator:
         step: s; it divides the control period. "auto" takes the longest divisor up to 5 ms, None lets the method choose
             by rtol and atol.
         control_period: s.
-        rtol: relative local error of a method that chooses its steps.
-        atol: absolute local error of a method that chooses its steps.
+        rtol: relative local error of adaptive steps.
+        atol: absolute local error of adaptive steps.
         prescribed: joints, from 0, whose motors (joints where rigid) follow accelerations instead of torques.
 
     Attributes:
@@ -119,6 +119,9 @@ class Simulator:
         """Return the record as a trajectory from time 0, with a row for each successful control period.
 
         Work and dissipation count from its start. Evaluations and seconds are not counted and are 0.
+
+        Returns:
+            The trajectory, with one row per control period.
 
         Raises:
             RuntimeError: where `record` was not called before.

@@ -95,7 +95,7 @@ def _pair_factors(iterations: int, angle: Array) -> NDArray[np.complex128]:
 
 
 def _matrices(rows: list[list[Any]]) -> Array:
-    """Return matrices (..., f, f) from rows of entries that are numbers or arrays (...)."""
+    """Return matrices (..., f, f) from rows of numbers or arrays (...)."""
     entries = np.broadcast_arrays(*(entry for row in rows for entry in row))
     return np.stack(entries, axis=-1).reshape(*entries[0].shape, len(rows), len(rows))
 
@@ -142,5 +142,8 @@ def remaining_amplitude(method: Method, step: float, frequency: float, duration:
         step: s.
         frequency: frequency of the vibration, Hz.
         duration: s.
+
+    Returns:
+        The ratio; 1 without numerical damping.
     """
     return float(spectral_radii(method, 2.0 * np.pi * frequency * step) ** (duration / step))

@@ -31,6 +31,9 @@ def energy_alarm(residual: Any, turnover: Any, level: float = ENERGY_ALARM) -> A
         residual: number or array, J.
         turnover: energy turnover, number or array, J.
         level: the share, 1.
+
+    Returns:
+        A flag, or an array of flags.
     """
     return abs(residual) > level * turnover
 
@@ -74,7 +77,7 @@ class Trajectory:
         wall_seconds: time in the integrator without compilation, s.
         model: the simulated model.
         explain: function of the trajectory behind `explanation`.
-        kinetics: function of the trajectory that returns its `Kinetics`, for loads and energies.
+        kinetics: function: trajectory -> its `Kinetics`, for loads and energies.
 
     Example:
         >>> trajectory = fm.simulate(fm.catalog.paper_scene("rr"), step=0.01)
@@ -157,6 +160,9 @@ class Trajectory:
         Args:
             link: number of the link, from 0.
             positions: (P,) positions along the link, from 0 at its joint to its length at its tip, m.
+
+        Returns:
+            Forces (N) and moments (N m), (T, P, 6).
         """
         i, (kinetics, motion) = whole_number("link", link, 0, self.model.n_joints - 1), self._motion
         length, checked = self.model.arm.links[i].length, vector("positions", positions, unit="m")
@@ -222,6 +228,9 @@ class Trajectory:
 
         Numbers have all digits, so that reading restores the same values.
 
+        Args:
+            path: the file.
+
         Raises:
             OSError: where the file cannot be written.
         """
@@ -232,6 +241,9 @@ class Trajectory:
 
         Args:
             level: largest residual as a share of the energy turnover at the end.
+
+        Returns:
+            The time, or None without an alarm.
         """
         above = np.flatnonzero(energy_alarm(self.energy_residual, self.energy_turnover[-1], positive("level", level)))
         return float(self.time[above[0]]) if above.size else None
@@ -255,7 +267,10 @@ def build_trajectory(
         outputs: (T, OUTPUTS).
         outcome: status, evaluations, and seconds in the integrator.
         explain: function behind `Trajectory.explanation`.
-        kinetics: function that returns the `Kinetics` of the trajectory.
+        kinetics: function: trajectory -> its `Kinetics`.
+
+    Returns:
+        The trajectory.
     """
     size = 2 * model.n_dof
     return Trajectory(

@@ -96,7 +96,7 @@ def test_a_loose_tolerance_allows_what_has_no_foreshortening_and_texts_say_what_
         assert ("foreshortening" in said) == (not candidate.stiffening)
         assert ("springs of the joints" in said) == (not candidate.springs)
         for i, kept in enumerate(candidate.modes):
-            assert (f"link {i + 1}, loaded modes" in said) == (kept != search.full.modes[i])
+            assert (f"link {i + 1}, component modes" in said) == (kept != search.full.modes[i])
         assert all(" m" in text for text in texts)
 
 
@@ -106,7 +106,7 @@ def test_of_models_that_cost_alike_the_smallest_is_chosen(monkeypatch, dearer, c
         run = search.run(candidate, method, step)
         return CandidateRun(candidate, method, step or 0.0, np.nan, 1.0 if candidate.springs else dearer, 1), run
 
-    monkeypatch.setattr(ModelSearch, "timed_run", cost)
+    monkeypatch.setattr(ModelSearch, "run_timed", cost)
     choice = _choose.__wrapped__(SCENES["paper ff"](), 0.1, np.inf)
     assert choice.model.n_dof == coordinates
 

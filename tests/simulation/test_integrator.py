@@ -240,7 +240,7 @@ def test_a_control_period_that_is_broken_off_has_not_been(arms, threads, monkeyp
     monkeypatch.setattr("flexman_gym.simulation.batch_integrators.evaluations_per_call", lambda constants: 1)
     batch, other = (Batch(model, "ros2", 0.001, 0.01, arms=arms, threads=threads) for _ in range(2))
     pressed = threading.Event()
-    name = "advance_one" if arms == 1 else "advance_arms"
+    name = "advance_single" if arms == 1 else "advance_batch"
     kernel, main = getattr(batch_integrators.kernels, name), threading.get_ident()
 
     def broken(*arguments):
