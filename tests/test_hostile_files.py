@@ -62,6 +62,6 @@ def test_no_file_is_open_after_a_refusal(tmp_path):
     (tmp_path / "a.npz").write_bytes(b"PK" + bytes(100))
     before = len(os.listdir("/proc/self/fd"))
     for _ in range(10):
-        with pytest.raises(ValueError, match="this is not an episode"):
+        with pytest.raises(ValueError, match="this is not a saved episode"):
             Episode.load(tmp_path / "a.npz")
     assert len(os.listdir("/proc/self/fd")) == before

@@ -38,7 +38,7 @@ def test_mypy_agrees(tmp_path):
 @pytest.mark.parametrize(
     ("name", "parts"),
     [
-        ("METHODS", ("order", "kind", "step", "(s)", "rtol", "Methods of integration")),
+        ("METHODS", ("order", "kind", "step", "(s)", "rtol", "Integration methods")),
         ("catalog", ("SI units", "m, kg, s, rad", "N m", "Hz")),
         ("rollout", ("tips (b, T + 1, 3) m", "errors (b, T + 1) m", "torques (b, T, n) N m", "period s")),
         ("evaluate", ("settling_time (s)", "vibration (m)", "error (m)")),

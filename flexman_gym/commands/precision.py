@@ -6,7 +6,7 @@ import numpy as np
 
 from flexman_gym.commands import CommandLine, add_options
 
-DEFAULT_METHODS = ("rk4", "dopri5", "ros2", "midpoint_2_sweeps", "midpoint_3_sweeps", "extrapolated_euler_5")
+DEFAULT_METHODS = ("rk4", "dopri5", "ros2", "midpoint_2", "midpoint_3", "extrapolated_euler_5")
 HALVINGS = 5
 REFERENCE_METHOD, REFERENCE_RTOL = "dop853", 1e-9
 

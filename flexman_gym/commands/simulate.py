@@ -26,7 +26,7 @@ def _run(options: argparse.Namespace) -> int:
     scene = Scene.load(options.scene)
     result = simulate(scene, method=options.method, step=options.step, rtol=options.rtol)
     if options.out is not None and options.out.suffix == ".npz":
-        Episode.of_trajectory(result, options.scene.stem).save(options.out)
+        Episode.from_trajectory(result, options.scene.stem).save(options.out)
     elif options.out is not None:
         columns = {"tip": result.tip, "joint_angle": result.joint_angles, "motor_angle": result.motor_angles}
         heads = [f"{name}_{i}" for name, values in columns.items() for i in range(1, values.shape[1] + 1)]

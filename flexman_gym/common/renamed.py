@@ -1,5 +1,6 @@
 """Renamed modules and names: the table of release 0.3, and warnings for the old ones until release 0.4."""
 
+import re
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -24,6 +25,9 @@ MODULES = {
     "flexman_gym.evaluation.folder": "flexman_gym.common.run_folder",
     "flexman_gym.evaluation.shipped": "flexman_gym.evaluation.policy_files",
     "flexman_gym.evaluation.tuning": "flexman_gym.evaluation.optimisation",
+    "flexman_gym.fidelity.choose": "flexman_gym.fidelity.model_selection",
+    "flexman_gym.simulation.amplification": "flexman_gym.simulation.stability",
+    "flexman_gym.simulation.scenes": "flexman_gym.simulation.scene_simulation",
     "flexman_gym.simulation.view": "flexman_gym.envs.view",
 }
 """Old module -> present module."""
@@ -58,6 +62,34 @@ NAMES = {
     "flexman_gym.simulation.stability": {"amplitude_kept": "remaining_amplitude"},
 }  # fmt: skip
 """Present module -> old name in it -> present name."""
+METHODS = {
+    "gauss_2_sweeps": "gauss_2", "gauss_3_sweeps": "gauss_3",
+    "midpoint_2_sweeps": "midpoint_2", "midpoint_3_sweeps": "midpoint_3",
+}  # fmt: skip
+"""Old name of an integration method -> present name; the number counts Newton iterations."""
+LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")  # packages whose frames are no callers of a deprecated name
+
+
+def current_methods(text: str, warn: bool = False) -> str:
+    """Replace old names of integration methods in a text, such as a stored row or the name of a scenario.
+
+    Args:
+        text: a name of a method, or a longer text with such names in it.
+        warn: issue a DeprecationWarning for each old name, at the first caller outside of LIBRARIES; files of earlier
+            releases are read without.
+    """
+
+    def present(match: re.Match[str]) -> str:
+        old = match[0]
+        if warn:
+            level, frame = 2, sys._getframe(1)
+            while frame.f_back and frame.f_globals["__name__"].partition(".")[0] in ("re", *LIBRARIES):
+                level, frame = level + 1, frame.f_back
+            message = f"method {old!r} is deprecated; give {METHODS[old]!r}"
+            warnings.warn(message, DeprecationWarning, stacklevel=level)
+        return METHODS[old]
+
+    return re.sub(rf"\b({'|'.join(METHODS)})\b", present, text)
 
 
 def deprecated_names(module: str, old: str = "") -> Callable[[str], Any]:

@@ -87,7 +87,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
 
     Fidelity
         By default two elements a link with the loaded modes that matter below half the control frequency, 16 of 36 for
-        FlexRRR-v0, and "midpoint_3_sweeps" at 20/3 ms, which takes no energy from vibrations of its own. The smaller
+        FlexRRR-v0, and "midpoint_3" at 20/3 ms, which takes no energy from vibrations of its own. The smaller
         arms have shorter steps. `docs/accuracy.md` says how far energy and tip are from those of all coordinates.
 
         fidelity="auto" with a tolerance (m) lets `choose_model` choose modes, method and step for a slew of 3 s with

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.checks import short_path, value_error
 from flexman_gym.common.files import READ_ERRORS, existing_file, parse_json, regular_file, write_atomically
+from flexman_gym.common.renamed import current_methods
 from flexman_gym.common.safetensors import MAX_BYTES, read_tensors, write_tensors
 from flexman_gym.control.network import Network, policy_parameters
 
@@ -112,6 +113,9 @@ def read_certificate(folder: Path) -> dict[str, Any] | None:
     except ValueError as error:
         raise ValueError(f"{short_path(path)}: this is no certificate ({error})") from None
     result["rows"] = [_present_keys(row) for row in result["rows"]]
+    for row in result["rows"]:
+        row["scenario"] = current_methods(str(row["scenario"]))
+    result["fails"] = [current_methods(str(each)) for each in result["fails"]]
     return result if result["arrays_hash"] == parse_json(_read_bytes(folder / ABOUT)).get("arrays_hash") else None
 
 

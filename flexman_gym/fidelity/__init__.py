@@ -1,4 +1,4 @@
-"""Fidelity: the smallest model and the longest step that a tolerance allows."""
+"""Fidelity: selection of the smallest model and the longest step within a tolerance."""
 
 from flexman_gym.fidelity.model_selection import Choice, assembled_modes, choose_model
 

@@ -272,7 +272,7 @@ def output_unit(name: str) -> str:
     return next((unit for part, unit in ends if part in name), "rad")
 
 
-METHOD = "gauss_3_sweeps"  # of order 4, in lanes: its error stays below that of the data
+METHOD = "gauss_3"  # of order 4, in lanes: its error stays below that of the data
 STACKED = (
     "time", "tip", "tip_velocity", "joint_angles", "motor_angles", "energy", "moving_energy", "work", "dissipation",
     "states", "deflection",

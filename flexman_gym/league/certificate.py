@@ -34,7 +34,7 @@ SEARCH_EPISODES, LISTED_EPISODES, SEARCH_SEED = (
     50_000,
 )  # of the search: episodes, episodes that are listed, first seed
 METRIC_NAMES = ("settled", "settling_time", "vibration", "error", "roughness", "failed")
-METHOD = "gauss_2_sweeps"  # of another order than the default
+METHOD = "gauss_2"  # of another order than the default
 OTHER_PLANTS = {"finer": len(TEST_SEEDS), "mujoco": 8}  # plant -> most episodes
 DELAYS, NOISES = (0, 1, 2, 3), (0.001, 0.003)  # control periods, and parts of the ranges of sensors
 RANGE_EXTENSION = 0.25  # part of a range of the training by which a scenario goes beyond it

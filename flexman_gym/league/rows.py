@@ -20,6 +20,7 @@ from flexman_gym.common.checks import short_path
 from flexman_gym.common.computer import computer_info
 from flexman_gym.common.files import write_atomically
 from flexman_gym.common.parallel import Workers, parallel_map_unordered
+from flexman_gym.common.renamed import current_methods
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS
 from flexman_gym.common.time_series import read_csv_rows
 from flexman_gym.control.actions import ActionMode
@@ -306,7 +307,7 @@ def _read(
     result = []
     for number, line in enumerate(lines, 2):
         try:
-            result.append(make(dict(zip(found, line, strict=True))))
+            result.append(make(dict(zip(found, map(current_methods, line), strict=True))))
         except ValueError:
             allowed = f"{len(found)} entries, numbers where they belong"
             raise ValueError(f"{short_path(path)}: line {number} is not one of a league; give {allowed}") from None

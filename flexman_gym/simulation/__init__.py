@@ -1,4 +1,4 @@
-"""Simulation: models moved through time, one or many, by methods that are data."""
+"""Simulation: time integration of one or many arms, and the table of integration methods."""
 
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.episode import Episode

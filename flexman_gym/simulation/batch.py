@@ -1,4 +1,4 @@
-"""Batch: arms of one model that move side by side."""
+"""Batch: arms of one model, simulated together."""
 
 from collections.abc import Callable, Collection
 from typing import NoReturn
@@ -23,15 +23,15 @@ from flexman_gym.simulation.integrator import (
 from flexman_gym.simulation.methods import DEFAULT_METHOD, IteratedGauss, LinearlyImplicit, Method
 from flexman_gym.simulation.parameters import nominal_parameters, varied_constants
 
-MAX_ARMS, MAX_THREADS = 65536, 256
-RESTING = -1  # status of arms that are not to move; only batch integrators see it
+MAX_ARMS, MAX_THREADS = 65536, 256  # of a batch
+RESTING = -1  # status of arms excluded from a step; used between batch and integrator only
 
 
 class Batch:
-    """Arms of one model that are moved by one control period at a time, each from its own state, by its own drive.
+    """Arms of one model, each simulated from its own state under its own drive, one control period at a time.
 
-    There are b arms. They share all constants of the model except those that `vary` sets. An arm moves as it would
-    alone, bit for bit.
+    The b arms share all constants of the model except those set by `vary`. Each arm has the result of a batch of this
+    arm alone, bit for bit.
 
     Attributes:
         model: the model.
@@ -39,16 +39,25 @@ class Batch:
         control_period: s.
         substeps: steps in a control period, at most 100000.
         rows: (b, 2 d + 2) state and ledger of each arm, see `kernels.layout`.
-        state: (b, 2 d) a view of `rows`.
-        outputs: (b, OUTPUTS) tip, deflection and energies at that state; columns in `kernels.layout`.
-        status: (b,) int64 of the last step: OK, DIVERGED or NOT_CONVERGED of `kernels.layout`. An arm that failed keeps
-            state and outputs of the end of its last good control period and rests until it is reset.
+        state: (b, 2 d) view of the states in `rows`.
+        outputs: (b, OUTPUTS) tip, deflection and energies at these states; columns in `kernels.layout`.
+        status: (b,) int64 status of the last step: OK, DIVERGED or NOT_CONVERGED of `kernels.layout`. After a failure,
+            state and outputs stay those at the end of the last successful control period, until the arm is reset.
         start_energy: (b,) kinetic + elastic + gravitational energy at the last reset, J.
-        energy_turnover: (b,) the largest since the reset of kinetic + elastic energy, of work and of dissipation, J.
-        nominal: the model's value of each physical parameter that `vary` can change, by name.
+        energy_turnover: (b,) largest values since the reset of kinetic + elastic energy, work and dissipation, J.
+        nominal: value in the model of each physical parameter of `vary`, by name.
 
-    Raises:
-        ValueError: one line with field, value and what is allowed.
+    Args:
+        model: the model of all arms.
+        method: a Method or a name from `METHODS`.
+        step: s; it divides the control period. "auto" takes the longest divisor up to 5 ms, None lets the method
+            choose.
+        control_period: s.
+        rtol: relative local error of adaptive steps.
+        atol: absolute local error of adaptive steps.
+        prescribed: joints, from 0, whose motors follow accelerations instead of torques.
+        arms: number of arms b, 1 to 65536.
+        threads: largest number of threads, 1 to 256.
     """
 
     kept = (
@@ -94,32 +103,36 @@ class Batch:
         self.status = np.zeros(count, dtype=np.int64)
         self._periods = np.zeros(count)  # control periods since the reset
         self.energy_turnover, self.start_energy = np.zeros(count), np.zeros(count)
-        self._drive = np.zeros((count, n + 6))  # of the last good control period, zeros after a reset
+        self._drive = np.zeros((count, n + 6))  # drive of the last successful control period, zero after a reset
         self._felt, self._known = np.zeros((count, layout.TIP_ACCELERATIONS)), False
         self.nominal = nominal_parameters(model)
         self.reset(np.arange(count), np.zeros((count, 2 * model.n_dof)))
 
     def reset(self, arms: np.ndarray, states: Array) -> None:
-        """Starts the arms with the indices (r,) anew, at time 0 and at states (r, 2 d).
+        """Restart some arms at time 0 from given states.
+
+        Args:
+            arms: indices (r,).
+            states: (r, 2 d).
 
         Raises:
-            ValueError: for a state beyond the bounds of `kernels.layout.LARGEST_STATE`; nothing has changed then.
+            ValueError: for a state beyond `kernels.layout.LARGEST_STATE`; the batch is then unchanged.
         """
         if not np.abs(states).max(initial=0.0) <= layout.LARGEST_STATE:
             check_magnitudes("states", states.ravel().tolist(), layout.LARGEST_STATE)
         self.place(arms, states)
         self._periods[arms] = self._drive[arms] = 0.0
-        self._mover.observe(arms, self.rows, self.outputs)
+        self._mover.compute_outputs(arms, self.rows, self.outputs)
         energy = np.empty(len(self.rows))
         outputs.total_energies(self.outputs, energy)
         self.start_energy[arms], self.energy_turnover[arms] = energy[arms], 0.0
         outputs.update_energy_scale(self.rows, self.outputs, self.energy_turnover)
 
     def place(self, arms: np.ndarray, states: Array) -> None:
-        """Puts the arms with the indices (r,) at states (r, 2 d), to be moved from there on.
+        """Set the states (r, 2 d) of the arms with the indices (r,), as start of the next step.
 
-        It takes less time than `reset`, as nothing is read and checked: energies and outputs are of no use until the
-        next step, the ledger not even then.
+        Faster than `reset`, as nothing is checked or computed: outputs and energies are invalid until the next step,
+        and the ledger stays invalid until the next reset.
         """
         self.rows[arms, :-2], self.rows[arms, -2:] = states, 0.0
         self.status[arms] = layout.OK
@@ -127,97 +140,97 @@ class Batch:
         self._mover.forget(arms)
 
     def step(self, drive: Array, moving: BoolArray | None = None) -> None:
-        """Moves all arms that have not failed by one control period, during which their drive is constant.
+        """Integrate all arms without a failure over one control period under constant drives.
 
         Args:
-            drive: (b, n + 6) torques (accelerations where the motion is prescribed), tip force and base acceleration as
-                in `kernels.layout`; it is not checked.
-            moving: (b,) arms that are moved, the others rest; None moves all.
+            drive: (b, n + 6) torques (accelerations of prescribed motors), tip force and base acceleration as in
+                `kernels.layout`; not checked.
+            moving: (b,) flags of the arms to integrate; None for all.
         """
         if moving is None:
             status = self.status
-            self._mover.move(drive, self._periods, self.rows, self.outputs, status)
+            self._mover.integrate(drive, self._periods, self.rows, self.outputs, status)
         else:
             status = np.where(moving, self.status, RESTING)
-            self._mover.move(drive, self._periods, self.rows, self.outputs, status)
+            self._mover.integrate(drive, self._periods, self.rows, self.outputs, status)
             self.status[moving] = status[moving]
         self._known = False
         close_period(self.rows, self.outputs, status, drive, self._periods, self._drive, self.energy_turnover)
 
     def roll(self, drives: Array) -> tuple[Array, Array]:
-        """Moves all arms that have not failed through T control periods, with Python's lock released.
+        """Integrate all arms without a failure over T control periods, with Python's global lock released.
 
-        It is T times `step`, to the bit, but for `tip_accelerations`, which are those at the end.
+        The result equals that of T calls of `step`, to the bit, except for `tip_accelerations`, which are those at the
+        end.
 
         Args:
-            drives: (b, T, n + 6) of each control period, as in `step`; they are not checked.
+            drives: (b, T, n + 6) drive of each control period, as in `step`; not checked.
 
         Returns:
-            States (b, T, 2 d) and outputs (b, T, OUTPUTS) after each control period; NaN from the one on in which an
+            States (b, T, 2 d) and outputs (b, T, OUTPUTS) after each control period; NaN from the period in which an
             arm failed.
         """
         count, periods = drives.shape[:2]
         rows, read = (np.full((count, periods, each.shape[1]), np.nan) for each in (self.rows, self.outputs))
-        self._mover.roll(drives, self._periods, self.rows, self.outputs, self.status, (rows, read))
+        self._mover.integrate_periods(drives, self._periods, self.rows, self.outputs, self.status, (rows, read))
         good = np.isfinite(rows[:, :, 0]).sum(axis=1)
         self._periods += good
         moved = np.flatnonzero(good)
         self._drive[moved] = drives[moved, good[moved] - 1]
         self._known = False
         for period in range(periods):
-            well = period < good
-            turned = self.energy_turnover[well]
-            outputs.update_energy_scale(rows[well, period], read[well, period], turned)
-            self.energy_turnover[well] = turned
+            valid = period < good
+            turnover = self.energy_turnover[valid]
+            outputs.update_energy_scale(rows[valid, period], read[valid, period], turnover)
+            self.energy_turnover[valid] = turnover
         return rows[:, :, :-2], read
 
     def tip_accelerations(self) -> Array:
-        """Gives how each tip is accelerated now, (b, TIP_ACCELERATIONS), m/s^2; columns in `kernels.layout`.
+        """Return the tip accelerations of all arms (b, TIP_ACCELERATIONS), m/s^2; columns in `kernels.layout`.
 
-        TIP_ACCELERATION is the second derivative of the tip's position in the base frame, relative to the base, which
-        may be accelerated itself. SPECIFIC_FORCE is what an accelerometer on the tip shows: the acceleration in
-        inertial space less gravity, along the axes of the tip, which turn with the end of the last link as it bends.
+        TIP_ACCELERATION is the second time derivative of the tip position in the base frame, relative to the base,
+        which may itself accelerate. SPECIFIC_FORCE is the reading of an accelerometer at the tip: the acceleration in
+        inertial space minus gravity, along the axes of the tip, which turn with the end of the last link as it bends.
 
-        Both are those at the end of the last control period, under its drive, and after a reset without any; of an arm
-        that failed, at the end of its last good one. They are calculated when they are asked for, once in a period. The
-        array is overwritten later on.
+        Both hold at the end of the last control period, under its drive; after a reset, under zero drive; for a failed
+        arm, at the end of its last successful period. They are computed on demand, once in a period. The array is
+        overwritten by later calls.
         """
         if not self._known:
-            self._mover.sense(self._drive, self.rows, self._felt)
+            self._mover.compute_tip_accelerations(self._drive, self.rows, self._felt)
             self._known = True
         return self._felt
 
-    def run(self, arm: int) -> Integrator:
-        """Gives a run of one arm, with the parameters that it has, beside the batch."""
+    def integrator(self, arm: int) -> Integrator:
+        """Return an integrator of one arm with its present parameters, independent of the batch."""
         run, own = Integrator(self.model, self.method, *self._bound), self._mover.constants(arm)
         run.constants = run.constants._replace(**own)
         return run
 
     def rigid_tips(self, states: Array) -> Array:
-        """Gives the tips (r, 3) in the base frame, m, of the rigid arm at the motor angles of states (r, 2 d)."""
+        """Return the tips (r, 3) in the base frame, m, of the rigid arm at the motor angles of states (r, 2 d)."""
         tips = np.empty((len(states), 3))
         rigid_tips(self.model.constants, states, tips)
         return tips
 
     def __reduce__(self) -> NoReturn:
         raise TypeError(
-            "a Batch cannot be copied or pickled, nor what holds one; an environment can be copied, and gives its state"
+            "a Batch, or an object that holds one, cannot be copied or pickled; copy the environment or its state"
         )
 
     def vary(self, arms: np.ndarray, **parameters: Array) -> None:
-        """Gives the arms with the indices (r,) physical parameters of their own in place of the model's.
+        """Set physical parameters of the arms with the indices (r,), in place of those of the model.
 
-        They act from the next step on. The energies follow from the next reset on, which should come at once. Elements
-        and modes stay those of the model, modal damping keeps its ratio, and the inertia of a payload grows with its
-        mass.
+        They act from the next step on; energies follow from the next reset on, so reset the arms at once. Elements and
+        modes stay those of the model, modal damping ratios are kept, and the inertia of a payload scales with its mass.
 
         Args:
             arms: indices (r,).
-            parameters: values (r, ...) by their name in `simulation.parameters.PARAMETERS`, in its units.
+            **parameters: values (r, ...) by their name in `simulation.parameters.PARAMETERS`, in its units.
 
         Raises:
-            ValueError: for another name or shape, for numbers that are not finite or below zero, for zero where the arm
-                needs more, and for stiffness or damping of a rigid joint other than the model's.
+            ValueError: for an unknown name or a wrong shape, for numbers not finite or negative, for zero where the arm
+                needs a positive value, and for stiffness or damping of a rigid joint that differ from the model's.
         """
         self._known = False
         self._mover.vary(arms, varied_constants(self.model, len(arms), parameters))
@@ -228,7 +241,7 @@ class Batch:
 
     @property
     def time(self) -> Array:
-        """Seconds since the reset (b,)."""
+        """Time since the reset (b,), s."""
         return self._periods * self.control_period
 
     @property
@@ -240,10 +253,17 @@ class Batch:
 
 
 def _find_substeps(step: float | str | None, control_period: float) -> int:
-    """Gives the steps in a control period (s): one for None, where the method chooses, and some for "auto".
+    """Return the number of steps in a control period (s): one for None, for "auto" as in `default_step`.
+
+    Args:
+        step: s, None or "auto".
+        control_period: s.
+
+    Returns:
+        The number of steps.
 
     Raises:
-        ValueError: for anything else that does not divide the control period.
+        ValueError: for a step that does not divide the control period.
     """
     if step is None:
         return 1
@@ -253,11 +273,11 @@ def _find_substeps(step: float | str | None, control_period: float) -> int:
 
 
 def _joints(prescribed: object, count: int) -> list[int]:
-    """Gives the numbers of the joints whose motion is prescribed, of `count` joints."""
+    """Return the numbers of the joints with prescribed motion, of `count` joints."""
     try:
-        few = not isinstance(prescribed, str | bytes) and len(prescribed) <= count  # type: ignore[arg-type]
-    except Exception:  # nothing that has a length
-        few = False
-    if not few or not isinstance(prescribed, Collection):
-        raise value_error("prescribed", prescribed, f"a list of at most {count} joints, by their numbers from 0")
+        is_list = not isinstance(prescribed, str | bytes) and len(prescribed) <= count  # type: ignore[arg-type]
+    except Exception:  # an object without a length
+        is_list = False
+    if not is_list or not isinstance(prescribed, Collection):
+        raise value_error("prescribed", prescribed, f"a list of at most {count} joints, numbered from 0")
     return [whole_number("prescribed", joint, 0, count - 1) for joint in prescribed]

@@ -1,8 +1,9 @@
-"""Episode: what happened in an episode, or to a scene, as arrays with all that is needed to draw or repeat it."""
+"""Episode: the record of an episode or of a scene as arrays, with the data needed to draw or repeat it."""
 
 import hashlib
 import json
 import platform
+import warnings
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
@@ -20,27 +21,33 @@ from flexman_gym.scene.scene import ModelChoice
 from flexman_gym.scene.serialization import arm_from_plain, from_plain, to_plain
 from flexman_gym.simulation.trajectory import Trajectory
 
-FORMAT = 1
-METADATA_KEY = "about"  # the plain data among the arrays of a file
+FORMAT = 1  # version of the file format
+METADATA_KEY = "about"  # name of the metadata among the arrays of a file
 AXES = "xyz"
 
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """T control periods of one arm, or the T + 1 output times of a scene; nan where there is no such thing.
+    """T control periods of one arm, or the T + 1 output times of a scene; nan for missing quantities.
 
     Attributes:
         time: (T + 1,) s, from the reset on.
-        states: (T + 1, 2 d), the order is that of `kernels.layout`.
+        states: (T + 1, 2 d), in the order of `kernels.layout`.
         tips: (T + 1, 3) m, base frame.
         targets: (T + 1, 3) m, base frame.
-        errors: (T + 1,) m, distances of tip and target.
-        readings: name -> (T + 1, k) what the agent's sensors had read last.
-        actions: (T, n) what the motors were asked for, parts of their limits.
-        torques: (T, n) N m, what the motors gave, after delays and other effects.
+        errors: (T + 1,) m, distances between tip and target.
+        readings: name -> (T + 1, k) latest readings of the agent's sensors.
+        actions: (T, n) commands to the motors, as parts of their limits.
+        torques: (T, n) N m, torques of the motors after delays and other effects.
         rewards: (T,).
-        about: plain data: name of who acted, environment, its settings and their hash, seed, versions, failure, arm and
-            model, units of the readings.
+        about: metadata as plain data: name of the agent, environment, its settings and their hash, seed, versions,
+            failure, arm and model, units of the readings.
+
+    Example:
+        >>> trajectory = fm.simulate(fm.catalog.paper_scene("rr"), step=0.01)
+        >>> episode = fm.Episode.from_trajectory(trajectory, "paper")
+        >>> episode.name, episode.tips.shape
+        ('paper', (201, 3))
     """
 
     time: Array
@@ -55,36 +62,45 @@ class Episode:
     about: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of_trajectory(cls, trajectory: Trajectory, name: str = "scene") -> Self:
-        """Gives a trajectory in the form of an episode, without targets, actions, torques and rewards.
+    def from_trajectory(cls, trajectory: Trajectory, name: str = "scene") -> Self:
+        """Return a trajectory in the form of an episode, without targets, actions, torques and rewards.
 
         Args:
             trajectory: the solution of a scene.
-            name: by which pictures call it.
+            name: name of the episode in plots.
+
+        Returns:
+            The episode; missing arrays hold nan.
         """
         rows, n = trajectory.joint_angles.shape
-        nothing = {"targets": (rows, 3), "errors": (rows,), "actions": (rows - 1, n), "torques": (rows - 1, n),
+        missing = {"targets": (rows, 3), "errors": (rows,), "actions": (rows - 1, n), "torques": (rows - 1, n),
                    "rewards": (rows - 1,)}  # fmt: skip
         failure = "" if trajectory.status == "ok" else trajectory.status
         return cls(
             trajectory.time, trajectory.states, trajectory.tip, readings=trajectory.readings,
             about=episode_metadata(trajectory.model, name=name, failure=failure),
-            **{each: np.full(shape, np.nan) for each, shape in nothing.items()},
+            **{each: np.full(shape, np.nan) for each, shape in missing.items()},
         )  # fmt: skip
+
+    @classmethod
+    def of_trajectory(cls, trajectory: Trajectory, name: str = "scene") -> Self:
+        """Return `from_trajectory`, its present name, with a DeprecationWarning."""
+        warnings.warn("Episode.of_trajectory is Episode.from_trajectory now", DeprecationWarning, stacklevel=2)
+        return cls.from_trajectory(trajectory, name)
 
     @cached_property
     def model(self) -> Model:
-        """The model that was moved, built anew.
+        """Simulated model, built from the metadata.
 
         Raises:
-            ValueError: one line, for an arm or a model that is not allowed.
+            ValueError: for an invalid arm or model.
         """
         choice = from_plain(ModelChoice, "model", self.about["model"])
         return build_model(arm_from_plain(self.about["arm"]), **vars(choice))
 
     @property
     def name(self) -> str:
-        """Who acted."""
+        """Name of the agent."""
         return str(self.about.get("name", ""))
 
     @property
@@ -94,11 +110,17 @@ class Episode:
 
     @property
     def band(self) -> float:
-        """Distance of tip and target within which it has settled, m; nan where nobody said one."""
+        """Largest distance between tip and target at which the tip counts as settled, m; nan where none was given."""
         return float(self.about.get("band", np.nan))
 
     def save(self, path: str | Path) -> Path:
-        """Writes arrays and plain data to one file (npz), in which nothing is a pickle; returns its path.
+        """Write arrays and metadata to one file (npz, without pickles).
+
+        Args:
+            path: the file; missing folders are created.
+
+        Returns:
+            The path of the file.
 
         Raises:
             OSError: where it cannot be written.
@@ -115,32 +137,38 @@ class Episode:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Reads a file that `save` wrote; nothing in it is run.
+        """Read a file written by `save`; no code in it is executed.
+
+        Args:
+            path: the file.
+
+        Returns:
+            The episode.
 
         Raises:
             FileNotFoundError: when there is none.
-            ValueError: one line, for a file that is something else.
+            ValueError: for a file without an episode.
         """
         try:
             with open_arrays(path) as data:
-                told = json.loads(data[METADATA_KEY].tobytes())
+                metadata = json.loads(data[METADATA_KEY].tobytes())
                 names = [each.name for each in fields(cls) if each.name not in ("readings", METADATA_KEY)]
                 arrays = {name: data[name] for name in names}
                 prefix = "readings/"
                 readings = {name.removeprefix(prefix): data[name] for name in data.files if name.startswith(prefix)}
-            result = cls(**arrays, readings=readings, about=told)
+            result = cls(**arrays, readings=readings, about=metadata)
             result._check()
         except FileNotFoundError:
-            raise FileNotFoundError(f"{short_path(path)}: no such file; give an episode that was saved") from None
+            raise FileNotFoundError(f"{short_path(path)}: no such file; give a saved episode") from None
         except READ_ERRORS as error:
-            said = " ".join(str(error).split())[:120] or type(error).__name__
-            raise ValueError(f"{short_path(path)}: this is not an episode that was saved ({said})") from None
+            reason = " ".join(str(error).split())[:120] or type(error).__name__
+            raise ValueError(f"{short_path(path)}: this is not a saved episode ({reason})") from None
         return result
 
     def _check(self) -> None:
-        """Refuses arrays that do not belong together, and other plain data than `episode_metadata` gives."""
+        """Check that the arrays match each other and the metadata is that of `episode_metadata`."""
         if self.about["format"] != FORMAT or not isinstance(self.about["name"], str):
-            raise ValueError("it has another format")
+            raise ValueError("unknown format")
         rows, n = len(self.time), len(self.about["arm"]["links"])
         expected = {"time": (rows,), "states": (rows, self.states.shape[-1]), "tips": (rows, 3), "targets": (rows, 3),
                     "errors": (rows,), "actions": (rows - 1, n), "torques": (rows - 1, n), "rewards": (rows - 1,),
@@ -151,9 +179,10 @@ class Episode:
                 raise ValueError(f"{name} is {values.dtype} {values.shape}")
 
     def columns(self) -> dict[str, Array]:
-        """Gives all but the states: columns (T + 1,) by name and unit, such as "tip_x (m)"; joints count from 1.
+        """Return all quantities but the states as columns (T + 1,) by name and unit, such as "tip_x (m)".
 
-        Actions, torques and rewards stand at the end of their period; the first row has none.
+        Joints are numbered from 1. Actions, torques and rewards are in the row of the end of their period; the first
+        row has none.
         """
         units, joints = self.about.get("units", {}), range(1, self.actions.shape[1] + 1)
         result = {"time (s)": self.time, "error (m)": self.errors, "reward": _shift_to_period_ends(self.rewards)}
@@ -167,7 +196,10 @@ class Episode:
         return result
 
     def to_csv(self, path: str | Path) -> None:
-        """Writes `columns` to a file: a line of names and units, then a line for each time, numbers with all digits.
+        """Write `columns` to a CSV file: a row of names and units, then a row for each time, numbers with all digits.
+
+        Args:
+            path: the file.
 
         Raises:
             OSError: where the file cannot be written.
@@ -175,7 +207,10 @@ class Episode:
         write_csv(path, self.columns())
 
     def to_pandas(self) -> Any:
-        """Gives `columns` as a pandas DataFrame; its `attrs` hold `episode_metadata`.
+        """Return `columns` as a pandas DataFrame; its `attrs` hold the metadata.
+
+        Returns:
+            The DataFrame.
 
         Raises:
             ImportError: without pandas.
@@ -187,8 +222,12 @@ class Episode:
         return result
 
     def to_xarray(self) -> Any:
-        """Gives an xarray Dataset over time, and periods for actions, torques and rewards; `attrs` hold
-        `episode_metadata`.
+        """Return an xarray Dataset over time, with a coordinate `period` for actions, torques and rewards.
+
+        Its `attrs` hold the metadata.
+
+        Returns:
+            The Dataset.
 
         Raises:
             ImportError: without xarray.
@@ -200,17 +239,20 @@ class Episode:
                  "rewards": ("period",)}  # fmt: skip
         data: dict[str, Any] = {name: (axes, getattr(self, name)) for name, axes in named.items()}
         data |= {name: (("time", f"{name}_part"), values) for name, values in self.readings.items()}
-        places = {"time": self.time, "axis": list(AXES), "period": self.time[1:]}
-        return xarray.Dataset(data, places, attrs=self.about)
+        coordinates = {"time": self.time, "axis": list(AXES), "period": self.time[1:]}
+        return xarray.Dataset(data, coordinates, attrs=self.about)
 
 
 def episode_metadata(model: Model, settings: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
-    """Gives the plain data of an episode: arm, model, versions, and the hash of settings.
+    """Return the metadata of an episode as plain data: arm, model, versions, and settings with their hash.
 
     Args:
-        model: that was moved.
-        settings: of environment and entrant, plain.
-        more: name, seed, failure and so on.
+        model: the simulated model.
+        settings: settings of environment and agent, plain.
+        **more: name, seed, failure and further entries.
+
+    Returns:
+        The metadata, with the format version of the file.
     """
     text = json.dumps(settings or {}, sort_keys=True, default=_plain_value)
     return {
@@ -220,11 +262,12 @@ def episode_metadata(model: Model, settings: dict[str, Any] | None = None, **mor
 
 
 def _plain_value(value: Any) -> Any:
-    """What stands in a file for an array, and for an object of one's own."""
+    """Return an array as lists, and any other object as the name of its class."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else type(value).__name__
 
 
 def _versions() -> dict[str, str]:
+    """Return the versions of Python and of the packages that determine the results."""
     result = {"python": platform.python_version()}
     for name in ("flexman_gym", "numpy", "numba"):
         try:
@@ -235,6 +278,6 @@ def _versions() -> dict[str, str]:
 
 
 def _shift_to_period_ends(values: Array) -> Array:
-    """Values (T,) of periods at their ends, (T + 1,), nan first."""
+    """Return values (T,) of control periods in the rows of their ends (T + 1,), nan first."""
     result: Array = np.append(np.nan, values)
     return result

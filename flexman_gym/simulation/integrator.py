@@ -1,7 +1,7 @@
 """Integrator of one arm: a method bound to a model and its work space, with the checks of step and tolerance."""
 
 import math
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of, positive, value_error
+from flexman_gym.common.renamed import current_methods
 from flexman_gym.kernels import implicit, layout, outputs, runge_kutta
 from flexman_gym.kernels.arguments import address_table, aligned_zeros
 from flexman_gym.kernels.lanes import SEQUENCES
@@ -25,49 +26,45 @@ from flexman_gym.simulation.methods import (
     ScipyMethod,
 )
 
-MAX_CALL_COST = 1e8  # of one call, in entries of matrices to the power of 3 / 2: a tenth of a second at most
-LANE_COST_RATIO = 4  # times as long takes an evaluation of ARMS_ABREAST arms, at most, as one of one arm
+MAX_CALL_COST = 1e8  # matrix entries to the power 3 / 2; work of one kernel call, at most 0.1 s
+LANE_COST_RATIO = 4  # 1; upper bound of the cost of an evaluation of ARMS_ABREAST arms relative to a single arm
+MAX_STEPS = 100_000  # steps between two outputs, or in a control period
+DEFAULT_MAX_STEP = 0.005  # s; longest step where none is given
 
 
 def evaluations_per_call(constants: Constants) -> int:
-    """Gives after how many evaluations of a model's accelerations a call ends or pauses.
+    """Return the number of evaluations of the accelerations after which a kernel call ends or pauses.
 
-    An evaluation costs about as much as the matrices of its links have entries, to the power of 3 / 2.
+    An evaluation costs about as much as the matrices of the links have entries, to the power of 3 / 2.
     """
     sides = np.diff(constants.elastic_start) + 6.0
     return max(1, int(MAX_CALL_COST / (sides**3).sum()))
 
 
-def chunks(count: int, most: int) -> Iterator[tuple[int, int]]:
-    """Gives the first and the number of each piece, of at most `most`, of a count."""
-    for first in range(0, count, most):
-        yield first, min(most, count - first)
-
-
-MAX_STEPS = 100_000  # between two outputs, and in a control period
-DEFAULT_MAX_STEP = 0.005  # s, where none is named
-# The kernel of each family; SciPy runs the others.
+# Kernels of the method families; ScipyMethod has none.
 KERNELS: dict[type, Callable[..., tuple[int, int, int]]] = {
     Explicit: runge_kutta.run_explicit,
     LinearlyImplicit: runge_kutta.run_linearly_implicit,
     Implicit: implicit.run_implicit,
     IteratedGauss: implicit.run_fixed_newton,
 }
-# Sequences of an extrapolation from which on it pays to run them side by side, of an arm that bends and of a rigid one.
+# Least numbers of sequences of an extrapolation for which parallel lanes are faster: flexible and rigid arms.
 MIN_SEQUENCES, MIN_SEQUENCES_RIGID = 4, 6
 
 
 def find_method(method: object) -> Method:
-    """Gives the method of a name, or the method itself.
+    """Return the method of a name, or the method itself.
 
-    Raises:
-        ValueError: for another name; it lists the names.
+    A name of an earlier release is accepted with a DeprecationWarning.
     """
-    return method if isinstance(method, Method) else METHODS[one_of("method", method, METHODS)]
+    if isinstance(method, Method):
+        return method
+    name = current_methods(method, warn=True) if isinstance(method, str) else method
+    return METHODS[one_of("method", name, METHODS)]
 
 
 def find_tolerance(method: Method, step: float | None, rtol: float, atol: float) -> tuple[float, float] | None:
-    """Gives rtol and atol of a method that chooses its steps, or None for a method with fixed steps.
+    """Return rtol and atol for adaptive steps, or None for fixed steps.
 
     Args:
         method: the method.
@@ -75,8 +72,11 @@ def find_tolerance(method: Method, step: float | None, rtol: float, atol: float)
         rtol: relative local error.
         atol: absolute local error.
 
+    Returns:
+        (rtol, atol) or None.
+
     Raises:
-        ValueError: for a tolerance that is not > 0, and for no step where the method takes fixed steps.
+        ValueError: for a tolerance <= 0, and for a missing step where the method takes fixed steps.
     """
     given = positive("rtol", rtol), positive("atol", atol)
     if step is None and not method.estimates:
@@ -85,23 +85,26 @@ def find_tolerance(method: Method, step: float | None, rtol: float, atol: float)
 
 
 def default_step(control_period: float, longest: float = DEFAULT_MAX_STEP) -> float:
-    """Gives the longest step (s) up to a `longest` one that divides a control period (s)."""
+    """Return the longest step (s), up to `longest`, of which the control period (s) is a whole multiple."""
     return control_period / max(1, math.ceil(control_period / longest - 1e-9))
 
 
 def prescribed_flags(joints: int, prescribed: Collection[int]) -> IntArray:
-    """Gives 1 where the motion of a joint's motor is prescribed and 0 elsewhere, (joints,)."""
+    """Return flags (joints,): 1 where the motion of the motor of a joint is prescribed, else 0."""
     return np.isin(np.arange(joints), list(prescribed)).astype(np.int64)
 
 
-def extrapolation_schedule(sequence: Sequence[int], lanes: int) -> IntArray:
-    """Gives what each lane does of an extrapolated step in each round (r, lanes, 2): a sequence, and its next part.
+def _extrapolation_schedule(sequence: Sequence[int], lanes: int) -> IntArray:
+    """Return the schedule (r, lanes, 2) of an extrapolated step: sequence and substep of each lane in each round.
 
-    A lane that is free takes the longest sequence that is left; when none is left it goes past the end of its last.
+    A free lane takes the longest sequence that is left; without one it continues past the end of its last sequence.
 
     Args:
-        sequence: ascending numbers of parts.
-        lanes: how many there are.
+        sequence: ascending numbers of substeps.
+        lanes: number of lanes.
+
+    Returns:
+        Integers (r, lanes, 2).
     """
     left, lane = list(range(len(sequence))), [(0, sequence[0])] * lanes
     rounds: list[list[tuple[int, int]]] = []
@@ -115,17 +118,23 @@ def extrapolation_schedule(sequence: Sequence[int], lanes: int) -> IntArray:
 
 
 class Integrator:
-    """A method bound to a model, as a call that advances a state in place and fills rows and outputs.
+    """Method bound to a model: a callable to advance a state in place and fill rows and outputs.
 
-    The arguments of a call are the table of the drive (7, n + 6), time, step and substeps, a state with its ledger (2 d
-    + 2,), rows (r, 2 d + 2) and outputs (r, OUTPUTS). It returns the status, the number of valid rows and the number of
-    evaluations.
+    The arguments of a call are the table of the drive (7, n + 6), the time (s), step (s) and number of steps between
+    rows, a state with its ledger (2 d + 2,), rows (r, 2 d + 2) and outputs (r, OUTPUTS). The call returns the status,
+    the number of valid rows and the number of evaluations.
+
+    Args:
+        model: the model.
+        method: the method.
+        tolerance: (rtol, atol) of adaptive steps; None for fixed steps.
+        prescribed: joints, from 0, whose motors follow accelerations instead of torques.
 
     Attributes:
-        constants: of the model, with the prescribed motions.
-        work: the work space of the kernels.
+        constants: constants of the model, with the flags of prescribed motions.
+        work: work space of the kernels.
         method: the method.
-        tolerance: (rtol, atol) by which the method chooses its steps; zeros hold it to the given step.
+        tolerance: (rtol, atol) of adaptive steps; zeros for fixed steps.
     """
 
     def __init__(
@@ -145,11 +154,11 @@ class Integrator:
         elif not isinstance(method, ScipyMethod):
             self._coefficients = method.tableau
         self._lanes: tuple[Constants, tuple[IntArray, ...]] | None = None
-        least = MIN_SEQUENCES if model.n_elastic else MIN_SEQUENCES_RIGID
-        if isinstance(method, LinearlyImplicit) and len(method.sequence) >= least:
+        fewest = MIN_SEQUENCES if model.n_elastic else MIN_SEQUENCES_RIGID
+        if isinstance(method, LinearlyImplicit) and len(method.sequence) >= fewest:
             self._abreast = make_work(model.constants, partial(aligned_zeros, lanes=SEQUENCES.width))
             tables = address_table(self.constants, SEQUENCES), address_table(self._abreast, SEQUENCES)
-            self._lanes = self.constants, (*tables, extrapolation_schedule(method.sequence, SEQUENCES.width))
+            self._lanes = self.constants, (*tables, _extrapolation_schedule(method.sequence, SEQUENCES.width))
 
     def __call__(
         self, drive: Array, moment: tuple[float, float, int], state: Array, rows: Array, result: Array
@@ -163,9 +172,9 @@ class Integrator:
     def _in_calls(
         self, drive: Array, clock: TimeGrid, state: Array, rows: Array, result: Array
     ) -> tuple[int, int, int]:
-        """Calls the kernel, a long run in parts: Python looks for Ctrl-C between two calls only."""
+        """Integrate in several kernel calls of bounded length: Python handles Ctrl-C only between two calls."""
         valid, evaluations, status = 0, 0, layout.PAUSED
-        self.work.progress[:] = 0.0  # of a run that Ctrl-C ended
+        self.work.progress[:] = 0.0  # a run ended by Ctrl-C leaves it set
         while status == layout.PAUSED:
             part = clock._replace(first_step=valid * clock.substeps, max_evaluations=self._most)
             status, good, more = self._called(drive, part, state, rows[valid:], result[valid:])
@@ -173,7 +182,7 @@ class Integrator:
         return status, valid, evaluations
 
     def _called(self, *rest: Any) -> tuple[int, int, int]:
-        """Calls the kernel of the method; one of many sequences has them side by side in the lanes."""
+        """Call the kernel of the method; the sequences of a long extrapolation run in parallel lanes."""
         rest = self._coefficients, *rest
         if self._lanes is None:
             return KERNELS[type(self.method)](self.constants, self.work, *rest)
@@ -182,31 +191,31 @@ class Integrator:
         return runge_kutta.run_extrapolation(self.constants, self.work, self._lanes[1], *rest)
 
     def forget(self) -> None:
-        """Forgets what the method remembers from step to step."""
+        """Clear the memory of the method between steps."""
         self.work.next_step[0] = self.work.stages[:] = 0.0
 
     def start(self, state: Array, row: Array, result: Array) -> None:
-        """Records the state as it is, by a run of no steps, which also loads or compiles the kernels."""
+        """Compute row and outputs of a state by a run of zero steps, which also loads or compiles the kernels."""
         self.forget()
         self(self._at_rest, (0.0, 0.0, 0), state, row[None], result[None])
 
     def _by_scipy(
         self, drive: Array, clock: TimeGrid, state: Array, rows: Array, result: Array
     ) -> tuple[int, int, int]:
-        """Advances the state by SciPy's Radau method, which differentiates the slopes numerically."""
-        from scipy.integrate import solve_ivp  # its import takes long, and few use this method
+        """Integrate by SciPy's Radau method, which computes the Jacobian by finite differences."""
+        from scipy.integrate import solve_ivp  # slow import for a rarely used method
 
         d, times = len(state) // 2 - 1, clock.time + clock.step * clock.substeps * np.arange(1.0, len(rows) + 1.0)
         valid, evaluations = len(rows), 0
         if clock.substeps > 0:
 
-            def slope(time: float, values: Array) -> Array:
+            def derivative(time: float, values: Array) -> Array:
                 out = np.zeros(len(values))
                 runge_kutta.state_derivative(self.constants, self.work, drive, time, values, out)
                 return out
 
             span = (clock.time, times[-1])
-            done = solve_ivp(slope, span, state, "Radau", times, rtol=clock.rtol, atol=clock.atol)
+            done = solve_ivp(derivative, span, state, "Radau", times, rtol=clock.rtol, atol=clock.atol)
             valid, evaluations = len(done.t), done.nfev
             rows[:valid] = done.y.T
         else:

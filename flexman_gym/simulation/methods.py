@@ -1,14 +1,12 @@
-"""Integration methods as data that checks itself: explicit, linearly implicit and implicit families, and all methods
-by name.
+"""Integration methods as data: explicit, linearly implicit and implicit families, and the table of all methods by name.
 
 Every method has a name (for `simulate`), an order of convergence in the step, a source of its coefficients and a `kind`
-("explicit", "linearly implicit", "implicit" or "reference"). A method that is `adaptive` always chooses its steps by
-rtol and atol; one that `estimates` its error is able to.
+("explicit", "linearly implicit", "implicit" or "reference"). A method with `adaptive` set always chooses its steps by
+rtol and atol; a method with `estimates` set can do so. The constructors check coefficients against the order.
 
-Source of the conditions of order: Hairer, Norsett and Wanner (Solving ODEs I, II.1), Hairer and Wanner (II, IV.7).
-Source
-of the pairs of Dormand and Prince, of order 5 (1980) and order 8 (DOP853): Solving ODEs I, II.5 and II.10 with the
-appendix. SciPy has the same numbers, but its import takes long. Rows of A5 and A8 leave out the zeros at their end.
+Order conditions: Hairer, Norsett and Wanner, Solving ODEs I, II.1, and Hairer and Wanner, Solving ODEs II, IV.7. Pairs
+of Dormand and Prince of order 5 (1980) and order 8 (DOP853): Solving ODEs I, II.5 and II.10, with the appendix. SciPy
+has the same coefficients, but its import is slow. Rows of A5 and A8 omit trailing zeros.
 """
 
 import math
@@ -19,6 +17,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import finite, instance, value_error, whole_number
+from flexman_gym.common.renamed import current_methods
 from flexman_gym.kernels.layout import MAX_SEQUENCES, MAX_STAGES, GeneralisedAlpha, Tableau
 
 A5 = (
@@ -51,7 +50,7 @@ A8 = (
 )  # fmt: skip
 B8 = (0.054293734116568765, 0.0, 0.0, 0.0, 0.0, 4.450312892752409, 1.8915178993145003, -5.801203960010585,
       0.3111643669578199, -0.1521609496625161, 0.20136540080403034, 0.04471061572777259)  # fmt: skip
-# Differences from solutions of orders 5 and 3; the latter has weights other than 0 at three stages only.
+# Differences from solutions of order 5 and 3; the solution of order 3 has non-zero weights at three stages only.
 ERROR8_5 = (0.01312004499419488, 0.0, 0.0, 0.0, 0.0, -1.2251564463762044, -0.4957589496572502, 1.6643771824549864,
             -0.35032884874997366, 0.3341791187130175, 0.08192320648511571, -0.022355307863886294, 0.0)  # fmt: skip
 ERROR8_3 = (-0.18980075407240762, *B8[1:8], -0.4226823213237919, *B8[9:11], 0.02265179219836082, 0.0)
@@ -59,8 +58,8 @@ ERROR8_3 = (-0.18980075407240762, *B8[1:8], -0.4226823213237919, *B8[9:11], 0.02
 
 EXPLICIT, LINEARLY_IMPLICIT, IMPLICIT, REFERENCE = "explicit", "linearly implicit", "implicit", "reference"
 KINDS = (EXPLICIT, LINEARLY_IMPLICIT, IMPLICIT, REFERENCE)
-ORDER_TOLERANCE = 1e-12
-MAX_ITERATIONS = 1000
+ORDER_TOLERANCE = 1e-12  # 1; largest residual of an order condition: rounding of its sum
+MAX_ITERATIONS = 1000  # Newton iterations of a step with a fixed number
 
 
 def _no_error_weights() -> Array:
@@ -69,18 +68,19 @@ def _no_error_weights() -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Explicit:
-    """A Runge-Kutta method with s stages: k_i = f(y + h sum_j a_ij k_j); a step adds h sum b_i k_i.
+    """Explicit Runge-Kutta method with s stages: k_i = f(y + h sum_j a_ij k_j); a step adds h sum b_i k_i.
 
     Attributes:
-        name, order, source: see the top of this file.
+        name, order, source: see the module.
         a: (s, s) strictly lower triangular.
-        b: (s,).
-        error: (e, s + 1) weights of e = 0, 1 or 2 error estimates; the last column weighs the slope after the step.
-        semi_implicit: whether positions follow the speeds after the step instead of those before it.
-        adaptive: whether it is a reference, which always chooses its steps.
+        b: (s,) weights.
+        error: (e, s + 1) weights of e = 0, 1 or 2 error estimates; the last column weighs the derivative after the
+            step.
+        semi_implicit: positions advance with the speeds after the step instead of those before it.
+        adaptive: reference method, whose steps always follow from rtol and atol.
 
     Raises:
-        ValueError: when the coefficients contradict each other or the order (checked to order 4).
+        ValueError: for inconsistent coefficients or an order they do not have (checked up to order 4).
     """
 
     name: str
@@ -98,17 +98,17 @@ class Explicit:
 
     @property
     def kind(self) -> str:
-        """Kind: explicit, or reference."""
+        """Family of the method: "explicit", or "reference" for an adaptive one."""
         return REFERENCE if self.adaptive else EXPLICIT
 
     @property
     def estimates(self) -> bool:
-        """Whether it knows its error."""
+        """Availability of an error estimate."""
         return bool(self.error.size)
 
     @property
     def conditions(self) -> list[tuple[int, str, float]]:
-        """Order, name and residual of the conditions of order 1 to 4."""
+        """Order conditions of order 1 to 4: (order, name, residual)."""
         a, b, ones = self.a, self.b, np.ones(len(self.b))
         c = a @ ones
         residuals = {
@@ -125,7 +125,7 @@ class Explicit:
 
     @property
     def tableau(self) -> Tableau:
-        """The coefficients as the kernels read them."""
+        """Coefficients in the form of the kernels."""
         s = len(self.b)
         error = self.error if self.error.size else np.zeros((0, s + 1))
         exponent = 8 if len(error) == 2 else self.order
@@ -137,24 +137,24 @@ class Explicit:
 
 @dataclass(frozen=True, eq=False)
 class LinearlyImplicit:
-    """A W-method with s stages and an approximate Jacobian A, or its extrapolation.
+    """W-method with s stages and an approximate Jacobian A, or the extrapolation of such a method.
 
     (1 - gamma h A) k_i = f(y + h sum_j a_ij k_j) + h A sum_{j<i} coupling_ij k_j; a step adds h sum b_i k_i. An
-    extrapolation takes a step of a method of order 1 in each number of parts in `sequence`. It then eliminates as many
-    powers of the step as the number of these results allows.
+    extrapolation divides the step into each number of substeps in `sequence`, integrates them by a method of order 1,
+    and combines the results so that the leading powers of the step cancel in the error.
 
     Attributes:
-        name, order, source: see the top of this file.
+        name, order, source: see the module.
         a: (s, s) strictly lower triangular.
-        b: (s,).
-        gamma: the diagonal factor of the Jacobian, > 0.
-        coupling: (s, s) strictly lower triangular factors of the Jacobian.
+        b: (s,) weights.
+        gamma: diagonal coefficient of the Jacobian, > 0.
+        coupling: (s, s) strictly lower triangular coefficients of the Jacobian.
         error: (e, s) weights of e = 0 or 1 error estimates.
-        sequence: ascending numbers of parts.
+        sequence: ascending numbers of substeps; (1,) without extrapolation.
 
     Raises:
-        ValueError: when the coefficients contradict each other or the order. Order is checked to 2, for every Jacobian;
-            each sequence of an extrapolation adds an order.
+        ValueError: for inconsistent coefficients or an order they do not have. The order is checked up to 2, for any
+            Jacobian; each further number in the sequence of an extrapolation adds an order.
     """
 
     name: str
@@ -182,24 +182,24 @@ class LinearlyImplicit:
             or len(parts) > MAX_SEQUENCES
             or (single and parts != (1,))
         ):
-            raise ValueError(f"{self.name}: sequence must be 1, or up to {MAX_SEQUENCES} ascending numbers of parts")
+            raise ValueError(f"{self.name}: sequence must be 1, or up to {MAX_SEQUENCES} ascending numbers of substeps")
         if not single and s != 1:
-            raise ValueError(f"{self.name}: only a method of one stage is extrapolated")
+            raise ValueError(f"{self.name}: only a method of one stage can be extrapolated")
         _check_order(self.name, self.order, self.conditions)
 
     @property
     def estimates(self) -> bool:
-        """Whether it knows its error."""
+        """Availability of an error estimate."""
         return bool(self.error.size) or len(self.sequence) > 1
 
     @property
     def evaluations(self) -> int:
-        """Evaluations a step."""
+        """Evaluations of the accelerations in a step."""
         return len(self.b) * sum(self.sequence)
 
     @property
     def conditions(self) -> list[tuple[int, str, float]]:
-        """Order, name and residual of the conditions; they hold with `coupling` in place of `a` too."""
+        """Order conditions: (order, name, residual). They also hold with `coupling` in place of `a`."""
         b, ones = self.b, np.ones(len(self.b))
         first = (1, "sum b - 1", float(b @ ones - 1))
         if len(self.sequence) > 1:
@@ -209,10 +209,10 @@ class LinearlyImplicit:
 
     @property
     def tableau(self) -> Tableau:
-        """The coefficients as the kernels read them, in the transformed variables."""
+        """Coefficients in the form of the kernels, for the transformed stages."""
         s, parts = len(self.b), np.array(self.sequence, dtype=np.int64)
-        weights = extrapolation_weights(self.sequence)
-        lower = np.append(0.0, extrapolation_weights(self.sequence[1:])) if len(parts) > 1 else weights
+        weights = _extrapolation_weights(self.sequence)
+        lower = np.append(0.0, _extrapolation_weights(self.sequence[1:])) if len(parts) > 1 else weights
         inverse = np.linalg.inv(self.gamma * np.eye(s) + self.coupling)
         error = (self.error if self.error.size else np.zeros((0, s))) @ inverse
         c = np.eye(s) / self.gamma - inverse
@@ -223,15 +223,12 @@ class LinearlyImplicit:
 
 @dataclass(frozen=True, eq=False)
 class Implicit:
-    """The generalised-alpha method, or, without a radius, the midpoint rule, solved by Newton's method.
+    """Generalised-alpha method, or the implicit midpoint rule, solved by Newton's method until it converges.
 
     Attributes:
-        name, order, source: see the top of this file.
+        name, order, source: see the module.
         radius: spectral radius at infinite frequency, from 1 (no numerical damping) to 0 (the most); None for the
             midpoint rule.
-
-    Raises:
-        ValueError: for a radius that is not from 0 to 1.
     """
 
     name: str
@@ -248,7 +245,7 @@ class Implicit:
 
     @property
     def averages(self) -> GeneralisedAlpha:
-        """The coefficients as the kernels read them."""
+        """Coefficients in the form of the kernels."""
         if self.radius is None:
             return GeneralisedAlpha(0.0, 0.0, 0.0, 0.0, True)
         mass, force = (2.0 * self.radius - 1.0) / (self.radius + 1.0), self.radius / (self.radius + 1.0)
@@ -258,53 +255,55 @@ class Implicit:
 
 @dataclass(frozen=True, eq=False)
 class IteratedGauss:
-    """Gauss's collocation with one stage (the midpoint rule) or two, by a fixed number of iterations a step.
+    """Gauss collocation with one stage (the midpoint rule) or two, solved by a fixed number of Newton iterations.
 
-    Their approximate Jacobian is that of a linearly implicit method, and so are cost and failures.
+    The iterations use the approximate Jacobian of the linearly implicit methods, at the same cost per evaluation.
 
     Attributes:
-        name, order, source: see the top of this file.
-        sweeps: iterations, each an evaluation of every stage.
+        name, order, source: see the module.
+        iterations: Newton iterations of a step; each evaluates every stage.
         stages: 1 or 2.
 
     Raises:
-        ValueError: for sweeps < 1, other stages, or too few sweeps for the order. Each gains one: from 1 to 2 with one
-            stage, from 2 to 4 with two.
+        ValueError: for fewer than 1 iteration, another number of stages, or too few iterations for the order. Each
+            iteration raises the order by one: from 1 to 2 with one stage, from 2 to 4 with two stages.
     """
 
     name: str
     order: int
     source: str
-    sweeps: int
+    iterations: int
     stages: int = 1
     kind = LINEARLY_IMPLICIT
     adaptive = False
     estimates = False
 
     def __post_init__(self) -> None:
-        whole_number(f"{self.name}.sweeps", self.sweeps, 1, MAX_ITERATIONS)
+        whole_number(f"{self.name}.iterations", self.iterations, 1, MAX_ITERATIONS)
         whole_number(f"{self.name}.stages", self.stages, 1, 2)
-        most = min(self.sweeps + self.stages - 1, 2 * self.stages)
+        most = min(self.iterations + self.stages - 1, 2 * self.stages)
         if not 1 <= self.order <= most:
-            raise ValueError(f"{self.name}: is not of order {self.order}: {self.sweeps} sweeps gain {most} at most")
+            raise ValueError(
+                f"{self.name}: is not of order {self.order}: {self.iterations} iterations give at most {most}"
+            )
 
     @property
     def evaluations(self) -> int:
-        """Evaluations a step."""
-        return self.sweeps if self.stages == 1 else 2 * self.sweeps + 1
+        """Evaluations of the accelerations in a step."""
+        return self.iterations if self.stages == 1 else 2 * self.iterations + 1
 
     @property
     def counts(self) -> tuple[int, int | None]:
-        """The sweeps as the kernels take them, see `swept_step`."""
-        return self.sweeps, None if self.stages == 1 else self.stages
+        """Iterations and stages (None for one stage) in the form of the kernels, see `fixed_newton_step`."""
+        return self.iterations, None if self.stages == 1 else self.stages
 
 
 @dataclass(frozen=True, eq=False)
 class ScipyMethod:
-    """A reference that SciPy's integrator of the same name computes.
+    """Reference method computed by the integrator of the same name in SciPy.
 
     Attributes:
-        name, order, source: see the top of this file.
+        name, order, source: see the module.
     """
 
     name: str
@@ -318,13 +317,10 @@ class ScipyMethod:
 Method = Explicit | LinearlyImplicit | Implicit | IteratedGauss | ScipyMethod
 
 
-def extrapolation_weights(sequence: Sequence[int]) -> Array:
-    """Gives the weights of an extrapolation (Neville).
+def _extrapolation_weights(sequence: Sequence[int]) -> Array:
+    """Return the weights (m,) of m results with these numbers of substeps in an extrapolation to step zero (Neville).
 
-    They eliminate the powers 1, 2, ... of the step from its results.
-
-    Args:
-        sequence: ascending numbers of parts of the step, one for each result.
+    Their sum eliminates the powers 1, 2, ..., m - 1 of the step from the error.
     """
     return np.array([math.prod(n / (n - m) for m in sequence if m != n) for n in sequence], dtype=float)
 
@@ -346,10 +342,20 @@ def _check_order(name: str, order: int, conditions: list[tuple[int, str, float]]
 
 
 def generalised_alpha(radius: float) -> Implicit:
-    """Builds the generalised-alpha method with a spectral radius at infinite frequency from 0 to 1.
+    """Return the generalised-alpha method with a given spectral radius at infinite frequency.
 
-    Raises:
-        ValueError: for a radius that is not from 0 to 1.
+    Args:
+        radius: from 1 (no numerical damping) to 0 (the most).
+
+    Returns:
+        A Method for `simulate` and `Simulator`.
+
+    Example:
+        >>> method = fm.generalised_alpha(0.8)
+        >>> method.name, method.order, method.radius
+        ('generalised_alpha', 2, 0.8)
+        >>> fm.simulate(fm.catalog.paper_scene("rr"), method=method, step=0.01).status
+        'ok'
     """
     source = "Chung and Hulbert 1993; Arnold and Bruls 2007, Multibody System Dynamics 18, 185"
     return Implicit("generalised_alpha", 2, source, radius)
@@ -391,7 +397,7 @@ def _linearly_implicit_methods() -> tuple[LinearlyImplicit, ...]:
         b=np.array([0.5, 0.5]),
         gamma=gamma,
         coupling=_lower_triangular(2, [[-2 * gamma]]),
-        error=np.array([[-0.5, 0.5]]),  # difference from the first stage alone
+        error=np.array([[-0.5, 0.5]]),  # difference from the solution of the first stage
     )
     source = "Deuflhard 1985, SIAM Review 27, 505; Hairer and Wanner, Solving ODEs II, IV.9"
     one, zero = np.ones(1), np.zeros((1, 1))
@@ -404,27 +410,41 @@ def _linearly_implicit_methods() -> tuple[LinearlyImplicit, ...]:
 def _implicit_methods() -> tuple[Method, ...]:
     source = "Hairer, Lubich and Wanner, Geometric Numerical Integration, II.1"
     midpoint = Implicit("implicit_midpoint", 2, source)
-    sweeps = [IteratedGauss(f"midpoint_{n}_sweeps", 2, f"{source}; Newton's iterations: VIII.6", n) for n in (2, 3)]
+    iterated = [IteratedGauss(f"midpoint_{n}", 2, f"{source}; Newton's iterations: VIII.6", n) for n in (2, 3)]
     pairs = f"{source}; van der Houwen and Swart 1997, SIAM J. Sci. Comput. 18, 41"
-    sweeps += [IteratedGauss(f"gauss_{n}_sweeps", n + 1, pairs, n, 2) for n in (2, 3)]
+    iterated += [IteratedGauss(f"gauss_{n}", n + 1, pairs, n, 2) for n in (2, 3)]
     radau = ScipyMethod("radau", 5, "Hairer and Wanner, Solving ODEs II, IV.8; the integrator of SciPy")
-    return midpoint, *sweeps, generalised_alpha(0.9), radau
+    return midpoint, *iterated, generalised_alpha(0.9), radau
 
 
-DEFAULT_METHOD = "midpoint_3_sweeps"  # wherever steps are fixed and no method is named
+DEFAULT_METHOD = "midpoint_3"  # method of fixed steps where none is named
 
 
 class _Methods(dict[str, Method]):
-    """Methods of integration: name -> Method, for `fm.simulate(scene, method=name, step=...)`.
+    """Integration methods by name, for `fm.simulate(scene, method=name, step=...)`.
 
-    A Method has `order` (1; the error of a time falls with the step to that power), `kind` ("explicit", "linearly
-    implicit", "implicit" or "reference") and `source`. With a fixed `step` (s) any of them runs; those of kind
-    "reference", and those that estimate their error, choose steps by `rtol` (1) and `atol` (rad, m, and their rates).
-    `flexman list methods` prints them.
+    Each Method has an `order` (the error at a given time falls with the step to this power), a `kind` ("explicit",
+    "linearly implicit", "implicit" or "reference") and a `source`. All of them run with a fixed `step` (s), except
+    those of kind "reference", for which it is the first guess. Reference methods, and methods with an error estimate
+    when no step is given, choose their steps by `rtol` (1) and `atol` (rad, m, and their rates). `flexman list methods`
+    prints the table.
+
+    Example:
+        >>> fm.METHODS["midpoint_3"].order, fm.METHODS["midpoint_3"].kind
+        (2, 'linearly implicit')
+        >>> [name for name, method in fm.METHODS.items() if method.kind == "reference"]
+        ['dop853', 'radau']
     """
+
+    def __missing__(self, name: str) -> Method:
+        """Return the method of an old name, with a DeprecationWarning."""
+        present = current_methods(str(name), warn=True)
+        if present == name:
+            raise KeyError(name)
+        return self[present]
 
 
 METHODS = _Methods(
     {method.name: method for method in (*_explicit_methods(), *_linearly_implicit_methods(), *_implicit_methods())}
 )
-"""Methods that have a name: name -> Method, with its order, family and source."""
+"""Integration methods by name."""

@@ -1,4 +1,4 @@
-"""MuJoCo: arms of a batch as lumped pieces that MuJoCo moves, see `model.mjcf` and `replica`."""
+"""MuJoCo: arms of a batch integrated by MuJoCo as chains of rigid pieces, see `model.mjcf` and `external_simulator`."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -13,19 +13,19 @@ from flexman_gym.model.model import Model
 from flexman_gym.simulation.external_simulator import ArmShapes, Stations
 from flexman_gym.simulation.parameters import varied_arm
 
-PIECES_PER_SECTION = 3  # of a section: natural frequencies of the named arms are then within 3 % up to the sixth
-DIFFERENCE_STEP = 1e-5  # s, over which changes of places are taken for speeds
+PIECES_PER_SECTION = 3  # rigid pieces; natural frequencies 1 to 6 of the named arms are then within 3 %
+DIFFERENCE_STEP = 1e-5  # s; half the interval of central differences for velocities
 
 
 class _LinkBodies(NamedTuple):
-    """Where a link of n pieces beside its first is found.
+    """Bodies and hinges of a link of n pieces after its first, in MuJoCo's model.
 
     Attributes:
-        root: number of its joint's body; those of its pieces follow.
-        turn: (3, 3) from its beam frame to that body.
-        angles: (n, 3) numbers of the coordinates of its hinges.
-        ahead: (n,) m, from the hinges of a piece to the end of their segment.
-        stations: (n,) m, of these ends along the link.
+        root: number of the body at its joint; the bodies of its pieces follow.
+        turn: (3, 3) rotation from the beam frame to this body.
+        angles: (n, 3) indices of the coordinates of its hinges.
+        ahead: (n,) distances from the hinges of a piece to the end of its segment, m.
+        stations: (n,) positions of these ends along the link, m.
     """
 
     root: int
@@ -36,14 +36,14 @@ class _LinkBodies(NamedTuple):
 
 
 class MuJoCoSimulator:
-    """External simulator (see `simulation.external_simulator`) in which each arm is a MuJoCo model.
+    """External simulator (see `external_simulator`) with a MuJoCo model for each arm.
 
-    Its places and speeds are those of MuJoCo's bodies, exactly: no small angles.
+    Positions and velocities are those of MuJoCo's bodies, without small-angle approximation.
     """
 
     def __init__(self, model: Model, period: float, arms: int) -> None:
         if any(joint.coulomb_friction for joint in model.arm.joints):
-            raise value_error("plant", "mujoco", "arms without Coulomb friction: its law is another one there")
+            raise value_error("plant", "mujoco", "arms without Coulomb friction: MuJoCo models it differently")
         self._arm, self._period = model.arm, period
         self._models: list[Any] = [mujoco.MjModel.from_xml_string(mjcf(model.arm, PIECES_PER_SECTION))] * arms
         self._datas = [mujoco.MjData(each) for each in self._models]
@@ -52,17 +52,17 @@ class MuJoCoSimulator:
         self._springs = self._motors + np.array([joint.stiffness is not None for joint in model.arm.joints])
         self._links = [_link_bodies(one, i, link) for i, link in enumerate(model.arm.links)]
         self.stations: Stations = [link.stations for link in self._links]
-        mujoco.set_mju_user_warning(lambda message: None)  # else it writes a file about every divergence
+        mujoco.set_mju_user_warning(lambda message: None)  # else MuJoCo writes a log file at each divergence
 
     def start(self, arm: int, shape: Array, rate: Array, parameters: Mapping[str, Array]) -> None:
-        """Puts an arm into a shape."""
+        """Start an arm from a shape."""
         model = mujoco.MjModel.from_xml_string(mjcf(varied_arm(self._arm, parameters), PIECES_PER_SECTION))
         self._models[arm], data = model, mujoco.MjData(model)
         self._datas[arm] = data
         model.opt.timestep = self._period / np.ceil(self._period / model.opt.timestep)
         n = len(self._motors)
         for values, result in ((shape, data.qpos), (rate, data.qvel)):
-            result[self._springs] = values[:n]  # of a rigid joint it is the motor
+            result[self._springs] = values[:n]  # in a rigid joint it is the motor coordinate
             flexible = self._springs != self._motors
             result[self._motors[flexible]] = values[n : 2 * n][flexible]
             result[self._springs[flexible]] -= values[n : 2 * n][flexible]
@@ -72,9 +72,9 @@ class MuJoCoSimulator:
                 result[link.angles] = np.diff(turns, axis=0, prepend=0.0)
                 first += 6 * len(link.stations)
 
-    def move(self, drives: Array, moving: BoolArray) -> BoolArray:
-        """Moves arms by a control period."""
-        n, well = len(self._motors), np.ones(len(moving), dtype=bool)
+    def integrate(self, drives: Array, moving: BoolArray) -> BoolArray:
+        """Integrate the flagged arms over a control period; return flags of success."""
+        n, ok = len(self._motors), np.ones(len(moving), dtype=bool)
         for arm in np.flatnonzero(moving).tolist():
             model, data = self._models[arm], self._datas[arm]
             data.qfrc_applied[self._motors] = drives[arm, :n]
@@ -82,22 +82,22 @@ class MuJoCoSimulator:
             force = data.xfrc_applied[-1, :3] = drives[arm, n : n + 3]
             data.xfrc_applied[-1, 3:] = np.cross(data.site_xpos[0] - data.xipos[-1], force)
             mujoco.mj_step(model, data, round(self._period / model.opt.timestep))
-            broken = data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or not np.isfinite(data.qpos).all()
-            well[arm] = not broken
-        return well
+            failed = data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or not np.isfinite(data.qpos).all()
+            ok[arm] = not failed
+        return ok
 
     def read(self, arms: IntArray) -> ArmShapes:
-        """Says where arms are."""
+        """Return the shapes of some arms, with rates by central differences."""
         result = []
         for arm in arms.tolist():
             model, data = self._models[arm], self._datas[arm]
-            places, speeds = data.qpos.copy(), data.qvel.copy()
-            now = []
-            for ahead in (-DIFFERENCE_STEP, DIFFERENCE_STEP, 0.0):
-                data.qpos[:] = places + ahead * speeds
+            positions, speeds = data.qpos.copy(), data.qvel.copy()
+            read = []
+            for offset in (-DIFFERENCE_STEP, DIFFERENCE_STEP, 0.0):
+                data.qpos[:] = positions + offset * speeds
                 mujoco.mj_kinematics(model, data)
-                now.append(np.concatenate([self._shape(data), data.site_xpos[0]]))
-            shape, rate = now[2], (now[1] - now[0]) / (2.0 * DIFFERENCE_STEP)
+                read.append(np.concatenate([self._shape(data), data.site_xpos[0]]))
+            shape, rate = read[2], (read[1] - read[0]) / (2.0 * DIFFERENCE_STEP)
             result.append([shape[:-3], rate[:-3], np.concatenate([shape[-3:], rate[-3:]])])
         columns = zip(*result, strict=True) if result else ([], [], [])
         width = 2 * len(self._motors) + 6 * sum(map(len, self.stations))
@@ -106,7 +106,7 @@ class MuJoCoSimulator:
         )
 
     def _shape(self, data: Any) -> Array:
-        """Angles of joints and motors, then the stations of each link, at the present places of the bodies."""
+        """Return the angles of joints and motors, then the displacements of the stations of each link."""
         motors = data.qpos[self._motors]
         springs = np.where(self._springs != self._motors, data.qpos[self._springs], 0.0)
         parts = [motors + springs, motors]
@@ -122,7 +122,7 @@ class MuJoCoSimulator:
 
 
 def _link_bodies(model: Any, number: int, link: Any) -> _LinkBodies:
-    """Where a link is in MuJoCo's model of its arm."""
+    """Return the bodies of a link in MuJoCo's model of its arm."""
     cut = rigid_pieces(link, PIECES_PER_SECTION)
     starts = np.array([piece.start for piece in cut[1:]])
     ends = np.concatenate(
@@ -136,7 +136,7 @@ def _link_bodies(model: Any, number: int, link: Any) -> _LinkBodies:
 
 
 def _rotation_vectors(turned: Array) -> Array:
-    """Rotation vectors (k, 3) of rotations (k, 3, 3) by less than a right angle."""
+    """Return the rotation vectors (k, 3) of rotations (k, 3, 3) by less than a right angle."""
     vectors = np.stack([turned[:, 2, 1] - turned[:, 1, 2], turned[:, 0, 2] - turned[:, 2, 0],
                         turned[:, 1, 0] - turned[:, 0, 1]], axis=1) / 2.0  # fmt: skip
     sines = np.minimum(np.linalg.norm(vectors, axis=1), 1.0)

@@ -1,4 +1,4 @@
-"""Parameters: the one table of the physical parameters in which the arms of a batch may differ."""
+"""Parameters: the table of physical parameters in which the arms of a batch may differ."""
 
 import warnings
 from collections.abc import Callable, Mapping
@@ -43,18 +43,19 @@ def _all_joints(model: Model) -> BoolArray:
 
 @dataclass(frozen=True)
 class _Parameter:
-    """A row of the table: one physical parameter.
+    """Physical parameter: a row of the table.
 
     Attributes:
-        unit: of its values.
-        of: "arm" for one number, "joint" or "link" for one number of each, (n,).
-        nominal: gives the value of a model.
-        constants: gives the changed fields of `kernels.layout.Constants`, (r, ...), for the values of r arms of all
-            parameters that are given, by name. Each field must be of the type `Own` there.
-        factor: whether a randomisation draws factors on the nominal value instead of values.
-        fixed: gives (n,) where the value must stay nominal, as the model has no coordinate on which it could act.
-        needed: gives (n,) where the value must not be 0.
-        lacking: says what such fixed joints are.
+        unit: unit of its values.
+        of: "arm" for one number, "joint" or "link" for one number per joint or link, (n,).
+        nominal: function: model -> its value.
+        constants: function: model and values -> changed fields of `kernels.layout.Constants`, (r, ...), for the values
+            of r arms of all given parameters, by name. Each field must be of the type `Own` there.
+        factor: a randomisation draws factors on the nominal value instead of values.
+        fixed: function: model -> flags (n,) of joints whose value must stay nominal, as the model lacks a coordinate
+            for it.
+        needed: function: model -> flags (n,) of joints whose value must not be 0.
+        lacking: description of the fixed joints, for the error.
     """
 
     unit: str
@@ -67,21 +68,24 @@ class _Parameter:
     lacking: str = "rigid"
 
     def shape(self, joints: int) -> tuple[int, ...]:
-        """Gives the shape of the values of one arm."""
+        """Return the shape of the values of one arm."""
         return () if self.of == ARM else (joints,)
 
     def checked(self, name: str, value: object, model: Model, count: int) -> Array:
-        """Gives the values (count, ...) as floats, after checks.
+        """Return the values (count, ...) as floats, after checks.
 
         Args:
-            name: of the parameter, for the error.
+            name: name of the parameter, for the error.
             value: (count, ...).
             model: the model.
             count: number of arms.
 
+        Returns:
+            The values (count, ...).
+
         Raises:
-            ValueError: for another shape, for numbers that are not finite or negative, for 0 where more is needed, and
-                for another value than the model's where it is fixed.
+            ValueError: for a wrong shape, for numbers not finite or negative, for 0 where a positive value is needed,
+                and for a changed value where it is fixed.
         """
         shape, nominal = (count, *self.shape(model.n_joints)), self.nominal(model)
         allowed = f"finite numbers >= 0, of shape {shape}"
@@ -100,8 +104,8 @@ class _Parameter:
 
 def _payload_constants(model: Model, given: Mapping[str, Array]) -> dict[str, Array]:
     nominal, mass = model.constants, given["payload_mass"][:, None]
-    heavier = mass / nominal.payload_mass[0] if nominal.payload_mass[0] > 0.0 else np.zeros_like(mass)
-    return {"payload_mass": mass, "payload_inertia": heavier * nominal.payload_inertia}
+    ratio = mass / nominal.payload_mass[0] if nominal.payload_mass[0] > 0.0 else np.zeros_like(mass)
+    return {"payload_mass": mass, "payload_inertia": ratio * nominal.payload_inertia}
 
 
 def _rotor_constants(model: Model, given: Mapping[str, Array]) -> dict[str, Array]:
@@ -114,7 +118,7 @@ def _constant_of_same_name(name: str) -> Callable[[Model, Mapping[str, Array]], 
 
 
 def _link_constants(model: Model, given: Mapping[str, Array]) -> dict[str, Array]:
-    """Scales stiffness and modal damping of each link; proportional damping follows, modal damping keeps its ratio."""
+    """Scale stiffness and modal damping of each link; proportional damping follows, modal damping ratios stay."""
     nominal = model.constants
     factor = (
         _expand_to_blocks(model, given["link_stiffness_factor"])
@@ -130,7 +134,7 @@ def _link_constants(model: Model, given: Mapping[str, Array]) -> dict[str, Array
 
 
 def _expand_to_blocks(model: Model, factors: Array) -> Array:
-    """Factors (r, n) of links for the entries of their packed blocks, (r, q + LANES)."""
+    """Return factors (r, n) of links for the entries of their packed blocks, (r, q + LANES)."""
     result = np.ones((len(factors), len(model.constants.stiffness)))
     result[:, : model.constants.square_start[-1]] = np.repeat(factors, np.diff(model.constants.square_start), axis=1)
     return result
@@ -139,65 +143,77 @@ def _expand_to_blocks(model: Model, factors: Array) -> Array:
 PARAMETERS: dict[str, _Parameter] = {
     "payload_mass": _Parameter("kg", ARM, lambda model: model.constants.payload_mass[0], _payload_constants),
     "joint_stiffness": _Parameter(
-        "N m/rad", JOINT, lambda model: model.constants.joint_stiffness, _constant_of_same_name("joint_stiffness"), factor=True,
-        fixed=_rigid_joints, needed=_flexible_joints,
+        "N m/rad", JOINT, lambda model: model.constants.joint_stiffness, _constant_of_same_name("joint_stiffness"),
+        factor=True, fixed=_rigid_joints, needed=_flexible_joints,
     ),
     "joint_damping": _Parameter(
-        "N m s/rad", JOINT, lambda model: model.constants.joint_damping, _constant_of_same_name("joint_damping"), fixed=_rigid_joints,
+        "N m s/rad", JOINT, lambda model: model.constants.joint_damping, _constant_of_same_name("joint_damping"),
+        fixed=_rigid_joints,
     ),
     "rotor_inertia": _Parameter(
-        "kg m^2", JOINT, lambda model: model.constants.rotor_inertia, _rotor_constants, factor=True, needed=_flexible_joints,
+        "kg m^2", JOINT, lambda model: model.constants.rotor_inertia, _rotor_constants, factor=True,
+        needed=_flexible_joints,
     ),
     "viscous_friction": _Parameter(
-        "N m s/rad", JOINT, lambda model: model.constants.viscous_friction, _constant_of_same_name("viscous_friction"), factor=True,
+        "N m s/rad", JOINT, lambda model: model.constants.viscous_friction, _constant_of_same_name("viscous_friction"),
+        factor=True,
     ),
     "coulomb_friction": _Parameter(
-        "N m", JOINT, lambda model: model.constants.coulomb_friction, _constant_of_same_name("coulomb_friction"), factor=True,
-        fixed=_joints_without_coulomb_friction, lacking="without Coulomb friction",
+        "N m", JOINT, lambda model: model.constants.coulomb_friction, _constant_of_same_name("coulomb_friction"),
+        factor=True, fixed=_joints_without_coulomb_friction, lacking="without Coulomb friction",
     ),
     "link_stiffness_factor": _Parameter(
         "1, factor on the elastic moduli", LINK, lambda model: np.ones(model.n_joints), _link_constants, factor=True,
         needed=_all_joints,
     ),
     "link_damping": _Parameter(
-        "damping ratio of every mode", LINK, lambda model: np.array(model.arm.damping_ratios), _link_constants, factor=True,
-        fixed=_links_without_modal_damping, lacking="of links without modal damping",
+        "damping ratio of every mode", LINK, lambda model: np.array(model.arm.damping_ratios), _link_constants,
+        factor=True, fixed=_links_without_modal_damping, lacking="of links without modal damping",
     ),
 }  # fmt: skip
 
 
-RENAMED_PARAMETERS = {"link_stiffness": "link_stiffness_factor"}  # names until release 0.3
+RENAMED_PARAMETERS = {"link_stiffness": "link_stiffness_factor"}  # old name, until release 0.3 -> present name
 UNCERTAIN = {f"{name.removesuffix('_factor')}_factor" if row.factor else name: name for name, row in PARAMETERS.items()}
-"""Name of a range of a parameter -> the parameter: NAME_factor where the range is one of factors on the nominal
-value.
-"""
+"""Name of a range -> parameter: NAME_factor where the range holds factors on the nominal value of NAME."""
 
 
 def rename_old_keys(
     field: str, given: Mapping[str, Any], names: Mapping[str, str] = RENAMED_PARAMETERS
 ) -> dict[str, Any]:
-    """Return a mapping under the present names of its keys, with a DeprecationWarning for each old one.
+    """Return a mapping under the present names of its keys, with a DeprecationWarning for each old name.
 
     Args:
         field: name of the mapping, for the warning.
         given: values by old or present names.
         names: old name -> present name.
+
+    Returns:
+        The values by present names.
     """
     for old in given.keys() & names:
-        warnings.warn(f"{field}.{old}: this is called {names[old]} now", DeprecationWarning, stacklevel=3)
+        warnings.warn(f"{field}.{old} is {names[old]} now", DeprecationWarning, stacklevel=3)
     return {names.get(name, name): value for name, value in given.items()}
 
 
 def nominal_parameters(model: Model) -> dict[str, Array]:
-    """Gives a copy of the model's value of each parameter, by name."""
+    """Return a copy of the model's value of each parameter, by name."""
     return {name: np.array(parameter.nominal(model)) for name, parameter in PARAMETERS.items()}
 
 
 def varied_constants(model: Model, count: int, parameters: Mapping[str, object]) -> dict[str, Array]:
-    """Gives the constants (count, ...) that change of `count` arms, by the values (count, ...) of their parameters.
+    """Return the constants (count, ...) of `count` arms with given parameter values (count, ...).
+
+    Args:
+        model: the model.
+        count: number of arms.
+        parameters: values (count, ...) by their name in PARAMETERS.
+
+    Returns:
+        Changed fields of `kernels.layout.Constants` (count, ...), by name.
 
     Raises:
-        ValueError: as `Batch.vary` does.
+        ValueError: as `Batch.vary`.
     """
     parameters = rename_old_keys("parameters", parameters)
     rows = {name: PARAMETERS[one_of("parameters", name, PARAMETERS)] for name in parameters}
@@ -209,40 +225,34 @@ def varied_constants(model: Model, count: int, parameters: Mapping[str, object])
 
 
 def varied_model(model: Model, **parameters: object) -> Model:
-    """Gives the model with the same coordinates of an arm with other parameters.
+    """Return the model of an arm with changed parameters, in the coordinates of the given model.
 
-    `build_model` of a changed arm may give other modes, hence other coordinates.
+    `build_model` of a changed arm may select other modes, hence other coordinates.
 
     Args:
         model: the model.
-        parameters: value of each, by its name in PARAMETERS, in its unit.
+        **parameters: values by their name in PARAMETERS, in its unit.
+
+    Returns:
+        The model with changed constants.
 
     Raises:
-        ValueError: as `Batch.vary` does.
+        ValueError: as `Batch.vary`.
     """
     changed = varied_constants(model, 1, {name: np.asarray(value)[None] for name, value in parameters.items()})
     return replace(model, constants=model.constants._replace(**{name: rows[0] for name, rows in changed.items()}))
 
 
-def parameters_from_constants(model: Model, constants: Mapping[str, Any]) -> dict[str, Array]:
-    """Gives the physical parameters that make a model's constants those of one of its arms, by name."""
-    nominal = model.constants
-    changed = replace(model, constants=nominal._replace(**constants))
-    result = {name: np.array(row.nominal(changed)) for name, row in PARAMETERS.items() if row.of != LINK}
-    first = nominal.square_start[:-1]
-    flexible = np.diff(nominal.elastic_start) > 0
-    factors = np.ones(model.n_joints)
-    factors[flexible] = (constants["stiffness"][first] / nominal.stiffness[first])[flexible]
-    return result | {"link_stiffness_factor": factors}
-
-
 def varied_arm(arm: Arm, values: Mapping[str, Array]) -> Arm:
-    """Gives an arm with other physical parameters; its motors keep their gear, and their rotors take the new inertia.
+    """Return an arm with changed physical parameters; motors keep their gear ratio, their rotors take the new inertia.
 
     Args:
         arm: the arm.
-        values: of some parameters by their name in PARAMETERS, as `varied_model` takes them. Of a rigid joint stiffness
-            and damping are passed over.
+        values: parameters by their name in PARAMETERS, as in `varied_model`; stiffness and damping of a rigid joint are
+            ignored.
+
+    Returns:
+        The changed arm.
     """
     links = arm.links
     if "link_stiffness_factor" in values:
@@ -259,7 +269,7 @@ def varied_arm(arm: Arm, values: Mapping[str, Array]) -> Arm:
 
 
 def _varied_joint(joint: Any, values: Mapping[str, Array], i: int) -> Any:
-    """A joint with the numbers that are given for it."""
+    """Return joint i with its values of the given parameters."""
     own = {"viscous_friction": "viscous_friction", "coulomb_friction": "coulomb_friction"}
     own |= {"rotor_inertia": "rotor_inertia"}
     if joint.stiffness is not None:
@@ -273,9 +283,9 @@ def _varied_joint(joint: Any, values: Mapping[str, Array], i: int) -> Any:
 
 
 def _scale_moduli(link: Any, factor: float) -> Any:
-    """A link with so many times its elastic moduli."""
+    """Return a link with its elastic moduli scaled by a factor."""
     if isinstance(link, NonUniformLink):
         return replace(link, sections=[_scale_moduli(section, factor) for section in link.sections])
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of its section, which was said when the link was made
+        warnings.simplefilter("ignore", UserWarning)  # issued before, when the link was made
         return replace(link, youngs_modulus=factor * link.youngs_modulus, shear_modulus=factor * link.shear_modulus)

@@ -1,5 +1,6 @@
-"""Simulator: a model moved through time, one control period after another."""
+"""Simulator of one arm, one control period after another."""
 
+import warnings
 from collections.abc import Collection
 
 import numpy as np
@@ -11,37 +12,37 @@ from flexman_gym.kernels.layout import STATUS
 from flexman_gym.model.model import Model
 from flexman_gym.scene.signals import signal_table
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.diagnostics import Failure, explain_energy, explain_failure
+from flexman_gym.simulation.diagnostics import explain_energy, explain_failure
 from flexman_gym.simulation.integrator import prescribed_flags
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 from flexman_gym.simulation.trajectory import Trajectory, build_trajectory, energy_alarm
 
 
 class Simulator:
-    """A model that is moved by one control period at a time, under torques that are constant during it.
+    """Simulation of one arm, one control period at a time, under torques that are constant in each period.
 
-    Motors (joints where they are rigid) in `prescribed` follow accelerations instead of torques. The step (s) divides
-    the control period; "auto" takes the longest that does and is at most 5 ms, None lets the method choose by rtol and
-    atol.
+    Args:
+        model: the model.
+        method: a Method or a name from `METHODS`.
+        step: s; it divides the control period. "auto" takes the longest divisor up to 5 ms, None lets the method choose
+            by rtol and atol.
+        control_period: s.
+        rtol: relative local error of adaptive steps.
+        atol: absolute local error of adaptive steps.
+        prescribed: joints, from 0, whose motors (joints where rigid) follow accelerations instead of torques.
 
     Attributes:
-        batch: the Batch of this one arm.
-        model: as of the batch.
-        method: as of the batch.
-        control_period: as of the batch.
-        substeps: as of the batch.
+        batch: the Batch of this single arm.
+        model, method, control_period, substeps: as in the batch.
         state: (2 d,) coordinates and speeds, a view that `step` updates; order in `kernels.layout`.
-        outputs: (OUTPUTS,) tip, deflection and energies at that state; columns in `kernels.layout`.
-        prescribed: (n,) bool.
-        time: since the reset, s.
-        energy_turnover: the largest since the reset of kinetic + elastic energy, of work and of dissipation, J.
-        status: of the last step, "ok", "diverged" or "not converged". After a failure, state and outputs stay as at the
-            end of the last good control period, until a reset.
+        outputs: (OUTPUTS,) tip, deflection and energies at this state; columns in `kernels.layout`.
+        prescribed: (n,) flags of prescribed motion.
+        time: time since the reset, s.
+        energy_turnover: largest values since the reset of kinetic + elastic energy, work and dissipation, J.
+        status: status of the last step: "ok", "diverged" or "not converged". After a failure, state and outputs stay
+            those at the end of the last successful control period, until a reset.
 
-    Raises:
-        ValueError: one line with field, value and what is allowed.
-
-    Examples:
+    Example:
         >>> simulator = fm.Simulator(fm.build_model(fm.catalog.one_joint()), control_period=0.01)
         >>> simulator.reset(joint_angles=[0.3])
         >>> simulator.step([0.1])
@@ -66,7 +67,7 @@ class Simulator:
         self.state, self.outputs = self.batch.state[0], self.batch.outputs[0]
         self.prescribed = prescribed_flags(model.n_joints, prescribed) > 0
         self._drive = np.zeros((1, model.n_joints + 6))
-        self._kept: list[tuple[Array, Array]] | None = None
+        self._record: list[tuple[Array, Array]] | None = None
 
     def reset(
         self,
@@ -74,7 +75,7 @@ class Simulator:
         joint_rates: Vector | None = None,
         state: Vector | None = None,
     ) -> None:
-        """Starts anew at time 0, undeformed at joint angles and rates, or at a whole state.
+        """Restart at time 0, undeformed at joint angles and rates, or from a complete state.
 
         Args:
             joint_angles: (n,) rad, zero by default.
@@ -82,44 +83,52 @@ class Simulator:
             state: (2 d,), in place of angles and rates.
 
         Raises:
-            ValueError: for a wrong shape, a value that is not finite or beyond 1e6 (rad, m, 1/s), at which a simulation
-                has diverged, and for angles and a state at once.
+            ValueError: for a wrong shape, a value that is not finite or beyond 1e6 (rad, m, 1/s), the bound of
+                divergence, and for angles together with a state.
         """
         if state is not None:
             if joint_angles is not None or joint_rates is not None:
-                raise value_error("state", "given with joint_angles or joint_rates", "one of the two")
+                raise value_error("state", "given with joint_angles or joint_rates", "a state, or angles and rates")
             start = np.array(vector("state", state, 2 * self.model.n_dof))
             check_magnitudes("state", start.tolist(), layout.LARGEST_STATE)
         else:
             angles = np.zeros(self.model.n_joints) if joint_angles is None else joint_angles
             start = self.model.initial_state(angles, joint_rates)
         self.batch.reset(np.zeros(1, dtype=np.int64), start[None])
-        if self._kept is not None:
-            self.keep()
+        if self._record is not None:
+            self.record()
+
+    def record(self) -> None:
+        """Record the state now and after each further `step`, for `trajectory`; a reset restarts the record.
+
+        An earlier record is discarded. Environments integrate without `step`, so they record nothing.
+        """
+        self._record = []
+        self._append_record()
 
     def keep(self) -> None:
-        """Keeps the state now and after every `step` from now on, for `build_trajectory`; a reset begins anew.
+        """Call `record`, its present name, with a DeprecationWarning."""
+        warnings.warn("Simulator.keep is Simulator.record now", DeprecationWarning, stacklevel=2)
+        self.record()
 
-        What was kept before is forgotten. An environment moves its arm without `step`.
-        """
-        self._kept = []
-        self._keep_now()
-
-    def _keep_now(self) -> None:
-        if self._kept is not None:
-            self._kept.append((self.batch.rows[0].copy(), self.outputs.copy()))
+    def _append_record(self) -> None:
+        if self._record is not None:
+            self._record.append((self.batch.rows[0].copy(), self.outputs.copy()))
 
     def trajectory(self) -> Trajectory:
-        """Gives what was kept, from time 0 on: a row for each control period that went well.
+        """Return the record as a trajectory from time 0, with a row for each successful control period.
 
-        Work and dissipation count from its start. Evaluations and seconds are not counted, they are 0.
+        Work and dissipation count from its start. Evaluations and seconds are not counted and are 0.
+
+        Returns:
+            The trajectory, with one row per control period.
 
         Raises:
-            RuntimeError: where `keep` was not called before.
+            RuntimeError: where `record` was not called before.
         """
-        if self._kept is None:
-            raise RuntimeError("nothing was kept: call keep() before the motion")
-        states, outputs = (np.array(each) for each in zip(*self._kept, strict=True))
+        if self._record is None:
+            raise RuntimeError("nothing was recorded: call record() before the motion")
+        states, outputs = (np.array(each) for each in zip(*self._record, strict=True))
         states[:, -2:] -= states[0, -2:]
         outcome = self.status, 0, 0.0
         return build_trajectory(self.model, self.control_period, states, outputs, outcome, lambda _: self.explanation())
@@ -131,24 +140,23 @@ class Simulator:
         tip_force: Vector | None = None,
         base_acceleration: Vector | None = None,
     ) -> str:
-        """Moves on by one control period, during which everything that drives the arm is constant.
+        """Integrate over one control period under constant drives.
 
         Args:
-            torque: (n,) of the motors, N m; 0 where the motion is prescribed.
-            acceleration: (n,) of the motors whose motion is prescribed, rad/s^2, and 0 elsewhere; None for zeros.
-            tip_force: (3,) on the tip of the last link, base frame, N; None for none.
-            base_acceleration: (3,) of the base, base frame, m/s^2; None for none.
+            torque: (n,) torques of the motors, N m; 0 for prescribed motors.
+            acceleration: (n,) accelerations of prescribed motors, rad/s^2, and 0 for the others; None for zeros.
+            tip_force: (3,) force on the tip of the last link, base frame, N; None for none.
+            base_acceleration: (3,) acceleration of the base, base frame, m/s^2; None for none.
 
         Returns:
             The status.
 
         Raises:
-            ValueError: for a wrong shape, a value that is not finite, or a torque on a joint whose motion is
-                prescribed.
+            ValueError: for a wrong shape, a value that is not finite, or a torque on a joint with prescribed motion.
             RuntimeError: after a failed step, until the next reset.
         """
         if self.status != STATUS[layout.OK]:
-            raise RuntimeError(f"the simulation is over, it {self.status}: reset it first")
+            raise RuntimeError(f"the simulation has failed ({self.status}); reset it first")
         n, drive = self.model.n_joints, self._drive[0]
         drive[:n] = _numbers("torque", torque, n, "N m")
         if self.prescribed.any() or acceleration is not None:
@@ -159,11 +167,11 @@ class Simulator:
             drive[n + 3 :] = _numbers("base_acceleration", base_acceleration, 3, "m/s^2")
         self.batch.step(self._drive)
         if self.status == STATUS[layout.OK]:
-            self._keep_now()
+            self._append_record()
         return self.status
 
     def _prescribe(self, drive: Array, acceleration: Vector | None) -> None:
-        """Writes the accelerations of prescribed motors over their torques, which must be zero."""
+        """Replace the torques of prescribed motors, which must be zero, by their accelerations."""
         given = np.zeros(len(drive)) if acceleration is None else acceleration
         given = _numbers("acceleration", given, len(drive), "rad/s^2")
         for i in np.flatnonzero(self.prescribed & (drive != 0.0)):
@@ -184,26 +192,26 @@ class Simulator:
         return self._drive[0]
 
     def explanation(self) -> str:
-        """Says what went first in a failure or an energy alarm, and what to change; "" while all is well."""
-        well, model = self.status == STATUS[layout.OK], self.model
-        if well and not energy_alarm(self.energy_residual, self.energy_turnover):
+        """Return the first quantity out of bounds in a failure or at an energy alarm, with remedies; otherwise ""."""
+        ok, model = self.status == STATUS[layout.OK], self.model
+        if ok and not energy_alarm(self.energy_residual, self.energy_turnover):
             return ""
-        run, step = self.batch.run(0), self.control_period / self.substeps
-        if well:
+        run, step = self.batch.integrator(0), self.control_period / self.substeps
+        if ok:
             return explain_energy(model, run, step, self.time, self.state[None])
         table = signal_table([None] * (model.n_joints + 6))
         table[layout.OFFSET] = self.drive
         moment = (self.time, step, self.substeps)
-        return explain_failure(Failure(run, model, table, moment, self.batch.rows[0], self.status))
+        return explain_failure(run, model, table, moment, self.batch.rows[0], self.status)
 
     @property
     def time(self) -> float:
-        """Seconds since the reset."""
+        """Time since the reset, s."""
         return float(self.batch.time[0])
 
     @property
     def energy_turnover(self) -> float:
-        """The largest since the reset of kinetic + elastic energy, of work and of dissipation, J."""
+        """Largest values since the reset of kinetic + elastic energy, work and dissipation, J."""
         return float(self.batch.energy_turnover[0])
 
     @property
@@ -218,7 +226,7 @@ class Simulator:
 
     @property
     def deflection(self) -> Array:
-        """Tip relative to the tip of the rigid arm at the motor angles (3,), m."""
+        """Tip position relative to the tip of the rigid arm at the motor angles (3,), m."""
         return self.outputs[layout.DEFLECTION]
 
     @property
@@ -243,5 +251,5 @@ class Simulator:
 
 
 def _numbers(name: str, value: Vector, count: int, unit: str) -> Array:
-    """Gives the value as an array of finite numbers."""
+    """Return the value as an array of finite numbers."""
     return number_array(name, value, (count,), f"{count} finite numbers ({unit})")

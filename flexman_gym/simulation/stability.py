@@ -1,4 +1,8 @@
-"""Numerical stability: amplification factors and stability limits of integration methods."""
+"""Numerical stability: amplification factors and stability limits of integration methods.
+
+The test problem is a free undamped vibration of angular frequency omega, integrated with steps h. The factors follow
+from the coefficients of the method and depend on omega h alone.
+"""
 
 import math
 from functools import cache
@@ -16,20 +20,19 @@ from flexman_gym.simulation.methods import (
     IteratedGauss,
     LinearlyImplicit,
     Method,
-    extrapolation_weights,
 )
 
 
 def amplification_factors(method: Method, angle: float | Array) -> NDArray[np.complex128]:
-    """Gives the complex factors by which a step of a method multiplies the parts of an undamped vibration.
+    """Return the complex factors by which one step multiplies the components of an undamped vibration.
 
     Runge-Kutta and linearly implicit methods have one factor (with its conjugate), the stability function R(i omega h).
-    The semi-implicit Euler method and sweeps of two stages have two and the generalised-alpha method three, the
-    eigenvalues of their amplification matrix.
+    The semi-implicit Euler method and the iterated Gauss method of two stages have two factors and the
+    generalised-alpha method three, the eigenvalues of their amplification matrices.
 
     Args:
-        method: the method.
-        angle: omega h, the angle by which the exact vibration turns in a step, rad; one or an array of any shape (...).
+        method: method of fixed steps.
+        angle: omega h, the phase by which the exact vibration advances in a step, rad; a number or an array (...).
 
     Returns:
         The factors (..., f).
@@ -39,14 +42,13 @@ def amplification_factors(method: Method, angle: float | Array) -> NDArray[np.co
     """
     angle = np.asarray(angle, dtype=np.float64)
     if method.adaptive or not isinstance(method, Explicit | LinearlyImplicit | Implicit | IteratedGauss):
-        raise ValueError(f"method: {method.name} chooses its steps; give one of fixed steps")
+        raise ValueError(f"method: {method.name} chooses its steps; give a method of fixed steps")
     if isinstance(method, Implicit | IteratedGauss):
         return _implicit_factors(method, angle)
     if isinstance(method, LinearlyImplicit):
-        weights, matrix = extrapolation_weights(method.sequence), method.a + method.coupling
-        matrix = matrix + method.gamma * np.eye(len(method.b))
+        matrix = method.a + method.coupling + method.gamma * np.eye(len(method.b))
         result = np.zeros(angle.shape, dtype=np.complex128)
-        for weight, parts in zip(weights, method.sequence, strict=True):
+        for weight, parts in zip(method.tableau.weights, method.sequence, strict=True):
             result += weight * _stability(matrix, method.b, 1j * angle / parts) ** parts
         return result[..., None]
     if method.semi_implicit:
@@ -55,7 +57,7 @@ def amplification_factors(method: Method, angle: float | Array) -> NDArray[np.co
 
 
 def _stability(matrix: Array, b: Array, z: np.ndarray) -> np.ndarray:
-    """Gives R(z), the factor of a step of length 1 of a Runge-Kutta method for y' = z y."""
+    """Return R(z), the factor of a step of length 1 of a Runge-Kutta method for y' = z y."""
     size = len(b)
     stages = np.linalg.solve(np.eye(size) - z[..., None, None] * matrix, np.ones((*z.shape, size, 1)))
     return 1.0 + z * (stages[..., 0] @ b)
@@ -63,8 +65,8 @@ def _stability(matrix: Array, b: Array, z: np.ndarray) -> np.ndarray:
 
 def _implicit_factors(method: Implicit | IteratedGauss, angle: Array) -> NDArray[np.complex128]:
     if isinstance(method, IteratedGauss) and method.stages > 1:
-        return _pair_factors(method.sweeps, angle)
-    if isinstance(method, IteratedGauss) or method.radius is None:  # one sweep is exact where all is linear
+        return _pair_factors(method.iterations, angle)
+    if isinstance(method, IteratedGauss) or method.radius is None:  # one iteration is exact for a linear problem
         return ((1.0 + 0.5j * angle) / (1.0 - 0.5j * angle))[..., None]
     mass, force, beta, gamma = method.averages[:4]
     square = angle**2
@@ -74,18 +76,18 @@ def _implicit_factors(method: Implicit | IteratedGauss, angle: Array) -> NDArray
     return _eigenvalues(np.linalg.solve(_matrices(after), _matrices(before)))
 
 
-def _pair_factors(sweeps: int, angle: Array) -> NDArray[np.complex128]:
-    """Gives the factors of sweeps of two stages: their step itself, for q and h v, with q'' = - omega^2 q."""
+def _pair_factors(iterations: int, angle: Array) -> NDArray[np.complex128]:
+    """Return the factors of the two-stage method: eigenvalues of one step for q and h v, with q'' = -omega^2 q."""
     square, ends = angle**2, []
     for q, speed in ((1.0, 0.0), (0.0, 1.0)):
         w = [-square * (q + 0.5 * speed) / (1.0 + 0.25 * square)] * 2
         v = [speed + (0.5 + side * GAUSS_NODE) * w[0] for side in (-1, 1)]
-        for relaxed in (RELAXATION,) * FROZEN_ITERATIONS + (1.0,) * sweeps:
-            places, speeds = q + REMAINDER * (v[0] + v[1]), speed + REMAINDER * (w[0] + w[1])
+        for relaxed in (RELAXATION,) * FROZEN_ITERATIONS + (1.0,) * iterations:
+            positions, speeds = q + REMAINDER * (v[0] + v[1]), speed + REMAINDER * (w[0] + w[1])
             for i in range(2):
                 before = speeds + i * LOWER * w[0]
-                place = places + i * LOWER * v[0] + DIAGONAL * before
-                new = -square * place / (1.0 + DIAGONAL**2 * square)
+                position = positions + i * LOWER * v[0] + DIAGONAL * before
+                new = -square * position / (1.0 + DIAGONAL**2 * square)
                 v[i] = v[i] + relaxed * (before + DIAGONAL * new - v[i])
                 w[i] = w[i] + relaxed * (new - w[i])
         ends.append((q + 0.5 * (v[0] + v[1]), speed + 0.5 * (w[0] + w[1])))
@@ -93,7 +95,7 @@ def _pair_factors(sweeps: int, angle: Array) -> NDArray[np.complex128]:
 
 
 def _matrices(rows: list[list[Any]]) -> Array:
-    """Gives matrices (..., f, f) from entries that are numbers or arrays (...)."""
+    """Return matrices (..., f, f) from rows of numbers or arrays (...)."""
     entries = np.broadcast_arrays(*(entry for row in rows for entry in row))
     return np.stack(entries, axis=-1).reshape(*entries[0].shape, len(rows), len(rows))
 
@@ -103,55 +105,45 @@ def _eigenvalues(matrix: np.ndarray) -> NDArray[np.complex128]:
 
 
 def spectral_radii(method: Method, angles: float | Array) -> Array:
-    """Return the largest magnitudes (...) of the factors of steps in which the vibration turns by angles (...) rad."""
+    """Return the largest magnitudes (...) of the amplification factors at omega h = `angles` (...), rad."""
     return np.abs(amplification_factors(method, angles)).max(axis=-1)
-
-
-def vibration_factor(method: Method, angle: float) -> complex:
-    """Gives the factor of the vibration itself, the one next to the exact factor exp(i omega h)."""
-    factors = amplification_factors(method, angle)
-    factors = np.concatenate([factors, factors.conj()])
-    return complex(factors[np.abs(factors - np.exp(1j * angle)).argmin()])
 
 
 @cache
 def stability_limit(method: Method, growth: float = 0.0) -> float:
-    """Gives the largest omega h (rad) up to which no step multiplies an undamped vibration by more than 1 + growth.
+    """Return the largest omega h (rad) up to which no step multiplies an undamped vibration by more than 1 + growth.
 
-    It is infinite for a method that passes at every omega h up to 1e4. Rounding of 1e-12 counts as no growth.
+    The limit is infinite for a method that is stable at every omega h up to 1e4. A growth of 1e-12 is taken for
+    rounding.
     """
     grid = np.concatenate([np.arange(1, 10_000) * 1e-3, np.geomspace(10.0, 1e4, 300)])
-    most = 1.0 + growth + 1e-12
-    unstable = spectral_radii(method, grid) > most
+    highest = 1.0 + growth + 1e-12
+    unstable = spectral_radii(method, grid) > highest
     if not unstable.any():
         return math.inf
     above = int(unstable.argmax())
     low, high = (grid[above - 1] if above else 0.0), grid[above]
     for _ in range(40):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if spectral_radii(method, middle) <= most else (low, middle)
+        low, high = (middle, high) if spectral_radii(method, middle) <= highest else (low, middle)
     return float(low)
 
 
 def explicit_limit(method: Method) -> float:
-    """Gives the stability limit (rad) of an explicit method for a growth of 1e-6 a step, infinity for others."""
+    """Return the stability limit (rad) of an explicit method for a growth of 1e-6 per step; infinity for the others."""
     return stability_limit(method, 1e-6) if method.kind == EXPLICIT else math.inf
 
 
-def largest_growth(method: Method) -> tuple[float, float]:
-    """Gives the largest factor by which a step multiplies an undamped vibration, and its omega h (rad)."""
-    angles = np.geomspace(1e-3, 1e3, 1501)
-    factors = spectral_radii(method, angles)
-    return float(factors.max()), float(angles[factors.argmax()])
-
-
 def remaining_amplitude(method: Method, step: float, frequency: float, duration: float = 10.0) -> float:
-    """Gives the part of the amplitude of an undamped vibration that a method leaves.
+    """Return the ratio of final and initial amplitude of an undamped vibration, as integrated by a method.
 
     Args:
-        method: the method.
+        method: method of fixed steps.
         step: s.
-        frequency: of the vibration, Hz.
+        frequency: frequency of the vibration, Hz.
         duration: s.
+
+    Returns:
+        The ratio; 1 without numerical damping.
     """
     return float(spectral_radii(method, 2.0 * np.pi * frequency * step) ** (duration / step))

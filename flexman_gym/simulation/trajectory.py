@@ -1,4 +1,4 @@
-"""Trajectory: the solution of a scene at its output times, its energy residual and the alarm on it."""
+"""Trajectory: the solution of a scene at its output times, its energy residual and the energy alarm."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -16,27 +16,30 @@ from flexman_gym.model.linearization import MEASUREMENT_UNITS, LinearMeasurement
 from flexman_gym.model.loads import FrameMotion, frame_motion, part_energies, section_forces
 from flexman_gym.model.model import Model
 
-ENERGY_ALARM = 0.01  # of the energy turned over
+ENERGY_ALARM = 0.01  # 1; share of the energy turnover at which the energy residual is too large
 
 
 def _energy_turnover(moving_energy: Array | float, work: Array | float, dissipation: Array | float) -> Array:
-    """Gives the largest magnitude of the three energies, the scale of an error of the energy, J."""
+    """Return the largest magnitude of the three energies, the scale of an energy error, J."""
     return np.maximum(np.maximum(moving_energy, np.abs(work)), np.abs(dissipation))
 
 
-def energy_alarm(residual: Any, turned_over: Any, level: float = ENERGY_ALARM) -> Any:
-    """Tells whether a residual of the energy is more than a part of the energy turned over.
+def energy_alarm(residual: Any, turnover: Any, level: float = ENERGY_ALARM) -> Any:
+    """Return whether an energy residual exceeds a share of the energy turnover.
 
     Args:
         residual: number or array, J.
-        turned_over: number or array, J.
-        level: the part.
+        turnover: energy turnover, number or array, J.
+        level: the share, 1.
+
+    Returns:
+        A flag, or an array of flags.
     """
-    return abs(residual) > level * turned_over
+    return abs(residual) > level * turnover
 
 
 class Kinetics(NamedTuple):
-    """A model with the constants that it was moved with, its accelerations (T, d) and the drive (T, n + 6)."""
+    """Model with the constants of a simulation, accelerations (T, d) and drive (T, n + 6)."""
 
     model: Model
     accelerations: Array
@@ -48,33 +51,40 @@ def _no_explanation(result: "Trajectory") -> str:
 
 
 def _no_kinetics(result: "Trajectory") -> Kinetics:
-    raise value_error("trajectory", "one without a scene", "one of simulate or simulate_all, whose torques are known")
+    raise value_error("trajectory", "one without a scene", "a result of simulate or simulate_all")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
-    """The solution of a scene at T output times; after a divergence only the times before it.
+    """Solution of a scene at T output times; after a failure only the times before it.
 
-    All quantities are in SI units and radians.
+    All quantities are in SI units and radians; energies are relative to the base.
 
     Attributes:
         time: (T,) s.
-        tip: (T, 3) m, in the base frame.
-        tip_velocity: (T, 3) m/s, in the base frame.
-        joint_angles: (T, n) rad, link side.
-        motor_angles: (T, n) rad, motor side; equal where a joint is rigid.
+        tip: (T, 3) tip position in the base frame, m.
+        tip_velocity: (T, 3) tip velocity in the base frame, m/s.
+        joint_angles: (T, n) link side, rad.
+        motor_angles: (T, n) motor side after the gear, rad; equal to the joint angle where a joint is rigid.
         energy: (T,) kinetic + elastic (links and joints) + gravitational energy, the last zero at the base origin, J.
-        moving_energy: (T,) its kinetic and elastic part, J.
-        work: (T,) of motors, tip force and base acceleration since the start, J.
-        dissipation: (T,) energy lost in dampers and friction since the start, J. Energies are relative to the base.
-        states: (T, 2 d); the order is that of `kernels.layout`.
-        deflection: (T, 3) tip relative to the tip of the rigid arm at the motor angles.
+        moving_energy: (T,) kinetic + elastic energy, J.
+        work: (T,) work of motors, tip force and base acceleration since the start, J.
+        dissipation: (T,) energy lost in dampers and friction since the start, J.
+        states: (T, 2 d), in the order of `kernels.layout`.
+        deflection: (T, 3) tip position relative to the tip of the rigid arm at the motor angles, m.
         status: "ok", "diverged" or "not converged".
         evaluations: number of evaluations of the accelerations.
-        wall_seconds: time in the integrator, without compilation.
-        model: that was moved.
-        explained: what `explanation` asks.
-        moved: gives the accelerations, for loads and energies.
+        wall_seconds: time in the integrator without compilation, s.
+        model: the simulated model.
+        explain: function of the trajectory behind `explanation`.
+        kinetics: function: trajectory -> its `Kinetics`, for loads and energies.
+
+    Example:
+        >>> trajectory = fm.simulate(fm.catalog.paper_scene("rr"), step=0.01)
+        >>> trajectory.status, trajectory.time[-1], trajectory.tip.shape
+        ('ok', 2.0, (201, 3))
+        >>> bool(abs(trajectory.energy_residual).max() < 0.01 * trajectory.energy_turnover[-1])
+        True
     """
 
     time: Array
@@ -92,8 +102,8 @@ class Trajectory:
     evaluations: int
     wall_seconds: float
     model: Model
-    explained: Callable[["Trajectory"], str] = field(default=_no_explanation, repr=False)
-    moved: Callable[["Trajectory"], Kinetics] = field(default=_no_kinetics, repr=False)
+    explain: Callable[["Trajectory"], str] = field(default=_no_explanation, repr=False)
+    kinetics: Callable[["Trajectory"], Kinetics] = field(default=_no_kinetics, repr=False)
 
     def __repr__(self) -> str:
         n = self.joint_angles.shape[1]
@@ -103,90 +113,96 @@ class Trajectory:
         return (
             f"<Trajectory: {self.status}, {end}, {n} {joints}, {self.model.n_dof} coordinates\n"
             f"  {self.evaluations} evaluations in {self.wall_seconds:.3g} s\n"
-            f"  tip at the end {np.round(self.tip[-1:], 4).tolist()} m, most deflection "
+            f"  tip at the end {np.round(self.tip[-1:], 4).tolist()} m, largest deflection "
             f"{np.linalg.norm(self.deflection, axis=1).max(initial=0.0):.4g} m\n"
             f"  energy residual {np.abs(self.energy_residual).max(initial=0.0):.3g} J"
-            + (f", too large from {alarm:g} s on: see explanation()" if alarm is not None else "")
+            + (f", too large from {alarm:g} s on, see explanation()" if alarm is not None else "")
             + ">"
         )
 
     @property
     def readings(self) -> dict[str, Array]:
-        """What sensors of environments measure, (T, ...) by the names of `View`; UNITS of `model.linearization`."""
+        """Readings of the arm (T, ...) by the names of `View`; units in MEASUREMENT_UNITS of `model.linearization`."""
         return LinearMeasurements(self.model).named(self.states)
 
     @cached_property
-    def _seen(self) -> tuple[Kinetics, FrameMotion]:
-        moved = self.moved(self)
-        return moved, frame_motion(moved.model, self.states, moved.accelerations, moved.drives)
+    def _motion(self) -> tuple[Kinetics, FrameMotion]:
+        """Kinetics of the trajectory, and the motion of all frames."""
+        kinetics = self.kinetics(self)
+        return kinetics, frame_motion(kinetics.model, self.states, kinetics.accelerations, kinetics.drives)
 
     @property
     def accelerations(self) -> Array:
         """Accelerations (T, d) of all coordinates under the torques of the scene.
 
         Raises:
-            ValueError: for a trajectory of which no torques are known; so do the next three.
+            ValueError: for a trajectory without a scene, whose torques are unknown; likewise for `joint_reactions`,
+                `section_forces` and `energies`.
         """
-        return self._seen[0].accelerations
+        return self._motion[0].accelerations
 
     @property
     def joint_reactions(self) -> Array:
-        """Force (N) and moment (N m) of each joint on the link behind it, (T, n, 6), in the frame of that link.
+        """Force (N) and moment (N m) of each joint on its outboard link, (T, n, 6), in the frame of this link.
 
-        Their part about the axis of the joint is the torque on the link.
+        The component about the joint axis is the torque on the link.
         """
-        return self._seen[1].reaction[:, :-1]
+        return self._motion[1].reaction[:, :-1]
 
     def section_forces(self, link: int, positions: Sequence[float]) -> Array:
-        """Gives what sections of a link carry, (T, P, 6) in the frame of the link at its origin.
+        """Return the internal forces of sections of a link, (T, P, 6), in the link frame at its origin.
 
         They are the normal force, the shear forces along y and z (N), the torsion and the bending moments about y and z
-        (N m) with which the outboard part acts on the inboard one, by its inertia and weight (d'Alembert). Tension is
-        positive, and a moment about z bends as E I v''. At a lumped mass it is the section before it. Between the
-        joints of a model with foreshortening it has the error of its stations.
+        (N m) that the outboard part exerts on the inboard part by its inertia and weight (d'Alembert). Tension is
+        positive, and a moment about z bends as E I v''. At a lumped mass the section is the one before it. Between the
+        joints of a model with foreshortening the result has the error of its stations.
 
         Args:
-            link: counted from 0.
-            positions: (P,) along the link, from 0 at its joint to its length at its tip, m.
+            link: number of the link, from 0.
+            positions: (P,) positions along the link, from 0 at its joint to its length at its tip, m.
 
-        Raises:
-            ValueError: for a link or a position that does not exist.
+        Returns:
+            Forces (N) and moments (N m), (T, P, 6).
         """
-        i, (moved, seen) = whole_number("link", link, 0, self.model.n_joints - 1), self._seen
-        length, places = self.model.arm.links[i].length, vector("positions", positions, unit="m")
-        for k, place in enumerate(places):
-            if not 0.0 <= place <= length:
-                raise value_error(f"positions[{k}]", place, f"a number from 0 to {length} (m), the length of link {i}")
-        return section_forces(moved.model, seen, self.states, moved.accelerations, i, places)
+        i, (kinetics, motion) = whole_number("link", link, 0, self.model.n_joints - 1), self._motion
+        length, checked = self.model.arm.links[i].length, vector("positions", positions, unit="m")
+        for k, position in enumerate(checked):
+            if not 0.0 <= position <= length:
+                allowed = f"a number from 0 to {length} (m), the length of link {i}"
+                raise value_error(f"positions[{k}]", position, allowed)
+        return section_forces(kinetics.model, motion, self.states, kinetics.accelerations, i, checked)
 
     def energies(self) -> dict[str, Array]:
-        """Gives the energy of each part, J, by name: (T, n) of links, rotors and joints, (T, 1) of the payload.
+        """Return the energy of each part, J: (T, n) for links, rotors and joints, (T, 1) for the payload.
 
-        The names are link_kinetic, link_elastic, link_gravitational, rotor_kinetic, joint_elastic, payload_kinetic and
-        payload_gravitational. All of them together are `energy`.
+        The keys are link_kinetic, link_elastic, link_gravitational, rotor_kinetic, joint_elastic, payload_kinetic and
+        payload_gravitational. Their sum is `energy`.
         """
-        return part_energies(self._seen[0].model, self._seen[1], self.states)
+        return part_energies(self._motion[0].model, self._motion[1], self.states)
 
     def explanation(self) -> str:
-        """Says what went first in a failure or an energy alarm, and what to change; "" while all is well.
+        """Return the first quantity out of bounds in a failure or at an energy alarm, with remedies; otherwise "".
 
-        The last good state is moved on once more, step by step. Nothing is computed before this is asked for.
+        It repeats the motion from the last valid state, step by step; nothing is computed before the call.
         """
-        return self.explained(self)
+        return self.explain(self)
 
     @property
     def energy_residual(self) -> Array:
-        """Energy that the integrator invented or lost: work - dissipation - change of energy (T,), J."""
+        """Energy error of the integration: work - dissipation - change of energy (T,), J."""
         return self.work - self.dissipation - (self.energy - self.energy[0])
 
     @property
     def energy_turnover(self) -> Array:
-        """The largest so far of kinetic + elastic energy, of work and of dissipation (T,), J."""
+        """Largest values so far of kinetic + elastic energy, work and dissipation (T,), J."""
         parts = _energy_turnover(self.moving_energy, self.work, self.dissipation)
         return np.maximum.accumulate(parts)
 
     def columns(self) -> dict[str, Array]:
-        """Gives all but the states: columns (T,) by name and unit, such as "tip_x (m)"; joints count from 1."""
+        """Return all quantities but the states as columns (T,) by name and unit, such as "tip_x (m)".
+
+        Joints are numbered from 1.
+        """
         joints = range(1, self.joint_angles.shape[1] + 1)
         groups: tuple[tuple[str, str, Iterable[object], Array], ...] = (
             ("tip", "m", "xyz", self.tip),
@@ -200,17 +216,20 @@ class Trajectory:
             for end, column in zip(ends, values.T, strict=True):
                 result[f"{name}_{end} ({unit})"] = column
         for name, values in self.readings.items():
-            if name != "motor_angles":  # which are there
-                heads = column_names(name, MEASUREMENT_UNITS[name], values.shape[1], len(joints))
-                result |= dict(zip(heads, values.T, strict=True))
+            if name != "motor_angles":  # already above
+                names = column_names(name, MEASUREMENT_UNITS[name], values.shape[1], len(joints))
+                result |= dict(zip(names, values.T, strict=True))
         for name in ("energy", "moving_energy", "work", "dissipation", "energy_residual"):
             result[f"{name} (J)"] = getattr(self, name)
         return result
 
     def to_csv(self, path: str | Path) -> None:
-        """Writes `columns` to a file: a line of names and units, then a line for each output time.
+        """Write `columns` to a CSV file: a row of names and units, then a row for each output time.
 
-        Numbers have all their digits, so that reading them gives the same numbers.
+        Numbers have all digits, so that reading restores the same values.
+
+        Args:
+            path: the file.
 
         Raises:
             OSError: where the file cannot be written.
@@ -218,16 +237,16 @@ class Trajectory:
         write_csv(path, self.columns())
 
     def energy_alarm(self, level: float = ENERGY_ALARM) -> float | None:
-        """Gives the first time (s) at which the energy residual is too large, or None.
+        """Return the first time (s) at which the energy residual is too large, or None.
 
         Args:
-            level: the part of the energy turned over until the end that the residual may reach.
+            level: largest residual as a share of the energy turnover at the end.
 
-        Raises:
-            ValueError: for a level that is not a number > 0.
+        Returns:
+            The time, or None without an alarm.
         """
-        late = np.flatnonzero(energy_alarm(self.energy_residual, self.energy_turnover[-1], positive("level", level)))
-        return float(self.time[late[0]]) if late.size else None
+        above = np.flatnonzero(energy_alarm(self.energy_residual, self.energy_turnover[-1], positive("level", level)))
+        return float(self.time[above[0]]) if above.size else None
 
 
 def build_trajectory(
@@ -236,19 +255,22 @@ def build_trajectory(
     states: Array,
     outputs: Array,
     outcome: tuple[str, int, float],
-    explained: Callable[[Trajectory], str] = _no_explanation,
-    moved: Callable[[Trajectory], Kinetics] = _no_kinetics,
+    explain: Callable[[Trajectory], str] = _no_explanation,
+    kinetics: Callable[[Trajectory], Kinetics] = _no_kinetics,
 ) -> Trajectory:
-    """Builds a trajectory from rows at equal intervals.
+    """Return the trajectory of rows at equal intervals.
 
     Args:
         model: the model.
-        interval: between rows, s.
-        states: (T, 2 d + 2) with their ledger.
+        interval: time between rows, s.
+        states: (T, 2 d + 2) states with their ledger.
         outputs: (T, OUTPUTS).
-        outcome: status, evaluations and seconds in the integrator.
-        explained: says why a trajectory failed.
-        moved: gives its accelerations.
+        outcome: status, evaluations, and seconds in the integrator.
+        explain: function behind `Trajectory.explanation`.
+        kinetics: function: trajectory -> its `Kinetics`.
+
+    Returns:
+        The trajectory.
     """
     size = 2 * model.n_dof
     return Trajectory(
@@ -267,6 +289,6 @@ def build_trajectory(
         evaluations=outcome[1],
         wall_seconds=outcome[2],
         model=model,
-        explained=explained,
-        moved=moved,
+        explain=explain,
+        kinetics=kinetics,
     )

@@ -8,6 +8,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
 
+from flexman_gym.common.renamed import current_methods
+
 
 def folder(text: str) -> Path:
     """Gives a folder that can be written, made where there is none, for `type` of an argument.
@@ -58,5 +60,5 @@ def read_comment(path: Path) -> str:
 
 def _value(text: str, is_text: bool) -> Any:
     if is_text:
-        return text
+        return current_methods(text)
     return float(text) if text else None

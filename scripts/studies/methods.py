@@ -3,8 +3,11 @@
 from collections.abc import Iterable
 from typing import NamedTuple, Protocol
 
+import numpy as np
+
 from flexman_gym.draw.style import BLUE, GREEN, ORANGE, RED, SKY
-from flexman_gym.simulation.methods import EXPLICIT, METHODS
+from flexman_gym.simulation.methods import EXPLICIT, METHODS, Method
+from flexman_gym.simulation.stability import amplification_factors, spectral_radii
 
 
 class _MethodRow(Protocol):
@@ -39,6 +42,20 @@ def methods_of(rows: Iterable[_MethodRow]) -> list[str]:
 def extrapolations_of(rows: Iterable[_MethodRow]) -> list[str]:
     """Those of them that extrapolate another method."""
     return [name for name in methods_of(rows) if len(getattr(METHODS[name], "sequence", ())) > 1]
+
+
+def vibration_factor(method: Method, angle: float) -> complex:
+    """Return the factor of the vibration itself: the factor closest to the exact one, exp(i omega h)."""
+    factors = amplification_factors(method, angle)
+    factors = np.concatenate([factors, factors.conj()])
+    return complex(factors[np.abs(factors - np.exp(1j * angle)).argmin()])
+
+
+def largest_growth(method: Method) -> tuple[float, float]:
+    """Return the largest factor by which a step multiplies an undamped vibration, and its omega h (rad)."""
+    angles = np.geomspace(1e-3, 1e3, 1501)
+    factors = spectral_radii(method, angles)
+    return float(factors.max()), float(angles[factors.argmax()])
 
 
 TEAL, PINE, PURPLE, PINK, PLUM, BLACK = "#66C2A5", "#004D3A", "#CC79A7", "#EBBAD6", "#6E1F55", "#000000"

@@ -35,7 +35,7 @@ def test_instruments_read_what_the_view_shows():
 
 
 def test_slopes_at_rest_are_the_exact_hold():
-    given = plant(moved=("gauss_3_sweeps", 0.00005))
+    given = plant(moved=("gauss_3", 0.00005))
     held = np.array([fm.holding_torques(given.model, posture) for posture in POSTURES])
     slopes, good = DiscreteJacobians(given)(rest_states(given.model, POSTURES), held)
     size = 2 * given.model.n_dof

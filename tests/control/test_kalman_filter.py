@@ -303,7 +303,7 @@ def corrections(kalman, world, errors):
 
 def test_a_fixed_gain_is_the_stationary_one_at_the_goal():
     """Of SciPy's Riccati equation of the exact hold there; at another posture it is another one."""
-    given = plant(moved=("gauss_3_sweeps", 0.0005))
+    given = plant(moved=("gauss_3", 0.0005))
     read = make_measurement_model(given, ALL)
     m, gains = len(read.matrix), []
     for posture in POSTURES[:2]:

@@ -57,7 +57,7 @@ def test_near_its_goal_the_controller_is_the_lqr(monkeypatch):
     """Its prediction is that of the simulator, which is linear there."""
     monkeypatch.setattr(mpc, "MOVE_BLOCKS", (1,) * 24)
     model, limits, posture = posed("FlexRRR-v0")
-    controller = mpc.MPC(model, limits, PERIOD, ("midpoint_3_sweeps", PERIOD / 20.0))
+    controller = mpc.MPC(model, limits, PERIOD, ("midpoint_3", PERIOD / 20.0))
     controller.reset(ONLY, EpisodeInfo(posture[None], posture[None], PERIOD), 1)
     rest, off = fm.rest_state(model, posture), np.zeros(2 * model.n_dof)
     off[: model.n_dof] = (fm.rest_state(model, posture + np.array([1e-6, -2e-6, 3e-6])) - rest)[: model.n_dof]

@@ -36,7 +36,7 @@ PERIOD = 0.02
 
 def shooting(model, limits, band, start, goal, rate=1e3, **moved):
     """A search for an arm."""
-    moved = {"method": "midpoint_3_sweeps", "step": PERIOD, "control_period": PERIOD} | moved
+    moved = {"method": "midpoint_3", "step": PERIOD, "control_period": PERIOD} | moved
     regulator = LQR(model, limits, moved["control_period"])
     return SingleShooting(
         regulator, lambda arms: Batch(model, arms=arms, **moved), band, rate, np.array(start), np.array(goal)

@@ -11,11 +11,11 @@ from flexman_gym.league.scenarios import LAB_SCENARIO
 from flexman_gym.league.standings import Standings
 from flexman_gym.simulation import METHODS
 from flexman_gym.simulation.methods import DEFAULT_METHOD
-from flexman_gym.simulation.stability import largest_growth
 from studies.fidelity.measure import FidelityRow as Choice
 from studies.fidelity.page import CHEAP
 from studies.files import read_rows
 from studies.learning.measure import LearningRow as Run
+from studies.methods import largest_growth
 from studies.ringdown.measure import Errors, methods_table
 
 from oracles.files import ROOT

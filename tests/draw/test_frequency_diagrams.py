@@ -152,7 +152,7 @@ def test_episodes_side_by_side_share_the_camera_and_stay_at_their_ends():
     scene = fm.Scene(
         PLANAR.arm, PLANAR.choice, fm.ConstantTorque((2.0, 0.0)), fm.Initial((0.1, 0.2), (0.0, 0.0)), 0.4, 0.1
     )
-    one = Episode.of_trajectory(fm.simulate(scene), "push")
+    one = Episode.from_trajectory(fm.simulate(scene), "push")
     frames, rate = side_by_side([one, one], small=True, size=(160, 60))
     assert (len(frames), rate) == (4, 10.0) and frames[0].shape == (60, 160, 3)
     for frame in frames:

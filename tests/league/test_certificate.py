@@ -33,7 +33,7 @@ def folder(tmp_path, monkeypatch):
     """A policy that does nothing beside its PD controller, under a name."""
     write_still(tmp_path / "still")
     monkeypatch.setattr(policy_files, "FOLDER", tmp_path)
-    monkeypatch.setattr(certificate, "METHOD", "midpoint_2_sweeps")  # another one compiles for long
+    monkeypatch.setattr(certificate, "METHOD", "midpoint_2")  # another one compiles for long
     monkeypatch.delitem(certificate.PLANTS, "mujoco")  # and this one plays for long
     return tmp_path / "still"
 
@@ -46,7 +46,7 @@ def test_scenarios_are_run_as_their_names_say_and_kept_beside_the_policy(folder,
     assert len(said) == len(result["rows"])
     *known, search = result["rows"]
     found = {row["scenario"].removeprefix(str(folder)): row for row in known}
-    assert list(found)[:3] == ["", "@finer", "/method=midpoint_2_sweeps"]
+    assert list(found)[:3] == ["", "@finer", "/method=midpoint_2"]
     assert found["@finer"]["error"] == evaluate_on_plants("pd", DESCRIBED, SEEDS, ("finer",))["finer"]["error"]
     far = ("payload=0:0.2", "stiffness=0.7:1.3", "friction=1", "delay=0", "delay=3", "noise=0.003")
     assert {f"/{name}{given}" for name in far for given in ("+given", "")} <= found.keys()
@@ -117,8 +117,8 @@ def episodes(vibration=0.0, failed=0.0, settled=1.0, count=1):
         ("a@finer", episodes(1.19e-3), ""),
         ("a@finer", episodes(1.21e-3), "the tip moves by more than 1.2 mm"),
         ("a@mujoco", episodes(3e-3), "the tip moves by more than 1.2 mm"),
-        ("a/method=gauss_2_sweeps", episodes(3e-3), "the tip moves by more than 1.2 mm"),
-        ("a/method=gauss_2_sweeps", episodes(np.inf), "the tip moves by more than 1.2 mm"),
+        ("a/method=gauss_2", episodes(3e-3), "the tip moves by more than 1.2 mm"),
+        ("a/method=gauss_2", episodes(np.inf), "the tip moves by more than 1.2 mm"),
         ("a/payload=3", episodes(3e-3), ""),
     ],
 )
@@ -134,7 +134,7 @@ def test_small_vibration_may_grow_by_a_tenth_of_a_millimetre():
 
 def test_other_physics_are_compared_with_the_episodes_as_trained(folder, tmp_path, monkeypatch):
     """Of the same seeds: the first row of the certificate."""
-    louder = {"": 1e-3, "@finer": 3e-3, "/method=midpoint_2_sweeps": 3e-3}
+    louder = {"": 1e-3, "@finer": 3e-3, "/method=midpoint_2": 3e-3}
 
     def league(agents, names, seeds, *_):
         vibration = louder.get(names[0].removeprefix(str(folder)), 1e-3)
@@ -147,9 +147,9 @@ def test_other_physics_are_compared_with_the_episodes_as_trained(folder, tmp_pat
 
 
 def test_another_method_takes_a_quarter_of_the_step():
-    usual, other = find_scenario("FlexPlanar-v0").environment, find_scenario("FlexPlanar-v0/method=gauss_2_sweeps")
+    usual, other = find_scenario("FlexPlanar-v0").environment, find_scenario("FlexPlanar-v0/method=gauss_2")
     batch = FlexManEnv(name=usual.id).episodes.batch
-    assert other.given == other.environment and other.environment.method == "gauss_2_sweeps"
+    assert other.given == other.environment and other.environment.method == "gauss_2"
     assert 4.0 * batch.substeps * other.environment.step == pytest.approx(batch.control_period)
 
 

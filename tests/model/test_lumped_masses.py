@@ -136,9 +136,9 @@ def test_arms_abreast_have_the_bits_of_one():
         fm.Scene(arm, choice, fm.ConstantTorque([torque]), fm.Initial([0.1], [0.2]), 0.1, 0.02)
         for torque in (0.05, -0.05, 0.1)
     ]
-    together = fm.simulate_all(scenes, method="midpoint_3_sweeps", step=0.005)
+    together = fm.simulate_all(scenes, method="midpoint_3", step=0.005)
     for scene, run in zip(scenes, together, strict=True):
-        alone = fm.simulate(scene, method="midpoint_3_sweeps", step=0.005)
+        alone = fm.simulate(scene, method="midpoint_3", step=0.005)
         assert (alone.states == run.states).all() and alone.status == "ok"
 
 

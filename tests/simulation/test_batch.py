@@ -259,7 +259,7 @@ def test_a_batch_refuses_to_be_copied(duplicate):
         duplicate(Batch(fm.build_model(ARM, modes=2)))
 
 
-@pytest.mark.parametrize("method", ["midpoint_3_sweeps", "rk4"])
+@pytest.mark.parametrize("method", ["midpoint_3", "rk4"])
 def test_many_arms_that_vary_at_once_are_those_that_vary_one_by_one(method):
     model, random = fm.build_model(fm.catalog.paper_rrr(), 1, 2), np.random.default_rng(0)
     together, apart = (Batch(model, method, 1e-3, 0.02, arms=10) for _ in range(2))
@@ -279,7 +279,7 @@ def test_many_arms_that_vary_at_once_are_those_that_vary_one_by_one(method):
 
 
 @pytest.mark.parametrize("arms", [1, 9])
-@pytest.mark.parametrize(("method", "step"), [("midpoint_3_sweeps", 0.01), ("gauss_2_sweeps", 0.02), ("rk4", 1e-4)])
+@pytest.mark.parametrize(("method", "step"), [("midpoint_3", 0.01), ("gauss_2", 0.02), ("rk4", 1e-4)])
 def test_a_roll_is_as_many_steps_to_the_bit(method, step, arms):
     """Also of an arm that fails on the way, and of what is left to tell afterwards."""
     model, random = fm.build_model(fm.catalog.paper_rrr(), 1, 2), np.random.default_rng(0)
@@ -305,7 +305,7 @@ def test_a_roll_is_as_many_steps_to_the_bit(method, step, arms):
 def test_a_long_roll_is_made_of_calls_that_are_not_long(monkeypatch):
     model = fm.build_model(fm.catalog.paper_rrr(), 1, 2)
     drives = np.random.default_rng(0).uniform(-100.0, 100.0, (9, 7, 9))
-    whole, parted, single = (Batch(model, "midpoint_3_sweeps", 0.005, 0.02, arms=9) for _ in range(3))
+    whole, parted, single = (Batch(model, "midpoint_3", 0.005, 0.02, arms=9) for _ in range(3))
     parted._mover._most, single._mover._most = 9, 3  # steps: two control periods, and not a whole one
     states = whole.roll(drives)[0]
     assert np.array_equal(states, parted.roll(drives)[0]) and np.array_equal(states, single.roll(drives)[0])

@@ -44,7 +44,7 @@ def test_a_signal_is_the_column_of_its_formula(offset, amplitude, frequency, pha
     assert fm.Signal(offset).column()[layout.STOP] == np.inf
 
 
-@pytest.mark.parametrize("method", ["dop853", "rk4", "ros2", "implicit_midpoint", "gauss_3_sweeps"])
+@pytest.mark.parametrize("method", ["dop853", "rk4", "ros2", "implicit_midpoint", "gauss_3"])
 def test_a_sine_keeps_the_phase_of_the_clock_whenever_it_starts(method):
     """The rate of a free rotor is the integral of amplitude sin(2 pi f t + phase) / inertia from start to stop."""
     link = fm.Link(0.1, 1e-6, 1e-13, 1e-13, 1e-13, 7e10, 2.6e10, 1e-3)

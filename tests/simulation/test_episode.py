@@ -80,7 +80,9 @@ def test_a_trajectory_is_an_episode_without_a_task(tmp_path):
     choice, start = fm.ModelChoice(True, 1), fm.Initial((0.1,), (0.0,))
     scene = fm.Scene(fm.catalog.one_link(), choice, fm.ConstantTorque((1.0,)), start, 0.02, 0.01)
     result = fm.simulate(scene, method="rk4", step=1e-4)
-    again = Episode.load(Episode.of_trajectory(result, "push").save(tmp_path / "a.npz"))
+    again = Episode.load(Episode.from_trajectory(result, "push").save(tmp_path / "a.npz"))
+    with pytest.warns(DeprecationWarning, match="Episode.of_trajectory is Episode.from_trajectory now"):
+        assert Episode.of_trajectory(result, "push").name == again.name
     assert np.array_equal(again.states, result.states) and np.array_equal(again.tips, result.tip)
     assert np.isnan(again.targets).all() and again.actions.shape == (2, 1) and again.name == "push"
     assert np.allclose(fm.curves(again.model, again.states, 4).positions[:, -1, -1], result.tip, rtol=0.0, atol=1e-12)
@@ -111,11 +113,11 @@ def test_other_files_are_refused_in_one_line(episode, tmp_path, wrong):
         if wrong == "no states":
             del arrays["states"]
         np.savez(path, **arrays)
-    with pytest.raises(ValueError, match=r"a\.npz: this is not an episode that was saved \(") as error:
+    with pytest.raises(ValueError, match=r"a\.npz: this is not a saved episode \(") as error:
         Episode.load(path)
     assert "\n" not in str(error.value)
 
 
 def test_a_file_that_is_not_there_is_said_so(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"a\.npz: no such file; give an episode"):
+    with pytest.raises(FileNotFoundError, match=r"a\.npz: no such file; give a saved episode"):
         Episode.load(tmp_path / "a.npz")

@@ -7,8 +7,13 @@ import flexman_gym as fm
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.external_simulator import ExternalIntegrator, RefinedSimulator, shape_matrices
-from flexman_gym.simulation.parameters import parameters_from_constants, varied_constants
+from flexman_gym.simulation.external_simulator import (
+    ExternalIntegrator,
+    RefinedSimulator,
+    _parameters_from_constants,
+    _shape_matrices,
+)
+from flexman_gym.simulation.parameters import varied_constants
 
 PERIOD, ARMS = 0.02, 3
 ARM = NAMED_ENVIRONMENTS["FlexRRR-v0"].arm()
@@ -22,7 +27,7 @@ OWN = {
 
 def batch(model, parts=6):
     """Arms that are not alike, bent and moving."""
-    result, arms = Batch(model, "midpoint_3_sweeps", PERIOD / parts, PERIOD, arms=ARMS), np.arange(ARMS)
+    result, arms = Batch(model, "midpoint_3", PERIOD / parts, PERIOD, arms=ARMS), np.arange(ARMS)
     result.vary(arms, **OWN)
     random = np.random.default_rng(3)
     start = np.zeros((ARMS, 2 * model.n_dof))
@@ -55,14 +60,14 @@ def played(model, double=None, periods=10):
 @pytest.mark.parametrize("model", [FULL, USUAL, fm.build_model(fm.catalog.paper_rrr(), 1, flexible_joints=False)])
 def test_coordinates_come_back_from_their_shapes(model):
     stations = [np.linspace(0.0, link.length, 6)[1:] for link in model.arm.links]
-    into, back = shape_matrices(model, stations)
+    into, back = _shape_matrices(model, stations)
     assert np.allclose(into @ back, np.eye(model.n_dof), rtol=0.0, atol=1e-9)
 
 
 def test_shapes_say_where_tips_are():
     """Of each link, as its tip's translation and rotation; stations are in order."""
     stations = [np.array([0.4 * link.length, link.length]) for link in ARM.links]
-    into, _ = shape_matrices(USUAL, stations)
+    into, _ = _shape_matrices(USUAL, stations)
     state = np.random.default_rng(0).normal(size=USUAL.n_dof)
     shape = (state @ into)[6:].reshape(3, 2, 6)
     for i in range(3):
@@ -78,7 +83,7 @@ def test_modes_that_a_model_lacks_are_left_out():
     """Loaded modes are orthogonal where all that a link carries has its weight; both models scale them alike."""
     few, many = fm.build_model(ARM, 2, 4), fm.build_model(ARM, 2, 8)
     stations = [np.linspace(0.0, link.length, 13)[1:] for link in ARM.links]
-    into, back = shape_matrices(many, stations)[0], shape_matrices(few, stations)[1]
+    into, back = _shape_matrices(many, stations)[0], _shape_matrices(few, stations)[1]
     for i in range(3):
         left = into[many.elastic_columns(i)][4:] @ back[:, few.elastic_columns(i)]
         assert np.abs(left).max() < 0.12, i
@@ -90,7 +95,7 @@ def test_parameters_are_those_that_were_given():
         constants = {
             name: rows[0] for name, rows in varied_constants(USUAL, 1, {n: v[None] for n, v in own.items()}).items()
         }
-        found = parameters_from_constants(USUAL, USUAL.constants._asdict() | constants)
+        found = _parameters_from_constants(USUAL, USUAL.constants._asdict() | constants)
         assert all(np.allclose(found[name], values, rtol=1e-12) for name, values in own.items())
         assert found["rotor_inertia"].tolist() == [10.0] * 3
 
@@ -134,10 +139,10 @@ def test_mujoco_starts_where_it_is_put():
     from flexman_gym.simulation.mujoco import MuJoCoSimulator
 
     double = MuJoCoSimulator(USUAL, PERIOD, 1)
-    into, _ = shape_matrices(USUAL, double.stations)
+    into, _ = _shape_matrices(USUAL, double.stations)
     random = np.random.default_rng(1)
     shape, rate = 1e-4 * random.normal(size=(2, USUAL.n_dof)) @ into
-    double.start(0, shape, rate, parameters_from_constants(USUAL, USUAL.constants._asdict()))
+    double.start(0, shape, rate, _parameters_from_constants(USUAL, USUAL.constants._asdict()))
     now = double.read(np.array([0]))
     turned = [np.r_[:6], *(6 + 18 * i + 6 * j + np.arange(3, 6) for i in range(3) for j in range(3))]
     places = np.concatenate(turned)

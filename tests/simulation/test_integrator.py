@@ -67,7 +67,7 @@ def test_a_linearly_implicit_euler_step_solves_the_dense_linear_system(case, ste
 
     mover = SequentialIntegrator([Integrator(case.model, EULER, None, case.held)], (step, 1))
     rows, status = np.r_[x, v, 0.0, 0.0][None], np.zeros(1, dtype=np.int64)
-    mover.move(drive[None], np.zeros(1), rows, np.zeros((1, layout.OUTPUTS)), status)
+    mover.integrate(drive[None], np.zeros(1), rows, np.zeros((1, layout.OUTPUTS)), status)
     assert status[0] == layout.OK
     result = (rows[0, d : 2 * d] - v) / step
     condition = np.linalg.cond(weighed[free]) if free[0].size else 1.0
@@ -139,7 +139,7 @@ def test_constants_that_are_changed_between_two_calls_count(monkeypatch):
 @given(st.sets(st.integers(1, 20), min_size=1, max_size=8), st.integers(1, 8))
 def test_every_part_has_its_turn_and_no_lane_waits_long(numbers, lanes):
     sequence = sorted(numbers)
-    rounds = integrator.extrapolation_schedule(sequence, lanes)
+    rounds = integrator._extrapolation_schedule(sequence, lanes)
     done = {number: [] for number in range(len(sequence))}
     for turn in rounds:
         for number, part in turn:
@@ -165,7 +165,7 @@ def scene():
 
 
 PARTED = [
-    ("rk4", 1e-3), ("ros2", 1e-3), ("midpoint_3_sweeps", 1e-3), ("gauss_2_sweeps", 1e-3), ("implicit_midpoint", 1e-3),
+    ("rk4", 1e-3), ("ros2", 1e-3), ("midpoint_3", 1e-3), ("gauss_2", 1e-3), ("implicit_midpoint", 1e-3),
     ("generalised_alpha", 1e-3), ("extrapolated_euler_5", 2e-3), ("extrapolated_euler_5", None), ("ros2", None),
     ("dopri5", None), ("dop853", None),
 ]  # fmt: skip
@@ -205,7 +205,7 @@ def test_a_long_control_period_has_the_bits_of_one_call(arms, threads, most, mon
     drive = np.random.default_rng(0).normal(size=(arms, 8))
     drive[arms // 2 :: 5, 0] = 1e9  # these fail within the period
     whole = Batch(model, "ros2", 0.001, 0.01, arms=arms, threads=threads)
-    monkeypatch.setattr("flexman_gym.simulation.batch_integrators.evaluations_of_a_call", lambda constants: 8 * most)
+    monkeypatch.setattr("flexman_gym.simulation.batch_integrators.evaluations_per_call", lambda constants: 8 * most)
     parted = Batch(model, "ros2", 0.001, 0.01, arms=arms, threads=threads)
     for _ in range(2):
         for batch in (whole, parted):
@@ -215,15 +215,15 @@ def test_a_long_control_period_has_the_bits_of_one_call(arms, threads, most, mon
 
 
 @pytest.mark.parametrize("most", [1, 3, 10, 40])
-@pytest.mark.parametrize("method", ["ros2", "midpoint_3_sweeps", "gauss_2_sweeps", "extrapolated_euler_3"])
+@pytest.mark.parametrize("method", ["ros2", "midpoint_3", "gauss_2", "extrapolated_euler_3"])
 def test_scenes_side_by_side_in_many_calls_have_the_bits_of_one(method, most, monkeypatch):
     """Ten steps a row; the torques of a scene are too large, and end it in the middle."""
     torques = [fm.SineTorque((size, 1.0), (1.0, 2.0), (0.3, 0.0)) for size in (*range(9), 1e8)]
     scenes = [replace(scene(), torque=torque) for torque in torques]
     whole = fm.simulate_all(scenes, method=method, step=0.005)
-    stages = {"ros2": 2, "midpoint_3_sweeps": 3, "gauss_2_sweeps": 5, "extrapolated_euler_3": 6}[method]
+    stages = {"ros2": 2, "midpoint_3": 3, "gauss_2": 5, "extrapolated_euler_3": 6}[method]
     monkeypatch.setattr(
-        "flexman_gym.simulation.batch_integrators.evaluations_of_a_call", lambda constants: 4 * stages * most
+        "flexman_gym.simulation.batch_integrators.evaluations_per_call", lambda constants: 4 * stages * most
     )
     parted = fm.simulate_all(scenes, method=method, step=0.005)
     assert whole[-1].status == "diverged" and whole[0].status == "ok"
@@ -237,7 +237,7 @@ def test_scenes_side_by_side_in_many_calls_have_the_bits_of_one(method, most, mo
 def test_a_control_period_that_is_broken_off_has_not_been(arms, threads, monkeypatch):
     """As by Ctrl-C between two calls; no other thread goes on with the arms."""
     model, calls = fm.build_model(scene().arm, 1), []
-    monkeypatch.setattr("flexman_gym.simulation.batch_integrators.evaluations_of_a_call", lambda constants: 1)
+    monkeypatch.setattr("flexman_gym.simulation.batch_integrators.evaluations_per_call", lambda constants: 1)
     batch, other = (Batch(model, "ros2", 0.001, 0.01, arms=arms, threads=threads) for _ in range(2))
     pressed = threading.Event()
     name = "advance_single" if arms == 1 else "advance_batch"

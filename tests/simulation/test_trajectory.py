@@ -139,7 +139,7 @@ def moved(arm=ARM, duration=0.1, **choice):
         arm, fm.ModelChoice(True, 2, **choice), fm.ConstantTorque([0.5, 2.0, -1.0][:n]), start, duration, duration / 5,
         tip_force=PUSH, base_acceleration=SWAY,
     )  # fmt: skip
-    return fm.simulate(scene, method="midpoint_3_sweeps", step=duration / 20)
+    return fm.simulate(scene, method="midpoint_3", step=duration / 20)
 
 
 CHOICES = [{}, {"stiffening": True}, {"rotary_inertia": False}, {"spinning_rotors": True, "modes": 3}]

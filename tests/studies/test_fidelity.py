@@ -38,7 +38,7 @@ def test_a_choice_is_measured_beside_plain_runs(monkeypatch):
 
 def test_a_choice_with_an_open_mesh_is_measured_beside_plain_meshes(monkeypatch):
     monkeypatch.setattr(measure, "TOLERANCES", (1e-1,))
-    monkeypatch.setattr(measure, "OPEN_METHODS", ("midpoint_2_sweeps",))
+    monkeypatch.setattr(measure, "OPEN_METHODS", ("midpoint_2",))
     monkeypatch.setattr(measure, "GRID_MODES", (2, 9))
     scene = open_scenes()["one link"]
     assert scene.model.elements is None

@@ -12,7 +12,7 @@ from studies.precision.measure import ReferenceSolution, Study, grid
 from studies.stability.rows import amplification_rows, drift_rows, limit_rows
 
 NEW, MODEL = "a_new_method", "2 elements a link"
-KINDS = ["rk4", "dopri5", "ros2", "extrapolated_euler_4", "gauss_2_sweeps", "implicit_midpoint", "generalised_alpha"]
+KINDS = ["rk4", "dopri5", "ros2", "extrapolated_euler_4", "gauss_2", "implicit_midpoint", "generalised_alpha"]
 RUN = Run("a scene", MODEL, NEW, None, None, 1.0, 1.0, 100.0, 1e-6, 1e-2, "ok")
 
 

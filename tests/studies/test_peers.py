@@ -109,7 +109,7 @@ def test_integrators_of_mujoco_take_from_the_lowest_mode_what_their_formulas_say
 
 def test_our_methods_take_nothing_from_the_lowest_mode():
     shares = {name: share for name, _, share in decays(ARM, [])}
-    assert list(shares) == ["ours, midpoint_2_sweeps", "ours, gauss_3_sweeps"]
+    assert list(shares) == ["ours, midpoint_2", "ours, gauss_3"]
     assert max(abs(share) for share in shares.values()) < 1e-8
 
 
@@ -126,8 +126,8 @@ def test_arms_of_mujoco_abreast_move_as_one_alone(mujoco_peer, pieces):
 
 def test_our_arms_abreast_move_as_one_alone():
     scene, model = short(ARM, 0.05), fm.build_model(ARM, 2, stiffening=True)
-    tips = measure.our_arms(scene, model, "midpoint_2_sweeps")
-    alone = fm.simulate(scene, model, "midpoint_2_sweeps", step=measure.STEP)
+    tips = measure.our_arms(scene, model, "midpoint_2")
+    alone = fm.simulate(scene, model, "midpoint_2", step=measure.STEP)
     assert np.allclose([next(tips) for _ in range(5)], alone.tip[1:], rtol=0.0, atol=1e-12)
 
 

@@ -15,8 +15,8 @@ from flexman_gym.model.model import build_model
 from flexman_gym.scene import catalog
 from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.scene_simulation import simulate
-from flexman_gym.simulation.stability import largest_growth
 from studies.files import read_rows
+from studies.methods import largest_growth
 from studies.peers.measure import CUT_MESH, CUT_MODES
 from studies.precision.measure import (
     RIGID_LINKS,

@@ -23,7 +23,7 @@ from studies.ringdown.measure import (
     settings,
 )
 
-DEFAULT = "midpoint_3_sweeps", PERIOD / 3
+DEFAULT = "midpoint_3", PERIOD / 3
 
 
 @pytest.mark.parametrize("kind", DURATION)

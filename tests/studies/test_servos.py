@@ -40,7 +40,7 @@ def test_a_rigid_motor_bears_the_limit_of_levin_and_may(late):
 @pytest.mark.filterwarnings("ignore:actions. a servo:UserWarning")
 def test_an_environment_comes_to_rest_below_a_limit_and_not_above_it():
     row = min((row for row in limits("FlexOne-v0", True) if 0.0 < row.factor < LARGEST), key=rounds_of)
-    tried = tried_by_environment(row, "midpoint_3_sweeps")
+    tried = tried_by_environment(row, "midpoint_3")
     assert tried.below is not None and tried.above is not None and APART < 0.2
     assert tried.below < 0.5 < tried.above
 

@@ -22,7 +22,7 @@ from flexman_gym.common.checks import (
     vector,
     whole_number,
 )
-from flexman_gym.common.renamed import deprecated_names
+from flexman_gym.common.renamed import current_methods, deprecated_names
 from flexman_gym.control.agent import parse_history
 from flexman_gym.control.margins import first_order_lag
 from flexman_gym.control.pd import torque_limits
@@ -487,7 +487,10 @@ def _present(data: object, warn: bool) -> dict[str, Any]:
             raise value_error(name, value, "it as id")
         if current_name(name, False) != name and current_name(name, False) in data:
             raise value_error(name, value, f"{current_name(name, False)} only, its present name")
-    return {current_name(name, warn): value for name, value in data.items()}
+    result = {current_name(name, warn): value for name, value in data.items()}
+    if isinstance(result.get("method"), str):
+        result["method"] = current_methods(result["method"], warn)
+    return result
 
 
 def _refuse_unknown(settings: Mapping[str, Any], others: Collection[str] = ()) -> None:

@@ -15,7 +15,7 @@ import flexman_gym as fm
 from flexman_gym.common.arrays import Array
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.stability import vibration_factor
+from studies.methods import vibration_factor
 from studies.precision.measure import (
     FINEST,
     LARGE_ROTATION,
@@ -99,8 +99,8 @@ CUT, CUT_MESH = "20 modes of 1, 3 and 3 elements, foreshortening", (1, 3, 3)
 CUT_MODES = ((0, 1, 2, 3, 4), (0, 1, 2, 3, 4, 5, 6, 7, 8, 14), (0, 1, 2, 3, 9))
 CHOSEN, TOLERANCE = "chosen for 4.5 mm with its mesh", 4.5e-3  # m, by `choose_model`, from the converged arm
 GRID = {"extrapolated_euler_3": (1, 2, 3, 4, 5, 6), "extrapolated_euler_5": (1, 2, 3)}
-GRID |= {"midpoint_2_sweeps": (1, 2, 3, 4, 5, 6), "midpoint_3_sweeps": (1, 2, 3, 4, 5, 6)}
-GRID |= {"gauss_2_sweeps": (1, 2, 3, 4), "gauss_3_sweeps": (1, 2, 3, 4)}
+GRID |= {"midpoint_2": (1, 2, 3, 4, 5, 6), "midpoint_3": (1, 2, 3, 4, 5, 6)}
+GRID |= {"gauss_2": (1, 2, 3, 4), "gauss_3": (1, 2, 3, 4)}
 GRID["implicit_midpoint"] = (2, 3, 4, 5, 6, 100)  # the last for the error of the model alone
 MORE = {"extrapolated_euler_4": (1, 2, 3), "ros2": (5, 10), "generalised_alpha": range(4, 7)}  # where time errors count
 PEERS = {"MuJoCo": "mujoco", "Exudyn": "exudyn", "Pinocchio": "pin", "SoRoMoX": "soromox"}  # name: package
@@ -168,7 +168,7 @@ CORES = len(os.sched_getaffinity(0))
 ARMS, STEP = 64 * CORES, 5e-3  # s, of ours
 SCENE = f"{ARMS} arms on {CORES} cores"
 PIECES = (2, 4)  # of a link in MuJoCo, whose errors are those of ours
-DEFAULT, MESH = ("the model of FlexRRR-v0", "midpoint_3_sweeps"), ("2 elements, foreshortening", "midpoint_2_sweeps")
+DEFAULT, MESH = ("the model of FlexRRR-v0", "midpoint_3"), ("2 elements, foreshortening", "midpoint_2")
 Tips = Callable[[], Iterator[Array]]  # gives the tip (3,) m of an arm after each output step
 
 
@@ -214,7 +214,7 @@ def _timed(study: Study, name: tuple[str, str, float], call: Tips) -> PrecisionR
 
 
 OURS, MODEL, DECAY_PIECES = (
-    {"midpoint_2_sweeps": 2.5e-3, "gauss_3_sweeps": 1e-2},
+    {"midpoint_2": 2.5e-3, "gauss_3": 1e-2},
     "MuJoCo, 4 pieces",
     4,
 )  # methods, steps (s)

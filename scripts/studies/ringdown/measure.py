@@ -201,8 +201,8 @@ def percentiles(energy: Array, tip: Array) -> dict[str, float]:
 
 
 # Beside the default: what takes as long, and what is truer.
-OTHERS = (("gauss_3_sweeps", PERIOD), ("midpoint_2_sweeps", PERIOD / 5), ("gauss_2_sweeps", PERIOD / 2),
-          ("gauss_3_sweeps", PERIOD / 2))  # fmt: skip
+OTHERS = (("gauss_3", PERIOD), ("midpoint_2", PERIOD / 5), ("gauss_2", PERIOD / 2),
+          ("gauss_3", PERIOD / 2))  # fmt: skip
 KINDS, EARLY, WITHIN = (RELEASE, BENT, IMPULSE, SLEW), 1.0, 0.02  # s; part of the energy
 
 

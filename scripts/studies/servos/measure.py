@@ -32,7 +32,7 @@ LARGEST, STEADY_RADIUS = 1e4, 1.0 + 1e-7  # factor that is looked at; spectral r
 CHECKED, APART = 24, 0.1  # limits that environments try, and by which part below and above
 LEAST, MOST, GROWN = 10.0, 10000, 1e20  # s; control periods; what the energy of the first growing vibration grows by
 SMALL = 1e-4  # rad, from which they start
-METHODS = ("midpoint_3_sweeps", "gauss_3_sweeps")
+METHODS = ("midpoint_3", "gauss_3")
 
 
 @dataclass(frozen=True)
@@ -277,7 +277,7 @@ def smoothed_loop(case: FrictionCase) -> SampledLoop:
 def remaining_vibration(case: FrictionCase) -> float:
     """Simulate a case; return the vibration that is left, see `FrictionRow`."""
     model, n, d, motors = case.model, case.model.n_joints, case.model.n_dof, case.model.motor_columns
-    batch = Batch(model, "gauss_3_sweeps", min(case.period, LONGEST_STEP), case.period)
+    batch = Batch(model, "gauss_3", min(case.period, LONGEST_STEP), case.period)
     batch.reset(np.arange(1), rest_states(model, (case.posture + case.offset)[None]))
     torques, drive, velocities = np.zeros((case.delay + 1, n)), np.zeros((1, n + 6)), []
     for _ in range(round(DURATION / case.period)):

@@ -39,7 +39,7 @@ SPRUNG = "The same arms with joint springs 10 and 100 times as stiff, without a 
 TRIED = (
     "## Tried in the environments\n\nOf these limits {count} were drawn at random. Environments were simulated with "
     "gains {apart:.0%} below and above them. Steps were at most those of the environment, and the method in turns "
-    "`midpoint_3_sweeps` and `gauss_3_sweeps`. **Below its limit the arm came to rest in {calm} of {count}, above it "
+    "`midpoint_3` and `gauss_3`. **Below its limit the arm came to rest in {calm} of {count}, above it "
     "in {calm_above}.** Rest means at most half of the largest energy."
 )
 FRICTION = (

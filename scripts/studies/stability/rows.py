@@ -16,9 +16,9 @@ from flexman_gym.scene import catalog
 from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.scene_simulation import simulate, simulate_all
 from flexman_gym.simulation.simulator import Simulator
-from flexman_gym.simulation.stability import spectral_radii, vibration_factor
+from flexman_gym.simulation.stability import spectral_radii
 from flexman_gym.simulation.trajectory import Trajectory
-from studies.methods import explicit_methods, fixed_step_methods, implicit_methods
+from studies.methods import explicit_methods, fixed_step_methods, implicit_methods, vibration_factor
 from studies.stability.measure import (
     CASES,
     DIVERGED,
