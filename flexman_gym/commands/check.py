@@ -7,7 +7,7 @@ from pathlib import Path
 from flexman_gym.commands import CommandLine
 from flexman_gym.commands.compile import KERNEL_KINDS
 
-KERNEL_FUNCTIONS = {"one": "advance_one", "abreast": "advance_arms"}
+KERNEL_FUNCTIONS = {"one": "advance_single", "abreast": "advance_batch"}
 PACKAGES = ("gymnasium", "torch", "stable-baselines3")
 TIMED_STEPS = 500
 
@@ -36,7 +36,7 @@ def _is_compiled(name: str) -> bool:
     from flexman_gym.kernels import batch
 
     folder = getattr(batch, name).stats.cache_path
-    return folder is not None and any(Path(folder).glob(f"arms.{name}-*.nbc"))
+    return folder is not None and any(Path(folder).glob(f"batch.{name}-*.nbc"))
 
 
 def _vector_bits() -> int:

@@ -14,8 +14,9 @@ from flexman_gym.kernels.cache import find_cache_folder, is_quiet
 # Seconds of a processor of 2024 from the start of each until it is done; of the first ones of an environment, until
 # this can take its first step. The others take less than two.
 COMPILE_SECONDS = {
-    "inertial_forces": 25, "advance_one": 17, "advance_arms": 20, "sense_one": 6, "sense_arms": 6, "run_arms": 16,
-    "run_sequences": 18, "run_fixed_newton": 11, "run_linearly_implicit": 6, "run_explicit": 5, "run_implicit": 5,
+    "inertial_forces": 25, "advance_single": 17, "advance_batch": 20, "tip_accelerations_single": 6,
+    "tip_accelerations_batch": 6, "run_batch": 16, "run_extrapolation": 18, "run_fixed_newton": 11,
+    "run_linearly_implicit": 6, "run_explicit": 5, "run_implicit": 5,
 }  # fmt: skip
 
 

@@ -105,7 +105,7 @@ def test_a_run_whose_last_steps_were_lost_repeats_them(tmp_path):
     saved = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            "flexman_agents.training.write_data",
+            "flexman_agents.training.write_npz",
             lambda path, data: saved.append(path) or write_npz(path, data) if len(saved) < 2 else None,
         )
         train(RUNS["ppo"], tmp_path / "run", checkpoint_every=24, progress=False)
@@ -154,7 +154,7 @@ def test_curves_of_a_run_whose_last_steps_were_lost_do_not_overlap(tmp_path, mon
     saved, run = [], tmp_path / "run"
     with monkeypatch.context() as patch:
         patch.setattr(
-            "flexman_agents.training.write_data",
+            "flexman_agents.training.write_npz",
             lambda path, data: saved.append(path) or write_npz(path, data) if len(saved) < 3 else None,
         )
         train(RUNS["ppo"], run, checkpoint_every=24, progress=False)

@@ -129,7 +129,7 @@ def test_a_run_that_keeps_its_best_policy_goes_on_only_where_it_is_judged(traine
     monkeypatch.setattr(callbacks, "evaluate", lambda *given: dict.fromkeys(METRICS, 1.0) | {"reward": next(rewards)})
     kept = []
     monkeypatch.setattr(
-        "flexman_agents.training.write_data", lambda path, data: kept.append((path.name, data.get("before")))
+        "flexman_agents.training.write_npz", lambda path, data: kept.append((path.name, data.get("before")))
     )
     resume(folder, 512, progress=False, judge_every=256)
     assert kept == [(BEST, None), (NEWEST, 512)]
@@ -138,7 +138,7 @@ def test_a_run_that_keeps_its_best_policy_goes_on_only_where_it_is_judged(traine
 def test_checkpoints_are_written_where_rollouts_begin(tmp_path, monkeypatch):
     saved = []
     monkeypatch.setattr(
-        "flexman_agents.training.write_data",
+        "flexman_agents.training.write_npz",
         lambda path, data: saved.append(data["training"]["counts"]["num_timesteps"]),
     )
     train(replace(SHORT, steps=1024), tmp_path / "run", checkpoint_every=300, progress=False)

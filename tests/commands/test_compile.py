@@ -58,7 +58,7 @@ def test_each_kernel_that_takes_long_says_how_long_is_left(capsys, monkeypatch):
         compile_one(kernel)
     first, *rest = capsys.readouterr().err.splitlines()
     assert first.startswith(WORDS)
-    assert rest == ["  inertial_forces: about 25 s left", "  advance_one: about 17 s left"]
+    assert rest == ["  inertial_forces: about 25 s left", "  advance_single: about 17 s left"]
     rooms = (batch, inverse, implicit, runge_kutta)
     assert all(any(hasattr(room, name) for room in rooms) for name in kernels.COMPILE_SECONDS)
 
@@ -104,11 +104,11 @@ def test_check_says_which_kernels_are_not_compiled_yet(tmp_path, monkeypatch, ca
         monkeypatch.setattr(kernel._cache, "_cache_path", str(tmp_path / "ours"))
     for folder, name, one in (
         ("ours", "other", "not compiled yet"),
-        ("others", "advance_one", "not compiled yet"),
-        ("ours", "advance_one", "compiled"),
+        ("others", "advance_single", "not compiled yet"),
+        ("ours", "advance_single", "compiled"),
     ):
         (tmp_path / folder).mkdir(exist_ok=True)
-        (tmp_path / folder / f"arms.{name}-12.py311.1.nbc").touch()
+        (tmp_path / folder / f"batch.{name}-12.py311.1.nbc").touch()
         assert __main__.main(["check"]) == 0
         said = capsys.readouterr().out.splitlines()
         assert f"kernels of one arm alone: {one}" in said and "kernels of arms abreast: not compiled yet" in said
