@@ -197,7 +197,7 @@ class Evaluation(BaseCallback):
         super().__init__()
         self._environment, interface = split_interface(settings.environment)
         self._entrant = AgentSpec("training", law, interface)
-        self._every, self._last, self._keep = settings.judge_every, settings.steps, keep
+        self._every, self._last, self._keep = settings.eval_every, settings.steps, keep
         self._best = [-math.inf, 0.0]  # reward, and share that settled
         self.latest: Mapping[str, float] = {}
         self.begin()

@@ -195,7 +195,7 @@ class DAgger:
 
     def _play(self, number: int) -> dict[str, float]:
         """Plays a round, and remembers what it teaches."""
-        arms, kept = self._settings.envs, self._chosen["rounds_kept"]
+        arms, kept = self._settings.envs, self._chosen["iterations_kept"]
         self._student.network, self._student.notes = self._network(), []
         self._student.led = self._random.random(arms) < (BETA[number] if number < len(BETA) else 0.0)
         first = training_seed(self._settings.seed) + number * arms

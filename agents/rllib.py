@@ -196,7 +196,7 @@ def ppo_config(settings: Settings, runners: int) -> PPOConfig:
         raise value_error("algo", settings.algo, "ppo with RLlib")
     if settings.envs % max(1, runners):
         raise value_error("runners", runners, f"a number that divides the {settings.envs} arms")
-    for name in ("judge_every", "value_first"):
+    for name in ("eval_every", "value_warmup"):
         if getattr(settings, name):
             raise value_error(name, getattr(settings, name), "0 with RLlib")
     chosen = DEFAULT_HYPERPARAMETERS["ppo"] | {"clip_range": 0.2, "ent_coef": 0.0, "vf_coef": 0.5, "max_grad_norm": 0.5}

@@ -31,7 +31,6 @@ from flexman_agents.vector import SB3VecEnv
 from flexman_gym.common import files
 from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.common.files import existing_file
-from flexman_gym.common.run_folder import SETTINGS, read_settings_text
 from flexman_gym.control.agent import Law
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import SB3_MODEL, AgentSpec, predictor_agent, split_interface
@@ -124,7 +123,7 @@ def load_sb3_run(folder: Path) -> AgentSpec:
     Raises:
         FileNotFoundError, ValueError: one clear line.
     """
-    settings = Settings.from_json(folder / SETTINGS, read_settings_text(folder))
+    settings = Settings.load(folder)
     place = folder / BEST_FOLDER if (folder / BEST_FOLDER / SB3_MODEL).is_file() else folder
     try:
         model = ALGORITHMS[settings.algo].load(existing_file(place / SB3_MODEL), device="cpu")

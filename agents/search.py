@@ -33,7 +33,7 @@ def search(
     that was killed goes on, its trials included, and proposes what it would have proposed, one trial at a time.
 
     Args:
-        recipe: of all trials; `judge_every` says how often they are compared, a tenth of the steps where it is 0.
+        recipe: of all trials; `eval_every` says how often they are compared, a tenth of the steps where it is 0.
         over: path of a setting, such as "hyperparameters.gamma" -> mapping with "low" and "high" (with "log" or "whole"
             where these are true), or with "choices", a list.
         folder: for Optuna's journal, a folder for each trial, and the best one.
@@ -49,8 +49,8 @@ def search(
         ImportError: without Optuna.
     """
     trials = whole_number("trials", trials, 1, MAX_TRIALS)
-    if not recipe.judge_every:
-        recipe = replace(recipe, judge_every=max(1, recipe.steps // EVALUATIONS))
+    if not recipe.eval_every:
+        recipe = replace(recipe, eval_every=max(1, recipe.steps // EVALUATIONS))
     for path in over:
         _check(path, over[path], recipe)
     folder.mkdir(parents=True, exist_ok=True)
@@ -134,7 +134,7 @@ def _check(path: str, said: Any, recipe: Settings) -> None:
         if not values[0] < values[1] or (given.get("log") and values[0] <= 0.0):
             raise value_error(field, said, "low < high, and low > 0 with log")
         values = [int(value) if given.get("whole") else value for value in values]
-    one_of(field, path.partition(".")[0], sorted({*recipe.plain()} - {"algo", "steps", "judge_every"}))
+    one_of(field, path.partition(".")[0], sorted({*recipe.plain()} - {"algo", "steps", "eval_every"}))
     for value in values:
         change_settings(recipe, {path: value})
 
@@ -178,7 +178,10 @@ def _study(folder: Path) -> Any:
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     backend = optuna.storages.journal.JournalFileBackend(str(folder / JOURNAL_FILE))
     return optuna.create_study(
-        storage=optuna.storages.JournalStorage(backend), study_name=STUDY_NAME, direction="maximize", load_if_exists=True,
+        storage=optuna.storages.JournalStorage(backend),
+        study_name=STUDY_NAME,
+        direction="maximize",
+        load_if_exists=True,
         pruner=optuna.pruners.MedianPruner(n_startup_trials=STARTUP_TRIALS),
     )  # fmt: skip
 

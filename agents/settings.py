@@ -24,6 +24,7 @@ from flexman_gym.common.checks import (
     value_error,
     whole_number,
 )
+from flexman_gym.common.renamed import RUN_SETTINGS, accept_old_arguments, rename_keys
 from flexman_gym.common.run_folder import SETTINGS, read_settings
 from flexman_gym.control.base_controllers import parse_base
 from flexman_gym.envs.config.configuration import Configuration
@@ -38,7 +39,7 @@ WHOLE_HYPERPARAMETERS = (
     "learning_starts",
     "buffer_size",
     "updates",
-    "rounds_kept",
+    "iterations_kept",
 )
 FRACTION_HYPERPARAMETERS = ("gamma", "gae_lambda", "tau")
 ACTIVATIONS = ("tanh", "relu")
@@ -52,7 +53,7 @@ DEFAULT_HYPERPARAMETERS: dict[str, dict[str, Any]] = {
         "teacher": "privileged-lqr",
         "updates": 400,
         "batch_size": 512,
-        "rounds_kept": 12,
+        "iterations_kept": 12,
         "net_arch": [256, 256],
         "activation": "tanh",
         "learning_rate": 0.001,
@@ -107,9 +108,9 @@ class Settings:
             of SAC; name -> mapping with start, end and until.
         normalise_reward: divide rewards by a running standard deviation of the return; observations always are
             normalised.
-        judge_every: steps between evaluations on the seeds of `seeds.SELECTION`, by which the best policy is kept; 0
+        eval_every: steps between evaluations on the seeds of `seeds.SELECTION`, by which the best policy is kept; 0
             for none.
-        value_first: actions of all arms at the beginning, from which the value function of PPO alone learns.
+        value_warmup: actions of all arms at the beginning, from which the value function of PPO alone learns.
         base_in_use: what acts beside the policy when it is used, in place of the base with which it learned; it is made
             for the arm on which it acts. None for the one with which it learned.
 
@@ -125,8 +126,8 @@ class Settings:
     hyperparameters: Mapping[str, Any] = field(default_factory=dict)
     schedules: Mapping[str, Any] = field(default_factory=dict)
     normalise_reward: bool = True
-    judge_every: int = 0
-    value_first: int = 0
+    eval_every: int = 0
+    value_warmup: int = 0
     base_in_use: Any = None
 
     def __post_init__(self) -> None:
@@ -154,8 +155,8 @@ class Settings:
             seed=whole_number("seed", self.seed, 0, MAX_SEED),
             envs=whole_number("envs", DEFAULT_ENVS[self.algo] if self.envs is None else self.envs, 1, MAX_ENVS),
             normalise_reward=flag("normalise_reward", self.normalise_reward),
-            judge_every=whole_number("judge_every", self.judge_every, 0, MAX_STEPS if self.algo != "dagger" else 0),
-            value_first=whole_number("value_first", self.value_first, 0, MAX_STEPS if self.algo == "ppo" else 0),
+            eval_every=whole_number("eval_every", self.eval_every, 0, MAX_STEPS if self.algo != "dagger" else 0),
+            value_warmup=whole_number("value_warmup", self.value_warmup, 0, MAX_STEPS if self.algo == "ppo" else 0),
         )
 
     def schedule(self, name: str) -> Schedule | None:
@@ -170,8 +171,8 @@ class Settings:
     @classmethod
     def from_dict(cls, data: object, field: str = "settings") -> Self:
         """Gives the settings in a mapping, each of which is checked."""
-        names = [each.name for each in fields(cls)]
-        return cls(**mapping(field, data, names))
+        present = rename_keys(data, RUN_SETTINGS) if isinstance(data, dict) else data
+        return cls(**mapping(field, present, [each.name for each in fields(cls)]))
 
     @classmethod
     def recipe(cls, path: str | Path) -> Self:
@@ -190,19 +191,19 @@ class Settings:
             raise ValueError(f"{short_path(path)}: {error}") from None
 
     @classmethod
-    def from_json(cls, path: Path, text: str) -> Self:
-        """Gives the settings that a run has kept.
+    def load(cls, folder: Path) -> Self:
+        """Return the settings of the training run in a folder.
 
         Raises:
-            ValueError: one line with the file and what is wrong.
+            FileNotFoundError, ValueError: one line with the file and the fault.
         """
+        record = read_settings(folder)
         try:
-            record = json.loads(text)
-            record = {"base_in_use": None, "value_first": 0, **record}  # of runs before there were any
+            record = {"base_in_use": None, "value_warmup": 0, **record}  # of runs before there were any
             return cls.from_dict({name: record[name] for name in (each.name for each in fields(cls))})
-        except (KeyError, TypeError, ValueError, RecursionError) as error:
+        except (KeyError, TypeError, ValueError) as error:
             said = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise ValueError(f"{short_path(path)}: {said}; give the settings of a training run") from None
+            raise ValueError(f"{short_path(folder / SETTINGS)}: {said}; give the settings of a training run") from None
 
     def plain(self) -> dict[str, Any]:
         """Return all settings as a mapping for JSON."""
@@ -212,6 +213,9 @@ class Settings:
     def with_seed(self, seed: int) -> Self:
         """Gives the same with another seed."""
         return replace(self, seed=seed)
+
+
+Settings.__init__ = accept_old_arguments(**RUN_SETTINGS)(Settings.__init__)  # type: ignore[method-assign]
 
 
 def _check(field: str, name: str, value: object) -> None:

@@ -33,6 +33,7 @@ from flexman_agents.sb3 import action_function, make_model
 from flexman_agents.settings import EXPLORATION_SCHEDULES, MAX_STEPS, Settings, check_new_folder, write_settings
 from flexman_agents.vector import SB3VecEnv
 from flexman_gym.common.checks import value_error, whole_number
+from flexman_gym.common.renamed import accept_old_arguments
 from flexman_gym.common.run_folder import (
     BEST,
     NEWEST,
@@ -40,7 +41,6 @@ from flexman_gym.common.run_folder import (
     lock_folder,
     read_npz,
     read_settings,
-    read_settings_text,
     write_npz,
 )
 from flexman_gym.common.snapshot import get_state, set_state
@@ -282,13 +282,14 @@ def train(
         return run.learn(checkpoint_every, progress, hook)
 
 
+@accept_old_arguments(judge_every="eval_every")
 def resume(
     folder: Path,
     steps: int | None = None,
     checkpoint_every: int = 0,
     progress: bool = True,
     device: str = "cpu",
-    judge_every: int | None = None,
+    eval_every: int | None = None,
     hook: Hook | None = None,
 ) -> BaseAlgorithm | None:
     """Goes on with the run in a folder to the end of its steps, exactly as if it had never stopped.
@@ -304,7 +305,7 @@ def resume(
         OSError, Interrupted: as `train`.
     """
     checkpoint_every = whole_number("checkpoint_every", checkpoint_every, 0, MAX_STEPS)
-    settings = load_settings(folder)
+    settings = Settings.load(folder)
     with lock_folder(folder):
         data = read_npz(folder / NEWEST) if (folder / NEWEST).is_file() else None
         if data is not None:
@@ -312,11 +313,11 @@ def resume(
         done = 0 if data is None else _steps_done(folder / NEWEST, data)
         finished = data is not None and done >= settings.steps
         settings = _further(settings, folder, steps, done, finished)
-        if judge_every is not None:
-            settings = replace(settings, judge_every=judge_every)
-        if (folder / BEST).is_file() and not settings.judge_every:
+        if eval_every is not None:
+            settings = replace(settings, eval_every=eval_every)
+        if (folder / BEST).is_file() and not settings.eval_every:
             allowed = f"the steps between evaluations, > 0: {folder} keeps its best policy"
-            raise value_error("judge_every", settings.judge_every, allowed)
+            raise value_error("eval_every", settings.eval_every, allowed)
         run = _new_run(settings, folder, device)
         if data is None:
             print(f"Nothing was kept in {folder} yet: the run begins again.", file=sys.stderr)
@@ -343,20 +344,11 @@ def train_or_resume(cell: tuple[Settings, str, Mapping[str, Any]]) -> str:
     if not (path / SETTINGS).exists():
         train(settings, path, **how)
         return folder
-    if load_settings(path) != settings:
+    if Settings.load(path) != settings:
         raise value_error("folder", folder, "one without a run of other settings")
     if not (path / NEWEST).is_file() or _steps_done(path / NEWEST, read_npz(path / NEWEST)) < settings.steps:
         resume(path, **how)
     return folder
-
-
-def load_settings(folder: Path) -> Settings:
-    """Reads the settings of the run in a folder.
-
-    Raises:
-        FileNotFoundError, ValueError: one clear line.
-    """
-    return Settings.from_json(folder / SETTINGS, read_settings_text(folder))
 
 
 def _new_run(settings: Settings, folder: Path, device: str) -> "_Run | DAggerRun":
@@ -373,7 +365,7 @@ class _Run:
         self.model, self.settings, self.folder = model, settings, folder
         self._before = 0  # steps of runs that this one followed
         self._judge: Evaluation | None = None
-        if settings.judge_every:
+        if settings.eval_every:
             statistics = model.get_vec_normalize_env()
             assert statistics is not None
             self._judge = Evaluation(settings, action_function(model, statistics), self._keep_best)
@@ -411,8 +403,8 @@ class _Run:
         callbacks: list[BaseCallback] = []
         for exploration in filter(None, map(settings.schedule, EXPLORATION_SCHEDULES)):
             callbacks.append(Exploration(exploration, settings.steps))
-        if settings.value_first:
-            callbacks.append(ValueWarmup(settings.value_first))
+        if settings.value_warmup:
+            callbacks.append(ValueWarmup(settings.value_warmup))
         if self._judge:
             callbacks.append(self._judge)
         told: dict[str, Any] = {"progress_bar": progress, "reset_num_timesteps": False}

@@ -2,12 +2,13 @@
 
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
 from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 MODULES = {
     "flexman_agents.algorithm": "flexman_agents.sb3",
@@ -58,6 +59,64 @@ NAMES = {
     "flexman_gym.simulation.stability": {"amplitude_kept": "remaining_amplitude"},
 }  # fmt: skip
 """Present module -> old name in it -> present name."""
+
+RUN_SETTINGS = {"judge_every": "eval_every", "rounds_kept": "iterations_kept", "value_first": "value_warmup"}
+"""Old setting or hyperparameter of a training run, in recipes and settings.json -> present name."""
+OPTIONS = {
+    "compile": {"abreast": "batch", "one": "single"},
+    "league": {"--entrants": "--agents", "--environments": "--scenarios"},
+    "train": {"--judge-every": "--eval-every"},
+}
+"""Command -> old option or value on its command line -> present one."""
+LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+
+def warn_deprecated(text: str) -> None:
+    """Issue a DeprecationWarning at the first caller outside the libraries."""
+    frame, depth = sys._getframe(1), 2
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in LIBRARIES:
+        frame, depth = frame.f_back, depth + 1
+    warnings.warn(text, DeprecationWarning, stacklevel=depth)
+
+
+def rename_keys(data: Mapping[str, Any], names: Mapping[str, str], warn: bool = True) -> dict[str, Any]:
+    """Return a mapping, and the mappings inside it, under the present names of their keys.
+
+    Args:
+        data: values by present or old name.
+        names: old name -> present name.
+        warn: issue a DeprecationWarning for each old name.
+    """
+    result = {}
+    for name, value in data.items():
+        if name in names and names[name] in data:
+            raise ValueError(f"{name}: {value!r} is not allowed; give {names[name]} only, its present name")
+        if name in names and warn:
+            warn_deprecated(f"{name} is {names[name]} now")
+        result[names.get(name, name)] = rename_keys(value, names, warn) if isinstance(value, dict) else value
+    return result
+
+
+def accept_old_arguments(**names: str) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
+    """Return a decorator for a function whose keywords are still accepted under their old names, with a warning.
+
+    Args:
+        names: old name -> present name; a value under the old name takes precedence.
+    """
+
+    def decorate(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+        @wraps(function)
+        def renaming(*args: Arguments.args, **named: Arguments.kwargs) -> Result:
+            for old in names.keys() & named:
+                warn_deprecated(f"{old} is {names[old]} now")
+                named[names[old]] = named.pop(old)
+            return function(*args, **named)
+
+        return renaming
+
+    return decorate
 
 
 def deprecated_names(module: str, old: str = "") -> Callable[[str], Any]:

@@ -77,7 +77,7 @@ def test_arms_that_the_teacher_leads_move_as_under_the_teacher_alone_and_their_n
 @pytest.mark.parametrize("kept", [1, 2, 3])
 def test_the_last_rounds_are_kept_and_every_second_instant_of_each(kept):
     """Of rounds that are even the first instant, the third and so on, of odd ones the others."""
-    imitation, played = DAgger(replace(SHORT, hyperparameters={**SHORT.hyperparameters, "rounds_kept": kept})), []
+    imitation, played = DAgger(replace(SHORT, hyperparameters={**SHORT.hyperparameters, "iterations_kept": kept})), []
     for number in range(4):
         imitation._play(number)
         due = [(seen[begun], ACTION_SCALE * wanted[begun]) for seen, wanted, begun in imitation._student.notes]
@@ -179,11 +179,11 @@ def test_what_cannot_be_imitated_is_refused():
     base = {"kind": "privileged-lqr"}
     shaping = {**ENVIRONMENT, "id": "FlexRRR-v0", "base": base, "actions": "shaping"}
     assert refusal(DAgger, replace(SHORT, environment=shaping)).startswith("actions: ")
-    assert "rounds_kept" in refusal(DAgger, replace(SHORT, hyperparameters={"gamma": 0.9}))
+    assert "iterations_kept" in refusal(DAgger, replace(SHORT, hyperparameters={"gamma": 0.9}))
     for name, value in (("teacher", "nobody"), ("updates", 0), ("net_arch", "wide")):
         said = refusal(lambda name=name, value=value: replace(SHORT, hyperparameters={name: value}))
         assert said.startswith("base: " if name == "teacher" else f"hyperparameters.{name}: ")
-    assert refusal(lambda: replace(SHORT, judge_every=10)).startswith("judge_every: ")
+    assert refusal(lambda: replace(SHORT, eval_every=10)).startswith("eval_every: ")
     quiet = {**ENVIRONMENT, "id": "FlexRRR-v0", "base": base, "sensors": [],
              "actions": {"kind": "shaping", "pace": 0.0, "offset": 0.0, "torque": 0.5, "fading": 0.0}}  # fmt: skip
     student = replace(SHORT, environment=quiet, hyperparameters={"teacher": base})

@@ -75,7 +75,7 @@ def test_a_run_that_was_interrupted_twice_is_the_run_that_was_not(algo, tmp_path
 def test_a_memory_that_is_full_is_drawn_from_whole_after_a_resumption(tmp_path, interrupt):
     """It holds eight rows of three arms; the run stops in the fourteenth of twenty."""
     chosen = {"learning_starts": 12, "batch_size": 8, "buffer_size": 24, "net_arch": [8]}
-    settings = replace(RUNS["sac"], steps=60, hyperparameters=chosen, judge_every=0)
+    settings = replace(RUNS["sac"], steps=60, hyperparameters=chosen, eval_every=0)
     train(settings, tmp_path / "whole", progress=False)
     interrupt(13)
     with pytest.raises(Interrupted):
@@ -202,7 +202,7 @@ def test_versions_of_every_part_of_a_run_are_kept(tmp_path, monkeypatch):
     """Three parts, each with other versions."""
     for part in range(3):
         monkeypatch.setattr("flexman_agents.settings.version", lambda name, part=part: f"{part}.0")
-        run = replace(RUNS["ppo"], steps=24, judge_every=0)
+        run = replace(RUNS["ppo"], steps=24, eval_every=0)
         resume(tmp_path, 24, progress=False) if part else train(run, tmp_path, progress=False)
     record = json.loads((tmp_path / SETTINGS).read_text())
     assert [each["numpy"] for each in [*record["earlier_versions"], record["versions"]]] == ["0.0", "1.0", "2.0"]

@@ -43,7 +43,7 @@ def test_a_recipe_is_translated_and_what_cannot_be_is_refused():
     assert config.gamma == 0.95 and config.lambda_ == 0.99 and config.num_envs_per_env_runner == 4
     assert config.lr == [[0, 1e-3], [768, 1e-12]] and config.env_config["first_seed"] == training_seed(3)
     assert refusal(rllib.ppo_config, SETTINGS, 3).startswith("runners: 3 is not allowed; give a number that divides")
-    for change in ({"judge_every": 5}, {"hyperparameters": {"use_sde": True}}):
+    for change in ({"eval_every": 5}, {"hyperparameters": {"use_sde": True}}):
         assert refusal(rllib.ppo_config, replace(SETTINGS, **change), 0).startswith(next(iter(change)))
     assert refusal(rllib.ppo_config, Settings("sac"), 0).startswith("algo: 'sac' is not allowed")
 
