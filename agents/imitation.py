@@ -1,4 +1,4 @@
-"""DAgger: the student acts, the teacher labels the visited states."""
+"""Imitation learning by DAgger: the student acts, and the teacher labels the states that it visits."""
 
 import sys
 import time
@@ -29,7 +29,7 @@ from flexman_gym.evaluation.agent import AgentSpec, observation_layout, split_in
 from flexman_gym.evaluation.agent_info import TIME_COLUMN
 from flexman_gym.evaluation.rollout import Rollout, rollout, training_seed
 
-BETA = (1.0, 0.5, 0.25)  # share of the arms that the teacher leads, in the first rounds
+BETA = (1.0, 0.5, 0.25)  # 1; share of the arms controlled by the teacher in the first iterations, then 0
 ACTION_SCALE = 10.0  # of actions while they are learned: most are small beside 1
 WEIGHT_FLOOR, MAX_WEIGHT = (
     0.15,

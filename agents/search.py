@@ -77,11 +77,11 @@ def run_trial(cell: tuple[Settings, str, int]) -> None:
 
     def hook(report: TrainingReport) -> bool:
         nonlocal pruned
-        if report.figures and report.figures != known[-1]:
-            known.append(dict(report.figures))
+        if report.metrics and report.metrics != known[-1]:
+            known.append(dict(report.metrics))
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # of what was told before the trial was killed
-                trial.report(report.figures["reward"], report.steps)
+                trial.report(report.metrics["reward"], report.steps)
             report.save()
             pruned = report.steps < settings.steps and trial.should_prune()
         return pruned

@@ -24,7 +24,7 @@ from flexman_gym.common.checks import (
     value_error,
     whole_number,
 )
-from flexman_gym.common.renamed import RUN_SETTINGS, accept_old_arguments, rename_keys
+from flexman_gym.common.renamed import RUN_SETTINGS, deprecated_arguments, rename_keys
 from flexman_gym.common.run_folder import SETTINGS, read_settings
 from flexman_gym.control.base_controllers import parse_base
 from flexman_gym.envs.config.configuration import Configuration
@@ -215,7 +215,7 @@ class Settings:
         return replace(self, seed=seed)
 
 
-Settings.__init__ = accept_old_arguments(**RUN_SETTINGS)(Settings.__init__)  # type: ignore[method-assign]
+Settings.__init__ = deprecated_arguments(**RUN_SETTINGS)(Settings.__init__)  # type: ignore[method-assign]
 
 
 def _check(field: str, name: str, value: object) -> None:

@@ -8,7 +8,7 @@ from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, TypeVar, cast
 
 MODULES = {
     "flexman_agents.algorithm": "flexman_agents.sb3",
@@ -69,8 +69,6 @@ OPTIONS = {
 }
 """Command -> old option or value on its command line -> present one."""
 LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")
-Arguments = ParamSpec("Arguments")
-Result = TypeVar("Result")
 
 
 def warn_deprecated(text: str) -> None:
@@ -99,26 +97,6 @@ def rename_keys(data: Mapping[str, Any], names: Mapping[str, str], warn: bool = 
     return result
 
 
-def accept_old_arguments(**names: str) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
-    """Return a decorator for a function whose keywords are still accepted under their old names, with a warning.
-
-    Args:
-        names: old name -> present name; a value under the old name takes precedence.
-    """
-
-    def decorate(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-        @wraps(function)
-        def renaming(*args: Arguments.args, **named: Arguments.kwargs) -> Result:
-            for old in names.keys() & named:
-                warn_deprecated(f"{old} is {names[old]} now")
-                named[names[old]] = named.pop(old)
-            return function(*args, **named)
-
-        return renaming
-
-    return decorate
-
-
 def deprecated_names(module: str, old: str = "") -> Callable[[str], Any]:
     """Return the `__getattr__` of a module that still answers to old names, with a DeprecationWarning.
 
@@ -136,6 +114,30 @@ def deprecated_names(module: str, old: str = "") -> Callable[[str], Any]:
         return value
 
     return getattribute
+
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def deprecated_arguments(**names: str) -> Callable[[Function], Function]:
+    """Return a decorator of a function that still accepts old argument names, with a DeprecationWarning.
+
+    Args:
+        names: old name="present name".
+    """
+
+    def decorate(function: Function) -> Function:
+        @wraps(function)
+        def call(*arguments: Any, **keywords: Any) -> Any:
+            for old in names.keys() & keywords.keys():
+                said = f"{function.__name__}({old}=...) is deprecated; give {names[old]}=..."
+                warnings.warn(said, DeprecationWarning, stacklevel=2)
+                keywords[names[old]] = keywords.pop(old)
+            return function(*arguments, **keywords)
+
+        return cast(Function, call)
+
+    return decorate
 
 
 class _OldModules(MetaPathFinder, Loader):

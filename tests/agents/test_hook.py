@@ -24,8 +24,8 @@ def test_a_hook_is_told_steps_and_figures_where_rollouts_begin_and_at_the_end(tm
     reports = []
     train(SETTINGS, tmp_path / "a", progress=False, hook=reports.append)
     assert [each.steps for each in reports] == [0, 24, 48, 72, 96, 120, 144, 168]
-    assert [bool(each.figures) for each in reports] == [False] * 3 + [True] * 5
-    rewards = [each.figures.get("reward") for each in reports]
+    assert [bool(each.metrics) for each in reports] == [False] * 3 + [True] * 5
+    rewards = [each.metrics.get("reward") for each in reports]
     assert rewards[3] == rewards[5] != rewards[6] != rewards[7]
 
 
