@@ -122,8 +122,7 @@ def test_a_run_that_keeps_its_best_policy_goes_on_only_where_it_is_judged(traine
     shutil.copytree(trained[0], folder)
     line = refusal(resume, folder, 256, 0, False, "cpu", 0)
     assert (
-        line
-        == f"eval_every: 0 is not allowed; give the steps between evaluations, > 0: {folder} keeps its best policy"
+        line == f"eval_every: 0 is not allowed; give the steps between evaluations, > 0: {folder} keeps its best policy"
     )
     rewards = iter([-1e6, 1e6, 0.0])  # the last at the end
     monkeypatch.setattr(callbacks, "evaluate", lambda *given: dict.fromkeys(METRICS, 1.0) | {"reward": next(rewards)})
