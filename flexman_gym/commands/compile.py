@@ -15,7 +15,10 @@ KERNEL_KINDS = {"single": "a single arm", "batch": "a batch of arms"}  # as in k
 def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     result.add_argument(
-        "kind", nargs="?", choices=sorted(KERNEL_KINDS), help="kernels of a single arm or of a batch only; both if left out"
+        "kind",
+        nargs="?",
+        choices=sorted(KERNEL_KINDS),
+        help="kernels of a single arm or of a batch only; both if left out",
     )
 
 

@@ -139,7 +139,7 @@ def test_one_that_was_stopped_begins_again_and_one_that_is_finished_stays(tmp_pa
     train(SHORT, tmp_path / "part", progress=False, hook=lambda report: report.steps >= 160)
     assert not (tmp_path / "part" / NEWEST).exists()
     train_or_resume((SHORT, str(tmp_path / "part"), {"progress": False}))
-    assert "begins again" in capsys.readouterr().err and bits(tmp_path / "part") == bits(tmp_path / "whole")
+    assert "starts from scratch" in capsys.readouterr().err and bits(tmp_path / "part") == bits(tmp_path / "whole")
     assert "is finished" in refusal(resume, tmp_path / "whole")
     assert refusal(resume, tmp_path / "whole", 480).startswith("steps: ")
 

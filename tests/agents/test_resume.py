@@ -52,7 +52,7 @@ def test_a_run_that_was_interrupted_twice_is_the_run_that_was_not(algo, tmp_path
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     train(RUNS[algo], whole, progress=False)
     interrupt(19)
-    with pytest.raises(Interrupted, match=r"stopped after \d+ steps, all of which are kept"):
+    with pytest.raises(Interrupted, match=r"stopped after \d+ steps; the run is saved"):
         train(RUNS[algo], parts, progress=False)
     assert "Stopping after this rollout; press Ctrl-C again" in capsys.readouterr().err
     done = read_npz(parts / NEWEST)["training"]["counts"]["num_timesteps"]
@@ -119,7 +119,7 @@ def test_a_run_that_was_killed_before_it_kept_anything_begins_again(tmp_path, ca
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / SETTINGS).write_bytes((tmp_path / "whole" / SETTINGS).read_bytes())
     resume(tmp_path / "run", progress=False)
-    assert "Nothing was kept" in capsys.readouterr().err
+    assert "Nothing was saved" in capsys.readouterr().err
     assert same(tmp_path / "whole", tmp_path / "run")
 
 
@@ -137,7 +137,7 @@ def test_steps_belong_to_a_finished_run_only(tmp_path, interrupt):
     with pytest.raises(Interrupted):
         train(RUNS["ppo"], tmp_path / "run", progress=False)
     line = refusal(resume, tmp_path / "run", 100)
-    assert line.startswith("steps: 100 is not allowed; give nothing: the run in") and "has 48 of its 160 steps" in line
+    assert line.startswith("steps: 100 is not allowed; give no steps: the run in") and "has 48 of its 160 steps" in line
     interrupt(-1)
     resume(tmp_path / "run", progress=False)
     assert "that in" in refusal(resume, tmp_path / "run") and "is finished" in refusal(resume, tmp_path / "run")

@@ -10,7 +10,7 @@ pytest.importorskip("stable_baselines3")
 
 from flexman_agents import search as module
 from flexman_agents.callbacks import TrainingReport
-from flexman_agents.search import change_settings, flatten_ranges, run_trial, search
+from flexman_agents.search import change_settings, run_trial, search
 from flexman_agents.settings import find_recipe
 
 from oracles.assertions import refusal
@@ -175,6 +175,12 @@ def test_ends_between_which_nothing_lies_are_refused(ends, tmp_path):
     assert line.startswith("over.hyperparameters.learning_rate: ") and line.endswith("low < high, and low > 0 with log")
 
 
-def test_a_setting_is_a_path_of_the_names_above_it():
+def test_a_setting_is_a_path_of_the_names_above_it(optuna, monkeypatch, tmp_path):
+    study, ranges = Study(), []
+    monkeypatch.setattr(module, "_study", lambda folder: study)
+    monkeypatch.setattr(module, "_proposed", lambda study, number, over: ranges.append(over) or {})
+    monkeypatch.setattr(module, "_keep_best", lambda study, recipe, folder: folder)
+    monkeypatch.setattr(module, "parallel_map_unordered", lambda run, cells, *_, **__: [study.tell(cells[0][-1], 1.0)])
     over = {"hyperparameters": {"gamma": {"low": 0.5, "high": 0.9}}, "envs": {"choices": [2, 3]}}
-    assert flatten_ranges(over) == {"hyperparameters.gamma": {"low": 0.5, "high": 0.9}, "envs": {"choices": [2, 3]}}
+    search(RECIPE, over, tmp_path, 1)
+    assert ranges[0] == {"hyperparameters.gamma": {"low": 0.5, "high": 0.9}, "envs": {"choices": [2, 3]}}

@@ -177,8 +177,8 @@ def test_a_schedule_is_linear_and_then_stays(start, end, until, progress):
         (("a", 1.0), "schedule.start: 'a' is not allowed; give a"),
         ((float("nan"), 1.0), "schedule.start: nan is not allowed; give a finite"),
         ((1.0, None), "schedule.end: None is not allowed; give a"),
-        ((1.0, 1.0, 0.0), "schedule.until: 0.0 is not allowed; give a part of the training > 0, at most 1"),
-        ((1.0, 1.0, 1.5), "schedule.until: 1.5 is not allowed; give a part of the training > 0, at most 1"),
+        ((1.0, 1.0, 0.0), "schedule.until: 0.0 is not allowed; give a fraction of the training, > 0 and at most 1"),
+        ((1.0, 1.0, 1.5), "schedule.until: 1.5 is not allowed; give a fraction of the training, > 0 and at most 1"),
     ],
 )
 def test_bad_schedules_are_named(values, line):

@@ -94,7 +94,7 @@ def test_a_finished_run_goes_on_as_another_run(trained, tmp_path, capsys):
     train(replace(SHORT, schedules={}), folder, progress=False)
     before = acts(folder)
     assert resume(folder, 256, progress=False).num_timesteps == 256
-    assert "The run of 512 steps was finished: 256 more are another run." in capsys.readouterr().err
+    assert "The run of 512 steps was finished; a further run of 256 steps starts from it." in capsys.readouterr().err
     assert 0 < np.abs(acts(folder) - before).max() < 0.5
     assert read_npz(folder / NEWEST)["before"] == 512 and Settings.load(folder).steps == 256
     with (folder / "progress-512.csv").open() as lines:
@@ -121,9 +121,7 @@ def test_a_run_that_keeps_its_best_policy_goes_on_only_where_it_is_judged(traine
     folder = tmp_path / "run"
     shutil.copytree(trained[0], folder)
     line = refusal(resume, folder, 256, 0, False, "cpu", 0)
-    assert (
-        line == f"eval_every: 0 is not allowed; give the steps between evaluations, > 0: {folder} keeps its best policy"
-    )
+    assert line == f"eval_every: 0 is not allowed; give the steps between evaluations, > 0: {folder} has a best policy"
     rewards = iter([-1e6, 1e6, 0.0])  # the last at the end
     monkeypatch.setattr(callbacks, "evaluate", lambda *given: dict.fromkeys(METRICS, 1.0) | {"reward": next(rewards)})
     kept = []

@@ -132,7 +132,7 @@ def test_settings_that_are_arrays_are_other_ones(run, tmp_path):
 
 
 def test_files_of_stable_baselines3_need_trust(run, tmp_path):
-    from flexman_agents.sb3 import STATISTICS_FILE, load_sb3_run, make_model
+    from flexman_agents.sb3 import STATISTICS_FILE, load_sb3, make_model
 
     model = make_model(RUNS["ppo"])
     (tmp_path / SETTINGS).write_bytes((run / SETTINGS).read_bytes())
@@ -141,9 +141,9 @@ def test_files_of_stable_baselines3_need_trust(run, tmp_path):
     line = refusal(find_agent, str(tmp_path))
     assert "--trust" in line and "run any code" in line
     seen = np.zeros((2, 32), dtype=np.float32)
-    assert load_sb3_run(tmp_path).law(seen).shape == (2, 1)
+    assert load_sb3(tmp_path).law(seen).shape == (2, 1)
     (tmp_path / SB3_MODEL).write_bytes(b"noise")
-    assert "this is not a run of Stable-Baselines3" in refusal(load_sb3_run, tmp_path)
+    assert "this is not a run of Stable-Baselines3" in refusal(load_sb3, tmp_path)
 
 
 @pytest.mark.parametrize(
