@@ -125,7 +125,7 @@ LOADING_ERRORS = (
 
 
 def load_sb3(path: Path, environment: Configuration | None = None) -> AgentSpec:
-    """Return a policy from files of Stable-Baselines3: a zip written by `save`, or the folder of a run of release 0.1.
+    """Return a policy from files of Stable-Baselines3: a zip written by `save`, or the folder of an early run.
 
     A zip may have its normalisation (VecNormalize) beside it, in a file of the same name with the suffix .pkl. The
     files are pickles, which can run any code: load files from trusted sources only.

@@ -81,9 +81,8 @@ def run_trial(cell: tuple[Settings, str, int]) -> None:
     settings, folder, number = cell
     study, place = _study(Path(folder)), Path(folder) / f"trial-{number}"
     trial, evaluations = _trial(study, number), [dict[str, float]()]
-    pruned = bool(trial._cached_frozen_trial.intermediate_values) and bool(
-        trial.should_prune()
-    )  # pruned, then killed before the study was told
+    # True for a trial that was killed after it was pruned.
+    pruned = bool(trial._cached_frozen_trial.intermediate_values) and bool(trial.should_prune())
 
     def hook(report: TrainingReport) -> bool:
         nonlocal pruned
